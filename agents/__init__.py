@@ -1,0 +1,1 @@
+"""The brains: consensus guidance, the online gain QP and the tracking controllers."""

@@ -1,0 +1,1 @@
+"""The network: messages, keys, zenoh sessions, link impairments and the message ledger."""

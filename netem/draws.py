@@ -1,0 +1,31 @@
+"""Order-free randomness: a draw is a pure function of (seed, purpose, key).
+
+There is no generator and so no state: adding a vehicle, changing one link or asking in another order never
+shifts another draw. BLAKE2b is the hash, so that a draw is the same on every machine and in every process.
+"""
+
+from __future__ import annotations
+
+import math
+from hashlib import blake2b
+from struct import pack
+
+_UNIT = 2.0**-53
+_TWO_PI = 2.0 * math.pi
+
+
+def bits(seed: int, purpose: str, *key: int) -> int:
+    """64 uniform bits for (seed, purpose, key); `seed` and every part of `key` in [-2^63, 2^63)."""
+    data = pack(f"<{1 + len(key)}q", seed, *key) + purpose.encode()
+    return int.from_bytes(blake2b(data, digest_size=8).digest(), "little")
+
+
+def uniform(seed: int, purpose: str, *key: int) -> float:
+    """A double uniform in [0, 1), on the grid of 2^-53."""
+    return (bits(seed, purpose, *key) >> 11) * _UNIT
+
+
+def normal(seed: int, purpose: str, *key: int) -> float:
+    """A standard normal double (Box-Muller on two independent draws)."""
+    radius = math.sqrt(-2.0 * math.log(1.0 - uniform(seed, purpose, *key, 0)))
+    return radius * math.cos(_TWO_PI * uniform(seed, purpose, *key, 1))

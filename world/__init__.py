@@ -1,0 +1,1 @@
+"""The sea: vehicle dynamics, disturbances, sensors, actuators, and who is alive."""

@@ -1,0 +1,56 @@
+"""What the world is told before a run: plain, frozen data in SI units."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from world.vehicle import Vec3, Vec5, VehicleParams
+
+
+@dataclass(frozen=True, slots=True)
+class Harmonic:
+    """One component of a disturbance: amplitude * sin(omega t + phase) [N or N m, rad/s, rad]."""
+
+    amplitude: float = 0.0
+    omega: float = 1.0
+    phase: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class NavNoise:
+    """Standard deviations of white noise on the navigation sensor; all zero means off."""
+
+    position_m: float = 0.0
+    angle_rad: float = 0.0
+    velocity_mps: float = 0.0
+    rate_radps: float = 0.0
+
+    @property
+    def off(self) -> bool:
+        return not (self.position_m or self.angle_rad or self.velocity_mps or self.rate_radps)
+
+
+@dataclass(frozen=True, slots=True)
+class VehicleSetup:
+    """One vehicle of the fleet: its number (1-based), model, actuator limits and initial state."""
+
+    id: int
+    eta0: Vec5  # x, y, z [m, NED], theta, psi [rad]
+    nu0: Vec5  # u, v, w [m/s, body, over ground], q, r [rad/s]
+    params: VehicleParams = VehicleParams()
+    tau_max: Vec3 = (20.0, 20.0, 20.0)  # N, N m, N m
+
+
+@dataclass(frozen=True, slots=True)
+class WorldConfig:
+    """Everything that determines the world's part of a run."""
+
+    seed: int
+    tick_ns: int  # control period Ts
+    ticks: int  # the run's duration
+    round_ticks: int  # m, ticks per network round
+    substeps: int  # RK4 steps per tick
+    vehicles: tuple[VehicleSetup, ...]
+    disturbance: tuple[Harmonic, ...] = ()  # d1..d5, the same on every vehicle; empty: none
+    current: Vec3 = (0.0, 0.0, 0.0)  # m/s, NED, constant and irrotational
+    noise: NavNoise = field(default_factory=NavNoise)

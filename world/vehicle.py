@@ -1,0 +1,47 @@
+"""What a vehicle is: the numbers of the 5-DOF model and of its actuators.
+
+| symbol | meaning | unit | paper |
+|---|---|---|---|
+| m, Iy, Iz | rigid-body mass, moments of inertia in pitch and yaw | kg, kg m^2 | Table I |
+| beta_udot .. beta_rdot | added-mass coefficients as the paper prints them (m1 = m - beta_udot) | kg, kg m^2 | Table I |
+| beta_u .. beta_r | linear damping in surge, sway, heave, pitch, yaw | kg/s, kg m^2/s | Table I |
+| beta_b | restoring moment coefficient in pitch | N m | Table I |
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+Vec3 = tuple[float, float, float]
+Vec5 = tuple[float, float, float, float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class VehicleParams:
+    """Parameters of the 5-DOF underactuated vehicle (eqs. 1-2), defaults from the paper's Table I."""
+
+    m: float = 10.0
+    Iy: float = 3.0
+    Iz: float = 2.0
+    beta_udot: float = 6.0
+    beta_vdot: float = 1.1
+    beta_wdot: float = 1.15
+    beta_qdot: float = 0.5
+    beta_rdot: float = 0.45
+    beta_u: float = 1.0
+    beta_v: float = 1.1
+    beta_w: float = 1.15
+    beta_q: float = 0.2
+    beta_r: float = 0.25
+    beta_b: float = 0.1
+
+    @property
+    def inertia(self) -> Vec5:
+        """m1..m5 [kg, kg, kg, kg m^2, kg m^2]: mass matrix diagonal as printed below eq. (2)."""
+        return (
+            self.m - self.beta_udot,
+            self.m - self.beta_vdot,
+            self.m - self.beta_wdot,
+            self.Iy - self.beta_qdot,
+            self.Iz - self.beta_rdot,
+        )

@@ -37,7 +37,7 @@ class VehicleSetup:
     id: int
     eta0: Vec5  # x, y, z [m, NED], theta, psi [rad]
     nu0: Vec5  # u, v, w [m/s, body, over ground], q, r [rad/s]
-    params: VehicleParams = VehicleParams()
+    params: VehicleParams = field(default_factory=VehicleParams)
     tau_max: Vec3 = (20.0, 20.0, 20.0)  # N, N m, N m
 
 

@@ -3,7 +3,7 @@
 | symbol | meaning | unit | paper |
 |---|---|---|---|
 | m, Iy, Iz | rigid-body mass, moments of inertia in pitch and yaw | kg, kg m^2 | Table I |
-| beta_udot .. beta_rdot | added-mass coefficients as the paper prints them (m1 = m - beta_udot) | kg, kg m^2 | Table I |
+| beta_udot .. beta_rdot | added mass with the paper's sign (m1 = m - beta_udot) | kg, kg m^2 | Table I |
 | beta_u .. beta_r | linear damping in surge, sway, heave, pitch, yaw | kg/s, kg m^2/s | Table I |
 | beta_b | restoring moment coefficient in pitch | N m | Table I |
 """

@@ -1,0 +1,36 @@
+"""What velocity means in earth axes, and the direction of the flow along the body.
+
+| symbol | meaning | unit | frame | paper |
+|---|---|---|---|---|
+| eta = (x, y, z, theta, psi) | position, pitch (nose up > 0), heading | m, rad | NED | (1) |
+| u, v, w | surge, sway, heave velocity over ground | m/s | body | (1) |
+| u_a | speed | m/s | - | (3) |
+| theta', psi' | attack and sideslip of the velocity in body axes | rad | body | (4) |
+"""
+
+from __future__ import annotations
+
+from math import atan2, cos, hypot, sin, sqrt
+
+from world.vehicle import Vec3, Vec5
+
+
+def earth_velocity(eta: Vec5, nu: Vec5) -> Vec3:
+    """R(theta, psi) (u, v, w) [m/s, NED]: the first three rows of eq. (1)."""
+    _, _, _, theta, psi = eta
+    u, v, w, _, _ = nu
+    sth = sin(theta)
+    cth = cos(theta)
+    sps = sin(psi)
+    cps = cos(psi)
+    forward = cth * u + sth * w
+    return cps * forward - sps * v, sps * forward + cps * v, -sth * u + cth * w
+
+
+def flow_angles(u: float, v: float, w: float) -> Vec3:
+    """u_a [m/s], theta' and psi' [rad] of the body-frame velocity u, v, w [m/s].
+
+    theta' = atan2(-w, hypot(u, v)), psi' = atan2(v, u). The paper prints arctan(v / u), which turns the
+    direction round when u < 0 and has no value at u = 0.
+    """
+    return sqrt(u * u + v * v + w * w), atan2(-w, hypot(u, v)), atan2(v, u)

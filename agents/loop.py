@@ -1,0 +1,125 @@
+"""One agent's place in the lockstep: wait until the inbox is known up to the tick, then step.
+
+A pure state machine: messages in, messages out; the shell adds zenoh, the in-process run adds nothing. On an
+ideal network the agent transmits first and decides once its inbox of the same tick is there.
+"""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+from netem.errors import OutOfPlace
+from netem.messages import Command, Delivery, Inbox, Nav, Transmission
+
+
+class Decision(Protocol):
+    """What a core decides at one tick."""
+
+    @property
+    def tau(self) -> tuple[float, ...]:
+        """Surge force, pitch and yaw moment [N, N m]."""
+
+    @property
+    def telemetry(self) -> tuple[float, ...]:
+        """The declared signals, flat."""
+
+
+class Step(Decision, Protocol):
+    """A decision with what is to be sent."""
+
+    @property
+    def payloads(self) -> tuple[bytes, ...]:
+        """Empty off round ticks."""
+
+
+class AgentCore(Protocol):
+    """What the lockstep needs of an agent."""
+
+    def step(self, nav: Nav, deliveries: list[Delivery], /) -> Step:
+        """One control sample; on a round tick with payloads."""
+
+    def transmit(self, nav: Nav, /) -> tuple[bytes, ...]:
+        """Only the payloads of a round tick (ideal network)."""
+
+    def decide(self, nav: Nav, deliveries: list[Delivery], /) -> Decision:
+        """The rest of a control sample (ideal network)."""
+
+
+class AgentLoop:
+    """Feeds an agent core with navs and inboxes in the right order."""
+
+    def __init__(self, core: AgentCore, round_ticks: int, *, incarnation: int = 0, ideal: bool = False) -> None:
+        self.core = core
+        self.round_ticks = round_ticks
+        self.incarnation = incarnation
+        self.ideal = ideal
+        self._known = -1 if ideal else 0  # the inbox is known up to this tick
+        self._tick = -1  # last tick answered
+        self._nav: Nav | None = None
+        self._transmitted = False
+        self._deliveries: list[Delivery] = []
+
+    @property
+    def tick(self) -> int:
+        """The last tick answered; -1 before the first."""
+        return self._tick
+
+    def nav(self, nav: Nav) -> list[Transmission | Command]:
+        """Take the nav of the next tick.
+
+        Raises:
+            OutOfPlace: another incarnation's, or not the next tick (the first may be any).
+        """
+        self._check_incarnation(nav.incarnation)
+        if self._nav is not None or (self._tick >= 0 and nav.tick != self._tick + 1):
+            raise OutOfPlace("nav tick", self._tick + 1 + (self._nav is not None), nav.tick)
+        self._nav = nav
+        return self._advance()
+
+    def inbox(self, inbox: Inbox) -> list[Transmission | Command]:
+        """Take the next round's deliveries.
+
+        Raises:
+            OutOfPlace: another incarnation's, or not the next round.
+        """
+        self._check_incarnation(inbox.incarnation)
+        expected = max(0, self._known + self.round_ticks)
+        if inbox.until != expected and self._tick >= 0:
+            raise OutOfPlace("inbox until tick", expected, inbox.until)
+        self._known = inbox.until
+        self._deliveries.extend(inbox.deliveries)
+        return self._advance()
+
+    def _advance(self) -> list[Transmission | Command]:
+        nav = self._nav
+        if nav is None:
+            return []
+        out: list[Transmission | Command] = []
+        sends = nav.tick % self.round_ticks == 0
+        if self.ideal and sends and not self._transmitted:
+            self._transmitted = True
+            out.append(Transmission(self.incarnation, nav.tick, self.core.transmit(nav)))
+        if self._known < nav.tick:
+            return out
+        decision: Decision
+        if self.ideal:
+            decision = self.core.decide(nav, self._due(nav.tick))
+        else:
+            decision = step = self.core.step(nav, self._due(nav.tick))
+            if sends:
+                out.append(Transmission(self.incarnation, nav.tick, step.payloads))
+        out.append(Command(self.incarnation, nav.tick, decision.tau, decision.telemetry))
+        self._nav, self._tick, self._transmitted = None, nav.tick, False
+        return out
+
+    def _due(self, tick: int) -> list[Delivery]:
+        # Deliveries of one inbox come sorted, and every later inbox is due later: the list stays sorted.
+        due = 0
+        while due < len(self._deliveries) and self._deliveries[due].due_tick <= tick:
+            due += 1
+        taken, self._deliveries = self._deliveries[:due], self._deliveries[due:]
+        return taken
+
+    def _check_incarnation(self, incarnation: int) -> None:
+        if incarnation != self.incarnation:
+            raise OutOfPlace("incarnation", self.incarnation, incarnation)

@@ -1,0 +1,64 @@
+"""What one agent tells its neighbours: when and where it was, and how it moved.
+
+| bytes | type | field | unit |
+|---|---|---|---|
+| 0 | u8 | version, 1 | |
+| 1-2 | u16 | sender, vehicle number | |
+| 3-10 | u64 | sent_tick, tick at which the state was sampled | tick |
+| 11-34 | 3 f64 | position x, y, z | m, NED |
+| 35-58 | 3 f64 | velocity over ground | m/s, NED |
+| 59-62 | u32 | CRC-32 (zlib) of bytes 0-58 | |
+
+Little-endian, no padding. The checksum is there because the network may flip bits, and a flipped bit of a
+double decodes to another plausible double.
+"""
+
+from __future__ import annotations
+
+from math import isfinite
+from struct import Struct
+from typing import NamedTuple
+from zlib import crc32
+
+from agents.errors import PayloadError
+from world.vehicle import Vec3
+
+VERSION = 1
+CAUSES = ("length", "checksum", "version", "not_finite")
+
+_BODY = Struct("<BHQ6d")
+_WHOLE = Struct("<BHQ6dI")
+SIZE = _WHOLE.size
+
+
+class StateMessage(NamedTuple):
+    """The decoded content of one payload."""
+
+    sender: int
+    sent_tick: int
+    position: Vec3  # m, NED
+    velocity: Vec3  # m/s over ground, NED
+
+
+def encode(message: StateMessage) -> bytes:
+    """The 63 bytes of a state message."""
+    body = _BODY.pack(VERSION, message.sender, message.sent_tick, *message.position, *message.velocity)
+    return body + crc32(body).to_bytes(4, "little")
+
+
+def decode(data: bytes) -> StateMessage:
+    """The state message in `data`.
+
+    Raises:
+        PayloadError: wrong length, bad checksum, unknown version, or a number that is not finite.
+    """
+    if len(data) != SIZE:
+        raise PayloadError("length", f"expected {SIZE} bytes, got {len(data)}")
+    version, sender, sent_tick, x, y, z, vx, vy, vz, checksum = _WHOLE.unpack(data)
+    if crc32(data[:-4]) != checksum:
+        raise PayloadError("checksum", f"the CRC-32 of the content is not {checksum:#010x}")
+    if version != VERSION:
+        raise PayloadError("version", f"expected version {VERSION}, got {version}")
+    if not isfinite(x + y + z + vx + vy + vz) and not all(map(isfinite, (x, y, z, vx, vy, vz))):
+        raise PayloadError("not_finite", f"position {(x, y, z)}, velocity {(vx, vy, vz)}")
+    return StateMessage(sender, sent_tick, (x, y, z), (vx, vy, vz))

@@ -1,0 +1,116 @@
+"""An agent process: one vehicle's brain in lockstep, behind zenoh. It knows its own slice and nothing else."""
+
+from __future__ import annotations
+
+import logging
+import traceback
+from collections.abc import Callable
+from queue import Empty
+from time import monotonic
+
+from agents.agent import Agent
+from agents.config import AgentConfig
+from agents.loop import AgentLoop
+from netem.access import Credentials, agent_role
+from netem.bus import Bus
+from netem.errors import BusError, MalformedMessage, OutOfPlace
+from netem.keys import Keys
+from netem.messages import PROTOCOL_VERSION, Command, Hello, Inbox, Nav, Transmission, encode
+from netem.shell import Shell, expect, read_map
+
+log = logging.getLogger(__name__)
+
+READY_TIMEOUT_S = 30.0
+RETRY_S = 0.02
+
+
+def run(endpoint: str, run_id: str, vehicle: int, credentials: Credentials) -> None:
+    """Join a run as agent `vehicle` and answer navs until the process is told to end.
+
+    Raises:
+        BusError: the run cannot be joined.
+        Exception: whatever the controller raised; the console has been told by then.
+    """
+    keys = Keys(run_id)
+    bus = Bus.connect(endpoint, credentials)
+    config = _ask_config(bus, keys, vehicle)
+    process = AgentProcess(bus, keys, vehicle, AgentLoop(Agent(config), config.round_ticks))
+    process.get_ready()
+    process.serve()
+
+
+class AgentProcess:
+    """Dispatches what comes in to `AgentLoop` and publishes what comes out."""
+
+    def __init__(self, bus: Bus, keys: Keys, vehicle: int, loop: AgentLoop) -> None:
+        self._keys, self._vehicle, self._loop, self._bus = keys, vehicle, loop, bus
+        role = agent_role(vehicle)
+        self._shell = Shell(bus, role, keys.note(role))
+        self._tx: Callable[[bytes], None] = bus.publisher(keys.tx(vehicle))
+        self._cmd: Callable[[bytes], None] = bus.publisher(keys.cmd(vehicle))
+        self._shell.subscribe(keys.nav(vehicle))
+        self._shell.subscribe(keys.rx(vehicle))
+
+    def get_ready(self) -> None:
+        """Probe until world and netem have both answered on this agent's own keys, then say so.
+
+        Raises:
+            BusError: one of them does not answer.
+        """
+        probe = encode(Hello("agent", self._vehicle, self._loop.incarnation, PROTOCOL_VERSION, False))
+        unheard = {self._keys.nav(self._vehicle): self._cmd, self._keys.rx(self._vehicle): self._tx}
+        deadline = monotonic() + READY_TIMEOUT_S
+        while unheard:
+            for put in unheard.values():
+                put(probe)
+            retry = monotonic() + RETRY_S
+            while unheard and (left := retry - monotonic()) > 0:
+                try:
+                    item = self._shell.queue.get(timeout=left)
+                except Empty:
+                    break
+                expect(item.data, Hello)
+                unheard.pop(item.key, None)
+            if monotonic() > deadline:
+                raise BusError(f"no answer on {', '.join(unheard)} within {READY_TIMEOUT_S:.0f} s")
+        self._cmd(encode(Hello("agent", self._vehicle, self._loop.incarnation, PROTOCOL_VERSION, True)))
+        self._bus.token(self._keys.alive(agent_role(self._vehicle)))
+
+    def serve(self) -> None:
+        """Answer navs, one after the other, until the process ends."""
+        loop, shell = self._loop, self._shell
+        while True:
+            item = shell.queue.get()
+            try:
+                message = expect(item.data, Nav, Inbox, Hello)
+                if isinstance(message, Nav):
+                    out = self._guarded(loop.nav, message)
+                elif isinstance(message, Inbox):
+                    out = self._guarded(loop.inbox, message)
+                else:
+                    continue  # a late echo of a repeated probe
+            except (MalformedMessage, OutOfPlace) as error:
+                shell.reject(item.key, loop.tick, error)
+                continue
+            for answer in out:
+                (self._tx if isinstance(answer, Transmission) else self._cmd)(encode(answer))
+
+    def _guarded(self, handle: Callable[..., list[Transmission | Command]], message: Nav | Inbox) -> list[Transmission | Command]:
+        try:
+            return handle(message)
+        except OutOfPlace:
+            raise
+        except Exception as error:
+            where = traceback.extract_tb(error.__traceback__)[-1]
+            text = f"controller failed: {type(error).__name__}: {error} ({where.filename}:{where.lineno})"
+            self._shell.note(self._vehicle, self._loop.tick + 1, text)
+            raise
+
+
+def _ask_config(bus: Bus, keys: Keys, vehicle: int) -> AgentConfig:
+    deadline = monotonic() + READY_TIMEOUT_S
+    while monotonic() < deadline:
+        answer = bus.ask(keys.cfg(vehicle), timeout_s=RETRY_S * 10)
+        if answer is not None:
+            return AgentConfig.from_values(read_map(answer)["agent"])
+    raise BusError(f"the console did not answer on {keys.cfg(vehicle)} within {READY_TIMEOUT_S:.0f} s")

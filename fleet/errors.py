@@ -1,0 +1,60 @@
+"""What can go wrong on the operator's side; data in fields, so that callers can print their own words."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+_WIDTH = 100  # characters of a source line shown around the caret
+
+
+class FleetError(Exception):
+    """Base of every error of this package that a user can cause or cure."""
+
+
+@dataclass(frozen=True, slots=True)
+class Problem:
+    """One mistake in a scenario.
+
+    `file` is a path, or the whole argument (`--set seed=x`) when an override holds the mistake. `line` and
+    `column` count from 1, in characters; 0 means that the problem has no place (a file that cannot be read).
+    """
+
+    file: str
+    line: int
+    column: int
+    message: str  # what is wrong: expected against got
+    hint: str = ""  # what to do next
+    source_line: str = ""
+
+    def __str__(self) -> str:
+        override = self.file.startswith("--")
+        place = "" if override or not self.line else f":{self.line}:{self.column}"
+        text = f"{self.file}{place}: {self.message}"
+        if self.source_line:
+            shown, caret = _window(self.source_line, self.column)
+            number = "" if override else str(self.line)
+            text += f"\n{number:>5} | {shown}\n      | {' ' * caret}^"
+        if self.hint:
+            text += f"\n        {self.hint}"
+        return text
+
+
+class ScenarioError(FleetError):
+    """A scenario that cannot be run; `problems` holds every mistake found, in the order of the file."""
+
+    def __init__(self, problems: Sequence[Problem]) -> None:
+        self.problems = tuple(problems)
+        super().__init__(str(self))
+
+    def __str__(self) -> str:
+        count = len(self.problems)
+        tail = f"\n{count} problems" if count > 1 else ""
+        return "\n".join(str(problem) for problem in self.problems) + tail
+
+
+def _window(line: str, column: int) -> tuple[str, int]:
+    """The part of a long line around the caret, and the caret's index in it."""
+    line = "".join(c if c.isprintable() else " " for c in line)
+    start = max(0, column - 1 - _WIDTH // 2) if len(line) > _WIDTH else 0
+    return line[start : start + _WIDTH].rstrip(), column - 1 - start

@@ -1,0 +1,231 @@
+"""Numbers with units as text ("50 ms", "5 1 5 m", "20 deg"), read exactly and printed so that they read back the same.
+
+Times become integer nanoseconds and never pass through a binary float, so that "10 ms" is 10 000 000 ns and the
+question whether one period divides another has an exact answer. Everything else becomes the double nearest to the
+exact decimal value in SI units (angles: radians).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import Any
+
+from netem.grammar import exact_number, nearest
+
+Vec3 = tuple[float, float, float]
+
+_MAX_NS = 2**63 - 1  # stamps are signed 64-bit nanoseconds on the wire and in the log
+
+
+@dataclass(frozen=True, slots=True)
+class Dimension:
+    """A physical dimension: its name with article, an example, and each unit's size in SI units.
+
+    The first unit is the one values are printed in, provided that the text reads back to the same number; the
+    SI unit, of size 1, always does.
+    """
+
+    name: str
+    example: str
+    units: dict[str, Fraction]
+
+    def vector_example(self) -> str:
+        number, _, unit = self.example.partition(" ")
+        return f"{number} 0 0 {unit}".rstrip()
+
+
+def _units(**sizes: str | int) -> dict[str, Fraction]:
+    return {name: Fraction(size) for name, size in sizes.items()}
+
+
+_DEG = Fraction(math.pi) / 180  # so that "180 deg" is exactly math.pi
+
+TIME = Dimension("a time", "50 ms", _units(s=1, ms="1/1000", us="1/1000000", ns="1/1000000000", min=60, h=3600))
+LENGTH = Dimension("a length", "0.1 m", _units(m=1, mm="1/1000", cm="1/100", km=1000))
+SPEED = Dimension(
+    "a speed", "0.7 m/s", {"m/s": Fraction(1), "cm/s": Fraction(1, 100), "kn": Fraction(1852, 3600)}
+)
+ACCELERATION = Dimension("an acceleration", "0.3 m/s^2", {"m/s^2": Fraction(1), "m/s2": Fraction(1)})
+ANGLE = Dimension("an angle", "20 deg", {"deg": _DEG, "rad": Fraction(1)})
+ANGULAR_RATE = Dimension("an angular rate", "5 deg/s", {"deg/s": _DEG, "rad/s": Fraction(1)})
+FORCE = Dimension("a force", "20 N", _units(N=1, mN="1/1000", kN=1000))
+MOMENT = Dimension("a moment", "20 N m", {"N m": Fraction(1), "Nm": Fraction(1), "kN m": Fraction(1000)})
+RATE = Dimension("a gain per second", "0.3 1/s", {"1/s": Fraction(1), "/s": Fraction(1)})
+TICKS = Dimension("a number of ticks", "10 ticks", _units(ticks=1, tick=1))
+NUMBER = Dimension("a number", "0.8", {"": Fraction(1)})
+
+DIMENSIONS = (
+    TIME, LENGTH, SPEED, ACCELERATION, ANGLE, ANGULAR_RATE, FORCE, MOMENT, RATE, TICKS, NUMBER,
+)  # fmt: skip
+
+
+class QuantityError(ValueError):
+    """Text that is not the quantity it should be; `column` counts from 0 within the text."""
+
+    def __init__(self, message: str, column: int = 0, hint: str = "") -> None:
+        super().__init__(message)
+        self.message = message
+        self.column = column
+        self.hint = hint
+
+
+def parse(value: Any, dimension: Dimension, count: int = 1) -> tuple[Fraction, ...]:
+    """`count` exact numbers in SI units.
+
+    Args:
+        value: what the YAML holds: text, or a bare number where the dimension has no unit.
+
+    Raises:
+        QuantityError: not a finite quantity of this dimension and length.
+    """
+    example = dimension.example if count == 1 else dimension.vector_example()
+    expected = f'expected {_phrase(dimension, count)} such as "{example}"'
+    if isinstance(value, bool) or not isinstance(value, (int, float, str)):
+        raise QuantityError(f"{expected}, got {describe(value)}")
+    if isinstance(value, float) and not math.isfinite(value):
+        raise QuantityError(f"{expected}, got {describe(value)}: every number must be finite")
+    text = value if isinstance(value, str) else repr(value)
+    numbers, unit, column = _split(text)
+    if not numbers:
+        raise QuantityError(f"{expected}, got {describe(value)}")
+    factor = _factor(unit, dimension, expected, text, column)
+    if len(numbers) != count:
+        given = f"{len(numbers)} number{'s' if len(numbers) > 1 else ''}"
+        raise QuantityError(f'{expected}, got {given} in "{_short(text)}"')
+    return tuple(number * factor for number in numbers)
+
+
+def scalar(value: Any, dimension: Dimension) -> float:
+    """One quantity as a float in SI units. Raises QuantityError."""
+    return _float(parse(value, dimension)[0])
+
+
+def vector(value: Any, dimension: Dimension) -> Vec3:
+    """Three numbers with one unit, such as `5 1 5 m`, as floats in SI units. Raises QuantityError."""
+    x, y, z = parse(value, dimension, 3)
+    return _float(x), _float(y), _float(z)
+
+
+def time_ns(value: Any) -> int:
+    """A time in whole nanoseconds. Raises QuantityError."""
+    ns = parse(value, TIME)[0] * 10**9
+    if ns.denominator != 1:
+        raise QuantityError(f'"{_short(str(value))}" is not a whole number of nanoseconds')
+    if abs(ns.numerator) > _MAX_NS:
+        raise QuantityError(f'"{_short(str(value))}" is longer than 292 years, the longest time there is')
+    return ns.numerator
+
+
+def ticks(value: Any) -> int:
+    """A whole number of ticks. Raises QuantityError."""
+    number = parse(value, TICKS)[0]
+    if number.denominator != 1 or abs(number.numerator) > _MAX_NS:
+        raise QuantityError(f'"{_short(str(value))}" is not a whole number of ticks')
+    return number.numerator
+
+
+def show(value: float, dimension: Dimension) -> str:
+    """The text of a value in SI units, in the dimension's first unit that reads back to the same double."""
+    return show_vector((value,), dimension)
+
+
+def show_vector(values: tuple[float, ...], dimension: Dimension) -> str:
+    """Like `show`, for several numbers with one unit."""
+    for unit, size in dimension.units.items():
+        # Twelve digits are what people write; only the SI unit needs, and gets, all seventeen.
+        numbers = [_digits(v if size == 1 else float(f"{Fraction(v) / size:.12g}")) for v in values]
+        text = f"{' '.join(numbers)} {unit}".rstrip()
+        if tuple(_float(n) for n in parse(text, dimension, len(values))) == tuple(values):
+            return text
+    raise AssertionError(f"{dimension.name} has no SI unit")
+
+
+def show_time(ns: int) -> str:
+    """The text of a time: the largest of s, ms, us, ns in which the number is whole."""
+    for unit, size in (("s", 10**9), ("ms", 10**6), ("us", 10**3)):
+        if ns % size == 0:
+            return f"{ns // size} {unit}"
+    return f"{ns} ns"
+
+
+def describe(value: Any) -> str:
+    """A YAML value in a user's words."""
+    if value is None:
+        return "nothing"
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, (int, float)):
+        return repr(value) if len(repr(value)) < 40 else "a very long number"
+    if isinstance(value, str):
+        return f'"{_short(value)}"'
+    return "a mapping" if isinstance(value, dict) else "a list" if isinstance(value, (list, tuple)) else "it"
+
+
+def _split(text: str) -> tuple[list[Fraction], str, int]:
+    """Leading numbers, the unit that follows, and the unit's column."""
+    numbers: list[Fraction] = []
+    at = 0
+    while at < len(text):
+        if text[at].isspace():
+            at += 1
+            continue
+        end = at
+        while end < len(text) and not text[end].isspace():
+            end += 1
+        number = exact_number(text[at:end])
+        if number is None:
+            glued = _glued(text[at:end])  # "50ms"
+            if glued is not None and text[at:end] not in ("1/s",):
+                numbers.append(glued[0])
+                at += glued[1]
+            break
+        numbers.append(number)
+        at = end
+    return numbers, " ".join(text[at:].split()), at
+
+
+def _glued(word: str) -> tuple[Fraction, int] | None:
+    """The number at the start of a word such as `50ms`, and its length."""
+    for length in range(min(len(word), 40), 0, -1):
+        number = exact_number(word[:length])
+        if number is not None:
+            return (number, length) if not word[length : length + 1].isdigit() else None
+    return None
+
+
+def _factor(unit: str, dimension: Dimension, expected: str, text: str, column: int) -> Fraction:
+    if unit in dimension.units:
+        return dimension.units[unit]
+    if "" in dimension.units:
+        raise QuantityError(f'{expected}, got "{_short(text)}"', column)
+    if not unit:
+        raise QuantityError(f'{expected}, got "{_short(text)}" without a unit')
+    for other in DIMENSIONS:
+        if unit in other.units:
+            raise QuantityError(f'{expected}, got {other.name}, "{_short(text)}"', column)
+    known = ", ".join(dimension.units)
+    hint = nearest(unit, dimension.units) or f"units of {dimension.name}: {known}"
+    raise QuantityError(f'{expected}, got the unknown unit "{_short(unit)}"', column, hint)
+
+
+def _phrase(dimension: Dimension, count: int) -> str:
+    if count == 1:
+        return dimension.name
+    return f"{count} numbers" + (" with one unit" if "" not in dimension.units else "")
+
+
+def _float(number: Fraction) -> float:
+    try:
+        return float(number)
+    except OverflowError:
+        raise QuantityError("the number is too large") from None
+
+
+def _digits(value: float) -> str:
+    return repr(value).removesuffix(".0")
+
+
+def _short(text: str) -> str:
+    return text if len(text) <= 40 else text[:37] + "..."

@@ -1,0 +1,185 @@
+"""The one module that knows zenoh: sessions with our settings, puts, subscriptions, queries, tokens.
+
+Settings that matter, with the reasons:
+
+* `transport/unicast/lowlatency` with QoS off: 20-40 % less per round trip; our messages have one priority.
+* `transport/link/tx/lease` of one hour: at the 10 s default a merely suspended process loses its messages
+  silently and reconnects as if nothing had happened. Deaths show as process exits and closed sockets.
+* congestion control BLOCK and reliable: DROP loses messages silently. Grants bound what is in flight.
+* scouting and the admin space are off: a run is a closed box.
+* shared memory is off: our messages are far below its threshold, and it starts threads.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import zenoh
+
+from netem.access import Credentials, access_control
+from netem.errors import BusError
+from netem.keys import Keys
+
+LEASE_MS = 3_600_000
+Handler = Callable[[str, bytes], None]
+Respond = Callable[[bytes], None]
+QueryHandler = Callable[[str, bytes, Respond], None]
+
+
+def _config(mode: str, settings: dict[str, Any]) -> zenoh.Config:
+    base: dict[str, Any] = {
+        "mode": mode,
+        "scouting/multicast/enabled": False,
+        "scouting/gossip/enabled": False,
+        "transport/unicast/lowlatency": True,
+        "transport/unicast/qos/enabled": False,
+        "transport/link/tx/lease": LEASE_MS,
+        "transport/shared_memory/enabled": False,
+        "adminspace/enabled": False,
+    }
+    config = zenoh.Config()
+    for key, value in (base | settings).items():
+        config.insert_json5(key, json.dumps(value))
+    return config
+
+
+class Bus:
+    """One open zenoh session. Use `connect` or `host`; close it when done."""
+
+    def __init__(self, session: zenoh.Session, endpoint: str) -> None:
+        self._session = session
+        self._held: list[Any] = []
+        self.endpoint = endpoint
+
+    @classmethod
+    def connect(cls, endpoint: str, credentials: Credentials, *, timeout_ms: int = 5000) -> Bus:
+        """A client session to a run's router.
+
+        Raises:
+            BusError: nobody listens there, or the credentials are refused.
+        """
+        settings = {
+            "connect/endpoints": [endpoint],
+            "connect/timeout_ms": timeout_ms,
+            "connect/exit_on_failure": True,
+            # Everyone starts at once; zenoh's own first retry comes after a whole second.
+            "connect/retry": {"period_init_ms": 20, "period_max_ms": 200, "period_increase_factor": 1.5},
+            "transport/auth/usrpwd/user": credentials.user,
+            "transport/auth/usrpwd/password": credentials.password,
+        }
+        try:
+            return cls(zenoh.open(_config("client", settings)), endpoint)
+        except zenoh.ZError as error:
+            raise BusError(
+                f"cannot join the run at {endpoint} as {credentials.user}: nobody listens there, "
+                f"or the credentials are of another run ({_first_line(error)})"
+            ) from None
+
+    @classmethod
+    def host(
+        cls, endpoint: str, keys: Keys, vehicles: tuple[int, ...], credentials: dict[str, Credentials], private: Path
+    ) -> Bus:
+        """The run's router: listens on `endpoint`, knows the users and enforces the access-control list.
+
+        Args:
+            private: a directory of mode 0700; zenoh reads the users from a file there, which is removed
+                as soon as the session is open.
+
+        Raises:
+            BusError: the endpoint is taken or not ours to listen on.
+        """
+        users = private / "users"
+        descriptor = os.open(users, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+        with os.fdopen(descriptor, "w") as file:
+            file.writelines(f"{c.user}:{c.password}\n" for c in credentials.values())
+        settings = {
+            "listen/endpoints": [endpoint],
+            "listen/exit_on_failure": True,
+            "listen/timeout_ms": 0,
+            "transport/auth/usrpwd/dictionary_file": str(users),
+            "access_control": access_control(keys, vehicles),
+            # A fleet of 100 connects at once; zenoh refuses what exceeds this.
+            "transport/unicast/accept_pending": max(100, 2 * len(vehicles)),
+            "transport/unicast/max_sessions": 1000 + len(vehicles),
+        }
+        try:
+            return cls(zenoh.open(_config("router", settings)), endpoint)
+        except zenoh.ZError as error:
+            raise BusError(f"cannot listen on {endpoint}: {_first_line(error)}") from None
+        finally:
+            users.unlink(missing_ok=True)
+
+    def publisher(self, key: str) -> Callable[[bytes], None]:
+        """A function that puts bytes on `key`, reliably and in order."""
+        publisher = self._session.declare_publisher(
+            key,
+            congestion_control=zenoh.CongestionControl.BLOCK,
+            reliability=zenoh.Reliability.RELIABLE,
+            express=True,
+        )
+        self._held.append(publisher)
+        put: Callable[[bytes], None] = publisher.put
+        return put
+
+    def subscribe(self, key: str, handler: Handler) -> None:
+        """Call `handler(key, bytes)` on a zenoh thread for every put; hand over to a queue there."""
+
+        def receive(sample: zenoh.Sample) -> None:
+            handler(str(sample.key_expr), sample.payload.to_bytes())
+
+        self._held.append(self._session.declare_subscriber(key, receive))
+
+    def answer(self, key: str, handler: QueryHandler) -> None:
+        """Call `handler(key, request, respond)` on a zenoh thread for every query on `key`.
+
+        `respond` may be called later and from another thread, once.
+        """
+
+        def receive(query: zenoh.Query) -> None:
+            key_expr = query.key_expr
+            request = b"" if query.payload is None else query.payload.to_bytes()
+
+            def respond(answer: bytes) -> None:
+                query.reply(key_expr, answer)
+                query.drop()
+
+            handler(str(key_expr), request, respond)
+
+        self._held.append(self._session.declare_queryable(key, receive))
+
+    def ask(self, key: str, request: bytes = b"", *, timeout_s: float = 2.0) -> bytes | None:
+        """The first answer to a query on `key`, or None when nobody answered in time."""
+        for reply in self._session.get(key, payload=request, timeout=timeout_s):
+            if reply.ok is not None:
+                return bytes(reply.ok.payload.to_bytes())
+        return None
+
+    def token(self, key: str) -> None:
+        """Hold a liveliness token until the session closes."""
+        self._held.append(self._session.liveliness().declare_token(key))
+
+    def watch_tokens(self, key: str, handler: Callable[[str, bool], None]) -> None:
+        """Call `handler(key, alive)` when a token appears or disappears."""
+
+        def receive(sample: zenoh.Sample) -> None:
+            handler(str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT)
+
+        self._held.append(self._session.liveliness().declare_subscriber(key, receive, history=True))
+
+    def close(self) -> None:
+        """Close the session; everything declared through it is gone."""
+        self._held.clear()
+        self._session.close()
+
+
+def quiet_zenoh() -> None:
+    """Zenoh's own log to stderr, errors only unless ZENOH_LOG or RUST_LOG says otherwise."""
+    zenoh.init_log_from_env_or("error")
+
+
+def _first_line(error: Exception) -> str:
+    return str(error).splitlines()[0] if str(error) else type(error).__name__

@@ -1,0 +1,30 @@
+"""What can go wrong on the network side; data in fields, so that callers can print their own words."""
+
+from __future__ import annotations
+
+
+class NetemError(Exception):
+    """Base of every error of this package."""
+
+
+class MalformedMessage(NetemError):
+    """Bytes that are no message of ours, or a message whose fields are out of their declared range."""
+
+    def __init__(self, kind: str, reason: str) -> None:
+        super().__init__(f"malformed {kind} message: {reason}")
+        self.kind = kind
+        self.reason = reason
+
+
+class BusError(NetemError):
+    """The zenoh session could not be opened or used."""
+
+
+class OutOfPlace(NetemError):
+    """A well-formed message that does not belong where it arrived (wrong tick, sender or incarnation)."""
+
+    def __init__(self, what: str, expected: object, got: object) -> None:
+        super().__init__(f"{what}: expected {expected}, got {got}")
+        self.what = what
+        self.expected = expected
+        self.got = got

@@ -1,0 +1,184 @@
+"""The network core: payloads in at a round tick, inboxes out, one final fate per packet.
+
+Pure: no clock, no I/O, no generator. A packet sent at round tick k with delay d is usable at
+`max(k + 1, k + ceil(d / Ts))`: the least latency is one tick. Link conditions act on entry, so a due tick
+never changes afterwards. On an ideal network (`NetemConfig.ideal`) a packet is due in its own sending tick.
+"""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+from netem.config import Condition, Link, NetemConfig
+from netem.impairment import DELIVERED, IN_FLIGHT, judge
+from netem.ledger import Ledger
+from netem.messages import Delivery, Fate
+
+PERFECT = Condition()
+
+
+class Packet(NamedTuple):
+    """A payload under way; packets sort by the order in which their receiver sees them."""
+
+    due_tick: int
+    sent_tick: int
+    src: int
+    seq: int
+    copy: int
+    dst: int
+    delay_ns: int
+    payload: bytes
+
+
+class Exchange(NamedTuple):
+    """The outcome of a round: what each vehicle will receive, and what became final."""
+
+    inboxes: dict[int, tuple[Delivery, ...]]
+    fates: tuple[Fate, ...]
+
+
+class Netem:
+    """The impaired network of one run."""
+
+    def __init__(self, config: NetemConfig) -> None:
+        self.config = config
+        self._conditions: dict[Link, Condition] = dict(config.conditions)
+        self._receivers: dict[int, list[int]] = {i: [] for i in config.vehicles}
+        for src, dst in sorted(config.links):
+            self._receivers[src].append(dst)
+        self._next_seq: dict[Link, int] = dict.fromkeys(config.links, 0)
+        self._pending: dict[int, list[Packet]] = {i: [] for i in config.vehicles}  # not yet in an inbox
+        self._announced: list[Packet] = []  # in an inbox, not yet due
+        self._ledger = Ledger(config.links)
+        self._round = -1
+
+    @property
+    def sent(self) -> dict[Link, int]:
+        """Packets that entered each link so far."""
+        return {link: account.sent for link, account in self._ledger.accounts.items()}
+
+    def exchange(self, tick: int, transmissions: Mapping[int, tuple[bytes, ...]]) -> Exchange:
+        """One round: take the payloads sent at round tick `tick`, hand out what falls due until the next.
+
+        Args:
+            tick: the round tick k; rounds are exchanged in order.
+            transmissions: payloads by living sender. A sender's payload goes to every graph neighbour.
+
+        Returns:
+            for every living vehicle all deliveries due in (k, k + m] in order (due, sent, src, seq, copy),
+            and every fate that became final in (k - m, k].
+        """
+        config = self.config
+        dropped: list[Fate] = []
+        for src in sorted(transmissions):
+            for payload in transmissions[src]:
+                for dst in self._receivers[src]:
+                    fate = self._enter(tick, src, dst, payload)
+                    if fate is not None:
+                        dropped.append(fate)
+        until = tick if config.ideal else tick + config.round_ticks
+        # On an ideal network today's packets are due today, so they are announced before they are settled.
+        if config.ideal:
+            inboxes = self._announce(transmissions, until)
+            delivered = self._settle(tick)
+        else:
+            delivered = self._settle(tick)
+            inboxes = self._announce(transmissions, until)
+        self._round = tick
+        return Exchange(inboxes, self._book(dropped + delivered))
+
+    def close(self, end_tick: int) -> tuple[Fate, ...]:
+        """The fates not yet reported when the run ends before tick `end_tick` is started."""
+        fates = self._settle(end_tick - 1)
+        rest = self._announced + [p for i in sorted(self._pending) for p in self._pending[i]]
+        fates += [_fate(packet, end_tick, IN_FLIGHT) for packet in rest]
+        self._announced, self._pending = [], {i: [] for i in self._pending}
+        return self._book(fates)
+
+    def _enter(self, tick: int, src: int, dst: int, payload: bytes) -> Fate | None:
+        config, link = self.config, (src, dst)
+        seq = self._next_seq[link]
+        self._next_seq[link] = seq + 1
+        self._ledger.enter(link, sent=1)
+        delay_ns, cause = judge(self._conditions.get(link, PERFECT), config.seed, link, seq)
+        ticks = -(-delay_ns // config.tick_ns)
+        due = tick + (ticks if config.ideal else max(1, ticks))
+        packet = Packet(due, tick, src, seq, 0, dst, delay_ns, payload)
+        if cause:
+            return _fate(packet, tick, cause)
+        heapq.heappush(self._pending[dst], packet)
+        return None
+
+    def _announce(self, receivers: Mapping[int, Any], until: int) -> dict[int, tuple[Delivery, ...]]:
+        inboxes = {}
+        for i in sorted(receivers):
+            queue, inbox = self._pending[i], []
+            while queue and queue[0].due_tick <= until:
+                packet = heapq.heappop(queue)
+                self._announced.append(packet)
+                inbox.append(Delivery(*packet[:5], packet.payload))
+            inboxes[i] = tuple(inbox)
+        return inboxes
+
+    def _settle(self, until: int) -> list[Fate]:
+        due = [packet for packet in self._announced if packet.due_tick <= until]
+        if due:
+            self._announced = [packet for packet in self._announced if packet.due_tick > until]
+        return [_fate(packet, packet.due_tick, DELIVERED) for packet in due]
+
+    def _book(self, fates: list[Fate]) -> tuple[Fate, ...]:
+        fates.sort(key=fate_order)
+        self._ledger.settle(fates)
+        return tuple(fates)
+
+    def state(self) -> dict[str, Any]:
+        """Everything that determines the rest of the run, as plain values."""
+        return {
+            "round": self._round,
+            "next_seq": [[src, dst, seq] for (src, dst), seq in sorted(self._next_seq.items())],
+            "conditions": [
+                [src, dst, c.delay_ns, c.jitter_ns, c.loss, c.up]
+                for (src, dst), c in sorted(self._conditions.items())
+            ],
+            "pending": [list(p) for i in sorted(self._pending) for p in sorted(self._pending[i])],
+            "announced": [list(p) for p in self._announced],
+            "ledger": [[*link, account.to_values()] for link, account in self._ledger.accounts.items()],
+        }
+
+    def restore(self, values: dict[str, Any]) -> None:
+        """The inverse of `state`, into a core built from the same configuration."""
+        self._round = values["round"]
+        self._next_seq = {(src, dst): seq for src, dst, seq in values["next_seq"]}
+        self._conditions = {(src, dst): Condition(*rest) for src, dst, *rest in values["conditions"]}
+        self._pending = {i: [] for i in self.config.vehicles}
+        for fields in values["pending"]:
+            packet = Packet(*fields)
+            self._pending[packet.dst].append(packet)  # sorted, and a sorted list is a heap
+        self._announced = [Packet(*fields) for fields in values["announced"]]
+        for src, dst, account in values["ledger"]:
+            entry = self._ledger.accounts[(src, dst)]
+            entry.sent, entry.duplicated = account["sent"], account["duplicated"]
+            entry.delivered, entry.in_flight = account["delivered"], account["in_flight"]
+            entry.lost = dict(account["lost"])
+
+
+def fate_order(fate: Fate) -> tuple[int, int, int, int, int]:
+    """The order of packet records in the log: (final tick, src, dst, seq, copy)."""
+    return fate[:5]
+
+
+def _fate(packet: Packet, final_tick: int, cause: str) -> Fate:
+    return Fate(
+        final_tick,
+        packet.src,
+        packet.dst,
+        packet.seq,
+        packet.copy,
+        packet.sent_tick,
+        packet.due_tick,
+        packet.delay_ns,
+        cause,
+        packet.payload,
+    )

@@ -1,0 +1,105 @@
+"""The netem process: the network core in lockstep, behind zenoh."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+
+import msgpack
+
+from netem.access import NETEM, Credentials
+from netem.bus import Bus, Respond
+from netem.config import NetemConfig
+from netem.errors import MalformedMessage, OutOfPlace
+from netem.keys import Keys
+from netem.messages import PROTOCOL_VERSION, Hello, Round, Transmission, encode
+from netem.rounds import Rounds
+from netem.shell import Shell, expect, read_map, vehicle_of
+
+log = logging.getLogger(__name__)
+
+_ECHO = encode(Hello(NETEM, 0, 0, PROTOCOL_VERSION, True))
+
+
+def run(endpoint: str, run_id: str, credentials: Credentials, config: NetemConfig) -> None:
+    """Serve the network of a run until the console asks to stop."""
+    keys = Keys(run_id)
+    bus = Bus.connect(endpoint, credentials)
+    NetemProcess(bus, keys, config).serve()
+    bus.close()
+
+
+class NetemProcess:
+    """Dispatches what comes in to `Rounds` and publishes what comes out."""
+
+    def __init__(self, bus: Bus, keys: Keys, config: NetemConfig) -> None:
+        self._keys = keys
+        self._rounds = Rounds(config)
+        self._shell = Shell(bus, NETEM, keys.note(NETEM))
+        self._inbox: dict[int, Callable[[bytes], None]] = {i: bus.publisher(keys.rx(i)) for i in config.vehicles}
+        self._links = bus.publisher(keys.links)
+        self._round_heard = False
+        self._shell.subscribe(keys.tx("*"))
+        self._shell.subscribe(keys.round)
+        self._shell.answer(keys.ctl(NETEM))
+        bus.token(keys.alive(NETEM))
+
+    def serve(self) -> None:
+        """Handle one item after the other until told to stop."""
+        take, round_key = self._shell.queue.get, self._keys.round
+        running = True
+        while running:
+            item = take()
+            try:
+                if item.respond is not None:
+                    running = self._control(item.data, item.respond)
+                elif item.key == round_key:
+                    self._round(item.data)
+                else:
+                    self._transmission(vehicle_of(item.key), item.data)
+            except (MalformedMessage, OutOfPlace) as error:
+                self._shell.reject(item.key, self._rounds.tick, error)
+
+    def _transmission(self, i: int, data: bytes) -> None:
+        message = expect(data, Transmission, Hello)
+        if i not in self._inbox:
+            raise MalformedMessage("tx", f"no vehicle {i} in this run")
+        if isinstance(message, Hello):
+            self._inbox[i](_ECHO)
+        elif isinstance(message, Transmission):
+            self._rounds.transmission(i, message)
+            self._exchange()
+
+    def _round(self, data: bytes) -> None:
+        message = expect(data, Round, Hello)
+        if isinstance(message, Round):
+            self._rounds.round(message)
+            self._exchange()
+        else:
+            self._round_heard = True
+
+    def _exchange(self) -> None:
+        while (outcome := self._rounds.exchange()) is not None:
+            inboxes, report = outcome
+            for i, inbox in inboxes:
+                self._inbox[i](encode(inbox))
+            self._links(encode(report))
+
+    def _control(self, data: bytes, respond: Respond) -> bool:
+        request = read_map(data)
+        match request.get("op"):
+            case "ready":
+                self._links(_ECHO)
+                respond(msgpack.packb({"round": self._round_heard}))
+            case "waiting":
+                respond(msgpack.packb({"tick": self._rounds.tick, "missing": self._rounds.missing}))
+            case "close":
+                self._links(encode(self._rounds.close(int(request["tick"]))))
+                sent = [[src, dst, count] for (src, dst), count in self._rounds.netem.sent.items()]
+                respond(msgpack.packb({"sent": sent, "rejected": dict(self._shell.rejected)}))
+            case "stop":
+                respond(msgpack.packb({}))
+                return False
+            case other:
+                respond(msgpack.packb({"error": f"no operation {other!r}"}))
+        return True

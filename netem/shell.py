@@ -1,0 +1,103 @@
+"""What every process of a run has around its core: a queue fed by zenoh's threads, and a count of rejects.
+
+A zenoh callback runs on a receive thread, so all it does is to put what came into the queue; the process's main
+thread takes it out, one item at a time, and is the only one that touches the core.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections import Counter
+from queue import SimpleQueue
+from typing import Any, NamedTuple
+
+import msgpack
+
+from netem.bus import Bus, Respond
+from netem.errors import MalformedMessage, OutOfPlace
+from netem.messages import Message, Note, decode, encode
+
+log = logging.getLogger(__name__)
+
+
+class Item(NamedTuple):
+    """Something that came in: a put (`respond` is None) or a query."""
+
+    key: str
+    data: bytes
+    respond: Respond | None
+
+
+class Shell:
+    """The queue of one process, with the bus that feeds it."""
+
+    def __init__(self, bus: Bus, role: str, note_key: str) -> None:
+        self.bus = bus
+        self.role = role
+        self.queue: SimpleQueue[Item] = SimpleQueue()
+        self.rejected: Counter[str] = Counter()
+        self._note = bus.publisher(note_key)
+
+    def subscribe(self, key: str) -> None:
+        """Queue every put on `key`."""
+        put = self.queue.put
+        self.bus.subscribe(key, lambda k, data: put(Item(k, data, None)))
+
+    def answer(self, key: str) -> None:
+        """Queue every query on `key`."""
+        put = self.queue.put
+        self.bus.answer(key, lambda k, data, respond: put(Item(k, data, respond)))
+
+    def reject(self, key: str, tick: int, error: MalformedMessage | OutOfPlace) -> None:
+        """Count and drop a message; the first of its kind from a key is also told to the console."""
+        subject = vehicle_of(key)
+        kind = f"{key.rsplit('/', 2)[-2]}/{key.rsplit('/', 1)[-1]}: {type(error).__name__}"
+        self.rejected[kind] += 1
+        if self.rejected[kind] == 1:
+            log.warning("rejected on %s: %s", key, error)
+            self.note(subject, tick, f"rejected on {key}: {error}")
+
+    def note(self, subject: int, tick: int, text: str) -> None:
+        """Tell the console something a person should know."""
+        self._note(encode(Note(self.role, subject, tick, text[:2000])))
+
+
+def vehicle_of(key: str) -> int:
+    """The vehicle number at the end of a key; 0 when there is none."""
+    last = key.rsplit("/", 1)[-1]
+    return int(last) if last.isdigit() else 0
+
+
+def request(op: str, **fields: Any) -> bytes:
+    """A control request: a MessagePack map with the operation's name."""
+    data: bytes = msgpack.packb({"op": op, **fields})
+    return data
+
+
+def read_map(data: bytes) -> dict[str, Any]:
+    """A control request or answer.
+
+    Raises:
+        MalformedMessage: not a MessagePack map with text keys.
+    """
+    try:
+        values = msgpack.unpackb(data)
+    except Exception as error:  # msgpack raises half a dozen unrelated types for bad bytes
+        raise MalformedMessage("control", f"not MessagePack ({error or type(error).__name__})") from None
+    if not isinstance(values, dict) or not all(isinstance(key, str) for key in values):
+        raise MalformedMessage("control", f"expected a map, got {values!r:.60}")
+    return values
+
+
+def expect(data: bytes, *kinds: type) -> Message:
+    """Decode a message that must be of one of the given kinds.
+
+    Raises:
+        MalformedMessage: it is not.
+    """
+    message = decode(data)
+    if not isinstance(message, kinds):
+        raise MalformedMessage(
+            type(message).__name__.lower(), f"expected {' or '.join(k.__name__ for k in kinds)} on this key"
+        )
+    return message

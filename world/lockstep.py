@@ -1,0 +1,117 @@
+"""The world's place in the lockstep: navs out, commands in, ticks integrated, frames for the log.
+
+A pure state machine: messages in, addressed messages out. Vehicles touch each other only through netem, so
+each runs ahead on its own (nav, command, integrate, nav ...) as far as the clock's grant allows; netem holds an
+agent back at the round's end until everyone has transmitted. A frame leaves once every vehicle is past it.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from netem.errors import OutOfPlace
+from netem.messages import Command, Frame, Nav, Round, VehicleFrame, encode
+from world.config import WorldConfig
+from world.sea import World
+
+
+class NavTo(NamedTuple):
+    """A nav addressed to agent `id`."""
+
+    id: int
+    nav: Nav
+
+
+Out = NavTo | Round | Frame
+
+
+class Lockstep:
+    """Feeds `World` with commands and hands out what follows from each."""
+
+    def __init__(self, config: WorldConfig, *, frame_every: int = 1) -> None:
+        self.config = config
+        self.world = World(config)
+        self._ids = self.world.ids
+        self._frame_every = frame_every
+        self._granted = 0
+        self._incarnation = dict.fromkeys(self._ids, 0)
+        self._awaiting: dict[int, Nav] = {}
+        self._rows: dict[int, list[VehicleFrame]] = {}  # frames being assembled, by tick
+        self._commanded: dict[int, int] = {}  # round tick -> commands that are in
+        self._positions: dict[int, dict[int, tuple[float, ...]]] = {}
+        self._framed = 0  # next tick whose frame has not left
+
+    @property
+    def waiting_for(self) -> list[tuple[int, int]]:
+        """(vehicle, tick) of every command that is due, the furthest behind first."""
+        return sorted(((i, nav.tick) for i, nav in self._awaiting.items()), key=lambda w: (w[1], w[0]))
+
+    @property
+    def finished(self) -> bool:
+        """Whether the state at the end tick exists for every vehicle and its frame has left."""
+        return self._framed > self.config.ticks
+
+    def tick_of(self, i: int) -> int:
+        """The tick vehicle i has reached."""
+        return self.world.tick(i)
+
+    def grant(self, until: int) -> list[Out]:
+        """Ticks below `until` may be started; a smaller grant than before changes nothing."""
+        self._granted = max(self._granted, min(until, self.config.ticks))
+        return [nav for i in self._ids for nav in self._start(i)]
+
+    def command(self, i: int, command: Command, raw: bytes | None = None) -> list[Out]:
+        """Take vehicle i's command, advance it by one tick and say what follows.
+
+        Args:
+            raw: the encoded command if the caller has it, to save encoding it again for the frame.
+
+        Raises:
+            OutOfPlace: the command does not answer the nav that is waiting for one.
+        """
+        nav = self._awaiting.get(i)
+        if command.incarnation != self._incarnation[i]:
+            raise OutOfPlace("incarnation", self._incarnation[i], command.incarnation)
+        if nav is None:
+            raise OutOfPlace("tick", "no command (no nav is unanswered)", command.tick)
+        if command.tick != nav.tick:
+            raise OutOfPlace("tick", nav.tick, command.tick)
+        del self._awaiting[i]
+        world, k = self.world, nav.tick
+        eta, nu = world.state(i)
+        tau = world.actuate(i, command.tau)
+        out: list[Out] = []
+        if k % self._frame_every == 0:
+            row = VehicleFrame(i, eta, nu, nav.eta + nav.nu, tau, encode(command) if raw is None else raw)
+            self._rows.setdefault(k, []).append(row)
+        if k % self.config.round_ticks == 0:
+            self._positions.setdefault(k, {})[i] = eta[:3]
+            if len(self._positions[k]) == len(self._ids):
+                positions = self._positions.pop(k)
+                out.append(Round(k, self._ids, tuple(positions[j] for j in self._ids)))
+        world.advance(i, tau)
+        if k + 1 == self.config.ticks:
+            self._rows.setdefault(k + 1, []).append(VehicleFrame(i, *world.state(i), (), (), b""))
+        out += self._start(i)
+        out += self._frames()
+        return out
+
+    def _start(self, i: int) -> list[Out]:
+        k = self.world.tick(i)
+        if i in self._awaiting or k >= self._granted:
+            return []
+        nav = Nav(self._incarnation[i], k, *self.world.sense(i))
+        self._awaiting[i] = nav
+        return [NavTo(i, nav)]
+
+    def _frames(self) -> list[Out]:
+        out: list[Out] = []
+        while (rows := self._rows.get(self._framed)) is not None and len(rows) == len(self._ids):
+            del self._rows[self._framed]
+            rows.sort()
+            out.append(Frame(self._framed, tuple(rows)))
+            last = self.config.ticks
+            self._framed = (
+                min(last, self._framed + self._frame_every) if self._framed < last else last + 1
+            )
+        return out

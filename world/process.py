@@ -1,0 +1,127 @@
+"""The world process: the sea in lockstep, behind zenoh, whose router lives here (one hop on the hot path)."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from pathlib import Path
+
+import msgpack
+
+from netem.access import Credentials, agent_role
+from netem.bus import Bus, Respond
+from netem.errors import MalformedMessage, OutOfPlace
+from netem.keys import Keys
+from netem.messages import PROTOCOL_VERSION, Command, Frame, Grant, Hello, Round, encode
+from netem.shell import Shell, expect, read_map, vehicle_of
+from world.config import WorldConfig
+from world.lockstep import Lockstep, NavTo, Out
+
+log = logging.getLogger(__name__)
+
+WORLD = "world"
+_ECHO = encode(Hello(WORLD, 0, 0, PROTOCOL_VERSION, True))
+_PROBE = encode(Hello(WORLD, 0, 0, PROTOCOL_VERSION, False))
+
+
+def run(
+    endpoint: str,
+    run_id: str,
+    credentials: dict[str, Credentials],
+    private: Path,
+    config: WorldConfig,
+    frame_every: int,
+) -> None:
+    """Host the router and serve the sea of a run until the console asks to stop."""
+    keys = Keys(run_id)
+    vehicles = tuple(setup.id for setup in config.vehicles)
+    bus = Bus.host(endpoint, keys, vehicles, credentials, private)
+    WorldProcess(bus, keys, config, frame_every).serve()
+    bus.close()
+
+
+class WorldProcess:
+    """Dispatches what comes in to `Lockstep` and publishes what comes out."""
+
+    def __init__(self, bus: Bus, keys: Keys, config: WorldConfig, frame_every: int) -> None:
+        self._keys = keys
+        self._lockstep = Lockstep(config, frame_every=frame_every)
+        self._ids = self._lockstep.world.ids
+        self._shell = Shell(bus, WORLD, keys.note(WORLD))
+        self._nav: dict[int, Callable[[bytes], None]] = {i: bus.publisher(keys.nav(i)) for i in self._ids}
+        self._round = bus.publisher(keys.round)
+        self._frame = bus.publisher(keys.frame)
+        self._ready: set[int] = set()
+        self._shell.subscribe(keys.cmd("*"))
+        self._shell.subscribe(keys.grant)
+        self._shell.answer(keys.ctl(WORLD))
+        bus.watch_tokens(keys.alive("*"), self._token)
+        self._token_roles = {keys.alive(agent_role(i)): i for i in self._ids}
+        bus.token(keys.alive(WORLD))
+
+    def serve(self) -> None:
+        """Handle one item after the other until told to stop."""
+        take, grant_key = self._shell.queue.get, self._keys.grant
+        running = True
+        while running:
+            item = take()
+            try:
+                if item.respond is not None:
+                    running = self._control(item.data, item.respond)
+                elif item.key == grant_key:
+                    message = expect(item.data, Grant)
+                    if isinstance(message, Grant):
+                        self._publish(self._lockstep.grant(message.until))
+                else:
+                    self._command(item.key, item.data)
+            except (MalformedMessage, OutOfPlace) as error:
+                i = vehicle_of(item.key)
+                self._shell.reject(item.key, self._lockstep.tick_of(i) if i in self._ids else 0, error)
+
+    def _command(self, key: str, data: bytes) -> None:
+        i = vehicle_of(key)
+        message = expect(data, Command, Hello)
+        if i not in self._nav:
+            raise MalformedMessage("cmd", f"no vehicle {i} in this run")
+        if isinstance(message, Command):
+            self._publish(self._lockstep.command(i, message, data))
+        elif isinstance(message, Hello):
+            if message.version != PROTOCOL_VERSION:
+                raise MalformedMessage("hello", f"protocol version {message.version}, ours is {PROTOCOL_VERSION}")
+            if message.echo:
+                self._ready.add(i)
+            else:
+                self._nav[i](_ECHO)
+
+    def _publish(self, out: list[Out]) -> None:
+        for item in out:
+            if isinstance(item, NavTo):
+                self._nav[item.id](encode(item.nav))
+            elif isinstance(item, Frame):
+                self._frame(encode(item))
+            elif isinstance(item, Round):
+                self._round(encode(item))
+
+    def _token(self, key: str, alive: bool) -> None:
+        i = self._token_roles.get(key)
+        if i is not None and not alive and not self._lockstep.finished:
+            self._shell.note(i, self._lockstep.tick_of(i), "its session ended")
+
+    def _control(self, data: bytes, respond: Respond) -> bool:
+        request = read_map(data)
+        match request.get("op"):
+            case "ready":
+                self._round(_PROBE)
+                self._frame(_ECHO)
+                respond(msgpack.packb({"ready": sorted(self._ready)}))
+            case "waiting":
+                waiting = [list(pair) for pair in self._lockstep.waiting_for]
+                respond(msgpack.packb({"waiting": waiting}))
+            case "close":
+                respond(msgpack.packb({"rejected": dict(self._shell.rejected)}))
+            case "stop":
+                respond(msgpack.packb({}))
+                return False
+            case other:
+                respond(msgpack.packb({"error": f"no operation {other!r}"}))
+        return True

@@ -17,7 +17,7 @@ Cost = Literal["printed", "consistent"]
 
 @dataclass(frozen=True, slots=True)
 class Neighbour:
-    """One in-neighbour j of the agent: number, weight a_ij [1], desired offset Delta_ij = p_i - p_j [m, NED]."""
+    """One in-neighbour j of the agent: number, weight a_ij [1], offset Delta_ij = p_i - p_j [m, NED]."""
 
     id: int
     weight: float

@@ -89,7 +89,7 @@ class NeighbourTable:
         return "accepted"
 
     def heard(self, now: int) -> list[Heard]:
-        """The neighbours heard so far with their extrapolated positions at tick `now`, by ascending number."""
+        """The neighbours heard so far, extrapolated to tick `now`, by ascending number."""
         found = []
         for neighbour in self._neighbours:
             message = self._newest[neighbour.id]

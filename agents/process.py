@@ -95,7 +95,9 @@ class AgentProcess:
             for answer in out:
                 (self._tx if isinstance(answer, Transmission) else self._cmd)(encode(answer))
 
-    def _guarded(self, handle: Callable[..., list[Transmission | Command]], message: Nav | Inbox) -> list[Transmission | Command]:
+    def _guarded(
+        self, handle: Callable[..., list[Transmission | Command]], message: Nav | Inbox
+    ) -> list[Transmission | Command]:
         try:
             return handle(message)
         except OutOfPlace:

@@ -135,7 +135,7 @@ def show_vector(values: tuple[float, ...], dimension: Dimension) -> str:
     """Like `show`, for several numbers with one unit."""
     for unit, size in dimension.units.items():
         # Twelve digits are what people write; only the SI unit needs, and gets, all seventeen.
-        numbers = [_digits(v if size == 1 else float(f"{Fraction(v) / size:.12g}")) for v in values]
+        numbers = [_digits(v if size == 1 else float(f"{float(Fraction(v) / size):.12g}")) for v in values]
         text = f"{' '.join(numbers)} {unit}".rstrip()
         if tuple(_float(n) for n in parse(text, dimension, len(values))) == tuple(values):
             return text

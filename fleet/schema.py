@@ -9,95 +9,36 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, InstanceOf, PlainSerializer
-from pydantic_core import PydanticCustomError
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    GetCoreSchemaHandler,
+    PlainSerializer,
+    model_validator,
+)
+from pydantic_core import CoreSchema, core_schema
 
 from agents.config import Cost, Extrapolation
-from fleet import quantities as q
-from netem.config import Condition
-from netem.grammar import GrammarError, parse_condition, parse_selector, print_condition
-
-Vec3 = q.Vec3
-Bound = Literal["any", "positive", "not negative"]
-
-
-def mistake(message: str, column: int = 0, hint: str = "") -> PydanticCustomError:
-    """An error that keeps its own words and the column within the text at fault."""
-    return PydanticCustomError("mistake", "{message}", {"message": message, "column": column, "hint": hint})
-
-
-def _reader(read: Callable[[Any], Any], bound: Bound = "any") -> BeforeValidator:
-    def validate(value: Any) -> Any:
-        try:
-            result = read(value)
-        except (q.QuantityError, GrammarError) as error:
-            raise mistake(error.message, error.column, error.hint) from None
-        for number in result if isinstance(result, tuple) else (result,):
-            if (bound == "positive" and number <= 0) or (bound == "not negative" and number < 0):
-                word = "above 0" if bound == "positive" else "0 or more"
-                raise mistake(f"must be {word}, got {q.describe(value)}")
-        return result
-
-    return BeforeValidator(validate)
-
-
-def _scalar(dimension: q.Dimension, bound: Bound = "any") -> tuple[BeforeValidator, PlainSerializer]:
-    return (
-        _reader(lambda value: q.scalar(value, dimension), bound),
-        PlainSerializer(lambda value: q.show(value, dimension)),
-    )
-
-
-def _vector(dimension: q.Dimension, bound: Bound = "any") -> tuple[BeforeValidator, PlainSerializer]:
-    return (
-        _reader(lambda value: q.vector(value, dimension), bound),
-        PlainSerializer(lambda value: q.show_vector(value, dimension)),
-    )
-
-
-def _condition(value: Any) -> Condition:
-    if not isinstance(value, str):
-        raise q.QuantityError(
-            f'expected a link condition such as "delay 200ms 50ms loss 30%", got {q.describe(value)}'
-        )
-    return parse_condition(value)
-
-
-def _selector(value: Any) -> str:
-    return str(parse_selector(str(value)))
-
-
-Number = Annotated[float, *_scalar(q.NUMBER)]
-PositiveNumber = Annotated[float, *_scalar(q.NUMBER, "positive")]
-Weights = Annotated[Vec3, *_vector(q.NUMBER, "not negative")]
-Length = Annotated[float, *_scalar(q.LENGTH, "not negative")]
-PositiveLength = Annotated[float, *_scalar(q.LENGTH, "positive")]
-Position = Annotated[Vec3, *_vector(q.LENGTH)]
-Speed = Annotated[float, *_scalar(q.SPEED)]
-NoisySpeed = Annotated[float, *_scalar(q.SPEED, "not negative")]
-Velocity = Annotated[Vec3, *_vector(q.SPEED)]
-Slew = Annotated[float, *_scalar(q.ACCELERATION, "not negative")]
-Angle = Annotated[float, *_scalar(q.ANGLE)]
-AngleNoise = Annotated[float, *_scalar(q.ANGLE, "not negative")]
-AngularRate = Annotated[float, *_scalar(q.ANGULAR_RATE)]
-RateNoise = Annotated[float, *_scalar(q.ANGULAR_RATE, "not negative")]
-Force = Annotated[float, *_scalar(q.FORCE, "not negative")]
-Moment = Annotated[float, *_scalar(q.MOMENT, "not negative")]
-Gain = Annotated[float, *_scalar(q.RATE, "positive")]
-Gains = Annotated[Vec3, *_vector(q.RATE, "positive")]
-Time = Annotated[int, _reader(q.time_ns, "not negative"), PlainSerializer(q.show_time)]
-Period = Annotated[int, _reader(q.time_ns, "positive"), PlainSerializer(q.show_time)]
-Ticks = Annotated[
-    int, _reader(q.ticks, "positive"), PlainSerializer(lambda n: "1 tick" if n == 1 else f"{n} ticks")
-]
-LinkCondition = Annotated[
-    InstanceOf[Condition], _reader(_condition), PlainSerializer(print_condition, return_type=str)
-]
-Count = Annotated[int, Field(ge=0)]
+from fleet.fields import (
+    Acceleration, Angle, AngularRate, Count, Force, Gain, Gains, Length, LinkCondition, LinkSelector, Moment,
+    Period, Position, PositiveLength, PositiveNumber, PositiveSpeed, SignedAngle, SignedAngularRate, SignedSpeed,
+    Speed, Ticks, Time, Velocity, Weights, mistake,
+)  # fmt: skip
+from fleet.quantities import describe, show_time
+from netem.grammar import print_condition
 
 
 class Section(BaseModel):
+    """A mapping with known keys; with nothing in it, it may also be left empty."""
+
     model_config = ConfigDict(strict=True, extra="forbid", frozen=True)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _empty(cls, value: Any) -> Any:
+        return {} if value is None else value
 
 
 class ReferenceSection(Section):
@@ -115,6 +56,25 @@ class FormationSection(Section):
     spacing: PositiveLength | None = None  # of the shape; 10 m
 
 
+class _Followers:
+    """`all`, or a list of numbers; a plain union would report a mistake in the list once per alternative."""
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        return core_schema.no_info_wrap_validator_function(
+            self._validate,
+            handler.generate_schema(list[int]),
+            serialization=core_schema.plain_serializer_function_ser_schema(lambda value: value),
+        )
+
+    @staticmethod
+    def _validate(value: Any, numbers: Callable[[Any], list[int]]) -> Any:
+        if value == "all":
+            return value
+        if isinstance(value, list):
+            return numbers(value)
+        raise mistake(f'expected "all" or a list of vehicle numbers such as [1, 3], got {describe(value)}')
+
+
 class GraphSection(Section):
     """Who hears whom: `edges`, or a named `shape`; and who follows the reference itself."""
 
@@ -122,27 +82,27 @@ class GraphSection(Section):
     ahead: PositiveNumber | None = None  # a_(i,i-1) of the shape; 1
     behind: PositiveNumber | None = None  # a_(i,i+1) of the shape; 1
     edges: dict[str, PositiveNumber] | None = None  # "1->2": a_21, vehicle 2 hears vehicle 1
-    reference: Literal["all"] | list[int] = "all"  # the vehicles with b_i = 1, the others have 0
+    reference: Annotated[list[int] | Literal["all"], _Followers()] = "all"  # who has b_i = 1; the others have 0
 
 
 class InitialState(Section):
     """One vehicle at t = 0."""
 
     position: Position
-    pitch: Angle = 0.0
-    yaw: Angle = 0.0
-    surge: Speed = 0.0
-    sway: Speed = 0.0
-    heave: Speed = 0.0
-    pitch_rate: AngularRate = 0.0
-    yaw_rate: AngularRate = 0.0
+    pitch: SignedAngle = 0.0
+    yaw: SignedAngle = 0.0
+    surge: SignedSpeed = 0.0
+    sway: SignedSpeed = 0.0
+    heave: SignedSpeed = 0.0
+    pitch_rate: SignedAngularRate = 0.0
+    yaw_rate: SignedAngularRate = 0.0
 
 
 class Scatter(Section):
     """Every vehicle near its offset: x and y uniform within the scatter, z below the offset by at most it."""
 
     scatter: Length
-    surge: Speed = 0.0
+    surge: SignedSpeed = 0.0
 
 
 class VehicleSection(Section):
@@ -162,9 +122,9 @@ class SensorsSection(Section):
     """Standard deviations of white noise on the navigation sensor; 0 is off."""
 
     position_noise: Length = 0.0
-    angle_noise: AngleNoise = 0.0
-    velocity_noise: NoisySpeed = 0.0
-    rate_noise: RateNoise = 0.0
+    angle_noise: Angle = 0.0
+    velocity_noise: Speed = 0.0
+    rate_noise: AngularRate = 0.0
 
 
 class GuidanceSection(Section):
@@ -182,7 +142,7 @@ class GuidanceSection(Section):
     qp_period: Period | None = None
     horizon: Period | None = None
     cost: Cost | None = None
-    slew: Slew | None = None
+    slew: Acceleration | None = None
 
 
 class TrackingSection(Section):
@@ -197,10 +157,10 @@ class TrackingSection(Section):
     b_up: PositiveNumber | None = None
     b_down: PositiveNumber | None = None
     tau_f: Time | None = None
-    u_floor: NoisySpeed | None = None
-    rho_eps: NoisySpeed | None = None
+    u_floor: Speed | None = None
+    rho_eps: Speed | None = None
     cos_eps: PositiveNumber | None = None
-    u_eps: Annotated[float, *_scalar(q.SPEED, "positive")] | None = None
+    u_eps: PositiveSpeed | None = None
 
 
 class NeighboursSection(Section):
@@ -214,7 +174,7 @@ class NetworkSection(Section):
 
     ideal: bool = False
     period: Period = 100_000_000  # one round: every agent sends once per period
-    links: dict[Annotated[str, _reader(_selector)], LinkCondition] = {}  # the last that matches a link wins
+    links: dict[LinkSelector, LinkCondition] = {}  # the last that matches a link wins
 
 
 class LogSection(Section):
@@ -264,14 +224,14 @@ def _network(value: Any) -> Any:
         if "ideal" in value:
             raise mistake('write "network: ideal" for the network without latency')
         return value
-    raise mistake(f'expected a mapping with a period and links, or "ideal", got {q.describe(value)}')
+    raise mistake(f'expected a mapping with a period and links, or "ideal", got {describe(value)}')
 
 
 def _show_network(network: NetworkSection) -> Any:
     if network.ideal:
         return "ideal"
     links = {selector: print_condition(condition) for selector, condition in network.links.items()}
-    return {"period": q.show_time(network.period)} | ({"links": links} if links else {})
+    return {"period": show_time(network.period)} | ({"links": links} if links else {})
 
 
 def _initial(value: Any) -> Any:
@@ -279,7 +239,7 @@ def _initial(value: Any) -> Any:
         return {"vehicles": value}
     if isinstance(value, dict):
         return {"scatter": value}
-    raise mistake(f"expected a list with one entry per vehicle, or a scatter, got {q.describe(value)}")
+    raise mistake(f"expected a list with one entry per vehicle, or a scatter, got {describe(value)}")
 
 
 class InitialSection(Section):
@@ -302,6 +262,12 @@ def _title(value: Any) -> Any:
     if isinstance(value, str) and not (value.strip() and value.isprintable() and len(value) <= 200):
         raise mistake("expected one line of at most 200 printable characters")
     return value
+
+
+class PhysicsSection(Section):
+    """How finely the sea is integrated."""
+
+    substeps: Annotated[int, Field(ge=1, le=100)] = 1  # RK4 steps per tick
 
 
 class ScenarioSpec(Section):
@@ -328,15 +294,6 @@ class ScenarioSpec(Section):
     tracking: TrackingSection = TrackingSection()
     neighbours: NeighboursSection = NeighboursSection()
     network: Annotated[NetworkSection, BeforeValidator(_network), PlainSerializer(_show_network)]
-    physics: PhysicsSection = Field(default_factory=lambda: PhysicsSection())
+    physics: PhysicsSection = PhysicsSection()
     log: LogSection = LogSection()
     checks: ChecksSection = ChecksSection()
-
-
-class PhysicsSection(Section):
-    """How finely the sea is integrated."""
-
-    substeps: Annotated[int, Field(ge=1, le=100)] = 1  # RK4 steps per tick
-
-
-ScenarioSpec.model_rebuild()

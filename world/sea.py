@@ -35,7 +35,7 @@ class World:
         self._fixed = {s.id: _Vehicle(coefficients(s.params), s.tau_max) for s in config.vehicles}
         self._ticks = dict.fromkeys(self.ids, 0)
         self._states: dict[int, State] = {s.id: _initial(s) for s in config.vehicles}
-        self._h = config.tick_ns * 1e-9 / config.substeps
+        self._h = config.tick_ns / 1e9 / config.substeps
         # Every vehicle feels the same disturbance and all pass the same ticks, some ahead of others.
         self._stage_forces = lru_cache(maxsize=4 * max(config.round_ticks, 8))(self._stage_forces_at)
 
@@ -123,7 +123,7 @@ class World:
         """The disturbance at start, middle and end of each RK4 step of a tick."""
         config = self.config
         n = config.substeps
-        t = tick * config.tick_ns * 1e-9
+        t = tick * config.tick_ns / 1e9
         d = [disturbance(config.disturbance, t + j * 0.5 * self._h) for j in range(2 * n + 1)]
         return tuple((d[2 * j], d[2 * j + 1], d[2 * j + 2]) for j in range(n))
 

@@ -1,0 +1,103 @@
+"""The kinds of value that a scenario's keys take: how each is read from text, bounded, and printed back.
+
+Each kind is an `Annotated` type, so that a model in `fleet.schema` says unit and bound beside the key, and
+pydantic's errors arrive with the words and the column of the text at fault.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, GetCoreSchemaHandler, InstanceOf
+from pydantic_core import CoreSchema, PydanticCustomError, core_schema
+
+from fleet import quantities as q
+from netem.config import Condition
+from netem.grammar import GrammarError, parse_condition, parse_selector, print_condition
+
+Vec3 = q.Vec3
+
+
+def mistake(message: str, column: int = 0, hint: str = "") -> PydanticCustomError:
+    """An error that keeps its own words and the column within the text at fault."""
+    return PydanticCustomError("mistake", "{message}", {"message": message, "column": column, "hint": hint})
+
+
+@dataclass(frozen=True)
+class Text:
+    """A value that is written as text: `read` takes what the YAML holds, `show` returns what `read` would take."""
+
+    read: Callable[[Any], Any]
+    show: Callable[[Any], Any]
+    bound: Literal["any", "positive", "not negative"] = "any"
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        return core_schema.no_info_before_validator_function(
+            self._validate,
+            handler(source),
+            serialization=core_schema.plain_serializer_function_ser_schema(self.show),
+        )
+
+    def _validate(self, value: Any) -> Any:
+        try:
+            result = self.read(value)
+        except (q.QuantityError, GrammarError) as error:
+            raise mistake(error.message, error.column, error.hint) from None
+        for number in result if isinstance(result, tuple) else (result,):
+            if self.bound == "positive" and number <= 0:
+                raise mistake(f"must be above 0, got {q.describe(value)}")
+            if self.bound == "not negative" and number < 0:
+                raise mistake(f"must be 0 or more, got {q.describe(value)}")
+        return result
+
+
+def _scalar(dimension: q.Dimension, bound: Literal["any", "positive", "not negative"] = "any") -> Text:
+    return Text(lambda value: q.scalar(value, dimension), lambda value: q.show(value, dimension), bound)
+
+
+def _vector(dimension: q.Dimension, bound: Literal["any", "positive", "not negative"] = "any") -> Text:
+    return Text(lambda v: q.vector(v, dimension), lambda v: q.show_vector(v, dimension), bound)
+
+
+def _show_ticks(number: int) -> str:
+    return "1 tick" if number == 1 else f"{number} ticks"
+
+
+def _condition(value: Any) -> Condition:
+    if isinstance(value, str):
+        return parse_condition(value)
+    raise q.QuantityError(
+        f'expected a link condition such as "delay 200ms 50ms loss 30%", got {q.describe(value)}'
+    )
+
+
+def _selector(value: Any) -> str:
+    return str(parse_selector(str(value)))
+
+
+PositiveNumber = Annotated[float, Text(lambda value: q.scalar(value, q.NUMBER), float, "positive")]
+Weights = Annotated[Vec3, _vector(q.NUMBER, "not negative")]
+Length = Annotated[float, _scalar(q.LENGTH, "not negative")]
+PositiveLength = Annotated[float, _scalar(q.LENGTH, "positive")]
+Position = Annotated[Vec3, _vector(q.LENGTH)]
+SignedSpeed = Annotated[float, _scalar(q.SPEED)]
+Speed = Annotated[float, _scalar(q.SPEED, "not negative")]
+PositiveSpeed = Annotated[float, _scalar(q.SPEED, "positive")]
+Velocity = Annotated[Vec3, _vector(q.SPEED)]
+Acceleration = Annotated[float, _scalar(q.ACCELERATION, "not negative")]
+SignedAngle = Annotated[float, _scalar(q.ANGLE)]
+Angle = Annotated[float, _scalar(q.ANGLE, "not negative")]
+SignedAngularRate = Annotated[float, _scalar(q.ANGULAR_RATE)]
+AngularRate = Annotated[float, _scalar(q.ANGULAR_RATE, "not negative")]
+Force = Annotated[float, _scalar(q.FORCE, "not negative")]
+Moment = Annotated[float, _scalar(q.MOMENT, "not negative")]
+Gain = Annotated[float, _scalar(q.RATE, "positive")]
+Gains = Annotated[Vec3, _vector(q.RATE, "positive")]
+Time = Annotated[int, Text(q.time_ns, q.show_time, "not negative")]
+Period = Annotated[int, Text(q.time_ns, q.show_time, "positive")]
+Ticks = Annotated[int, Text(q.ticks, _show_ticks, "positive")]
+Count = Annotated[int, Field(ge=0)]
+LinkCondition = Annotated[InstanceOf[Condition], Text(_condition, print_condition)]
+LinkSelector = Annotated[str, Text(_selector, str)]

@@ -1,0 +1,163 @@
+"""`--set key.path=value`: changes to a scenario, made on the tree before it is validated.
+
+So an override obeys the rules of the file, and a mistake in one is reported with those of the file. Steps into a
+list count from 1, as vehicles do: `initial.2.surge=0.3 m/s`.
+
+`vehicles=N` scales the scenario. What the file writes out vehicle by vehicle cannot fit another number of them, so
+it is replaced by what can: the formation by a grid, the initial states by a scatter, the graph's edges by a path
+(a path or a ring scales by itself), and link rules for vehicles by name are dropped. Anything that is also
+overridden is left alone. `--show-config` shows the result.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+
+from fleet.errors import Problem
+from fleet.formation import DEFAULT_SPACING_M
+from fleet.yaml_marks import Items, Mapping, Node, Place, Scalar, Source, plain, read
+
+_MAX_STEPS = 10
+_SCATTER_M = 1.5  # about how far the paper's vehicles start from their places
+
+Step = tuple[str, Place]
+
+
+def source_name(override: str) -> str:
+    """What problems call the source of an override."""
+    return f"--set {override}"
+
+
+def apply(root: Mapping, overrides: Sequence[str]) -> tuple[Mapping, list[Problem]]:
+    """The tree with the overrides applied in order, the later ones over the earlier, and their mistakes."""
+    problems: list[Problem] = []
+    given: set[str] = set()
+    before = root
+    for rank, override in enumerate(overrides, start=1):
+        source = Source(source_name(override), override, rank)
+        path, equals, _ = override.partition("=")
+        if not equals or not all(path.split(".")) or path.count(".") > _MAX_STEPS:
+            hint = "write key.path=value, such as network.period=50ms"
+            problems.append(Place(source, 1, 1).problem("not an override", hint))
+            continue
+        value, found = read(source, start=len(path) + 1)
+        problems += found
+        if value is None:
+            continue
+        try:
+            changed = _set(root, _steps(path, source), value)
+        except _CannotReach as error:
+            problems.append(error.problem)
+            continue
+        assert isinstance(changed, Mapping)
+        root = changed
+        given.add(path)
+    if "vehicles" in given:
+        root = _scale(before, root, given)
+    return root, problems
+
+
+class _CannotReach(Exception):
+    """A path that leads through something that is no mapping or list."""
+
+    def __init__(self, problem: Problem) -> None:
+        super().__init__(problem.message)
+        self.problem = problem
+
+
+def _steps(path: str, source: Source) -> list[Step]:
+    steps, column = [], 1
+    for key in path.split("."):
+        steps.append((key, Place(source, 1, column)))
+        column += len(key) + 1
+    return steps
+
+
+def _set(node: Node | None, steps: list[Step], value: Node) -> Node:
+    """A copy of `node` with `value` at the end of the steps; missing mappings are made on the way."""
+    if not steps:
+        return value
+    (key, place), rest = steps[0], steps[1:]
+    if node is None or (isinstance(node, Scalar) and node.value is None):
+        node = Mapping({}, {}, place)
+    if isinstance(node, Mapping):
+        return node.with_entry(key, place, _set(node.entries.get(key), rest, value))
+    if isinstance(node, Items):
+        index = int(key) if key.isascii() and key.isdigit() and len(key) < 6 else 0
+        if not 1 <= index <= len(node.items):
+            message = f'expected an entry of the list, from 1 to {len(node.items)}, got "{key}"'
+            raise _CannotReach(place.problem(message))
+        items = list(node.items)
+        items[index - 1] = _set(items[index - 1], rest, value)
+        return Items(tuple(items), node.place)
+    raise _CannotReach(
+        place.problem(f'"{key}" leads nowhere: the scenario has {node.value!r} here, not a mapping')
+    )
+
+
+def _scale(before: Mapping, root: Mapping, given: set[str]) -> Mapping:
+    """The tree for another number of vehicles than the file wrote it for."""
+    old, new = _count(before), _count(root)
+    if new is None or old == new:
+        return root
+    place = root.keys["vehicles"]
+
+    def free(key: str) -> bool:
+        return not any(path == key or path.startswith(f"{key}.") for path in given)
+
+    def scalar(value: str | float) -> Scalar:
+        return Scalar(value, place)
+
+    def replaced(root: Mapping, key: str, entries: dict[str, Node]) -> Mapping:
+        keys = dict.fromkeys(entries, place)
+        return root.with_entry(key, root.keys.get(key, place), Mapping(entries, keys, place))
+
+    formation = root.entries.get("formation")
+    if free("formation") and isinstance(formation, Mapping) and "shape" not in formation.entries:
+        entries: dict[str, Node] = {"shape": scalar("grid"), "spacing": scalar(f"{DEFAULT_SPACING_M:g} m")}
+        root = replaced(root, "formation", entries)
+    initial = root.entries.get("initial")
+    if free("initial") and isinstance(initial, Items):
+        entries = {"scatter": scalar(f"{_SCATTER_M} m")}
+        first = initial.items[0] if initial.items else None
+        if isinstance(first, Mapping) and "surge" in first.entries:
+            entries["surge"] = first.entries["surge"]
+        root = replaced(root, "initial", entries)
+    graph = root.entries.get("graph")
+    explicit = isinstance(graph, Mapping) and "edges" in graph.entries
+    if free("graph") and isinstance(graph, Mapping):
+        root = replaced(root, "graph", _scaled_graph(graph, explicit, new, scalar("path")))
+    network = root.entries.get("network")
+    links = network.entries.get("links") if isinstance(network, Mapping) else None
+    if free("network") and isinstance(network, Mapping) and isinstance(links, Mapping):
+        for selector in links.entries:
+            numbers = [int(n) for n in _numbers(selector)]
+            if numbers and (explicit or max(numbers) > new):
+                links = links.without(selector)
+        root = root.with_entry("network", root.keys["network"], network.with_entry("links", place, links))
+    return root
+
+
+def _scaled_graph(graph: Mapping, explicit: bool, vehicles: int, path: Scalar) -> dict[str, Node]:
+    entries = {key: node for key, node in graph.entries.items() if key != "edges"}
+    if explicit:
+        entries["shape"] = path
+    followers = entries.get("reference")
+    if isinstance(followers, Items):
+        kept = tuple(n for n in followers.items if not _above(n, vehicles))
+        entries["reference"] = Items(kept, followers.place)
+    return entries
+
+
+def _above(node: Node, vehicles: int) -> bool:
+    return isinstance(node, Scalar) and type(node.value) is int and node.value > vehicles
+
+
+def _count(root: Mapping) -> int | None:
+    value = plain(root.entries["vehicles"]) if "vehicles" in root.entries else None
+    return value if type(value) is int and value > 0 else None
+
+
+def _numbers(selector: str) -> list[str]:
+    return re.findall(r"\d{1,9}", selector, re.ASCII)

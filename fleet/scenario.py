@@ -1,0 +1,254 @@
+"""A scenario: what a run is told, validated, and compiled into what each core receives.
+
+`load_scenario` reads a shipped scenario or a file, applies overrides, and reports every mistake at once.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from importlib import resources
+from math import pi
+from pathlib import Path
+
+from agents.config import AgentConfig, GuidanceParams, Neighbour, Reference, TrackingParams
+from fleet import emit, formation, graph
+from fleet.errors import Problem, ScenarioError
+from fleet.graph import Graph
+from fleet.overrides import apply
+from fleet.schema import ScenarioSpec
+from fleet.tuning import guidance_params, tracking_params
+from fleet.validation import validate
+from fleet.yaml_marks import Mapping, Scalar, Source, read
+from netem.config import Condition, Link, NetemConfig
+from netem.grammar import nearest, parse_selector, select
+from world.config import Harmonic, NavNoise, VehicleSetup, WorldConfig
+from world.vehicle import Vec3, Vec5, VehicleParams
+
+# d(t) = (3.1 sin t, 3.1 cos t, 2.1 sin t, 1.1 sin t, 1.1 sin t) [N, N, N, N m, N m], the same on every vehicle
+# (the paper's simulation section).
+_PAPER_DISTURBANCE = (
+    Harmonic(3.1, 1.0, 0.0),
+    Harmonic(3.1, 1.0, pi / 2),
+    Harmonic(2.1, 1.0, 0.0),
+    Harmonic(1.1, 1.0, 0.0),
+    Harmonic(1.1, 1.0, 0.0),
+)
+
+LOG_GROUPS = ("pose", "state", "nav", "command", "guidance", "control", "error")
+
+
+@dataclass(frozen=True, slots=True)
+class Scenario:
+    """A valid scenario. Two are equal if they determine the same run and the same verdict."""
+
+    spec: ScenarioSpec  # what the file says, in SI units
+    offsets: tuple[Vec3, ...]  # p_i [m, NED]
+    graph: Graph
+    initial: tuple[tuple[Vec5, Vec5], ...]  # (eta0, nu0) of each vehicle
+    conditions: dict[Link, Condition]  # of every link that is not perfect at the start
+    guidance: GuidanceParams
+    tracking: TrackingParams
+    source: str = field(default="", compare=False)  # the shipped name or the path it was loaded from
+
+    @classmethod
+    def compile(cls, spec: ScenarioSpec, source: str = "") -> Scenario:
+        """The scenario of a specification that `fleet.validation` accepted."""
+        places = formation.offsets(spec.formation, spec.vehicles)
+        links = graph.build(spec.graph, spec.vehicles)
+        conditions: dict[Link, Condition] = {}
+        for selector, condition in spec.network.links.items():
+            conditions |= dict.fromkeys(select(parse_selector(selector), links.links), condition)
+        return cls(
+            spec=spec,
+            offsets=places,
+            graph=links,
+            initial=formation.initial_states(spec.initial, places, spec.seed),
+            conditions={link: conditions[link] for link in links.links if conditions.get(link, Condition()) != Condition()},
+            guidance=guidance_params(spec.profile, spec.guidance, spec.tick),
+            tracking=tracking_params(spec.profile, spec.tracking),
+            source=source,
+        )
+
+    @property
+    def name(self) -> str:
+        return self.spec.name
+
+    @property
+    def title(self) -> str:
+        return self.spec.title
+
+    @property
+    def vehicles(self) -> int:
+        return self.spec.vehicles
+
+    @property
+    def seed(self) -> int:
+        return self.spec.seed
+
+    @property
+    def tick_ns(self) -> int:
+        return self.spec.tick
+
+    @property
+    def duration_ns(self) -> int:
+        return self.spec.duration
+
+    @property
+    def ticks(self) -> int:
+        return self.spec.duration // self.spec.tick
+
+    @property
+    def round_ticks(self) -> int:
+        """m, ticks per network round; an ideal network exchanges at every tick."""
+        return 1 if self.ideal else self.spec.network.period // self.spec.tick
+
+    @property
+    def ideal(self) -> bool:
+        return self.spec.network.ideal
+
+    @property
+    def stall_timeout_s(self) -> float:
+        return self.spec.stall_timeout / 1e9
+
+    @property
+    def b(self) -> tuple[float, ...]:
+        return self.graph.b
+
+    @property
+    def log_every(self) -> dict[str, int]:
+        """Ticks between two records of each topic group."""
+        log = self.spec.log
+        return {group: getattr(log, group) or log.every for group in LOG_GROUPS}
+
+    def world_config(self) -> WorldConfig:
+        """The world's part."""
+        spec = self.spec
+        tau_max = (spec.vehicle.surge_force, spec.vehicle.pitch_moment, spec.vehicle.yaw_moment)
+        return WorldConfig(
+            seed=spec.seed,
+            tick_ns=spec.tick,
+            ticks=self.ticks,
+            round_ticks=self.round_ticks,
+            substeps=spec.physics.substeps,
+            vehicles=tuple(
+                VehicleSetup(id=i, eta0=eta0, nu0=nu0, tau_max=tau_max)
+                for i, (eta0, nu0) in enumerate(self.initial, start=1)
+            ),
+            disturbance=_PAPER_DISTURBANCE if spec.sea.disturbance == "paper" else (),
+            current=spec.sea.current,
+            noise=NavNoise(
+                position_m=spec.sensors.position_noise,
+                angle_rad=spec.sensors.angle_noise,
+                velocity_mps=spec.sensors.velocity_noise,
+                rate_radps=spec.sensors.rate_noise,
+            ),
+        )
+
+    def agent_config(self, i: int) -> AgentConfig:
+        """The slice of agent i, counted from 1."""
+        spec, own = self.spec, self.offsets[i - 1]
+        return AgentConfig(
+            id=i,
+            seed=spec.seed,
+            tick_ns=spec.tick,
+            round_ticks=self.round_ticks,
+            offset=own,
+            reference=Reference(start=spec.reference.start, velocity=spec.reference.velocity),
+            reference_weight=self.b[i - 1],
+            neighbours=tuple(
+                Neighbour(id=j, weight=weight, offset=_difference(own, self.offsets[j - 1]))
+                for j, weight in self.graph.neighbours(i)
+            ),
+            extrapolation=spec.neighbours.extrapolate,
+            controller=spec.controller,
+            guidance=self.guidance,
+            tracking=self.tracking,
+            vehicle=VehicleParams(),
+            tau_max=(spec.vehicle.surge_force, spec.vehicle.pitch_moment, spec.vehicle.yaw_moment),
+        )
+
+    def netem_config(self) -> NetemConfig:
+        """The network's part."""
+        return NetemConfig(
+            seed=self.seed,
+            tick_ns=self.tick_ns,
+            round_ticks=self.round_ticks,
+            vehicles=tuple(range(1, self.vehicles + 1)),
+            links=self.graph.links,
+            conditions=dict(self.conditions),
+            ideal=self.ideal,
+        )
+
+    def to_yaml(self) -> str:
+        """The merged scenario, with units; it loads to an equal scenario."""
+        return emit.scenario_yaml(self.spec, self.guidance, self.tracking)
+
+
+def _difference(a: Vec3, b: Vec3) -> Vec3:
+    return a[0] - b[0], a[1] - b[1], a[2] - b[2]
+
+
+def load_scenario(name_or_path: str | Path, overrides: Sequence[str] = ()) -> Scenario:
+    """The scenario of a shipped name or of a file, with `key.path=value` overrides applied.
+
+    Raises:
+        ScenarioError: with every mistake that was found, in the order of the file.
+    """
+    shown, text = _text(str(name_or_path))
+    source = Source(shown, text)
+    root, problems = read(source)
+    if not isinstance(root, Mapping):
+        if root is not None:
+            problems.append(root.place.problem("expected a mapping of keys to values"))
+        raise ScenarioError(problems)
+    if "name" not in root.entries:
+        name = re.sub(r"[^a-z0-9_-]+", "-", Path(shown).stem.lower()).strip("-_")[:64] or "scenario"
+        root = root.with_entry("name", root.place, Scalar(name, root.place))
+    root, more = apply(root, overrides)
+    spec, found = validate(root)
+    if spec is None or problems or more or found:
+        places = [*((_order(p, source, overrides), p) for p in (*problems, *more, *found))]
+        raise ScenarioError([p for _, p in sorted(places, key=lambda entry: entry[0])])
+    return Scenario.compile(spec, shown)
+
+
+def _order(problem: Problem, source: Source, overrides: Sequence[str]) -> tuple[int, int, int]:
+    rank = 0 if problem.file == source.name else 1 + [f"--set {o}" for o in overrides].index(problem.file)
+    return rank, problem.line, problem.column
+
+
+def list_scenarios() -> list[tuple[str, str, int, float]]:
+    """(name, title, vehicles, duration in s) of every shipped scenario, by name."""
+    found = [load_scenario(name) for name in _shipped()]
+    return [(s.name, s.title, s.vehicles, s.duration_ns / 1e9) for s in found]
+
+
+def _shipped() -> list[str]:
+    folder = resources.files("fleet.scenarios")
+    return sorted(entry.name.removesuffix(".yaml") for entry in folder.iterdir() if entry.name.endswith(".yaml"))
+
+
+def _text(name_or_path: str) -> tuple[str, str]:
+    """What to call the source, and its text. A name is a shipped scenario, anything with a dot or slash a path."""
+    try:
+        if name_or_path in _shipped():
+            entry = resources.files("fleet.scenarios") / f"{name_or_path}.yaml"
+            return f"{name_or_path}.yaml", entry.read_text("utf-8")
+        path = Path(name_or_path)
+        if path.suffix or "/" in name_or_path or path.exists():
+            return name_or_path, path.read_bytes().decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise _unreadable(name_or_path, f"not UTF-8 text (byte {error.start})") from None
+    except (OSError, ValueError) as error:
+        raise _unreadable(name_or_path, getattr(error, "strerror", None) or str(error)) from None
+    hint = nearest(name_or_path, _shipped()) or "a file needs its suffix, as in my-scenario.yaml"
+    message = f"there is no such shipped scenario; there are {', '.join(_shipped())}"
+    raise _unreadable(name_or_path, message, hint)
+
+
+def _unreadable(name: str, message: str, hint: str = "") -> ScenarioError:
+    return ScenarioError([Problem(name or '""', 0, 0, message, hint)])
+
+

@@ -1,0 +1,164 @@
+"""A tree of YAML against the schema and the rules: every mistake, each where it was written."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from typing import Any, cast, get_args
+
+from pydantic import TypeAdapter, ValidationError
+from pydantic.fields import FieldInfo
+from pydantic_core import ErrorDetails
+
+from fleet.errors import Problem
+from fleet.quantities import describe
+from fleet.rules import Report, Unknown, check
+from fleet.schema import ScenarioSpec, Section
+from fleet.yaml_marks import Mapping, locate, plain, text_place
+from netem.grammar import nearest
+
+Loc = tuple[str | int, ...]
+
+
+def validate(root: Mapping) -> tuple[ScenarioSpec | None, list[Problem]]:
+    """The specification that the tree holds, or None and what is wrong with it.
+
+    The rules between keys run even if some keys are wrong: on those that are right.
+    """
+    data = plain(root)
+    report = Report(root)
+    spec: ScenarioSpec | None = None
+    try:
+        spec = ScenarioSpec.model_validate(data)
+        check(spec, report)
+    except ValidationError as error:
+        details = error.errors(include_url=False)
+        report.problems += [_explain(root, detail) for detail in details]
+        check(cast(ScenarioSpec, _Partial(ScenarioSpec, data)), report)
+    return (None if report.problems else spec), report.problems
+
+
+class _Partial:
+    """The valid values of a section that as a whole is not valid; to read another raises Unknown."""
+
+    def __init__(self, section: type[Section], data: dict[str, Any]) -> None:
+        self._section = section
+        self._data = data
+
+    def __getattr__(self, name: str) -> Any:
+        info = self._section.model_fields[name]
+        if name not in self._data:
+            if info.is_required():
+                raise Unknown
+            return info.get_default(call_default_factory=True)
+        value = self._data[name]
+        kind: TypeAdapter[Any] = TypeAdapter(info.rebuild_annotation())
+        try:
+            return kind.validate_python(value, strict=True)
+        except ValidationError as error:
+            section = _section_of(info.annotation)
+            if not isinstance(value, dict):
+                raise Unknown from None
+            if section is not None:
+                return _Partial(section, value)
+            bad = {detail["loc"][0] for detail in error.errors()}
+            return kind.validate_python({k: v for k, v in value.items() if k not in bad}, strict=True)
+
+
+def _explain(root: Mapping, error: ErrorDetails) -> Problem:
+    loc = error["loc"]
+    path = _in_file(loc)
+    context, value = error.get("ctx", {}), error["input"]
+    name = dotted(path)
+    match error["type"]:
+        case "missing":
+            section = dotted(path[:-1])
+            where = f' in "{section}"' if section else ""
+            return locate(root, path[:-1], key=True).problem(f'"{path[-1]}" is missing{where}')
+        case "extra_forbidden":
+            place = locate(root, path, key=True)
+            return place.problem(f'unknown key "{_short(name)}"', _nearest_key(loc))
+        case "mistake":
+            if path[-1] == "[key]":
+                path = path[:-1]
+                place, name = locate(root, path, key=True).shifted(context["column"]), dotted(path[:-1])
+            else:
+                place = text_place(root, path, context["column"])
+            return place.problem(f"{_short(name)}: {context['message']}", context["hint"])
+        case "literal_error":
+            words = re.findall(r"'([^']*)'", context["expected"])
+            hint = nearest(value, words) if isinstance(value, str) else ""
+            message = f"expected {' or '.join(words)}, got {describe(value)}"
+        case "int_type" | "int_parsing" | "int_from_float" | "int_parsing_size":
+            message, hint = f"expected a whole number, got {describe(value)}", ""
+        case "greater_than_equal":
+            message, hint = f"must be {context['ge']} or more, got {describe(value)}", ""
+        case "less_than_equal":
+            message, hint = f"must be {context['le']} or less, got {describe(value)}", ""
+        case "less_than":
+            message, hint = f"must be less than {context['lt']}, got {describe(value)}", ""
+        case "model_type" | "dict_type" | "model_attributes_type":
+            message, hint = f"expected a mapping of keys to values, got {describe(value)}", ""
+        case "list_type":
+            message, hint = f"expected a list, got {describe(value)}", ""
+        case "string_type":
+            message, hint = f"expected a text, got {describe(value)}", "quotes make it a text"
+        case "string_pattern_mismatch":
+            message = f"expected lower-case letters, digits, - and _, got {describe(value)}"
+            hint = "it names the run's directory"
+        case _:
+            message, hint = f"{error['msg']}, got {describe(value)}", ""
+    return locate(root, path).problem(f"{_short(name)}: {message}", hint)
+
+
+def dotted(path: Sequence[str | int]) -> str:
+    """A path as `--set` writes it: entries of a list count from 1."""
+    return ".".join(str(step + 1) if isinstance(step, int) else step for step in path)
+
+
+def _in_file(loc: Loc) -> Loc:
+    """The path in the file: the model tells the two forms of `initial` apart by a step that the file lacks."""
+    return loc[:1] + loc[2:] if loc[0] == "initial" and len(loc) > 1 else loc
+
+
+def _nearest_key(loc: Loc) -> str:
+    section: type[Section] = ScenarioSpec
+    for step in loc[:-1]:
+        if isinstance(step, str) and step in section.model_fields:
+            section = _section_of(section.model_fields[step].annotation) or section
+    key, siblings = str(loc[-1]), list(section.model_fields)
+    hint = nearest(key, siblings)
+    if hint:
+        return hint
+    everywhere = list(_paths(ScenarioSpec, ""))
+    elsewhere = [path for path in everywhere if path.rpartition(".")[2] == key]
+    if elsewhere:
+        return f'did you mean "{elsewhere[0]}"?'
+    return f"known here: {', '.join(siblings)}"
+
+
+def _paths(section: type[Section], prefix: str) -> Iterator[str]:
+    for name, info in section.model_fields.items():
+        yield prefix + name
+        below = _below(info)
+        if below is not None:
+            yield from _paths(below, f"{prefix}{name}.")
+
+
+def _below(info: FieldInfo) -> type[Section] | None:
+    return _section_of(info.annotation)
+
+
+def _section_of(annotation: Any) -> type[Section] | None:
+    """The section inside an annotation such as `Below | None` or `list[InitialState]`."""
+    if isinstance(annotation, type) and issubclass(annotation, Section):
+        return annotation
+    for argument in get_args(annotation):
+        found = _section_of(argument)
+        if found is not None:
+            return found
+    return None
+
+
+def _short(name: str) -> str:
+    return name if len(name) <= 60 else name[:57] + "..."

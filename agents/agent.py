@@ -38,6 +38,8 @@ GUIDANCE_SIGNALS = (
     Signal("guidance", "psi_cmd", "rad", 1, "commanded course of the velocity"),
     Signal("guidance", "qp_status", "1", 1, "0 gain held, 1 solved, 2 no solution and gain held"),
     Signal("guidance", "neighbours_heard", "1", 1, "neighbours heard at least once"),
+    Signal("guidance", "qp_failures", "1", 1, "optimisations without a solution since the start"),
+    Signal("guidance", "payloads_rejected", "1", 1, "payloads refused by the codec since the start"),
 )
 
 
@@ -132,8 +134,13 @@ class Agent:
         u_cmd = floor_speed(u_cmd, nu[1], nu[2], tracking.u_floor)
         demand, control = self._tracking.step(eta, nu, (u_cmd, theta_cmd, psi_cmd), dt)
         K = self._guidance.K
-        status = float(self._guidance.qp_status)
-        return demand, (*e, *K, *rho, u_cmd, theta_cmd, psi_cmd, status, float(len(heard)), *control)
+        counts = (
+            float(self._guidance.qp_status),
+            float(len(heard)),
+            float(self._guidance.failures),
+            float(self._neighbours.rejected),
+        )
+        return demand, (*e, *K, *rho, u_cmd, theta_cmd, psi_cmd, *counts, *control)
 
     def _desired(self, tick: int) -> Vec3:
         """pd_i(t) = eta_1^d(t) + p_i [m, NED]."""

@@ -105,6 +105,11 @@ class NeighbourTable:
             found.append(Heard(neighbour.weight, neighbour.offset, position))
         return found
 
+    @property
+    def rejected(self) -> int:
+        """Payloads refused so far: damaged, not ours, or not from whom the network says."""
+        return sum(self.counters[cause] for cause in (*CAUSES, "wrong_sender", "from_future"))
+
     def state(self) -> dict[str, Any]:
         """Plain values of what has been heard and counted."""
         newest = [[*m[:2], *m.position, *m.velocity] for m in self._newest.values() if m is not None]

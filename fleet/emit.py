@@ -1,7 +1,7 @@
 """A scenario as text: the merged values, with units, in the order of the schema.
 
-Values that the profile supplies stand as comments under their section. Written as keys they would silence a later
-`--set profile=...`, because an explicit value wins over the profile.
+Values that the profile supplies stand as comments under their section. Written as keys they would silence a
+later `--set profile=...`, because an explicit value wins over the profile.
 """
 
 from __future__ import annotations

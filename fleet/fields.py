@@ -27,7 +27,7 @@ def mistake(message: str, column: int = 0, hint: str = "") -> PydanticCustomErro
 
 @dataclass(frozen=True)
 class Text:
-    """A value that is written as text: `read` takes what the YAML holds, `show` returns what `read` would take."""
+    """A value that is written as text: `read` takes what the YAML holds, `show` gives what `read` takes."""
 
     read: Callable[[Any], Any]
     show: Callable[[Any], Any]

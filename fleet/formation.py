@@ -46,12 +46,14 @@ def grid(vehicles: int, spacing: float) -> tuple[Vec3, ...]:
     return tuple(places)
 
 
-def initial_states(initial: InitialSection, places: tuple[Vec3, ...], seed: int) -> tuple[tuple[Vec5, Vec5], ...]:
+def initial_states(
+    initial: InitialSection, places: tuple[Vec3, ...], seed: int
+) -> tuple[tuple[Vec5, Vec5], ...]:
     """(eta0, nu0) of every vehicle.
 
-    A scatter puts vehicle i at p_i plus draws that depend on (seed, i) alone, so that a larger fleet starts with
-    the same first vehicles. It never lifts a vehicle: z is down, and nobody should start above the surface.
-    """
+    A scatter puts vehicle i at p_i plus draws that depend on (seed, i) alone, so that a larger fleet starts
+    with the same first vehicles. It never lifts a vehicle: z is down, and nobody should start above the
+    surface."""
     if initial.vehicles is not None:
         return tuple(
             (

@@ -1,12 +1,12 @@
 """`--set key.path=value`: changes to a scenario, made on the tree before it is validated.
 
-So an override obeys the rules of the file, and a mistake in one is reported with those of the file. Steps into a
-list count from 1, as vehicles do: `initial.2.surge=0.3 m/s`.
+So an override obeys the rules of the file, and a mistake in one is reported with those of the file. Steps
+into a list count from 1, as vehicles do: `initial.2.surge=0.3 m/s`.
 
-`vehicles=N` scales the scenario. What the file writes out vehicle by vehicle cannot fit another number of them, so
-it is replaced by what can: the formation by a grid, the initial states by a scatter, the graph's edges by a path
-(a path or a ring scales by itself), and link rules for vehicles by name are dropped. Anything that is also
-overridden is left alone. `--show-config` shows the result.
+`vehicles=N` scales the scenario. What the file writes out vehicle by vehicle cannot fit another number of
+them, so it is replaced by what can: the formation by a grid, the initial states by a scatter, the graph's
+edges by a path (a path or a ring scales by itself), and link rules for vehicles by name are dropped. Anything
+that is also overridden is left alone. `--show-config` shows the result.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from collections.abc import Sequence
 
 from fleet.errors import Problem
 from fleet.formation import DEFAULT_SPACING_M
+from fleet.quantities import describe
 from fleet.yaml_marks import Items, Mapping, Node, Place, Scalar, Source, plain, read
 
 _MAX_STEPS = 10
@@ -24,7 +25,7 @@ _SCATTER_M = 1.5  # about how far the paper's vehicles start from their places
 Step = tuple[str, Place]
 
 
-def source_name(override: str) -> str:
+def override_name(override: str) -> str:
     """What problems call the source of an override."""
     return f"--set {override}"
 
@@ -35,7 +36,7 @@ def apply(root: Mapping, overrides: Sequence[str]) -> tuple[Mapping, list[Proble
     given: set[str] = set()
     before = root
     for rank, override in enumerate(overrides, start=1):
-        source = Source(source_name(override), override, rank)
+        source = Source(override_name(override), override, rank)
         path, equals, _ = override.partition("=")
         if not equals or not all(path.split(".")) or path.count(".") > _MAX_STEPS:
             hint = "write key.path=value, such as network.period=50ms"
@@ -47,7 +48,7 @@ def apply(root: Mapping, overrides: Sequence[str]) -> tuple[Mapping, list[Proble
             continue
         try:
             changed = _set(root, _steps(path, source), value)
-        except _CannotReach as error:
+        except _UnreachableError as error:
             problems.append(error.problem)
             continue
         assert isinstance(changed, Mapping)
@@ -58,7 +59,7 @@ def apply(root: Mapping, overrides: Sequence[str]) -> tuple[Mapping, list[Proble
     return root, problems
 
 
-class _CannotReach(Exception):
+class _UnreachableError(Exception):
     """A path that leads through something that is no mapping or list."""
 
     def __init__(self, problem: Problem) -> None:
@@ -87,12 +88,12 @@ def _set(node: Node | None, steps: list[Step], value: Node) -> Node:
         index = int(key) if key.isascii() and key.isdigit() and len(key) < 6 else 0
         if not 1 <= index <= len(node.items):
             message = f'expected an entry of the list, from 1 to {len(node.items)}, got "{key}"'
-            raise _CannotReach(place.problem(message))
+            raise _UnreachableError(place.problem(message))
         items = list(node.items)
         items[index - 1] = _set(items[index - 1], rest, value)
         return Items(tuple(items), node.place)
-    raise _CannotReach(
-        place.problem(f'"{key}" leads nowhere: the scenario has {node.value!r} here, not a mapping')
+    raise _UnreachableError(
+        place.problem(f'there is no "{key}" here: the scenario has {describe(node.value)}, not a mapping')
     )
 
 

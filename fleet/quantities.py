@@ -1,14 +1,15 @@
-"""Numbers with units as text ("50 ms", "5 1 5 m", "20 deg"), read exactly and printed so that they read back the same.
+"""Numbers with units as text ("50 ms", "5 1 5 m", "20 deg"), read exactly and printed so that they read back.
 
-Times become integer nanoseconds and never pass through a binary float, so that "10 ms" is 10 000 000 ns and the
-question whether one period divides another has an exact answer. Everything else becomes the double nearest to the
-exact decimal value in SI units (angles: radians).
+Times become integer nanoseconds and never pass through a binary float, so that "10 ms" is 10 000 000 ns and
+the question whether one period divides another has an exact answer. Everything else becomes the double
+nearest to the exact decimal value in SI units (angles: radians).
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from decimal import Decimal
 from fractions import Fraction
 from typing import Any
 
@@ -42,7 +43,9 @@ def _units(**sizes: str | int) -> dict[str, Fraction]:
 
 _DEG = Fraction(math.pi) / 180  # so that "180 deg" is exactly math.pi
 
-TIME = Dimension("a time", "50 ms", _units(s=1, ms="1/1000", us="1/1000000", ns="1/1000000000", min=60, h=3600))
+TIME = Dimension(
+    "a time", "50 ms", _units(s=1, ms="1/1000", us="1/1000000", ns="1/1000000000", min=60, h=3600)
+)
 LENGTH = Dimension("a length", "0.1 m", _units(m=1, mm="1/1000", cm="1/100", km=1000))
 SPEED = Dimension(
     "a speed", "0.7 m/s", {"m/s": Fraction(1), "cm/s": Fraction(1, 100), "kn": Fraction(1852, 3600)}
@@ -135,18 +138,20 @@ def show_vector(values: tuple[float, ...], dimension: Dimension) -> str:
     """Like `show`, for several numbers with one unit."""
     for unit, size in dimension.units.items():
         # Twelve digits are what people write; only the SI unit needs, and gets, all seventeen.
-        numbers = [_digits(v if size == 1 else float(f"{float(Fraction(v) / size):.12g}")) for v in values]
-        text = f"{' '.join(numbers)} {unit}".rstrip()
-        if tuple(_float(n) for n in parse(text, dimension, len(values))) == tuple(values):
+        numbers = [v if size == 1 else float(f"{v / float(size):.12g}") for v in values]
+        if not all(math.isfinite(number) for number in numbers):
+            continue
+        text = f"{' '.join(repr(number).removesuffix('.0') for number in numbers)} {unit}".rstrip()
+        if tuple(_float(number) for number in parse(text, dimension, len(values))) == tuple(values):
             return text
     raise AssertionError(f"{dimension.name} has no SI unit")
 
 
 def show_time(ns: int) -> str:
-    """The text of a time: the largest of s, ms, us, ns in which the number is whole."""
+    """The text of a time, exactly, in the largest of s, ms, us and ns that does not make it less than 1."""
     for unit, size in (("s", 10**9), ("ms", 10**6), ("us", 10**3)):
-        if ns % size == 0:
-            return f"{ns // size} {unit}"
+        if abs(ns) >= size or ns == 0:
+            return f"{(Decimal(ns) / size).normalize():f} {unit}"
     return f"{ns} ns"
 
 
@@ -213,7 +218,7 @@ def _factor(unit: str, dimension: Dimension, expected: str, text: str, column: i
 def _phrase(dimension: Dimension, count: int) -> str:
     if count == 1:
         return dimension.name
-    return f"{count} numbers" + (" with one unit" if "" not in dimension.units else "")
+    return f"{dimension.name} for x, y and z"
 
 
 def _float(number: Fraction) -> float:
@@ -221,10 +226,6 @@ def _float(number: Fraction) -> float:
         return float(number)
     except OverflowError:
         raise QuantityError("the number is too large") from None
-
-
-def _digits(value: float) -> str:
-    return repr(value).removesuffix(".0")
 
 
 def _short(text: str) -> str:

@@ -1,7 +1,7 @@
 """What a scenario's keys must fulfil together.
 
-Each rule looks at a few keys and reports what does not fit. A rule that reads a key which is wrong by itself, and
-so is reported already, stops there (`Unknown`) and the other rules go on.
+Each rule looks at a few keys and reports what does not fit. A rule that reads a key which is wrong by itself,
+and so is reported already, stops there (`UnknownValueError`) and the other rules go on.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ from fleet.schema import ScenarioSpec
 from fleet.tuning import qp_period_ns
 from fleet.yaml_marks import Mapping, locate
 from netem.config import Link
-from netem.grammar import GrammarError, parse_selector, select
+from netem.grammar import GrammarError, parse_selector
 
 _LINKS_SHOWN = 12
 
 
-class Unknown(Exception):
+class UnknownValueError(Exception):
     """The value that a rule needs is itself wrong."""
 
 
@@ -35,7 +35,7 @@ class Report:
     problems: list[Problem] = field(default_factory=list)
 
     def add(self, path: tuple[str | int, ...], message: str, hint: str = "", *, key: bool = False) -> None:
-        """Report a mistake at the value (or the key) at `path`, or at the nearest thing above it that is there."""
+        """Report a mistake at the value (or the key) at `path`, or at its nearest ancestor that is there."""
         name = ".".join(str(step + 1) if isinstance(step, int) else step for step in path)
         self.problems.append(locate(self.root, path, key=key).problem(f"{name}: {message}", hint))
 
@@ -55,7 +55,7 @@ def check(spec: ScenarioSpec, report: Report) -> None:
     for rule in RULES:
         try:
             rule(spec, report)
-        except Unknown:
+        except UnknownValueError:
             continue
 
 
@@ -164,17 +164,22 @@ def _followers(spec: ScenarioSpec, report: Report) -> None:
             "no vehicle follows the reference (b_i > 0), so the formation would have no place to go",
             'write "all", or the numbers of the vehicles that do',
         )
+    seen: set[int] = set()
     for index, number in enumerate(followers):
         if not 1 <= number <= spec.vehicles:
             report.add(
                 ("graph", "reference", index), f"there is no vehicle {number}: they are 1 to {spec.vehicles}"
             )
-        elif number in followers[:index]:
+        elif number in seen:
             report.add(("graph", "reference", index), f"vehicle {number} is given twice")
+        seen.add(number)
 
 
 def _links(spec: ScenarioSpec, report: Report) -> None:
-    written = {}
+    written: dict[str, str] = {}
+    links = _graph_links(spec)
+    known: set[tuple[int | None, int | None]] = {(None, None), *links}
+    known |= {(src, None) for src, _ in links} | {(None, dst) for _, dst in links}
     for text in report.keys("network", "links"):
         path = ("network", "links", text)
         try:
@@ -184,9 +189,9 @@ def _links(spec: ScenarioSpec, report: Report) -> None:
         if str(selector) in written:
             report.add(path, f'the same links as "{written[str(selector)]}"', key=True)
         written[str(selector)] = text
-        links = _graph_links(spec)
-        # "*" is every link there is, even if that is none: a fleet scaled to one vehicle keeps its scenario.
-        if str(selector) != "*" and not select(selector, links):
+        # (None, None), "*", is every link there is, even if that is none: a fleet of one keeps its scenario.
+        there = (selector.src, selector.dst) in known
+        if not there and not (selector.both and (selector.dst, selector.src) in known):
             shown = ", ".join(f"{src}->{dst}" for src, dst in links[:_LINKS_SHOWN])
             more = f" and {len(links) - _LINKS_SHOWN} more" if len(links) > _LINKS_SHOWN else ""
             report.add(path, "the graph has no such link", f"links: {shown}{more}", key=True)
@@ -195,7 +200,7 @@ def _links(spec: ScenarioSpec, report: Report) -> None:
 def _graph_links(spec: ScenarioSpec) -> tuple[Link, ...]:
     g = spec.graph
     if (g.edges is None) == (g.shape is None) or any(parse_edge(text) is None for text in g.edges or ()):
-        raise Unknown
+        raise UnknownValueError
     return build(g, spec.vehicles).links
 
 
@@ -215,8 +220,8 @@ def _velocity_bounds(spec: ScenarioSpec, report: Report) -> None:
             ours = getattr(spec.guidance, name) is not None
             report.add(
                 ("guidance", name) if ours else ("reference", "velocity"),
-                f"{name} {show_vector(bound, SPEED)} must be {'below' if sign > 0 else 'above'} the reference "
-                f"velocity {show_vector(velocity, SPEED)} on every axis; it is not on {axis}",
+                f"{name} {show_vector(bound, SPEED)} must be {'below' if sign > 0 else 'above'} the "
+                f"reference velocity {show_vector(velocity, SPEED)} on every axis; it is not on {axis}",
                 "" if ours else f"the bound is that of profile {spec.profile}; set guidance.{name}",
             )
             break

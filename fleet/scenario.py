@@ -16,7 +16,7 @@ from agents.config import AgentConfig, GuidanceParams, Neighbour, Reference, Tra
 from fleet import emit, formation, graph
 from fleet.errors import Problem, ScenarioError
 from fleet.graph import Graph
-from fleet.overrides import apply
+from fleet.overrides import apply, override_name
 from fleet.schema import ScenarioSpec
 from fleet.tuning import guidance_params, tracking_params
 from fleet.validation import validate
@@ -26,8 +26,8 @@ from netem.grammar import nearest, parse_selector, select
 from world.config import Harmonic, NavNoise, VehicleSetup, WorldConfig
 from world.vehicle import Vec3, Vec5, VehicleParams
 
-# d(t) = (3.1 sin t, 3.1 cos t, 2.1 sin t, 1.1 sin t, 1.1 sin t) [N, N, N, N m, N m], the same on every vehicle
-# (the paper's simulation section).
+# d(t) = (3.1 sin t, 3.1 cos t, 2.1 sin t, 1.1 sin t, 1.1 sin t) [N, N, N, N m, N m], the same on every
+# vehicle (the paper's simulation section).
 _PAPER_DISTURBANCE = (
     Harmonic(3.1, 1.0, 0.0),
     Harmonic(3.1, 1.0, pi / 2),
@@ -35,6 +35,8 @@ _PAPER_DISTURBANCE = (
     Harmonic(1.1, 1.0, 0.0),
     Harmonic(1.1, 1.0, 0.0),
 )
+
+_MAX_BYTES = 4_000_000  # more than yaml_marks takes, less than /dev/zero gives
 
 LOG_GROUPS = ("pose", "state", "nav", "command", "guidance", "control", "error")
 
@@ -65,7 +67,9 @@ class Scenario:
             offsets=places,
             graph=links,
             initial=formation.initial_states(spec.initial, places, spec.seed),
-            conditions={link: conditions[link] for link in links.links if conditions.get(link, Condition()) != Condition()},
+            conditions={
+                k: conditions[k] for k in links.links if conditions.get(k, Condition()) != Condition()
+            },
             guidance=guidance_params(spec.profile, spec.guidance, spec.tick),
             tracking=tracking_params(spec.profile, spec.tracking),
             source=source,
@@ -197,25 +201,36 @@ def load_scenario(name_or_path: str | Path, overrides: Sequence[str] = ()) -> Sc
         ScenarioError: with every mistake that was found, in the order of the file.
     """
     shown, text = _text(str(name_or_path))
-    source = Source(shown, text)
+    return parse_scenario(text, shown, overrides)
+
+
+def parse_scenario(text: str, source_name: str, overrides: Sequence[str] = ()) -> Scenario:
+    """The scenario that `text` describes; `source_name` is what problems call it.
+
+    A text without a name is named after its source.
+
+    Raises:
+        ScenarioError: with every mistake that was found, in the order of the text.
+    """
+    source = Source(source_name, text)
     root, problems = read(source)
     if not isinstance(root, Mapping):
         if root is not None:
             problems.append(root.place.problem("expected a mapping of keys to values"))
         raise ScenarioError(problems)
     if "name" not in root.entries:
-        name = re.sub(r"[^a-z0-9_-]+", "-", Path(shown).stem.lower()).strip("-_")[:64] or "scenario"
+        name = re.sub(r"[^a-z0-9_-]+", "-", Path(source_name).stem.lower()).strip("-_")[:64] or "scenario"
         root = root.with_entry("name", root.place, Scalar(name, root.place))
     root, more = apply(root, overrides)
     spec, found = validate(root)
-    if spec is None or problems or more or found:
-        places = [*((_order(p, source, overrides), p) for p in (*problems, *more, *found))]
-        raise ScenarioError([p for _, p in sorted(places, key=lambda entry: entry[0])])
-    return Scenario.compile(spec, shown)
+    everything = [*problems, *more, *found]
+    if spec is None or everything:
+        raise ScenarioError(sorted(everything, key=lambda p: _order(p, source, overrides)))
+    return Scenario.compile(spec, source_name)
 
 
 def _order(problem: Problem, source: Source, overrides: Sequence[str]) -> tuple[int, int, int]:
-    rank = 0 if problem.file == source.name else 1 + [f"--set {o}" for o in overrides].index(problem.file)
+    rank = 0 if problem.file == source.name else 1 + [override_name(o) for o in overrides].index(problem.file)
     return rank, problem.line, problem.column
 
 
@@ -227,18 +242,21 @@ def list_scenarios() -> list[tuple[str, str, int, float]]:
 
 def _shipped() -> list[str]:
     folder = resources.files("fleet.scenarios")
-    return sorted(entry.name.removesuffix(".yaml") for entry in folder.iterdir() if entry.name.endswith(".yaml"))
+    return sorted(
+        entry.name.removesuffix(".yaml") for entry in folder.iterdir() if entry.name.endswith(".yaml")
+    )
 
 
 def _text(name_or_path: str) -> tuple[str, str]:
-    """What to call the source, and its text. A name is a shipped scenario, anything with a dot or slash a path."""
+    """What to call the source, and its text. A suffix or a slash makes a path of an unknown name."""
     try:
         if name_or_path in _shipped():
             entry = resources.files("fleet.scenarios") / f"{name_or_path}.yaml"
             return f"{name_or_path}.yaml", entry.read_text("utf-8")
         path = Path(name_or_path)
         if path.suffix or "/" in name_or_path or path.exists():
-            return name_or_path, path.read_bytes().decode("utf-8-sig")
+            with path.open("rb") as file:
+                return name_or_path, file.read(_MAX_BYTES).decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise _unreadable(name_or_path, f"not UTF-8 text (byte {error.start})") from None
     except (OSError, ValueError) as error:
@@ -250,5 +268,3 @@ def _text(name_or_path: str) -> tuple[str, str]:
 
 def _unreadable(name: str, message: str, hint: str = "") -> ScenarioError:
     return ScenarioError([Problem(name or '""', 0, 0, message, hint)])
-
-

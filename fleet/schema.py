@@ -1,7 +1,7 @@
 """What a scenario file may say: every key, its meaning, its unit, its default.
 
-The models hold validated values in SI units (times: integer ns) and print themselves with units. What needs two
-keys at once is checked in `fleet.rules`.
+The models hold validated values in SI units (times: integer ns) and print themselves with units. What needs
+two keys at once is checked in `fleet.rules`.
 """
 
 from __future__ import annotations
@@ -22,10 +22,32 @@ from pydantic_core import CoreSchema, core_schema
 
 from agents.config import Cost, Extrapolation
 from fleet.fields import (
-    Acceleration, Angle, AngularRate, Count, Force, Gain, Gains, Length, LinkCondition, LinkSelector, Moment,
-    Period, Position, PositiveLength, PositiveNumber, PositiveSpeed, SignedAngle, SignedAngularRate, SignedSpeed,
-    Speed, Ticks, Time, Velocity, Weights, mistake,
-)  # fmt: skip
+    Acceleration,
+    Angle,
+    AngularRate,
+    Count,
+    Force,
+    Gain,
+    Gains,
+    Length,
+    LinkCondition,
+    LinkSelector,
+    Moment,
+    Period,
+    Position,
+    PositiveLength,
+    PositiveNumber,
+    PositiveSpeed,
+    SignedAngle,
+    SignedAngularRate,
+    SignedSpeed,
+    Speed,
+    Ticks,
+    Time,
+    Velocity,
+    Weights,
+    mistake,
+)
 from fleet.quantities import describe, show_time
 from netem.grammar import print_condition
 
@@ -82,7 +104,9 @@ class GraphSection(Section):
     ahead: PositiveNumber | None = None  # a_(i,i-1) of the shape; 1
     behind: PositiveNumber | None = None  # a_(i,i+1) of the shape; 1
     edges: dict[str, PositiveNumber] | None = None  # "1->2": a_21, vehicle 2 hears vehicle 1
-    reference: Annotated[list[int] | Literal["all"], _Followers()] = "all"  # who has b_i = 1; the others have 0
+    reference: Annotated[list[int] | Literal["all"], _Followers()] = (
+        "all"  # who has b_i = 1; the others have 0
+    )
 
 
 class InitialState(Section):

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Sequence
-from typing import Any, cast, get_args
+from functools import cache
+from typing import Any, cast, get_args, get_origin
 
 from pydantic import TypeAdapter, ValidationError
-from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
 from fleet.errors import Problem
 from fleet.quantities import describe
-from fleet.rules import Report, Unknown, check
+from fleet.rules import Report, UnknownValueError, check
 from fleet.schema import ScenarioSpec, Section
 from fleet.yaml_marks import Mapping, locate, plain, text_place
 from netem.grammar import nearest
@@ -39,7 +39,7 @@ def validate(root: Mapping) -> tuple[ScenarioSpec | None, list[Problem]]:
 
 
 class _Partial:
-    """The valid values of a section that as a whole is not valid; to read another raises Unknown."""
+    """The valid values of a section that as a whole is not; to read another raises UnknownValueError."""
 
     def __init__(self, section: type[Section], data: dict[str, Any]) -> None:
         self._section = section
@@ -49,20 +49,26 @@ class _Partial:
         info = self._section.model_fields[name]
         if name not in self._data:
             if info.is_required():
-                raise Unknown
+                raise UnknownValueError
             return info.get_default(call_default_factory=True)
         value = self._data[name]
-        kind: TypeAdapter[Any] = TypeAdapter(info.rebuild_annotation())
+        kind = _kind(self._section, name)
         try:
             return kind.validate_python(value, strict=True)
         except ValidationError as error:
-            section = _section_of(info.annotation)
-            if not isinstance(value, dict):
-                raise Unknown from None
+            section = None if _is_list(info.annotation) else _section_of(info.annotation)
+            locs = [detail["loc"] for detail in error.errors()]
+            if not isinstance(value, dict) or (section is None and () in locs):
+                raise UnknownValueError from None
             if section is not None:
                 return _Partial(section, value)
-            bad = {detail["loc"][0] for detail in error.errors()}
+            bad = {loc[0] for loc in locs}
             return kind.validate_python({k: v for k, v in value.items() if k not in bad}, strict=True)
+
+
+@cache
+def _kind(section: type[Section], name: str) -> TypeAdapter[Any]:
+    return TypeAdapter(section.model_fields[name].rebuild_annotation())
 
 
 def _explain(root: Mapping, error: ErrorDetails) -> Problem:
@@ -117,7 +123,7 @@ def dotted(path: Sequence[str | int]) -> str:
 
 
 def _in_file(loc: Loc) -> Loc:
-    """The path in the file: the model tells the two forms of `initial` apart by a step that the file lacks."""
+    """The path in the file, which lacks the step that tells the two forms of `initial` apart in the model."""
     return loc[:1] + loc[2:] if loc[0] == "initial" and len(loc) > 1 else loc
 
 
@@ -140,13 +146,13 @@ def _nearest_key(loc: Loc) -> str:
 def _paths(section: type[Section], prefix: str) -> Iterator[str]:
     for name, info in section.model_fields.items():
         yield prefix + name
-        below = _below(info)
+        below = _section_of(info.annotation)
         if below is not None:
             yield from _paths(below, f"{prefix}{name}.")
 
 
-def _below(info: FieldInfo) -> type[Section] | None:
-    return _section_of(info.annotation)
+def _is_list(annotation: Any) -> bool:
+    return get_origin(annotation) is list or any(_is_list(argument) for argument in get_args(annotation))
 
 
 def _section_of(annotation: Any) -> type[Section] | None:

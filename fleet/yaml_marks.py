@@ -1,9 +1,9 @@
 """YAML as a tree in which every key and value knows where it was written.
 
-Built from libyaml's events rather than with PyYAML's loaders, for three reasons: the loaders keep no marks, they
-read YAML 1.1 (`1e-3` is text, `on` is true, `12:30` is 750, the last of two equal keys wins), and they recurse
-without a limit. Here scalars follow the core schema of YAML 1.2, duplicate keys are mistakes, and depth and size
-are bounded, so that no text hangs or crashes the reader.
+Built from libyaml's events rather than with PyYAML's loaders, for three reasons: the loaders keep no marks,
+they read YAML 1.1 (`1e-3` is text, `on` is true, `12:30` is 750, the last of two equal keys wins), and they
+recurse without a limit. Here scalars follow the core schema of YAML 1.2, duplicate keys are mistakes, and
+depth and size are bounded, so that no text hangs or crashes the reader.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ except ImportError:  # pragma: no cover - a PyYAML built without libyaml reads t
 
 _MAX_CHARACTERS = 1_000_000
 _MAX_DEPTH = 30
-_MAX_NODES = 100_000  # after aliases: ten lines of aliases to aliases can stand for 10^10 values
+_MAX_NODES = 20_000  # after aliases: ten lines of aliases to aliases can stand for 10^10 values
 
 _BREAK = re.compile("\r\n|[\n\r\x85\u2028\u2029]")  # what YAML 1.1, and so libyaml, calls a line break
 _INT = re.compile(r"[-+]?[0-9]{1,18}")
@@ -62,9 +62,7 @@ class Place:
     column: int
 
     def problem(self, message: str, hint: str = "") -> Problem:
-        return Problem(
-            self.source.name, self.line, self.column, message, hint, self.source.line(self.line)
-        )
+        return Problem(self.source.name, self.line, self.column, message, hint, self.source.line(self.line))
 
     def shifted(self, columns: int) -> Place:
         return Place(self.source, self.line, self.column + columns)
@@ -168,11 +166,11 @@ def read(source: Source, *, start: int = 0) -> tuple[Node | None, list[Problem]]
     reader = _Reader(source, start)
     try:
         return reader.read(), reader.problems
-    except _Stop:
+    except _StopError:
         return None, reader.problems
 
 
-class _Stop(Exception):
+class _StopError(Exception):
     """Nothing after this point can be read."""
 
 
@@ -193,7 +191,9 @@ class _Reader:
         for event in events:
             if isinstance(event, yaml.DocumentStartEvent):
                 if root is not None:
-                    self._fail(event.start_mark, "a second document begins here", "one file holds one scenario")
+                    self._fail(
+                        event.start_mark, "a second document begins here", "one file holds one scenario"
+                    )
                 root, _ = self._node(next(events), events, 0)
         if root is None:
             self._fail(None, "the text is empty")
@@ -225,7 +225,8 @@ class _Reader:
         if event.anchor:
             self.open.add(event.anchor)
         if isinstance(event, yaml.ScalarEvent):
-            node, size = self._scalar(event), 1
+            node: Node = self._scalar(event)
+            size = 1
         elif isinstance(event, yaml.SequenceStartEvent):
             node, size = self._items(event, events, depth)
         else:
@@ -241,7 +242,9 @@ class _Reader:
         if event.anchor in self.open:
             self._fail(event.start_mark, f'"*{event.anchor}" stands for something that contains it')
         if event.anchor not in self.anchors:
-            self._fail(event.start_mark, f'"*{event.anchor}" stands for nothing: no "&{event.anchor}" before it')
+            self._fail(
+                event.start_mark, f'"*{event.anchor}" stands for nothing: no "&{event.anchor}" before it'
+            )
         return self.anchors[event.anchor]
 
     def _scalar(self, event: Any) -> Scalar:
@@ -287,8 +290,12 @@ class _Reader:
 
     def _note(self, mark: Any, message: str, hint: str = "") -> None:
         place = self._place(mark) if mark else Place(self.source, 1, 1 + self.start)
+        while (
+            place.line > 1 and not self.source.line(place.line).strip()
+        ):  # the end of the text: show its last line
+            place = Place(self.source, place.line - 1, len(self.source.line(place.line - 1)) + 1)
         self.problems.append(place.problem(message, hint))
 
     def _fail(self, mark: Any, message: str, hint: str = "") -> None:
         self._note(mark, message, hint)
-        raise _Stop
+        raise _StopError

@@ -81,7 +81,12 @@ class Bus:
 
     @classmethod
     def host(
-        cls, endpoint: str, keys: Keys, vehicles: tuple[int, ...], credentials: dict[str, Credentials], private: Path
+        cls,
+        endpoint: str,
+        keys: Keys,
+        vehicles: tuple[int, ...],
+        credentials: dict[str, Credentials],
+        private: Path,
     ) -> Bus:
         """The run's router: listens on `endpoint`, knows the users and enforces the access-control list.
 

@@ -5,8 +5,8 @@ Conditions are written in the grammar of Linux tc-netem (tc-netem(8)), of which 
     CONDITION := { delay TIME [ JITTER ] | loss [ random ] PERCENT | down } ...
     TIME      := number followed by us, ms or s        PERCENT := number followed by %
 
-tc reads a TIME without a unit as microseconds; here the unit is required, since 200 for "200 ms" is a slip that
-would otherwise pass. The rest of tc-netem is refused by name.
+tc reads a TIME without a unit as microseconds; here the unit is required, since 200 for "200 ms" is a slip
+that would otherwise pass. The rest of tc-netem is refused by name.
 
 Selectors say which directed links are meant; an arrow points the way the payload travels:
 
@@ -73,7 +73,6 @@ class _Reader:
         while self.at < len(self.text) and self.text[self.at].isspace():
             self.at += 1
 
-    @property
     def done(self) -> bool:
         return self.at >= len(self.text)
 
@@ -93,9 +92,11 @@ class _Reader:
         number = exact_number(match.group(1)) if match else None
         if match is None or number is None:
             return None
-        column, self.at = self.at, match.end()
+        unit, column, self.at = match.group(2) or "", self.at, match.end()
+        if unit in WORDS + LATER:  # "delay 200 loss 30%": what follows the number is the next condition
+            unit, self.at = "", match.end(1)
         self._skip()
-        return number, match.group(2) or "", column
+        return number, unit, column
 
 
 def parse_condition(text: str) -> Condition:
@@ -105,12 +106,12 @@ def parse_condition(text: str) -> Condition:
         GrammarError: unknown or unsupported words, wrong units, a jitter above its delay.
     """
     reader = _Reader(text)
-    if reader.done:
+    if reader.done():
         raise GrammarError('expected a link condition such as "delay 200ms 50ms loss 30%", got nothing')
     seen: dict[str, int] = {}
     delay = jitter = 0
     loss = 0.0
-    while not reader.done:
+    while not reader.done():
         column, word = reader.at, reader.word()
         if word in seen:
             raise GrammarError(f'"{word}" is given twice', column)
@@ -120,7 +121,7 @@ def parse_condition(text: str) -> Condition:
         elif word == "loss":
             loss = _loss(reader)
         elif word != "down":
-            raise _unknown(word, column, "down" in seen or len(seen) > 1)
+            raise _unknown(word, column)
     return Condition(delay_ns=delay, jitter_ns=jitter, loss=loss, up="down" not in seen)
 
 
@@ -149,7 +150,9 @@ def _time(reader: _Reader, what: str, example: str) -> int:
     number, unit, column = value
     if not unit:
         raise GrammarError(
-            f'the {what} "{got}" has no unit', column, f'write "{got}ms", or "{got}us", which is how tc reads it'
+            f'the {what} "{got}" has no unit',
+            column,
+            f'write "{got}ms", or "{got}us", which is how tc reads it',
         )
     if unit not in _TIME_NS:
         raise GrammarError(f'the {what} takes us, ms or s, got "{unit}"', column, nearest(unit, _TIME_NS))
@@ -186,7 +189,7 @@ def _no_correlation(reader: _Reader) -> None:
         raise GrammarError(f'correlation ("{reader.peek()}") is not supported yet', reader.at)
 
 
-def _unknown(word: str, column: int, later: bool) -> GrammarError:
+def _unknown(word: str, column: int) -> GrammarError:
     if word in LATER:
         return GrammarError(
             f'"{word}" of tc-netem is not supported yet', column, f"supported: {', '.join(WORDS)}"

@@ -1,6 +1,6 @@
 """The ledger: per directed link, every packet that entered is accounted for exactly once.
 
-    sent + duplicated = delivered + sum(lost by cause) + in flight at the end
+sent + duplicated = delivered + sum(lost by cause) + in flight at the end
 """
 
 from __future__ import annotations

@@ -19,7 +19,6 @@ import msgpack
 from netem.errors import MalformedMessage
 
 PROTOCOL_VERSION = 1
-MAX_MESSAGE_BYTES = 16 * 1024 * 1024
 
 Check = Callable[[Any], Any]
 Reals = tuple[float, ...]
@@ -167,7 +166,9 @@ class Delivery(NamedTuple):
 class Fate(NamedTuple):
     """The one, final record of a packet: netem writes it at the tick where the fate became final."""
 
-    final_tick: Annotated[int, uint("tick", "due tick if delivered, drop tick if lost, end tick if in flight")]
+    final_tick: Annotated[
+        int, uint("tick", "due tick if delivered, drop tick if lost, end tick if in flight")
+    ]
     src: Annotated[int, uint("", "sending vehicle")]
     dst: Annotated[int, uint("", "receiving vehicle")]
     seq: Annotated[int, uint("", "number of the payload on its directed link, from 0")]
@@ -230,7 +231,9 @@ class Transmission(NamedTuple):
 
     incarnation: Annotated[int, uint("", "life of the sending agent")]
     tick: Annotated[int, uint("tick", "round tick")]
-    payloads: Annotated[tuple[bytes, ...], Field("", "each goes to every graph neighbour", "bin[*]", _array(_binary))]
+    payloads: Annotated[
+        tuple[bytes, ...], Field("", "each goes to every graph neighbour", "bin[*]", _array(_binary))
+    ]
 
 
 @_declare("rx", "rx/{i}", "netem", "agent i")
@@ -240,7 +243,8 @@ class Inbox(NamedTuple):
     incarnation: Annotated[int, uint("", "life of the agent it is meant for")]
     until: Annotated[int, uint("tick", "the inbox is known up to this tick")]
     deliveries: Annotated[
-        tuple[Delivery, ...], Field("", "ordered by (due, sent, src, seq, copy)", "Delivery[*]", _array(_record(Delivery)))
+        tuple[Delivery, ...],
+        Field("", "ordered by (due, sent, src, seq, copy)", "Delivery[*]", _array(_record(Delivery))),
     ]
 
 
@@ -249,9 +253,12 @@ class Round(NamedTuple):
     """Everyone's command for a round tick is in: who is alive, and where."""
 
     tick: Annotated[int, uint("tick", "round tick")]
-    alive: Annotated[tuple[int, ...], Field("", "vehicles alive at the tick, ascending", "uint[*]", _array(_uint))]
+    alive: Annotated[
+        tuple[int, ...], Field("", "vehicles alive at the tick, ascending", "uint[*]", _array(_uint))
+    ]
     positions: Annotated[
-        tuple[Reals, ...], Field("m", "true x, y, z (NED) of each alive vehicle", "real[3][*]", _array(_reals(3)))
+        tuple[Reals, ...],
+        Field("m", "true x, y, z (NED) of each alive vehicle", "real[3][*]", _array(_reals(3))),
     ]
 
 
@@ -261,7 +268,8 @@ class Frame(NamedTuple):
 
     tick: Annotated[int, uint("tick", "control tick; consecutive on this key")]
     vehicles: Annotated[
-        tuple[VehicleFrame, ...], Field("", "ascending by id", "VehicleFrame[*]", _array(_record(VehicleFrame)))
+        tuple[VehicleFrame, ...],
+        Field("", "ascending by id", "VehicleFrame[*]", _array(_record(VehicleFrame))),
     ]
 
 
@@ -272,7 +280,8 @@ class LinkReport(NamedTuple):
     until: Annotated[int, uint("tick", "fates are complete up to this tick")]
     closing: Annotated[bool, Field("", "true for the last report of a run", "bool", _flag)]
     fates: Annotated[
-        tuple[Fate, ...], Field("", "ordered by (final, src, dst, seq, copy)", "Fate[*]", _array(_record(Fate)))
+        tuple[Fate, ...],
+        Field("", "ordered by (final, src, dst, seq, copy)", "Fate[*]", _array(_record(Fate))),
     ]
 
 
@@ -309,7 +318,7 @@ def decode(data: bytes) -> Message:
         MalformedMessage: not MessagePack, not an array, an unknown kind, or a field out of range.
     """
     try:
-        values = msgpack.unpackb(data, max_buffer_size=MAX_MESSAGE_BYTES)
+        values = msgpack.unpackb(data)
     except Exception as error:  # msgpack raises half a dozen unrelated types for bad bytes
         raise MalformedMessage("unknown", f"not MessagePack ({error or type(error).__name__})") from None
     if type(values) is not list or not values or type(values[0]) is not str:

@@ -13,12 +13,11 @@ from typing import NamedTuple
 from agents.agent import Agent
 from agents.config import AgentConfig, Extrapolation, Neighbour, Reference
 from agents.profiles import profile
-from world.config import Harmonic, VehicleSetup, WorldConfig
+from world.config import DEFAULT_SUBSTEPS, Harmonic, VehicleSetup, WorldConfig
 from world.sea import World
 from world.vehicle import Vec3, Vec5, VehicleParams
 
 TICK_NS = 10_000_000
-SUBSTEPS = 1
 OFFSETS: tuple[Vec3, ...] = ((0.0, 0.0, 0.0), (0.0, -10.0, 0.0), (10.0, -10.0, 0.0), (10.0, 0.0, 0.0))
 ETA0: tuple[Vec5, ...] = (
     (0.0, 0.0, 0.0, 0.0, 0.0),
@@ -107,7 +106,7 @@ def agent_config(
 
 def world_config(
     disturbance: tuple[Harmonic, ...] = (),
-    substeps: int = SUBSTEPS,
+    substeps: int = DEFAULT_SUBSTEPS,
     current: Vec3 = (0.0, 0.0, 0.0),
     eta0: tuple[Vec5, ...] = ETA0,
 ) -> WorldConfig:

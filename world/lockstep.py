@@ -111,7 +111,5 @@ class Lockstep:
             rows.sort()
             out.append(Frame(self._framed, tuple(rows)))
             last = self.config.ticks
-            self._framed = (
-                min(last, self._framed + self._frame_every) if self._framed < last else last + 1
-            )
+            self._framed = min(last, self._framed + self._frame_every) if self._framed < last else last + 1
         return out

@@ -1,0 +1,178 @@
+"""The processes of a run: started from one preloaded forkserver, watched, explained, and never left behind."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import multiprocessing
+import multiprocessing.forkserver
+import os
+import signal
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from multiprocessing.connection import wait
+from multiprocessing.process import BaseProcess
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import setproctitle
+
+from fleet.preload import CONSOLE_PID_VARIABLE
+
+GRACE_S = 1.0
+FORKSERVER_LOST = 255  # multiprocessing's exit code for a child whose forkserver is gone
+TAIL_LINES = 12
+
+
+@dataclass(frozen=True, slots=True)
+class Exit:
+    """A process that ended: its role, and its exit code (negative: the signal that killed it)."""
+
+    role: str
+    code: int
+
+
+@dataclass(frozen=True, slots=True)
+class Child:
+    """One running process and where its output goes."""
+
+    role: str
+    process: BaseProcess
+    log_path: Path
+
+    @property
+    def pid(self) -> int:
+        assert self.process.pid is not None
+        return self.process.pid
+
+    def tail(self) -> list[str]:
+        """The last lines it printed."""
+        try:
+            lines = self.log_path.read_text("utf-8", "replace").splitlines()
+        except OSError:
+            return []
+        return lines[-TAIL_LINES:]
+
+
+class Children:
+    """Starts processes, reports each exit to `on_exit` (on a thread of its own), and ends them all."""
+
+    def __init__(self, on_exit: Callable[[Exit], None]) -> None:
+        self._on_exit = on_exit
+        self._context = multiprocessing.get_context("forkserver")
+        self.by_role: dict[str, Child] = {}
+        self._stopping = threading.Event()
+        self._watcher: threading.Thread | None = None
+
+    def start(self, role: str, title: str, log_path: Path, target: Callable[..., None], *args: Any) -> None:
+        """Start `target(*args)` as a process of its own, called `title` in `ps`, printing to `log_path`."""
+        assert threading.current_thread() is threading.main_thread(), "PDEATHSIG follows the forking thread"
+        os.environ[CONSOLE_PID_VARIABLE] = str(os.getpid())
+        self._context.set_forkserver_preload(["fleet.preload"])
+        process = self._context.Process(
+            target=_child, args=(title, str(log_path), target, args), name=role, daemon=True
+        )
+        with _without_main():
+            process.start()
+        self.by_role[role] = Child(role, process, log_path)
+
+    def watch(self) -> None:
+        """Begin to report exits; call once after the last start."""
+        self._watcher = threading.Thread(target=self._watch, name="exit-watch", daemon=True)
+        self._watcher.start()
+
+    def stop(self) -> None:
+        """End every process: politely, then with SIGKILL, which also ends one that is stopped."""
+        self._stopping.set()
+        if self._watcher is not None:
+            self._watcher.join()
+        processes = [child.process for child in self.by_role.values()]
+        for process in processes:
+            process.terminate()
+        remaining = {process.sentinel: process for process in processes}
+        while remaining and (ended := wait(list(remaining), timeout=GRACE_S)):
+            for sentinel in ended:
+                remaining.pop(sentinel)  # type: ignore[call-overload]
+        for process in remaining.values():
+            process.kill()
+        for process in processes:
+            process.join(GRACE_S)
+
+    def _watch(self) -> None:
+        running = {child.process.sentinel: child for child in self.by_role.values()}
+        while running and not self._stopping.is_set():
+            for sentinel in wait(list(running), timeout=0.1):
+                child = running.pop(sentinel)  # type: ignore[call-overload]
+                child.process.join()
+                code = child.process.exitcode
+                self._on_exit(Exit(child.role, FORKSERVER_LOST if code is None else code))
+
+
+def forkserver_death() -> str | None:
+    """How the forkserver ended, or None while it lives."""
+    pid = getattr(multiprocessing.forkserver._forkserver, "_forkserver_pid", None)  # type: ignore[attr-defined]
+    if pid is None:
+        return None
+    try:
+        ended, status = os.waitpid(pid, os.WNOHANG)
+    except ChildProcessError:
+        return f"the fork server (pid {pid}) is gone"
+    if not ended:
+        return None
+    return f"the fork server (pid {pid}) {describe_exit(os.waitstatus_to_exitcode(status))}"
+
+
+def describe_exit(code: int) -> str:
+    """An exit code in words: `exited with status 1`, `was killed by SIGKILL`."""
+    if code >= 0:
+        return f"exited with status {code}"
+    try:
+        name = signal.Signals(-code).name
+    except ValueError:
+        name = f"signal {-code}"
+    return f"was killed by {name}"
+
+
+@contextlib.contextmanager
+def _without_main() -> Iterator[None]:
+    # Otherwise every child would import the console's main module again, and with it the whole command line.
+    main = sys.modules["__main__"]
+    sys.modules["__main__"] = ModuleType("__main__")
+    try:
+        yield
+    finally:
+        sys.modules["__main__"] = main
+
+
+def _child(title: str, log_path: str, target: Callable[..., None], args: tuple[Any, ...]) -> None:
+    from fleet.deathsig import die_with_parent
+    from fleet.preload import FORKSERVER_PID
+
+    die_with_parent(FORKSERVER_PID)
+    setproctitle.setproctitle(title)
+    # Ctrl-C reaches the whole terminal group; the console alone decides what it means.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    # Python's own handler would run only between two bytecodes; the default action ends even a hung process.
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    descriptor = os.open(log_path, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
+    os.dup2(descriptor, 1)
+    os.dup2(descriptor, 2)
+    os.close(descriptor)
+    null = os.open(os.devnull, os.O_RDONLY)
+    os.dup2(null, 0)
+    os.close(null)
+    sys.stdout.reconfigure(line_buffering=True)  # type: ignore[union-attr]
+    logging.basicConfig(level=logging.INFO, format="%(levelname)s %(name)s: %(message)s", stream=sys.stderr)
+    threading.Thread(target=_end_with_console, name="console-watch", daemon=True).start()
+    target(*args)
+
+
+def _end_with_console() -> None:
+    # The second line of defence: end of file on the console's pipe.
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)

@@ -1,0 +1,210 @@
+"""The command line: `fleet run|check|list|info`. stdout is data, stderr is talk."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import click
+from rich.console import Console as Terminal
+
+from fleet.errors import FleetError, ScenarioError
+
+EPILOG = "Exit status: 0 pass, 1 a check failed, 2 usage or bad scenario, 3 the run broke, 130 Ctrl-C."
+
+
+class Speed(click.ParamType):
+    """A positive factor of real time, or max."""
+
+    name = "x|max"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float | None:
+        if value is None or value == "max":
+            return None
+        try:
+            speed = float(str(value).removesuffix("x"))
+        except ValueError:
+            speed = 0.0
+        if not 0.0 < speed < float("inf"):
+            self.fail(
+                f"expected a positive factor of real time such as 1 or 2.5, or max, got {value!r}", param, ctx
+            )
+        return speed
+
+
+@click.group(
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100}, epilog=EPILOG
+)
+@click.version_option(package_name="uuv-fleet")
+def cli() -> None:
+    """Emulate a fleet of underwater vehicles on a real, impaired pub/sub network.
+
+    \b
+    Examples:
+      fleet list                           the scenarios that ship with the package
+      fleet run paper                      run one: processes over zenoh, an MCAP log, a verdict
+      fleet run my.yaml --seed 7 --speed 1 your own file, another seed, in real time
+      fleet info runs/latest/run.mcap      what a log holds
+    """
+
+
+_overrides = click.option(
+    "--set",
+    "overrides",
+    metavar="KEY=VALUE",
+    multiple=True,
+    help="Override one scenario key, e.g. network.period='200 ms'.",
+)
+
+
+@cli.command(epilog=EPILOG)
+@click.argument("scenario")
+@click.option(
+    "--out",
+    metavar="DIR",
+    type=click.Path(path_type=Path),
+    default=Path("runs"),
+    show_default=True,
+    help="Where run directories go.",
+)
+@click.option("--seed", type=click.IntRange(0, 2**63 - 1), help="Override the scenario's seed.")
+@click.option("--duration", metavar="TIME", help="Override the scenario's duration, e.g. '20 s'.")
+@click.option(
+    "--speed", type=Speed(), default="max", show_default=True, help="Times real time, or as fast as it goes."
+)
+@click.option("--in-process", is_flag=True, help="One process, no zenoh; the same log, byte for byte.")
+@_overrides
+@click.option("--show-config", is_flag=True, help="Print the merged scenario and stop.")
+@click.option(
+    "--port", type=click.IntRange(1, 65535), help="Loopback port of the router; by default a free one."
+)
+@click.option("--start-order", metavar="SEED", type=int, hidden=True)
+@click.option("-q", "--quiet", is_flag=True, help="No progress and no tables.")
+def run(
+    scenario: str,
+    out: Path,
+    seed: int | None,
+    duration: str | None,
+    speed: float | None,
+    in_process: bool,
+    overrides: tuple[str, ...],
+    show_config: bool,
+    port: int | None,
+    start_order: int | None,
+    quiet: bool,
+) -> None:
+    """Run SCENARIO (a shipped name or a YAML file) and judge it.
+
+    \b
+    Examples:
+      fleet run paper
+      fleet run rough-sea --seed 3 --duration '30 s'
+      fleet run paper --set vehicles=20 --set "network.links={'*': 'delay 200ms 50ms loss 30%'}"
+      fleet run paper --in-process --out /tmp/runs --quiet
+    """
+    from fleet.scenario import load_scenario
+
+    more = list(overrides)
+    if seed is not None:
+        more.append(f"seed={seed}")
+    if duration is not None:
+        more.append(f"duration={duration}")
+    terminal = Terminal(stderr=True)
+    try:
+        loaded = load_scenario(scenario, more)
+        if show_config:
+            click.echo(loaded.to_yaml(), nl=False)
+            return
+        from fleet.run import Options, execute
+        from fleet.table import show
+
+        options = Options(out, in_process, speed, quiet, port, _shuffle(start_order))
+        if loaded.ideal and not in_process and not quiet:
+            terminal.print("network: ideal has no latency and so runs in one process", highlight=False)
+        result = execute(loaded, options, terminal)
+    except FleetError as error:
+        _fail(error)
+    if quiet:
+        if result.reason:
+            click.echo("\n".join([f"fleet: {result.reason}", *result.lines]), err=True)
+    else:
+        show(result, Terminal(width=None if sys.stdout.isatty() else 120, soft_wrap=False))
+    sys.exit(int(result.status))
+
+
+def _shuffle(seed: int | None) -> Any:
+    if seed is None:
+        return None
+    from random import Random
+
+    def shuffled(roles: list[str]) -> list[str]:
+        return Random(seed).sample(roles, len(roles))
+
+    return shuffled
+
+
+@cli.command()
+@click.argument("scenario")
+@_overrides
+def check(scenario: str, overrides: tuple[str, ...]) -> None:
+    """Check SCENARIO without running it; every mistake is reported in one pass.
+
+    \b
+    Examples:
+      fleet check my.yaml
+      fleet check paper --set vehicles=20
+    """
+    from fleet.scenario import load_scenario
+
+    try:
+        loaded = load_scenario(scenario, overrides)
+    except ScenarioError as error:
+        _fail(error)
+    links = loaded.graph.links
+    click.echo(
+        f"{loaded.name}: valid. {loaded.vehicles} vehicles, {len(links)} directed links, "
+        f"{loaded.duration_ns / 1e9:g} s in {loaded.ticks} ticks of {loaded.tick_ns / 1e6:g} ms, "
+        + ("ideal network" if loaded.ideal else f"a round every {loaded.round_ticks} ticks")
+    )
+
+
+@cli.command(name="list")
+def list_() -> None:
+    """List the scenarios that ship with the package."""
+    from rich.table import Table
+
+    from fleet.scenario import list_scenarios
+
+    table = Table(box=None, pad_edge=False)
+    for heading in ("scenario", "vehicles", "duration", "what one learns"):
+        table.add_column(heading, no_wrap=heading != "what one learns")
+    for name, title, vehicles, duration_s in list_scenarios():
+        table.add_row(name, str(vehicles), f"{duration_s:g} s", title)
+    Terminal(width=None if sys.stdout.isatty() else 120).print(table)
+
+
+@cli.command()
+@click.argument("log", type=click.Path(path_type=Path))
+@click.option("--json", "as_json", is_flag=True, help="Print as JSON.")
+def info(log: Path, as_json: bool) -> None:
+    """Say what LOG (an MCAP file, or a run directory) holds, also when it was cut short.
+
+    \b
+    Examples:
+      fleet info runs/latest
+      fleet info runs/latest/run.mcap --json
+    """
+    from fleet.info import describe, read_info
+
+    try:
+        found = read_info(log)
+    except FleetError as error:
+        _fail(error)
+    click.echo(json.dumps(found.to_values(), indent=2) if as_json else describe(found))
+
+
+def _fail(error: FleetError) -> Any:
+    click.echo(f"fleet: {error}", err=True)
+    sys.exit(2)

@@ -1,0 +1,346 @@
+"""The console of a distributed run: start the processes, wait until all are ready, grant the clock, record.
+
+Everything that happens comes in as an event of one queue: frames, reports and notes from zenoh's threads, exits
+from the watcher's. The main thread takes them one by one.
+"""
+
+from __future__ import annotations
+
+import os
+import secrets
+import socket
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from queue import Empty, SimpleQueue
+from typing import Any
+
+import msgpack
+
+import agents.process
+import netem.process
+import world.process
+from fleet.children import FORKSERVER_LOST, Child, Children, Exit, describe_exit, forkserver_death
+from fleet.clock import Clock
+from fleet.errors import FleetError
+from fleet.journal import Journal, frame_every
+from fleet.rundir import RunDirectory
+from fleet.scenario import Scenario
+from netem.access import CONSOLE, NETEM, OPERATOR, agent_role, generate
+from netem.bus import Bus, Respond
+from netem.errors import BusError, MalformedMessage, OutOfPlace
+from netem.keys import Keys
+from netem.messages import Frame, Grant, Hello, LinkReport, Note, encode
+from netem.shell import expect, read_map, request
+
+WORLD = world.process.WORLD
+READY_S = 20.0
+READY_PER_VEHICLE_S = 0.2
+POLL_S = 0.02
+QUIET_S = 2.0  # without an event for so long, ask who is waiting for whom
+SETTLE_S = 0.2  # after a death, how long to collect what else happened
+
+FRAME, LINKS, NOTE, EXIT = "frame", "links", "note", "exit"
+
+
+class RunBroken(FleetError):
+    """The run cannot go on: a process died, nothing moves, or nobody became ready. `lines` explain it."""
+
+    def __init__(self, reason: str, lines: Sequence[str] = ()) -> None:
+        super().__init__(reason)
+        self.reason = reason
+        self.lines = list(lines)
+
+
+class Console:
+    """One distributed run."""
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        directory: RunDirectory,
+        journal: Journal,
+        *,
+        port: int | None = None,
+        start_order: Callable[[list[str]], list[str]] | None = None,
+    ) -> None:
+        self._scenario, self._directory, self._journal = scenario, directory, journal
+        self._vehicles = tuple(range(1, scenario.vehicles + 1))
+        self._keys = Keys(secrets.token_hex(4))
+        self._port = port
+        self._start_order = start_order
+        self._events: SimpleQueue[tuple[str, Any]] = SimpleQueue()
+        self._children = Children(lambda ended: self._events.put((EXIT, ended)))
+        self._bus: Bus | None = None
+        self._hello: set[str] = set()
+        self.notes: list[str] = []
+        self.waiting = ""  # who is being waited for, when nothing moves
+        self.started_s = 0.0  # wall time until everyone was ready
+
+    @property
+    def children(self) -> dict[str, Child]:
+        """The running processes by role."""
+        return self._children.by_role
+
+    def serve(self, clock: Clock, progress: Callable[[], None]) -> dict[str, Any]:
+        """Run to the end; returns what the processes reported when they closed.
+
+        Raises:
+            RunBroken: the run could not be completed.
+        """
+        began = time.monotonic()
+        try:
+            bus = self._start()
+            self._get_ready(bus)
+            self.started_s = time.monotonic() - began
+            self._record(bus, clock, progress)
+            return self._close(bus)
+        finally:
+            self._children.stop()
+            if self._bus is not None:
+                self._bus.close()
+            self._directory.connection.unlink(missing_ok=True)
+
+    def _start(self) -> Bus:
+        scenario, keys = self._scenario, self._keys
+        credentials = generate(self._vehicles)
+        endpoint = f"tcp/127.0.0.1:{self._port or _free_port()}"
+        clients = {role: c for role, c in credentials.items() if role != WORLD}
+        # mkdtemp makes it for this user alone; zenoh reads the users from a file there, once.
+        private = Path(tempfile.mkdtemp(prefix="uuv-fleet-"))
+        every = frame_every(scenario)
+        targets: dict[str, tuple[Callable[..., None], tuple[Any, ...]]] = {
+            WORLD: (
+                world.process.run,
+                (endpoint, keys.run, clients, private, scenario.world_config(), every),
+            ),
+            NETEM: (netem.process.run, (endpoint, keys.run, credentials[NETEM], scenario.netem_config())),
+        }
+        for i in self._vehicles:
+            role = agent_role(i)
+            targets[role] = (agents.process.run, (endpoint, keys.run, i, credentials[role]))
+        order = list(targets)
+        if self._start_order is not None:
+            order = self._start_order(order)
+        try:
+            for role in order:
+                title = f"fleet {role.replace('-', ' ')} [{scenario.name}]"
+                self._children.start(role, title, self._directory.process_log(role), *_flat(targets[role]))
+            self._children.watch()
+            bus = self._bus = self._join(endpoint, credentials[CONSOLE])
+        finally:
+            users = private / "users"
+            users.unlink(missing_ok=True)
+            private.rmdir()
+        self._directory.write_connection(
+            {
+                "endpoint": endpoint,
+                "run": keys.run,
+                "scenario": scenario.name,
+                "pid": os.getpid(),
+                "user": OPERATOR,
+                "password": credentials[OPERATOR].password,
+            }
+        )
+        put = self._events.put
+        bus.subscribe(keys.frame, lambda _, data: put((FRAME, data)))
+        bus.subscribe(keys.links, lambda _, data: put((LINKS, data)))
+        bus.subscribe(keys.note("*"), lambda _, data: put((NOTE, data)))
+        slices = {
+            keys.cfg(i): msgpack.packb({"agent": scenario.agent_config(i).to_values()})
+            for i in self._vehicles
+        }
+
+        def configure(key: str, _: bytes, respond: Respond) -> None:
+            respond(slices[key])
+
+        bus.answer(keys.cfg("*"), configure)
+        return bus
+
+    def _join(self, endpoint: str, credentials: Any) -> Bus:
+        try:
+            return Bus.connect(endpoint, credentials)
+        except BusError as error:
+            self._raise_if_dead()
+            raise RunBroken(str(error)) from None
+
+    def _get_ready(self, bus: Bus) -> None:
+        """A hello and its echo on every key; liveliness alone would not show that messages pass."""
+        deadline = time.monotonic() + READY_S + READY_PER_VEHICLE_S * len(self._vehicles)
+        missing = "the world"
+        while True:
+            answer = self._control(bus, WORLD, "ready")
+            network = self._control(bus, NETEM, "ready")
+            ready = set(answer.get("ready", ()))
+            absent = [i for i in self._vehicles if i not in ready]
+            unheard = {FRAME, LINKS} - self._hello
+            if not absent and not unheard and network.get("round"):
+                return
+            if absent:
+                missing = (
+                    "agents " + ", ".join(map(str, absent)) if len(absent) < 9 else f"{len(absent)} agents"
+                )
+            else:
+                missing = "netem" if not network.get("round") else "an echo on " + ", ".join(sorted(unheard))
+            if time.monotonic() > deadline:
+                raise RunBroken(f"not ready after {READY_S:.0f} s: waiting for {missing}", self._tails())
+            retry = time.monotonic() + POLL_S
+            while (left := retry - time.monotonic()) > 0:
+                self._take(left)
+
+    def _record(self, bus: Bus, clock: Clock, progress: Callable[[], None]) -> None:
+        journal, grant = self._journal, bus.publisher(self._keys.grant)
+        granted = 0
+        began = moved = asked = time.monotonic()
+        while journal.framed < clock.ticks:
+            now = time.monotonic()
+            until = clock.until(journal.written, now - began)
+            if until > granted:
+                granted = until
+                grant(encode(Grant(granted)))
+                moved = now
+            before = journal.framed
+            self._take(0.01 if clock.speed is not None else 0.1)
+            if journal.framed != before:
+                moved, self.waiting = now, ""
+            elif now - max(moved, asked) > QUIET_S:
+                asked = now
+                self.waiting = self._who_waits(bus)
+            if now - moved > self._scenario.stall_timeout_s:
+                raise RunBroken(
+                    f"nothing moved for {self._scenario.stall_timeout_s:g} s at "
+                    f"{self._seconds(journal.framed)}: {self._who_waits(bus)}",
+                    [*self.notes[-5:]],
+                )
+            progress()
+
+    def _close(self, bus: Bus) -> dict[str, Any]:
+        answer = self._control(bus, NETEM, "close", tick=self._scenario.ticks)
+        deadline = time.monotonic() + 5.0
+        while not self._journal.complete:
+            self._take(0.1)
+            if time.monotonic() > deadline:
+                raise RunBroken("netem did not close its books")
+        rejected = {**self._control(bus, WORLD, "close").get("rejected", {}), **answer.get("rejected", {})}
+        return {
+            "sent": {(src, dst): count for src, dst, count in answer.get("sent", ())},
+            "rejected": rejected,
+        }
+
+    def _take(self, timeout_s: float) -> None:
+        """Handle the next event, and all that are there already."""
+        try:
+            kind, data = self._events.get(timeout=max(0.0, timeout_s))
+            while True:
+                self._handle(kind, data)
+                kind, data = self._events.get_nowait()
+        except Empty:
+            return
+
+    def _handle(self, kind: str, data: Any) -> None:
+        if kind == EXIT:
+            self._explain([data])
+        try:
+            message = expect(data, Frame, LinkReport, Note, Hello)
+            match message:
+                case Frame():
+                    self._journal.frame(message)
+                case LinkReport():
+                    self._journal.links(message)
+                case Note():
+                    self._note(message)
+                case Hello():
+                    self._hello.add(kind)
+        except OutOfPlace as error:
+            raise RunBroken(f"the middleware lost a message on {kind}: {error}") from error
+        except MalformedMessage as error:
+            raise RunBroken(f"a damaged message on {kind}: {error}") from error
+
+    def _note(self, note: Note) -> None:
+        who = f"agent {note.subject}" if note.subject else note.role
+        self.notes.append(f"{self._seconds(note.tick)} {who}: {note.text}")
+
+    def _who_waits(self, bus: Bus) -> str:
+        """Who has not answered, in words."""
+        waiting = self._control(bus, WORLD, "waiting")
+        network = self._control(bus, NETEM, "waiting")
+        late = sorted({i for i, _ in waiting.get("waiting", ())})
+        if missing := network.get("missing"):
+            # The rest wait for an inbox, which waits for these.
+            late = [i for i in missing if i in late] or late
+        if not waiting:
+            return "waiting for the world"
+        if not network:
+            return "waiting for netem"
+        if not late:
+            return "waiting for the log" if self._journal.written < self._journal.framed else "waiting"
+        stopped = [f"agent {i}" + _suspended(self._children.by_role[agent_role(i)]) for i in late[:8]]
+        more = f" and {len(late) - 8} more" if len(late) > 8 else ""
+        return "waiting for " + ", ".join(stopped) + more
+
+    def _control(self, bus: Bus, role: str, op: str, **fields: Any) -> dict[str, Any]:
+        answer = bus.ask(self._keys.ctl(role), request(op, **fields), timeout_s=1.0)
+        return {} if answer is None else read_map(answer)
+
+    def _raise_if_dead(self) -> None:
+        deadline = time.monotonic() + SETTLE_S
+        while time.monotonic() < deadline:
+            self._take(POLL_S)
+
+    def _explain(self, exits: list[Exit]) -> None:
+        """Say who died and how. What else happened meanwhile is collected first, frames included."""
+        deadline = time.monotonic() + SETTLE_S
+        while (left := deadline - time.monotonic()) > 0:
+            try:
+                kind, data = self._events.get(timeout=left)
+            except Empty:
+                break
+            if kind == EXIT:
+                exits.append(data)
+            else:
+                self._handle(kind, data)
+        at = self._seconds(self._journal.framed)
+        if any(e.code == FORKSERVER_LOST for e in exits) and (death := forkserver_death()) is not None:
+            raise RunBroken(f"{death} at {at}; every process of the run ended with it")
+        # The world hosts the router: when it goes, others may lose their session and follow.
+        exits.sort(key=lambda e: (e.role != WORLD, e.code >= 0, e.role))
+        first, others = exits[0], exits[1:]
+        child = self._children.by_role[first.role]
+        reason = f"{first.role.replace('-', ' ')} (pid {child.pid}) {describe_exit(first.code)} at {at}"
+        lines = [
+            f"last lines of {child.log_path}:",
+            *(f"  {line}" for line in child.tail() or ["(nothing printed)"]),
+        ]
+        relevant = [n for n in self.notes if f"agent {first.role.removeprefix('agent-')}:" in n]
+        lines = [*relevant, *lines]
+        if others:
+            lines.append("also ended: " + ", ".join(f"{e.role} ({describe_exit(e.code)})" for e in others))
+        raise RunBroken(reason, lines)
+
+    def _tails(self) -> list[str]:
+        return [f"{c.role}: {line}" for c in self._children.by_role.values() for line in c.tail()[-1:]][:10]
+
+    def _seconds(self, tick: int) -> str:
+        return f"t = {max(0, tick) * self._scenario.tick_ns / 1e9:.2f} s (tick {max(0, tick)})"
+
+
+def _flat(target: tuple[Callable[..., None], tuple[Any, ...]]) -> tuple[Any, ...]:
+    return (target[0], *target[1])
+
+
+def _free_port() -> int:
+    """A loopback port that is free now. Somebody may take it before the world does: then the run says so."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port: int = probe.getsockname()[1]
+        return port
+
+
+def _suspended(child: Child) -> str:
+    """' (suspended)' when the process is stopped, so that a forgotten SIGSTOP is seen at once."""
+    try:
+        state = Path(f"/proc/{child.pid}/stat").read_text().rsplit(")", 1)[1].split()[0]
+    except (OSError, IndexError):
+        return ""
+    return f" (pid {child.pid} is suspended)" if state in "Tt" else ""

@@ -1,0 +1,24 @@
+"""No orphans: ask the kernel to kill this process when its parent dies.
+
+Forkserver children are not the console's children and would survive its kill -9. So the chain console ->
+forkserver -> child is tied link by link with PR_SET_PDEATHSIG (prctl(2)). The signal follows the *thread* that
+forked, so the forkserver must be started from the console's main thread.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import signal
+
+_PR_SET_PDEATHSIG = 1
+
+
+def die_with_parent(parent_pid: int) -> None:
+    """SIGKILL this process when its parent dies; exit now if `parent_pid` is not the parent any more."""
+    libc = ctypes.CDLL(None, use_errno=True)
+    if libc.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0) != 0:
+        raise OSError(ctypes.get_errno(), "prctl(PR_SET_PDEATHSIG)")
+    # The parent may have died before the call took effect.
+    if os.getppid() != parent_pid:
+        os._exit(1)

@@ -1,0 +1,117 @@
+"""The whole fleet in one process: a plain loop over the same cores, through the same codec, without zenoh.
+
+For debugging with pdb, for profiling and sweeps, and as the reference that proves the distributed run right.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Callable
+from typing import Any
+
+import msgpack
+
+from agents.agent import Agent
+from agents.config import AgentConfig
+from agents.loop import AgentLoop
+from fleet.clock import Clock
+from fleet.journal import Journal, frame_every
+from fleet.scenario import Scenario
+from netem.messages import (
+    Command,
+    Frame,
+    Inbox,
+    LinkReport,
+    Message,
+    Nav,
+    Round,
+    Transmission,
+    decode,
+    encode,
+)
+from netem.rounds import Rounds
+from world.lockstep import Lockstep, NavTo
+
+WORLD, NETEM, CONSOLE = 0, -1, -2  # addresses; agents have their positive numbers
+
+
+class InProcess:
+    """One run; `serve` returns when it is complete."""
+
+    def __init__(self, scenario: Scenario, journal: Journal) -> None:
+        self._scenario, self._journal = scenario, journal
+        self._world = Lockstep(scenario.world_config(), frame_every=frame_every(scenario))
+        self._rounds = Rounds(scenario.netem_config())
+        self._loops = {
+            i: AgentLoop(
+                Agent(_over_the_wire(scenario.agent_config(i))), scenario.round_ticks, ideal=scenario.ideal
+            )
+            for i in range(1, scenario.vehicles + 1)
+        }
+        self._post: deque[tuple[int, int, bytes]] = deque()  # (from, to, message)
+
+    def serve(self, clock: Clock, progress: Callable[[], None]) -> dict[str, Any]:
+        """Run to the end; returns what the processes of a distributed run report when they close."""
+        began = time.monotonic()
+        while not self._world.finished:
+            until = clock.until(self._journal.written, time.monotonic() - began)
+            for out in self._world.grant(until):
+                self._from_world(out)
+            if not self._post:
+                time.sleep(0.002)  # paced by --speed: nothing to do until the wall clock moves on
+            while self._post:
+                sender, receiver, data = self._post.popleft()
+                self._deliver(sender, receiver, decode(data), data)
+            progress()
+        self._journal.links(self._rounds.close(self._scenario.ticks))
+        return {"sent": self._rounds.netem.sent, "rejected": {}}
+
+    def _send(self, sender: int, receiver: int, message: Message) -> None:
+        self._post.append((sender, receiver, encode(message)))
+
+    def _from_world(self, out: NavTo | Round | Frame) -> None:
+        if isinstance(out, NavTo):
+            self._send(WORLD, out.id, out.nav)
+        elif isinstance(out, Frame):
+            self._send(WORLD, CONSOLE, out)
+        elif not self._scenario.ideal:  # on an ideal network netem does not wait for the world
+            self._send(WORLD, NETEM, out)
+
+    def _deliver(self, sender: int, receiver: int, message: Message, data: bytes) -> None:
+        match message:
+            case Nav():
+                self._answer(receiver, self._loops[receiver].nav(message))
+            case Inbox():
+                self._answer(receiver, self._loops[receiver].inbox(message))
+            case Command():
+                for out in self._world.command(sender, message, data):
+                    self._from_world(out)
+            case Transmission():
+                self._rounds.transmission(sender, message)
+                self._exchange()
+            case Round():
+                self._rounds.round(message)
+                self._exchange()
+            case Frame():
+                self._journal.frame(message)
+            case LinkReport():
+                self._journal.links(message)
+            case _:
+                raise AssertionError(f"no route for {message!r}")
+
+    def _answer(self, i: int, messages: list[Transmission | Command]) -> None:
+        for message in messages:
+            self._send(i, NETEM if isinstance(message, Transmission) else WORLD, message)
+
+    def _exchange(self) -> None:
+        while (outcome := self._rounds.exchange()) is not None:
+            inboxes, report = outcome
+            for i, inbox in inboxes:
+                self._send(NETEM, i, inbox)
+            self._send(NETEM, CONSOLE, report)
+
+
+def _over_the_wire(config: AgentConfig) -> AgentConfig:
+    """The configuration as an agent process would have received it."""
+    return AgentConfig.from_values(msgpack.unpackb(msgpack.packb(config.to_values())))

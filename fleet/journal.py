@@ -1,0 +1,87 @@
+"""The journal: frames of the world and reports of netem, merged into one total order and written tick by tick.
+
+Tick t is written only when world and netem are both complete to t, in the order (t, topic, src, dst, seq, copy).
+The clock's grants stay within a window of what is written, so a slow disk slows the run and loses nothing.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from math import gcd
+
+from fleet.log import LogWriter
+from fleet.metrics import Metrics
+from fleet.scenario import Scenario
+from netem.errors import OutOfPlace
+from netem.ledger import Ledger
+from netem.messages import Fate, Frame, LinkReport
+
+
+class Journal:
+    """Orders, judges and records what the world and netem report. In-process and distributed runs share it."""
+
+    def __init__(self, scenario: Scenario, log: LogWriter) -> None:
+        self.log = log
+        self.metrics = Metrics(scenario)
+        self.ledger = Ledger(scenario.graph.links)
+        self.written = -1  # complete in the log up to this tick
+        self.framed = -1
+        self.reported = -1
+        self.closed = False
+        self._last = scenario.ticks
+        self._frame_every = frame_every(scenario)
+        self._round_ticks = scenario.round_ticks
+        self._frames: deque[Frame] = deque()
+        self._fates: deque[Fate] = deque()
+
+    @property
+    def complete(self) -> bool:
+        """Whether everything up to the end tick is written."""
+        return self.closed and self.written >= self._last
+
+    def frame(self, frame: Frame) -> None:
+        """Take the world's next frame.
+
+        Raises:
+            OutOfPlace: a frame is missing.
+        """
+        expected = 0 if self.framed < 0 else min(self.framed + self._frame_every, self._last)
+        if frame.tick != expected:
+            raise OutOfPlace("frame", expected, frame.tick)
+        self.framed = frame.tick
+        self._frames.append(frame)
+        self._write()
+
+    def links(self, report: LinkReport) -> None:
+        """Take netem's next report.
+
+        Raises:
+            OutOfPlace: a report is missing.
+        """
+        expected = 0 if self.reported < 0 else self.reported + self._round_ticks
+        if not report.closing and report.until != expected:
+            raise OutOfPlace("link report", expected, report.until)
+        self.reported = report.until
+        self.closed = report.closing
+        self._fates.extend(report.fates)
+        self._write()
+
+    def _write(self) -> None:
+        limit = min(self.framed, self.reported)
+        while self._frames and self._frames[0].tick <= limit:
+            frame = self._frames.popleft()
+            self._write_fates(frame.tick - 1)
+            self.log.frame(frame, self.metrics.frame(frame))
+        self._write_fates(limit)
+        self.written = max(self.written, limit)
+
+    def _write_fates(self, until: int) -> None:
+        while self._fates and self._fates[0].final_tick <= until:
+            fate = self._fates.popleft()
+            self.ledger.settle((fate,))
+            self.log.packet(fate)
+
+
+def frame_every(scenario: Scenario) -> int:
+    """Ticks between the frames that the log needs: the greatest common divisor of its rates."""
+    return gcd(*scenario.log_every.values())

@@ -1,0 +1,24 @@
+"""What the forkserver loads once, so that a hundred processes share it: imports only, no session, no thread."""
+
+from __future__ import annotations
+
+import gc
+import importlib
+import os
+
+from fleet.deathsig import die_with_parent
+
+CONSOLE_PID_VARIABLE = "UUV_FLEET_CONSOLE_PID"
+
+if CONSOLE_PID_VARIABLE in os.environ:
+    die_with_parent(int(os.environ[CONSOLE_PID_VARIABLE]))
+
+# After the tie to the parent, because it takes a while.
+for name in ("agents.process", "netem.process", "world.process"):
+    importlib.import_module(name)
+
+FORKSERVER_PID = os.getpid()
+
+# Objects made so far live as long as the process: keep the collector from touching, and so copying, their pages.
+gc.collect()
+gc.freeze()

@@ -1,0 +1,87 @@
+"""What is seen while a run goes on: a progress line on a terminal, a plain line now and then elsewhere."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from types import TracebackType
+
+from rich.console import Console as Terminal
+from rich.progress import BarColumn, Progress, TextColumn
+
+from fleet.journal import Journal
+from fleet.scenario import Scenario
+
+REFRESH_S = 0.1
+PLAIN_S = 5.0
+
+
+class ProgressLine:
+    """Sim time, speed, formation error and link counts; call it as often as you like."""
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        journal: Journal,
+        terminal: Terminal,
+        *,
+        quiet: bool,
+        waiting: Callable[[], str],
+    ) -> None:
+        self._journal, self._waiting = journal, waiting
+        self._tick_s = scenario.tick_ns / 1e9
+        self._end_s = scenario.ticks * self._tick_s
+        self._terminal, self._quiet = terminal, quiet
+        self._live = terminal.is_terminal and not quiet
+        self._every = REFRESH_S if self._live else PLAIN_S
+        self._began: float | None = None
+        self._next = 0.0
+        self._progress = Progress(
+            TextColumn("{task.fields[time]}"),
+            BarColumn(24),
+            TextColumn("{task.fields[text]}"),
+            console=terminal,
+            transient=True,
+            auto_refresh=False,
+            disable=not self._live,
+        )
+        self._task = self._progress.add_task("", total=self._end_s, text="starting", time="")
+
+    def __enter__(self) -> ProgressLine:
+        self._progress.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._progress.stop()
+
+    def __call__(self) -> None:
+        """Redraw if it is time to."""
+        if self._quiet:
+            return
+        now = time.monotonic()
+        if self._began is None:
+            self._began = now
+            self._next = now + self._every
+        if now < self._next:
+            return
+        self._next = now + self._every
+        sim_s = max(0, self._journal.written) * self._tick_s
+        clock = f"t = {sim_s:.1f} / {self._end_s:g} s"
+        text = f"{sim_s / (now - self._began):.1f} x real time  {self._state()}"
+        if waiting := self._waiting():
+            text += f"  {waiting}"
+        if self._live:
+            self._progress.update(self._task, completed=sim_s, text=text, time=clock)
+            self._progress.refresh()
+        else:
+            self._terminal.print(f"{clock}  {text}", highlight=False)
+
+    def _state(self) -> str:
+        total = self._journal.ledger.total()
+        lost = sum(total.lost.values())
+        return (
+            f"formation error {self._journal.metrics.formation_error:.3f} m  "
+            f"packets {total.delivered} delivered, {lost} lost"
+        )

@@ -1,0 +1,157 @@
+"""One run from scenario to verdict: directory, log, the fleet or the in-process loop, result."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from enum import IntEnum
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console as Terminal
+
+from agents.errors import AgentError
+from fleet.checks import Verdict, judge
+from fleet.clock import Clock
+from fleet.console import Console, RunBroken
+from fleet.inprocess import InProcess
+from fleet.journal import Journal, frame_every
+from fleet.log import LogError, LogWriter
+from fleet.progress import ProgressLine
+from fleet.rundir import RunDirectory
+from fleet.scenario import Scenario
+from netem.config import Link
+from world.errors import WorldError
+
+
+class Status(IntEnum):
+    """Exit statuses of `fleet run`."""
+
+    PASS = 0
+    CHECK_FAILED = 1
+    USAGE = 2
+    BROKEN = 3
+    INTERRUPTED = 130
+
+
+@dataclass(slots=True)
+class Result:
+    """What a run came to."""
+
+    status: Status
+    directory: Path
+    digest: str
+    reason: str = ""
+    lines: list[str] = field(default_factory=list)
+    verdicts: list[Verdict] = field(default_factory=list)
+    values: dict[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """How to run, as opposed to what: nothing here may change a byte of the log."""
+
+    out: Path = Path("runs")
+    in_process: bool = False
+    speed: float | None = None
+    quiet: bool = False
+    port: int | None = None
+    start_order: Callable[[list[str]], list[str]] | None = None
+
+
+def execute(scenario: Scenario, options: Options, terminal: Terminal | None = None) -> Result:
+    """Run a scenario to its verdict. Only a caller's mistake raises; a run that breaks is a result.
+
+    Raises:
+        RunDirectoryError: the output directory cannot be made.
+        LogError: the log cannot be created.
+    """
+    terminal = terminal or Terminal(stderr=True)
+    directory = RunDirectory(options.out, scenario.name, scenario.seed)
+    directory.write_scenario(scenario.to_yaml())
+    log = LogWriter(directory.log, scenario)
+    journal = Journal(scenario, log)
+    clock = Clock(
+        scenario.ticks, scenario.tick_ns, scenario.round_ticks, frame_every(scenario), options.speed
+    )
+    in_process = options.in_process or scenario.ideal
+    fleet: InProcess | Console
+    if in_process:
+        fleet = InProcess(scenario, journal)
+    else:
+        fleet = Console(scenario, directory, journal, port=options.port, start_order=options.start_order)
+    result = Result(Status.PASS, directory.path, "")
+    closing: dict[str, Any] = {"sent": {}, "rejected": {}}
+    began = time.monotonic()
+    try:
+        with ProgressLine(
+            scenario, journal, terminal, quiet=options.quiet, waiting=lambda: getattr(fleet, "waiting", "")
+        ) as progress:
+            closing = fleet.serve(clock, progress)
+    except RunBroken as error:
+        result.status, result.reason, result.lines = Status.BROKEN, error.reason, error.lines
+    except (AgentError, WorldError) as error:
+        result.status, result.reason = Status.BROKEN, str(error)
+    except LogError as error:
+        result.status, result.reason = Status.BROKEN, str(error)
+    except KeyboardInterrupt:
+        result.status, result.reason = Status.INTERRUPTED, "interrupted"
+    wall_s = time.monotonic() - began
+    _close_log(log, result)
+    for link, sent in closing["sent"].items():
+        journal.ledger.enter(link, sent=sent)
+    if result.status is Status.PASS:
+        # Every stream is consecutive, or the run would have stalled or broken: what is left is what was refused.
+        result.verdicts = judge(scenario.spec.checks, journal, middleware_lost=0)
+        if not all(verdict.passed for verdict in result.verdicts):
+            result.status = Status.CHECK_FAILED
+    result.digest = log.digest
+    started_s = getattr(fleet, "started_s", 0.0)
+    result.values = _values(scenario, journal, log, result)
+    result.values["wall"] = {
+        "in_process": in_process,
+        "startup_s": started_s,
+        "run_s": wall_s - started_s,
+        "x_real_time": max(0, journal.written) * scenario.tick_ns / 1e9 / max(1e-9, wall_s - started_s),
+    }
+    result.values["rejected"] = closing["rejected"]
+    result.values["notes"] = list(getattr(fleet, "notes", ()))
+    try:
+        directory.write_result(result.values)
+    except OSError as error:
+        result.lines.append(f"result.json could not be written: {error.strerror}")
+    return result
+
+
+def _close_log(log: LogWriter, result: Result) -> None:
+    try:
+        log.close()
+    except LogError as error:
+        log.abandon()
+        if result.status is Status.PASS:
+            result.status, result.reason = Status.BROKEN, str(error)
+
+
+def _values(scenario: Scenario, journal: Journal, log: LogWriter, result: Result) -> dict[str, Any]:
+    return {
+        "scenario": scenario.name,
+        "seed": scenario.seed,
+        "status": result.status.name.lower(),
+        "exit": int(result.status),
+        "reason": result.reason,
+        "lines": result.lines,
+        "sim_s": max(0, journal.written) * scenario.tick_ns / 1e9,
+        "checks": [verdict.to_values() for verdict in result.verdicts],
+        "vehicles": journal.metrics.summary(),
+        "ledger": {_name(link): account.to_values() for link, account in journal.ledger.accounts.items()},
+        "middleware_lost": 0,
+        "messages": log.messages,
+        "digest": log.digest,
+        "python": sys.version.split()[0],
+    }
+
+
+def _name(link: Link) -> str:
+    return f"{link[0]}->{link[1]}"

@@ -1,0 +1,84 @@
+"""What a run leaves behind: one directory per run, and a `latest` link beside it."""
+
+from __future__ import annotations
+
+import json
+import os
+import secrets
+import time
+from pathlib import Path
+from typing import Any
+
+from fleet.errors import FleetError
+
+LATEST = "latest"
+
+
+class RunDirectoryError(FleetError):
+    """The run directory cannot be made."""
+
+
+class RunDirectory:
+    """`<out>/<scenario>-<seed>-<UTC time>/` with scenario.yaml, run.mcap, result.json and log/<process>.log."""
+
+    def __init__(self, out: Path, scenario: str, seed: int) -> None:
+        """Make the directory.
+
+        Raises:
+            RunDirectoryError: `out` is not a place where directories can be made.
+        """
+        stamp = time.strftime("%Y%m%d-%H%M%S", time.gmtime())
+        base = f"{scenario}-{seed}-{stamp}"
+        try:
+            out.mkdir(parents=True, exist_ok=True)
+            self.path = _make_unique(out, base)
+            (self.path / "log").mkdir()
+        except OSError as error:
+            raise RunDirectoryError(
+                f"cannot make a run directory in {out}: {error.strerror}; choose another place with --out DIR"
+            ) from error
+        self._link_latest(out)
+
+    @property
+    def log(self) -> Path:
+        return self.path / "run.mcap"
+
+    @property
+    def connection(self) -> Path:
+        """Mode 0600; there only while the run lives."""
+        return self.path / "connection.json"
+
+    def process_log(self, role: str) -> Path:
+        return self.path / "log" / f"{role}.log"
+
+    def write_scenario(self, text: str) -> None:
+        (self.path / "scenario.yaml").write_text(text, "utf-8")
+
+    def write_result(self, values: dict[str, Any]) -> None:
+        (self.path / "result.json").write_text(json.dumps(values, indent=2) + "\n", "utf-8")
+
+    def write_connection(self, values: dict[str, Any]) -> None:
+        descriptor = os.open(self.connection, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+        with os.fdopen(descriptor, "w") as file:
+            json.dump(values, file)
+
+    def _link_latest(self, out: Path) -> None:
+        temporary = out / f".{LATEST}-{secrets.token_hex(4)}"
+        try:
+            temporary.symlink_to(self.path.name)
+            os.replace(temporary, out / LATEST)
+        except OSError:
+            # A convenience only: a file system without links, or a directory that somebody called `latest`.
+            temporary.unlink(missing_ok=True)
+
+
+def _make_unique(out: Path, base: str) -> Path:
+    number = 1
+    while True:
+        path = out / (base if number == 1 else f"{base}-{number}")
+        try:
+            path.mkdir()
+        except FileExistsError:
+            number += 1
+        else:
+            return path

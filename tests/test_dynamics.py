@@ -1,0 +1,271 @@
+"""The sea's laws: what the printed equations must satisfy whatever the numbers are."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+from statistics import fmean, pstdev
+
+import msgpack
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from loops import NU0, world_config
+
+from world.config import NavNoise, VehicleSetup, WorldConfig
+from world.disturbance import NO_FORCE, PAPER, disturbance
+from world.dynamics import CALM, COS_THETA_MIN, State, coefficients, derivative, rk4_step
+from world.errors import (
+    CommandError,
+    IntegrationError,
+    NonFiniteStateError,
+    PitchSingularityError,
+    UnknownVehicleError,
+)
+from world.sea import World
+from world.vehicle import Vec3, VehicleParams
+
+K = coefficients(VehicleParams())
+NO_DAMPING = coefficients(
+    VehicleParams(beta_u=0.0, beta_v=0.0, beta_w=0.0, beta_q=0.0, beta_r=0.0, beta_b=0.0)
+)
+REST = (0.0, 0.0, 0.0)
+CALM_SEA = (NO_FORCE, NO_FORCE, NO_FORCE)
+
+speed = st.floats(-3.0, 3.0)
+pitch = st.floats(-1.2, 1.2)
+course = st.floats(-7.0, 7.0)
+states = st.tuples(speed, speed, speed, pitch, course, speed, speed, speed, speed, speed)
+currents = st.tuples(st.floats(-1.0, 1.0), st.floats(-1.0, 1.0), st.floats(-1.0, 1.0))
+commands = st.tuples(st.floats(-20.0, 20.0), st.floats(-5.0, 5.0), st.floats(-5.0, 5.0))
+
+
+def power(k, state: State, rate: State) -> float:
+    """Rate of the kinetic energy: sum of m_n nu_n nu_n'."""
+    return sum(m * n * dn for m, n, dn in zip(k[:5], state[5:], rate[5:], strict=True))
+
+
+def close(a, b, tolerance: float) -> bool:
+    return all(abs(x - y) <= tolerance for x, y in zip(a, b, strict=True))
+
+
+def test_derivative_and_step_agree_with_an_independent_implementation() -> None:
+    cases = json.loads((Path(__file__).parent / "golden/unit_vectors.json").read_text())["plant"]
+    assert cases
+    for case in cases:
+        harmonics = PAPER if case["disturbed"] else ()
+        state, tau, t, h = tuple(case["X"]), tuple(case["tau"]), case["t"], case["rk4_h"]
+        d = tuple(disturbance(harmonics, t + j * h / 2) for j in range(3))
+        assert close(derivative(K, state, tau, d[0]), case["Xdot"], 1e-12)
+        assert close(rk4_step(K, state, tau, d, h), case["X_next"], 1e-12)
+
+
+@given(states)
+def test_coriolis_terms_do_no_work(state: State) -> None:
+    """nu' C(nu) nu = 0: without damping, restoring and thrust the kinetic energy stands still."""
+    rate = derivative(NO_DAMPING, state, REST, NO_FORCE)
+    assert abs(power(NO_DAMPING, state, rate)) < 1e-9
+
+
+@given(states)
+def test_damping_dissipates(state: State) -> None:
+    """Without thrust and restoring the energy falls by sum of beta nu^2, and by nothing else."""
+    k = coefficients(VehicleParams(beta_b=0.0))
+    rate = derivative(k, state, REST, NO_FORCE)
+    loss = sum(beta * n * n for beta, n in zip(k[5:10], state[5:], strict=True))
+    assert power(k, state, rate) == pytest.approx(-loss, abs=1e-9)
+
+
+@given(states)
+def test_speed_over_ground_is_the_same_in_both_frames(state: State) -> None:
+    """The rotation of eq. (1) keeps lengths."""
+    rate = derivative(K, state, REST, NO_FORCE)
+    assert math.hypot(*rate[:3]) == pytest.approx(math.hypot(*state[5:8]), abs=1e-12)
+
+
+def test_integration_is_of_fourth_order() -> None:
+    """Halving the step divides the error by 2^4 on the unforced vehicle."""
+
+    def run(n: int) -> State:
+        state: State = (0.0, 0.0, 0.0, 0.4, 0.3, 1.2, -0.5, 0.6, 0.5, -0.7)
+        for _ in range(n):
+            state = rk4_step(K, state, REST, CALM_SEA, 1.0 / n)
+        return state
+
+    exact = run(4096)
+    errors = [math.dist(run(n), exact) for n in (32, 64, 128)]
+    assert 14.0 < errors[0] / errors[1] < 18.0
+    assert 14.0 < errors[1] / errors[2] < 18.0
+
+
+@given(course, st.tuples(speed, speed))
+def test_a_level_vehicle_that_drifts_with_the_current_feels_nothing(
+    psi: float, flow: tuple[float, float]
+) -> None:
+    cx, cy = flow
+    u = math.cos(psi) * cx + math.sin(psi) * cy
+    v = -math.sin(psi) * cx + math.cos(psi) * cy
+    rate = derivative(K, (0.0, 0.0, 0.0, 0.0, psi, u, v, 0.0, 0.0, 0.0), REST, NO_FORCE, (cx, cy, 0.0))
+    assert close(rate[:3], (cx, cy, 0.0), 1e-12)
+    assert close(rate[3:], (0.0,) * 7, 1e-12)
+
+
+@settings(max_examples=25)
+@given(states, commands, currents)
+def test_a_current_only_carries_the_motion_along(state: State, tau: Vec3, current: Vec3) -> None:
+    """Galileo: the same vehicle in moving water makes the same motion, seen from the water.
+
+    Also while it turns: this is what the term -omega x nu_c in the body axes is for.
+    """
+    h, n = 0.0005, 200
+    _, _, _, theta, psi, u, v, w, q, r = state
+    state = (0.0, 0.0, 0.0, theta / 2, psi, u / 2, v / 2, w / 2, q / 2, r / 2)
+    calm, carried = state, with_current(state, current)
+    for _ in range(n):
+        calm = rk4_step(K, calm, tau, CALM_SEA, h)
+        carried = rk4_step(K, carried, tau, CALM_SEA, h, current)
+    t = n * h
+    expected = with_current(calm, current)
+    drift = tuple(c * t for c in current)
+    assert close(carried[:3], [p + d for p, d in zip(expected[:3], drift, strict=True)], 1e-8)
+    assert close(carried[3:], expected[3:], 1e-8)
+
+
+def with_current(state: State, current: Vec3) -> State:
+    """The state whose velocity through water moving with `current` is that of `state` in calm water."""
+    x, y, z, th, ps, u, v, w, q, r = state
+    cx, cy, cz = current
+    along = math.cos(ps) * cx + math.sin(ps) * cy
+    return (
+        x, y, z, th, ps,
+        u + math.cos(th) * along - math.sin(th) * cz,
+        v - math.sin(ps) * cx + math.cos(ps) * cy,
+        w + math.sin(th) * along + math.cos(th) * cz,
+        q, r,
+    )  # fmt: skip
+
+
+def test_the_papers_disturbance() -> None:
+    for t in (0.0, 0.7, 12.3):
+        s, c = math.sin(t), math.cos(t)
+        assert close(disturbance(PAPER, t), (3.1 * s, 3.1 * c, 2.1 * s, 1.1 * s, 1.1 * s), 1e-13)
+    assert disturbance(PAPER[:2], 0.7)[2:] == (0.0, 0.0, 0.0)
+    assert disturbance((), 0.7) == NO_FORCE
+
+
+@pytest.mark.parametrize("theta", [math.pi / 2, -math.pi / 2, math.pi / 2 + 0.5 * COS_THETA_MIN])
+def test_a_vertical_vehicle_is_an_error_that_says_who_and_when(theta: float) -> None:
+    config = world_config()
+    vertical = VehicleSetup(7, (0.0, 0.0, 0.0, theta, 0.0), NU0)
+    world = World(replace(config, vehicles=(*config.vehicles, vertical)))
+    before = world.state_values()
+    with pytest.raises(PitchSingularityError) as caught:
+        world.advance(7, REST)
+    assert (caught.value.vehicle, caught.value.tick) == (7, 0)
+    assert caught.value.theta == pytest.approx(theta, abs=1e-2)
+    assert "vehicle 7, tick 0" in str(caught.value)
+    assert world.state_values() == before
+    world.advance(1, REST)
+
+
+def test_a_tumbling_vehicle_passes_the_vertical() -> None:
+    """cos(theta) < 0 is not an error: a tumble is a result that a run has to be able to show."""
+    rate = derivative(K, (0.0, 0.0, 0.0, 2.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.1), REST, NO_FORCE)
+    assert all(map(math.isfinite, rate))
+
+
+@pytest.mark.parametrize("u", [1e200, 1e308])
+def test_a_motion_that_leaves_the_finite_numbers_is_an_error(u: float) -> None:
+    runaway = VehicleSetup(1, (0.0, 0.0, 0.0, 0.0, 0.0), (u, u, u, 1e150, 1e150))
+    world = World(replace(world_config(), vehicles=(runaway,)))
+    before = world.state_values()
+    with pytest.raises(IntegrationError) as caught:
+        world.advance(1, REST)
+    assert isinstance(caught.value, NonFiniteStateError | PitchSingularityError)
+    assert world.state_values() == before
+
+
+def test_actuators_limit_and_refuse() -> None:
+    world = World(world_config())
+    assert world.actuate(1, (25.0, -25.0, 3.0)) == (20.0, -20.0, 3.0)
+    for tau in ((math.nan, 0.0, 0.0), (0.0, math.inf, 0.0), (0.0, 0.0), ()):
+        with pytest.raises(CommandError) as caught:
+            world.actuate(2, tau)
+        assert (caught.value.vehicle, caught.value.tick, caught.value.tau) == (2, 0, tau)
+    with pytest.raises(UnknownVehicleError):
+        world.actuate(9, REST)
+
+
+@settings(max_examples=20)
+@given(
+    st.lists(st.sampled_from((1, 2, 3, 4)), max_size=60),
+    st.integers(1, 3),
+    st.sampled_from((CALM, (0.2, -0.1, 0.05))),
+)
+def test_the_fleet_is_every_vehicle_alone(order: list[int], substeps: int, current: Vec3) -> None:
+    """Vehicles meet only in the network: running ahead of each other, in any order, changes no bit."""
+    config = world_config(PAPER, substeps, current)
+    together = World(config)
+    alone = {i: World(replace(config, vehicles=(config.vehicles[i - 1],))) for i in together.ids}
+    for i in order:
+        tau = (5.0 * i, math.sin(together.tick(i)), -0.3 * i)
+        together.advance(i, tau)
+        alone[i].advance(i, tau)
+    for i in together.ids:
+        assert together.tick(i) == alone[i].tick(i) == order.count(i)
+        assert together.state(i) == alone[i].state(i)
+
+
+@settings(max_examples=20)
+@given(st.lists(st.tuples(st.sampled_from((1, 2, 3, 4)), commands), max_size=20), commands)
+def test_world_state_and_restore(history: list[tuple[int, Vec3]], tau: Vec3) -> None:
+    """step, state, restore in a fresh object, step == uninterrupted."""
+    config = replace(world_config(PAPER), noise=NavNoise(0.1, 0.01, 0.1, 0.01))
+    world = World(config)
+    for i, earlier in history:
+        world.advance(i, earlier)
+    other = World(config)
+    other.restore(msgpack.unpackb(msgpack.packb(world.state_values())))
+    for w in (world, other):
+        for i in w.ids:
+            w.advance(i, tau)
+    assert other.state_values() == world.state_values()
+    assert [other.sense(i) for i in other.ids] == [world.sense(i) for i in world.ids]
+
+
+def noisy(noise: NavNoise, vehicles: int = 4, seed: int = 1) -> WorldConfig:
+    config = world_config()
+    return replace(config, seed=seed, noise=noise, vehicles=config.vehicles[:vehicles])
+
+
+def test_without_noise_the_sensor_tells_the_truth() -> None:
+    world = World(noisy(NavNoise()))
+    assert all(world.sense(i) == world.state(i) for i in world.ids)
+
+
+def test_noise_depends_on_nothing_but_seed_vehicle_tick_and_component() -> None:
+    """Another fleet size, another order, a repeated reading, another component's noise: same draws."""
+    noise = NavNoise(0.1, 0.01, 0.2, 0.02)
+    world, smaller = World(noisy(noise)), World(noisy(noise, vehicles=2))
+    readings = [world.sense(i) for i in (1, 2, 3, 4)]
+    assert [world.sense(i) for i in (4, 3, 2, 1)] == readings[::-1]
+    assert [smaller.sense(i) for i in (1, 2)] == readings[:2]
+    assert World(noisy(noise, seed=2)).sense(1) != readings[0]
+    only_rates = World(noisy(NavNoise(rate_radps=0.02))).sense(1)
+    assert only_rates[1][3:] == readings[0][1][3:]
+    assert only_rates[0] == world.state(1)[0]
+    world.advance(1, REST)
+    smaller.advance(1, REST)
+    assert world.sense(1) == smaller.sense(1) != readings[0]
+
+
+def test_noise_has_its_standard_deviation() -> None:
+    world = World(noisy(NavNoise(position_m=0.5), vehicles=1))
+    errors = []
+    for _ in range(800):
+        errors += [a - b for a, b in zip(world.sense(1)[0][:3], world.position(1), strict=True)]
+        world.advance(1, REST)
+    assert abs(fmean(errors)) < 0.05
+    assert pstdev(errors) == pytest.approx(0.5, rel=0.06)

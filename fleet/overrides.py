@@ -111,7 +111,8 @@ def _scale(before: Mapping, root: Mapping, given: set[str]) -> Mapping:
         return Scalar(value, place)
 
     def replaced(root: Mapping, key: str, entries: dict[str, Node]) -> Mapping:
-        keys = dict.fromkeys(entries, place)
+        old = root.entries.get(key)
+        keys = dict.fromkeys(entries, place) | (old.keys if isinstance(old, Mapping) else {})
         return root.with_entry(key, root.keys.get(key, place), Mapping(entries, keys, place))
 
     formation = root.entries.get("formation")
@@ -131,10 +132,11 @@ def _scale(before: Mapping, root: Mapping, given: set[str]) -> Mapping:
         root = replaced(root, "graph", _scaled_graph(graph, explicit, new, scalar("path")))
     network = root.entries.get("network")
     links = network.entries.get("links") if isinstance(network, Mapping) else None
-    if free("network") and isinstance(network, Mapping) and isinstance(links, Mapping):
+    if not {"network", "network.links"} & given and isinstance(network, Mapping) and isinstance(links, Mapping):
         for selector in links.entries:
             numbers = [int(n) for n in _numbers(selector)]
-            if numbers and (explicit or max(numbers) > new):
+            fits = not numbers or (not explicit and max(numbers) <= new)
+            if not fits and f"network.links.{selector}" not in given:
                 links = links.without(selector)
         root = root.with_entry("network", root.keys["network"], network.with_entry("links", place, links))
     return root

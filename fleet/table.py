@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from rich.console import Console as Terminal
+from rich.markup import escape
 from rich.table import Table
 
 from fleet.run import Result, Status
@@ -41,7 +42,7 @@ def _vehicles(rows: dict[str, dict[str, float | None]]) -> Table:
         "UUV", "settle 10 % [s]", "settle 5 cm [s]", "RMS e, last 10 s [m]", "final error [m]",
         "surge effort [N s]", "max u_cmd [m/s]",
     ):  # fmt: skip
-        table.add_column(heading, justify="right")
+        table.add_column(escape(heading), justify="right")
     for i, row in list(rows.items())[:MOST_ROWS]:
         table.add_row(
             i,
@@ -61,7 +62,7 @@ def _links(rows: dict[str, dict[str, object]]) -> Table:
     causes = sorted({cause for row in rows.values() for cause in row["lost"]})  # type: ignore[attr-defined]
     table = Table(title="packets per directed link", title_justify="left", box=None, pad_edge=False)
     for heading in ("link", "sent", "duplicated", "delivered", *(f"lost: {c}" for c in causes), "in flight"):
-        table.add_column(heading, justify="right")
+        table.add_column(escape(heading), justify="right")
     for name, row in list(rows.items())[:MOST_ROWS]:
         lost = [str(row["lost"].get(cause, 0)) for cause in causes]  # type: ignore[attr-defined]
         table.add_row(

@@ -158,7 +158,7 @@ def test_slew_and_clip(rho: Any, previous: Any, step: float) -> None:
     moved = slew(rho, previous, step)
     for to, at, wanted in zip(moved, previous, rho, strict=True):
         assert abs(to - at) <= step + 1e-12
-        assert abs(wanted - at) > step or to == wanted
+        assert to == pytest.approx(min(max(wanted, at - step), at + step), abs=1e-12)
     assert clip((-2.0, 0.5, 9.0), (-1.0, 0.0, 0.0), (1.0, 1.0, 1.0)) == (-1.0, 0.5, 1.0)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import fields
 from itertools import pairwise
 from math import pi
 from pathlib import Path
@@ -12,12 +13,12 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from agents.config import Neighbour, Reference
+from agents.config import GuidanceParams, Neighbour, Reference, TrackingParams
 from agents.profiles import PROFILES, profile
 from fleet.errors import FleetError, ScenarioError
 from fleet.formation import grid
 from fleet.scenario import LOG_GROUPS, Scenario, list_scenarios, load_scenario, parse_scenario
-from fleet.schema import ScenarioSpec, Section
+from fleet.schema import GuidanceSection, ScenarioSpec, Section, TrackingSection
 from fleet.yaml_marks import Mapping, Source, plain, read, resolve
 from netem.config import Condition
 
@@ -143,6 +144,13 @@ def test_overrides_of_the_profile() -> None:
     assert s.guidance.qp_ticks == 2
     assert s.tracking.tau_f == 0.02
     assert s.guidance.k_min == profile("hardened")[0].k_min
+
+
+def test_every_parameter_can_be_set() -> None:
+    """A parameter that the controllers gain must gain a key here; two are written as times."""
+    guidance = {field.name for field in fields(GuidanceParams)}
+    assert set(GuidanceSection.model_fields) == guidance - {"qp_ticks", "horizon_s"} | {"qp_period", "horizon"}
+    assert set(TrackingSection.model_fields) == {field.name for field in fields(TrackingParams)}
 
 
 def test_the_qp_period_is_a_time() -> None:
@@ -312,6 +320,8 @@ def test_scaling_drops_what_no_longer_fits() -> None:
     s = parse_scenario(text, "t.yaml", ["vehicles=3"])
     assert s.b == (1, 0, 0)
     assert s.conditions[1, 2].loss == 0.02
+    s = parse_scenario(text, "t.yaml", ["vehicles=2", "network.links.2->1=loss 3%"])
+    assert s.conditions == {(2, 1): Condition(loss=0.03), (1, 2): Condition(loss=0.02)}
     explicit = text.replace(
         "  shape: path\n  ahead: 1\n  behind: 0.8\n", '  edges: {"4->3": 1, "3->4": 1, "1->2": 1}\n'
     )

@@ -1,0 +1,75 @@
+"""`fleet info`: what a log holds, in words or as plain values."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from fleet.reader import LogReader, log_path
+
+
+@dataclass(frozen=True, slots=True)
+class Info:
+    """The content of a log at a glance."""
+
+    path: str
+    bytes: int
+    messages: int
+    start_s: float
+    end_s: float
+    run: dict[str, str]
+    topics: dict[str, tuple[str, int]]  # topic -> (schema, messages)
+    missing: str
+
+    def to_values(self) -> dict[str, Any]:
+        return asdict(self)
+
+
+def read_info(path: Path) -> Info:
+    """Read a log, whole or cut.
+
+    Raises:
+        LogReadError: there is no log to read.
+    """
+    path = log_path(path)
+    reader = LogReader(path)
+    counts: Counter[str] = Counter()
+    first: int | None = None
+    last = 0
+    for record in reader:
+        counts[record.topic] += 1
+        first = record.log_ns if first is None else min(first, record.log_ns)
+        last = max(last, record.log_ns)
+    topics = {
+        channel.topic: (reader.schemas[channel.schema_id].name, counts[channel.topic])
+        for channel in reader.channels.values()
+        if channel.schema_id in reader.schemas
+    }
+    return Info(
+        path=str(path),
+        bytes=path.stat().st_size,
+        messages=counts.total(),
+        start_s=(first or 0) / 1e9,
+        end_s=last / 1e9,
+        run=reader.metadata.get("run", {}),
+        topics=topics,
+        missing=reader.missing,
+    )
+
+
+def describe(info: Info) -> str:
+    """The same in words, one fact a line."""
+    lines = [
+        f"{info.path}: {info.messages} messages, {info.bytes / 1e6:.2f} MB, sim time {info.start_s:g} to {info.end_s:g} s"
+    ]
+    if info.missing:
+        lines.append(f"NOT WHOLE: {info.missing}")
+    if info.run:
+        lines += [f"  {key:<10} {value}" for key, value in info.run.items() if key != "graph"]
+    else:
+        lines.append("not a log of uuv-fleet: it says nothing of a run")
+    width = max((len(topic) for topic in info.topics), default=0)
+    lines += [f"  {topic:<{width}}  {count:>8}  {schema}" for topic, (schema, count) in info.topics.items()]
+    return "\n".join(lines)

@@ -97,10 +97,7 @@ def build_qp(e: Vec3, c: float, rho_d: Vec3, rho0: Vec3, K0: Vec3, params: Guida
         R1 = params.R1[axis]
         R2 = params.R2[axis]
         P.append(2.0 * (ei * ei * (Q * s * s + R1 + R2) + p))
-        q.append(
-            -2.0
-            * (p * K0[axis] + ei * (Q * s * (ei + pull * s * vi) + pull * R1 * vi + R2 * (vi - rho0[axis])))
-        )
+        q.append(-2.0 * (p * K0[axis] + ei * (Q * s * (ei + pull * s * vi) + pull * R1 * vi + R2 * (vi - rho0[axis]))))
         top = k_max
         if ei > 0.0:
             top = min(top, (vi - params.rho_lo[axis]) / ei)
@@ -108,9 +105,7 @@ def build_qp(e: Vec3, c: float, rho_d: Vec3, rho0: Vec3, K0: Vec3, params: Guida
             top = min(top, (vi - params.rho_hi[axis]) / ei)
         hi.append(top)
         lo.append(max(min(k_min, top), 0.0))
-    return GainProblem(
-        (P[0], P[1], P[2]), (q[0], q[1], q[2]), (lo[0], lo[1], lo[2]), (hi[0], hi[1], hi[2]), e
-    )
+    return GainProblem((P[0], P[1], P[2]), (q[0], q[1], q[2]), (lo[0], lo[1], lo[2]), (hi[0], hi[1], hi[2]), e)
 
 
 def solve(problem: GainProblem) -> Solution | NoSolution:

@@ -48,9 +48,7 @@ class AgentCore(Protocol):
 class AgentLoop:
     """Feeds an agent core with navs and inboxes in the right order."""
 
-    def __init__(
-        self, core: AgentCore, round_ticks: int, *, incarnation: int = 0, ideal: bool = False
-    ) -> None:
+    def __init__(self, core: AgentCore, round_ticks: int, *, incarnation: int = 0, ideal: bool = False) -> None:
         self.core = core
         self.round_ticks = round_ticks
         self.incarnation = incarnation

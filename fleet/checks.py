@@ -34,11 +34,7 @@ def judge(checks: ChecksSection, journal: Journal, middleware_lost: int) -> list
         verdicts.append(_at_most("qp_infeasible", checks.qp_infeasible, failures))
     if checks.ledger is not None:
         unbalanced = journal.ledger.unbalanced()
-        found = (
-            "balanced"
-            if not unbalanced
-            else ", ".join(f"{s}->{d} off by {n}" for (s, d), n in unbalanced.items())
-        )
+        found = "balanced" if not unbalanced else ", ".join(f"{s}->{d} off by {n}" for (s, d), n in unbalanced.items())
         verdicts.append(Verdict("ledger", not unbalanced, "balanced", found))
     if checks.middleware_loss is not None:
         verdicts.append(_at_most("middleware_loss", checks.middleware_loss, middleware_lost))

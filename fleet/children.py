@@ -92,20 +92,20 @@ class Children:
         processes = [child.process for child in self.by_role.values()]
         for process in processes:
             process.terminate()
-        remaining = {process.sentinel: process for process in processes}
+        remaining: dict[Any, BaseProcess] = {process.sentinel: process for process in processes}
         while remaining and (ended := wait(list(remaining), timeout=GRACE_S)):
             for sentinel in ended:
-                remaining.pop(sentinel)  # type: ignore[call-overload]
+                remaining.pop(sentinel)
         for process in remaining.values():
             process.kill()
         for process in processes:
             process.join(GRACE_S)
 
     def _watch(self) -> None:
-        running = {child.process.sentinel: child for child in self.by_role.values()}
+        running: dict[Any, Child] = {child.process.sentinel: child for child in self.by_role.values()}
         while running and not self._stopping.is_set():
             for sentinel in wait(list(running), timeout=0.1):
-                child = running.pop(sentinel)  # type: ignore[call-overload]
+                child = running.pop(sentinel)
                 child.process.join()
                 code = child.process.exitcode
                 self._on_exit(Exit(child.role, FORKSERVER_LOST if code is None else code))
@@ -113,7 +113,7 @@ class Children:
 
 def forkserver_death() -> str | None:
     """How the forkserver ended, or None while it lives."""
-    pid = getattr(multiprocessing.forkserver._forkserver, "_forkserver_pid", None)  # type: ignore[attr-defined]
+    pid = getattr(multiprocessing.forkserver._forkserver, "_forkserver_pid", None)
     if pid is None:
         return None
     try:

@@ -15,7 +15,7 @@ from fleet.errors import FleetError, ScenarioError
 EPILOG = "Exit status: 0 pass, 1 a check failed, 2 usage or bad scenario, 3 the run broke, 130 Ctrl-C."
 
 
-class Speed(click.ParamType):
+class Speed(click.ParamType[float | None]):
     """A positive factor of real time, or max."""
 
     name = "x|max"
@@ -28,15 +28,11 @@ class Speed(click.ParamType):
         except ValueError:
             speed = 0.0
         if not 0.0 < speed < float("inf"):
-            self.fail(
-                f"expected a positive factor of real time such as 1 or 2.5, or max, got {value!r}", param, ctx
-            )
+            self.fail(f"expected a positive factor of real time such as 1 or 2.5, or max, got {value!r}", param, ctx)
         return speed
 
 
-@click.group(
-    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100}, epilog=EPILOG
-)
+@click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100}, epilog=EPILOG)
 @click.version_option(package_name="uuv-fleet")
 def cli() -> None:
     """Emulate a fleet of underwater vehicles on a real, impaired pub/sub network.
@@ -71,15 +67,11 @@ _overrides = click.option(
 )
 @click.option("--seed", type=click.IntRange(0, 2**63 - 1), help="Override the scenario's seed.")
 @click.option("--duration", metavar="TIME", help="Override the scenario's duration, e.g. '20 s'.")
-@click.option(
-    "--speed", type=Speed(), default="max", show_default=True, help="Times real time, or as fast as it goes."
-)
+@click.option("--speed", type=Speed(), default="max", show_default=True, help="Times real time, or as fast as it goes.")
 @click.option("--in-process", is_flag=True, help="One process, no zenoh; the same log, byte for byte.")
 @_overrides
 @click.option("--show-config", is_flag=True, help="Print the merged scenario and stop.")
-@click.option(
-    "--port", type=click.IntRange(1, 65535), help="Loopback port of the router; by default a free one."
-)
+@click.option("--port", type=click.IntRange(1, 65535), help="Loopback port of the router; by default a free one.")
 @click.option("--start-order", metavar="SEED", type=int, hidden=True)
 @click.option("-q", "--quiet", is_flag=True, help="No progress and no tables.")
 def run(

@@ -147,10 +147,7 @@ class Console:
         bus.subscribe(keys.frame, lambda _, data: put((FRAME, data)))
         bus.subscribe(keys.links, lambda _, data: put((LINKS, data)))
         bus.subscribe(keys.note("*"), lambda _, data: put((NOTE, data)))
-        slices = {
-            keys.cfg(i): msgpack.packb({"agent": scenario.agent_config(i).to_values()})
-            for i in self._vehicles
-        }
+        slices = {keys.cfg(i): msgpack.packb({"agent": scenario.agent_config(i).to_values()}) for i in self._vehicles}
 
         def configure(key: str, _: bytes, respond: Respond) -> None:
             respond(slices[key])
@@ -178,9 +175,7 @@ class Console:
             if not absent and not unheard and network.get("round"):
                 return
             if absent:
-                missing = (
-                    "agents " + ", ".join(map(str, absent)) if len(absent) < 9 else f"{len(absent)} agents"
-                )
+                missing = "agents " + ", ".join(map(str, absent)) if len(absent) < 9 else f"{len(absent)} agents"
             else:
                 missing = "netem" if not network.get("round") else "an echo on " + ", ".join(sorted(unheard))
             if time.monotonic() > deadline:

@@ -68,9 +68,7 @@ def _show_ticks(number: int) -> str:
 def _condition(value: Any) -> Condition:
     if isinstance(value, str):
         return parse_condition(value)
-    raise q.QuantityError(
-        f'expected a link condition such as "delay 200ms 50ms loss 30%", got {q.describe(value)}'
-    )
+    raise q.QuantityError(f'expected a link condition such as "delay 200ms 50ms loss 30%", got {q.describe(value)}')
 
 
 def _selector(value: Any) -> str:

@@ -46,9 +46,7 @@ def grid(vehicles: int, spacing: float) -> tuple[Vec3, ...]:
     return tuple(places)
 
 
-def initial_states(
-    initial: InitialSection, places: tuple[Vec3, ...], seed: int
-) -> tuple[tuple[Vec5, Vec5], ...]:
+def initial_states(initial: InitialSection, places: tuple[Vec3, ...], seed: int) -> tuple[tuple[Vec5, Vec5], ...]:
     """(eta0, nu0) of every vehicle.
 
     A scatter puts vehicle i at p_i plus draws that depend on (seed, i) alone, so that a larger fleet starts

@@ -44,9 +44,7 @@ class InProcess:
         self._world = Lockstep(scenario.world_config(), frame_every=frame_every(scenario))
         self._rounds = Rounds(scenario.netem_config())
         self._loops = {
-            i: AgentLoop(
-                Agent(_over_the_wire(scenario.agent_config(i))), scenario.round_ticks, ideal=scenario.ideal
-            )
+            i: AgentLoop(Agent(_over_the_wire(scenario.agent_config(i))), scenario.round_ticks, ideal=scenario.ideal)
             for i in range(1, scenario.vehicles + 1)
         }
         self._post: deque[tuple[int, int, bytes]] = deque()  # (from, to, message)

@@ -70,9 +70,7 @@ class LogWriter:
         # Without `library` the mcap version would stand in the file, and bytes would differ between versions.
         self._writer = Writer(self._file, compression=CompressionType.ZSTD)
         self._writer.start(profile="", library="uuv-fleet")
-        self._writer.add_attachment(
-            0, 0, "scenario.yaml", "application/yaml", self._scenario.to_yaml().encode()
-        )
+        self._writer.add_attachment(0, 0, "scenario.yaml", "application/yaml", self._scenario.to_yaml().encode())
         self._writer.add_metadata("run", run_metadata(self._scenario))
         self._schemas: dict[str, Schema] = {}
         self._channels: dict[str, tuple[int, str]] = {}
@@ -97,12 +95,8 @@ class LogWriter:
 
     def _channel(self, topic: str, schema: Schema, registered: dict[str, int]) -> None:
         if schema.name not in registered:
-            registered[schema.name] = self._writer.register_schema(
-                schema.name, "protobuf", schema.descriptor_set
-            )
-        number = self._writer.register_channel(
-            topic, "protobuf", registered[schema.name], {"units": schema.units}
-        )
+            registered[schema.name] = self._writer.register_schema(schema.name, "protobuf", schema.descriptor_set)
+        number = self._writer.register_channel(topic, "protobuf", registered[schema.name], {"units": schema.units})
         self._channels[topic] = (number, topic)
 
     def frame(self, frame: Frame, errors: Mapping[int, VehicleError]) -> None:
@@ -145,7 +139,7 @@ class LogWriter:
     def close(self) -> None:
         """Write the index and close the file."""
         try:
-            self._writer.finish()
+            self._writer.finish()  # type: ignore[no-untyped-call]
             self._file.close()
         except OSError as error:
             raise _log_error(self.path, error) from error
@@ -216,7 +210,7 @@ class LogWriter:
         if second > self._flushed_s:
             self._flushed_s = second
             try:
-                self._writer.flush()
+                self._writer.flush()  # type: ignore[no-untyped-call]
             except OSError as error:
                 raise _log_error(self.path, error) from error
 

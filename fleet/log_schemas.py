@@ -77,16 +77,12 @@ PACKET = (
 
 def signal_columns(signals: tuple[Signal, ...], group: str) -> tuple[Column, ...]:
     """The columns of a controller's telemetry group."""
-    return tuple(
-        Column(s.name, s.unit, s.meaning, 0 if s.width == 1 else s.width) for s in signals if s.group == group
-    )
+    return tuple(Column(s.name, s.unit, s.meaning, 0 if s.width == 1 else s.width) for s in signals if s.group == group)
 
 
 def flat_schema(name: str, columns: tuple[Column, ...]) -> Schema:
     """A schema of our own."""
-    file = descriptor_pb2.FileDescriptorProto(
-        name=f"{PACKAGE}/{name}.proto", package=PACKAGE, syntax="proto3"
-    )
+    file = descriptor_pb2.FileDescriptorProto(name=f"{PACKAGE}/{name}.proto", package=PACKAGE, syntax="proto3")
     message = file.message_type.add(name=name)
     for number, column in enumerate(columns, start=1):
         repeated = descriptor_pb2.FieldDescriptorProto.LABEL_REPEATED
@@ -94,7 +90,7 @@ def flat_schema(name: str, columns: tuple[Column, ...]) -> Schema:
         message.field.add(
             name=column.name,
             number=number,
-            type=column.type,  # type: ignore[arg-type]
+            type=column.type,
             label=repeated if column.width else optional,
         )
     pool = descriptor_pool.DescriptorPool()
@@ -115,9 +111,7 @@ def pose_schema() -> Schema:
         "pose.position": ["m", "north, east, down"],
         "pose.orientation": ["1", "unit quaternion, body to NED"],
     }
-    return Schema(
-        "foxglove.PoseInFrame", _descriptor_set(PoseInFrame.DESCRIPTOR.file), PoseInFrame, json.dumps(units)
-    )
+    return Schema("foxglove.PoseInFrame", _descriptor_set(PoseInFrame.DESCRIPTOR.file), PoseInFrame, json.dumps(units))
 
 
 def _descriptor_set(file: FileDescriptor) -> bytes:

@@ -58,9 +58,7 @@ class Metrics:
                 (
                     j,
                     a,
-                    tuple(
-                        p - q for p, q in zip(scenario.offsets[i - 1], scenario.offsets[j - 1], strict=True)
-                    ),
+                    tuple(p - q for p, q in zip(scenario.offsets[i - 1], scenario.offsets[j - 1], strict=True)),
                 )
                 for j, a in scenario.graph.neighbours(i)
             ]

@@ -43,13 +43,9 @@ def _units(**sizes: str | int) -> dict[str, Fraction]:
 
 _DEG = Fraction(math.pi) / 180  # so that "180 deg" is exactly math.pi
 
-TIME = Dimension(
-    "a time", "50 ms", _units(s=1, ms="1/1000", us="1/1000000", ns="1/1000000000", min=60, h=3600)
-)
+TIME = Dimension("a time", "50 ms", _units(s=1, ms="1/1000", us="1/1000000", ns="1/1000000000", min=60, h=3600))
 LENGTH = Dimension("a length", "0.1 m", _units(m=1, mm="1/1000", cm="1/100", km=1000))
-SPEED = Dimension(
-    "a speed", "0.7 m/s", {"m/s": Fraction(1), "cm/s": Fraction(1, 100), "kn": Fraction(1852, 3600)}
-)
+SPEED = Dimension("a speed", "0.7 m/s", {"m/s": Fraction(1), "cm/s": Fraction(1, 100), "kn": Fraction(1852, 3600)})
 ACCELERATION = Dimension("an acceleration", "0.3 m/s^2", {"m/s^2": Fraction(1), "m/s2": Fraction(1)})
 ANGLE = Dimension("an angle", "20 deg", {"deg": _DEG, "rad": Fraction(1)})
 ANGULAR_RATE = Dimension("an angular rate", "5 deg/s", {"deg/s": _DEG, "rad/s": Fraction(1)})

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import hashlib
 import io
+import struct
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from struct import error as StructError
-from struct import pack
 from typing import IO, NamedTuple
 
 from mcap.exceptions import McapError
@@ -62,9 +61,7 @@ class LogReader:
                 match record:
                     case Message():
                         channel = self.channels[record.channel_id]
-                        yield Record(
-                            channel.topic, record.log_time, record.publish_time, record.sequence, record.data
-                        )
+                        yield Record(channel.topic, record.log_time, record.publish_time, record.sequence, record.data)
                     case Schema():
                         self.schemas[record.id] = record
                     case Channel():
@@ -81,7 +78,7 @@ class LogReader:
         # mcap raises whatever its parser stumbles over: a cut or damaged file is any of these.
         except (CRCValidationError, ZstdError):
             self.missing = "a chunk is damaged (a flipped bit, for instance); reading stopped before it"
-        except (McapError, StructError, ValueError, KeyError, EOFError, MemoryError, OverflowError) as error:
+        except (McapError, struct.error, ValueError, KeyError, EOFError, MemoryError, OverflowError) as error:
             self.missing = f"{_CUT} ({type(error).__name__})" if not whole else "the index is missing or damaged"
 
 
@@ -96,7 +93,7 @@ def digest(path: Path) -> str:
     """
     total = hashlib.sha256()
     for r in LogReader(path):
-        total.update(r.topic.encode() + pack("<QQII", r.log_ns, r.publish_ns, r.sequence, len(r.data)) + r.data)
+        total.update(r.topic.encode() + struct.pack("<QQII", r.log_ns, r.publish_ns, r.sequence, len(r.data)) + r.data)
     return total.hexdigest()
 
 

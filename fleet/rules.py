@@ -167,9 +167,7 @@ def _followers(spec: ScenarioSpec, report: Report) -> None:
     seen: set[int] = set()
     for index, number in enumerate(followers):
         if not 1 <= number <= spec.vehicles:
-            report.add(
-                ("graph", "reference", index), f"there is no vehicle {number}: they are 1 to {spec.vehicles}"
-            )
+            report.add(("graph", "reference", index), f"there is no vehicle {number}: they are 1 to {spec.vehicles}")
         elif number in seen:
             report.add(("graph", "reference", index), f"vehicle {number} is given twice")
         seen.add(number)

@@ -73,9 +73,7 @@ def execute(scenario: Scenario, options: Options, terminal: Terminal | None = No
     directory.write_scenario(scenario.to_yaml())
     log = LogWriter(directory.log, scenario)
     journal = Journal(scenario, log)
-    clock = Clock(
-        scenario.ticks, scenario.tick_ns, scenario.round_ticks, frame_every(scenario), options.speed
-    )
+    clock = Clock(scenario.ticks, scenario.tick_ns, scenario.round_ticks, frame_every(scenario), options.speed)
     in_process = options.in_process or scenario.ideal
     fleet: InProcess | Console
     if in_process:

@@ -67,9 +67,7 @@ class Scenario:
             offsets=places,
             graph=links,
             initial=formation.initial_states(spec.initial, places, spec.seed),
-            conditions={
-                k: conditions[k] for k in links.links if conditions.get(k, Condition()) != Condition()
-            },
+            conditions={k: conditions[k] for k in links.links if conditions.get(k, Condition()) != Condition()},
             guidance=guidance_params(spec.profile, spec.guidance, spec.tick),
             tracking=tracking_params(spec.profile, spec.tracking),
             source=source,
@@ -242,9 +240,7 @@ def list_scenarios() -> list[tuple[str, str, int, float]]:
 
 def _shipped() -> list[str]:
     folder = resources.files("fleet.scenarios")
-    return sorted(
-        entry.name.removesuffix(".yaml") for entry in folder.iterdir() if entry.name.endswith(".yaml")
-    )
+    return sorted(entry.name.removesuffix(".yaml") for entry in folder.iterdir() if entry.name.endswith(".yaml"))
 
 
 def _text(name_or_path: str) -> tuple[str, str]:

@@ -104,9 +104,7 @@ class GraphSection(Section):
     ahead: PositiveNumber | None = None  # a_(i,i-1) of the shape; 1
     behind: PositiveNumber | None = None  # a_(i,i+1) of the shape; 1
     edges: dict[str, PositiveNumber] | None = None  # "1->2": a_21, vehicle 2 hears vehicle 1
-    reference: Annotated[list[int] | Literal["all"], _Followers()] = (
-        "all"  # who has b_i = 1; the others have 0
-    )
+    reference: Annotated[list[int] | Literal["all"], _Followers()] = "all"  # who has b_i = 1; the others have 0
 
 
 class InitialState(Section):

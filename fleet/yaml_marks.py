@@ -191,9 +191,7 @@ class _Reader:
         for event in events:
             if isinstance(event, yaml.DocumentStartEvent):
                 if root is not None:
-                    self._fail(
-                        event.start_mark, "a second document begins here", "one file holds one scenario"
-                    )
+                    self._fail(event.start_mark, "a second document begins here", "one file holds one scenario")
                 root, _ = self._node(next(events), events, 0)
         if root is None:
             self._fail(None, "the text is empty")
@@ -242,9 +240,7 @@ class _Reader:
         if event.anchor in self.open:
             self._fail(event.start_mark, f'"*{event.anchor}" stands for something that contains it')
         if event.anchor not in self.anchors:
-            self._fail(
-                event.start_mark, f'"*{event.anchor}" stands for nothing: no "&{event.anchor}" before it'
-            )
+            self._fail(event.start_mark, f'"*{event.anchor}" stands for nothing: no "&{event.anchor}" before it')
         return self.anchors[event.anchor]
 
     def _scalar(self, event: Any) -> Scalar:
@@ -290,9 +286,7 @@ class _Reader:
 
     def _note(self, mark: Any, message: str, hint: str = "") -> None:
         place = self._place(mark) if mark else Place(self.source, 1, 1 + self.start)
-        while (
-            place.line > 1 and not self.source.line(place.line).strip()
-        ):  # the end of the text: show its last line
+        while place.line > 1 and not self.source.line(place.line).strip():  # the end of the text: show its last line
             place = Place(self.source, place.line - 1, len(self.source.line(place.line - 1)) + 1)
         self.problems.append(place.problem(message, hint))
 

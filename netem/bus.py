@@ -150,7 +150,7 @@ class Bus:
 
             def respond(answer: bytes) -> None:
                 query.reply(key_expr, answer)
-                query.drop()
+                query.drop()  # type: ignore[no-untyped-call]
 
             handler(str(key_expr), request, respond)
 
@@ -178,7 +178,7 @@ class Bus:
     def close(self) -> None:
         """Close the session; everything declared through it is gone."""
         self._held.clear()
-        self._session.close()
+        self._session.close()  # type: ignore[no-untyped-call]
 
 
 def quiet_zenoh() -> None:

@@ -191,9 +191,7 @@ def _no_correlation(reader: _Reader) -> None:
 
 def _unknown(word: str, column: int) -> GrammarError:
     if word in LATER:
-        return GrammarError(
-            f'"{word}" of tc-netem is not supported yet', column, f"supported: {', '.join(WORDS)}"
-        )
+        return GrammarError(f'"{word}" of tc-netem is not supported yet', column, f"supported: {', '.join(WORDS)}")
     hint = nearest(word, (*WORDS, *LATER)) or f"supported: {', '.join(WORDS)}"
     return GrammarError(f'unknown link condition "{word[:40]}"', column, hint)
 

@@ -166,9 +166,7 @@ class Delivery(NamedTuple):
 class Fate(NamedTuple):
     """The one, final record of a packet: netem writes it at the tick where the fate became final."""
 
-    final_tick: Annotated[
-        int, uint("tick", "due tick if delivered, drop tick if lost, end tick if in flight")
-    ]
+    final_tick: Annotated[int, uint("tick", "due tick if delivered, drop tick if lost, end tick if in flight")]
     src: Annotated[int, uint("", "sending vehicle")]
     dst: Annotated[int, uint("", "receiving vehicle")]
     seq: Annotated[int, uint("", "number of the payload on its directed link, from 0")]
@@ -231,9 +229,7 @@ class Transmission(NamedTuple):
 
     incarnation: Annotated[int, uint("", "life of the sending agent")]
     tick: Annotated[int, uint("tick", "round tick")]
-    payloads: Annotated[
-        tuple[bytes, ...], Field("", "each goes to every graph neighbour", "bin[*]", _array(_binary))
-    ]
+    payloads: Annotated[tuple[bytes, ...], Field("", "each goes to every graph neighbour", "bin[*]", _array(_binary))]
 
 
 @_declare("rx", "rx/{i}", "netem", "agent i")
@@ -253,9 +249,7 @@ class Round(NamedTuple):
     """Everyone's command for a round tick is in: who is alive, and where."""
 
     tick: Annotated[int, uint("tick", "round tick")]
-    alive: Annotated[
-        tuple[int, ...], Field("", "vehicles alive at the tick, ascending", "uint[*]", _array(_uint))
-    ]
+    alive: Annotated[tuple[int, ...], Field("", "vehicles alive at the tick, ascending", "uint[*]", _array(_uint))]
     positions: Annotated[
         tuple[Reals, ...],
         Field("m", "true x, y, z (NED) of each alive vehicle", "real[3][*]", _array(_reals(3))),

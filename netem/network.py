@@ -139,8 +139,7 @@ class Netem:
             "round": self._round,
             "next_seq": [[src, dst, seq] for (src, dst), seq in sorted(self._next_seq.items())],
             "conditions": [
-                [src, dst, c.delay_ns, c.jitter_ns, c.loss, c.up]
-                for (src, dst), c in sorted(self._conditions.items())
+                [src, dst, c.delay_ns, c.jitter_ns, c.loss, c.up] for (src, dst), c in sorted(self._conditions.items())
             ],
             "pending": [list(p) for i in sorted(self._pending) for p in sorted(self._pending[i])],
             "announced": [list(p) for p in self._announced],

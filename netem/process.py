@@ -36,9 +36,7 @@ class NetemProcess:
         self._keys = keys
         self._rounds = Rounds(config)
         self._shell = Shell(bus, NETEM, keys.note(NETEM))
-        self._inbox: dict[int, Callable[[bytes], None]] = {
-            i: bus.publisher(keys.rx(i)) for i in config.vehicles
-        }
+        self._inbox: dict[int, Callable[[bytes], None]] = {i: bus.publisher(keys.rx(i)) for i in config.vehicles}
         self._links = bus.publisher(keys.links)
         self._round_heard = False
         self._shell.subscribe(keys.tx("*"))

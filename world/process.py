@@ -87,9 +87,7 @@ class WorldProcess:
             self._publish(self._lockstep.command(i, message, data))
         elif isinstance(message, Hello):
             if message.version != PROTOCOL_VERSION:
-                raise MalformedMessage(
-                    "hello", f"protocol version {message.version}, ours is {PROTOCOL_VERSION}"
-                )
+                raise MalformedMessage("hello", f"protocol version {message.version}, ours is {PROTOCOL_VERSION}")
             if message.echo:
                 self._ready.add(i)
             else:

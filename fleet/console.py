@@ -31,7 +31,7 @@ from netem.access import CONSOLE, NETEM, OPERATOR, agent_role, generate
 from netem.bus import Bus, Respond
 from netem.errors import BusError, MalformedMessage, OutOfPlace
 from netem.keys import Keys
-from netem.messages import Frame, Grant, Hello, LinkReport, Note, encode
+from netem.messages import Frames, Grant, Hello, LinkReport, Note, encode
 from netem.shell import expect, read_map, request
 
 WORLD = world.process.WORLD
@@ -237,10 +237,11 @@ class Console:
         if kind == EXIT:
             self._explain([data])
         try:
-            message = expect(data, Frame, LinkReport, Note, Hello)
+            message = expect(data, Frames, LinkReport, Note, Hello)
             match message:
-                case Frame():
-                    self._journal.frame(message)
+                case Frames():
+                    for frame in message.frames:
+                        self._journal.frame(frame)
                 case LinkReport():
                     self._journal.links(message)
                 case Note():

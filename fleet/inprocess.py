@@ -21,6 +21,7 @@ from fleet.scenario import Scenario
 from netem.messages import (
     Command,
     Frame,
+    Frames,
     Inbox,
     LinkReport,
     Message,
@@ -72,7 +73,7 @@ class InProcess:
         if isinstance(out, NavTo):
             self._send(WORLD, out.id, out.nav)
         elif isinstance(out, Frame):
-            self._send(WORLD, CONSOLE, out)
+            self._send(WORLD, CONSOLE, Frames((out,)))
         elif not self._scenario.ideal:  # on an ideal network netem does not wait for the world
             self._send(WORLD, NETEM, out)
 
@@ -91,8 +92,9 @@ class InProcess:
             case Round():
                 self._rounds.round(message)
                 self._exchange()
-            case Frame():
-                self._journal.frame(message)
+            case Frames():
+                for frame in message.frames:
+                    self._journal.frame(frame)
             case LinkReport():
                 self._journal.links(message)
             case _:

@@ -14,7 +14,7 @@ from fleet.metrics import Metrics
 from fleet.scenario import Scenario
 from netem.errors import OutOfPlace
 from netem.ledger import Ledger
-from netem.messages import Fate, Frame, LinkReport
+from netem.messages import Command, Fate, Frame, LinkReport, decode
 
 
 class Journal:
@@ -71,7 +71,8 @@ class Journal:
         while self._frames and self._frames[0].tick <= limit:
             frame = self._frames.popleft()
             self._write_fates(frame.tick - 1)
-            self.log.frame(frame, self.metrics.frame(frame))
+            commands = {row.id: _command(row.command) for row in frame.vehicles if row.command}
+            self.log.frame(frame, commands, self.metrics.frame(frame, commands))
         self._write_fates(limit)
         self.written = max(self.written, limit)
 
@@ -80,6 +81,12 @@ class Journal:
             fate = self._fates.popleft()
             self.ledger.settle((fate,))
             self.log.packet(fate)
+
+
+def _command(data: bytes) -> Command:
+    command = decode(data)
+    assert isinstance(command, Command)  # the world checked it before it went into the frame
+    return command
 
 
 def frame_every(scenario: Scenario) -> int:

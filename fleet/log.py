@@ -13,8 +13,8 @@ from collections.abc import Mapping
 from importlib.metadata import version
 from math import cos, sin
 from pathlib import Path
-from struct import pack
-from typing import IO, Any
+from struct import Struct
+from typing import IO, NamedTuple
 
 from google.protobuf.timestamp_pb2 import Timestamp
 from mcap.writer import CompressionType, Writer
@@ -26,17 +26,28 @@ from fleet.log_schemas import (
     ERROR,
     PACKET,
     STATE,
+    DoublesEncoder,
+    PoseEncoder,
     Schema,
     flat_schema,
     pose_schema,
     signal_columns,
+    signal_positions,
 )
 from fleet.metrics import VehicleError
 from fleet.scenario import Scenario
-from netem.messages import Command, Fate, Frame, VehicleFrame, decode
+from netem.messages import Command, Fate, Frame, VehicleFrame
 
 SECOND_NS = 1_000_000_000
 FRAME_ID = "ned"
+
+
+_TIMES = Struct("<QQII").pack
+
+
+class _Channel(NamedTuple):
+    number: int
+    topic: bytes
 
 
 class LogError(FleetError):
@@ -54,7 +65,6 @@ class LogWriter:
         self._digest = hashlib.sha256()
         self.messages = 0
         self._flushed_s = 0
-        self._signals = Agent.signals
         try:
             self._file: IO[bytes] = path.open("xb")
             self._start()
@@ -72,57 +82,56 @@ class LogWriter:
         self._writer.start(profile="", library="uuv-fleet")
         self._writer.add_attachment(0, 0, "scenario.yaml", "application/yaml", self._scenario.to_yaml().encode())
         self._writer.add_metadata("run", run_metadata(self._scenario))
-        self._schemas: dict[str, Schema] = {}
-        self._channels: dict[str, tuple[int, str]] = {}
         ids = range(1, self._scenario.vehicles + 1)
         controller = self._scenario.spec.controller.capitalize()
-        flat = {
-            "state": flat_schema("State", STATE),
-            "nav": flat_schema("State", STATE),
-            "command": flat_schema("Command", COMMAND),
-            "guidance": flat_schema(f"{controller}Guidance", signal_columns(self._signals, "guidance")),
-            "control": flat_schema(f"{controller}Control", signal_columns(self._signals, "control")),
-            "error": flat_schema("Error", ERROR),
+        signals = Agent.signals
+        columns = {
+            "state": ("State", STATE),
+            "nav": ("State", STATE),
+            "command": ("Command", COMMAND),
+            "guidance": (f"{controller}Guidance", signal_columns(signals, "guidance")),
+            "control": (f"{controller}Control", signal_columns(signals, "control")),
+            "error": ("Error", ERROR),
         }
+        schemas = {"pose": pose_schema()} | {group: flat_schema(*named) for group, named in columns.items()}
         registered: dict[str, int] = {}
-        for group, schema in {"pose": pose_schema(), **flat}.items():
-            for i in ids:
-                self._channel(f"uuv/{i}/{group}", schema, registered)
-            self._schemas[group] = schema
-        self._schemas["link"] = flat_schema("Packet", PACKET)
-        for src, dst in self._scenario.graph.links:
-            self._channel(f"link/{src}-{dst}", self._schemas["link"], registered)
+        self._by_vehicle = {
+            group: {i: self._channel(f"uuv/{i}/{group}", schema, registered) for i in ids}
+            for group, schema in schemas.items()
+        }
+        positions = {group: signal_positions(signals, group) for group in ("guidance", "control")}
+        self._encoders = {group: DoublesEncoder(named[1], positions.get(group)) for group, named in columns.items()}
+        self._pose = PoseEncoder(FRAME_ID)
+        packet = flat_schema("Packet", PACKET)
+        self._packet = packet.message
+        self._by_link = {
+            (src, dst): self._channel(f"link/{src}-{dst}", packet, registered)
+            for src, dst in self._scenario.graph.links
+        }
 
-    def _channel(self, topic: str, schema: Schema, registered: dict[str, int]) -> None:
+    def _channel(self, topic: str, schema: Schema, registered: dict[str, int]) -> _Channel:
         if schema.name not in registered:
             registered[schema.name] = self._writer.register_schema(schema.name, "protobuf", schema.descriptor_set)
         number = self._writer.register_channel(topic, "protobuf", registered[schema.name], {"units": schema.units})
-        self._channels[topic] = (number, topic)
+        return _Channel(number, topic.encode())
 
-    def frame(self, frame: Frame, errors: Mapping[int, VehicleError]) -> None:
+    def frame(self, frame: Frame, commands: Mapping[int, Command], errors: Mapping[int, VehicleError]) -> None:
         """Write all topics of one tick, topic group by topic group, vehicles in ascending order."""
         tick = frame.tick
         at_ns = tick * self._tick_ns
-        # The state at the end is always logged, whatever the rate.
-        groups = [g for g, every in self._every.items() if tick % every == 0 or tick == self._scenario.ticks]
-        commands: dict[int, Command] = {}
-        if any(g in ("command", "guidance", "control") for g in groups):
-            for row in frame.vehicles:
-                if row.command:
-                    command = decode(row.command)
-                    assert isinstance(command, Command)  # the world checked it before it went into the frame
-                    commands[row.id] = command
-        for group in groups:
-            for row in frame.vehicles:
-                data = self._encode(group, row, commands.get(row.id), errors[row.id], at_ns)
-                if data is not None:
-                    self._add(f"uuv/{row.id}/{group}", at_ns, at_ns, tick, data)
+        last = tick == self._scenario.ticks  # the state at the end is always logged, whatever the rate
+        for group, every in self._every.items():
+            if tick % every and not last:
+                continue
+            channels = self._by_vehicle[group]
+            for i, data in self._encode(group, frame.vehicles, commands, errors, at_ns):
+                self._add(channels[i], at_ns, at_ns, tick, data)
         self._flush(at_ns)
 
     def packet(self, fate: Fate) -> None:
         """Write one packet's final fate."""
         tick_ns = self._tick_ns
-        message = self._schemas["link"].message(
+        message = self._packet(
             seq=fate.seq,
             copy=fate.copy,
             sent=fate.sent_tick * tick_ns / SECOND_NS,
@@ -133,7 +142,7 @@ class LogWriter:
         )
         final_ns = fate.final_tick * tick_ns
         data = message.SerializeToString()
-        self._add(f"link/{fate.src}-{fate.dst}", final_ns, fate.sent_tick * tick_ns, fate.seq, data)
+        self._add(self._by_link[fate.src, fate.dst], final_ns, fate.sent_tick * tick_ns, fate.seq, data)
         self._flush(final_ns)
 
     def close(self) -> None:
@@ -153,55 +162,37 @@ class LogWriter:
             return
 
     def _encode(
-        self, group: str, row: VehicleFrame, command: Command | None, error: VehicleError, at_ns: int
-    ) -> bytes | None:
-        make = self._schemas[group].message
-        data: bytes
+        self,
+        group: str,
+        rows: tuple[VehicleFrame, ...],
+        commands: Mapping[int, Command],
+        errors: Mapping[int, VehicleError],
+        at_ns: int,
+    ) -> list[tuple[int, bytes]]:
+        """(vehicle, message) of every vehicle that has something to say in this group."""
+        if group == "pose":
+            stamp = Timestamp(seconds=at_ns // SECOND_NS, nanos=at_ns % SECOND_NS).SerializeToString()
+            return [(row.id, self._pose(stamp, row.eta[:3], _quaternion(*row.eta[3:]))) for row in rows]
+        encode = self._encoders[group]
         match group:
-            case "pose":
-                data = make(**_pose(row, at_ns)).SerializeToString()
             case "state":
-                data = _state(make, (*row.eta, *row.nu))
+                return [(row.id, encode(row.eta + row.nu)) for row in rows]
             case "nav":
-                if not row.nav:
-                    return None
-                data = _state(make, row.nav)
+                return [(row.id, encode(row.nav)) for row in rows if row.nav]
             case "command":
-                if command is None:
-                    return None
-                data = make(tau=command.tau, applied=row.tau).SerializeToString()
+                return [(row.id, encode(commands[row.id].tau + row.tau)) for row in rows if row.id in commands]
             case "error":
-                data = make(
-                    e=error.e,
-                    e_norm=error.e_norm,
-                    formation=error.formation,
-                    formation_norm=error.formation_norm,
-                ).SerializeToString()
+                flat = [(row.id, errors[row.id]) for row in rows]
+                return [(i, encode((*e.e, e.e_norm, *e.formation, e.formation_norm))) for i, e in flat]
             case _:
-                if command is None:
-                    return None
-                data = make(**self._telemetry(group, command.telemetry)).SerializeToString()
-        return data
+                return [(row.id, encode(commands[row.id].telemetry)) for row in rows if row.id in commands]
 
-    def _telemetry(self, group: str, telemetry: tuple[float, ...]) -> dict[str, Any]:
-        values: dict[str, Any] = {}
-        position = 0
-        for signal in self._signals:
-            if signal.group == group:
-                if signal.width == 1:
-                    values[signal.name] = telemetry[position]
-                else:
-                    values[signal.name] = telemetry[position : position + signal.width]
-            position += signal.width
-        return values
-
-    def _add(self, topic: str, log_ns: int, publish_ns: int, sequence: int, data: bytes) -> None:
-        number, name = self._channels[topic]
+    def _add(self, channel: _Channel, log_ns: int, publish_ns: int, sequence: int, data: bytes) -> None:
         try:
-            self._writer.add_message(number, log_ns, data, publish_ns, sequence)
+            self._writer.add_message(channel.number, log_ns, data, publish_ns, sequence)
         except OSError as error:
             raise _log_error(self.path, error) from error
-        self._digest.update(name.encode() + pack("<QQII", log_ns, publish_ns, sequence, len(data)) + data)
+        self._digest.update(channel.topic + _TIMES(log_ns, publish_ns, sequence, len(data)) + data)
         self.messages += 1
 
     def _flush(self, at_ns: int) -> None:
@@ -230,24 +221,10 @@ def run_metadata(scenario: Scenario) -> dict[str, str]:
     }
 
 
-def _state(make: Any, values: tuple[float, ...]) -> bytes:
-    x, y, z, theta, psi, u, v, w, q, r = values
-    data: bytes = make(x=x, y=y, z=z, theta=theta, psi=psi, u=u, v=v, w=w, q=q, r=r).SerializeToString()
-    return data
-
-
-def _pose(row: VehicleFrame, at_ns: int) -> dict[str, Any]:
-    x, y, z, theta, psi = row.eta
-    # R = Rz(psi) Ry(theta); roll is not modelled.
+def _quaternion(theta: float, psi: float) -> tuple[float, float, float, float]:
+    """(x, y, z, w) of R = Rz(psi) Ry(theta), body to NED; roll is not modelled."""
     ct, st, cp, sp = cos(theta / 2), sin(theta / 2), cos(psi / 2), sin(psi / 2)
-    return {
-        "timestamp": Timestamp(seconds=at_ns // SECOND_NS, nanos=at_ns % SECOND_NS),
-        "frame_id": FRAME_ID,
-        "pose": {
-            "position": {"x": x, "y": y, "z": z},
-            "orientation": {"x": -sp * st, "y": cp * st, "z": sp * ct, "w": cp * ct},
-        },
-    }
+    return -sp * st, cp * st, sp * ct, cp * ct
 
 
 def _log_error(path: Path, error: OSError) -> LogError:

@@ -7,8 +7,10 @@ group. Units and meanings travel as channel metadata, because a protobuf field h
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from operator import itemgetter
+from struct import Struct
 from typing import Any
 
 from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
@@ -80,6 +82,16 @@ def signal_columns(signals: tuple[Signal, ...], group: str) -> tuple[Column, ...
     return tuple(Column(s.name, s.unit, s.meaning, 0 if s.width == 1 else s.width) for s in signals if s.group == group)
 
 
+def signal_positions(signals: tuple[Signal, ...], group: str) -> list[int]:
+    """Where in the telemetry each column of the group begins."""
+    positions, at = [], 0
+    for signal in signals:
+        if signal.group == group:
+            positions.append(at)
+        at += signal.width
+    return positions
+
+
 def flat_schema(name: str, columns: tuple[Column, ...]) -> Schema:
     """A schema of our own."""
     file = descriptor_pb2.FileDescriptorProto(name=f"{PACKAGE}/{name}.proto", package=PACKAGE, syntax="proto3")
@@ -103,6 +115,77 @@ def flat_schema(name: str, columns: tuple[Column, ...]) -> Schema:
         message_factory.GetMessageClass(descriptor),
         json.dumps(units),
     )
+
+
+class DoublesEncoder:
+    """Protobuf wire format of a message that holds doubles only, from a flat tuple of values.
+
+    Every such message has a fixed layout (tag, or tag and length, then little-endian doubles), so one `struct`
+    call writes it: 1 us against 4 us through protobuf's own message objects, which at 28 messages per tick of
+    four vehicles decided how fast a run could be. A test parses the result with protobuf and compares.
+    """
+
+    def __init__(self, columns: Sequence[Column], positions: Sequence[int] | None = None) -> None:
+        """`positions`: where in the tuple each column begins; by default one after the other."""
+        layout = "<"
+        constants: list[bytes] = []
+        order: list[int] = []
+        begin = 0
+        for number, column in enumerate(columns, start=1):
+            width = column.width or 1
+            # Wire type 1 is a single double, 2 a packed array, which has its length in bytes behind the tag.
+            head = _varint(number << 3 | (2 if column.width else 1))
+            head += _varint(8 * width) if column.width else b""
+            layout += f"{len(head)}s{width}d"
+            order.append(len(constants))
+            constants.append(head)
+            start = begin if positions is None else positions[number - 1]
+            order += [-(start + k) - 1 for k in range(width)]
+            begin += width
+        self._constants = tuple(constants)
+        count = len(constants)
+        self._interleave = itemgetter(*(count - index - 1 if index < 0 else index for index in order))
+        self._pack = Struct(layout).pack
+
+    def __call__(self, values: tuple[float, ...]) -> bytes:
+        """The encoded message."""
+        return self._pack(*self._interleave(self._constants + values))
+
+
+class PoseEncoder:
+    """Foxglove's PoseInFrame by the same means; the timestamp, whose length varies, comes from protobuf."""
+
+    def __init__(self, frame_id: str) -> None:
+        position = DoublesEncoder([Column(name, "", "") for name in "xyz"])
+        orientation = DoublesEncoder([Column(name, "", "") for name in "xyzw"])
+        self._position, self._orientation = position, orientation
+        length = len(position((0.0,) * 3)), len(orientation((0.0,) * 4))
+        self._frame_id = b"\x12" + _varint(len(frame_id)) + frame_id.encode()
+        self._pose = b"\x1a" + _varint(sum(length) + 4) + b"\x0a" + _varint(length[0])
+        self._between = b"\x12" + _varint(length[1])
+
+    def __call__(self, timestamp: bytes, position: tuple[float, ...], orientation: tuple[float, ...]) -> bytes:
+        """The encoded message; `timestamp` is an encoded google.protobuf.Timestamp."""
+        return b"".join(
+            (
+                b"\x0a",
+                _varint(len(timestamp)),
+                timestamp,
+                self._frame_id,
+                self._pose,
+                self._position(position),
+                self._between,
+                self._orientation(orientation),
+            )
+        )
+
+
+def _varint(value: int) -> bytes:
+    out = b""
+    while value > 0x7F:
+        out += bytes((value & 0x7F | 0x80,))
+        value >>= 7
+    return out + bytes((value,))
 
 
 def pose_schema() -> Schema:

@@ -10,13 +10,14 @@
 from __future__ import annotations
 
 from array import array
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from math import hypot, isfinite, sqrt
 from typing import Any, NamedTuple
 
 from agents.agent import Agent
 from fleet.scenario import Scenario
-from netem.messages import Command, Frame, decode
+from netem.messages import Command, Frame
 from world.vehicle import Vec3
 
 RMS_WINDOW_S = 10.0
@@ -69,8 +70,8 @@ class Metrics:
         self.series = {i: Series() for i in range(1, scenario.vehicles + 1)}
         self.formation_error = 0.0
 
-    def frame(self, frame: Frame) -> dict[int, VehicleError]:
-        """Take one frame; returns the errors of every vehicle in it."""
+    def frame(self, frame: Frame, commands: Mapping[int, Command]) -> dict[int, VehicleError]:
+        """Take one frame with its decoded commands; returns the errors of every vehicle in it."""
         t = frame.tick * self._tick_s
         pd1 = tuple(s + v * t for s, v in zip(self._start, self._velocity, strict=True))
         positions = {row.id: row.eta[:3] for row in frame.vehicles}
@@ -84,9 +85,8 @@ class Metrics:
             series.formation.append(error.formation_norm)
             if row.tau:
                 series.effort_Ns += abs(row.tau[0]) * (elapsed or self._tick_s)
-            if row.command:
-                command = decode(row.command)
-                assert isinstance(command, Command)  # the world checked it before it went into the frame
+            command = commands.get(row.id)
+            if command is not None:
                 series.u_cmd_max = max(series.u_cmd_max, command.telemetry[u_cmd])
                 series.qp_failures = int(command.telemetry[failures])
                 series.payloads_rejected = int(command.telemetry[rejected])

@@ -3,10 +3,10 @@
 So an override obeys the rules of the file, and a mistake in one is reported with those of the file. Steps
 into a list count from 1, as vehicles do: `initial.2.surge=0.3 m/s`.
 
-`vehicles=N` scales the scenario. What the file writes out vehicle by vehicle cannot fit another number of
-them, so it is replaced by what can: the formation by a grid, the initial states by a scatter, the graph's
-edges by a path (a path or a ring scales by itself), and link rules for vehicles by name are dropped. Anything
-that is also overridden is left alone. `--show-config` shows the result.
+`vehicles=N` scales the scenario, before the other overrides apply. What the file writes out vehicle by vehicle
+cannot fit another number of them, so it is replaced by what can: the formation's offsets by a grid, the
+initial states by a scatter, the graph's edges by a path (a shape scales by itself), and rules for links that
+may be gone are dropped. `--show-config` shows the result.
 """
 
 from __future__ import annotations
@@ -20,7 +20,9 @@ from fleet.quantities import describe
 from fleet.yaml_marks import Items, Mapping, Node, Place, Scalar, Source, plain, read
 
 _MAX_STEPS = 10
-_SCATTER_M = 1.5  # about how far the paper's vehicles start from their places
+# The tuning "paper" is fragile in its disturbance: 20 vehicles survive this start, at 1 m one of them tumbles,
+# and of 100 vehicles one tumbles even so (seed 1). Undisturbed and hardened fleets of 100 survive.
+_SCATTER_M = 0.5
 
 Step = tuple[str, Place]
 
@@ -33,8 +35,7 @@ def override_name(override: str) -> str:
 def apply(root: Mapping, overrides: Sequence[str]) -> tuple[Mapping, list[Problem]]:
     """The tree with the overrides applied in order, the later ones over the earlier, and their mistakes."""
     problems: list[Problem] = []
-    given: set[str] = set()
-    before = root
+    changes: list[tuple[list[Step], Node]] = []
     for rank, override in enumerate(overrides, start=1):
         source = Source(override_name(override), override, rank)
         path, equals, _ = override.partition("=")
@@ -46,16 +47,18 @@ def apply(root: Mapping, overrides: Sequence[str]) -> tuple[Mapping, list[Proble
         problems += found
         if value is None:
             continue
+        if path == "vehicles":
+            root = _scale(root, root.with_entry("vehicles", Place(source, 1, 1), value))
+        else:
+            changes.append((_steps(path, source), value))
+    for steps, value in changes:
         try:
-            changed = _set(root, _steps(path, source), value)
+            changed = _set(root, steps, value)
         except _UnreachableError as error:
             problems.append(error.problem)
             continue
         assert isinstance(changed, Mapping)
         root = changed
-        given.add(path)
-    if "vehicles" in given:
-        root = _scale(before, root, given)
     return root, problems
 
 
@@ -97,15 +100,12 @@ def _set(node: Node | None, steps: list[Step], value: Node) -> Node:
     )
 
 
-def _scale(before: Mapping, root: Mapping, given: set[str]) -> Mapping:
-    """The tree for another number of vehicles than the file wrote it for."""
+def _scale(before: Mapping, root: Mapping) -> Mapping:
+    """The tree for another number of vehicles than it was written for."""
     old, new = _count(before), _count(root)
     if new is None or old == new:
         return root
     place = root.keys["vehicles"]
-
-    def free(key: str) -> bool:
-        return not any(path == key or path.startswith(f"{key}.") for path in given)
 
     def scalar(value: str | float) -> Scalar:
         return Scalar(value, place)
@@ -113,14 +113,14 @@ def _scale(before: Mapping, root: Mapping, given: set[str]) -> Mapping:
     def replaced(root: Mapping, key: str, entries: dict[str, Node]) -> Mapping:
         old = root.entries.get(key)
         keys = dict.fromkeys(entries, place) | (old.keys if isinstance(old, Mapping) else {})
-        return root.with_entry(key, root.keys.get(key, place), Mapping(entries, keys, place))
+        return root.with_entry(key, root.keys[key], Mapping(entries, keys, place))
 
     formation = root.entries.get("formation")
-    if free("formation") and isinstance(formation, Mapping) and "shape" not in formation.entries:
+    if isinstance(formation, Mapping) and "offsets" in formation.entries:
         entries: dict[str, Node] = {"shape": scalar("grid"), "spacing": scalar(f"{DEFAULT_SPACING_M:g} m")}
         root = replaced(root, "formation", entries)
     initial = root.entries.get("initial")
-    if free("initial") and isinstance(initial, Items):
+    if isinstance(initial, Items):
         entries = {"scatter": scalar(f"{_SCATTER_M} m")}
         first = initial.items[0] if initial.items else None
         if isinstance(first, Mapping) and "surge" in first.entries:
@@ -128,15 +128,14 @@ def _scale(before: Mapping, root: Mapping, given: set[str]) -> Mapping:
         root = replaced(root, "initial", entries)
     graph = root.entries.get("graph")
     explicit = isinstance(graph, Mapping) and "edges" in graph.entries
-    if free("graph") and isinstance(graph, Mapping):
+    if isinstance(graph, Mapping):
         root = replaced(root, "graph", _scaled_graph(graph, explicit, new, scalar("path")))
     network = root.entries.get("network")
     links = network.entries.get("links") if isinstance(network, Mapping) else None
-    if not {"network", "network.links"} & given and isinstance(network, Mapping) and isinstance(links, Mapping):
+    if isinstance(network, Mapping) and isinstance(links, Mapping):
         for selector in links.entries:
             numbers = [int(n) for n in _numbers(selector)]
-            fits = not numbers or (not explicit and max(numbers) <= new)
-            if not fits and f"network.links.{selector}" not in given:
+            if numbers and (explicit or max(numbers) > new):
                 links = links.without(selector)
         root = root.with_entry("network", root.keys["network"], network.with_entry("links", place, links))
     return root

@@ -50,6 +50,7 @@ from fleet.fields import (
 )
 from fleet.quantities import describe, show_time
 from netem.grammar import print_condition
+from world.config import DEFAULT_SUBSTEPS
 
 
 class Section(BaseModel):
@@ -289,7 +290,7 @@ def _title(value: Any) -> Any:
 class PhysicsSection(Section):
     """How finely the sea is integrated."""
 
-    substeps: Annotated[int, Field(ge=1, le=100)] = 1  # RK4 steps per tick
+    substeps: Annotated[int, Field(ge=1, le=100)] = DEFAULT_SUBSTEPS  # RK4 steps per tick
 
 
 class ScenarioSpec(Section):

@@ -256,7 +256,6 @@ class Round(NamedTuple):
     ]
 
 
-@_declare("frame", "frame", "world", "console")
 class Frame(NamedTuple):
     """All vehicles at one tick; the log's source."""
 
@@ -265,6 +264,13 @@ class Frame(NamedTuple):
         tuple[VehicleFrame, ...],
         Field("", "ascending by id", "VehicleFrame[*]", _array(_record(VehicleFrame))),
     ]
+
+
+@_declare("frames", "frame", "world", "console")
+class Frames(NamedTuple):
+    """Consecutive frames in one message: the world saves a message per tick while it has more to do."""
+
+    frames: Annotated[tuple[Frame, ...], Field("", "ascending by tick", "Frame[*]", _array(_record(Frame)))]
 
 
 @_declare("links", "links", "netem", "console")
@@ -296,7 +302,7 @@ class Note(NamedTuple):
     text: Annotated[str, Field("", "one line", "str", _text)]
 
 
-Message = Hello | Nav | Command | Transmission | Inbox | Round | Frame | LinkReport | Grant | Note
+Message = Hello | Nav | Command | Transmission | Inbox | Round | Frames | LinkReport | Grant | Note
 
 
 def encode(message: Message) -> bytes:

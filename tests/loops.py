@@ -135,9 +135,7 @@ def run_loop(
             for i in serve:
                 link.send(tick, i, agents[i].transmit(navs[i]))
         inboxes = link.receive(tick)
-        decisions = {
-            i: agents[i].decide(navs[i], sorted(inboxes.get(i, []), key=lambda d: d[:4])) for i in serve
-        }
+        decisions = {i: agents[i].decide(navs[i], sorted(inboxes.get(i, []), key=lambda d: d[:4])) for i in serve}
         states = [world.state(i) for i in ids]
         applied = {i: world.actuate(i, decisions[i].tau) for i in serve}
         for i in serve:

@@ -482,6 +482,29 @@ def test_guards(theta: float, nu: Any) -> None:
         assert max(map(abs, demand)) < 500.0
 
 
+def test_at_rest_the_thrust_still_has_a_direction() -> None:
+    """Below u_eps the cosine shrinks with the speed; above, a straight run has cosine 1."""
+    config = agent_config(1)
+    for u, cosine in ((0.01, 0.5), (0.019, 0.95), (0.5, 1.0)):
+        tracking = NeurodynamicTracking(config.tracking, config.vehicle)
+        demand, values = tracking.step((0.0,) * 5, (u, 0.0, 0.0, 0.0, 0.0), (0.7, 0.0, 0.0), 0.01)
+        x1 = values[5]
+        assert demand[0] == pytest.approx(1.0 * u - 4.0 / cosine * 10.0 * x1)
+
+
+def test_with_nowhere_to_go_the_first_direction_is_held() -> None:
+    """Below rho_eps the angles are those of the vehicle at its first sample, also after a restore."""
+    config = agent_config(1)
+    nearly_still = replace(config.guidance, rho_lo=(-0.01,) * 3, rho_hi=(0.01,) * 3)
+    config = replace(config, guidance=nearly_still)
+    agent, other = Agent(config), Agent(config)
+    agent.decide(still(0, eta=(0.0, 0.0, 0.0, 0.2, -0.5)), [])
+    other.restore(agent.state())
+    for one in (agent, other):
+        telemetry = named(one.decide(still(1, eta=(0.0, 0.0, 0.0, 0.3, 0.7)), []).telemetry)
+        assert (telemetry["theta_cmd"], telemetry["psi_cmd"]) == ((0.2,), (-0.5,))
+
+
 def test_the_law_cancels_the_vehicles_own_dynamics() -> None:
     """With no error at all, the demanded forces balance surge, pitch and yaw in a steady straight run."""
     config = agent_config(1)

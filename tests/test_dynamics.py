@@ -28,9 +28,7 @@ from world.sea import World
 from world.vehicle import Vec3, VehicleParams
 
 K = coefficients(VehicleParams())
-NO_DAMPING = coefficients(
-    VehicleParams(beta_u=0.0, beta_v=0.0, beta_w=0.0, beta_q=0.0, beta_r=0.0, beta_b=0.0)
-)
+NO_DAMPING = coefficients(VehicleParams(beta_u=0.0, beta_v=0.0, beta_w=0.0, beta_q=0.0, beta_r=0.0, beta_b=0.0))
 REST = (0.0, 0.0, 0.0)
 CALM_SEA = (NO_FORCE, NO_FORCE, NO_FORCE)
 
@@ -101,9 +99,7 @@ def test_integration_is_of_fourth_order() -> None:
 
 
 @given(course, st.tuples(speed, speed))
-def test_a_level_vehicle_that_drifts_with_the_current_feels_nothing(
-    psi: float, flow: tuple[float, float]
-) -> None:
+def test_a_level_vehicle_that_drifts_with_the_current_feels_nothing(psi: float, flow: tuple[float, float]) -> None:
     cx, cy = flow
     u = math.cos(psi) * cx + math.sin(psi) * cy
     v = -math.sin(psi) * cx + math.cos(psi) * cy

@@ -112,9 +112,7 @@ def test_kkt_and_closed_form(e: Vec3, c: float, rho0: Vec3, K0: Vec3, g: Guidanc
 
 
 @given(vector, weight, velocity, gain, tunings)
-def test_the_gain_beats_its_feasible_neighbours(
-    e: Vec3, c: float, rho0: Vec3, K0: Vec3, g: GuidanceParams
-) -> None:
+def test_the_gain_beats_its_feasible_neighbours(e: Vec3, c: float, rho0: Vec3, K0: Vec3, g: GuidanceParams) -> None:
     problem = build_qp(e, c, RHO_D, rho0, K0, g)
     K = solved(problem).K
     for axis in range(3):
@@ -127,9 +125,7 @@ def test_the_gain_beats_its_feasible_neighbours(
 
 
 @given(vector, weight, velocity, gain, tunings)
-def test_the_bounds_win_over_the_least_gain(
-    e: Vec3, c: float, rho0: Vec3, K0: Vec3, g: GuidanceParams
-) -> None:
+def test_the_bounds_win_over_the_least_gain(e: Vec3, c: float, rho0: Vec3, K0: Vec3, g: GuidanceParams) -> None:
     """rho stays within its bounds and the gain is never negative, if need be below k_min."""
     K = solved(build_qp(e, c, RHO_D, rho0, K0, g)).K
     for axis in range(3):

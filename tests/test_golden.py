@@ -57,9 +57,7 @@ def columns(name: str) -> slice:
 
 
 def run(case: Case, ticks: int) -> list[Sample]:
-    agents = {
-        i: Agent(agent_config(i, case.profile, case.extrapolation, case.round_ticks)) for i in (1, 2, 3, 4)
-    }
+    agents = {i: Agent(agent_config(i, case.profile, case.extrapolation, case.round_ticks)) for i in (1, 2, 3, 4)}
     world = World(world_config(case.disturbance))
     return list(run_loop(agents, world, ticks, Link(case.round_ticks, case.delay_ticks)))
 

@@ -308,8 +308,12 @@ def test_scaling_to_the_same_number_changes_nothing() -> None:
     assert load_scenario("paper", ["vehicles=4"]) == load_scenario("paper")
 
 
-def test_scaling_leaves_alone_what_is_also_set() -> None:
-    s = load_scenario("paper", ["vehicles=2", "formation.offsets=[0 0 0 m, 3 0 0 m]", "graph={shape: path}"])
+def test_what_is_also_set_wins_over_scaling() -> None:
+    """Whatever the order on the command line: the overrides are of the scaled scenario."""
+    ring = load_scenario("paper", ["initial.scatter=0 m", "graph.shape=ring", "vehicles=20"])
+    assert [eta0[:3] for eta0, _ in ring.initial] == list(ring.offsets)
+    assert len(ring.graph.links) == 40
+    s = load_scenario("paper", ["vehicles=2", "formation={offsets: [0 0 0 m, 3 0 0 m]}", "graph={shape: path}"])
     assert s.offsets == ((0, 0, 0), (3, 0, 0))
     assert set(s.graph.weights.values()) == {1.0}
 

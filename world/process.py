@@ -12,7 +12,7 @@ from netem.access import Credentials, agent_role
 from netem.bus import Bus, Respond
 from netem.errors import MalformedMessage, OutOfPlace
 from netem.keys import Keys
-from netem.messages import PROTOCOL_VERSION, Command, Frame, Grant, Hello, Round, encode
+from netem.messages import PROTOCOL_VERSION, Command, Frame, Frames, Grant, Hello, Round, encode
 from netem.shell import Shell, expect, read_map, vehicle_of
 from world.config import WorldConfig
 from world.lockstep import Lockstep, NavTo, Out
@@ -20,6 +20,7 @@ from world.lockstep import Lockstep, NavTo, Out
 log = logging.getLogger(__name__)
 
 WORLD = "world"
+FRAMES_PER_MESSAGE = 10
 _ECHO = encode(Hello(WORLD, 0, 0, PROTOCOL_VERSION, True))
 _PROBE = encode(Hello(WORLD, 0, 0, PROTOCOL_VERSION, False))
 
@@ -51,6 +52,7 @@ class WorldProcess:
         self._nav: dict[int, Callable[[bytes], None]] = {i: bus.publisher(keys.nav(i)) for i in self._ids}
         self._round = bus.publisher(keys.round)
         self._frame = bus.publisher(keys.frame)
+        self._frames: list[Frame] = []  # not yet published
         self._ready: set[int] = set()
         self._shell.subscribe(keys.cmd("*"))
         self._shell.subscribe(keys.grant)
@@ -63,7 +65,11 @@ class WorldProcess:
         """Handle one item after the other until told to stop."""
         take, grant_key = self._shell.queue.get, self._keys.grant
         running = True
+        idle = self._shell.queue.empty
         while running:
+            if self._frames and (len(self._frames) >= FRAMES_PER_MESSAGE or idle()):
+                self._frame(encode(Frames(tuple(self._frames))))
+                self._frames.clear()
             item = take()
             try:
                 if item.respond is not None:
@@ -98,7 +104,7 @@ class WorldProcess:
             if isinstance(item, NavTo):
                 self._nav[item.id](encode(item.nav))
             elif isinstance(item, Frame):
-                self._frame(encode(item))
+                self._frames.append(item)
             elif isinstance(item, Round):
                 self._round(encode(item))
 

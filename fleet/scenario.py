@@ -9,7 +9,6 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from importlib import resources
-from math import pi
 from pathlib import Path
 
 from agents.config import AgentConfig, GuidanceParams, Neighbour, Reference, TrackingParams
@@ -23,18 +22,9 @@ from fleet.validation import validate
 from fleet.yaml_marks import Mapping, Scalar, Source, read
 from netem.config import Condition, Link, NetemConfig
 from netem.grammar import nearest, parse_selector, select
-from world.config import Harmonic, NavNoise, VehicleSetup, WorldConfig
+from world import disturbance
+from world.config import NavNoise, VehicleSetup, WorldConfig
 from world.vehicle import Vec3, Vec5, VehicleParams
-
-# d(t) = (3.1 sin t, 3.1 cos t, 2.1 sin t, 1.1 sin t, 1.1 sin t) [N, N, N, N m, N m], the same on every
-# vehicle (the paper's simulation section).
-_PAPER_DISTURBANCE = (
-    Harmonic(3.1, 1.0, 0.0),
-    Harmonic(3.1, 1.0, pi / 2),
-    Harmonic(2.1, 1.0, 0.0),
-    Harmonic(1.1, 1.0, 0.0),
-    Harmonic(1.1, 1.0, 0.0),
-)
 
 _MAX_BYTES = 4_000_000  # more than yaml_marks takes, less than /dev/zero gives
 
@@ -138,7 +128,7 @@ class Scenario:
                 VehicleSetup(id=i, eta0=eta0, nu0=nu0, tau_max=tau_max)
                 for i, (eta0, nu0) in enumerate(self.initial, start=1)
             ),
-            disturbance=_PAPER_DISTURBANCE if spec.sea.disturbance == "paper" else (),
+            disturbance=disturbance.PAPER if spec.sea.disturbance == "paper" else (),
             current=spec.sea.current,
             noise=NavNoise(
                 position_m=spec.sensors.position_noise,

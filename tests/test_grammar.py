@@ -138,9 +138,7 @@ def test_selectors_name_links(text: str, links: tuple[tuple[int, int], ...]) -> 
     assert select(parse_selector(text), LINKS) == links
 
 
-@given(
-    st.one_of(st.none(), st.integers(1, 10**6)), st.one_of(st.none(), st.integers(1, 10**6)), st.booleans()
-)
+@given(st.one_of(st.none(), st.integers(1, 10**6)), st.one_of(st.none(), st.integers(1, 10**6)), st.booleans())
 def test_selectors_read_back(src: int | None, dst: int | None, both: bool) -> None:
     if src == dst and src is not None:
         return

@@ -1,0 +1,51 @@
+"""The house rules are tests: style, types, the import arrow, and the commands that the README gives."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parent.parent
+
+CHECKS = {
+    "ruff check": [sys.executable, "-m", "ruff", "check", "."],
+    "ruff format": [sys.executable, "-m", "ruff", "format", "--check", "."],
+    "mypy": [sys.executable, "-m", "mypy"],
+    # import-linter has no `-m`; its console script stands beside the interpreter.
+    "import-linter": [str(Path(sys.executable).with_name("lint-imports"))],
+}
+
+
+@pytest.mark.parametrize("name", CHECKS)
+def test_tool_is_content(name: str) -> None:
+    done = subprocess.run(CHECKS[name], cwd=ROOT, capture_output=True, text=True, timeout=300, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+def commands(text: str) -> list[str]:
+    """The lines of a text that set up the virtual environment and do something with it."""
+    return re.findall(r"^(python3 -m venv .*)$", text, re.MULTILINE)
+
+
+def test_ci_runs_the_readme_test_command() -> None:
+    run, tests = commands((ROOT / "README.md").read_text("utf-8"))
+    assert run.endswith("fleet run paper")
+    assert commands((ROOT / ".ci" / "run").read_text("utf-8")) == [tests]
+
+
+def test_project_stands_alone() -> None:
+    """Nothing names a folder of somebody's machine or a place beside the project."""
+    listed = subprocess.run(["git", "ls-files"], cwd=ROOT, capture_output=True, text=True, check=False)
+    names = listed.stdout.splitlines() or [str(p.relative_to(ROOT)) for p in ROOT.rglob("*.py")]
+    words = ("../sha" + "red", "/wo" + "rk/", ".libr" + "ary/")
+    found = []
+    for name in names:
+        path = ROOT / name
+        if path.suffix in {".py", ".md", ".toml", ".yaml", ".txt", ".json"} and path.is_file():
+            text = path.read_text("utf-8")
+            found += [f"{name}: {word}" for word in words if word in text]
+    assert not found

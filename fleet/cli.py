@@ -197,6 +197,14 @@ def info(log: Path, as_json: bool) -> None:
     click.echo(json.dumps(found.to_values(), indent=2) if as_json else describe(found))
 
 
+@cli.command()
+def protocol() -> None:
+    """Print the wire protocol page (Markdown), for whoever writes an agent in another language."""
+    from fleet.protocol import page
+
+    click.echo(page(), nl=False)
+
+
 def _fail(error: FleetError) -> Any:
     click.echo(f"fleet: {error}", err=True)
     sys.exit(2)

@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from fleet.protocol import page
+
 ROOT = Path(__file__).parent.parent
 
 CHECKS = {
@@ -49,3 +51,8 @@ def test_project_stands_alone() -> None:
             text = path.read_text("utf-8")
             found += [f"{name}: {word}" for word in words if word in text]
     assert not found
+
+
+def test_protocol_page_is_current() -> None:
+    """docs/protocol.md is what `fleet protocol` prints now."""
+    assert (ROOT / "docs" / "protocol.md").read_text("utf-8") == page()

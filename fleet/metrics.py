@@ -88,8 +88,8 @@ class Metrics:
             command = commands.get(row.id)
             if command is not None:
                 series.u_cmd_max = max(series.u_cmd_max, command.telemetry[u_cmd])
-                series.qp_failures = int(command.telemetry[failures])
-                series.payloads_rejected = int(command.telemetry[rejected])
+                series.qp_failures = _count(command.telemetry[failures], series.qp_failures)
+                series.payloads_rejected = _count(command.telemetry[rejected], series.payloads_rejected)
         self.formation_error = max(error.formation_norm for error in errors.values())
         return errors
 
@@ -141,6 +141,11 @@ class Metrics:
                 "payloads_rejected": series.payloads_rejected,
             }
         return rows
+
+
+def _count(value: float, before: int) -> int:
+    # Telemetry is the agent's word; a stranger's agent may say anything that is a double.
+    return int(value) if isfinite(value) else before
 
 
 def _settle(times: array[float], values: array[float], limit: float) -> float | None:

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from importlib import resources
 from pathlib import Path
 
+from agents.agent import Agent
 from agents.config import AgentConfig, GuidanceParams, Neighbour, Reference, TrackingParams
 from fleet import emit, formation, graph
 from fleet.errors import Problem, ScenarioError
@@ -130,6 +131,7 @@ class Scenario:
             ),
             disturbance=disturbance.PAPER if spec.sea.disturbance == "paper" else (),
             current=spec.sea.current,
+            telemetry_size=sum(signal.width for signal in Agent.signals),
             noise=NavNoise(
                 position_m=spec.sensors.position_noise,
                 angle_rad=spec.sensors.angle_noise,

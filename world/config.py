@@ -58,3 +58,4 @@ class WorldConfig:
     disturbance: tuple[Harmonic, ...] = ()  # d1..d5, the same on every vehicle; empty: none
     current: Vec3 = (0.0, 0.0, 0.0)  # m/s, NED, constant and irrotational
     noise: NavNoise = field(default_factory=NavNoise)
+    telemetry_size: int | None = None  # how many values a command's telemetry must have; None: any number

@@ -76,6 +76,8 @@ class Lockstep:
             raise OutOfPlace("tick", "no command (no nav is unanswered)", command.tick)
         if command.tick != nav.tick:
             raise OutOfPlace("tick", nav.tick, command.tick)
+        if self.config.telemetry_size not in (None, len(command.telemetry)):
+            raise OutOfPlace("telemetry values", self.config.telemetry_size, len(command.telemetry))
         del self._awaiting[i]
         world, k = self.world, nav.tick
         eta, nu = world.state(i)

@@ -64,6 +64,11 @@ class AgentLoop:
         """The last tick answered; -1 before the first."""
         return self._tick
 
+    @property
+    def waits_for_inbox(self) -> bool:
+        """Whether a nav is there that an inbox must come for."""
+        return self._nav is not None
+
     def nav(self, nav: Nav) -> list[Transmission | Command]:
         """Take the nav of the next tick.
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 import logging
 import traceback
 from collections.abc import Callable
-from queue import Empty
-from time import monotonic
+from time import monotonic, sleep
 
 from agents.agent import Agent
 from agents.config import AgentConfig
@@ -22,6 +21,7 @@ log = logging.getLogger(__name__)
 
 READY_TIMEOUT_S = 30.0
 RETRY_S = 0.02
+POLL_S = 0.001
 
 
 def run(endpoint: str, run_id: str, vehicle: int, credentials: Credentials) -> None:
@@ -48,8 +48,8 @@ class AgentProcess:
         self._shell = Shell(bus, role, keys.note(role))
         self._tx: Callable[[bytes], None] = bus.publisher(keys.tx(vehicle))
         self._cmd: Callable[[bytes], None] = bus.publisher(keys.cmd(vehicle))
-        self._shell.subscribe(keys.nav(vehicle))
-        self._shell.subscribe(keys.rx(vehicle))
+        self._navs = bus.channel(keys.nav(vehicle))
+        self._inboxes = bus.channel(keys.rx(vehicle))
 
     def get_ready(self) -> None:
         """Probe until world and netem have both answered on this agent's own keys, then say so.
@@ -58,31 +58,29 @@ class AgentProcess:
             BusError: one of them does not answer.
         """
         probe = encode(Hello("agent", self._vehicle, self._loop.incarnation, PROTOCOL_VERSION, False))
-        unheard = {self._keys.nav(self._vehicle): self._cmd, self._keys.rx(self._vehicle): self._tx}
+        unheard = {self._navs: self._cmd, self._inboxes: self._tx}
         deadline = monotonic() + READY_TIMEOUT_S
         while unheard:
             for put in unheard.values():
                 put(probe)
             retry = monotonic() + RETRY_S
-            while unheard and (left := retry - monotonic()) > 0:
-                try:
-                    item = self._shell.queue.get(timeout=left)
-                except Empty:
-                    break
-                expect(item.data, Hello)
-                unheard.pop(item.key, None)
+            while unheard and monotonic() < retry:
+                for channel in [c for c in unheard if c.poll() is not None]:
+                    del unheard[channel]
+                sleep(POLL_S)
             if monotonic() > deadline:
-                raise BusError(f"no answer on {', '.join(unheard)} within {READY_TIMEOUT_S:.0f} s")
+                raise BusError(f"no answer from world and netem within {READY_TIMEOUT_S:.0f} s")
         self._cmd(encode(Hello("agent", self._vehicle, self._loop.incarnation, PROTOCOL_VERSION, True)))
         self._bus.token(self._keys.alive(agent_role(self._vehicle)))
 
     def serve(self) -> None:
         """Answer navs, one after the other, until the process ends."""
-        loop, shell = self._loop, self._shell
+        loop = self._loop
         while True:
-            item = shell.queue.get()
+            # A nav that cannot be answered yet waits for an inbox; inboxes that come early wait in their channel.
+            key, data = (self._inboxes if loop.waits_for_inbox else self._navs).get()
             try:
-                message = expect(item.data, Nav, Inbox, Hello)
+                message = expect(data, Nav, Inbox, Hello)
                 if isinstance(message, Nav):
                     out = self._guarded(loop.nav, message)
                 elif isinstance(message, Inbox):
@@ -90,7 +88,7 @@ class AgentProcess:
                 else:
                     continue  # a late echo of a repeated probe
             except (MalformedMessage, OutOfPlace) as error:
-                shell.reject(item.key, loop.tick, error)
+                self._shell.reject(key, loop.tick, error)
                 continue
             for answer in out:
                 (self._tx if isinstance(answer, Transmission) else self._cmd)(encode(answer))

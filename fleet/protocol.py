@@ -17,8 +17,8 @@ fields. Ticks count control periods Ts from the start of the run. A message that
 counted, told to the console the first time, and dropped.
 
 An agent i joins with its credentials, asks `cfg/<i>` (a query) for its slice of the scenario (a map with the key
-`agent`), subscribes to `nav/<i>` and `rx/<i>`, and puts `hello` on `cmd/<i>` and `tx/<i>` until both have been echoed on
-`nav/<i>` and `rx/<i>`. Then it puts `hello` with `echo` set on `cmd/<i>`, declares the liveliness token
+`agent`), subscribes to `nav/<i>` and `rx/<i>`, and puts `hello` on `cmd/<i>` and `tx/<i>` until both have been echoed
+on `nav/<i>` and `rx/<i>`. Then it puts `hello` with `echo` set on `cmd/<i>`, declares the liveliness token
 `alive/agent-<i>`, and answers every `nav`: wait until an `rx` covers the tick; on round ticks put `tx` (the empty one
 too); put `cmd`.
 """

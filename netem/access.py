@@ -97,7 +97,7 @@ def access_control(keys: Keys, vehicles: tuple[int, ...]) -> dict[str, Any]:
         ("egress", ["put"], [keys.frame, keys.links, keys.note("*")]),
         ("egress", ["query"], [keys.cfg("*"), f"{keys.op}/**"]),
         ("egress", ["reply"], [f"{keys.prefix}/ctl/**"]),
-        ("egress", ["declare_subscriber"], [keys.grant, f"{keys.prefix}/log/**"]),
+        ("egress", ["declare_subscriber"], [keys.cmd("*"), f"{keys.prefix}/log/**"]),
         ("egress", ["declare_queryable"], [f"{keys.prefix}/ctl/**"]),
         ("egress", ["liveliness_token"], [keys.alive("*")]),
     )

@@ -49,8 +49,8 @@ class Keys:
 
     @property
     def grant(self) -> str:
-        """Console to world."""
-        return f"fleet/{self.run}/ctl/grant"
+        """Console to world; below `cmd`, so that one channel of the world holds all that moves it."""
+        return f"fleet/{self.run}/cmd/grant"
 
     @property
     def round(self) -> str:

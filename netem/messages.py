@@ -285,7 +285,7 @@ class LinkReport(NamedTuple):
     ]
 
 
-@_declare("grant", "ctl/grant", "console", "world")
+@_declare("grant", "cmd/grant", "console", "world")
 class Grant(NamedTuple):
     """Ticks below `until` may be started."""
 

@@ -44,7 +44,7 @@ class Lockstep:
     @property
     def waiting_for(self) -> list[tuple[int, int]]:
         """(vehicle, tick) of every command that is due, the furthest behind first."""
-        return sorted(((i, nav.tick) for i, nav in self._awaiting.items()), key=lambda w: (w[1], w[0]))
+        return sorted(((i, nav.tick) for i, nav in list(self._awaiting.items())), key=lambda w: (w[1], w[0]))
 
     @property
     def finished(self) -> bool:

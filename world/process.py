@@ -33,12 +33,11 @@ def run(
     config: WorldConfig,
     frame_every: int,
 ) -> None:
-    """Host the router and serve the sea of a run until the console asks to stop."""
+    """Host the router and serve the sea of a run until the process is ended."""
     keys = Keys(run_id)
     vehicles = tuple(setup.id for setup in config.vehicles)
     bus = Bus.host(endpoint, keys, vehicles, credentials, private)
     WorldProcess(bus, keys, config, frame_every).serve()
-    bus.close()
 
 
 class WorldProcess:
@@ -54,35 +53,33 @@ class WorldProcess:
         self._frame = bus.publisher(keys.frame)
         self._frames: list[Frame] = []  # not yet published
         self._ready: set[int] = set()
-        self._shell.subscribe(keys.cmd("*"))
-        self._shell.subscribe(keys.grant)
-        self._shell.answer(keys.ctl(WORLD))
+        self._in = bus.channel(keys.cmd("*"))  # commands and grants
+        bus.answer(keys.ctl(WORLD), self._control)
         bus.watch_tokens(keys.alive("*"), self._token)
         self._token_roles = {keys.alive(agent_role(i)): i for i in self._ids}
         bus.token(keys.alive(WORLD))
 
     def serve(self) -> None:
-        """Handle one item after the other until told to stop."""
-        take, grant_key = self._shell.queue.get, self._keys.grant
-        running = True
-        idle = self._shell.queue.empty
-        while running:
-            if self._frames and (len(self._frames) >= FRAMES_PER_MESSAGE or idle()):
-                self._frame(encode(Frames(tuple(self._frames))))
-                self._frames.clear()
-            item = take()
+        """Handle one message after the other, until the process is ended."""
+        take, poll, grant_key = self._in.get, self._in.poll, self._keys.grant
+        while True:
+            item = poll()
+            if item is None or len(self._frames) >= FRAMES_PER_MESSAGE:
+                if self._frames:
+                    self._frame(encode(Frames(tuple(self._frames))))
+                    self._frames.clear()
+                item = item or take()
+            key, data = item
             try:
-                if item.respond is not None:
-                    running = self._control(item.data, item.respond)
-                elif item.key == grant_key:
-                    message = expect(item.data, Grant)
-                    if isinstance(message, Grant):
-                        self._publish(self._lockstep.grant(message.until))
+                if key == grant_key:
+                    message = expect(data, Grant)
+                    assert isinstance(message, Grant)
+                    self._publish(self._lockstep.grant(message.until))
                 else:
-                    self._command(item.key, item.data)
+                    self._command(key, data)
             except (MalformedMessage, OutOfPlace) as error:
-                i = vehicle_of(item.key)
-                self._shell.reject(item.key, self._lockstep.tick_of(i) if i in self._ids else 0, error)
+                i = vehicle_of(key)
+                self._shell.reject(key, self._lockstep.tick_of(i) if i in self._ids else 0, error)
 
     def _command(self, key: str, data: bytes) -> None:
         i = vehicle_of(key)
@@ -113,9 +110,14 @@ class WorldProcess:
         if i is not None and not alive and not self._lockstep.finished:
             self._shell.note(i, self._lockstep.tick_of(i), "its session ended")
 
-    def _control(self, data: bytes, respond: Respond) -> bool:
-        request = read_map(data)
-        match request.get("op"):
+    def _control(self, key: str, data: bytes, respond: Respond) -> None:
+        """Answer the console, on a zenoh thread: it only reads, and must be heard while the main thread waits."""
+        try:
+            op = read_map(data).get("op")
+        except MalformedMessage as error:
+            respond(msgpack.packb({"error": str(error)}))
+            return
+        match op:
             case "ready":
                 self._round(_PROBE)
                 self._frame(_ECHO)
@@ -125,9 +127,5 @@ class WorldProcess:
                 respond(msgpack.packb({"waiting": waiting}))
             case "close":
                 respond(msgpack.packb({"rejected": dict(self._shell.rejected)}))
-            case "stop":
-                respond(msgpack.packb({}))
-                return False
             case other:
                 respond(msgpack.packb({"error": f"no operation {other!r}"}))
-        return True

@@ -110,7 +110,8 @@ class AgentProcess:
 def _ask_config(bus: Bus, keys: Keys, vehicle: int) -> AgentConfig:
     deadline = monotonic() + READY_TIMEOUT_S
     while monotonic() < deadline:
-        answer = bus.ask(keys.cfg(vehicle), timeout_s=RETRY_S * 10)
+        answer = bus.ask(keys.cfg(vehicle))
         if answer is not None:
             return AgentConfig.from_values(read_map(answer)["agent"])
+        sleep(RETRY_S)  # nobody to ask yet: zenoh says so at once
     raise BusError(f"the console did not answer on {keys.cfg(vehicle)} within {READY_TIMEOUT_S:.0f} s")

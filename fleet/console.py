@@ -31,7 +31,7 @@ from netem.access import CONSOLE, NETEM, OPERATOR, agent_role, generate
 from netem.bus import Bus, Respond
 from netem.errors import BusError, MalformedMessage, OutOfPlace
 from netem.keys import Keys
-from netem.messages import Frames, Grant, Hello, LinkReport, Note, encode
+from netem.messages import PROTOCOL_VERSION, Frames, Grant, Hello, LinkReport, Note, encode
 from netem.shell import expect, read_map, request
 
 WORLD = world.process.WORLD
@@ -73,6 +73,7 @@ class Console:
         self._events: SimpleQueue[tuple[str, Any]] = SimpleQueue()
         self._children = Children(lambda ended: self._events.put((EXIT, ended)))
         self._bus: Bus | None = None
+        self._grant: Callable[[bytes], None] = _unconnected
         self._hello: set[str] = set()
         self.notes: list[str] = []
         self.waiting = ""  # who is being waited for, when nothing moves
@@ -127,8 +128,11 @@ class Console:
             for role in order:
                 title = f"fleet {role.replace('-', ' ')} [{scenario.name}]"
                 self._children.start(role, title, self._directory.process_log(role), *_flat(targets[role]))
+                if role == WORLD:
+                    # Now, because an agent that finds nobody to ask for its configuration keeps asking.
+                    bus = self._bus = self._join(endpoint, credentials[CONSOLE])
+                    self._listen(bus)
             self._children.watch()
-            bus = self._bus = self._join(endpoint, credentials[CONSOLE])
         finally:
             users = private / "users"
             users.unlink(missing_ok=True)
@@ -143,6 +147,12 @@ class Console:
                 "password": credentials[OPERATOR].password,
             }
         )
+        assert self._bus is not None  # the world is among the roles
+        return self._bus
+
+    def _listen(self, bus: Bus) -> None:
+        scenario, keys = self._scenario, self._keys
+        self._grant = bus.publisher(keys.grant)
         put = self._events.put
         bus.subscribe(keys.frame, lambda _, data: put((FRAME, data)))
         bus.subscribe(keys.links, lambda _, data: put((LINKS, data)))
@@ -153,7 +163,6 @@ class Console:
             respond(slices[key])
 
         bus.answer(keys.cfg("*"), configure)
-        return bus
 
     def _join(self, endpoint: str, credentials: Any) -> Bus:
         try:
@@ -164,20 +173,22 @@ class Console:
 
     def _get_ready(self, bus: Bus) -> None:
         """A hello and its echo on every key; liveliness alone would not show that messages pass."""
+        probe = encode(Hello(CONSOLE, 0, 0, PROTOCOL_VERSION, False))
         deadline = time.monotonic() + READY_S + READY_PER_VEHICLE_S * len(self._vehicles)
         missing = "the world"
         while True:
+            self._grant(probe)
             answer = self._control(bus, WORLD, "ready")
             network = self._control(bus, NETEM, "ready")
             ready = set(answer.get("ready", ()))
             absent = [i for i in self._vehicles if i not in ready]
             unheard = {FRAME, LINKS} - self._hello
-            if not absent and not unheard and network.get("round"):
+            if not absent and not unheard and network.get("round") and answer.get("grant"):
                 return
             if absent:
                 missing = "agents " + ", ".join(map(str, absent)) if len(absent) < 9 else f"{len(absent)} agents"
             else:
-                missing = "netem" if not network.get("round") else "an echo on " + ", ".join(sorted(unheard))
+                missing = "netem" if not network.get("round") else ", ".join(sorted(unheard)) or "the clock's key"
             if time.monotonic() > deadline:
                 raise RunBroken(f"not ready after {READY_S:.0f} s: waiting for {missing}", self._tails())
             retry = time.monotonic() + POLL_S
@@ -185,7 +196,7 @@ class Console:
                 self._take(left)
 
     def _record(self, bus: Bus, clock: Clock, progress: Callable[[], None]) -> None:
-        journal, grant = self._journal, bus.publisher(self._keys.grant)
+        journal = self._journal
         granted = 0
         began = moved = asked = time.monotonic()
         while journal.framed < clock.ticks:
@@ -193,7 +204,7 @@ class Console:
             until = clock.until(journal.written, now - began)
             if until > granted:
                 granted = until
-                grant(encode(Grant(granted)))
+                self._grant(encode(Grant(granted)))
                 moved = now
             before = journal.framed
             self._take(0.01 if clock.speed is not None else 0.1)
@@ -319,6 +330,10 @@ class Console:
 
     def _seconds(self, tick: int) -> str:
         return f"t = {max(0, tick) * self._scenario.tick_ns / 1e9:.2f} s (tick {max(0, tick)})"
+
+
+def _unconnected(_: bytes) -> None:
+    raise AssertionError("the console has not joined the run yet")
 
 
 def _flat(target: tuple[Callable[..., None], tuple[Any, ...]]) -> tuple[Any, ...]:

@@ -14,7 +14,7 @@ from fleet.metrics import Metrics
 from fleet.scenario import Scenario
 from netem.errors import OutOfPlace
 from netem.ledger import Ledger
-from netem.messages import Command, Fate, Frame, LinkReport, decode
+from netem.messages import Command, Fate, Frame, LinkReport, VehicleFrame, decode
 
 
 class Journal:
@@ -32,6 +32,7 @@ class Journal:
         self._frame_every = frame_every(scenario)
         self._round_ticks = scenario.round_ticks
         self._frames: deque[Frame] = deque()
+        self._rows: tuple[VehicleFrame, ...] = ()  # of a frame whose rest is still to come
         self._fates: deque[Fate] = deque()
 
     @property
@@ -48,8 +49,12 @@ class Journal:
         expected = 0 if self.framed < 0 else min(self.framed + self._frame_every, self._last)
         if frame.tick != expected:
             raise OutOfPlace("frame", expected, frame.tick)
+        self._rows += frame.vehicles
+        if frame.more:
+            return
         self.framed = frame.tick
-        self._frames.append(frame)
+        self._frames.append(frame._replace(vehicles=self._rows))
+        self._rows = ()
         self._write()
 
     def links(self, report: LinkReport) -> None:
@@ -61,9 +66,11 @@ class Journal:
         expected = 0 if self.reported < 0 else self.reported + self._round_ticks
         if not report.closing and report.until != expected:
             raise OutOfPlace("link report", expected, report.until)
+        self._fates.extend(report.fates)
+        if report.more:
+            return
         self.reported = report.until
         self.closed = report.closing
-        self._fates.extend(report.fates)
         self._write()
 
     def _write(self) -> None:

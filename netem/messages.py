@@ -9,7 +9,7 @@ some languages' MessagePack writes 1.0 as 1). Ticks count control periods Ts fro
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from math import isfinite
 from typing import Annotated, Any, NamedTuple, TypeVar, get_args, get_type_hints
@@ -260,6 +260,7 @@ class Frame(NamedTuple):
     """All vehicles at one tick; the log's source."""
 
     tick: Annotated[int, uint("tick", "control tick; consecutive on this key")]
+    more: Annotated[bool, Field("", "more vehicles of the same tick follow", "bool", _flag)]
     vehicles: Annotated[
         tuple[VehicleFrame, ...],
         Field("", "ascending by id", "VehicleFrame[*]", _array(_record(VehicleFrame))),
@@ -279,6 +280,7 @@ class LinkReport(NamedTuple):
 
     until: Annotated[int, uint("tick", "fates are complete up to this tick")]
     closing: Annotated[bool, Field("", "true for the last report of a run", "bool", _flag)]
+    more: Annotated[bool, Field("", "more fates of the same report follow", "bool", _flag)]
     fates: Annotated[
         tuple[Fate, ...],
         Field("", "ordered by (final, src, dst, seq, copy)", "Fate[*]", _array(_record(Fate))),
@@ -334,6 +336,20 @@ def decode(data: bytes) -> Message:
     except OverflowError:
         raise MalformedMessage(kind, "a number is too large for a double") from None
     return message
+
+
+_T = TypeVar("_T")
+
+
+def split(items: Sequence[_T], size: Callable[[_T], int], limit: int) -> Iterator[tuple[Sequence[_T], bool]]:
+    """Consecutive parts of `items`, each of at most `limit` bytes or a single item, with whether more follow."""
+    begin = total = 0
+    for index, item in enumerate(items):
+        total += (one := size(item))
+        if total > limit and index > begin:
+            yield items[begin:index], True
+            begin, total = index, one
+    yield items[begin:], False
 
 
 def declared() -> dict[str, tuple[type, Route]]:

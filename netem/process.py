@@ -8,15 +8,17 @@ from collections.abc import Callable
 import msgpack
 
 from netem.access import NETEM, Credentials
-from netem.bus import Bus, Respond
+from netem.bus import PART_BYTES, Bus, Respond
 from netem.config import NetemConfig
 from netem.errors import MalformedMessage, OutOfPlace
 from netem.keys import Keys
-from netem.messages import PROTOCOL_VERSION, Hello, Round, Transmission, encode
+from netem.messages import PROTOCOL_VERSION, Hello, LinkReport, Round, Transmission, encode, split
 from netem.rounds import Rounds
 from netem.shell import Shell, expect, read_map, vehicle_of
 
 log = logging.getLogger(__name__)
+
+FATE_BYTES = 80  # a fate without its payload, generously
 
 _ECHO = encode(Hello(NETEM, 0, 0, PROTOCOL_VERSION, True))
 
@@ -83,7 +85,11 @@ class NetemProcess:
             inboxes, report = outcome
             for i, inbox in inboxes:
                 self._inbox[i](encode(inbox))
-            self._links(encode(report))
+            self._report(report)
+
+    def _report(self, report: LinkReport) -> None:
+        for fates, more in split(report.fates, lambda fate: len(fate.payload) + FATE_BYTES, PART_BYTES):
+            self._links(encode(report._replace(more=more, fates=tuple(fates))))
 
     def _control(self, data: bytes, respond: Respond) -> bool:
         request = read_map(data)
@@ -94,7 +100,7 @@ class NetemProcess:
             case "waiting":
                 respond(msgpack.packb({"tick": self._rounds.tick, "missing": self._rounds.missing}))
             case "close":
-                self._links(encode(self._rounds.close(int(request["tick"]))))
+                self._report(self._rounds.close(int(request["tick"])))
                 sent = [[src, dst, count] for (src, dst), count in self._rounds.netem.sent.items()]
                 respond(msgpack.packb({"sent": sent, "rejected": dict(self._shell.rejected)}))
             case "stop":

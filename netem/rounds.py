@@ -75,8 +75,8 @@ class Rounds:
         self._next = tick + self.config.round_ticks
         until = tick if self.config.ideal else self._next
         out = [(i, Inbox(self._incarnation[i], until, deliveries)) for i, deliveries in inboxes.items()]
-        return out, LinkReport(tick, False, fates)
+        return out, LinkReport(tick, False, False, fates)
 
     def close(self, end_tick: int) -> LinkReport:
         """The last report of a run that ended before tick `end_tick` was started."""
-        return LinkReport(end_tick, True, self.netem.close(end_tick))
+        return LinkReport(end_tick, True, False, self.netem.close(end_tick))

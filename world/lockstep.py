@@ -111,7 +111,7 @@ class Lockstep:
         while (rows := self._rows.get(self._framed)) is not None and len(rows) == len(self._ids):
             del self._rows[self._framed]
             rows.sort()
-            out.append(Frame(self._framed, tuple(rows)))
+            out.append(Frame(self._framed, False, tuple(rows)))
             last = self.config.ticks
             self._framed = min(last, self._framed + self._frame_every) if self._framed < last else last + 1
         return out

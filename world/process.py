@@ -9,10 +9,10 @@ from pathlib import Path
 import msgpack
 
 from netem.access import Credentials, agent_role
-from netem.bus import Bus, Respond
+from netem.bus import PART_BYTES, Bus, Respond
 from netem.errors import MalformedMessage, OutOfPlace
 from netem.keys import Keys
-from netem.messages import PROTOCOL_VERSION, Command, Frame, Frames, Grant, Hello, Round, encode
+from netem.messages import PROTOCOL_VERSION, Command, Frame, Frames, Grant, Hello, Round, VehicleFrame, encode, split
 from netem.shell import Shell, expect, read_map, vehicle_of
 from world.config import WorldConfig
 from world.lockstep import Lockstep, NavTo, Out
@@ -52,11 +52,13 @@ class WorldProcess:
         self._round = bus.publisher(keys.round)
         self._frame = bus.publisher(keys.frame)
         self._frames: list[Frame] = []  # not yet published
+        self._frames_bytes = 0
         self._ready: set[int] = set()
+        self._grant_heard = False
         self._in = bus.channel(keys.cmd("*"))  # commands and grants
         bus.answer(keys.ctl(WORLD), self._control)
-        bus.watch_tokens(keys.alive("*"), self._token)
         self._token_roles = {keys.alive(agent_role(i)): i for i in self._ids}
+        bus.watch_tokens(keys.alive("*"), self._token)
         bus.token(keys.alive(WORLD))
 
     def serve(self) -> None:
@@ -64,17 +66,17 @@ class WorldProcess:
         take, poll, grant_key = self._in.get, self._in.poll, self._keys.grant
         while True:
             item = poll()
-            if item is None or len(self._frames) >= FRAMES_PER_MESSAGE:
-                if self._frames:
-                    self._frame(encode(Frames(tuple(self._frames))))
-                    self._frames.clear()
-                item = item or take()
+            if item is None:
+                self._flush_frames()
+                item = take()
             key, data = item
             try:
                 if key == grant_key:
-                    message = expect(data, Grant)
-                    assert isinstance(message, Grant)
-                    self._publish(self._lockstep.grant(message.until))
+                    message = expect(data, Grant, Hello)
+                    if isinstance(message, Grant):
+                        self._publish(self._lockstep.grant(message.until))
+                    else:
+                        self._grant_heard = True
                 else:
                     self._command(key, data)
             except (MalformedMessage, OutOfPlace) as error:
@@ -101,9 +103,19 @@ class WorldProcess:
             if isinstance(item, NavTo):
                 self._nav[item.id](encode(item.nav))
             elif isinstance(item, Frame):
-                self._frames.append(item)
+                for rows, more in split(item.vehicles, _row_bytes, PART_BYTES):
+                    self._frames.append(Frame(item.tick, more, tuple(rows)))
+                    self._frames_bytes += sum(map(_row_bytes, rows))
+                    if len(self._frames) >= FRAMES_PER_MESSAGE or self._frames_bytes > PART_BYTES // 2:
+                        self._flush_frames()
             elif isinstance(item, Round):
                 self._round(encode(item))
+
+    def _flush_frames(self) -> None:
+        if self._frames:
+            self._frame(encode(Frames(tuple(self._frames))))
+            self._frames.clear()
+            self._frames_bytes = 0
 
     def _token(self, key: str, alive: bool) -> None:
         i = self._token_roles.get(key)
@@ -121,7 +133,7 @@ class WorldProcess:
             case "ready":
                 self._round(_PROBE)
                 self._frame(_ECHO)
-                respond(msgpack.packb({"ready": sorted(self._ready)}))
+                respond(msgpack.packb({"ready": sorted(self._ready), "grant": self._grant_heard}))
             case "waiting":
                 waiting = [list(pair) for pair in self._lockstep.waiting_for]
                 respond(msgpack.packb({"waiting": waiting}))
@@ -129,3 +141,8 @@ class WorldProcess:
                 respond(msgpack.packb({"rejected": dict(self._shell.rejected)}))
             case other:
                 respond(msgpack.packb({"error": f"no operation {other!r}"}))
+
+
+def _row_bytes(row: VehicleFrame) -> int:
+    # Nine bytes per double of state, measurement and tau, a little for the rest.
+    return 240 + len(row.command)

@@ -1,0 +1,139 @@
+"""A real `fleet run` in a process group of its own, watched from outside."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+from time import monotonic
+from types import TracebackType
+
+import psutil
+from waiting import wait_for
+
+from fleet.reader import LogReader
+
+FORKSERVER = "forkserver"
+# For a machine that does other things at the same time; what is promised is in the tests.
+READY_S = 60.0
+
+
+class LiveRun:
+    """`python -m fleet run ...` as a subprocess; nothing of it is left when the `with` block ends."""
+
+    def __init__(self, out: Path, *arguments: str, environment: dict[str, str] | None = None) -> None:
+        self.out = out
+        self._printed = out.with_name(out.name + ".printed")
+        with self._printed.open("wb") as printed:
+            self._process = subprocess.Popen(
+                [sys.executable, "-m", "fleet", "run", *arguments, "--out", str(out)],
+                stdin=subprocess.DEVNULL,
+                stdout=printed,
+                stderr=subprocess.STDOUT,
+                env=os.environ | (environment or {}),
+                start_new_session=True,
+            )
+        self.pid = self._process.pid
+        self._met: dict[int, psutil.Process] = {}
+
+    def __enter__(self) -> LiveRun:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.family()
+        for process in [*self._met.values(), psutil.Process(self.pid) if self._process.poll() is None else None]:
+            with contextlib.suppress(psutil.NoSuchProcess):
+                if process is not None and not gone(process):
+                    process.kill()
+        self._process.wait(10)
+
+    @property
+    def printed(self) -> str:
+        return self._printed.read_text("utf-8", "replace")
+
+    @property
+    def directory(self) -> Path:
+        return (self.out / "latest").resolve()
+
+    @property
+    def log(self) -> Path:
+        return self.directory / "run.mcap"
+
+    def family(self) -> list[psutil.Process]:
+        """Every process met so far that the console or its fork server started."""
+        with contextlib.suppress(psutil.NoSuchProcess):
+            for process in psutil.Process(self.pid).children(recursive=True):
+                self._met.setdefault(process.pid, process)
+        return list(self._met.values())
+
+    def role(self, name: str) -> psutil.Process:
+        """The process of a role such as `agent 3`, `world` or `forkserver`."""
+        for process in self.family():
+            with contextlib.suppress(psutil.NoSuchProcess, psutil.ZombieProcess):
+                title = " ".join(process.cmdline())
+                if title.startswith(f"fleet {name} [") or (name == FORKSERVER and "forkserver import main" in title):
+                    return process
+        raise AssertionError(f"no {name} among {[_title(p) for p in self.family()]}; printed: {self.printed}")
+
+    def until_running(self, sim_s: float = 1.0) -> LiveRun:
+        """Wait until `sim_s` seconds of sim time can be read from the log."""
+        wait_for(self._over_or(lambda: self.logged_s() >= sim_s), READY_S, f"{sim_s:g} s in the log")
+        assert self._process.poll() is None, f"the run ended early: {self.printed}"
+        self.family()
+        return self
+
+    def _over_or(self, condition):  # type: ignore[no-untyped-def]
+        return lambda: self._process.poll() is not None or condition()
+
+    def logged_s(self) -> float:
+        """Sim time up to which the log can be read now."""
+        if not self.log.exists() or not self.log.stat().st_size:
+            return 0.0
+        return max((record.log_ns for record in LogReader(self.log)), default=0) / 1e9
+
+    def send(self, number: signal.Signals, *, group: bool = False) -> None:
+        """A signal to the console, or to its whole process group as a terminal would send it."""
+        (os.killpg if group else os.kill)(self.pid, number)
+
+    def status(self, limit: float = 30.0) -> int:
+        """The exit status, a shell's 128 + n for death by signal n; waits for the end."""
+        code = self._process.wait(limit)
+        return code if code >= 0 else 128 - code
+
+    def until_nobody_is_left(self, limit: float = 5.0) -> None:
+        """Wait until no process that belonged to the run is alive."""
+        wait_for(lambda: not self.alive(), limit, f"the end of {[_title(p) for p in self.alive()]}")
+
+    def alive(self) -> list[psutil.Process]:
+        return [process for process in self.family() if not gone(process)]
+
+
+def gone(process: psutil.Process) -> bool:
+    """Whether it has ended. A zombie has: where PID 1 does not reap orphans, they stay as such."""
+    try:
+        return not process.is_running() or process.status() == psutil.STATUS_ZOMBIE
+    except psutil.NoSuchProcess:
+        return True
+
+
+def _title(process: psutil.Process) -> str:
+    try:
+        return f"{process.pid} {' '.join(process.cmdline())} ({process.status()})"
+    except psutil.Error:
+        return f"{process.pid} (gone)"
+
+
+class Stopwatch:
+    """Wall time since it was made."""
+
+    def __init__(self) -> None:
+        self._began = monotonic()
+
+    @property
+    def s(self) -> float:
+        return monotonic() - self._began

@@ -1,0 +1,226 @@
+"""The same seed gives the same bytes: whatever runs it, in whatever order it starts, wherever and whenever."""
+
+from __future__ import annotations
+
+import getpass
+import os
+import re
+import socket
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from first_difference import assert_same_bytes, decode, first_difference
+from mcap.records import Attachment, Channel, Message, Metadata, Schema
+from mcap.stream_reader import StreamReader
+
+from fleet.reader import LogReader, digest
+from fleet.run import Options, Status, execute
+from fleet.rundir import RunDirectory
+from fleet.scenario import load_scenario
+
+CHECKS = "checks={qp_infeasible: {at_most: 0}, ledger: balanced, middleware_loss: {at_most: 0}}"
+NOISE = [
+    "sensors.position_noise=5 cm",
+    "sensors.angle_noise=0.5 deg",
+    "sensors.velocity_noise=1 cm/s",
+    "sensors.rate_noise=0.1 deg/s",
+]
+ROUGH = "network.links={'*': 'delay 200ms 50ms loss 30%'}"
+
+# What each adds: nothing; loss, jitter and the disturbance; draws in the world process; frames that are not sent
+# every tick, and an end tick between two of them; a last round that is cut; the tightest coupling there is; a
+# graph in which vehicles hear more than one other, and numbers of two digits.
+CASES: dict[str, tuple[str, list[str]]] = {
+    "paper": ("paper", ["duration=4 s"]),
+    "rough-sea": ("rough-sea", ["duration=6 s"]),
+    "sensor noise": ("paper", ["duration=3 s", *NOISE]),
+    "thinned log": ("rough-sea", ["duration=3 s", "log.every=7 ticks", "log.pose=21 ticks"]),
+    "short last round": ("paper", ["duration=3.07 s", ROUGH]),
+    "a round per tick": ("paper", ["duration=2 s", "network.period=10 ms", ROUGH]),
+    "twelve in a ring": ("paper", ["vehicles=12", "graph.shape=ring", "duration=2 s", *NOISE, ROUGH]),
+}
+
+# The world hosts the router, so those before it in the second order knock at a door that is not there yet.
+ORDERS: dict[str, Callable[[list[str]], list[str]]] = {
+    "as listed": lambda roles: roles,
+    "world last": lambda roles: roles[::-1],
+    "agents first": lambda roles: sorted(roles),
+}
+
+
+def run(out: Path, case: str, *more: str, **options: Any) -> Path:
+    """The log of one run of a case."""
+    scenario, overrides = CASES[case]
+    result = execute(load_scenario(scenario, [CHECKS, *overrides, *more]), Options(out, quiet=True, **options))
+    assert result.status is Status.PASS, (result.reason, result.lines, result.verdicts)
+    return result.directory / "run.mcap"
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_same_seed_same_bytes(case: str, tmp_path: Path) -> None:
+    """Two runs one after the other in one process: nothing is left over from the first that the second sees."""
+    assert_same_bytes(run(tmp_path, case, in_process=True), run(tmp_path, case, in_process=True))
+
+
+@pytest.mark.parametrize(("case", "order"), [*((case, "world last") for case in CASES), ("rough-sea", "agents first")])
+def test_distributed_is_in_process(case: str, order: str, tmp_path: Path) -> None:
+    """Processes over zenoh and a plain loop write the same file, so no scheduling, no order of arrival and no
+    start order reaches a result. Every distributed run schedules differently, so each is a new sample of that."""
+    alone = run(tmp_path, case, in_process=True)
+    assert_same_bytes(alone, run(tmp_path, case, start_order=ORDERS[order]))
+
+
+def test_hash_seed_and_shuffled_starts_change_nothing(tmp_path: Path) -> None:
+    """Other processes with other PYTHONHASHSEEDs: no order of a set or of a dict by hash reaches a result.
+
+    Both runs are subprocesses, because a hash seed is fixed when an interpreter starts; the fork server and with it
+    every process of the run inherits it.
+    """
+    logs = []
+    for seed in ("1", "2"):
+        arguments = ["--out", str(tmp_path / seed), "--start-order", seed, "--duration", "3 s", "--set", CHECKS]
+        done = subprocess.run(
+            [sys.executable, "-m", "fleet", "run", "rough-sea", "--quiet", *arguments],
+            env=os.environ | {"PYTHONHASHSEED": seed},
+            capture_output=True,
+            text=True,
+            timeout=60,
+            check=False,
+        )
+        assert (done.returncode, done.stderr) == (0, "")
+        logs.append(tmp_path / seed / "latest" / "run.mcap")
+    assert_same_bytes(*logs)
+    assert_same_bytes(logs[0], run(tmp_path, "rough-sea", "duration=3 s", in_process=True))
+
+
+def test_another_seed_gives_another_log(tmp_path: Path) -> None:
+    """The seed does determine the draws: otherwise "the same bytes" would hold for the wrong reason."""
+    logs = [run(tmp_path, "rough-sea", "duration=3 s", f"seed={seed}", in_process=True) for seed in (1, 2)]
+    assert digest(logs[0]) != digest(logs[1])
+    assert first_difference(*logs).startswith("event ")
+
+
+def test_speed_changes_nothing(tmp_path: Path) -> None:
+    """Grants paced by the wall clock come in other portions than grants ahead of it; neither is a result."""
+    fast = run(tmp_path, "thinned log", in_process=True)
+    assert_same_bytes(fast, run(tmp_path, "thinned log", in_process=True, speed=6.0))
+    assert_same_bytes(fast, run(tmp_path, "thinned log", speed=4.0))
+
+
+# --- what the log holds ----------------------------------------------------
+
+
+@pytest.mark.parametrize(("case", "end_ns"), [("thinned log", 3_000_000_000), ("short last round", 3_070_000_000)])
+def test_state_at_the_end_tick_is_logged(case: str, end_ns: int, tmp_path: Path) -> None:
+    """Also when neither the log's rate nor the network's round divides the duration."""
+    log = run(tmp_path, case, in_process=True)
+    last = {record.topic for record in LogReader(log) if record.log_ns == end_ns}
+    expected = {f"uuv/{i}/{group}" for i in (1, 2, 3, 4) for group in ("pose", "state", "error")}
+    assert {topic for topic in last if topic.startswith("uuv/")} == expected
+
+
+def test_order_of_the_log(tmp_path: Path) -> None:
+    """One total order, (tick, topic, vehicle or link, sequence): time never goes back, and within a tick topics
+    keep the order in which their channels were declared, links the order of (src, dst) and of their packets."""
+    reader = LogReader(run(tmp_path, "rough-sea", in_process=True))
+    groups = ["pose", "state", "nav", "command", "guidance", "control", "error"]
+
+    def rank(topic: str) -> tuple[int, ...]:
+        match topic.split("/"):
+            case ["uuv", i, group]:
+                return 0, groups.index(group), int(i)
+            case ["link", ends]:
+                return 1, *map(int, ends.split("-"))
+        raise AssertionError(topic)
+
+    keys = [(r.log_ns, *rank(r.topic), r.sequence) for r in reader]
+    assert keys == sorted(keys)
+    assert len(set(keys)) == len(keys)
+
+
+def contents(path: Path) -> tuple[bytes, bytes, str, list[int]]:
+    """What stands in a log, unpacked: its messages, the raw file with everything else, the texts, the times."""
+    messages, rest, texts, times = bytearray(), bytearray(path.read_bytes()), "", []
+    with path.open("rb") as file:
+        for record in StreamReader(file).records:
+            match record:
+                case Message():
+                    messages += record.data
+                    times += [record.log_time, record.publish_time]
+                case Attachment():
+                    rest += record.data
+                    texts += f"{record.name} {record.media_type} {record.data.decode()} "
+                    times += [record.log_time, record.create_time]
+                case Metadata() | Channel():
+                    texts += f"{record.metadata} {getattr(record, 'topic', '')} "
+                case Schema():
+                    rest += record.data
+    return bytes(messages), bytes(rest) + texts.encode(), texts, times
+
+
+def test_log_says_nothing_of_where_and_when(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """No host, user, path, pid, port, run id, credential or wall clock: else no other run could be the same bytes.
+
+    Equality of two runs shows most of this; it cannot show what stays the same on one machine.
+    """
+    met: dict[str, Any] = {}
+    write = RunDirectory.write_connection
+
+    def record(self: RunDirectory, values: dict[str, Any]) -> None:
+        met.update(values)
+        write(self, values)
+
+    monkeypatch.setattr(RunDirectory, "write_connection", record)
+    log = run(tmp_path, "paper")
+    messages, rest, texts, times = contents(log)
+    assert max(times) == 4_000_000_000
+    stamp = log.parent.name.split("-")[2]
+    long = [str(tmp_path), met["endpoint"], met["run"], met["password"], stamp]
+    assert not [word for word in long if word.encode() in messages + rest]
+    # Short words come up by chance among binary numbers, so those are looked for as words of the texts.
+    short = [socket.gethostname(), getpass.getuser(), str(met["pid"]), met["endpoint"].rsplit(":", 1)[1]]
+    assert not set(short) & set(re.findall(r"[\w.-]+", texts))
+
+
+# --- the tool that explains a mismatch -------------------------------------
+
+
+def test_first_difference_names_the_first_event_that_differs(tmp_path: Path) -> None:
+    """A nudge of one vehicle's start shows as the very first record of that vehicle, both values in clear."""
+    a = run(tmp_path, "paper", "duration=1 s", in_process=True)
+    b = run(tmp_path, "paper", "duration=1 s", "initial.3.position=8.5 -10.2 0 m", in_process=True)
+    text = first_difference(a, b)
+    head, left, right = text.splitlines()
+    assert head == "event 2"  # poses of vehicles 1 and 2 come before
+    assert "uuv/3/pose, tick 0," in left
+    assert "uuv/3/pose, tick 0," in right
+    assert "y: -10.1" in left
+    assert "y: -10.2" in right
+    with pytest.raises(AssertionError, match="uuv/3/pose, tick 0"):
+        assert_same_bytes(a, b)
+
+
+def test_first_difference_in_the_middle(tmp_path: Path) -> None:
+    """Another seed: the first event that differs is a packet, lost in one run and not, or later, in the other."""
+    logs = [run(tmp_path, "rough-sea", "duration=2 s", f"seed={seed}", in_process=True) for seed in (1, 2)]
+    _, left, right = first_difference(*logs).splitlines()
+    assert "link/" in left + right
+
+
+def test_first_difference_says_when_one_log_ends(tmp_path: Path) -> None:
+    a = run(tmp_path, "paper", "duration=2 s", in_process=True)
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(a.read_bytes()[: a.stat().st_size * 2 // 3])
+    assert "b: the log ends here (the file is cut" in first_difference(a, cut)
+    assert first_difference(a, a) == ""
+
+
+def test_decoded_values_are_those_of_the_log(tmp_path: Path) -> None:
+    """The helper decodes with the schema that stands in the file, not with ours."""
+    reader = LogReader(run(tmp_path, "paper", "duration=1 s", in_process=True))
+    first = next(iter(reader))
+    assert (first.topic, decode(reader, first).frame_id) == ("uuv/1/pose", "ned")

@@ -1,0 +1,477 @@
+"""How runs end that do not end well: who, how, the last lines, quickly, with a readable log and nobody left behind.
+
+Real processes, killed from outside in mid-run. The promise is an end within 2 s of a death; the tests print what
+they measured and allow more, because other tests share the machine.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from textwrap import dedent
+from threading import Event, Thread
+from typing import Any
+
+import psutil
+import pytest
+from first_difference import assert_same_bytes
+from live import FORKSERVER, LiveRun, Stopwatch
+from waiting import wait_for
+
+import fleet.console
+from agents.errors import ControllerError
+from fleet.reader import LogReader
+from fleet.run import Options, Result, Status, execute
+from fleet.rundir import RunDirectory
+from fleet.scenario import load_scenario
+from netem.access import Credentials
+from netem.bus import Bus
+from netem.keys import Keys
+from netem.messages import Command, Frames, Hello, LinkReport, Nav, Note, Transmission, encode
+
+END_S = 5.0  # promised: 2 s
+LONG = ["--duration", "60 s", "--speed", "5"]  # of which the first seconds are seen
+CHECKS = "checks={qp_infeasible: {at_most: 0}, ledger: balanced, middleware_loss: {at_most: 0}}"
+
+
+def assert_readable(run: LiveRun, least_s: float = 1.0) -> None:
+    """The log reads up to the last flushed second at least, by our reader and by `fleet info`."""
+    reader = LogReader(run.log)
+    last = max(record.log_ns for record in reader) / 1e9
+    assert last >= least_s
+    info = subprocess.run(
+        [sys.executable, "-m", "fleet", "info", str(run.directory), "--json"],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=60,
+    )
+    assert (info.returncode, info.stderr) == (0, "")
+    assert json.loads(info.stdout)["end_s"] == last
+    assert json.loads(info.stdout)["run"]["scenario"] == "paper"
+
+
+# --- kill -9 ---------------------------------------------------------------
+
+
+@pytest.mark.parametrize("victim", ["agent 3", "world", "netem", FORKSERVER])
+def test_death_of_a_process_ends_the_run_and_is_explained(victim: str, tmp_path: Path) -> None:
+    """Of each kind of process: status 3, a sentence with role, pid, signal and sim time, what it printed last."""
+    with LiveRun(tmp_path / "runs", "paper", *LONG) as run:
+        victim_process = run.until_running().role(victim)
+        watch = Stopwatch()
+        victim_process.kill()
+        assert run.status() == 3
+        took = watch.s
+        run.until_nobody_is_left()
+        print(f"{victim} killed: over after {took:.2f} s")
+        assert took < END_S
+        name = "the fork server" if victim == FORKSERVER else victim
+        assert f"run broke: {name} (pid {victim_process.pid}) was killed by SIGKILL at t = " in run.printed
+        if victim != FORKSERVER:
+            assert f"log/{victim.replace(' ', '-')}.log:\n  (nothing printed)" in run.printed
+        assert "Traceback" not in run.printed
+        assert_readable(run)
+        result = json.loads((run.directory / "result.json").read_text())
+        assert (result["exit"], result["status"]) == (3, "broken")
+        assert "SIGKILL" in result["reason"]
+        assert not (run.directory / "connection.json").exists()
+
+
+@pytest.mark.parametrize("stopped", [None, "agent 2", "world", FORKSERVER])
+def test_death_of_the_console_leaves_no_orphan(stopped: str | None, tmp_path: Path) -> None:
+    """The kernel's parent-death signal reaches everybody, also a process that is stopped and so cannot act itself,
+    and also behind a stopped fork server: the chain is signals, not cooperation."""
+    with LiveRun(tmp_path / "runs", "paper", *LONG) as run:
+        run.until_running()
+        if stopped:
+            run.role(stopped).suspend()
+        watch = Stopwatch()
+        run.send(signal.SIGKILL)
+        assert run.status() == 137
+        run.until_nobody_is_left()
+        print(f"console killed, {stopped or 'nobody'} stopped: nobody left after {watch.s:.2f} s")
+        assert watch.s < END_S
+        assert_readable(run)
+
+
+@pytest.mark.parametrize("victim", ["agent 4", "world", "netem", FORKSERVER])
+def test_death_before_everyone_is_ready(victim: str, tmp_path: Path) -> None:
+    """A process that dies while the others are still starting is explained as well, and not waited for."""
+    with LiveRun(tmp_path / "runs", "paper", *LONG) as run:
+
+        def appeared() -> psutil.Process | None:
+            try:
+                return run.role(victim)
+            except AssertionError:
+                return None
+
+        found = wait_for(appeared, 30.0, victim)
+        watch = Stopwatch()
+        found.kill()
+        assert run.status() == 3
+        run.until_nobody_is_left()
+        print(f"{victim} killed at the start: over after {watch.s:.2f} s")
+        assert watch.s < 2 * END_S
+        assert "run broke: " in run.printed
+        assert "SIGKILL" in run.printed
+        assert "Traceback" not in run.printed
+
+
+# --- Ctrl-C, suspension ----------------------------------------------------
+
+
+def test_ctrl_c(tmp_path: Path) -> None:
+    """A terminal sends SIGINT to the whole group; only the console may take it as an order."""
+    with LiveRun(tmp_path / "runs", "paper", *LONG) as run:
+        run.until_running()
+        watch = Stopwatch()
+        run.send(signal.SIGINT, group=True)
+        assert run.status() == 130
+        run.until_nobody_is_left()
+        print(f"Ctrl-C: over after {watch.s:.2f} s")
+        assert watch.s < END_S
+        assert "stopped: interrupted" in run.printed
+        assert "Traceback" not in run.printed
+        assert "KeyboardInterrupt" not in run.printed
+        assert_readable(run)
+        assert LogReader(run.log).missing == ""
+        result = json.loads((run.directory / "result.json").read_text())
+        assert (result["exit"], result["status"]) == (130, "interrupted")
+
+
+@pytest.mark.parametrize("suspended", ["agent 2", "world", "netem"])
+def test_suspended_process_is_a_stall_that_names_it(suspended: str, tmp_path: Path) -> None:
+    """A forgotten SIGSTOP kills nobody: after `stall_timeout` the run says for whom it waited, and why."""
+    with LiveRun(tmp_path / "runs", "paper", *LONG, "--set", "stall_timeout=1 s") as run:
+        process = run.until_running().role(suspended)
+        watch = Stopwatch()
+        process.suspend()
+        assert run.status() == 3
+        run.until_nobody_is_left()
+        print(f"{suspended} suspended: over after {watch.s:.2f} s")
+        assert watch.s < 2 * END_S
+        assert "nothing moved for 1 s at t = " in run.printed
+        assert suspended in run.printed.split("nothing moved")[1].splitlines()[0]
+        assert f"(pid {process.pid} is suspended)" in run.printed
+        assert_readable(run)
+
+
+def test_suspension_shorter_than_the_timeout_changes_nothing(tmp_path: Path) -> None:
+    """Sim time does not know of the pause: the log is that of a run without it, byte for byte."""
+    arguments = ["--duration", "3 s", "--set", CHECKS]
+    with LiveRun(tmp_path / "paused", "paper", *arguments, "--speed", "4") as run:
+        agent = run.until_running().role("agent 2")
+        agent.suspend()
+        stood = run.logged_s()
+        # Nothing is written any more once what was under way has arrived.
+        wait_for(lambda: agent.status() == psutil.STATUS_STOPPED, 5.0, "the suspension")
+        assert run.logged_s() - stood <= 1.0
+        agent.resume()
+        assert run.status() == 0, run.printed
+        scenario = load_scenario("paper", [CHECKS, "duration=3 s"])
+        alone = execute(scenario, Options(tmp_path / "alone", in_process=True, quiet=True))
+        assert_same_bytes(alone.directory / "run.mcap", run.log)
+
+
+# --- places that cannot be used --------------------------------------------
+
+
+def test_taken_port(tmp_path: Path) -> None:
+    """The world cannot listen: a word with the port, status 3, and no wait for an answer that cannot come."""
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        watch = Stopwatch()
+        with LiveRun(tmp_path / "runs", "paper", "--port", str(port), *LONG) as run:
+            assert run.status() in (2, 3)
+            run.until_nobody_is_left()
+            print(f"port taken: over after {watch.s:.2f} s")
+            assert watch.s < 15.0
+            assert str(port) in run.printed
+            assert "Traceback" not in run.printed
+
+
+@pytest.mark.parametrize("kind", ["a file as parent", "a file", "proc", "read-only"])
+def test_impossible_output_directory(kind: str, tmp_path: Path, read_only: Path) -> None:
+    """Status 2 before anything is started, with the place and what to do about it."""
+    file = tmp_path / "file"
+    file.write_text("")
+    out = {"a file as parent": file / "runs", "a file": file, "proc": Path("/proc/runs"), "read-only": read_only}[kind]
+    done = subprocess.run(
+        [sys.executable, "-m", "fleet", "run", "paper", "--out", str(out)],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=60,
+    )
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr.startswith(f"fleet: cannot make a run directory in {out}: ")
+    assert done.stderr.endswith("choose another place with --out DIR\n")
+
+
+def mount(folder: Path, options: str) -> Iterator[Path]:
+    """A small file system in memory, where that is permitted."""
+    folder.mkdir()
+    made = subprocess.run(
+        ["mount", "-t", "tmpfs", "-o", options, "tmpfs", str(folder)], capture_output=True, text=True, check=False
+    )
+    if made.returncode:
+        pytest.skip(f"mounting is not permitted here: {made.stderr.strip()}")
+    try:
+        yield folder
+    finally:
+        subprocess.run(["umount", "-l", str(folder)], check=True)
+
+
+@pytest.fixture
+def read_only(tmp_path: Path) -> Iterator[Path]:
+    """A directory that even root cannot write to."""
+    yield from mount(tmp_path / "read-only", "ro,size=64k")
+
+
+@pytest.fixture
+def small_disk(tmp_path: Path) -> Iterator[Path]:
+    yield from mount(tmp_path / "disk", "size=400k")
+
+
+def test_full_disk(small_disk: Path) -> None:
+    """The log stops where the disk ends: status 3, one sentence, and what was written before can be read."""
+    with LiveRun(small_disk / "runs", "paper", "--duration", "60 s") as run:
+        assert run.status(60.0) == 3
+        run.until_nobody_is_left()
+        assert f"cannot write the log {run.log}: No space left on device" in run.printed
+        assert "Traceback" not in run.printed
+        assert_readable(run)
+
+
+def test_full_disk_in_process(small_disk: Path) -> None:
+    """The same from the plain loop, where no other process is there to be ended."""
+    result = execute(load_scenario("paper"), Options(small_disk / "runs", in_process=True, quiet=True))
+    assert result.status is Status.BROKEN
+    assert "No space left on device" in result.reason
+    assert max(record.log_ns for record in LogReader(result.directory / "run.mcap")) >= 1_000_000_000
+
+
+# --- controllers that fail -------------------------------------------------
+
+
+def sabotage(folder: Path, code: str) -> dict[str, str]:
+    """The environment of a run in whose processes `code` is executed before anything else.
+
+    Every interpreter that starts with the folder in PYTHONPATH loads `sitecustomize`, the fork server included.
+    """
+    folder.mkdir()
+    (folder / "sitecustomize.py").write_text(dedent(code), "utf-8")
+    return {"PYTHONPATH": os.pathsep.join([str(folder), *filter(None, [os.environ.get("PYTHONPATH")])])}
+
+
+NAN_IN_THE_CORE = """
+    from agents.agent import Agent
+    control = Agent._control
+
+    def failing(self, tick, dt, eta, nu):
+        demand, telemetry = control(self, tick, dt, eta, nu)
+        if (self.config.id, tick) == (3, 57):
+            nan = float("nan")
+            return (nan, nan, nan), (*telemetry[:-3], nan, nan, nan)
+        return demand, telemetry
+
+    Agent._control = failing
+"""
+NAN_COMMAND = """
+    from agents.agent import Agent, Decision
+    decide = Agent.decide
+
+    def failing(self, nav, deliveries):
+        decision = decide(self, nav, deliveries)
+        if (self.config.id, nav.tick) == (3, 57):
+            return Decision((float("nan"), 0.0, 0.0), decision.telemetry)
+        return decision
+
+    Agent.decide = failing
+"""
+
+
+def test_controller_that_computes_nan(tmp_path: Path) -> None:
+    """The agent stops at the sample in which its numbers stop making sense, and what it printed is shown."""
+    with LiveRun(tmp_path / "runs", "paper", *LONG, environment=sabotage(tmp_path / "s", NAN_IN_THE_CORE)) as run:
+        assert run.status(60.0) == 3
+        run.until_nobody_is_left()
+        assert "agent 3 (pid " in run.printed
+        assert "exited with status 1 at t = 0.5" in run.printed
+        assert "controller failed: ControllerError: agent 3, tick 57: control.demand is (nan, nan, nan)" in run.printed
+        assert "last lines of " in run.printed
+        assert "  agents.errors.ControllerError: agent 3, tick 57" in run.printed
+        assert LogReader(run.log).missing == ""
+
+
+def test_controller_that_computes_nan_in_process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Likewise in the plain loop: a broken run with vehicle and tick, not a traceback."""
+    from agents.agent import Agent
+
+    monkeypatch.setattr(Agent, "_control", Agent._control)  # restored after the sabotage
+    exec(dedent(NAN_IN_THE_CORE), {})
+    result = execute(load_scenario("paper"), Options(tmp_path, in_process=True, quiet=True))
+    assert result.status is Status.BROKEN
+    assert result.reason == "agent 3, tick 57: control.demand is (nan, nan, nan)"
+
+
+def test_nan_command_is_refused_by_the_world(tmp_path: Path) -> None:
+    """An agent that does not check itself: the command is malformed, so the vehicle is waited for in vain, and the
+    end of the run says both."""
+    arguments = [*LONG, "--set", "stall_timeout=1 s"]
+    with LiveRun(tmp_path / "runs", "paper", *arguments, environment=sabotage(tmp_path / "s", NAN_COMMAND)) as run:
+        assert run.status(60.0) == 3
+        run.until_nobody_is_left()
+        assert "waiting for agent 3" in run.printed
+        assert "rejected on " in run.printed
+        assert "malformed cmd message: element 0 is nan, expected a finite number" in run.printed
+        assert "element 0 is nan" in (run.directory / "log" / "world.log").read_text()
+
+
+def test_nan_command_in_process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The plain loop has nobody to wait for: it ends at once, naming the vehicle."""
+    from agents.agent import Agent
+
+    monkeypatch.setattr(Agent, "decide", Agent.decide)  # restored after the sabotage
+    exec(dedent(NAN_COMMAND), {})
+    result = execute(load_scenario("paper"), Options(tmp_path, in_process=True, quiet=True))
+    assert result.status is Status.BROKEN
+    assert "nan" in result.reason
+    assert "3" in result.reason
+
+
+# --- agents that talk nonsense ---------------------------------------------
+
+
+class Intruder:
+    """Agent 3's credentials in other hands: a second session beside the real agent's, from its start to its end.
+
+    The run itself is `execute` on the main thread, where processes must be started; this thread joins as soon as
+    the connection file is written, and puts `nonsense` again and again until told to stop.
+    """
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, nonsense: Callable[[Keys], list[tuple[str, bytes]]]) -> None:
+        self._nonsense = nonsense
+        self._credentials: dict[str, Credentials] = {}
+        self._over = Event()
+        self._thread: Thread | None = None
+        self.rounds = 0
+        generate, write = fleet.console.generate, RunDirectory.write_connection
+
+        def generate_and_leak(vehicles: tuple[int, ...]) -> dict[str, Credentials]:
+            self._credentials = generate(vehicles)
+            return self._credentials
+
+        def write_and_join(directory: RunDirectory, values: dict[str, Any]) -> None:
+            write(directory, values)
+            self._thread = Thread(target=self._talk, args=(values["endpoint"], values["run"]))
+            self._thread.start()
+
+        monkeypatch.setattr(fleet.console, "generate", generate_and_leak)
+        monkeypatch.setattr(RunDirectory, "write_connection", write_and_join)
+
+    def _talk(self, endpoint: str, run: str) -> None:
+        bus = Bus.connect(endpoint, self._credentials["agent-3"])
+        messages = self._nonsense(Keys(run))
+        puts = {key: bus.publisher(key) for key, _ in messages}
+        while not self._over.wait(0.01):
+            for key, data in messages:
+                puts[key](data)
+            self.rounds += 1
+        bus.close()
+
+    def run(self, tmp_path: Path, *overrides: str) -> Result:
+        scenario = load_scenario("paper", [CHECKS, "duration=4 s", *overrides])
+        try:
+            return execute(scenario, Options(tmp_path / "runs", quiet=True, speed=4.0))
+        finally:
+            self._over.set()
+            if self._thread is not None:
+                self._thread.join()
+
+
+def assert_unaffected(result: Result, tmp_path: Path) -> None:
+    assert result.status is Status.PASS, (result.reason, result.lines)
+    scenario = load_scenario("paper", [CHECKS, "duration=4 s"])
+    alone = execute(scenario, Options(tmp_path / "alone", in_process=True, quiet=True))
+    assert_same_bytes(alone.directory / "run.mcap", result.directory / "run.mcap")
+
+
+def nonsense(keys: Keys) -> list[tuple[str, bytes]]:
+    """What a broken or hostile agent may put on the keys that are its own."""
+    far = 10**9
+    good = (1.0, 0.0, 0.0)
+    zeros = (0.0,) * 27
+    nan = float("nan")
+    nav = encode(Nav(0, 3, (0.0,) * 5, (0.0,) * 5))
+    anywhere = [b"", b"\xc1", bytes(range(256)), b"\x93\xa3cmd", b"\xc0" * 40_000, nav, b"\x91\xa4nope"]
+    commands = [
+        encode(Command(0, far, good, zeros)),
+        encode(Command(7, 0, good, zeros)),
+        encode(Command(0, far, (nan, 0.0, 0.0), zeros)),
+        encode(Command(0, far, (float("inf"), 0.0, 0.0), zeros)),
+        encode(Command(0, far, (1.0, 0.0), zeros)),
+        encode(Command(0, 2**63, good, zeros)),
+        encode(Hello("agent", 3, 0, 99, False)),
+        encode(Transmission(0, 0, ())),
+    ]
+    transmissions = [
+        encode(Transmission(0, far, (b"late",))),
+        encode(Transmission(0, far + 1, ())),
+        encode(Transmission(7, 0, ())),
+        encode(Transmission(0, 2**63, (b"x" * 1000,) * 10)),
+        encode(Command(0, 0, good, zeros)),
+    ]
+    return [
+        *((keys.cmd(3), data) for data in anywhere + commands),
+        *((keys.tx(3), data) for data in anywhere + transmissions),
+    ]
+
+
+def test_garbage_beside_a_real_agent(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Malformed, misplaced, mistimed and non-finite messages from an agent's own session, all the run long: each is
+    counted and dropped, and the log is byte for byte that of a run in peace."""
+    intruder = Intruder(monkeypatch, nonsense)
+    result = intruder.run(tmp_path)
+    assert intruder.rounds > 10
+    assert_unaffected(result, tmp_path)
+    rejected = json.loads((result.directory / "result.json").read_text())["rejected"]
+    for kind in ("cmd/3: MalformedMessage", "cmd/3: OutOfPlace", "tx/3: MalformedMessage", "tx/3: OutOfPlace"):
+        assert rejected[kind] > 10
+    assert sum("rejected on" in note for note in result.values["notes"]) == 4  # of each kind only the first is told
+
+
+def test_garbage_notes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Notes are for people; one that cannot be read is no reason to end a run."""
+    bad = [b"", b"\xc1", encode(Nav(0, 3, (0.0,) * 5, (0.0,) * 5))]
+    result = Intruder(monkeypatch, lambda keys: [(keys.note("agent-3"), data) for data in bad]).run(tmp_path)
+    assert_unaffected(result, tmp_path)
+
+
+def test_forged_frames_and_reports_on_the_note_key(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The one key on which an agent reaches the console is for notes: what only world and netem may say is refused
+    there, or an agent could write the log."""
+    forged = [encode(Frames(())), encode(LinkReport(0, False, ())), encode(LinkReport(10**6, True, ()))]
+    result = Intruder(monkeypatch, lambda keys: [(keys.note("agent-3"), data) for data in forged]).run(tmp_path)
+    assert_unaffected(result, tmp_path)
+
+
+def test_notes_that_lie_are_only_notes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Markup, escapes and absurd numbers in a note reach a person as text and nothing else."""
+    lies = [encode(Note("world", 99, 2**63, "[red]\x1b[2Jall is lost[/red]")), encode(Note("x" * 4096, 0, 0, ""))]
+    result = Intruder(monkeypatch, lambda keys: [(keys.note("agent-3"), data) for data in lies]).run(tmp_path)
+    assert_unaffected(result, tmp_path)
+
+
+def test_controller_error_names_vehicle_and_tick() -> None:
+    error = ControllerError(3, 57, "control.demand", (float("nan"),))
+    assert str(error) == "agent 3, tick 57: control.demand is (nan,)"

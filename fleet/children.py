@@ -12,6 +12,7 @@ import sys
 import threading
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from multiprocessing import resource_tracker
 from multiprocessing.connection import wait
 from multiprocessing.process import BaseProcess
 from pathlib import Path
@@ -75,12 +76,14 @@ class Children:
         process = self._context.Process(
             target=_child, args=(title, str(log_path), target, args), name=role, daemon=True
         )
-        with _without_main():
+        # The forkserver starts this one first, which lifts the block of SIGINT set below.
+        resource_tracker.ensure_running()
+        with _without_main(), _without_interrupt():
             process.start()
         self.by_role[role] = Child(role, process, log_path)
 
     def watch(self) -> None:
-        """Begin to report exits; call once after the last start."""
+        """Begin to report exits, also of what is started later."""
         self._watcher = threading.Thread(target=self._watch, name="exit-watch", daemon=True)
         self._watcher.start()
 
@@ -102,10 +105,14 @@ class Children:
             process.join(GRACE_S)
 
     def _watch(self) -> None:
-        running: dict[Any, Child] = {child.process.sentinel: child for child in self.by_role.values()}
-        while running and not self._stopping.is_set():
+        ended: set[str] = set()
+        while not self._stopping.is_set():
+            running: dict[Any, Child] = {
+                child.process.sentinel: child for role, child in list(self.by_role.items()) if role not in ended
+            }
             for sentinel in wait(list(running), timeout=0.1):
-                child = running.pop(sentinel)
+                child = running[sentinel]
+                ended.add(child.role)
                 child.process.join()
                 code = child.process.exitcode
                 self._on_exit(Exit(child.role, FORKSERVER_LOST if code is None else code))
@@ -147,6 +154,17 @@ def _without_main() -> Iterator[None]:
         sys.modules["__main__"] = main
 
 
+@contextlib.contextmanager
+def _without_interrupt() -> Iterator[None]:
+    # A child inherits the mask: Ctrl-C reaches the whole terminal group, and the console alone decides what it
+    # means, also while the forkserver is still importing.
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
 def _child(title: str, log_path: str, target: Callable[..., None], args: tuple[Any, ...]) -> None:
     from fleet.deathsig import die_with_parent
     from fleet.preload import FORKSERVER_PID
@@ -154,8 +172,6 @@ def _child(title: str, log_path: str, target: Callable[..., None], args: tuple[A
 
     die_with_parent(FORKSERVER_PID)
     setproctitle.setproctitle(title)
-    # Ctrl-C reaches the whole terminal group; the console alone decides what it means.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
     # Python's own handler would run only between two bytecodes; the default action ends even a hung process.
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     descriptor = os.open(log_path, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)

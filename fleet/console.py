@@ -27,7 +27,7 @@ from fleet.errors import FleetError
 from fleet.journal import Journal, frame_every
 from fleet.rundir import RunDirectory
 from fleet.scenario import Scenario
-from netem.access import CONSOLE, NETEM, OPERATOR, agent_role, generate
+from netem.access import CONSOLE, NETEM, OPERATOR, Credentials, agent_role, generate
 from netem.bus import Bus, Respond
 from netem.errors import BusError, MalformedMessage, OutOfPlace
 from netem.keys import Keys
@@ -35,6 +35,8 @@ from netem.messages import PROTOCOL_VERSION, Frames, Grant, Hello, LinkReport, N
 from netem.shell import expect, read_map, request
 
 WORLD = world.process.WORLD
+JOIN_S = 10.0
+JOIN_TRY_MS = 500
 READY_S = 20.0
 READY_PER_VEHICLE_S = 0.2
 POLL_S = 0.02
@@ -106,7 +108,7 @@ class Console:
     def _start(self) -> Bus:
         scenario, keys = self._scenario, self._keys
         credentials = generate(self._vehicles)
-        endpoint = f"tcp/127.0.0.1:{self._port or _free_port()}"
+        endpoint = f"tcp/127.0.0.1:{_free_port(self._port)}"
         clients = {role: c for role, c in credentials.items() if role != WORLD}
         # mkdtemp makes it for this user alone; zenoh reads the users from a file there, once.
         private = Path(tempfile.mkdtemp(prefix="uuv-fleet-"))
@@ -128,11 +130,12 @@ class Console:
             for role in order:
                 title = f"fleet {role.replace('-', ' ')} [{scenario.name}]"
                 self._children.start(role, title, self._directory.process_log(role), *_flat(targets[role]))
+                if role == order[0]:
+                    self._children.watch()
                 if role == WORLD:
                     # Now, because an agent that finds nobody to ask for its configuration keeps asking.
                     bus = self._bus = self._join(endpoint, credentials[CONSOLE])
                     self._listen(bus)
-            self._children.watch()
         finally:
             users = private / "users"
             users.unlink(missing_ok=True)
@@ -164,12 +167,15 @@ class Console:
 
         bus.answer(keys.cfg("*"), configure)
 
-    def _join(self, endpoint: str, credentials: Any) -> Bus:
-        try:
-            return Bus.connect(endpoint, credentials)
-        except BusError as error:
-            self._raise_if_dead()
-            raise RunBroken(str(error)) from None
+    def _join(self, endpoint: str, credentials: Credentials) -> Bus:
+        deadline = time.monotonic() + JOIN_S
+        while True:
+            try:
+                return Bus.connect(endpoint, credentials, timeout_ms=JOIN_TRY_MS)
+            except BusError as error:
+                self._take(POLL_S)  # the world may have died: that is the better explanation
+                if time.monotonic() > deadline:
+                    raise RunBroken(str(error)) from None
 
     def _get_ready(self, bus: Bus) -> None:
         """A hello and its echo on every key; liveliness alone would not show that messages pass."""
@@ -290,11 +296,6 @@ class Console:
         answer = bus.ask(self._keys.ctl(role), request(op, **fields), timeout_s=1.0)
         return {} if answer is None else read_map(answer)
 
-    def _raise_if_dead(self) -> None:
-        deadline = time.monotonic() + SETTLE_S
-        while time.monotonic() < deadline:
-            self._take(POLL_S)
-
     def _explain(self, exits: list[Exit]) -> None:
         """Say who died and how. What else happened meanwhile is collected first, frames included."""
         deadline = time.monotonic() + SETTLE_S
@@ -340,10 +341,24 @@ def _flat(target: tuple[Callable[..., None], tuple[Any, ...]]) -> tuple[Any, ...
     return (target[0], *target[1])
 
 
-def _free_port() -> int:
-    """A loopback port that is free now. Somebody may take it before the world does: then the run says so."""
+def _free_port(wanted: int | None) -> int:
+    """A loopback port that is free now: the wanted one, or any.
+
+    Somebody may take it before the world does; then the world's end says so.
+
+    Raises:
+        RunBroken: the wanted port is taken.
+    """
     with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
+        # As zenoh's listener does: a port whose last connections are still winding down is free.
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind(("127.0.0.1", wanted or 0))
+        except OSError as error:
+            raise RunBroken(
+                f"port {wanted} on 127.0.0.1 cannot be used ({error.strerror}); "
+                "choose another with --port, or leave it out for a free one"
+            ) from None
         port: int = probe.getsockname()[1]
         return port
 

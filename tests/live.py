@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 from pathlib import Path
+from tempfile import mkstemp
 from time import monotonic
 from types import TracebackType
 
@@ -26,8 +27,9 @@ class LiveRun:
 
     def __init__(self, out: Path, *arguments: str, environment: dict[str, str] | None = None) -> None:
         self.out = out
-        self._printed = out.with_name(out.name + ".printed")
-        with self._printed.open("wb") as printed:
+        descriptor, name = mkstemp(prefix="printed-")  # not in `out`, which may be a full disk
+        self._printed = Path(name)
+        with os.fdopen(descriptor, "wb") as printed:
             self._process = subprocess.Popen(
                 [sys.executable, "-m", "fleet", "run", *arguments, "--out", str(out)],
                 stdin=subprocess.DEVNULL,
@@ -45,16 +47,24 @@ class LiveRun:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self.family()
-        for process in [*self._met.values(), psutil.Process(self.pid) if self._process.poll() is None else None]:
+        left = self.alive()
+        if not self.over:
+            self._process.kill()
+        for process in left:
             with contextlib.suppress(psutil.NoSuchProcess):
-                if process is not None and not gone(process):
-                    process.kill()
+                process.kill()
         self._process.wait(10)
+        self._printed.unlink()
 
     @property
     def printed(self) -> str:
+        """Everything it said, stdout and stderr."""
         return self._printed.read_text("utf-8", "replace")
+
+    @property
+    def said(self) -> str:
+        """The same with all white space as single blanks: tables break long lines."""
+        return " ".join(self.printed.split())
 
     @property
     def directory(self) -> Path:
@@ -82,13 +92,14 @@ class LiveRun:
 
     def until_running(self, sim_s: float = 1.0) -> LiveRun:
         """Wait until `sim_s` seconds of sim time can be read from the log."""
-        wait_for(self._over_or(lambda: self.logged_s() >= sim_s), READY_S, f"{sim_s:g} s in the log")
-        assert self._process.poll() is None, f"the run ended early: {self.printed}"
+        wait_for(lambda: self.over or self.logged_s() >= sim_s, READY_S, f"{sim_s:g} s in the log")
+        assert not self.over, f"the run ended early: {self.printed}"
         self.family()
         return self
 
-    def _over_or(self, condition):  # type: ignore[no-untyped-def]
-        return lambda: self._process.poll() is not None or condition()
+    @property
+    def over(self) -> bool:
+        return self._process.poll() is not None
 
     def logged_s(self) -> float:
         """Sim time up to which the log can be read now."""

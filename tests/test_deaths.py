@@ -73,10 +73,10 @@ def test_death_of_a_process_ends_the_run_and_is_explained(victim: str, tmp_path:
         print(f"{victim} killed: over after {took:.2f} s")
         assert took < END_S
         name = "the fork server" if victim == FORKSERVER else victim
-        assert f"run broke: {name} (pid {victim_process.pid}) was killed by SIGKILL at t = " in run.printed
+        assert f"run broke: {name} (pid {victim_process.pid}) was killed by SIGKILL at t = " in run.said
         if victim != FORKSERVER:
-            assert f"log/{victim.replace(' ', '-')}.log:\n  (nothing printed)" in run.printed
-        assert "Traceback" not in run.printed
+            assert f"log/{victim.replace(' ', '-')}.log: (nothing printed)" in run.said
+        assert "Traceback" not in run.said
         assert_readable(run)
         result = json.loads((run.directory / "result.json").read_text())
         assert (result["exit"], result["status"]) == (3, "broken")
@@ -119,9 +119,9 @@ def test_death_before_everyone_is_ready(victim: str, tmp_path: Path) -> None:
         run.until_nobody_is_left()
         print(f"{victim} killed at the start: over after {watch.s:.2f} s")
         assert watch.s < 2 * END_S
-        assert "run broke: " in run.printed
-        assert "SIGKILL" in run.printed
-        assert "Traceback" not in run.printed
+        assert "run broke: " in run.said
+        assert "SIGKILL" in run.said
+        assert "Traceback" not in run.said
 
 
 # --- Ctrl-C, suspension ----------------------------------------------------
@@ -137,9 +137,9 @@ def test_ctrl_c(tmp_path: Path) -> None:
         run.until_nobody_is_left()
         print(f"Ctrl-C: over after {watch.s:.2f} s")
         assert watch.s < END_S
-        assert "stopped: interrupted" in run.printed
-        assert "Traceback" not in run.printed
-        assert "KeyboardInterrupt" not in run.printed
+        assert "stopped: interrupted" in run.said
+        assert "Traceback" not in run.said
+        assert "KeyboardInterrupt" not in run.said
         assert_readable(run)
         assert LogReader(run.log).missing == ""
         result = json.loads((run.directory / "result.json").read_text())
@@ -157,9 +157,9 @@ def test_suspended_process_is_a_stall_that_names_it(suspended: str, tmp_path: Pa
         run.until_nobody_is_left()
         print(f"{suspended} suspended: over after {watch.s:.2f} s")
         assert watch.s < 2 * END_S
-        assert "nothing moved for 1 s at t = " in run.printed
-        assert suspended in run.printed.split("nothing moved")[1].splitlines()[0]
-        assert f"(pid {process.pid} is suspended)" in run.printed
+        assert "nothing moved for 1 s at t = " in run.said
+        assert suspended in run.said.split("nothing moved")[1].splitlines()[0]
+        assert f"(pid {process.pid} is suspended)" in run.said
         assert_readable(run)
 
 
@@ -195,8 +195,8 @@ def test_taken_port(tmp_path: Path) -> None:
             run.until_nobody_is_left()
             print(f"port taken: over after {watch.s:.2f} s")
             assert watch.s < 15.0
-            assert str(port) in run.printed
-            assert "Traceback" not in run.printed
+            assert str(port) in run.said
+            assert "Traceback" not in run.said
 
 
 @pytest.mark.parametrize("kind", ["a file as parent", "a file", "proc", "read-only"])
@@ -247,8 +247,8 @@ def test_full_disk(small_disk: Path) -> None:
     with LiveRun(small_disk / "runs", "paper", "--duration", "60 s") as run:
         assert run.status(60.0) == 3
         run.until_nobody_is_left()
-        assert f"cannot write the log {run.log}: No space left on device" in run.printed
-        assert "Traceback" not in run.printed
+        assert f"cannot write the log {run.log}: No space left on device" in run.said
+        assert "Traceback" not in run.said
         assert_readable(run)
 
 
@@ -305,11 +305,11 @@ def test_controller_that_computes_nan(tmp_path: Path) -> None:
     with LiveRun(tmp_path / "runs", "paper", *LONG, environment=sabotage(tmp_path / "s", NAN_IN_THE_CORE)) as run:
         assert run.status(60.0) == 3
         run.until_nobody_is_left()
-        assert "agent 3 (pid " in run.printed
-        assert "exited with status 1 at t = 0.5" in run.printed
-        assert "controller failed: ControllerError: agent 3, tick 57: control.demand is (nan, nan, nan)" in run.printed
-        assert "last lines of " in run.printed
-        assert "  agents.errors.ControllerError: agent 3, tick 57" in run.printed
+        assert "agent 3 (pid " in run.said
+        assert "exited with status 1 at t = 0.5" in run.said
+        assert "controller failed: ControllerError: agent 3, tick 57: control.demand is (nan, nan, nan)" in run.said
+        assert "last lines of " in run.said
+        assert "agents.errors.ControllerError: agent 3, tick 57" in run.said
         assert LogReader(run.log).missing == ""
 
 
@@ -331,9 +331,9 @@ def test_nan_command_is_refused_by_the_world(tmp_path: Path) -> None:
     with LiveRun(tmp_path / "runs", "paper", *arguments, environment=sabotage(tmp_path / "s", NAN_COMMAND)) as run:
         assert run.status(60.0) == 3
         run.until_nobody_is_left()
-        assert "waiting for agent 3" in run.printed
-        assert "rejected on " in run.printed
-        assert "malformed cmd message: element 0 is nan, expected a finite number" in run.printed
+        assert "waiting for agent 3" in run.said
+        assert "rejected on " in run.said
+        assert "malformed cmd message: element 0 is nan, expected a finite number" in run.said
         assert "element 0 is nan" in (run.directory / "log" / "world.log").read_text()
 
 
@@ -460,7 +460,7 @@ def test_garbage_notes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 def test_forged_frames_and_reports_on_the_note_key(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The one key on which an agent reaches the console is for notes: what only world and netem may say is refused
     there, or an agent could write the log."""
-    forged = [encode(Frames(())), encode(LinkReport(0, False, ())), encode(LinkReport(10**6, True, ()))]
+    forged = [encode(Frames(())), encode(LinkReport(0, False, False, ())), encode(LinkReport(400, True, False, ()))]
     result = Intruder(monkeypatch, lambda keys: [(keys.note("agent-3"), data) for data in forged]).run(tmp_path)
     assert_unaffected(result, tmp_path)
 

@@ -108,7 +108,7 @@ class Console:
     def _start(self) -> Bus:
         scenario, keys = self._scenario, self._keys
         credentials = generate(self._vehicles)
-        endpoint = f"tcp/127.0.0.1:{_free_port(self._port)}"
+        endpoint = f"tcp/127.0.0.1:{free_port(self._port)}"
         clients = {role: c for role, c in credentials.items() if role != WORLD}
         # mkdtemp makes it for this user alone; zenoh reads the users from a file there, once.
         private = Path(tempfile.mkdtemp(prefix="uuv-fleet-"))
@@ -341,7 +341,7 @@ def _flat(target: tuple[Callable[..., None], tuple[Any, ...]]) -> tuple[Any, ...
     return (target[0], *target[1])
 
 
-def _free_port(wanted: int | None) -> int:
+def free_port(wanted: int | None) -> int:
     """A loopback port that is free now: the wanted one, or any.
 
     Somebody may take it before the world does; then the world's end says so.

@@ -101,18 +101,19 @@ def test_death_of_the_console_leaves_no_orphan(stopped: str | None, tmp_path: Pa
         assert_readable(run)
 
 
+def appeared(run: LiveRun, role: str) -> psutil.Process | None:
+    """The process of a role once it is there."""
+    try:
+        return run.role(role)
+    except AssertionError:
+        return None
+
+
 @pytest.mark.parametrize("victim", ["agent 4", "world", "netem", FORKSERVER])
 def test_death_before_everyone_is_ready(victim: str, tmp_path: Path) -> None:
     """A process that dies while the others are still starting is explained as well, and not waited for."""
     with LiveRun(tmp_path / "runs", "paper", *LONG) as run:
-
-        def appeared() -> psutil.Process | None:
-            try:
-                return run.role(victim)
-            except AssertionError:
-                return None
-
-        found = wait_for(appeared, 30.0, victim)
+        found = wait_for(lambda: appeared(run, victim), 30.0, victim)
         watch = Stopwatch()
         found.kill()
         assert run.status() == 3
@@ -144,6 +145,37 @@ def test_ctrl_c(tmp_path: Path) -> None:
         assert LogReader(run.log).missing == ""
         result = json.loads((run.directory / "result.json").read_text())
         assert (result["exit"], result["status"]) == (130, "interrupted")
+
+
+@pytest.mark.parametrize("moment", [FORKSERVER, "world", "agent 4"])
+def test_ctrl_c_while_starting(moment: str, tmp_path: Path) -> None:
+    """As soon as a process appears, others are being started: none of them is forgotten."""
+    with LiveRun(tmp_path / "runs", "paper", *LONG) as run:
+        wait_for(lambda: appeared(run, moment), 30.0, moment)
+        run.send(signal.SIGINT, group=True)
+        assert run.status() == 130
+        run.until_nobody_is_left()
+        assert "Traceback" not in run.said
+
+
+def test_ctrl_c_again_and_again(tmp_path: Path) -> None:
+    """An impatient user: further ones while the run is being ended leave neither processes nor a traceback."""
+    with LiveRun(tmp_path / "runs", "paper", *LONG) as run:
+        run.until_running()
+        pressed = 0
+
+        def press() -> bool:
+            nonlocal pressed
+            if not run.over:
+                run.send(signal.SIGINT, group=True)
+                pressed += 1
+            return run.over
+
+        wait_for(press, 30.0, "the end")
+        assert pressed > 1
+        assert run.status() == 130
+        run.until_nobody_is_left()
+        assert "Traceback" not in run.said
 
 
 @pytest.mark.parametrize("suspended", ["agent 2", "world", "netem"])

@@ -1,0 +1,95 @@
+"""Single steps: what one agent, one vehicle and one tick of the log cost."""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from statistics import median
+
+from agents.agent import Agent
+from agents.gain_qp import build_qp, solve
+from agents.payload import StateMessage
+from agents.payload import encode as encode_payload
+from fleet.clock import Clock
+from fleet.inprocess import InProcess
+from fleet.journal import Journal
+from fleet.log import LogWriter
+from fleet.scenario import load_scenario
+from netem.messages import Command, Delivery, Nav, decode, encode
+from world.sea import World
+
+
+def steps(repeats: int) -> dict[str, float]:
+    """Median microseconds by step."""
+    scenario = load_scenario("paper-disturbed", ["duration=10 s"])
+    config = scenario.agent_config(2)
+    agent = Agent(config)
+    size = sum(signal.width for signal in Agent.signals)
+    eta, nu = (-1.0, -10.0, 1.0, 0.1, 0.1), (0.7, 0.05, 0.02, 0.01, 0.01)
+
+    def nav(tick: int) -> Nav:
+        return Nav(0, tick, eta, nu)
+
+    def heard(tick: int) -> list[Delivery]:
+        payload = [encode_payload(StateMessage(j, tick, (1.0, 2.0, 3.0), (0.7, 0.1, 0.0))) for j in (1, 3)]
+        return [Delivery(tick, tick, j, tick, 0, p) for j, p in zip((1, 3), payload, strict=True)]
+
+    plain: list[float] = []
+    with_qp: list[float] = []
+    with_round: list[float] = []
+    for tick in range(max(30, repeats)):
+        deliveries = heard(tick) if tick % scenario.round_ticks == 0 else []
+        cost = _cost(lambda t=tick, d=deliveries: agent.step(nav(t), d))  # type: ignore[misc]
+        kind = with_round if deliveries else with_qp if tick % config.guidance.qp_ticks == 0 else plain
+        kind.append(cost)
+    problem = build_qp((1.0, 2.0, -1.0), 2.8, (0.7, 0.1, 0.0), (0.7, 0.1, 0.0), (0.3, 0.3, 0.3), config.guidance)
+    world = World(scenario.world_config())
+    command = Command(0, 0, (1.0, 2.0, 3.0), (0.5,) * size)
+    return {
+        "agent step": median(plain),
+        "agent step with QP": median(with_qp),
+        "agent step with QP and round": median(with_round),
+        "gain QP": median(_cost(lambda: solve(problem)) for _ in range(repeats)),
+        "world advance, one vehicle": median(_cost(lambda: world.advance(1, (1.0, 0.1, 0.1))) for _ in range(repeats)),
+        "nav encode and decode": median(_cost(lambda: decode(encode(nav(1)))) for _ in range(repeats)),
+        "command encode and decode": median(_cost(lambda: decode(encode(command))) for _ in range(repeats)),
+        "journal and log, one tick of 4 vehicles": _log_tick(repeats),
+    }
+
+
+def _log_tick(ticks: int) -> float:
+    """CPU time of recording alone: the same frames once more, into another log."""
+    scenario = load_scenario("paper", [f"duration={max(100, ticks) * 10} ms"])
+
+    class Tape(Journal):
+        """A journal that keeps what it was given."""
+
+        def frame(self, frame):  # type: ignore[no-untyped-def]
+            tape.append((Journal.frame, frame))
+            super().frame(frame)
+
+        def links(self, report):  # type: ignore[no-untyped-def]
+            tape.append((Journal.links, report))
+            super().links(report)
+
+    tape: list[tuple[Callable[..., None], object]] = []
+    with tempfile.TemporaryDirectory(prefix="uuv-fleet-bench-") as folder:
+        first = Tape(scenario, LogWriter(Path(folder) / "a.mcap", scenario))
+        clock = Clock(scenario.ticks, scenario.tick_ns, scenario.round_ticks, 1)
+        InProcess(scenario, first).serve(clock, lambda: None)
+        second = Journal(scenario, LogWriter(Path(folder) / "b.mcap", scenario))
+        began = time.process_time()
+        for take, message in tape:
+            take(second, message)
+        cost = (time.process_time() - began) / scenario.ticks * 1e6
+        for journal in (first, second):
+            journal.log.close()
+    return cost
+
+
+def _cost(call: Callable[[], object]) -> float:
+    began = time.perf_counter()
+    call()
+    return (time.perf_counter() - began) * 1e6

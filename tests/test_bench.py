@@ -1,0 +1,21 @@
+"""The benchmark runs and reports everything it promises; how fast anything is, is no test's business."""
+
+from __future__ import annotations
+
+from fleet.bench import measure, targets
+
+
+def test_quick_bench_reports_every_figure() -> None:
+    heard: list[str] = []
+    figures = measure([2], quick=True, say=heard.append)
+    (row,) = figures["fleets"]
+    assert row["vehicles"] == 2
+    speeds = ["zenoh_barrier", "pipe_barrier", "distributed", "in_process", "c/a", "c/d", "x_real_time", "startup_s"]
+    assert all(row[name] > 0 for name in speeds)
+    assert {"agent step", "agent step with QP", "gain QP"} <= set(figures["steps_us"])
+    assert heard[-1] == "single steps"
+
+
+def test_targets_say_met_or_missed() -> None:
+    row = {"vehicles": 4, "c/a": 0.4, "x_real_time": 20.0, "startup_s": 1.0, "pss_mb": 6.0}
+    assert targets([row]) == ["MISSED N = 4: c/a 0.40, at least 0.5", "met    N = 4: x real time 20.00, at least 15"]

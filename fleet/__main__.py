@@ -11,6 +11,7 @@ INTERRUPTED = 130
 
 def main() -> None:
     """The console script: the command line, with Ctrl-C and SIGTERM as a clean end at any moment."""
+    signal.signal(signal.SIGINT, _interrupt)
     signal.signal(signal.SIGTERM, _interrupt)
     try:
         import click
@@ -34,6 +35,9 @@ def main() -> None:
 
 
 def _interrupt(_: int, __: FrameType | None) -> None:
+    # Once is enough: ending the processes takes a moment, and a second one would cut that short.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
     raise KeyboardInterrupt
 
 

@@ -10,6 +10,7 @@ import os
 import signal
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from multiprocessing import resource_tracker
@@ -118,17 +119,20 @@ class Children:
                 self._on_exit(Exit(child.role, FORKSERVER_LOST if code is None else code))
 
 
-def forkserver_death() -> str | None:
-    """How the forkserver ended, or None while it lives."""
+def forkserver_death(patience_s: float = 0.0) -> str | None:
+    """How the forkserver ended, or None while it lives; its sockets close a moment before it can be reaped."""
     pid = getattr(multiprocessing.forkserver._forkserver, "_forkserver_pid", None)
     if pid is None:
         return None
+    deadline = time.monotonic() + patience_s
     try:
-        ended, status = os.waitpid(pid, os.WNOHANG)
+        while not (found := os.waitpid(pid, os.WNOHANG))[0]:
+            if time.monotonic() >= deadline:
+                return None
+            time.sleep(0.005)
     except ChildProcessError:
         return f"the fork server (pid {pid}) is gone"
-    if not ended:
-        return None
+    status = found[1]
     return f"the fork server (pid {pid}) {describe_exit(os.waitstatus_to_exitcode(status))}"
 
 

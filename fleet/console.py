@@ -11,7 +11,7 @@ import secrets
 import socket
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import Any
@@ -23,7 +23,7 @@ import netem.process
 import world.process
 from fleet.children import FORKSERVER_LOST, Child, Children, Exit, describe_exit, forkserver_death
 from fleet.clock import Clock
-from fleet.errors import FleetError
+from fleet.errors import RunBroken
 from fleet.journal import Journal, frame_every
 from fleet.rundir import RunDirectory
 from fleet.scenario import Scenario
@@ -43,16 +43,10 @@ POLL_S = 0.02
 QUIET_S = 2.0  # without an event for so long, ask who is waiting for whom
 SETTLE_S = 0.2  # after a death, how long to collect what else happened
 
+MOST_NOTES = 1000
+
 FRAME, LINKS, NOTE, EXIT = "frame", "links", "note", "exit"
-
-
-class RunBroken(FleetError):
-    """The run cannot go on: a process died, nothing moves, or nobody became ready. `lines` explain it."""
-
-    def __init__(self, reason: str, lines: Sequence[str] = ()) -> None:
-        super().__init__(reason)
-        self.reason = reason
-        self.lines = list(lines)
+_EXPECTED = {FRAME: (Frames, Hello), LINKS: (LinkReport, Hello), NOTE: (Note,)}
 
 
 class Console:
@@ -78,6 +72,7 @@ class Console:
         self._grant: Callable[[bytes], None] = _unconnected
         self._hello: set[str] = set()
         self.notes: list[str] = []
+        self._rejected_notes = 0
         self.waiting = ""  # who is being waited for, when nothing moves
         self.started_s = 0.0  # wall time until everyone was ready
 
@@ -129,7 +124,11 @@ class Console:
         try:
             for role in order:
                 title = f"fleet {role.replace('-', ' ')} [{scenario.name}]"
-                self._children.start(role, title, self._directory.process_log(role), *_flat(targets[role]))
+                try:
+                    self._children.start(role, title, self._directory.process_log(role), *_flat(targets[role]))
+                except (EOFError, OSError) as error:
+                    why = forkserver_death(SETTLE_S) or str(error) or type(error).__name__
+                    raise RunBroken(f"{role} could not be started: {why}") from error
                 if role == order[0]:
                     self._children.watch()
                 if role == WORLD:
@@ -254,7 +253,8 @@ class Console:
         if kind == EXIT:
             self._explain([data])
         try:
-            message = expect(data, Frames, LinkReport, Note, Hello)
+            # Agents may put notes and nothing else, so each key takes its own kinds only.
+            message = expect(data, *_EXPECTED[kind])
             match message:
                 case Frames():
                     for frame in message.frames:
@@ -268,9 +268,14 @@ class Console:
         except OutOfPlace as error:
             raise RunBroken(f"the middleware lost a message on {kind}: {error}") from error
         except MalformedMessage as error:
-            raise RunBroken(f"a damaged message on {kind}: {error}") from error
+            if kind != NOTE:
+                raise RunBroken(f"a damaged message on {kind}: {error}") from error
+            self._rejected_notes += 1
 
     def _note(self, note: Note) -> None:
+        if len(self.notes) >= MOST_NOTES:
+            self._rejected_notes += 1
+            return
         who = f"agent {note.subject}" if note.subject else note.role
         self.notes.append(f"{self._seconds(note.tick)} {who}: {note.text}")
 
@@ -283,9 +288,9 @@ class Console:
             # The rest wait for an inbox, which waits for these.
             late = [i for i in missing if i in late] or late
         if not waiting:
-            return "waiting for the world"
+            return "waiting for the world" + _suspended(self._children.by_role[WORLD])
         if not network:
-            return "waiting for netem"
+            return "waiting for netem" + _suspended(self._children.by_role[NETEM])
         if not late:
             return "waiting for the log" if self._journal.written < self._journal.framed else "waiting"
         stopped = [f"agent {i}" + _suspended(self._children.by_role[agent_role(i)]) for i in late[:8]]

@@ -12,6 +12,15 @@ class FleetError(Exception):
     """Base of every error of this package that a user can cause or cure."""
 
 
+class RunBroken(FleetError):
+    """The run cannot go on: a process died, nothing moves, or nobody became ready. `lines` explain it."""
+
+    def __init__(self, reason: str, lines: Sequence[str] = ()) -> None:
+        super().__init__(reason)
+        self.reason = reason
+        self.lines = list(lines)
+
+
 @dataclass(frozen=True, slots=True)
 class Problem:
     """One mistake in a scenario.

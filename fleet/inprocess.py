@@ -16,8 +16,10 @@ from agents.agent import Agent
 from agents.config import AgentConfig
 from agents.loop import AgentLoop
 from fleet.clock import Clock
+from fleet.errors import RunBroken
 from fleet.journal import Journal, frame_every
 from fleet.scenario import Scenario
+from netem.errors import MalformedMessage, OutOfPlace
 from netem.messages import (
     Command,
     Frame,
@@ -61,7 +63,11 @@ class InProcess:
                 time.sleep(0.002)  # paced by --speed: nothing to do until the wall clock moves on
             while self._post:
                 sender, receiver, data = self._post.popleft()
-                self._deliver(sender, receiver, decode(data), data)
+                try:
+                    self._deliver(sender, receiver, decode(data), data)
+                except (MalformedMessage, OutOfPlace) as error:
+                    who = f"agent {sender}" if sender > 0 else {WORLD: "the world", NETEM: "netem"}[sender]
+                    raise RunBroken(f"{who} sent what cannot be used: {error}") from error
             progress()
         self._journal.links(self._rounds.close(self._scenario.ticks))
         return {"sent": self._rounds.netem.sent, "rejected": {}}

@@ -15,7 +15,8 @@ from rich.console import Console as Terminal
 from agents.errors import AgentError
 from fleet.checks import Verdict, judge
 from fleet.clock import Clock
-from fleet.console import Console, RunBroken
+from fleet.console import Console
+from fleet.errors import RunBroken
 from fleet.inprocess import InProcess
 from fleet.journal import Journal, frame_every
 from fleet.log import LogError, LogWriter

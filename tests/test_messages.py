@@ -31,7 +31,6 @@ from netem.messages import (
     decode,
     encode,
     fields_of,
-    split,
 )
 from netem.shell import expect, read_map
 
@@ -82,15 +81,15 @@ def spoilt(wire: str) -> Iterator[Any]:
     good = plainest(wire)
     if wire in RECORDS:
         for index, field in enumerate(fields_of(RECORDS[wire]).values()):
-            yield from (good[:index] + [bad] + good[index + 1 :] for bad in spoilt(field.wire))
+            yield from ([*good[:index], bad, *good[index + 1 :]] for bad in spoilt(field.wire))
         yield from (good[:-1], [*good, 0], [], None, 0, {}, "")
     elif match := ARRAY.fullmatch(wire):
         item, size = match.groups()
         for index in range(len(good)):
-            yield from (good[:index] + [bad] + good[index + 1 :] for bad in spoilt(item))
+            yield from ([*good[:index], bad, *good[index + 1 :]] for bad in spoilt(item))
         if size != "*":
             yield from (good[:-1], [*good, good[0]], [])
-        yield from (None, 0, 0.5, {}, "", b"", dict.fromkeys(range(len(good)), good[0]))
+        yield from (None, 0, 0.5, {}, "", b"", dict.fromkeys("012", good[0]))
     else:
         everything = [None, True, 0, -1, -(2**63), 0.5, nan, inf, -inf, "0", "x" * 4097, b"", [], [0], {}]
         everything += [msgpack.ExtType(1, b""), msgpack.Timestamp(1)]
@@ -249,8 +248,7 @@ def taken_or_refused(wire: bytes) -> None:
     """A message that encodes again to itself, or MalformedMessage, and nothing else."""
     try:
         message = decode(wire)
-    except MalformedMessage as error:
-        assert str(error)
+    except MalformedMessage:
         return
     assert repr(decode(encode(message))) == repr(message)  # repr, because a NaN of telemetry equals nothing
 
@@ -320,16 +318,3 @@ def test_only_the_expected_kinds(message: Message, kinds: set[str]) -> None:
     else:
         with pytest.raises(MalformedMessage):
             expect(encode(message), *classes)
-
-
-# --- parts -----------------------------------------------------------------
-
-
-@given(st.lists(st.integers(1, 50), max_size=40), st.integers(50, 120))
-def test_parts_hold_everything_in_order_and_fit(sizes: list[int], limit: int) -> None:
-    """A list too long for one message goes in several: nothing is lost, doubled or reordered, every part fits, and
-    only the last says that there is no more. An empty list is one part, because it must be told as well."""
-    parts = list(split(sizes, lambda size: size, limit))
-    assert [size for part, _ in parts for size in part] == sizes
-    assert all(sum(part) <= limit for part, _ in parts)
-    assert [more for _, more in parts] == [True] * (len(parts) - 1) + [False]

@@ -20,19 +20,22 @@ def show(result: Result, terminal: Terminal) -> None:
         terminal.print(_links(values["ledger"]))
     for verdict in result.verdicts:
         mark = "[green]pass[/]" if verdict.passed else "[red]FAIL[/]"
-        terminal.print(f"{mark}  {verdict.check}: {verdict.asked}; found {verdict.found}", highlight=False)
+        terminal.print(
+            f"{mark}  {verdict.check}: {verdict.asked}; found {verdict.found}", highlight=False, soft_wrap=True
+        )
     wall = values["wall"]
     how = "in-process" if wall["in_process"] else f"distributed, ready in {wall['startup_s']:.2f} s"
     terminal.print(
         f"{values['sim_s']:g} s simulated in {wall['run_s']:.2f} s ({wall['x_real_time']:.1f} x real time, {how}); "
         f"{values['messages']} messages, digest {result.digest[:16]}",
         highlight=False,
+        soft_wrap=True,
     )
     if result.status in (Status.BROKEN, Status.INTERRUPTED):
         terminal.print(f"[red]{'run broke' if result.status is Status.BROKEN else 'stopped'}[/]: ", end="")
-        terminal.print(result.reason, markup=False, highlight=False)
+        terminal.print(result.reason, markup=False, highlight=False, soft_wrap=True)
         for line in result.lines:
-            terminal.print(line, markup=False, highlight=False)
+            terminal.print(line, markup=False, highlight=False, soft_wrap=True)
     terminal.print(str(result.directory), markup=False, highlight=False, soft_wrap=True)
 
 

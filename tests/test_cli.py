@@ -33,10 +33,9 @@ def invoke(*arguments: str | Path) -> Result:
     return CliRunner().invoke(cli, [str(argument) for argument in arguments], prog_name="fleet", terminal_width=98)
 
 
-def shell(
-    *arguments: str | Path, command: tuple[str, ...] = (sys.executable, "-m", "fleet"), **environment: str
-) -> Any:
-    """The command line as a user starts it."""
+def shell(*arguments: str | Path, script: bool = False, **environment: str) -> Any:
+    """The command line as a user starts it: as a module, or by the script that was installed."""
+    command = [str(Path(sys.executable).with_name("fleet"))] if script else [sys.executable, "-m", "fleet"]
     return subprocess.run(
         [*command, *map(str, arguments)],
         env=os.environ | environment,

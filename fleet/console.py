@@ -73,6 +73,8 @@ class Console:
         self._hello: set[str] = set()
         self.notes: list[str] = []
         self._rejected_notes = 0
+        self._received = {FRAME: 0, LINKS: 0}
+        self.middleware_lost = 0  # messages that zenoh lost; any makes the run invalid
         self.waiting = ""  # who is being waited for, when nothing moves
         self.started_s = 0.0  # wall time until everyone was ready
 
@@ -233,7 +235,10 @@ class Console:
             self._take(0.1)
             if time.monotonic() > deadline:
                 raise RunBroken("netem did not close its books")
-        rejected = {**self._control(bus, WORLD, "close").get("rejected", {}), **answer.get("rejected", {})}
+        sea = self._control(bus, WORLD, "close")
+        counts = {"world": sea.get("counts", {}), "netem": answer.get("counts", {}), "console": self._received}
+        self.middleware_lost = lost_messages(counts)
+        rejected = {**sea.get("rejected", {}), **answer.get("rejected", {})}
         return {
             "sent": {(src, dst): count for src, dst, count in answer.get("sent", ())},
             "rejected": rejected,
@@ -257,15 +262,18 @@ class Console:
             message = expect(data, *_EXPECTED[kind])
             match message:
                 case Frames():
+                    self._received[FRAME] += 1
                     for frame in message.frames:
                         self._journal.frame(frame)
                 case LinkReport():
+                    self._received[LINKS] += 1
                     self._journal.links(message)
                 case Note():
                     self._note(message)
                 case Hello():
                     self._hello.add(kind)
         except OutOfPlace as error:
+            self.middleware_lost += 1
             raise RunBroken(f"the middleware lost a message on {kind}: {error}") from error
         except MalformedMessage as error:
             if kind != NOTE:
@@ -340,6 +348,29 @@ class Console:
 
 def _unconnected(_: bytes) -> None:
     raise AssertionError("the console has not joined the run yet")
+
+
+def lost_messages(counts: dict[str, Any]) -> int:
+    """How many messages left one process of a completed run and never arrived at the other.
+
+    Every nav is answered by one command; agents' own counts are not needed.
+
+    Raises:
+        RunBroken: a process did not say what it sent and received.
+    """
+    try:
+        world_sent, world_received = counts["world"]["sent"], counts["world"]["received"]
+        netem_sent, netem_received = counts["netem"]["sent"], counts["netem"]["received"]
+        console = counts["console"]
+        pairs = [
+            (world_sent["nav"], world_received["cmd"]),
+            (world_sent["round"], netem_received["round"]),
+            (world_sent["frame"], console[FRAME]),
+            (netem_sent["links"], console[LINKS]),
+        ]
+    except KeyError as error:
+        raise RunBroken(f"a process closed without its count of {error}") from None
+    return sum(abs(sent - received) for sent, received in pairs)
 
 
 def _flat(target: tuple[Callable[..., None], tuple[Any, ...]]) -> tuple[Any, ...]:

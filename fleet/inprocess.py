@@ -50,6 +50,7 @@ class InProcess:
             i: AgentLoop(Agent(_over_the_wire(scenario.agent_config(i))), scenario.round_ticks, ideal=scenario.ideal)
             for i in range(1, scenario.vehicles + 1)
         }
+        self.middleware_lost = 0  # there is no middleware here
         self._post: deque[tuple[int, int, bytes]] = deque()  # (from, to, message)
 
     def serve(self, clock: Clock, progress: Callable[[], None]) -> dict[str, Any]:

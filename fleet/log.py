@@ -13,7 +13,6 @@ from collections.abc import Mapping
 from importlib.metadata import version
 from math import cos, sin
 from pathlib import Path
-from struct import Struct
 from typing import IO, NamedTuple
 
 from google.protobuf.timestamp_pb2 import Timestamp
@@ -35,14 +34,12 @@ from fleet.log_schemas import (
     signal_positions,
 )
 from fleet.metrics import VehicleError
+from fleet.reader import digest_part
 from fleet.scenario import Scenario
 from netem.messages import Command, Fate, Frame, VehicleFrame
 
 SECOND_NS = 1_000_000_000
 FRAME_ID = "ned"
-
-
-_TIMES = Struct("<QQII").pack
 
 
 class _Channel(NamedTuple):
@@ -192,7 +189,7 @@ class LogWriter:
             self._writer.add_message(channel.number, log_ns, data, publish_ns, sequence)
         except OSError as error:
             raise _log_error(self.path, error) from error
-        self._digest.update(channel.topic + _TIMES(log_ns, publish_ns, sequence, len(data)) + data)
+        self._digest.update(digest_part(channel.topic, log_ns, publish_ns, sequence, data))
         self.messages += 1
 
     def _flush(self, at_ns: int) -> None:

@@ -17,6 +17,7 @@ from zstandard import ZstdError
 
 from fleet.errors import FleetError
 
+_TIMES = struct.Struct("<QQII").pack
 MAGIC = b"\x89MCAP0\r\n"
 
 
@@ -85,6 +86,11 @@ class LogReader:
 _CUT = "the file is cut: the run was killed while it was written, or it is still going on"
 
 
+def digest_part(topic: bytes, log_ns: int, publish_ns: int, sequence: int, data: bytes) -> bytes:
+    """What one message adds to a log's digest."""
+    return topic + _TIMES(log_ns, publish_ns, sequence, len(data)) + data
+
+
 def digest(path: Path) -> str:
     """SHA-256 over the ordered messages (topic, times, sequence, data), as `fleet run` prints it.
 
@@ -93,7 +99,7 @@ def digest(path: Path) -> str:
     """
     total = hashlib.sha256()
     for r in LogReader(path):
-        total.update(r.topic.encode() + struct.pack("<QQII", r.log_ns, r.publish_ns, r.sequence, len(r.data)) + r.data)
+        total.update(digest_part(r.topic.encode(), r.log_ns, r.publish_ns, r.sequence, r.data))
     return total.hexdigest()
 
 

@@ -102,10 +102,12 @@ def execute(scenario: Scenario, options: Options, terminal: Terminal | None = No
     for link, sent in closing["sent"].items():
         journal.ledger.enter(link, sent=sent)
     if result.status is Status.PASS:
-        # Every stream is consecutive, or the run would have stalled or broken: what is left is what was refused.
-        result.verdicts = judge(scenario.spec.checks, journal, middleware_lost=0)
+        result.verdicts = judge(scenario.spec.checks, journal, middleware_lost=fleet.middleware_lost)
         if not all(verdict.passed for verdict in result.verdicts):
             result.status = Status.CHECK_FAILED
+        if fleet.middleware_lost:
+            result.status = Status.BROKEN
+            result.reason = f"the middleware lost {fleet.middleware_lost} messages: the run is invalid"
     result.digest = log.digest
     started_s = getattr(fleet, "started_s", 0.0)
     result.values = _values(scenario, journal, log, result)
@@ -115,6 +117,7 @@ def execute(scenario: Scenario, options: Options, terminal: Terminal | None = No
         "run_s": wall_s - started_s,
         "x_real_time": max(0, journal.written) * scenario.tick_ns / 1e9 / max(1e-9, wall_s - started_s),
     }
+    result.values["middleware_lost"] = fleet.middleware_lost
     result.values["rejected"] = closing["rejected"]
     result.values["notes"] = list(getattr(fleet, "notes", ()))
     try:
@@ -145,7 +148,6 @@ def _values(scenario: Scenario, journal: Journal, log: LogWriter, result: Result
         "checks": [verdict.to_values() for verdict in result.verdicts],
         "vehicles": journal.metrics.summary(),
         "ledger": {_name(link): account.to_values() for link, account in journal.ledger.accounts.items()},
-        "middleware_lost": 0,
         "messages": log.messages,
         "digest": log.digest,
         "python": sys.version.split()[0],

@@ -24,11 +24,10 @@ _ECHO = encode(Hello(NETEM, 0, 0, PROTOCOL_VERSION, True))
 
 
 def run(endpoint: str, run_id: str, credentials: Credentials, config: NetemConfig) -> None:
-    """Serve the network of a run until the console asks to stop."""
+    """Serve the network of a run until the process is ended."""
     keys = Keys(run_id)
     bus = Bus.connect(endpoint, credentials)
     NetemProcess(bus, keys, config).serve()
-    bus.close()
 
 
 class NetemProcess:
@@ -41,20 +40,20 @@ class NetemProcess:
         self._inbox: dict[int, Callable[[bytes], None]] = {i: bus.publisher(keys.rx(i)) for i in config.vehicles}
         self._links = bus.publisher(keys.links)
         self._round_heard = False
+        self._counts = {"sent": {"links": 0}, "received": {"round": 0}}
         self._shell.subscribe(keys.tx("*"))
         self._shell.subscribe(keys.round)
         self._shell.answer(keys.ctl(NETEM))
         bus.token(keys.alive(NETEM))
 
     def serve(self) -> None:
-        """Handle one item after the other until told to stop."""
+        """Handle one item after the other, until the process is ended."""
         take, round_key = self._shell.queue.get, self._keys.round
-        running = True
-        while running:
+        while True:
             item = take()
             try:
                 if item.respond is not None:
-                    running = self._control(item.data, item.respond)
+                    self._control(item.data, item.respond)
                 elif item.key == round_key:
                     self._round(item.data)
                 else:
@@ -76,6 +75,7 @@ class NetemProcess:
         message = expect(data, Round, Hello)
         if isinstance(message, Round):
             self._rounds.round(message)
+            self._counts["received"]["round"] += 1
             self._exchange()
         else:
             self._round_heard = True
@@ -89,9 +89,10 @@ class NetemProcess:
 
     def _report(self, report: LinkReport) -> None:
         for fates, more in split(report.fates, lambda fate: len(fate.payload) + FATE_BYTES, PART_BYTES):
+            self._counts["sent"]["links"] += 1
             self._links(encode(report._replace(more=more, fates=tuple(fates))))
 
-    def _control(self, data: bytes, respond: Respond) -> bool:
+    def _control(self, data: bytes, respond: Respond) -> None:
         request = read_map(data)
         match request.get("op"):
             case "ready":
@@ -102,10 +103,7 @@ class NetemProcess:
             case "close":
                 self._report(self._rounds.close(int(request["tick"])))
                 sent = [[src, dst, count] for (src, dst), count in self._rounds.netem.sent.items()]
-                respond(msgpack.packb({"sent": sent, "rejected": dict(self._shell.rejected)}))
-            case "stop":
-                respond(msgpack.packb({}))
-                return False
+                values = {"sent": sent, "rejected": dict(self._shell.rejected), "counts": self._counts}
+                respond(msgpack.packb(values))
             case other:
                 respond(msgpack.packb({"error": f"no operation {other!r}"}))
-        return True

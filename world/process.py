@@ -53,6 +53,8 @@ class WorldProcess:
         self._frame = bus.publisher(keys.frame)
         self._frames: list[Frame] = []  # not yet published
         self._frames_bytes = 0
+        self._sent = dict.fromkeys(("nav", "round", "frame"), 0)
+        self._received = {"cmd": 0}
         self._ready: set[int] = set()
         self._grant_heard = False
         self._in = bus.channel(keys.cmd("*"))  # commands and grants
@@ -89,7 +91,9 @@ class WorldProcess:
         if i not in self._nav:
             raise MalformedMessage("cmd", f"no vehicle {i} in this run")
         if isinstance(message, Command):
-            self._publish(self._lockstep.command(i, message, data))
+            out = self._lockstep.command(i, message, data)
+            self._received["cmd"] += 1
+            self._publish(out)
         elif isinstance(message, Hello):
             if message.version != PROTOCOL_VERSION:
                 raise MalformedMessage("hello", f"protocol version {message.version}, ours is {PROTOCOL_VERSION}")
@@ -101,6 +105,7 @@ class WorldProcess:
     def _publish(self, out: list[Out]) -> None:
         for item in out:
             if isinstance(item, NavTo):
+                self._sent["nav"] += 1
                 self._nav[item.id](encode(item.nav))
             elif isinstance(item, Frame):
                 for rows, more in split(item.vehicles, _row_bytes, PART_BYTES):
@@ -109,10 +114,12 @@ class WorldProcess:
                     if len(self._frames) >= FRAMES_PER_MESSAGE or self._frames_bytes > PART_BYTES // 2:
                         self._flush_frames()
             elif isinstance(item, Round):
+                self._sent["round"] += 1
                 self._round(encode(item))
 
     def _flush_frames(self) -> None:
         if self._frames:
+            self._sent["frame"] += 1
             self._frame(encode(Frames(tuple(self._frames))))
             self._frames.clear()
             self._frames_bytes = 0
@@ -138,7 +145,8 @@ class WorldProcess:
                 waiting = [list(pair) for pair in self._lockstep.waiting_for]
                 respond(msgpack.packb({"waiting": waiting}))
             case "close":
-                respond(msgpack.packb({"rejected": dict(self._shell.rejected)}))
+                counts = {"sent": self._sent, "received": self._received}
+                respond(msgpack.packb({"rejected": dict(self._shell.rejected), "counts": counts}))
             case other:
                 respond(msgpack.packb({"error": f"no operation {other!r}"}))
 

@@ -110,14 +110,13 @@ def execute(scenario: Scenario, options: Options, terminal: Terminal | None = No
             result.reason = f"the middleware lost {fleet.middleware_lost} messages: the run is invalid"
     result.digest = log.digest
     started_s = getattr(fleet, "started_s", 0.0)
-    result.values = _values(scenario, journal, log, result)
+    result.values = _values(scenario, journal, log, result, fleet.middleware_lost)
     result.values["wall"] = {
         "in_process": in_process,
         "startup_s": started_s,
         "run_s": wall_s - started_s,
         "x_real_time": max(0, journal.written) * scenario.tick_ns / 1e9 / max(1e-9, wall_s - started_s),
     }
-    result.values["middleware_lost"] = fleet.middleware_lost
     result.values["rejected"] = closing["rejected"]
     result.values["notes"] = list(getattr(fleet, "notes", ()))
     try:
@@ -136,7 +135,7 @@ def _close_log(log: LogWriter, result: Result) -> None:
             result.status, result.reason = Status.BROKEN, str(error)
 
 
-def _values(scenario: Scenario, journal: Journal, log: LogWriter, result: Result) -> dict[str, Any]:
+def _values(scenario: Scenario, journal: Journal, log: LogWriter, result: Result, lost: int) -> dict[str, Any]:
     return {
         "scenario": scenario.name,
         "seed": scenario.seed,
@@ -148,6 +147,7 @@ def _values(scenario: Scenario, journal: Journal, log: LogWriter, result: Result
         "checks": [verdict.to_values() for verdict in result.verdicts],
         "vehicles": journal.metrics.summary(),
         "ledger": {_name(link): account.to_values() for link, account in journal.ledger.accounts.items()},
+        "middleware_lost": lost,
         "messages": log.messages,
         "digest": log.digest,
         "python": sys.version.split()[0],

@@ -205,3 +205,41 @@ def test_split_keeps_everything_and_no_part_is_too_long(sizes: list[int], limit:
     assert [size for part, _ in parts for size in part] == sizes
     assert [more for _, more in parts] == [True] * (len(parts) - 1) + [False]
     assert all(sum(part) <= limit or len(part) == 1 for part, _ in parts)
+
+
+@given(per_link, rounds_of_traffic)
+def test_another_vehicle_shifts_no_draw(per_link: dict[Link, Condition], traffic: list) -> None:
+    """A fourth vehicle that talks to and hears everybody leaves every fate among the others as it was."""
+    alone = Netem(config(per_link))
+    before = [*play(alone, traffic), *alone.close(10 * len(traffic))]
+    more = tuple((4, i) for i in (1, 2, 3)) + tuple((i, 4) for i in (1, 2, 3))
+    lossy = dict.fromkeys(more, Condition(150_000_000, 100_000_000, 0.5))
+    joined = Netem(NetemConfig(1, TICK_NS, 10, (1, 2, 3, 4), ALL_LINKS + more, {**per_link, **lossy}))
+    after: list[Fate] = []
+    for number, sent in enumerate(traffic):
+        after += joined.exchange(10 * number, {4: (b"me too",) * 2, **{i: sent.get(i, ()) for i in (1, 2, 3)}}).fates
+    after += joined.close(10 * len(traffic))
+    assert [f for f in after if 4 not in (f.src, f.dst)] == before
+
+
+@given(st.permutations([*((i, tick) for i in (1, 2, 3) for tick in (0, 10)), ("round", 0), ("round", 10)]))
+def test_the_order_of_arrival_changes_no_round(arrivals: list) -> None:
+    """The transmissions of a round and the world's word on it in any order: the same inboxes, the same reports."""
+
+    def outcomes(arrivals: list) -> list:
+        rounds = Rounds(config({(1, 2): Condition(50_000_000, 40_000_000, 0.3)}))
+        found = []
+        for who, tick in arrivals:
+            if who == "round":
+                rounds.round(Round(tick, (1, 2, 3), ((0.0, 0.0, 0.0),) * 3))
+            else:
+                rounds.transmission(who, Transmission(0, tick, (b"%d at %d" % (who, tick),)))
+            while (outcome := rounds.exchange()) is not None:
+                found.append(outcome)
+        return found
+
+    # Nobody gets to round 10 without the inbox of round 0, so what belongs to it comes later.
+    ordered = sorted(arrivals, key=lambda a: a[1])
+    expected = outcomes([(1, 0), (2, 0), (3, 0), ("round", 0), (1, 10), (2, 10), (3, 10), ("round", 10)])
+    assert outcomes(ordered) == expected
+    assert len(expected) == 2

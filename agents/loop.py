@@ -91,8 +91,10 @@ class AgentLoop:
         expected = max(0, self._known + self.round_ticks)
         if inbox.until != expected and self._tick >= 0:
             raise OutOfPlace("inbox until tick", expected, inbox.until)
-        self._known = inbox.until
         self._deliveries.extend(inbox.deliveries)
+        if inbox.more:
+            return []
+        self._known = inbox.until
         return self._advance()
 
     def _advance(self) -> list[Transmission | Command]:

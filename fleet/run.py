@@ -123,6 +123,7 @@ def execute(scenario: Scenario, options: Options, terminal: Terminal | None = No
         directory.write_result(result.values)
     except OSError as error:
         result.lines.append(f"result.json could not be written: {error.strerror}")
+        directory.remove_result()
     return result
 
 

@@ -57,6 +57,10 @@ class RunDirectory:
     def write_result(self, values: dict[str, Any]) -> None:
         (self.path / "result.json").write_text(json.dumps(values, indent=2) + "\n", "utf-8")
 
+    def remove_result(self) -> None:
+        """Half a result is worse than none."""
+        (self.path / "result.json").unlink(missing_ok=True)
+
     def write_connection(self, values: dict[str, Any]) -> None:
         descriptor = os.open(self.connection, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
         with os.fdopen(descriptor, "w") as file:

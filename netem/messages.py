@@ -238,6 +238,7 @@ class Inbox(NamedTuple):
 
     incarnation: Annotated[int, uint("", "life of the agent it is meant for")]
     until: Annotated[int, uint("tick", "the inbox is known up to this tick")]
+    more: Annotated[bool, Field("", "more deliveries of the same inbox follow", "bool", _flag)]
     deliveries: Annotated[
         tuple[Delivery, ...],
         Field("", "ordered by (due, sent, src, seq, copy)", "Delivery[*]", _array(_record(Delivery))),

@@ -12,13 +12,13 @@ from netem.bus import PART_BYTES, Bus, Respond
 from netem.config import NetemConfig
 from netem.errors import MalformedMessage, OutOfPlace
 from netem.keys import Keys
-from netem.messages import PROTOCOL_VERSION, Hello, LinkReport, Round, Transmission, encode, split
+from netem.messages import PROTOCOL_VERSION, Delivery, Fate, Hello, LinkReport, Round, Transmission, encode, split
 from netem.rounds import Rounds
 from netem.shell import Shell, expect, read_map, vehicle_of
 
 log = logging.getLogger(__name__)
 
-FATE_BYTES = 80  # a fate without its payload, generously
+RECORD_BYTES = 80  # a fate or delivery without its payload, generously
 
 _ECHO = encode(Hello(NETEM, 0, 0, PROTOCOL_VERSION, True))
 
@@ -84,11 +84,12 @@ class NetemProcess:
         while (outcome := self._rounds.exchange()) is not None:
             inboxes, report = outcome
             for i, inbox in inboxes:
-                self._inbox[i](encode(inbox))
+                for deliveries, more in split(inbox.deliveries, _bytes, PART_BYTES):
+                    self._inbox[i](encode(inbox._replace(more=more, deliveries=tuple(deliveries))))
             self._report(report)
 
     def _report(self, report: LinkReport) -> None:
-        for fates, more in split(report.fates, lambda fate: len(fate.payload) + FATE_BYTES, PART_BYTES):
+        for fates, more in split(report.fates, _bytes, PART_BYTES):
             self._counts["sent"]["links"] += 1
             self._links(encode(report._replace(more=more, fates=tuple(fates))))
 
@@ -107,3 +108,7 @@ class NetemProcess:
                 respond(msgpack.packb(values))
             case other:
                 respond(msgpack.packb({"error": f"no operation {other!r}"}))
+
+
+def _bytes(record: Fate | Delivery) -> int:
+    return RECORD_BYTES + len(record.payload)

@@ -74,7 +74,7 @@ class Rounds:
         inboxes, fates = self.netem.exchange(tick, {i: have[i] for i in alive})
         self._next = tick + self.config.round_ticks
         until = tick if self.config.ideal else self._next
-        out = [(i, Inbox(self._incarnation[i], until, deliveries)) for i, deliveries in inboxes.items()]
+        out = [(i, Inbox(self._incarnation[i], until, False, deliveries)) for i, deliveries in inboxes.items()]
         return out, LinkReport(tick, False, False, fates)
 
     def close(self, end_tick: int) -> LinkReport:

@@ -106,7 +106,7 @@ def nav(tick: int, incarnation: int = 0) -> Nav:
 
 
 def inbox(until: int, *due: int) -> Inbox:
-    return Inbox(0, until, tuple(Delivery(d, 0, 2, n, 0, b"") for n, d in enumerate(due)))
+    return Inbox(0, until, False, tuple(Delivery(d, 0, 2, n, 0, b"") for n, d in enumerate(due)))
 
 
 def test_an_agent_waits_until_its_inbox_is_known_and_gets_each_delivery_at_its_tick() -> None:
@@ -121,6 +121,16 @@ def test_an_agent_waits_until_its_inbox_is_known_and_gets_each_delivery_at_its_t
     loop.nav(nav(3))
     loop.nav(nav(4))
     assert core.seen == [(0, []), (1, [1]), (2, [2]), (3, []), (4, [4])]
+
+
+def test_an_inbox_in_parts_counts_once_it_is_whole() -> None:
+    core = Core()
+    loop = AgentLoop(core, 2)
+    loop.nav(nav(0))
+    loop.nav(nav(1))
+    assert loop.inbox(inbox(2, 1)._replace(more=True)) == []
+    assert [type(m) for m in loop.inbox(inbox(2, 1))] == [Command]
+    assert core.seen[-1] == (1, [1, 1])
 
 
 def test_an_agent_on_an_ideal_network_transmits_before_it_decides() -> None:

@@ -507,3 +507,27 @@ def test_notes_that_lie_are_only_notes(tmp_path: Path, monkeypatch: pytest.Monke
 def test_controller_error_names_vehicle_and_tick() -> None:
     error = ControllerError(3, 57, "control.demand", (float("nan"),))
     assert str(error) == "agent 3, tick 57: control.demand is (nan,)"
+
+
+LONG_PAYLOADS = """
+    from agents.agent import Agent
+    transmit = Agent.transmit
+    Agent.transmit = lambda self, nav: tuple(p + b"x" * 30_000 for p in transmit(self, nav))
+"""
+
+
+def test_long_payloads_travel_in_parts(tmp_path: Path) -> None:
+    """Two neighbours' payloads of 30 kB do not fit into one message; the agents refuse them, and nobody dies."""
+    environment = sabotage(tmp_path / "site", LONG_PAYLOADS)
+    command = [sys.executable, "-m", "fleet", "run", "paper", "-q", "--duration", "500 ms", "--set", "checks={}"]
+    done = subprocess.run(
+        [*command, "--out", str(tmp_path / "runs")],
+        env={**os.environ, **environment},
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    result = json.loads((tmp_path / "runs" / "latest" / "result.json").read_text("utf-8"))
+    assert result["vehicles"]["2"]["payloads_rejected"] == 10  # two neighbours, five rounds

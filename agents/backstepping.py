@@ -1,77 +1,78 @@
-"""Tracking: neurodynamics-based backstepping from a commanded speed and direction to forces (eqs. 28-47).
+"""Tracking: backstepping from a commanded speed and direction to forces (eqs. 24-47), in three flavours.
 
 | symbol | meaning | unit | frame | paper |
 |---|---|---|---|---|
 | u, v, w, q, r | velocity over ground, pitch and yaw rate | m/s, rad/s | body | (1) |
 | u_a | speed | m/s | - | (3) |
-| theta + theta', psi + psi' | pitch and course of the velocity, as printed | rad | NED | (5) |
+| theta_a, psi_a | pitch and course of the velocity: theta + theta', psi + psi' as printed, or exact | rad | NED | (5) |
 | theta', psi' | attack and sideslip angle | rad | body | (4) |
 | u_cmd, theta_cmd, psi_cmd | commanded speed, pitch, course | m/s, rad | NED | (12) |
 | q_cmd, r_cmd | commanded pitch and yaw rate | rad/s | body | (28), (29) |
 | u_err .. r_err | actual minus commanded (in the paper with a tilde) | m/s, rad, rad/s | - | (24)-(29) |
-| x1, x2, x3 | shunting states of u_err, q_err, r_err | m/s, rad/s | - | (43)-(47) |
+| A1, A2, A3 | stabilising term of the surge, pitch and yaw channel | m/s^2, rad/s^2 | - | (35), (45) |
 | tau | surge force, pitch moment, yaw moment, before any limit | N, N m | body | (35), (45) |
 | C_r | cos(theta') cos(psi'), kept away from 0 | 1 | - | (35) |
 
-The derivatives of the commanded rates and speed are left out, as in the paper, which counts them as
-disturbances; the derivatives of the angles are filtered differences (see `filters`).
+The flavours differ in A alone: -K2 err plus the derivatives of the commands (*backstepping*: BC, BOC), a shunting model
+in place of err and no derivatives, which the paper then counts as disturbances (*neurodynamic*: NBC, NBOC), a
+saturated switching term (*sliding mode*: BSMC). All derivatives are filtered differences (see `filters`).
 """
 
 from __future__ import annotations
 
-from math import cos, sin
-from typing import Any
+from math import asin, atan2, cos, sin
+from typing import Any, ClassVar
 
-from agents.config import TrackingParams
-from agents.filters import AngleRateFilter, wrap
+from agents.api import Command, Sample
+from agents.config import AgentConfig
+from agents.filters import AngleRateFilter, RateFilter, wrap
 from agents.kinematics import flow_angles
 from agents.shunting import shunting_step
 from agents.signals import Signal
-from world.vehicle import Vec3, Vec5, VehicleParams
+from world.vehicle import Vec3
 
-SIGNALS = (
-    Signal("control", "u_err", "m/s", 1, "speed minus commanded speed"),
-    Signal("control", "theta_err", "rad", 1, "pitch of the velocity minus the commanded one, wrapped"),
-    Signal("control", "psi_err", "rad", 1, "course of the velocity minus the commanded one, wrapped"),
-    Signal("control", "q_err", "rad/s", 1, "pitch rate minus commanded pitch rate"),
-    Signal("control", "r_err", "rad/s", 1, "yaw rate minus commanded yaw rate"),
-    Signal("control", "x", "m/s, rad/s", 3, "shunting states of u_err, q_err, r_err after the update"),
-    Signal("control", "demand", "N, N m", 3, "surge force, pitch moment, yaw moment before the limits"),
+_ERRORS = (
+    Signal("u_err", "m/s", "speed minus commanded speed"),
+    Signal("theta_err", "rad", "pitch of the velocity minus the commanded one, wrapped"),
+    Signal("psi_err", "rad", "course of the velocity minus the commanded one, wrapped"),
+    Signal("q_err", "rad/s", "pitch rate minus commanded pitch rate"),
+    Signal("r_err", "rad/s", "yaw rate minus commanded yaw rate"),
+)
+_DEMAND = Signal("demand", "N, N m", "surge force, pitch moment, yaw moment before the limits", 3)
+_RATES = Signal("cmd_rate", "m/s^2, rad/s^2", "filtered derivatives of u_cmd, q_cmd, r_cmd", 3)
+_COMMON = frozenset(
+    {"k_u", "k_q", "k_r", "k_theta", "k_psi", "tau_f", "u_floor", "rho_eps", "cos_eps", "u_eps", "angles"}
 )
 
 
-class NeurodynamicTracking:
-    """The backstepping law of one vehicle with a shunting model on each of its three error channels."""
+class _Backstepping:
+    """What the flavours share; each supplies `_act` and what it reports between errors and demand."""
 
-    __slots__ = ("_filters", "_m", "_params", "_x")
+    __slots__ = ("_exact", "_filters", "_m", "_params")
 
-    def __init__(self, params: TrackingParams, vehicle: VehicleParams) -> None:
-        p = vehicle
-        self._params = params
+    def __init__(self, config: AgentConfig) -> None:
+        p = config.vehicle
+        self._params = config.tracking
+        self._exact = config.tracking.angles == "exact"
         self._m = (*p.inertia, p.beta_u, p.beta_v, p.beta_w, p.beta_q, p.beta_r, p.beta_b)
         # Rates of theta_cmd, psi_cmd, theta', psi', in this order.
-        self._filters = tuple(AngleRateFilter(params.tau_f) for _ in range(4))
-        self._x: Vec3 = (0.0, 0.0, 0.0)
+        self._filters = tuple(AngleRateFilter(config.tracking.tau_f) for _ in range(4))
 
-    def step(self, eta: Vec5, nu: Vec5, command: Vec3, dt: float) -> tuple[Vec3, tuple[float, ...]]:
-        """Force and moments at a sample.
-
-        Args:
-            eta: own pose; only theta and psi are used [rad].
-            nu: own velocity over ground [m/s, rad/s].
-            command: u_cmd [m/s], theta_cmd and psi_cmd [rad].
-            dt: time since the previous sample [s].
-
-        Returns:
-            tau before the limits [N, N m], and the values of `SIGNALS`.
-        """
+    def step(self, sample: Sample, command: Command) -> tuple[Vec3, tuple[float, ...]]:
+        """Force and moments [N, N m] at a sample, before the limits, and the values of `signals`."""
         k = self._params
         m1, m2, m3, m4, m5, beta_u, beta_v, beta_w, beta_q, beta_r, beta_b = self._m
-        _, _, _, theta, psi = eta
-        u, v, w, q, r = nu
+        dt = sample.dt
+        _, _, _, theta, psi = sample.eta
+        u, v, w, q, r = sample.nu
         u_cmd, theta_cmd, psi_cmd = command
         rate_theta_cmd, rate_psi_cmd, rate_attack, rate_sideslip = self._filters
         u_a, attack, sideslip = flow_angles(u, v, w)
+        g = max(u_a, k.u_eps)
+        if self._exact:
+            sth = sin(theta)
+            attack = asin(max(-1.0, min(1.0, (u * sth - w * cos(theta)) / g))) - theta
+            sideslip = atan2(v, u * cos(theta) + w * sth)
 
         # Errors of speed and direction.
         u_err = u_a - u_cmd
@@ -84,34 +85,126 @@ class NeurodynamicTracking:
         r_cmd = cth * (-k.k_psi * psi_err - rate_sideslip.step(sideslip, dt) + rate_psi_cmd.step(psi_cmd, dt))
         q_err = q - q_cmd
         r_err = r - r_cmd
-
-        # The shunting states see this sample's errors before they are used: half a sample less delay, and
-        # without it the loop is unstable at longer control periods.
-        x1, x2, x3 = self._x
-        a, b_up, b_down = k.a, k.b_up, k.b_down
-        x1 = shunting_step(x1, u_err, a, b_up, b_down, dt)
-        x2 = shunting_step(x2, q_err, a, b_up, b_down, dt)
-        x3 = shunting_step(x3, r_err, a, b_up, b_down, dt)
-        self._x = (x1, x2, x3)
+        (A1, A2, A3), inner = self._act((u_err, q_err, r_err), (u_cmd, q_cmd, r_cmd), dt)
 
         # Surge: thrust acts along the axis, so the speed along the velocity gains by its cosine.
-        g = max(u_a, k.u_eps)
         C = u / g
         if -k.cos_eps < C < k.cos_eps:
             C = k.cos_eps if C >= 0.0 else -k.cos_eps
         tau1_star = v / g / m2 * (m1 * u * r + beta_v * v) - w / g / m3 * (m1 * u * q - beta_w * w)
-        tau1 = -m2 * v * r + m3 * w * q + beta_u * u + m1 / C * (tau1_star - k.k_u * x1)
-        tau2 = -(m3 - m1) * u * w + beta_q * q + beta_b * sin(theta) - m4 * theta_err - m4 * k.k_q * x2
-        tau3 = -(m1 - m2) * u * v + beta_r * r - m5 * psi_err / max(cth, k.cos_eps) - m5 * k.k_r * x3
-        demand = (tau1, tau2, tau3)
-        return demand, (u_err, theta_err, psi_err, q_err, r_err, x1, x2, x3, tau1, tau2, tau3)
+        tau1 = -m2 * v * r + m3 * w * q + beta_u * u + m1 / C * (tau1_star + A1)
+        tau2 = -(m3 - m1) * u * w + beta_q * q + beta_b * sin(theta) - m4 * theta_err + m4 * A2
+        tau3 = -(m1 - m2) * u * v + beta_r * r - m5 * psi_err / max(cth, k.cos_eps) + m5 * A3
+        return (tau1, tau2, tau3), (u_err, theta_err, psi_err, q_err, r_err, *inner, tau1, tau2, tau3)
+
+    def _act(self, errors: Vec3, commands: Vec3, dt: float) -> tuple[Vec3, Vec3]:
+        """A1, A2, A3 from the errors and the commands of surge, pitch and yaw; and what to report of it."""
+        raise NotImplementedError
 
     def state(self) -> dict[str, Any]:
         """Plain values of everything that the next sample depends on."""
-        return {"x": list(self._x), "filters": [f.state() for f in self._filters]}
+        return {"filters": [f.state() for f in self._filters]}
 
     def restore(self, values: dict[str, Any]) -> None:
-        x1, x2, x3 = values["x"]
-        self._x = (x1, x2, x3)
+        """Continue from `state()`."""
         for angle_rate, state in zip(self._filters, values["filters"], strict=True):
             angle_rate.restore(state)
+
+
+class NeurodynamicTracking(_Backstepping):
+    """A = -K2 x, x from a shunting model on each error: smooth, bounded, and without derivatives of the commands."""
+
+    signals: ClassVar[tuple[Signal, ...]] = (
+        *_ERRORS,
+        Signal("x", "m/s, rad/s", "shunting states of u_err, q_err, r_err after the update", 3),
+        _DEMAND,
+    )
+    uses: ClassVar[frozenset[str]] = _COMMON | {"a", "b_up", "b_down"}  # of TrackingParams
+
+    __slots__ = ("_x",)
+
+    def __init__(self, config: AgentConfig) -> None:
+        super().__init__(config)
+        self._x: Vec3 = (0.0, 0.0, 0.0)
+
+    def _act(self, errors: Vec3, commands: Vec3, dt: float) -> tuple[Vec3, Vec3]:
+        # The shunting states see this sample's errors before they are used: half a sample less delay, and
+        # without it the loop is unstable at longer control periods.
+        k = self._params
+        x1, x2, x3 = self._x
+        u_err, q_err, r_err = errors
+        x1 = shunting_step(x1, u_err, k.a, k.b_up, k.b_down, dt)
+        x2 = shunting_step(x2, q_err, k.a, k.b_up, k.b_down, dt)
+        x3 = shunting_step(x3, r_err, k.a, k.b_up, k.b_down, dt)
+        self._x = x = (x1, x2, x3)
+        return (-k.k_u * x1, -k.k_q * x2, -k.k_r * x3), x
+
+    def state(self) -> dict[str, Any]:
+        return super().state() | {"x": list(self._x)}
+
+    def restore(self, values: dict[str, Any]) -> None:
+        super().restore(values)
+        x1, x2, x3 = values["x"]
+        self._x = (x1, x2, x3)
+
+
+class _WithRates(_Backstepping):
+    """A with the derivatives of the commands."""
+
+    signals: ClassVar[tuple[Signal, ...]] = (*_ERRORS, _RATES, _DEMAND)
+
+    __slots__ = ("_command_rates",)
+
+    def __init__(self, config: AgentConfig) -> None:
+        super().__init__(config)
+        self._command_rates = tuple(RateFilter(config.tracking.tau_f) for _ in range(3))
+
+    def _rates(self, commands: Vec3, dt: float) -> Vec3:
+        f1, f2, f3 = self._command_rates
+        u_cmd, q_cmd, r_cmd = commands
+        return f1.step(u_cmd, dt), f2.step(q_cmd, dt), f3.step(r_cmd, dt)
+
+    def state(self) -> dict[str, Any]:
+        return super().state() | {"command_rates": [f.state() for f in self._command_rates]}
+
+    def restore(self, values: dict[str, Any]) -> None:
+        super().restore(values)
+        for rate, state in zip(self._command_rates, values["command_rates"], strict=True):
+            rate.restore(state)
+
+
+class BacksteppingTracking(_WithRates):
+    """A = -K2 err + d(command)/dt: conventional backstepping."""
+
+    uses: ClassVar[frozenset[str]] = _COMMON
+
+    __slots__ = ()
+
+    def _act(self, errors: Vec3, commands: Vec3, dt: float) -> tuple[Vec3, Vec3]:
+        k = self._params
+        s1, s2, s3 = errors
+        d1, d2, d3 = rates = self._rates(commands, dt)
+        return (-k.k_u * s1 + d1, -k.k_q * s2 + d2, -k.k_r * s3 + d3), rates
+
+
+class SlidingModeTracking(_WithRates):
+    """A = -K2 sat(err / phi) + d(command)/dt: backstepping sliding mode with a boundary layer phi.
+
+    The paper names BSMC and gives its three gains, not its law; this is the usual one. The sign function itself
+    (phi -> 0) chatters.
+    """
+
+    uses: ClassVar[frozenset[str]] = _COMMON | {"phi"}
+
+    __slots__ = ()
+
+    def _act(self, errors: Vec3, commands: Vec3, dt: float) -> tuple[Vec3, Vec3]:
+        k = self._params
+        s1, s2, s3 = errors
+        p1, p2, p3 = k.phi
+        d1, d2, d3 = rates = self._rates(commands, dt)
+        return (-k.k_u * _sat(s1 / p1) + d1, -k.k_q * _sat(s2 / p2) + d2, -k.k_r * _sat(s3 / p3) + d3), rates
+
+
+def _sat(s: float) -> float:
+    return max(-1.0, min(1.0, s))

@@ -6,13 +6,16 @@ process, on another host or in another language receives the same thing.
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from typing import Any, Literal
 
+from agents.trajectory import Motion, Offset, Reference, plus, reference_from_values
 from world.vehicle import Vec3, VehicleParams
 
 Extrapolation = Literal["hold", "neighbour", "reference"]
 Cost = Literal["printed", "consistent"]
+Angles = Literal["printed", "exact"]
+OnError = Literal["abort", "coast"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,26 +24,18 @@ class Neighbour:
 
     id: int
     weight: float
-    offset: Vec3
-
-
-@dataclass(frozen=True, slots=True)
-class Reference:
-    """The leader trajectory eta_1^d(t) = start + velocity t [m, m/s, NED], known to every agent (eq. 11)."""
-
-    start: Vec3
-    velocity: Vec3
+    offset: Offset
 
 
 @dataclass(frozen=True, slots=True)
 class GuidanceParams:
-    """Consensus guidance and its online gain QP (eqs. 10-23)."""
+    """Consensus guidance, and the online QP of its gain (eqs. 10-23)."""
 
     Q: Vec3  # weight of the predicted consensus error
     R1: Vec3  # weight of rho
     R2: Vec3  # weight of the change of rho
     p: float  # weight of the change of K
-    K0: Vec3  # 1/s, gain before the first optimum
+    K0: Vec3  # 1/s, gain before the first optimum, and of the fixed gain
     k_min: float  # 1/s
     k_max: float  # 1/s
     rho_lo: Vec3  # m/s, NED
@@ -53,9 +48,9 @@ class GuidanceParams:
 
 @dataclass(frozen=True, slots=True)
 class TrackingParams:
-    """Neurodynamics backstepping (eqs. 28-47) and its guards."""
+    """The tracking laws (eqs. 28-47) and their guards."""
 
-    k_u: float  # 1/s   K2 = (k_u, k_q, k_r)
+    k_u: float  # 1/s   K2 = (k_u, k_q, k_r); sliding mode: m/s^2 and rad/s^2, the switching gains
     k_q: float
     k_r: float
     k_theta: float  # 1/s
@@ -68,6 +63,16 @@ class TrackingParams:
     rho_eps: float  # m/s  below it the commanded angles are held
     cos_eps: float  # 1    least |cos theta' cos psi'| and cos theta
     u_eps: float  # m/s  least speed in the direction cosines
+    phi: Vec3 = (1.0, 1.0, 1.0)  # m/s, rad/s, rad/s: boundary layers of sliding mode
+    angles: Angles = "printed"  # direction of the velocity: theta + theta', psi + psi', or the true angles
+
+
+@dataclass(frozen=True, slots=True)
+class Law:
+    """A law by name (one that ships, `module:Class`, or an entry point) and what it is made with."""
+
+    name: str
+    parameters: dict[str, Any] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,16 +83,29 @@ class AgentConfig:
     seed: int
     tick_ns: int
     round_ticks: int
-    offset: Vec3  # p_i [m, NED]: eta_i^d = eta_1^d + p_i
-    reference: Reference
+    offset: Offset  # p_i [m, NED]: eta_i^d = eta_1^d + p_i
+    reference: Reference  # eta_1^d, known to every agent (eq. 11)
     reference_weight: float  # b_i [1]
     neighbours: tuple[Neighbour, ...]
     extrapolation: Extrapolation
-    controller: str  # registered name, "nboc"
     guidance: GuidanceParams
     tracking: TrackingParams
     vehicle: VehicleParams  # the controller's model of its own vehicle
     tau_max: Vec3  # N, N m, N m
+    guidance_law: Law = Law("optimal")
+    tracking_law: Law = Law("neurodynamic")
+    controller: Law | None = None  # in place of guidance and tracking
+    agent: Law | None = None  # in place of everything
+    on_error: OnError = "abort"  # what follows when a law fails
+    budget_s: float = 0.0  # wall time a law may take for a sample; 0: any
+
+    def desired(self, t: float) -> Motion:
+        """Where this vehicle should be at time t [s], and how it should move: pd_i = eta_1^d + p_i and its rate."""
+        reference = self.reference.at(t)
+        own = self.offset.at(t)
+        if self.offset.moving:
+            return Motion(plus(reference.position, own.position), plus(reference.velocity, own.velocity))
+        return Motion(plus(reference.position, own.position), reference.velocity)
 
     def to_values(self) -> dict[str, Any]:
         """Plain maps, lists and scalars (MessagePack values)."""
@@ -95,18 +113,24 @@ class AgentConfig:
 
     @classmethod
     def from_values(cls, values: dict[str, Any]) -> AgentConfig:
-        """The inverse of `to_values`; lists become tuples again.
+        """The inverse of `to_values`; lists become tuples again, but for the parameters of laws.
 
         Raises:
             TypeError: a field is missing or unknown.
         """
-        v = {key: _tuples(value) for key, value in values.items()}
-        v["reference"] = Reference(**v["reference"])
-        v["neighbours"] = tuple(Neighbour(**n) for n in v["neighbours"])
+        v = {key: value if key in _LAWS else _tuples(value) for key, value in values.items()}
+        v["offset"] = Offset.from_values(v["offset"])
+        v["reference"] = reference_from_values(v["reference"])
+        v["neighbours"] = tuple(Neighbour(**n | {"offset": Offset.from_values(n["offset"])}) for n in v["neighbours"])
         v["guidance"] = GuidanceParams(**v["guidance"])
         v["tracking"] = TrackingParams(**v["tracking"])
         v["vehicle"] = VehicleParams(**v["vehicle"])
+        for key in _LAWS & v.keys():
+            v[key] = None if v[key] is None else Law(**v[key])
         return cls(**v)
+
+
+_LAWS = {"agent", "controller", "guidance_law", "tracking_law"}
 
 
 def _tuples(value: Any) -> Any:

@@ -13,11 +13,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from agents.neighbours import Heard
+from agents.api import NeighbourState
 from world.vehicle import Vec3
 
 
-def consensus_error(position: Vec3, desired: Vec3, b: float, heard: Iterable[Heard]) -> tuple[Vec3, float]:
+def consensus_error(position: Vec3, desired: Vec3, b: float, heard: Iterable[NeighbourState]) -> tuple[Vec3, float]:
     """e_i = sum_j a_ij (pos_i - pos_j - Delta_ij) + b_i (pos_i - pd_i), and c_i.
 
     A neighbour not heard yet is not in `heard` and so counts in neither: the weights that remain still
@@ -38,7 +38,7 @@ def consensus_error(position: Vec3, desired: Vec3, b: float, heard: Iterable[Hea
     ey = b * (y - dy)
     ez = b * (z - dz)
     c = b
-    for a, (ox, oy, oz), (px, py, pz) in heard:
+    for _, a, (ox, oy, oz), (px, py, pz), _, _ in heard:
         ex += a * (x - px - ox)
         ey += a * (y - py - oy)
         ez += a * (z - pz - oz)

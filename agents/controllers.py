@@ -1,37 +1,181 @@
-"""The controllers by name. A controller is a guidance law followed by a tracking law.
+"""The laws by name, and how they become the controller of one agent.
 
-A guidance law turns the consensus error into a commanded velocity, a tracking law turns its speed and
-direction into forces; either can be combined with any other, and the agent runs them in this order.
+A guidance law turns a sample into a commanded velocity, a tracking law turns its speed and direction into forces;
+any guidance goes with any tracking. The paper's five controllers are five of these pairs.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Mapping
+from typing import Any, NamedTuple, Protocol
 
-from agents.backstepping import NeurodynamicTracking
-from agents.config import AgentConfig
-from agents.errors import UnknownNameError
-from agents.guidance import OptimalGuidance
+from agents import plugins
+from agents.api import Command, Sample
+from agents.backstepping import BacksteppingTracking, NeurodynamicTracking, SlidingModeTracking
+from agents.command import direction_command, floor_speed
+from agents.config import AgentConfig, Law
+from agents.guard import FencedLaw
+from agents.guidance import FixedGuidance, OptimalGuidance
+from agents.signals import Layout, Signal
+from world.vehicle import Vec3
 
-
-def _nboc(config: AgentConfig) -> tuple[OptimalGuidance, NeurodynamicTracking]:
-    return (
-        OptimalGuidance(config.guidance, config.reference.velocity),
-        NeurodynamicTracking(config.tracking, config.vehicle),
-    )
-
-
-CONTROLLERS: dict[str, Callable[[AgentConfig], tuple[OptimalGuidance, NeurodynamicTracking]]] = {
-    "nboc": _nboc,
+GUIDANCE: dict[str, type[OptimalGuidance] | type[FixedGuidance]] = {
+    "optimal": OptimalGuidance,
+    "fixed": FixedGuidance,
+}
+TRACKING: dict[str, type[NeurodynamicTracking] | type[BacksteppingTracking] | type[SlidingModeTracking]] = {
+    "neurodynamic": NeurodynamicTracking,
+    "backstepping": BacksteppingTracking,
+    "sliding-mode": SlidingModeTracking,
 }
 
 
-def build(config: AgentConfig) -> tuple[OptimalGuidance, NeurodynamicTracking]:
-    """The guidance and tracking laws of the controller that the configuration names.
+Notes = list[tuple[int, str]]
+
+
+class Pair(NamedTuple):
+    """A controller of the paper: its guidance, its tracking, and what it is."""
+
+    guidance: str
+    tracking: str
+    meaning: str
+
+
+CONTROLLERS: dict[str, Pair] = {
+    "nboc": Pair("optimal", "neurodynamic", "neurodynamics-based backstepping optimal control: the paper's"),
+    "boc": Pair("optimal", "backstepping", "backstepping optimal control"),
+    "nbc": Pair("fixed", "neurodynamic", "neurodynamics-based backstepping control"),
+    "bc": Pair("fixed", "backstepping", "backstepping control"),
+    "bsmc": Pair("fixed", "sliding-mode", "backstepping sliding mode control"),
+}
+
+BUILT_IN: dict[str, Mapping[str, type[Any]]] = {
+    "guidance": GUIDANCE,
+    "tracking": TRACKING,
+    "controller": {},
+    "agent": {},
+}
+
+# What every agent that hears neighbours reports, whatever its controller.
+HEARD = (
+    Signal("e_used", "m", "consensus error from what the agent knows of its neighbours, NED", 3),
+    Signal("neighbours_heard", "1", "neighbours heard at least once"),
+    Signal("payloads_rejected", "1", "payloads refused by the codec since the start"),
+)
+_COMMANDED = (
+    Signal("rho", "m/s", "commanded velocity, NED", 3),
+    Signal("u_cmd", "m/s", "commanded speed after the floor"),
+    Signal("theta_cmd", "rad", "commanded pitch of the velocity"),
+    Signal("psi_cmd", "rad", "commanded course of the velocity"),
+)
+
+
+class Lawful(Protocol):
+    """A law as the agent uses it: ours, or a user's behind its fence."""
+
+    def step(self, sample: Sample, *more: Any) -> tuple[Vec3, tuple[float, ...]]: ...
+    def state(self) -> Any: ...
+    def restore(self, values: Any) -> None: ...
+
+
+def law_class(kind: str, law: Law) -> type[Any]:
+    """The class of a law, ours or a user's.
 
     Raises:
-        UnknownNameError: there is no such controller.
+        PluginError: there is none, or it cannot be used.
     """
-    if config.controller not in CONTROLLERS:
-        raise UnknownNameError("controller", config.controller, tuple(CONTROLLERS))
-    return CONTROLLERS[config.controller](config)
+    ours = BUILT_IN[kind].get(law.name)
+    return ours if ours is not None else plugins.load(kind, law)
+
+
+def laws(config: AgentConfig) -> dict[str, Law]:
+    """The laws that an agent runs, by kind."""
+    if config.agent is not None:
+        return {"agent": config.agent}
+    if config.controller is not None:
+        return {"controller": config.controller}
+    return {"guidance": config.guidance_law, "tracking": config.tracking_law}
+
+
+def layout(config: AgentConfig) -> Layout:
+    """What an agent with this configuration reports.
+
+    Raises:
+        PluginError: one of its laws cannot be used.
+    """
+    found = {kind: law_class(kind, law).signals for kind, law in laws(config).items()}
+    if "agent" in found:
+        return Layout((), found["agent"])
+    if "controller" in found:
+        return Layout(HEARD, found["controller"])
+    return Layout((*HEARD, *_COMMANDED, *found["guidance"]), found["tracking"])
+
+
+class Controller:
+    """A user's controller in the agent."""
+
+    def __init__(self, config: AgentConfig, law: Law, notes: Notes) -> None:
+        self._law = FencedLaw(config, law, plugins.load("controller", law), "(tau1, tau2, tau3)", notes)
+
+    def step(self, sample: Sample) -> tuple[Vec3, tuple[float, ...]]:
+        """Forces [N, N m] before the limits, and the telemetry."""
+        return self._law.step(sample)
+
+    def counters(self) -> dict[str, int]:
+        return {}
+
+    def state(self) -> Any:
+        return {"controller": self._law.state()}
+
+    def restore(self, values: Any) -> None:
+        self._law.restore(values["controller"])
+
+
+class Cascade:
+    """A guidance law followed by a tracking law."""
+
+    def __init__(self, config: AgentConfig, notes: Notes) -> None:
+        self._params = config.tracking
+        self._guidance = _make("guidance", config, config.guidance_law, "velocity", notes)
+        self._tracking = _make("tracking", config, config.tracking_law, "(tau1, tau2, tau3)", notes)
+        self._held: tuple[float, float] | None = None  # theta_cmd, psi_cmd of the previous sample
+
+    def step(self, sample: Sample) -> tuple[Vec3, tuple[float, ...]]:
+        """Forces [N, N m] before the limits, and the telemetry."""
+        params, nu = self._params, sample.nu
+        theta, psi = sample.eta[3:] if self._held is None else self._held
+        rho, guidance = self._guidance.step(sample)
+        u_cmd, theta, psi = direction_command(rho, theta, psi, params.rho_eps)
+        self._held = (theta, psi)
+        u_cmd = floor_speed(u_cmd, nu[1], nu[2], params.u_floor)
+        demand, control = self._tracking.step(sample, Command(u_cmd, theta, psi))
+        return demand, (*rho, u_cmd, theta, psi, *guidance, *control)
+
+    def counters(self) -> dict[str, int]:
+        failures = getattr(self._guidance, "failures", None)
+        return {} if failures is None else {"qp_failures": failures}
+
+    def state(self) -> Any:
+        held = None if self._held is None else list(self._held)
+        return {"held": held, "guidance": self._guidance.state(), "tracking": self._tracking.state()}
+
+    def restore(self, values: Any) -> None:
+        self._held = None if values["held"] is None else tuple(values["held"])
+        self._guidance.restore(values["guidance"])
+        self._tracking.restore(values["tracking"])
+
+
+def build(config: AgentConfig, notes: Notes) -> Cascade | Controller:
+    """The controller of one agent; what a person should know of it goes into `notes`.
+
+    Raises:
+        PluginError: one of its laws cannot be used.
+        ControllerError: one of its laws cannot be made.
+    """
+    return Cascade(config, notes) if config.controller is None else Controller(config, config.controller, notes)
+
+
+def _make(kind: str, config: AgentConfig, law: Law, what: str, notes: Notes) -> Lawful:
+    ours = BUILT_IN[kind].get(law.name)
+    found: Lawful = ours(config) if ours is not None else FencedLaw(config, law, plugins.load(kind, law), what, notes)
+    return found

@@ -17,14 +17,28 @@ class PayloadError(AgentError):
 
 
 class ControllerError(AgentError):
-    """The controller cannot answer this sample: something it was given, or computed, makes no sense."""
+    """The agent cannot answer this sample: what it was given, or what a law made of it, makes no sense.
 
-    def __init__(self, agent: int, tick: int, what: str, value: object) -> None:
-        super().__init__(f"agent {agent}, tick {tick}: {what} is {value!r}")
+    `where` is the file and line at fault, when there is one.
+    """
+
+    def __init__(self, agent: int, tick: int, problem: str, where: str = "") -> None:
+        super().__init__(f"agent {agent}, tick {tick}: {problem}" + (f" ({where})" if where else ""))
         self.agent = agent
         self.tick = tick
-        self.what = what
-        self.value = value
+        self.problem = problem
+        self.where = where
+
+
+class PluginError(AgentError):
+    """A law of the user's that cannot be used: it is not there, or it does not have what a law must have."""
+
+    def __init__(self, kind: str, name: str, problem: str, hint: str = "") -> None:
+        super().__init__(f"{kind} {name!r}: {problem}" + (f"; {hint}" if hint else ""))
+        self.kind = kind
+        self.name = name
+        self.problem = problem
+        self.hint = hint
 
 
 class UnknownNameError(AgentError):

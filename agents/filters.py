@@ -30,37 +30,48 @@ def wrap(angle: float) -> float:
     return pi if wrapped <= -pi else wrapped
 
 
-class AngleRateFilter:
-    """Filtered backward difference of one angle; its first sample gives 0."""
+class RateFilter:
+    """Filtered backward difference of one signal; its first sample gives 0."""
 
-    __slots__ = ("_alpha", "_dt", "_tau_f", "angle", "rate")
+    __slots__ = ("_alpha", "_dt", "_tau_f", "rate", "value")
 
     def __init__(self, tau_f: float) -> None:
         self._tau_f = tau_f
         self._dt = self._alpha = 0.0
-        self.angle: float | None = None
+        self.value: float | None = None
         self.rate = 0.0
 
-    def step(self, angle: float, dt: float) -> float:
-        """The rate [rad/s] after a sample `angle` [rad], dt [s] after the previous one."""
-        previous = self.angle
-        self.angle = angle
+    def step(self, value: float, dt: float) -> float:
+        """The rate [unit of the value per s] after a sample `value`, dt [s] after the previous one."""
+        previous = self.value
+        self.value = value
         if previous is None:
             return 0.0
         if dt != self._dt:
             self._dt = dt
             self._alpha = exp(-dt / self._tau_f) if self._tau_f > 0.0 else 0.0
-        difference = angle - previous
-        if not -pi < difference <= pi:
-            difference = wrap(difference)
         alpha = self._alpha
-        self.rate = rate = alpha * self.rate + (1.0 - alpha) * difference / dt
+        self.rate = rate = alpha * self.rate + (1.0 - alpha) * self._difference(value, previous) / dt
         return rate
 
+    def _difference(self, value: float, previous: float) -> float:
+        return value - previous
+
     def state(self) -> list[float | None]:
-        return [self.angle, self.rate]
+        """Plain values of everything that the next sample depends on."""
+        return [self.value, self.rate]
 
     def restore(self, values: list[float | None]) -> None:
-        angle, rate = values
-        self.angle = angle
+        """Continue from `state()`."""
+        self.value, rate = values
         self.rate = rate or 0.0
+
+
+class AngleRateFilter(RateFilter):
+    """The same for an angle [rad], whose differences are wrapped."""
+
+    __slots__ = ()
+
+    def _difference(self, value: float, previous: float) -> float:
+        difference = value - previous
+        return difference if -pi < difference <= pi else wrap(difference)

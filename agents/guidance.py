@@ -1,55 +1,96 @@
-"""Guidance: from the consensus error to the virtual control, with the gain optimised online (eqs. 10-23).
+"""Guidance: from the consensus error to the virtual control, with a gain optimised online or fixed (eqs. 10-23).
 
 | symbol | meaning | unit | frame | paper |
 |---|---|---|---|---|
 | e, c | consensus error and the total weight of its terms | m, 1 | NED | (8), (18) |
 | K | diagonal of the virtual control gain, held between optimisations | 1/s | NED | (11) |
-| rho | virtual control after its bounds | m/s | NED | (11), (21) |
+| rho | virtual control, the commanded velocity | m/s | NED | (11), (21) |
 """
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, ClassVar
 
+from agents.api import Sample
 from agents.command import clip, slew, virtual_control
-from agents.config import GuidanceParams
+from agents.config import AgentConfig
 from agents.gain_qp import NoSolution, build_qp, solve
+from agents.signals import Signal
 from world.vehicle import Vec3
 
 HELD, SOLVED, NO_SOLUTION = 0, 1, 2
 
+_K = Signal("K", "1/s", "diagonal of the virtual control gain in use", 3)
+
+
+class FixedGuidance:
+    """rho = -K e + v_d with a constant gain and without bounds: the guidance of NBC, BC and BSMC."""
+
+    signals: ClassVar[tuple[Signal, ...]] = (_K,)
+    uses: ClassVar[frozenset[str]] = frozenset({"K0", "slew"})  # of GuidanceParams
+
+    __slots__ = ("_K", "_params", "_rho")
+
+    def __init__(self, config: AgentConfig) -> None:
+        self._params = config.guidance
+        self._K = config.guidance.K0
+        self._rho: Vec3 | None = None
+
+    def step(self, sample: Sample) -> tuple[Vec3, tuple[float, ...]]:
+        """The virtual control rho [m/s, NED] at a sample."""
+        rho = virtual_control(sample.e, self._K, sample.desired.velocity)
+        if self._params.slew > 0.0:
+            previous = sample.velocity if self._rho is None else self._rho
+            rho = slew(rho, previous, self._params.slew * sample.dt)
+        self._rho = rho
+        return rho, self._K
+
+    def state(self) -> dict[str, Any]:
+        """Plain values of everything that the next sample depends on."""
+        return {"rho": None if self._rho is None else list(self._rho)}
+
+    def restore(self, values: dict[str, Any]) -> None:
+        """Continue from `state()`."""
+        self._rho = None if values["rho"] is None else tuple(values["rho"])
+
 
 class OptimalGuidance:
-    """The virtual control of one vehicle; remembers the last gain and the last virtual control."""
+    """The gain of rho = -K e + v_d from a QP, rho within its bounds: the guidance of NBOC and BOC.
 
-    __slots__ = ("K", "_params", "_rho_d", "_started", "failure", "failures", "qp_status", "rho")
+    Remembers the last gain and the last virtual control.
+    """
 
-    def __init__(self, params: GuidanceParams, reference_velocity: Vec3) -> None:
-        self._params = params
-        self._rho_d = reference_velocity
-        self._started = False
-        self.K: Vec3 = params.K0
-        self.rho: Vec3 = (0.0, 0.0, 0.0)
+    signals: ClassVar[tuple[Signal, ...]] = (
+        _K,
+        Signal("qp_status", "1", "0 gain held, 1 solved, 2 no solution and gain held"),
+        Signal("qp_failures", "1", "optimisations without a solution since the start"),
+    )
+    uses: ClassVar[frozenset[str]] = frozenset(
+        {"Q", "R1", "R2", "p", "K0", "k_min", "k_max", "rho_lo", "rho_hi", "qp_ticks", "horizon_s", "cost", "slew"}
+    )
+
+    __slots__ = ("K", "_params", "_rho", "failure", "failures", "qp_status")
+
+    def __init__(self, config: AgentConfig) -> None:
+        self._params = config.guidance
+        self.K: Vec3 = config.guidance.K0
+        self._rho: Vec3 | None = None
         self.qp_status = HELD
         self.failures = 0
         self.failure: NoSolution | None = None  # the newest one, to look at; not part of the state
 
-    def step(self, tick: int, dt: float, e: Vec3, c: float, velocity: Vec3) -> Vec3:
+    def step(self, sample: Sample) -> tuple[Vec3, tuple[float, ...]]:
         """The virtual control rho [m/s, NED] at a sample.
 
-        Args:
-            tick: the optimisation runs on global ticks divisible by `qp_ticks`.
-            dt: time since the previous sample [s].
-            e, c: consensus error [m, NED] and its total weight.
-            velocity: own velocity over ground [m/s, NED]; stands for the previous rho at the first sample.
+        The optimisation runs on global ticks divisible by `qp_ticks`. At the first sample the own velocity stands
+        for the previous virtual control.
         """
         params = self._params
-        rho_d = self._rho_d
-        previous = self.rho if self._started else velocity
-        self._started = True
+        e, rho_d = sample.e, sample.desired.velocity
+        previous = sample.velocity if self._rho is None else self._rho
         self.qp_status = HELD
-        if tick % params.qp_ticks == 0:
-            outcome = solve(build_qp(e, c, rho_d, previous, self.K, params))
+        if sample.tick % params.qp_ticks == 0:
+            outcome = solve(build_qp(e, sample.c, rho_d, previous, self.K, params))
             if isinstance(outcome, NoSolution):
                 # Holding the last gain is safe: the bounds below hold whatever the gain is.
                 self.qp_status = NO_SOLUTION
@@ -60,18 +101,18 @@ class OptimalGuidance:
                 self.K = outcome.K
         rho = clip(virtual_control(e, self.K, rho_d), params.rho_lo, params.rho_hi)
         if params.slew > 0.0:
-            rho = slew(rho, previous, params.slew * dt)
-        self.rho = rho
-        return rho
+            rho = slew(rho, previous, params.slew * sample.dt)
+        self._rho = rho
+        return rho, (*self.K, float(self.qp_status), float(self.failures))
 
     def state(self) -> dict[str, Any]:
         """Plain values of everything that the next sample depends on."""
-        return {"K": list(self.K), "rho": list(self.rho), "started": self._started, "failures": self.failures}
+        rho = None if self._rho is None else list(self._rho)
+        return {"K": list(self.K), "rho": rho, "failures": self.failures}
 
     def restore(self, values: dict[str, Any]) -> None:
+        """Continue from `state()`."""
         k1, k2, k3 = values["K"]
-        x, y, z = values["rho"]
         self.K = (k1, k2, k3)
-        self.rho = (x, y, z)
-        self._started = values["started"]
+        self._rho = None if values["rho"] is None else tuple(values["rho"])
         self.failures = values["failures"]

@@ -44,6 +44,9 @@ class AgentCore(Protocol):
     def decide(self, nav: Nav, deliveries: list[Delivery], /) -> Decision:
         """The rest of a control sample (ideal network)."""
 
+    def take_notes(self) -> list[tuple[int, str]]:
+        """(tick, text) of what a person should know, once."""
+
 
 class AgentLoop:
     """Feeds an agent core with navs and inboxes in the right order."""

@@ -5,8 +5,10 @@
 | k_j | tick at which the newest state heard from j was sampled | tick | - |
 | age = (now - k_j) Ts | how old that is | s | - |
 | pos_j, vel_j | position and velocity over ground in that state | m, m/s | NED |
-| v_d | velocity of the reference, known to every agent | m/s | NED |
-| position now | pos_j ("hold"), pos_j + vel_j age ("neighbour"), pos_j + v_d age ("reference") | m | NED |
+| eta_j^d(t) | where j should be: the reference plus j's offset, known to whoever knows Delta_ij | m | NED |
+| position now, hold | pos_j | m | NED |
+| position now, neighbour | pos_j + vel_j age | m | NED |
+| position now, reference | pos_j + eta_j^d(now) - eta_j^d(k_j) | m | NED |
 
 Newest means by the sending tick: a late older message never replaces a newer one. "neighbour" has no bias but
 closes a loop through the neighbour's velocity that is unstable for long delays; "reference" is stable for
@@ -16,11 +18,13 @@ every delay; "hold" is stable and lags behind a moving formation.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from typing import Any, NamedTuple, Protocol
+from typing import Any, Protocol
 
+from agents.api import NeighbourState
 from agents.config import Extrapolation, Neighbour
 from agents.errors import PayloadError
 from agents.payload import CAUSES, StateMessage, decode
+from agents.trajectory import Offset, Reference, minus, plus
 from world.vehicle import Vec3
 
 
@@ -39,14 +43,6 @@ class Delivery(Protocol):
     def payload(self) -> bytes: ...
 
 
-class Heard(NamedTuple):
-    """A neighbour that has been heard: weight a_ij, offset Delta_ij [m] and where it should be now [m]."""
-
-    weight: float
-    offset: Vec3
-    position: Vec3
-
-
 class NeighbourTable:
     """The newest state of each in-neighbour, by its sending tick."""
 
@@ -54,13 +50,15 @@ class NeighbourTable:
         self,
         neighbours: Sequence[Neighbour],
         extrapolation: Extrapolation,
-        reference_velocity: Vec3,
+        reference: Reference,
+        offset: Offset,
         tick_s: float,
     ) -> None:
         # One order for the sums, whatever the order of the configuration or of arrival.
         self._neighbours = tuple(sorted(neighbours, key=lambda n: n.id))
         self._extrapolation = extrapolation
-        self._reference_velocity = reference_velocity
+        self._reference = reference
+        self._offset = offset  # own: p_j = p_i - Delta_ij
         self._tick_s = tick_s
         self._newest: dict[int, StateMessage | None] = {n.id: None for n in self._neighbours}
         self.counters = dict.fromkeys(
@@ -88,22 +86,34 @@ class NeighbourTable:
         self._newest[message.sender] = message
         return "accepted"
 
-    def heard(self, now: int) -> list[Heard]:
+    def heard(self, now: int) -> tuple[NeighbourState, ...]:
         """The neighbours heard so far, extrapolated to tick `now`, by ascending number."""
+        tick_s = self._tick_s
         found = []
         for neighbour in self._neighbours:
             message = self._newest[neighbour.id]
             if message is None:
                 continue
             position = message.position
-            if self._extrapolation != "hold":
-                towards = message.velocity if self._extrapolation == "neighbour" else self._reference_velocity
-                age = (now - message.sent_tick) * self._tick_s
+            age = (now - message.sent_tick) * tick_s
+            if self._extrapolation == "neighbour":
                 x, y, z = position
-                vx, vy, vz = towards
+                vx, vy, vz = message.velocity
                 position = (x + vx * age, y + vy * age, z + vz * age)
-            found.append(Heard(neighbour.weight, neighbour.offset, position))
-        return found
+            elif self._extrapolation == "reference":
+                position = plus(position, self._drift(neighbour, message.sent_tick * tick_s, age))
+            delta = neighbour.offset.at(now * tick_s).position
+            found.append(NeighbourState(neighbour.id, neighbour.weight, delta, position, message.velocity, age))
+        return tuple(found)
+
+    def _drift(self, neighbour: Neighbour, sent: float, age: float) -> Vec3:
+        """How far the place of a neighbour has moved since it sent [m, NED]."""
+        drift = self._reference.displacement(sent, age)
+        if self._offset.moving or neighbour.offset.moving:
+            for way, t in ((1.0, sent + age), (-1.0, sent)):
+                place = minus(self._offset.at(t).position, neighbour.offset.at(t).position)
+                drift = (drift[0] + way * place[0], drift[1] + way * place[1], drift[2] + way * place[2])
+        return drift
 
     @property
     def rejected(self) -> int:

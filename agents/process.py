@@ -7,8 +7,9 @@ import traceback
 from collections.abc import Callable
 from time import monotonic, sleep
 
-from agents.agent import Agent
+from agents.agent import make_agent
 from agents.config import AgentConfig
+from agents.errors import ControllerError
 from agents.loop import AgentLoop
 from netem.access import Credentials, agent_role
 from netem.bus import Bus
@@ -34,7 +35,7 @@ def run(endpoint: str, run_id: str, vehicle: int, credentials: Credentials) -> N
     keys = Keys(run_id)
     bus = Bus.connect(endpoint, credentials)
     config = _ask_config(bus, keys, vehicle)
-    process = AgentProcess(bus, keys, vehicle, AgentLoop(Agent(config), config.round_ticks))
+    process = AgentProcess(bus, keys, vehicle, AgentLoop(make_agent(config), config.round_ticks))
     process.get_ready()
     process.serve()
 
@@ -90,6 +91,8 @@ class AgentProcess:
             except (MalformedMessage, OutOfPlace) as error:
                 self._shell.reject(key, loop.tick, error)
                 continue
+            for tick, text in loop.core.take_notes():
+                self._shell.note(self._vehicle, tick, text)
             for answer in out:
                 (self._tx if isinstance(answer, Transmission) else self._cmd)(encode(answer))
 
@@ -99,6 +102,9 @@ class AgentProcess:
         try:
             return handle(message)
         except OutOfPlace:
+            raise
+        except ControllerError as error:
+            self._shell.note(self._vehicle, error.tick, f"controller failed: {error}")
             raise
         except Exception as error:
             where = traceback.extract_tb(error.__traceback__)[-1]

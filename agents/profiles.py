@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 from agents.config import GuidanceParams, TrackingParams
 from agents.errors import UnknownNameError
@@ -21,6 +22,12 @@ _TRACKING = TrackingParams(
     rho_eps=0.05,  # chosen: never reached in the nominal runs
     cos_eps=0.1,  # chosen
     u_eps=0.02,  # chosen
+    phi=(
+        1.0,
+        1.0,
+        1.0,
+    ),  # chosen; it decides how sliding mode compares: z is 0.044 m/s in the disturbance, 0.004 at 0.1
+    angles="printed",
 )
 
 # The printed cost and parameters. It holds down to 10 messages per second and up to half a second of delay.
@@ -58,6 +65,12 @@ _HARDENED = replace(
     slew=0.3,  # chosen, m/s^2
 )
 
+# What some laws have instead, in every profile, unless a scenario says otherwise.
+LAW_DEFAULTS: dict[str, dict[str, Any]] = {
+    "fixed": {"K0": (0.6, 0.6, 0.6)},  # listed: K1 of NBC, BC, BSMC
+    "sliding-mode": {"k_u": 20.0, "k_q": 15.0, "k_r": 15.0},  # listed: switching gains of the three surfaces
+}
+
 PROFILES: dict[str, tuple[GuidanceParams, TrackingParams]] = {
     "paper": (_PAPER, _TRACKING),
     "consistent": (_CONSISTENT, _TRACKING),
@@ -65,12 +78,18 @@ PROFILES: dict[str, tuple[GuidanceParams, TrackingParams]] = {
 }
 
 
-def profile(name: str) -> tuple[GuidanceParams, TrackingParams]:
-    """The guidance and tracking parameters of a named tuning.
+def profile(
+    name: str, guidance: str = "optimal", tracking: str = "neurodynamic"
+) -> tuple[GuidanceParams, TrackingParams]:
+    """The guidance and tracking parameters of a named tuning, for laws of these names.
 
     Raises:
         UnknownNameError: there is no such profile.
     """
     if name not in PROFILES:
         raise UnknownNameError("profile", name, tuple(PROFILES))
-    return PROFILES[name]
+    for_guidance, for_tracking = PROFILES[name]
+    return (
+        replace(for_guidance, **LAW_DEFAULTS.get(guidance, {})),
+        replace(for_tracking, **LAW_DEFAULTS.get(tracking, {})),
+    )

@@ -1,16 +1,46 @@
-"""The declaration of what a controller reports at every tick, so that logs and plots can name it."""
+"""The declaration of what a control law reports at every tick, so that logs, tables and plots can name it."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import NamedTuple
 
 
 @dataclass(frozen=True, slots=True)
 class Signal:
-    """`width` consecutive floats of the telemetry: group, name, unit ("1" when it has none) and meaning."""
+    """One named value of a law's telemetry: a number, or `width` of them. The unit is "1" when it has none."""
 
-    group: str
     name: str
     unit: str
-    width: int
     meaning: str
+    width: int = 1
+
+
+class Layout(NamedTuple):
+    """The telemetry of one agent: what its flat tuple of values holds, by the log's topic group, in order."""
+
+    guidance: tuple[Signal, ...]  # what the agent knows and where it wants to go
+    control: tuple[Signal, ...]  # how the controller gets it there
+
+    @property
+    def size(self) -> int:
+        """How many values there are."""
+        return sum(signal.width for group in self for signal in group)
+
+    def signals(self) -> Iterator[tuple[str, Signal, slice]]:
+        """(group, signal, where its values are) of every signal."""
+        begin = 0
+        for group, signals in zip(self._fields, self, strict=True):
+            for signal in signals:
+                yield group, signal, slice(begin, begin + signal.width)
+                begin += signal.width
+
+    def where(self, name: str) -> slice | None:
+        """Where the values of a signal are; None if nobody reports it."""
+        return next((place for _, signal, place in self.signals() if signal.name == name), None)
+
+    def group(self, name: str) -> slice:
+        """Where the values of a group are."""
+        first = sum(signal.width for signal in self.guidance)
+        return slice(0, first) if name == "guidance" else slice(first, self.size)

@@ -26,7 +26,7 @@ def steps(repeats: int) -> dict[str, float]:
     scenario = load_scenario("paper-disturbed", ["duration=10 s"])
     config = scenario.agent_config(2)
     agent = Agent(config)
-    size = sum(signal.width for signal in Agent.signals)
+    size = agent.layout.size
     eta, nu = (-1.0, -10.0, 1.0, 0.1, 0.1), (0.7, 0.05, 0.02, 0.01, 0.01)
 
     def nav(tick: int) -> Nav:

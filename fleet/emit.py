@@ -10,30 +10,49 @@ import json
 import re
 from typing import Any
 
-from agents.config import GuidanceParams, TrackingParams
-from fleet.schema import ScenarioSpec
-from fleet.tuning import guidance_section, tracking_section
+from fleet.schema import ScenarioSpec, VehicleSection
+from fleet.tuning import control, given, guidance_section, inlined, law_names, merged, tracking_section
+from fleet.vehicles import LIMITS
 from fleet.yaml_marks import resolve
 
 # Plain scalars: nothing that could begin or end a YAML construct. Anything else is quoted.
 _PLAIN = re.compile(r"(?:[A-Za-z0-9]|-?[0-9.])(?:[A-Za-z0-9 ._/%^<>+-]*[A-Za-z0-9._/%^])?")
 
 
-def scenario_yaml(spec: ScenarioSpec, guidance: GuidanceParams, tracking: TrackingParams) -> str:
-    """The text of a scenario, whose resolved parameters are given to be shown as comments."""
+def scenario_yaml(spec: ScenarioSpec) -> str:
+    """The text of a scenario; what its profile and its vehicle's model supply is shown as comments."""
     values = spec.model_dump(exclude_none=True)
-    supplied = {
-        "guidance": guidance_section(guidance, spec.tick).model_dump(),
-        "tracking": tracking_section(tracking).model_dump(),
-    }
+    for key in ("per_vehicle", "model_error"):
+        if not values[key]:
+            del values[key]
     lines: list[str] = []
+    supplied = _supplied(spec)
     for key, value in values.items():
         lines += _entry(key, value, 0) if value != {} else [f"{key}:"]
-        rest = {k: v for k, v in supplied.get(key, {}).items() if k not in value}
+        origin, given = supplied.get(key, ("", {}))
+        rest = {k: v for k, v in given.items() if k not in value and v is not None}
         if rest:
-            lines.append(f"  # from profile {spec.profile}:")
+            lines.append(f"  # from {origin}:")
             lines += [f"  # {k}: {_scalar(v)}" for k, v in rest.items()]
     return "\n".join(lines) + "\n"
+
+
+def _supplied(spec: ScenarioSpec) -> dict[str, tuple[str, dict[str, Any]]]:
+    """What sections get from elsewhere: section -> (where from, values), for vehicles with nothing of their own."""
+    found: dict[str, tuple[str, dict[str, Any]]] = {}
+    model = spec.vehicle.model or "paper"
+    if set(given(spec.vehicle)) <= {"model", *LIMITS}:
+        found["vehicle"] = f"vehicle {model}", inlined(VehicleSection(model=model), None).model_dump()
+    names = law_names(merged(spec, 0))
+    if names is not None:
+        guidance, tracking = names
+        profile = f"profile {spec.profile}"
+        params = control(spec, 0)
+        shown_guidance = guidance_section(params.guidance, guidance, spec.tick).model_dump()
+        shown_tracking = tracking_section(params.tracking, tracking).model_dump()
+        found["guidance"] = f"{profile}, law {guidance}", shown_guidance
+        found["tracking"] = f"{profile}, law {tracking}", shown_tracking
+    return found
 
 
 def _entry(key: str, value: Any, depth: int) -> list[str]:

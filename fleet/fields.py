@@ -6,6 +6,7 @@ pydantic's errors arrive with the words and the column of the text at fault.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal
@@ -71,6 +72,31 @@ def _condition(value: Any) -> Condition:
     raise q.QuantityError(f'expected a link condition such as "delay 200ms 50ms loss 30%", got {q.describe(value)}')
 
 
+def _probability(value: Any) -> float:
+    probability = q.scalar(value, q.RATIO)
+    if not 0.0 <= probability <= 1.0:
+        raise q.QuantityError(f"must be between 0 and 100 %, got {q.describe(value)}")
+    return probability
+
+
+def vehicle_numbers(text: str) -> list[int]:
+    """The vehicles that `2-4, 7` stands for, in order. Raises QuantityError."""
+    found: list[int] = []
+    for part in text.split(","):
+        match = re.fullmatch(r"\s*(\d{1,4})\s*(?:-\s*(\d{1,4})\s*)?", part, re.ASCII)
+        if match is None:
+            raise q.QuantityError(f'expected vehicle numbers such as "3" or "2-4, 7", got {q.describe(text)}')
+        found += range(int(match[1]), int(match[2] or match[1]) + 1)
+    if not found:
+        raise q.QuantityError(f"names no vehicle: {q.describe(text)}")
+    return found
+
+
+def _numbers(value: Any) -> str:
+    vehicle_numbers(str(value))
+    return str(value)
+
+
 def _selector(value: Any) -> str:
     return str(parse_selector(str(value)))
 
@@ -91,6 +117,15 @@ SignedAngularRate = Annotated[float, _scalar(q.ANGULAR_RATE)]
 AngularRate = Annotated[float, _scalar(q.ANGULAR_RATE, "not negative")]
 Force = Annotated[float, _scalar(q.FORCE, "not negative")]
 Moment = Annotated[float, _scalar(q.MOMENT, "not negative")]
+Mass = Annotated[float, _scalar(q.MASS)]
+Inertia = Annotated[float, _scalar(q.INERTIA)]
+Damping = Annotated[float, _scalar(q.DAMPING, "not negative")]
+RotationDamping = Annotated[float, _scalar(q.ROTATION_DAMPING, "not negative")]
+AnyMoment = Annotated[float, _scalar(q.MOMENT)]
+Ratio = Annotated[float, _scalar(q.RATIO)]
+PositiveAcceleration = Annotated[float, _scalar(q.ACCELERATION, "positive")]
+Layers = Annotated[Vec3, _vector(q.NUMBER, "positive")]
+Probability = Annotated[float, Text(_probability, lambda value: q.show(value, q.RATIO))]
 Gain = Annotated[float, _scalar(q.RATE, "positive")]
 Gains = Annotated[Vec3, _vector(q.RATE, "positive")]
 Time = Annotated[int, Text(q.time_ns, q.show_time, "not negative")]
@@ -99,3 +134,4 @@ Ticks = Annotated[int, Text(q.ticks, _show_ticks, "positive")]
 Count = Annotated[int, Field(ge=0)]
 LinkCondition = Annotated[InstanceOf[Condition], Text(_condition, print_condition)]
 LinkSelector = Annotated[str, Text(_selector, str)]
+VehicleNumbers = Annotated[str, Text(_numbers, str)]

@@ -10,19 +10,66 @@
 from __future__ import annotations
 
 import math
+from math import cos, pi, sin
 
-from fleet.schema import FormationSection, InitialSection
+from agents.trajectory import Change, Offset
+from fleet.schema import FormationSection, FormationShape, InitialSection
+from fleet.shapes import DEFAULT_SPACING_M
 from netem.draws import uniform
 from world.vehicle import Vec3, Vec5
 
-DEFAULT_SPACING_M = 10.0  # the sides of the paper's square
+
+def plans(formation: FormationSection, vehicles: int) -> tuple[Offset, ...]:
+    """The offset of each vehicle over time."""
+    start = offsets(formation, vehicles)
+    changes = [(change, offsets(change, vehicles)) for change in formation.changes or ()]
+    return tuple(
+        Offset(place, tuple(Change(c.at / 1e9, c.over / 1e9, places[i]) for c, places in changes))
+        for i, place in enumerate(start)
+    )
 
 
-def offsets(formation: FormationSection, vehicles: int) -> tuple[Vec3, ...]:
-    """The offsets p_1, p_2, ... [m, NED]."""
+def offsets(formation: FormationShape, vehicles: int) -> tuple[Vec3, ...]:
+    """The offsets p_1, p_2, ... [m, NED] of one shape."""
     if formation.offsets is not None:
         return tuple(formation.offsets)
-    return grid(vehicles, formation.spacing or DEFAULT_SPACING_M)
+    assert formation.shape is not None
+    places = SHAPES[formation.shape](vehicles, formation.spacing or DEFAULT_SPACING_M)
+    heading = formation.heading or 0.0
+    if heading:
+        c, s = cos(heading), sin(heading)
+        places = tuple((c * ahead - s * right, s * ahead + c * right, down) for ahead, right, down in places)
+    return places
+
+
+def line(vehicles: int, spacing: float) -> tuple[Vec3, ...]:
+    """Side by side: vehicle 1 at the reference, the others to port of each other."""
+    return tuple((0.0, 0.0 - n * spacing, 0.0) for n in range(vehicles))
+
+
+def column(vehicles: int, spacing: float) -> tuple[Vec3, ...]:
+    """One behind the other: vehicle 1 at the reference, in front."""
+    return tuple((0.0 - n * spacing, 0.0, 0.0) for n in range(vehicles))
+
+
+def wedge(vehicles: int, spacing: float) -> tuple[Vec3, ...]:
+    """A right-angled V, vehicle 1 at its point, even numbers to starboard, odd ones to port."""
+    side = spacing / math.sqrt(2.0)
+    places: list[Vec3] = []
+    for n in range(vehicles):
+        row = (n + 1) // 2
+        places.append((0.0 - row * side, (1.0 if n % 2 else -1.0) * row * side + 0.0, 0.0))
+    return tuple(places)
+
+
+def circle(vehicles: int, spacing: float) -> tuple[Vec3, ...]:
+    """A ring round the reference, vehicle 1 ahead, clockwise, with `spacing` [m] between neighbours."""
+    if vehicles == 1:
+        return ((0.0, 0.0, 0.0),)
+    radius = spacing / (2.0 * sin(pi / vehicles))
+    return tuple(
+        (radius * cos(2.0 * pi * n / vehicles), radius * sin(2.0 * pi * n / vehicles), 0.0) for n in range(vehicles)
+    )
 
 
 def grid(vehicles: int, spacing: float) -> tuple[Vec3, ...]:
@@ -44,6 +91,9 @@ def grid(vehicles: int, spacing: float) -> tuple[Vec3, ...]:
             column = columns - 1 - column
         places.append((row * spacing, 0.0 - column * spacing, 0.0))
     return tuple(places)
+
+
+SHAPES = {"line": line, "column": column, "wedge": wedge, "circle": circle, "grid": grid}
 
 
 def initial_states(initial: InitialSection, places: tuple[Vec3, ...], seed: int) -> tuple[tuple[Vec5, Vec5], ...]:

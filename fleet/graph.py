@@ -10,9 +10,13 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
+from math import dist
 
 from fleet.schema import GraphSection
+from fleet.shapes import DEFAULT_NEAREST, DEFAULT_PROBABILITY
 from netem.config import Link
+from netem.draws import uniform
+from world.vehicle import Vec3
 
 _EDGE = re.compile(r"\s*(\d{1,9})\s*->\s*(\d{1,9})\s*", re.ASCII)
 
@@ -39,23 +43,67 @@ def parse_edge(text: str) -> Link | None:
     return (int(match[1]), int(match[2])) if match else None
 
 
-def build(section: GraphSection, vehicles: int) -> Graph:
-    """The graph of a valid section (`fleet.rules` has looked at it)."""
+def build(section: GraphSection, places: tuple[Vec3, ...], seed: int) -> Graph:
+    """The graph of a valid section (`fleet.rules` has looked at it).
+
+    Args:
+        places: the offsets at the start [m, NED], for `nearest`.
+        seed: of the scenario, for `random`.
+    """
+    vehicles = len(places)
     weights: dict[Link, float] = {}
-    if section.edges is not None:
-        for text, weight in section.edges.items():
-            link = parse_edge(text)
-            assert link is not None
-            weights[link] = weight
-    else:
-        closed = section.shape == "ring"
-        for i in range(1, vehicles + 1):
-            before = i - 1 if i > 1 else vehicles if closed else None
-            behind = i + 1 if i < vehicles else 1 if closed else None
-            if before is not None:
-                weights[before, i] = 1.0 if section.ahead is None else section.ahead
-            if behind is not None:
-                weights[behind, i] = 1.0 if section.behind is None else section.behind
+    weight = 1.0 if section.weight is None else section.weight
+    match section.shape:
+        case None:
+            for text, a in (section.edges or {}).items():
+                link = parse_edge(text)
+                assert link is not None
+                weights[link] = a
+        case "path" | "ring":
+            weights = _chain(section, vehicles)
+        case "star":
+            hub = section.hub or 1
+            weights = {link: weight for i in range(1, vehicles + 1) if i != hub for link in ((hub, i), (i, hub))}
+        case "complete":
+            weights = {(j, i): weight for i in range(1, vehicles + 1) for j in range(1, vehicles + 1) if i != j}
+        case "nearest":
+            for i in range(1, vehicles + 1):
+                for j in _nearest(places, i)[: section.count or DEFAULT_NEAREST]:
+                    weights[j, i] = weight
+        case "random":
+            probability = DEFAULT_PROBABILITY if section.probability is None else section.probability
+            for i, j in _random_pairs(vehicles, probability, seed):
+                weights[i, j] = weights[j, i] = weight
     ordered = {link: weights[link] for link in sorted(weights, key=lambda link: (link[1], link[0]))}
     followers = range(1, vehicles + 1) if section.reference == "all" else section.reference
     return Graph(ordered, tuple(1.0 if i in followers else 0.0 for i in range(1, vehicles + 1)))
+
+
+def _chain(section: GraphSection, vehicles: int) -> dict[Link, float]:
+    weights: dict[Link, float] = {}
+    closed = section.shape == "ring"
+    for i in range(1, vehicles + 1):
+        before = i - 1 if i > 1 else vehicles if closed else None
+        behind = i + 1 if i < vehicles else 1 if closed else None
+        if before is not None:
+            weights[before, i] = 1.0 if section.ahead is None else section.ahead
+        if behind is not None:
+            weights[behind, i] = 1.0 if section.behind is None else section.behind
+    return weights
+
+
+def _nearest(places: tuple[Vec3, ...], i: int) -> list[int]:
+    """The other vehicles, the nearest in the formation first, by number where they are equally far."""
+    others = (j for j in range(1, len(places) + 1) if j != i)
+    return sorted(others, key=lambda j: (round(dist(places[i - 1], places[j - 1]), 9), j))
+
+
+def _random_pairs(vehicles: int, probability: float, seed: int) -> list[tuple[int, int]]:
+    """A random tree, so that all are connected, and every other pair with the given probability.
+
+    A pair's draw depends on (seed, pair) alone: a larger fleet keeps the pairs of the smaller one.
+    """
+    pairs = {(1 + int(uniform(seed, "graph tree", i) * (i - 1)), i) for i in range(2, vehicles + 1)}
+    for j in range(2, vehicles + 1):
+        pairs |= {(i, j) for i in range(1, j) if uniform(seed, "graph", i, j) < probability}
+    return sorted(pairs)

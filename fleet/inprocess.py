@@ -12,7 +12,7 @@ from typing import Any
 
 import msgpack
 
-from agents.agent import Agent
+from agents.agent import make_agent
 from agents.config import AgentConfig
 from agents.loop import AgentLoop
 from fleet.clock import Clock
@@ -47,9 +47,12 @@ class InProcess:
         self._world = Lockstep(scenario.world_config(), frame_every=frame_every(scenario))
         self._rounds = Rounds(scenario.netem_config())
         self._loops = {
-            i: AgentLoop(Agent(_over_the_wire(scenario.agent_config(i))), scenario.round_ticks, ideal=scenario.ideal)
+            i: AgentLoop(
+                make_agent(_over_the_wire(scenario.agent_config(i))), scenario.round_ticks, ideal=scenario.ideal
+            )
             for i in range(1, scenario.vehicles + 1)
         }
+        self.notes: list[str] = []
         self.middleware_lost = 0  # there is no middleware here
         self._post: deque[tuple[int, int, bytes]] = deque()  # (from, to, message)
 
@@ -108,6 +111,8 @@ class InProcess:
                 raise AssertionError(f"no route for {message!r}")
 
     def _answer(self, i: int, messages: list[Transmission | Command]) -> None:
+        for tick, text in self._loops[i].core.take_notes():
+            self.notes.append(note_text(self._scenario, tick, f"agent {i}", text))
         for message in messages:
             self._send(i, NETEM if isinstance(message, Transmission) else WORLD, message)
 
@@ -117,6 +122,11 @@ class InProcess:
             for i, inbox in inboxes:
                 self._send(NETEM, i, inbox)
             self._send(NETEM, CONSOLE, report)
+
+
+def note_text(scenario: Scenario, tick: int, who: str, text: str) -> str:
+    """A note as the console and the result show it."""
+    return f"t = {max(0, tick) * scenario.tick_ns / 1e9:.2f} s (tick {max(0, tick)}) {who}: {text}"
 
 
 def _over_the_wire(config: AgentConfig) -> AgentConfig:

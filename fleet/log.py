@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import platform
+import re
 from collections.abc import Mapping
 from importlib.metadata import version
 from math import cos, sin
@@ -18,20 +19,23 @@ from typing import IO, NamedTuple
 from google.protobuf.timestamp_pb2 import Timestamp
 from mcap.writer import CompressionType, Writer
 
-from agents.agent import Agent
+from agents.config import AgentConfig
+from agents.controllers import BUILT_IN, law_class, laws
+from agents.plugins import fingerprint, resumable
+from agents.signals import Layout
 from fleet.errors import FleetError
 from fleet.log_schemas import (
     COMMAND,
     ERROR,
     PACKET,
     STATE,
+    Column,
     DoublesEncoder,
     PoseEncoder,
     Schema,
     flat_schema,
     pose_schema,
     signal_columns,
-    signal_positions,
 )
 from fleet.metrics import VehicleError
 from fleet.reader import digest_part
@@ -79,25 +83,14 @@ class LogWriter:
         self._writer.start(profile="", library="uuv-fleet")
         self._writer.add_attachment(0, 0, "scenario.yaml", "application/yaml", self._scenario.to_yaml().encode())
         self._writer.add_metadata("run", run_metadata(self._scenario))
-        ids = range(1, self._scenario.vehicles + 1)
-        controller = self._scenario.spec.controller.capitalize()
-        signals = Agent.signals
-        columns = {
-            "state": ("State", STATE),
-            "nav": ("State", STATE),
-            "command": ("Command", COMMAND),
-            "guidance": (f"{controller}Guidance", signal_columns(signals, "guidance")),
-            "control": (f"{controller}Control", signal_columns(signals, "control")),
-            "error": ("Error", ERROR),
-        }
-        schemas = {"pose": pose_schema()} | {group: flat_schema(*named) for group, named in columns.items()}
         registered: dict[str, int] = {}
-        self._by_vehicle = {
-            group: {i: self._channel(f"uuv/{i}/{group}", schema, registered) for i in ids}
-            for group, schema in schemas.items()
-        }
-        positions = {group: signal_positions(signals, group) for group in ("guidance", "control")}
-        self._encoders = {group: DoublesEncoder(named[1], positions.get(group)) for group, named in columns.items()}
+        self._by_vehicle: dict[str, dict[int, _Channel]] = {}
+        self._encoders: dict[str, dict[int, DoublesEncoder]] = {}
+        for group, schemas in self._schemas().items():
+            self._by_vehicle[group] = {
+                i: self._channel(f"uuv/{i}/{group}", schema, registered) for i, (schema, _) in schemas.items()
+            }
+            self._encoders[group] = {i: encoder for i, (_, encoder) in schemas.items() if encoder is not None}
         self._pose = PoseEncoder(FRAME_ID)
         packet = flat_schema("Packet", PACKET)
         self._packet = packet.message
@@ -105,6 +98,41 @@ class LogWriter:
             (src, dst): self._channel(f"link/{src}-{dst}", packet, registered)
             for src, dst in self._scenario.graph.links
         }
+
+    def _schemas(self) -> dict[str, dict[int, tuple[Schema, DoublesEncoder | None]]]:
+        """The schema and the encoder of every topic group and vehicle; vehicles that run the same share both."""
+        ids = range(1, self._scenario.vehicles + 1)
+
+        def same(schema: Schema, columns: tuple[Column, ...]) -> dict[int, tuple[Schema, DoublesEncoder | None]]:
+            return dict.fromkeys(ids, (schema, DoublesEncoder(columns)))
+
+        state = same(flat_schema("State", STATE), STATE)
+        found: dict[str, dict[int, tuple[Schema, DoublesEncoder | None]]] = {
+            "pose": dict.fromkeys(ids, (pose_schema(), None)),
+            "state": state,
+            "nav": state,
+            "command": same(flat_schema("Command", COMMAND), COMMAND),
+            "guidance": {},
+            "control": {},
+            "error": same(flat_schema("Error", ERROR), ERROR),
+        }
+        made: dict[tuple[str, str, Layout], tuple[Schema, DoublesEncoder]] = {}
+        for i in ids:
+            config = self._scenario.agent_config(i)
+            layout = self._scenario.layout(i)
+            for group in ("guidance", "control"):
+                signals = getattr(layout, group)
+                if not signals:
+                    continue
+                name = schema_name(config, group)
+                if (group, name, layout) not in made:
+                    columns = signal_columns(signals)
+                    made[group, name, layout] = (
+                        flat_schema(name, columns),
+                        DoublesEncoder(columns, layout.group(group).start),
+                    )
+                found[group][i] = made[group, name, layout]
+        return found
 
     def _channel(self, topic: str, schema: Schema, registered: dict[str, int]) -> _Channel:
         if schema.name not in registered:
@@ -121,7 +149,8 @@ class LogWriter:
             if tick % every and not last:
                 continue
             channels = self._by_vehicle[group]
-            for i, data in self._encode(group, frame.vehicles, commands, errors, at_ns):
+            rows = [row for row in frame.vehicles if row.id in channels]
+            for i, data in self._encode(group, rows, commands, errors, at_ns):
                 self._add(channels[i], at_ns, at_ns, tick, data)
         self._flush(at_ns)
 
@@ -161,7 +190,7 @@ class LogWriter:
     def _encode(
         self,
         group: str,
-        rows: tuple[VehicleFrame, ...],
+        rows: list[VehicleFrame],
         commands: Mapping[int, Command],
         errors: Mapping[int, VehicleError],
         at_ns: int,
@@ -173,16 +202,16 @@ class LogWriter:
         encode = self._encoders[group]
         match group:
             case "state":
-                return [(row.id, encode(row.eta + row.nu)) for row in rows]
+                return [(row.id, encode[row.id](row.eta + row.nu)) for row in rows]
             case "nav":
-                return [(row.id, encode(row.nav)) for row in rows if row.nav]
+                return [(row.id, encode[row.id](row.nav)) for row in rows if row.nav]
             case "command":
-                return [(row.id, encode(commands[row.id].tau + row.tau)) for row in rows if row.id in commands]
+                return [(row.id, encode[row.id](commands[row.id].tau + row.tau)) for row in rows if row.id in commands]
             case "error":
                 flat = [(row.id, errors[row.id]) for row in rows]
-                return [(i, encode((*e.e, e.e_norm, *e.formation, e.formation_norm))) for i, e in flat]
+                return [(i, encode[i]((*e.e, e.e_norm, *e.formation, e.formation_norm))) for i, e in flat]
             case _:
-                return [(row.id, encode(commands[row.id].telemetry)) for row in rows if row.id in commands]
+                return [(row.id, encode[row.id](commands[row.id].telemetry)) for row in rows if row.id in commands]
 
     def _add(self, channel: _Channel, log_ns: int, publish_ns: int, sequence: int, data: bytes) -> None:
         try:
@@ -215,7 +244,34 @@ def run_metadata(scenario: Scenario) -> dict[str, str]:
         "uuv-fleet": version("uuv-fleet"),
         "piqp": version("piqp"),
         "python": ".".join(platform.python_version_tuple()[:2]),
+        **_plugin_metadata(scenario),
     }
+
+
+def _plugin_metadata(scenario: Scenario) -> dict[str, str]:
+    """Whether the run can be resumed, and what identifies the laws that are not ours."""
+    sources: dict[str, str] = {}
+    forgetful: list[str] = []
+    for i in range(1, scenario.vehicles + 1):
+        for kind, law in laws(scenario.agent_config(i)).items():
+            if law.name in BUILT_IN[kind]:
+                continue
+            found = law_class(kind, law)
+            sources[law.name] = fingerprint(found)
+            if not resumable(found) and law.name not in forgetful:
+                forgetful.append(law.name)
+    resume = {"resumable": "yes" if not forgetful else f"no: {', '.join(forgetful)} has no state() and restore()"}
+    return resume | {f"law {name}": f"sha256 {digest}" for name, digest in sources.items()}
+
+
+def schema_name(config: AgentConfig, group: str) -> str:
+    """What the message of a topic group is called, after the law that fills it."""
+    running = laws(config)
+    law = running.get({"guidance": "guidance", "control": "tracking"}[group]) or next(iter(running.values()))
+    if ":" in law.name:
+        return f"{law.name.replace(':', '.')}{group.capitalize()}"
+    words = re.findall(r"[A-Za-z0-9]+", law.name)
+    return "".join(word[0].upper() + word[1:] for word in words) + group.capitalize()
 
 
 def _quaternion(theta: float, psi: float) -> tuple[float, float, float, float]:

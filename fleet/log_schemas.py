@@ -77,24 +77,18 @@ PACKET = (
 )
 
 
-def signal_columns(signals: tuple[Signal, ...], group: str) -> tuple[Column, ...]:
+def signal_columns(signals: tuple[Signal, ...]) -> tuple[Column, ...]:
     """The columns of a controller's telemetry group."""
-    return tuple(Column(s.name, s.unit, s.meaning, 0 if s.width == 1 else s.width) for s in signals if s.group == group)
-
-
-def signal_positions(signals: tuple[Signal, ...], group: str) -> list[int]:
-    """Where in the telemetry each column of the group begins."""
-    positions, at = [], 0
-    for signal in signals:
-        if signal.group == group:
-            positions.append(at)
-        at += signal.width
-    return positions
+    return tuple(Column(s.name, s.unit, s.meaning, 0 if s.width == 1 else s.width) for s in signals)
 
 
 def flat_schema(name: str, columns: tuple[Column, ...]) -> Schema:
-    """A schema of our own."""
-    file = descriptor_pb2.FileDescriptorProto(name=f"{PACKAGE}/{name}.proto", package=PACKAGE, syntax="proto3")
+    """A schema of our own; dots in the name put it into packages below ours."""
+    below, _, name = name.rpartition(".")
+    package = f"{PACKAGE}.{below}" if below else PACKAGE
+    file = descriptor_pb2.FileDescriptorProto(
+        name=f"{package.replace('.', '/')}/{name}.proto", package=package, syntax="proto3"
+    )
     message = file.message_type.add(name=name)
     for number, column in enumerate(columns, start=1):
         repeated = descriptor_pb2.FieldDescriptorProto.LABEL_REPEATED
@@ -107,10 +101,10 @@ def flat_schema(name: str, columns: tuple[Column, ...]) -> Schema:
         )
     pool = descriptor_pool.DescriptorPool()
     pool.Add(file)
-    descriptor = pool.FindMessageTypeByName(f"{PACKAGE}.{name}")
+    descriptor = pool.FindMessageTypeByName(f"{package}.{name}")
     units = {column.name: [column.unit, column.meaning] for column in columns}
     return Schema(
-        f"{PACKAGE}.{name}",
+        f"{package}.{name}",
         _descriptor_set(descriptor.file),
         message_factory.GetMessageClass(descriptor),
         json.dumps(units),
@@ -125,12 +119,12 @@ class DoublesEncoder:
     four vehicles decided how fast a run could be. A test parses the result with protobuf and compares.
     """
 
-    def __init__(self, columns: Sequence[Column], positions: Sequence[int] | None = None) -> None:
-        """`positions`: where in the tuple each column begins; by default one after the other."""
+    def __init__(self, columns: Sequence[Column], start: int = 0) -> None:
+        """`start`: where in the tuple the first column begins."""
         layout = "<"
         constants: list[bytes] = []
         order: list[int] = []
-        begin = 0
+        begin = start
         for number, column in enumerate(columns, start=1):
             width = column.width or 1
             # Wire type 1 is a single double, 2 a packed array, which has its length in bytes behind the tag.
@@ -139,8 +133,7 @@ class DoublesEncoder:
             layout += f"{len(head)}s{width}d"
             order.append(len(constants))
             constants.append(head)
-            start = begin if positions is None else positions[number - 1]
-            order += [-(start + k) - 1 for k in range(width)]
+            order += [-(begin + k) - 1 for k in range(width)]
             begin += width
         self._constants = tuple(constants)
         count = len(constants)

@@ -15,7 +15,8 @@ from dataclasses import dataclass, field
 from math import hypot, isfinite, sqrt
 from typing import Any, NamedTuple
 
-from agents.agent import Agent
+from agents.signals import Layout
+from agents.trajectory import plus
 from fleet.scenario import Scenario
 from netem.messages import Command, Frame
 from world.vehicle import Vec3
@@ -41,7 +42,7 @@ class Series:
     e: array[float] = field(default_factory=lambda: array("d"))
     formation: array[float] = field(default_factory=lambda: array("d"))
     effort_Ns: float = 0.0
-    u_cmd_max: float = 0.0
+    u_cmd_max: float | None = None  # None: its controller reports no commanded speed
     qp_failures: int = 0
     payloads_rejected: int = 0
 
@@ -51,21 +52,9 @@ class Metrics:
 
     def __init__(self, scenario: Scenario) -> None:
         self._scenario = scenario
-        spec = scenario.spec
         self._tick_s = scenario.tick_ns / 1e9
-        self._start, self._velocity = spec.reference.start, spec.reference.velocity
-        self._neighbours = {
-            i: [
-                (
-                    j,
-                    a,
-                    tuple(p - q for p, q in zip(scenario.offsets[i - 1], scenario.offsets[j - 1], strict=True)),
-                )
-                for j, a in scenario.graph.neighbours(i)
-            ]
-            for i in range(1, scenario.vehicles + 1)
-        }
-        self._positions_of = _signal_positions()
+        self._neighbours = {i: scenario.graph.neighbours(i) for i in range(1, scenario.vehicles + 1)}
+        self._places = {i: _Places.of(scenario.layout(i)) for i in range(1, scenario.vehicles + 1)}
         self.times = array("d")
         self.series = {i: Series() for i in range(1, scenario.vehicles + 1)}
         self.formation_error = 0.0
@@ -73,12 +62,12 @@ class Metrics:
     def frame(self, frame: Frame, commands: Mapping[int, Command]) -> dict[int, VehicleError]:
         """Take one frame with its decoded commands; returns the errors of every vehicle in it."""
         t = frame.tick * self._tick_s
-        pd1 = tuple(s + v * t for s, v in zip(self._start, self._velocity, strict=True))
+        reference = self._scenario.reference.at(t).position
+        desired = {row.id: plus(reference, self._scenario.plans[row.id - 1].at(t).position) for row in frame.vehicles}
         positions = {row.id: row.eta[:3] for row in frame.vehicles}
-        errors = {i: self._error(i, positions, pd1) for i in positions}
+        errors = {i: self._error(i, positions, desired) for i in positions}
         elapsed = t - self.times[-1] if self.times else 0.0
         self.times.append(t)
-        u_cmd, failures, rejected = self._positions_of
         for row in frame.vehicles:
             series, error = self.series[row.id], errors[row.id]
             series.e.append(error.e_norm)
@@ -87,23 +76,29 @@ class Metrics:
                 series.effort_Ns += abs(row.tau[0]) * (elapsed or self._tick_s)
             command = commands.get(row.id)
             if command is not None:
-                series.u_cmd_max = max(series.u_cmd_max, command.telemetry[u_cmd])
-                series.qp_failures = _count(command.telemetry[failures], series.qp_failures)
-                series.payloads_rejected = _count(command.telemetry[rejected], series.payloads_rejected)
+                places, telemetry = self._places[row.id], command.telemetry
+                if places.u_cmd is not None and isfinite(telemetry[places.u_cmd]):
+                    series.u_cmd_max = max(series.u_cmd_max or 0.0, telemetry[places.u_cmd])
+                if places.failures is not None:
+                    series.qp_failures = _count(telemetry[places.failures], series.qp_failures)
+                if places.rejected is not None:
+                    series.payloads_rejected = _count(telemetry[places.rejected], series.payloads_rejected)
         self.formation_error = max(error.formation_norm for error in errors.values())
         return errors
 
-    def _error(self, i: int, positions: dict[int, tuple[float, ...]], pd1: tuple[float, ...]) -> VehicleError:
+    def _error(self, i: int, positions: dict[int, tuple[float, ...]], desired: dict[int, Vec3]) -> VehicleError:
+        """e_i = sum_j a_ij ((x_i - d_i) - (x_j - d_j)) + b_i (x_i - d_i): Delta_ij is d_i - d_j."""
         x, y, z = positions[i]
-        px, py, pz = self._scenario.offsets[i - 1]
-        fx, fy, fz = x - (pd1[0] + px), y - (pd1[1] + py), z - (pd1[2] + pz)
+        dx, dy, dz = desired[i]
+        fx, fy, fz = x - dx, y - dy, z - dz
         b = self._scenario.b[i - 1]
         ex, ey, ez = b * fx, b * fy, b * fz
-        for j, a, (dx, dy, dz) in self._neighbours[i]:
+        for j, a in self._neighbours[i]:
             xj, yj, zj = positions[j]
-            ex += a * (x - xj - dx)
-            ey += a * (y - yj - dy)
-            ez += a * (z - zj - dz)
+            px, py, pz = desired[j]
+            ex += a * (x - xj - (dx - px))
+            ey += a * (y - yj - (dy - py))
+            ez += a * (z - zj - (dz - pz))
         return VehicleError((ex, ey, ez), hypot(ex, ey, ez), (fx, fy, fz), hypot(fx, fy, fz))
 
     def worst(self, what: str, after_s: float) -> tuple[float, int, float]:
@@ -158,9 +153,14 @@ def _settle(times: array[float], values: array[float], limit: float) -> float | 
     return settled
 
 
-def _signal_positions() -> tuple[int, int, int]:
-    positions, at = {}, 0
-    for signal in Agent.signals:
-        positions[signal.name] = at
-        at += signal.width
-    return positions["u_cmd"], positions["qp_failures"], positions["payloads_rejected"]
+class _Places(NamedTuple):
+    """Where an agent's telemetry has what the summary wants; None where it does not report it."""
+
+    u_cmd: int | None
+    failures: int | None
+    rejected: int | None
+
+    @classmethod
+    def of(cls, layout: Layout) -> _Places:
+        places = [layout.where(name) for name in ("u_cmd", "qp_failures", "payloads_rejected")]
+        return cls(*(None if place is None else place.start for place in places))

@@ -5,8 +5,8 @@ into a list count from 1, as vehicles do: `initial.2.surge=0.3 m/s`.
 
 `vehicles=N` scales the scenario, before the other overrides apply. What the file writes out vehicle by vehicle
 cannot fit another number of them, so it is replaced by what can: the formation's offsets by a grid, the
-initial states by a scatter, the graph's edges by a path (a shape scales by itself), and rules for links that
-may be gone are dropped. `--show-config` shows the result.
+initial states by a scatter, the graph's edges by a path (a shape scales by itself), and what is said of links and
+vehicles that may be gone is dropped. `--show-config` shows the result.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import re
 from collections.abc import Sequence
 
 from fleet.errors import Problem
-from fleet.formation import DEFAULT_SPACING_M
+from fleet.shapes import DEFAULT_SPACING_M
 from fleet.quantities import describe
 from fleet.yaml_marks import Items, Mapping, Node, Place, Scalar, Source, plain, read
 
@@ -118,7 +118,21 @@ def _scale(before: Mapping, root: Mapping) -> Mapping:
     formation = root.entries.get("formation")
     if isinstance(formation, Mapping) and "offsets" in formation.entries:
         entries: dict[str, Node] = {"shape": scalar("grid"), "spacing": scalar(f"{DEFAULT_SPACING_M:g} m")}
+        if "changes" in formation.entries:
+            entries["changes"] = formation.entries["changes"]
         root = replaced(root, "formation", entries)
+    formation = root.entries.get("formation")
+    changes = formation.entries.get("changes") if isinstance(formation, Mapping) else None
+    if isinstance(formation, Mapping) and isinstance(changes, Items):
+        kept = tuple(c for c in changes.items if not (isinstance(c, Mapping) and "offsets" in c.entries))
+        formation = formation.with_entry("changes", formation.keys["changes"], Items(kept, changes.place))
+        root = root.with_entry("formation", root.keys["formation"], formation)
+    per_vehicle = root.entries.get("per_vehicle")
+    if isinstance(per_vehicle, Mapping):
+        for numbers in per_vehicle.entries:
+            if any(int(n) > new for n in _numbers(numbers)):
+                per_vehicle = per_vehicle.without(numbers)
+        root = root.with_entry("per_vehicle", root.keys["per_vehicle"], per_vehicle)
     initial = root.entries.get("initial")
     if isinstance(initial, Items):
         entries = {"scatter": scalar(f"{_SCATTER_M} m")}
@@ -145,6 +159,8 @@ def _scaled_graph(graph: Mapping, explicit: bool, vehicles: int, path: Scalar) -
     entries = {key: node for key, node in graph.entries.items() if key != "edges"}
     if explicit:
         entries["shape"] = path
+    if "hub" in entries and _above(entries["hub"], vehicles):
+        del entries["hub"]
     followers = entries.get("reference")
     if isinstance(followers, Items):
         kept = tuple(n for n in followers.items if not _above(n, vehicles))

@@ -52,11 +52,19 @@ ANGULAR_RATE = Dimension("an angular rate", "5 deg/s", {"deg/s": _DEG, "rad/s": 
 FORCE = Dimension("a force", "20 N", _units(N=1, mN="1/1000", kN=1000))
 MOMENT = Dimension("a moment", "20 N m", {"N m": Fraction(1), "Nm": Fraction(1), "kN m": Fraction(1000)})
 RATE = Dimension("a gain per second", "0.3 1/s", {"1/s": Fraction(1), "/s": Fraction(1)})
+MASS = Dimension("a mass", "10 kg", _units(kg=1, g="1/1000", t=1000))
+INERTIA = Dimension("a moment of inertia", "3 kg m^2", {"kg m^2": Fraction(1), "kg m2": Fraction(1)})
+DAMPING = Dimension("a linear damping", "1.1 kg/s", {"kg/s": Fraction(1), "N s/m": Fraction(1)})
+ROTATION_DAMPING = Dimension(
+    "a rotational damping", "0.2 kg m^2/s", {"kg m^2/s": Fraction(1), "N m s": Fraction(1), "N m s/rad": Fraction(1)}
+)
+RATIO = Dimension("a relative error", "10 %", {"%": Fraction(1, 100), "": Fraction(1)})
 TICKS = Dimension("a number of ticks", "10 ticks", _units(ticks=1, tick=1))
 NUMBER = Dimension("a number", "0.8", {"": Fraction(1)})
 
 DIMENSIONS = (
-    TIME, LENGTH, SPEED, ACCELERATION, ANGLE, ANGULAR_RATE, FORCE, MOMENT, RATE, TICKS, NUMBER,
+    TIME, LENGTH, SPEED, ACCELERATION, ANGLE, ANGULAR_RATE, FORCE, MOMENT, RATE, MASS, INERTIA, DAMPING,
+    ROTATION_DAMPING, TICKS, RATIO, NUMBER,
 )  # fmt: skip
 
 

@@ -7,20 +7,38 @@ and so is reported already, stops there (`UnknownValueError`) and the other rule
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
 
+from agents.config import Law
+from agents.controllers import BUILT_IN, CONTROLLERS
+from agents.errors import PluginError
+from agents.plugins import load
 from agents.profiles import profile
+from agents.trajectory import BLEND_PEAK, PathError
+from agents.trajectory import Path as Path_
 from fleet.errors import Problem
+from fleet.fields import vehicle_numbers
+from fleet.formation import offsets, plans
 from fleet.graph import build, parse_edge
-from fleet.quantities import RATE, SPEED, Vec3, show, show_time, show_vector
-from fleet.schema import ScenarioSpec
-from fleet.tuning import qp_period_ns
+from fleet.quantities import RATE, SPEED, QuantityError, Vec3, show, show_time, show_vector
+from fleet.reference import build as build_reference
+from fleet.schema import FormationShape, ScenarioSpec
+from fleet.shapes import FORMATION, GRAPH, REFERENCE, Keys
+from fleet.tuning import given, law_names, merged, qp_period_ns, used, vehicle, wrong_model
+from fleet.vehicles import VehicleFileError, mass_problems
 from fleet.yaml_marks import Mapping, locate
 from netem.config import Link
-from netem.grammar import GrammarError, parse_selector
+from netem.grammar import GrammarError, nearest, parse_selector
 
+Table = dict[str, Keys]
 _LINKS_SHOWN = 12
+
+
+def _dotted(path: tuple[str | int, ...]) -> str:
+    return ".".join(str(step + 1) if isinstance(step, int) else step for step in path)
 
 
 class UnknownValueError(Exception):
@@ -32,12 +50,26 @@ class Report:
     """The problems found so far in one tree."""
 
     root: Mapping
+    folder: Path | None = None  # where the scenario's file lies
     problems: list[Problem] = field(default_factory=list)
 
     def add(self, path: tuple[str | int, ...], message: str, hint: str = "", *, key: bool = False) -> None:
         """Report a mistake at the value (or the key) at `path`, or at its nearest ancestor that is there."""
-        name = ".".join(str(step + 1) if isinstance(step, int) else step for step in path)
-        self.problems.append(locate(self.root, path, key=key).problem(f"{name}: {message}", hint))
+        self.problems.append(locate(self.root, path, key=key).problem(f"{_dotted(path)}: {message}", hint))
+
+    def add_missing(self, path: tuple[str | int, ...], key: str, why: str) -> None:
+        """Report a key that a section should have."""
+        place = locate(self.root, path, key=True)
+        self.problems.append(place.problem(f'"{key}" is missing in "{_dotted(path)}"{why}'))
+
+    def has(self, path: tuple[str, ...]) -> bool:
+        """Whether the file says anything at `path`."""
+        node: Any = self.root
+        for step in path:
+            if not isinstance(node, Mapping) or step not in node.entries:
+                return False
+            node = node.entries[step]
+        return True
 
     def keys(self, *path: str) -> list[str]:
         """The keys of the mapping at `path`, as written."""
@@ -69,16 +101,26 @@ def _network_period(spec: ScenarioSpec, report: Report) -> None:
 
 
 def _qp_period(spec: ScenarioSpec, report: Report) -> None:
-    period = qp_period_ns(spec.profile, spec.guidance)
-    if spec.guidance.qp_period is not None:
-        _whole(report, ("guidance", "qp_period"), period, spec.tick)
-    elif period % spec.tick:
-        report.add(
-            ("tick",),
-            f"the QP period of profile {spec.profile}, {show_time(period)}, is not a whole number of ticks "
-            f"of {show_time(spec.tick)}",
-            "choose a tick that divides it, or set guidance.qp_period",
-        )
+    for path, section, name in _layers(spec, "guidance"):
+        period = qp_period_ns(name, section)
+        if section.qp_period is not None:
+            _whole(report, (*path, "guidance", "qp_period"), period, spec.tick)
+        elif period % spec.tick:
+            report.add(
+                ("tick",),
+                f"the QP period of profile {name}, {show_time(period)}, is not a whole number of ticks "
+                f"of {show_time(spec.tick)}",
+                "choose a tick that divides it, or set guidance.qp_period",
+            )
+            return
+
+
+def _layers(spec: ScenarioSpec, key: str) -> Iterator[tuple[tuple[str, ...], Any, str]]:
+    """(path, section, profile) of a section wherever it is given: for all vehicles, and for some."""
+    yield (), getattr(spec, key), spec.profile
+    for numbers, overrides in spec.per_vehicle.items():
+        if getattr(overrides, key) is not None:
+            yield ("per_vehicle", numbers), getattr(overrides, key), overrides.profile or spec.profile
 
 
 def _whole(report: Report, path: tuple[str, ...], ns: int, tick: int) -> None:
@@ -89,19 +131,63 @@ def _whole(report: Report, path: tuple[str, ...], ns: int, tick: int) -> None:
         report.add(path, message, f"nearest: {near}")
 
 
+def _reference(spec: ScenarioSpec, report: Report) -> None:
+    r = spec.reference
+    if not _shape_keys(report, ("reference",), r, r.shape or "line", REFERENCE):
+        return
+    if r.shape == "lawn-mower" and r.leg is not None and r.spacing is not None and r.leg < r.spacing:
+        text = f"a leg of {r.leg:g} m is shorter than the two arcs of {r.spacing / 2:g} m at its ends"
+        report.add(("reference", "leg"), text, "make it at least the spacing")
+        return
+    path = build_reference(r)
+    if isinstance(path, Path_):
+        try:
+            path.length  # noqa: B018 - walks the path
+        except PathError as error:
+            where = f"leg {error.leg} " if error.leg else ""
+            hint = "lower speed or raise acceleration: the radius is speed^2 / acceleration" if error.leg else ""
+            report.add(("reference", "points" if r.points else "leg"), where + str(error), hint)
+
+
+def _shape_keys(report: Report, path: tuple[str | int, ...], section: Any, shape: str, known: Table) -> bool:
+    """Whether the section has what its shape needs, and nothing that belongs to another shape."""
+    keys = known[shape]
+    fine = True
+    for key in keys.needed:
+        if getattr(section, key) is None:
+            which = f", which shape {shape} needs" if section.shape else ""
+            report.add_missing(path, key, which)
+            fine = False
+    for key in dict.fromkeys(key for other in known.values() for key in other.all):
+        if getattr(section, key) is not None and key not in keys.all:
+            others = " or ".join(name for name, other in known.items() if key in other.all)
+            report.add((*path, key), f"has no effect on {shape}: it belongs to {others}", key=True)
+            fine = False
+    return fine
+
+
 def _formation(spec: ScenarioSpec, report: Report) -> None:
-    f = spec.formation
+    _formation_shape(spec, report, ("formation",), spec.formation)
+    end = 0
+    for index, change in enumerate(spec.formation.changes or ()):
+        path: tuple[str | int, ...] = ("formation", "changes", index)
+        _formation_shape(spec, report, path, change)
+        if change.at < end:
+            message = f"begins at {show_time(change.at)}, before the change before it is complete at {show_time(end)}"
+            report.add((*path, "at"), message)
+        end = change.at + change.over
+
+
+def _formation_shape(spec: ScenarioSpec, report: Report, path: tuple[str | int, ...], f: FormationShape) -> None:
     if f.offsets is None and f.shape is None:
-        report.add(("formation",), "needs offsets, one per vehicle, or a shape", key=True)
-    elif f.offsets is not None and f.shape is not None:
-        report.add(("formation", "shape"), "either offsets or a shape, not both", key=True)
-    if f.offsets is not None and f.spacing is not None:
-        report.add(("formation", "spacing"), "has no effect on offsets: it belongs to a shape", key=True)
-
-
-def _offsets(spec: ScenarioSpec, report: Report) -> None:
-    if spec.formation.offsets is not None:
-        _one_each(report, ("formation", "offsets"), len(spec.formation.offsets), spec.vehicles)
+        report.add(path, "needs offsets, one per vehicle, or a shape", key=True)
+        return
+    if f.offsets is not None and f.shape is not None:
+        report.add((*path, "shape"), "either offsets or a shape, not both", key=True)
+        return
+    _shape_keys(report, path, f, f.shape or "offsets", FORMATION)
+    if f.offsets is not None:
+        _one_each(report, (*path, "offsets"), len(f.offsets), spec.vehicles)
 
 
 def _initial(spec: ScenarioSpec, report: Report) -> None:
@@ -113,7 +199,7 @@ def _initial(spec: ScenarioSpec, report: Report) -> None:
                 report.add(("initial", index, "pitch"), "must be between -90 deg and 90 deg")
 
 
-def _one_each(report: Report, path: tuple[str, ...], got: int, vehicles: int) -> None:
+def _one_each(report: Report, path: tuple[str | int, ...], got: int, vehicles: int) -> None:
     if got != vehicles:
         hint = "write one entry per vehicle"
         report.add(path, f"expected {vehicles} entries, one per vehicle, got {got}", hint, key=True)
@@ -123,17 +209,18 @@ def _graph_form(spec: ScenarioSpec, report: Report) -> None:
     g = spec.graph
     if g.edges is None and g.shape is None:
         report.add(("graph",), 'needs a shape, or edges such as {"1->2": 1.0}', key=True)
-    elif g.edges is not None and g.shape is not None:
+        return
+    if g.edges is not None and g.shape is not None:
         report.add(("graph", "shape"), "either edges or a shape, not both", key=True)
-    for key in ("ahead", "behind"):
-        if g.edges is not None and getattr(g, key) is not None:
-            report.add(("graph", key), "has no effect on edges: it belongs to a shape", key=True)
-
-
-def _ring(spec: ScenarioSpec, report: Report) -> None:
-    if spec.graph.shape == "ring" and spec.vehicles < 3:
-        message = f"a ring needs 3 vehicles or more, got {spec.vehicles}"
-        report.add(("graph", "shape"), message, "use path")
+        return
+    _shape_keys(report, ("graph",), g, g.shape or "edges", GRAPH)
+    if g.shape == "ring" and spec.vehicles < 3:
+        report.add(("graph", "shape"), f"a ring needs 3 vehicles or more, got {spec.vehicles}", "use path")
+    if g.hub is not None and g.hub > spec.vehicles:
+        report.add(("graph", "hub"), f"there is no vehicle {g.hub}: they are 1 to {spec.vehicles}")
+    if g.count is not None and g.count >= spec.vehicles:
+        message = f"a vehicle has {spec.vehicles - 1} others to hear, not {g.count}"
+        report.add(("graph", "count"), message, "use complete for all of them")
 
 
 def _edges(spec: ScenarioSpec, report: Report) -> None:
@@ -199,58 +286,192 @@ def _graph_links(spec: ScenarioSpec) -> tuple[Link, ...]:
     g = spec.graph
     if (g.edges is None) == (g.shape is None) or any(parse_edge(text) is None for text in g.edges or ()):
         raise UnknownValueError
-    return build(g, spec.vehicles).links
+    if g.shape == "nearest":
+        if (spec.formation.offsets is None) == (spec.formation.shape is None):
+            raise UnknownValueError
+        if spec.formation.offsets is not None and len(spec.formation.offsets) != spec.vehicles:
+            raise UnknownValueError
+        places = offsets(spec.formation, spec.vehicles)
+    else:
+        places = ((0.0, 0.0, 0.0),) * spec.vehicles
+    return build(g, places, spec.seed if g.shape == "random" else 0).links
+
+
+def _per_vehicle(spec: ScenarioSpec, report: Report) -> None:
+    for text in report.keys("per_vehicle"):
+        try:
+            numbers = vehicle_numbers(text)
+        except QuantityError:
+            continue  # reported by the schema
+        for number in numbers:
+            if not 1 <= number <= spec.vehicles:
+                message = f"there is no vehicle {number}: they are 1 to {spec.vehicles}"
+                report.add(("per_vehicle", text), message, key=True)
+                break
+
+
+def _laws(spec: ScenarioSpec, report: Report) -> None:
+    """Every law that is named exists, and can be made with its parameters."""
+    places: list[tuple[tuple[str, ...], Any]] = [((), spec)]
+    places += [(("per_vehicle", numbers), overrides) for numbers, overrides in spec.per_vehicle.items()]
+    for path, place in places:
+        for kind in ("agent", "controller", "guidance", "tracking"):
+            section = getattr(place, kind)
+            if section is None or section.law is None:
+                if section is not None and getattr(section, "parameters", None):
+                    report.add((*path, kind, "parameters"), "belong to a law: name it with law", key=True)
+                continue
+            _law(report, (*path, kind), kind, Law(section.law, section.parameters or {}))
+
+
+def _law(report: Report, path: tuple[str, ...], kind: str, law: Law) -> None:
+    ours = list(CONTROLLERS) if kind == "controller" else list(BUILT_IN[kind])
+    if law.name in ours:
+        if law.parameters:
+            report.add((*path, "parameters"), f"{law.name} takes none: its gains are keys of guidance and tracking")
+        return
+    at = (*path, "law")
+    try:
+        load(kind, law)
+    except PluginError as error:
+        if ":" not in law.name and "does not load" not in error.problem:
+            close = nearest(law.name, ours) if ours else ""
+            known = f"known: {', '.join(ours)}, or package.module:Class" if ours else "write package.module:Class"
+            report.add(at, f'there is no {kind} "{law.name}"', close or known)
+        else:
+            report.add(at, f"{law.name}: {error.problem}", error.hint)
+
+
+def _effective(spec: ScenarioSpec, report: Report) -> None:
+    """A parameter that no law reads is a mistake, not a comment."""
+    for kind in ("guidance", "tracking"):
+        for path, section, _ in _layers(spec, kind):
+            where = vehicle_numbers(path[1]) if path else range(spec.vehicles + 1)
+            names = {law_names(merged(spec, i)) for i in where}
+            if any(n is not None and ":" in n[kind == "tracking"] for n in names):
+                continue
+            running = {n[kind == "tracking"] for n in names if n is not None}
+            keys: set[str] = set().union(*(used(kind, law) for law in running))
+            for key in given(section).keys() - {"law", "parameters"} - keys:
+                laws = ", ".join(sorted(running)) or "a controller that replaces it"
+                report.add((*path, kind, key), f"has no effect on {kind} law {laws}", key=True)
+            if given(section).get("law") and not running:
+                message = "has no effect beside a controller that replaces guidance and tracking"
+                report.add((*path, kind, "law"), message, key=True)
+
+
+def _vehicles(spec: ScenarioSpec, report: Report) -> None:
+    """Each vehicle's numbers can be read, and make a vehicle; so does what the controller believes."""
+    places: list[tuple[tuple[str, ...], tuple[int, ...]]] = [((), (0,))]
+    places += [(("per_vehicle", numbers), tuple(vehicle_numbers(numbers))) for numbers in spec.per_vehicle]
+    for path, numbers in places:
+        choice = merged(spec, numbers[0])
+        assert choice.vehicle is not None and choice.model_error is not None
+        at = (*path, "vehicle") if not path or report.has((*path, "vehicle")) else ("vehicle",)
+        try:
+            params, _ = vehicle(choice.vehicle, report.folder)
+        except VehicleFileError as error:
+            for problem in error.problems:
+                report.add((*at, "model"), problem)
+            continue
+        for problem in mass_problems(params):
+            report.add(at, problem)
+        if not mass_problems(params):
+            errors = (*path, "model_error") if not path or report.has((*path, "model_error")) else ("model_error",)
+            for problem in mass_problems(wrong_model(params, choice.model_error)):
+                report.add(errors, f"with it, {problem}")
 
 
 def _velocity_bounds(spec: ScenarioSpec, report: Report) -> None:
     """Strictly inside, the QP is feasible for every consensus error: some k > 0 exists on each axis."""
-    preset = profile(spec.profile)[0]
-    velocity = spec.reference.velocity
-    bounds: dict[str, Vec3] = {
-        "rho_lo": spec.guidance.rho_lo or preset.rho_lo,
-        "rho_hi": spec.guidance.rho_hi or preset.rho_hi,
-    }
-    for name, bound in bounds.items():
-        sign = 1.0 if name == "rho_lo" else -1.0
-        for axis, limit, speed in zip("xyz", bound, velocity, strict=True):
-            if sign * limit < sign * speed:
-                continue
-            ours = getattr(spec.guidance, name) is not None
-            report.add(
-                ("guidance", name) if ours else ("reference", "velocity"),
-                f"{name} {show_vector(bound, SPEED)} must be {'below' if sign > 0 else 'above'} the "
-                f"reference velocity {show_vector(velocity, SPEED)} on every axis; it is not on {axis}",
-                "" if ours else f"the bound is that of profile {spec.profile}; set guidance.{name}",
-            )
-            break
+    low, high = _desired_velocity(spec)
+    for path, section, name in _layers(spec, "guidance"):
+        where = vehicle_numbers(path[1]) if path else [0]
+        laws = law_names(merged(spec, where[0]))
+        if laws is None or laws[0] != "optimal":
+            continue
+        preset = profile(name)[0]
+        bounds: dict[str, Vec3] = {
+            "rho_lo": section.rho_lo or spec.guidance.rho_lo or preset.rho_lo,
+            "rho_hi": section.rho_hi or spec.guidance.rho_hi or preset.rho_hi,
+        }
+        for bound_name, bound in bounds.items():
+            sign, speeds = (1.0, low) if bound_name == "rho_lo" else (-1.0, high)
+            for axis, limit, speed in zip("xyz", bound, speeds, strict=True):
+                if sign * limit < sign * speed:
+                    continue
+                ours = getattr(section, bound_name) is not None
+                side, extreme = ("below", "least ") if sign > 0 else ("above", "greatest ")
+                extreme = "" if low == high else extreme
+                report.add(
+                    (*path, "guidance", bound_name) if ours else _reference_place(spec),
+                    f"{bound_name} {show_vector(bound, SPEED)} must be {side} the {extreme}reference velocity "
+                    f"{show_vector(speeds, SPEED)} on every axis; it is not on {axis}",
+                    "" if ours else f"the bound is that of profile {name}; set guidance.{bound_name}",
+                )
+                break
+
+
+def _reference_place(spec: ScenarioSpec) -> tuple[str, ...]:
+    return ("reference", "velocity") if spec.reference.velocity is not None else ("reference", "speed")
+
+
+def _desired_velocity(spec: ScenarioSpec) -> tuple[Vec3, Vec3]:
+    """Least and greatest velocity that any vehicle is asked for on each axis, changes of the formation included."""
+    r = spec.reference
+    needed = REFERENCE[r.shape or "line"].needed
+    if any(getattr(r, key) is None for key in needed):
+        raise UnknownValueError
+    try:
+        low, high = build_reference(r).velocity_bounds()
+    except PathError:
+        raise UnknownValueError from None
+    extra: list[float] = [0.0, 0.0, 0.0]
+    for plan in plans(spec.formation, spec.vehicles) if spec.formation.changes else ():
+        before = plan.start
+        for change in plan.changes:
+            for axis in range(3):
+                step = abs(change.offset[axis] - before[axis])
+                extra[axis] = max(extra[axis], BLEND_PEAK * step / change.blend)
+            before = change.offset
+    return (
+        (low[0] - extra[0], low[1] - extra[1], low[2] - extra[2]),
+        (high[0] + extra[0], high[1] + extra[1], high[2] + extra[2]),
+    )
 
 
 def _gain_bounds(spec: ScenarioSpec, report: Report) -> None:
-    preset = profile(spec.profile)[0]
-    k_min = preset.k_min if spec.guidance.k_min is None else spec.guidance.k_min
-    k_max = preset.k_max if spec.guidance.k_max is None else spec.guidance.k_max
-    if k_min > k_max:
-        name = "k_max" if spec.guidance.k_max is not None else "k_min"
-        report.add(("guidance", name), f"k_min {show(k_min, RATE)} is above k_max {show(k_max, RATE)}")
+    for path, section, name in _layers(spec, "guidance"):
+        preset = profile(name)[0]
+        lows = [value for value in (section.k_min, spec.guidance.k_min, preset.k_min) if value is not None]
+        highs = [value for value in (section.k_max, spec.guidance.k_max, preset.k_max) if value is not None]
+        k_min, k_max = lows[0], highs[0]
+        if k_min > k_max:
+            key = "k_max" if section.k_max is not None else "k_min"
+            report.add((*path, "guidance", key), f"k_min {show(k_min, RATE)} is above k_max {show(k_max, RATE)}")
 
 
 def _cosine_guard(spec: ScenarioSpec, report: Report) -> None:
-    if spec.tracking.cos_eps is not None and spec.tracking.cos_eps >= 1.0:
-        report.add(("tracking", "cos_eps"), f"is a cosine and must be below 1, got {spec.tracking.cos_eps!r}")
+    for path, section, _ in _layers(spec, "tracking"):
+        if section.cos_eps is not None and section.cos_eps >= 1.0:
+            report.add((*path, "tracking", "cos_eps"), f"is a cosine and must be below 1, got {section.cos_eps!r}")
 
 
 RULES: tuple[Callable[[ScenarioSpec, Report], None], ...] = (
     _duration,
     _network_period,
     _qp_period,
+    _reference,
     _formation,
-    _offsets,
     _initial,
     _graph_form,
-    _ring,
     _edges,
     _followers,
     _links,
+    _per_vehicle,
+    _laws,
+    _effective,
+    _vehicles,
     _velocity_bounds,
     _gain_bounds,
     _cosine_guard,

@@ -6,26 +6,30 @@
 from __future__ import annotations
 
 import re
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from importlib import resources
 from pathlib import Path
 
-from agents.agent import Agent
-from agents.config import AgentConfig, GuidanceParams, Neighbour, Reference, TrackingParams
-from fleet import emit, formation, graph
+from agents.config import AgentConfig, Neighbour
+from agents.controllers import layout
+from agents.signals import Layout
+from agents.trajectory import Change, Offset, Reference, minus
+from fleet import emit, formation, graph, reference, tuning
 from fleet.errors import Problem, ScenarioError
 from fleet.graph import Graph
 from fleet.overrides import apply, override_name
-from fleet.schema import ScenarioSpec
-from fleet.tuning import guidance_params, tracking_params
+from fleet.schema import ScenarioSpec, VehicleSection
+from fleet.tuning import Control
 from fleet.validation import validate
+from fleet.vehicles import shipped as shipped_vehicles
 from fleet.yaml_marks import Mapping, Scalar, Source, read
 from netem.config import Condition, Link, NetemConfig
 from netem.grammar import nearest, parse_selector, select
 from world import disturbance
 from world.config import NavNoise, VehicleSetup, WorldConfig
-from world.vehicle import Vec3, Vec5, VehicleParams
+from world.vehicle import Vec5
 
 _MAX_BYTES = 4_000_000  # more than yaml_marks takes, less than /dev/zero gives
 
@@ -37,30 +41,31 @@ class Scenario:
     """A valid scenario. Two are equal if they determine the same run and the same verdict."""
 
     spec: ScenarioSpec  # what the file says, in SI units
-    offsets: tuple[Vec3, ...]  # p_i [m, NED]
+    reference: Reference
+    plans: tuple[Offset, ...]  # p_i(t) [m, NED]
     graph: Graph
     initial: tuple[tuple[Vec5, Vec5], ...]  # (eta0, nu0) of each vehicle
     conditions: dict[Link, Condition]  # of every link that is not perfect at the start
-    guidance: GuidanceParams
-    tracking: TrackingParams
+    controls: tuple[Control, ...]  # what each vehicle is and runs
     source: str = field(default="", compare=False)  # the shipped name or the path it was loaded from
 
     @classmethod
-    def compile(cls, spec: ScenarioSpec, source: str = "") -> Scenario:
-        """The scenario of a specification that `fleet.validation` accepted."""
-        places = formation.offsets(spec.formation, spec.vehicles)
-        links = graph.build(spec.graph, spec.vehicles)
+    def compile(cls, spec: ScenarioSpec, source: str = "", folder: Path | None = None) -> Scenario:
+        """The scenario of a specification that `fleet.validation` accepted; `folder` is where its file lies."""
+        plans = formation.plans(spec.formation, spec.vehicles)
+        places = tuple(plan.start for plan in plans)
+        links = graph.build(spec.graph, places, spec.seed)
         conditions: dict[Link, Condition] = {}
         for selector, condition in spec.network.links.items():
             conditions |= dict.fromkeys(select(parse_selector(selector), links.links), condition)
         return cls(
-            spec=spec,
-            offsets=places,
+            spec=_standing_alone(spec, folder),
+            reference=reference.build(spec.reference),
+            plans=plans,
             graph=links,
             initial=formation.initial_states(spec.initial, places, spec.seed),
             conditions={k: conditions[k] for k in links.links if conditions.get(k, Condition()) != Condition()},
-            guidance=guidance_params(spec.profile, spec.guidance, spec.tick),
-            tracking=tracking_params(spec.profile, spec.tracking),
+            controls=tuple(tuning.control(spec, i, folder) for i in range(1, spec.vehicles + 1)),
             source=source,
         )
 
@@ -118,7 +123,6 @@ class Scenario:
     def world_config(self) -> WorldConfig:
         """The world's part."""
         spec = self.spec
-        tau_max = (spec.vehicle.surge_force, spec.vehicle.pitch_moment, spec.vehicle.yaw_moment)
         return WorldConfig(
             seed=spec.seed,
             tick_ns=spec.tick,
@@ -126,12 +130,11 @@ class Scenario:
             round_ticks=self.round_ticks,
             substeps=spec.physics.substeps,
             vehicles=tuple(
-                VehicleSetup(id=i, eta0=eta0, nu0=nu0, tau_max=tau_max)
-                for i, (eta0, nu0) in enumerate(self.initial, start=1)
+                VehicleSetup(i, eta0, nu0, control.vehicle, control.tau_max, telemetry_size=self.layout(i).size)
+                for i, ((eta0, nu0), control) in enumerate(zip(self.initial, self.controls, strict=True), start=1)
             ),
             disturbance=disturbance.PAPER if spec.sea.disturbance == "paper" else (),
             current=spec.sea.current,
-            telemetry_size=sum(signal.width for signal in Agent.signals),
             noise=NavNoise(
                 position_m=spec.sensors.position_noise,
                 angle_rad=spec.sensors.angle_noise,
@@ -140,27 +143,36 @@ class Scenario:
             ),
         )
 
+    def layout(self, i: int) -> Layout:
+        """What agent i reports."""
+        return layout(self.agent_config(i))
+
     def agent_config(self, i: int) -> AgentConfig:
         """The slice of agent i, counted from 1."""
-        spec, own = self.spec, self.offsets[i - 1]
+        spec, own, control = self.spec, self.plans[i - 1], self.controls[i - 1]
         return AgentConfig(
             id=i,
             seed=spec.seed,
             tick_ns=spec.tick,
             round_ticks=self.round_ticks,
             offset=own,
-            reference=Reference(start=spec.reference.start, velocity=spec.reference.velocity),
+            reference=self.reference,
             reference_weight=self.b[i - 1],
             neighbours=tuple(
-                Neighbour(id=j, weight=weight, offset=_difference(own, self.offsets[j - 1]))
+                Neighbour(id=j, weight=weight, offset=_difference(own, self.plans[j - 1]))
                 for j, weight in self.graph.neighbours(i)
             ),
-            extrapolation=spec.neighbours.extrapolate,
-            controller=spec.controller,
-            guidance=self.guidance,
-            tracking=self.tracking,
-            vehicle=VehicleParams(),
-            tau_max=(spec.vehicle.surge_force, spec.vehicle.pitch_moment, spec.vehicle.yaw_moment),
+            extrapolation=control.extrapolation,
+            guidance=control.guidance,
+            tracking=control.tracking,
+            vehicle=control.model,
+            tau_max=control.tau_max,
+            guidance_law=control.guidance_law,
+            tracking_law=control.tracking_law,
+            controller=control.controller,
+            agent=control.agent,
+            on_error=spec.on_controller_error,
+            budget_s=spec.controller_budget / 1e9,
         )
 
     def netem_config(self) -> NetemConfig:
@@ -177,11 +189,30 @@ class Scenario:
 
     def to_yaml(self) -> str:
         """The merged scenario, with units; it loads to an equal scenario."""
-        return emit.scenario_yaml(self.spec, self.guidance, self.tracking)
+        return emit.scenario_yaml(self.spec)
 
 
-def _difference(a: Vec3, b: Vec3) -> Vec3:
-    return a[0] - b[0], a[1] - b[1], a[2] - b[2]
+def _standing_alone(spec: ScenarioSpec, folder: Path | None) -> ScenarioSpec:
+    """The same specification without vehicle files beside it."""
+
+    def alone(section: VehicleSection | None) -> VehicleSection | None:
+        if section is None or section.model is None or section.model in shipped_vehicles():
+            return section
+        return tuning.inlined(section, folder)
+
+    per_vehicle = {
+        numbers: overrides.model_copy(update={"vehicle": alone(overrides.vehicle)})
+        for numbers, overrides in spec.per_vehicle.items()
+    }
+    return spec.model_copy(update={"vehicle": alone(spec.vehicle), "per_vehicle": per_vehicle})
+
+
+def _difference(a: Offset, b: Offset) -> Offset:
+    """a - b; both change at the same times."""
+    changes = zip(a.changes, b.changes, strict=True)
+    return Offset(
+        minus(a.start, b.start), tuple(Change(x.begin, x.blend, minus(x.offset, y.offset)) for x, y in changes)
+    )
 
 
 def load_scenario(name_or_path: str | Path, overrides: Sequence[str] = ()) -> Scenario:
@@ -190,14 +221,15 @@ def load_scenario(name_or_path: str | Path, overrides: Sequence[str] = ()) -> Sc
     Raises:
         ScenarioError: with every mistake that was found, in the order of the file.
     """
-    shown, text = _text(str(name_or_path))
-    return parse_scenario(text, shown, overrides)
+    shown, text, folder = _text(str(name_or_path))
+    return parse_scenario(text, shown, overrides, folder)
 
 
-def parse_scenario(text: str, source_name: str, overrides: Sequence[str] = ()) -> Scenario:
+def parse_scenario(text: str, source_name: str, overrides: Sequence[str] = (), folder: Path | None = None) -> Scenario:
     """The scenario that `text` describes; `source_name` is what problems call it.
 
-    A text without a name is named after its source.
+    A text without a name is named after its source. Vehicle files, and the modules of laws that are not installed,
+    are looked for in `folder` and in the current directory.
 
     Raises:
         ScenarioError: with every mistake that was found, in the order of the text.
@@ -212,11 +244,15 @@ def parse_scenario(text: str, source_name: str, overrides: Sequence[str] = ()) -
         name = re.sub(r"[^a-z0-9_-]+", "-", Path(source_name).stem.lower()).strip("-_")[:64] or "scenario"
         root = root.with_entry("name", root.place, Scalar(name, root.place))
     root, more = apply(root, overrides)
-    spec, found = validate(root)
+    for place in (folder, Path()):
+        # At the end, so that nothing there takes the place of an installed module.
+        if place is not None and str(place.absolute()) not in sys.path:
+            sys.path.append(str(place.absolute()))
+    spec, found = validate(root, folder)
     everything = [*problems, *more, *found]
     if spec is None or everything:
         raise ScenarioError(sorted(everything, key=lambda p: _order(p, source, overrides)))
-    return Scenario.compile(spec, source_name)
+    return Scenario.compile(spec, source_name, folder)
 
 
 def _order(problem: Problem, source: Source, overrides: Sequence[str]) -> tuple[int, int, int]:
@@ -235,16 +271,16 @@ def _shipped() -> list[str]:
     return sorted(entry.name.removesuffix(".yaml") for entry in folder.iterdir() if entry.name.endswith(".yaml"))
 
 
-def _text(name_or_path: str) -> tuple[str, str]:
-    """What to call the source, and its text. A suffix or a slash makes a path of an unknown name."""
+def _text(name_or_path: str) -> tuple[str, str, Path | None]:
+    """What to call the source, its text and its folder. A suffix or a slash makes a path of an unknown name."""
     try:
         if name_or_path in _shipped():
             entry = resources.files("fleet.scenarios") / f"{name_or_path}.yaml"
-            return f"{name_or_path}.yaml", entry.read_text("utf-8")
+            return f"{name_or_path}.yaml", entry.read_text("utf-8"), None
         path = Path(name_or_path)
         if path.suffix or "/" in name_or_path or path.exists():
             with path.open("rb") as file:
-                return name_or_path, file.read(_MAX_BYTES).decode("utf-8-sig")
+                return name_or_path, file.read(_MAX_BYTES).decode("utf-8-sig"), path.parent
     except UnicodeDecodeError as error:
         raise _unreadable(name_or_path, f"not UTF-8 text (byte {error.start})") from None
     except (OSError, ValueError) as error:

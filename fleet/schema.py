@@ -20,30 +20,40 @@ from pydantic import (
 )
 from pydantic_core import CoreSchema, core_schema
 
-from agents.config import Cost, Extrapolation
+from agents.config import Angles, Cost, Extrapolation, OnError
 from fleet.fields import (
     Acceleration,
     Angle,
     AngularRate,
+    AnyMoment,
     Count,
+    Damping,
     Force,
     Gain,
     Gains,
+    Inertia,
+    Layers,
     Length,
     LinkCondition,
     LinkSelector,
+    Mass,
     Moment,
     Period,
     Position,
+    PositiveAcceleration,
     PositiveLength,
     PositiveNumber,
     PositiveSpeed,
+    Probability,
+    Ratio,
+    RotationDamping,
     SignedAngle,
     SignedAngularRate,
     SignedSpeed,
     Speed,
     Ticks,
     Time,
+    VehicleNumbers,
     Velocity,
     Weights,
     mistake,
@@ -65,18 +75,46 @@ class Section(BaseModel):
 
 
 class ReferenceSection(Section):
-    """The trajectory that the fleet follows: the paper's eta_1^d(t) = start + velocity t."""
+    """The trajectory that the fleet follows, the paper's eta_1^d(t); which keys a shape takes is in `fleet.shapes`."""
 
-    start: Position  # NED: north, east, down
-    velocity: Velocity
+    shape: Literal["line", "circle", "helix", "lawn-mower", "waypoints"] | None = None  # line
+    start: Position | None = None  # NED: north, east, down
+    velocity: Velocity | None = None
+    speed: PositiveSpeed | None = None
+    center: Position | None = None
+    radius: PositiveLength | None = None
+    bearing: SignedAngle | None = None  # of the start as seen from the centre, clockwise from north
+    turn: Literal["starboard", "port"] | None = None  # starboard
+    sink: SignedSpeed | None = None  # of a helix: downwards
+    heading: SignedAngle | None = None  # of a lawn-mower's first leg, clockwise from north
+    leg: PositiveLength | None = None
+    legs: Annotated[int, Field(ge=1, le=1000)] | None = None
+    spacing: PositiveLength | None = None
+    points: list[Position] | None = None
+    acceleration: PositiveAcceleration | None = None  # in the turns at waypoints
+    closed: bool | None = None  # waypoints: from the last one back to the first, again and again
 
 
-class FormationSection(Section):
-    """Where each vehicle belongs, relative to the reference: `offsets`, or a named `shape`."""
+class FormationShape(Section):
+    """Where each vehicle belongs: explicit `offsets`, or a named `shape`."""
 
     offsets: list[Position] | None = None  # p_1, p_2, ...; Delta_ij = p_i - p_j
-    shape: Literal["grid"] | None = None
-    spacing: PositiveLength | None = None  # of the shape; 10 m
+    shape: Literal["line", "column", "wedge", "circle", "grid"] | None = None
+    spacing: PositiveLength | None = None  # of the shape, between neighbours; 10 m
+    heading: SignedAngle | None = None  # what is ahead in the shape, clockwise from north; 0
+
+
+class FormationChange(FormationShape):
+    """A new formation, taken up smoothly."""
+
+    at: Time
+    over: Period
+
+
+class FormationSection(FormationShape):
+    """Where each vehicle belongs, relative to the reference, and how that changes."""
+
+    changes: list[FormationChange] | None = None
 
 
 class _Followers:
@@ -101,9 +139,13 @@ class _Followers:
 class GraphSection(Section):
     """Who hears whom: `edges`, or a named `shape`; and who follows the reference itself."""
 
-    shape: Literal["path", "ring"] | None = None
-    ahead: PositiveNumber | None = None  # a_(i,i-1) of the shape; 1
-    behind: PositiveNumber | None = None  # a_(i,i+1) of the shape; 1
+    shape: Literal["path", "ring", "star", "complete", "nearest", "random"] | None = None
+    ahead: PositiveNumber | None = None  # path, ring: a_(i,i-1); 1
+    behind: PositiveNumber | None = None  # path, ring: a_(i,i+1); 1
+    weight: PositiveNumber | None = None  # the other shapes: every a_ij; 1
+    hub: Annotated[int, Field(ge=1)] | None = None  # star: who hears all and is heard by all; 1
+    count: Annotated[int, Field(ge=1)] | None = None  # nearest: how many each vehicle hears; 2
+    probability: Probability | None = None  # random: of each pair beyond the tree that connects all; 20 %
     edges: dict[str, PositiveNumber] | None = None  # "1->2": a_21, vehicle 2 hears vehicle 1
     reference: Annotated[list[int] | Literal["all"], _Followers()] = "all"  # who has b_i = 1; the others have 0
 
@@ -129,11 +171,45 @@ class Scatter(Section):
 
 
 class VehicleSection(Section):
-    """What the actuators can do; commands are clipped to it."""
+    """The vehicle: a model, shipped or a TOML file, and what differs from it. Commands are clipped to the limits."""
 
-    surge_force: Force = 20.0
-    pitch_moment: Moment = 20.0
-    yaw_moment: Moment = 20.0
+    model: str | None = None  # paper
+    m: Mass | None = None
+    Iy: Inertia | None = None
+    Iz: Inertia | None = None
+    beta_udot: Mass | None = None
+    beta_vdot: Mass | None = None
+    beta_wdot: Mass | None = None
+    beta_qdot: Inertia | None = None
+    beta_rdot: Inertia | None = None
+    beta_u: Damping | None = None
+    beta_v: Damping | None = None
+    beta_w: Damping | None = None
+    beta_q: RotationDamping | None = None
+    beta_r: RotationDamping | None = None
+    beta_b: AnyMoment | None = None
+    surge_force: Force | None = None
+    pitch_moment: Moment | None = None
+    yaw_moment: Moment | None = None
+
+
+class ModelErrorSection(Section):
+    """By how much the controller's model of the vehicle is wrong, per parameter: 10 % is 1.1 times the truth."""
+
+    m: Ratio | None = None
+    Iy: Ratio | None = None
+    Iz: Ratio | None = None
+    beta_udot: Ratio | None = None
+    beta_vdot: Ratio | None = None
+    beta_wdot: Ratio | None = None
+    beta_qdot: Ratio | None = None
+    beta_rdot: Ratio | None = None
+    beta_u: Ratio | None = None
+    beta_v: Ratio | None = None
+    beta_w: Ratio | None = None
+    beta_q: Ratio | None = None
+    beta_r: Ratio | None = None
+    beta_b: Ratio | None = None
 
 
 class SeaSection(Section):
@@ -150,9 +226,32 @@ class SensorsSection(Section):
     rate_noise: AngularRate = 0.0
 
 
-class GuidanceSection(Section):
-    """What differs from the profile in consensus guidance and its gain QP (agents.config.GuidanceParams)."""
+def _named(value: Any) -> Any:
+    """A law may be given by its name alone."""
+    return {"law": value} if isinstance(value, str) else value
 
+
+class LawSection(Section):
+    """A law by name, `package.module:Class`, or entry point; and what a law of yours is made with."""
+
+    law: str
+    parameters: dict[str, Any] | None = None
+
+
+def _show_law(section: LawSection | None) -> Any:
+    if section is None or section.parameters:
+        return None if section is None else {"law": section.law, "parameters": section.parameters}
+    return section.law
+
+
+LawChoice = Annotated[LawSection, BeforeValidator(_named), PlainSerializer(_show_law)]
+
+
+class GuidanceSection(Section):
+    """The guidance law, and what differs from the profile in its parameters (agents.config.GuidanceParams)."""
+
+    law: str | None = None
+    parameters: dict[str, Any] | None = None
     Q: Weights | None = None
     R1: Weights | None = None
     R2: Weights | None = None
@@ -169,8 +268,10 @@ class GuidanceSection(Section):
 
 
 class TrackingSection(Section):
-    """What differs from the profile in the tracking controller (agents.config.TrackingParams)."""
+    """The tracking law, and what differs from the profile in its parameters (agents.config.TrackingParams)."""
 
+    law: str | None = None
+    parameters: dict[str, Any] | None = None
     k_u: Gain | None = None
     k_q: Gain | None = None
     k_r: Gain | None = None
@@ -179,17 +280,37 @@ class TrackingSection(Section):
     a: Gain | None = None
     b_up: PositiveNumber | None = None
     b_down: PositiveNumber | None = None
+    phi: Layers | None = None
     tau_f: Time | None = None
+    angles: Angles | None = None
     u_floor: Speed | None = None
     rho_eps: Speed | None = None
     cos_eps: PositiveNumber | None = None
     u_eps: PositiveSpeed | None = None
 
 
+Profile = Literal["paper", "consistent", "hardened"]
+GuidanceChoice = Annotated[GuidanceSection, BeforeValidator(_named)]
+TrackingChoice = Annotated[TrackingSection, BeforeValidator(_named)]
+
+
 class NeighboursSection(Section):
     """How an agent estimates where a neighbour is now from what it heard last."""
 
     extrapolate: Extrapolation = "hold"
+
+
+class VehicleOverrides(Section):
+    """What is different about some vehicles."""
+
+    agent: LawChoice | None = None
+    controller: LawChoice | None = None
+    profile: Profile | None = None
+    guidance: GuidanceChoice | None = None
+    tracking: TrackingChoice | None = None
+    neighbours: NeighboursSection | None = None
+    vehicle: VehicleSection | None = None
+    model_error: ModelErrorSection | None = None
 
 
 class NetworkSection(Section):
@@ -311,11 +432,16 @@ class ScenarioSpec(Section):
     vehicle: VehicleSection = VehicleSection()
     sea: SeaSection = SeaSection()
     sensors: SensorsSection = SensorsSection()
-    controller: Literal["nboc"] = "nboc"
-    profile: Literal["paper", "consistent", "hardened"] = "paper"
-    guidance: GuidanceSection = GuidanceSection()
-    tracking: TrackingSection = TrackingSection()
+    model_error: ModelErrorSection = ModelErrorSection()
+    agent: LawChoice | None = None  # in place of controller, guidance and tracking
+    controller: LawChoice = LawSection(law="nboc")
+    profile: Profile = "paper"
+    guidance: GuidanceChoice = GuidanceSection()
+    tracking: TrackingChoice = TrackingSection()
+    on_controller_error: OnError = "abort"
+    controller_budget: Time = 0  # wall time that a law of yours may take for a sample; 0: any
     neighbours: NeighboursSection = NeighboursSection()
+    per_vehicle: dict[VehicleNumbers, VehicleOverrides] = {}  # "3" or "2-4, 7"; later ones over earlier ones
     network: Annotated[NetworkSection, BeforeValidator(_network), PlainSerializer(_show_network)]
     physics: PhysicsSection = PhysicsSection()
     log: LogSection = LogSection()

@@ -23,6 +23,8 @@ def show(result: Result, terminal: Terminal) -> None:
         terminal.print(
             f"{mark}  {verdict.check}: {verdict.asked}; found {verdict.found}", highlight=False, soft_wrap=True
         )
+    for note in values["notes"]:
+        terminal.print(f"note  {note}", markup=False, highlight=False, soft_wrap=True)
     wall = values["wall"]
     how = "in-process" if wall["in_process"] else f"distributed, ready in {wall['startup_s']:.2f} s"
     terminal.print(
@@ -54,7 +56,7 @@ def _vehicles(rows: dict[str, dict[str, float | None]]) -> Table:
             _number(row["e_rms_m"], ".4f"),
             _number(row["formation_final_m"], ".4f"),
             _number(row["effort_Ns"], ".1f"),
-            _number(row["u_cmd_max_mps"], ".2f"),
+            "-" if row["u_cmd_max_mps"] is None else format(row["u_cmd_max_mps"], ".2f"),
         )
     if len(rows) > MOST_ROWS:
         table.add_row("...", f"and {len(rows) - MOST_ROWS} more in result.json")

@@ -1,16 +1,144 @@
-"""A profile with a scenario's overrides: the parameters that the controllers receive."""
+"""What each vehicle runs: laws, parameters, models; merged from the profile, the scenario, and what is per vehicle."""
 
 from __future__ import annotations
 
-from dataclasses import replace
-from typing import Any
+from collections.abc import Iterable
+from dataclasses import dataclass, fields, replace
+from functools import reduce
+from pathlib import Path
+from typing import Any, TypeVar
 
-from agents.config import GuidanceParams, TrackingParams
+from agents.config import Extrapolation, GuidanceParams, Law, TrackingParams
+from agents.controllers import CONTROLLERS, GUIDANCE, TRACKING
 from agents.profiles import profile
-from fleet.schema import GuidanceSection, Section, TrackingSection
+from fleet import vehicles
+from fleet.fields import vehicle_numbers
+from fleet.schema import (
+    GuidanceSection,
+    LawSection,
+    ModelErrorSection,
+    ScenarioSpec,
+    Section,
+    TrackingSection,
+    VehicleOverrides,
+    VehicleSection,
+)
+from world.vehicle import Vec3, VehicleParams
 
 # The profiles count the QP's period in ticks of this length; a scenario with another tick keeps the period.
 _PROFILE_TICK_NS = 10_000_000
+
+_NAMES = {"qp_period": "qp_ticks", "horizon": "horizon_s"}  # scenario key -> parameter
+
+S = TypeVar("S", bound=Section)
+
+
+@dataclass(frozen=True, slots=True)
+class Control:
+    """What one vehicle is and runs."""
+
+    agent: Law | None
+    controller: Law | None  # a user's
+    guidance_law: Law
+    tracking_law: Law
+    guidance: GuidanceParams
+    tracking: TrackingParams
+    extrapolation: Extrapolation
+    vehicle: VehicleParams  # the truth
+    model: VehicleParams  # what the controller believes
+    tau_max: Vec3  # N, N m, N m
+
+    @property
+    def cascade(self) -> bool:
+        """Whether a guidance and a tracking law run."""
+        return self.agent is None and self.controller is None
+
+
+def merged(spec: ScenarioSpec, i: int) -> VehicleOverrides:
+    """Every section that may be per vehicle, as it holds for vehicle i; 0 is a vehicle that has nothing of its own."""
+    layers = [VehicleOverrides.model_construct(**{key: getattr(spec, key) for key in VehicleOverrides.model_fields})]
+    layers += [o for numbers, o in spec.per_vehicle.items() if i in vehicle_numbers(numbers)]
+    return reduce(_over, layers)
+
+
+def _over(below: VehicleOverrides, above: VehicleOverrides) -> VehicleOverrides:
+    values: dict[str, Any] = {}
+    for key in VehicleOverrides.model_fields:
+        low, high = getattr(below, key), getattr(above, key)
+        if high is None:
+            values[key] = low
+        elif low is None or isinstance(high, (str, LawSection)):
+            values[key] = high
+        elif isinstance(high, VehicleSection) and high.model is not None:
+            values[key] = high  # another model, not this one with some of its numbers
+        else:
+            values[key] = low.model_copy(update=given(high))
+    # A controller chosen here replaces the agent and the laws that were chosen below it.
+    if above.controller is not None:
+        if above.agent is None:
+            values["agent"] = None
+        for key in ("guidance", "tracking"):
+            section = getattr(above, key)
+            if section is None or section.law is None:
+                values[key] = values[key].model_copy(update={"law": None, "parameters": None})
+    return VehicleOverrides.model_construct(**values)
+
+
+def law_names(choice: VehicleOverrides) -> tuple[str, str] | None:
+    """The guidance and the tracking law of a choice; None if neither runs."""
+    assert choice.controller is not None and choice.guidance is not None and choice.tracking is not None
+    pair = CONTROLLERS.get(choice.controller.law)
+    if choice.agent is not None or (pair is None and not (choice.guidance.law and choice.tracking.law)):
+        return None
+    guidance, tracking = (pair.guidance, pair.tracking) if pair else ("", "")
+    return choice.guidance.law or guidance, choice.tracking.law or tracking
+
+
+def control(spec: ScenarioSpec, i: int, folder: Path | None = None) -> Control:
+    """What vehicle i of a valid scenario is and runs.
+
+    Raises:
+        VehicleFileError: its model cannot be read.
+    """
+    choice = merged(spec, i)
+    assert choice.controller is not None and choice.guidance is not None and choice.tracking is not None
+    assert choice.neighbours is not None and choice.vehicle is not None and choice.model_error is not None
+    names = law_names(choice)
+    guidance_name, tracking_name = names or ("optimal", "neurodynamic")
+    params, tau_max = vehicle(choice.vehicle, folder)
+    return Control(
+        agent=_law(choice.agent),
+        controller=_law(choice.controller) if choice.agent is None and names is None else None,
+        guidance_law=Law(guidance_name, choice.guidance.parameters or {}),
+        tracking_law=Law(tracking_name, choice.tracking.parameters or {}),
+        guidance=guidance_params(choice.profile or "paper", guidance_name, choice.guidance, spec.tick),
+        tracking=tracking_params(choice.profile or "paper", tracking_name, choice.tracking),
+        extrapolation=choice.neighbours.extrapolate,
+        vehicle=params,
+        model=wrong_model(params, choice.model_error),
+        tau_max=tau_max,
+    )
+
+
+def _law(section: LawSection | None) -> Law | None:
+    return None if section is None else Law(section.law, section.parameters or {})
+
+
+def vehicle(section: VehicleSection, folder: Path | None) -> tuple[VehicleParams, Vec3]:
+    """The parameters of a vehicle and its limits [N, N m, N m]. Raises VehicleFileError."""
+    model = vehicles.load_vehicle(section.model or "paper", folder)
+    changes = given(section)
+    params = replace(model.params, **{key: changes[key] for key in vehicles.PARAMETERS.keys() & changes.keys()})
+    x, y, z = (
+        limit if getattr(section, key) is None else getattr(section, key)
+        for key, limit in zip(vehicles.LIMITS, model.tau_max, strict=True)
+    )
+    return params, (x, y, z)
+
+
+def wrong_model(params: VehicleParams, errors: ModelErrorSection) -> VehicleParams:
+    """The parameters with each error applied: (1 + error) times the truth."""
+    return replace(params, **{key: getattr(params, key) * (1.0 + error) for key, error in given(errors).items()})
 
 
 def qp_period_ns(name: str, section: GuidanceSection) -> int:
@@ -18,37 +146,64 @@ def qp_period_ns(name: str, section: GuidanceSection) -> int:
     return section.qp_period or profile(name)[0].qp_ticks * _PROFILE_TICK_NS
 
 
-def guidance_params(name: str, section: GuidanceSection, tick_ns: int) -> GuidanceParams:
-    """The guidance parameters of profile `name`, changed as the section says."""
-    changes = _given(section)
+def guidance_params(name: str, law: str, section: GuidanceSection, tick_ns: int) -> GuidanceParams:
+    """The guidance parameters of profile `name` for a law, changed as the section says."""
+    changes = _tuned(section)
     changes["qp_ticks"] = qp_period_ns(name, section) // tick_ns
     changes.pop("qp_period", None)
     if "horizon" in changes:
         changes["horizon_s"] = changes.pop("horizon") / 1e9
-    return replace(profile(name)[0], **changes)
+    return replace(profile(name, guidance=law)[0], **changes)
 
 
-def tracking_params(name: str, section: TrackingSection) -> TrackingParams:
-    """The tracking parameters of profile `name`, changed as the section says."""
-    changes = _given(section)
+def tracking_params(name: str, law: str, section: TrackingSection) -> TrackingParams:
+    """The tracking parameters of profile `name` for a law, changed as the section says."""
+    changes = _tuned(section)
     if "tau_f" in changes:
         changes["tau_f"] /= 1e9
-    return replace(profile(name)[1], **changes)
+    return replace(profile(name, tracking=law)[1], **changes)
 
 
-def _given(section: Section) -> dict[str, Any]:
+def given(section: Section) -> dict[str, Any]:
+    """What a section sets."""
     return {key: value for key, value in section if value is not None}
 
 
-def guidance_section(params: GuidanceParams, tick_ns: int) -> GuidanceSection:
-    """Every parameter as a scenario would give it."""
-    values = {key: getattr(params, key) for key in GuidanceSection.model_fields if hasattr(params, key)}
-    return GuidanceSection.model_construct(
-        **values, qp_period=params.qp_ticks * tick_ns, horizon=round(params.horizon_s * 1e9)
+def _tuned(section: Section) -> dict[str, Any]:
+    return {key: value for key, value in given(section).items() if key not in ("law", "parameters")}
+
+
+def guidance_section(params: GuidanceParams, law: str, tick_ns: int) -> GuidanceSection:
+    """Every parameter that a law uses, as a scenario would give it."""
+    values: dict[str, Any] = {key: getattr(params, key) for key in GuidanceSection.model_fields if hasattr(params, key)}
+    values |= {"qp_period": params.qp_ticks * tick_ns, "horizon": round(params.horizon_s * 1e9)}
+    return GuidanceSection.model_construct(**_only(values, used("guidance", law)))
+
+
+def tracking_section(params: TrackingParams, law: str) -> TrackingSection:
+    """Every parameter that a law uses, as a scenario would give it."""
+    values: dict[str, Any] = {key: getattr(params, key) for key in TrackingSection.model_fields if hasattr(params, key)}
+    return TrackingSection.model_construct(
+        **_only(values | {"tau_f": round(params.tau_f * 1e9)}, used("tracking", law))
     )
 
 
-def tracking_section(params: TrackingParams) -> TrackingSection:
-    """Every parameter as a scenario would give it."""
-    values = {key: getattr(params, key) for key in TrackingSection.model_fields}
-    return TrackingSection.model_construct(**values | {"tau_f": round(params.tau_f * 1e9)})
+def used(kind: str, law: str) -> frozenset[str]:
+    """The scenario keys that a law of ours uses; a law of yours is given all and told nothing."""
+    laws: dict[str, Any] = {"guidance": GUIDANCE, "tracking": TRACKING}[kind]  # type: ignore[assignment]
+    if law not in laws:
+        return frozenset(f.name for f in fields(GuidanceParams if kind == "guidance" else TrackingParams))
+    names: Iterable[str] = laws[law].uses
+    back = {parameter: key for key, parameter in _NAMES.items()}
+    return frozenset(back.get(name, name) for name in names)
+
+
+def _only(values: dict[str, Any], keys: frozenset[str]) -> dict[str, Any]:
+    return {key: value for key, value in values.items() if key in keys}
+
+
+def inlined(section: VehicleSection, folder: Path | None) -> VehicleSection:
+    """The same vehicle with every number written out, so that it no longer needs its file."""
+    params, limits = vehicle(section, folder)
+    values: dict[str, Any] = {key: getattr(params, key) for key in vehicles.PARAMETERS}
+    return VehicleSection.model_construct(**values, **dict(zip(vehicles.LIMITS, limits, strict=True)))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Sequence
 from functools import cache
+from pathlib import Path
 from typing import Any, cast, get_args, get_origin
 
 from pydantic import TypeAdapter, ValidationError
@@ -20,13 +21,13 @@ from netem.grammar import nearest
 Loc = tuple[str | int, ...]
 
 
-def validate(root: Mapping) -> tuple[ScenarioSpec | None, list[Problem]]:
-    """The specification that the tree holds, or None and what is wrong with it.
+def validate(root: Mapping, folder: Path | None = None) -> tuple[ScenarioSpec | None, list[Problem]]:
+    """The specification that the tree holds, or None and what is wrong with it; `folder` is where its file lies.
 
     The rules between keys run even if some keys are wrong: on those that are right.
     """
     data = plain(root)
-    report = Report(root)
+    report = Report(root, folder)
     spec: ScenarioSpec | None = None
     try:
         spec = ScenarioSpec.model_validate(data)
@@ -45,8 +46,13 @@ class _Partial:
         self._section = section
         self._data = data
 
+    def __iter__(self) -> Iterator[tuple[str, Any]]:
+        raise UnknownValueError
+
     def __getattr__(self, name: str) -> Any:
-        info = self._section.model_fields[name]
+        info = self._section.model_fields.get(name)
+        if info is None:  # something that only a whole section can do
+            raise UnknownValueError
         if name not in self._data:
             if info.is_required():
                 raise UnknownValueError
@@ -56,7 +62,7 @@ class _Partial:
         try:
             return kind.validate_python(value, strict=True)
         except ValidationError as error:
-            section = None if _is_list(info.annotation) else _section_of(info.annotation)
+            section = None if _holds_many(info.annotation) else _section_of(info.annotation)
             locs = [detail["loc"] for detail in error.errors()]
             if not isinstance(value, dict) or (section is None and () in locs):
                 raise UnknownValueError from None
@@ -151,8 +157,8 @@ def _paths(section: type[Section], prefix: str) -> Iterator[str]:
             yield from _paths(below, f"{prefix}{name}.")
 
 
-def _is_list(annotation: Any) -> bool:
-    return get_origin(annotation) is list or any(_is_list(argument) for argument in get_args(annotation))
+def _holds_many(annotation: Any) -> bool:
+    return get_origin(annotation) in (list, dict) or any(_holds_many(argument) for argument in get_args(annotation))
 
 
 def _section_of(annotation: Any) -> type[Section] | None:

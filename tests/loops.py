@@ -11,8 +11,10 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from agents.agent import Agent
-from agents.config import AgentConfig, Extrapolation, Neighbour, Reference
+from agents.config import AgentConfig, Extrapolation, Law, Neighbour
+from agents.controllers import CONTROLLERS
 from agents.profiles import profile
+from agents.trajectory import Line, Offset, minus
 from world.config import DEFAULT_SUBSTEPS, Harmonic, VehicleSetup, WorldConfig
 from world.sea import World
 from world.vehicle import Vec3, Vec5, VehicleParams
@@ -25,8 +27,14 @@ ETA0: tuple[Vec5, ...] = (
     (8.5, -10.1, 0.0, 0.0, 0.0),
     (8.4, -0.1, 0.0, 0.0, 0.0),
 )
+PARAMS = VehicleParams(
+    m=10.0, Iy=3.0, Iz=2.0,
+    beta_udot=6.0, beta_vdot=1.1, beta_wdot=1.15, beta_qdot=0.5, beta_rdot=0.45,
+    beta_u=1.0, beta_v=1.1, beta_w=1.15, beta_q=0.2, beta_r=0.25, beta_b=0.1,
+)  # fmt: skip
+TAU_MAX: Vec3 = (20.0, 20.0, 20.0)
 NU0: Vec5 = (0.1, 0.0, 0.0, 0.0, 0.0)
-REFERENCE = Reference(start=(5.0, 1.0, 5.0), velocity=(0.7, 0.1, 0.0))
+REFERENCE = Line(start=(5.0, 1.0, 5.0), velocity=(0.7, 0.1, 0.0))
 # a_ij: a vehicle listens to the one before it with weight 1, to the one after it with 0.8.
 WEIGHTS = {(2, 1): 1.0, (3, 2): 1.0, (4, 3): 1.0, (1, 2): 0.8, (2, 3): 0.8, (3, 4): 0.8}
 
@@ -77,12 +85,17 @@ class Link:
 
 
 def agent_config(
-    i: int, name: str = "paper", extrapolation: Extrapolation = "hold", round_ticks: int = 1
+    i: int,
+    name: str = "paper",
+    extrapolation: Extrapolation = "hold",
+    round_ticks: int = 1,
+    controller: str = "nboc",
 ) -> AgentConfig:
-    """Vehicle i of the paper's simulation with a named tuning."""
-    guidance, tracking = profile(name)
+    """Vehicle i of the paper's simulation with a named tuning and controller."""
+    pair = CONTROLLERS[controller]
+    guidance, tracking = profile(name, pair.guidance, pair.tracking)
     neighbours = tuple(
-        Neighbour(j, weight, _minus(OFFSETS[i - 1], OFFSETS[j - 1]))
+        Neighbour(j, weight, Offset(minus(OFFSETS[i - 1], OFFSETS[j - 1])))
         for (to, j), weight in sorted(WEIGHTS.items())
         if to == i
     )
@@ -91,16 +104,17 @@ def agent_config(
         seed=1,
         tick_ns=TICK_NS,
         round_ticks=round_ticks,
-        offset=OFFSETS[i - 1],
+        offset=Offset(OFFSETS[i - 1]),
         reference=REFERENCE,
         reference_weight=1.0,
         neighbours=neighbours,
         extrapolation=extrapolation,
-        controller="nboc",
         guidance=guidance,
         tracking=tracking,
-        vehicle=VehicleParams(),
-        tau_max=(20.0, 20.0, 20.0),
+        vehicle=PARAMS,
+        tau_max=TAU_MAX,
+        guidance_law=Law(pair.guidance),
+        tracking_law=Law(pair.tracking),
     )
 
 
@@ -111,7 +125,7 @@ def world_config(
     eta0: tuple[Vec5, ...] = ETA0,
 ) -> WorldConfig:
     """The paper's four vehicles at their initial states."""
-    vehicles = tuple(VehicleSetup(i, eta, NU0) for i, eta in enumerate(eta0, start=1))
+    vehicles = tuple(VehicleSetup(i, eta, NU0, PARAMS, TAU_MAX) for i, eta in enumerate(eta0, start=1))
     return WorldConfig(1, TICK_NS, 6000, 1, substeps, vehicles, disturbance, current)
 
 
@@ -142,7 +156,3 @@ def run_loop(
             world.advance(i, applied[i])
         yield Sample(tick, states, [decisions[i].telemetry for i in ids], [applied[i] for i in ids])
     yield Sample(ticks, [world.state(i) for i in ids], [], [])
-
-
-def _minus(a: Vec3, b: Vec3) -> Vec3:
-    return a[0] - b[0], a[1] - b[1], a[2] - b[2]

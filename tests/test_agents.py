@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import json
 import math
 import random
@@ -16,10 +15,11 @@ import msgpack
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from loops import WEIGHTS, Delivery, Link, Nav, agent_config, run_loop, world_config
+from loops import PARAMS, REFERENCE, WEIGHTS, Delivery, Link, Nav, agent_config, run_loop, world_config
 
 from agents import gain_qp
 from agents.agent import Agent
+from agents.api import Command, NeighbourState, Sample
 from agents.backstepping import NeurodynamicTracking
 from agents.command import clip, direction_command, floor_speed, slew, virtual_control
 from agents.config import AgentConfig, Neighbour
@@ -28,14 +28,14 @@ from agents.controllers import CONTROLLERS
 from agents.errors import AgentError, ControllerError, PayloadError, UnknownNameError
 from agents.filters import AngleRateFilter, wrap
 from agents.kinematics import earth_velocity, flow_angles
-from agents.neighbours import Heard, NeighbourTable
+from agents.neighbours import NeighbourTable
 from agents.payload import SIZE, StateMessage, decode, encode
 from agents.profiles import PROFILES, profile
 from agents.shunting import shunting_step
+from agents.trajectory import Motion, Offset
 from world.disturbance import NO_FORCE, PAPER
 from world.dynamics import coefficients, derivative
 from world.sea import World
-from world.vehicle import VehicleParams
 
 VECTORS = json.loads((Path(__file__).parent / "golden/unit_vectors.json").read_text())
 
@@ -130,7 +130,7 @@ def test_a_vehicle_that_follows_the_command_moves_with_rho(rho: tuple[float, flo
 
 @given(vec3, st.floats(-1.5, 1.5), angle)
 def test_the_agents_kinematics_are_the_worlds(nu: Any, theta: float, psi: float) -> None:
-    k = coefficients(VehicleParams())
+    k = coefficients(PARAMS)
     if abs(math.cos(theta)) < 1e-2:
         return
     rate = derivative(k, (0.0, 0.0, 0.0, theta, psi, *nu, 0.0, 0.0), (0.0, 0.0, 0.0), NO_FORCE)
@@ -172,7 +172,10 @@ def test_the_commanded_speed_leaves_room_for_the_sideways_motion() -> None:
 
 @given(vec3, vec3, st.lists(st.tuples(st.floats(0.1, 2.0), vec3), max_size=4))
 def test_a_formation_in_place_has_no_error(position: Any, offset: Any, neighbours: Any) -> None:
-    heard = [Heard(a, d, tuple(p - x for p, x in zip(position, d, strict=True))) for a, d in neighbours]
+    heard = [
+        NeighbourState(n, a, d, tuple(p - x for p, x in zip(position, d, strict=True)), (0.0, 0.0, 0.0), 0.0)
+        for n, (a, d) in enumerate(neighbours)
+    ]
     e, c = consensus_error(position, position, 1.0, heard)
     assert e == pytest.approx((0.0, 0.0, 0.0), abs=1e-9)
     assert c == pytest.approx(1.0 + sum(a for a, _ in neighbours))
@@ -264,12 +267,12 @@ def delivery(
 
 
 def table(extrapolation: Any = "hold") -> NeighbourTable:
-    neighbours = (Neighbour(3, 0.8, (0.0, 0.0, 0.0)), Neighbour(1, 1.0, (0.0, -10.0, 0.0)))
-    return NeighbourTable(neighbours, extrapolation, (0.7, 0.1, 0.0), 0.01)
+    neighbours = (Neighbour(3, 0.8, Offset((0.0, 0.0, 0.0))), Neighbour(1, 1.0, Offset((0.0, -10.0, 0.0))))
+    return NeighbourTable(neighbours, extrapolation, REFERENCE, Offset((0.0, 0.0, 0.0)), 0.01)
 
 
 def test_what_a_neighbour_does_not_say_is_not_known() -> None:
-    assert table().heard(100) == []
+    assert table().heard(100) == ()
 
 
 def test_neighbours_come_in_one_order() -> None:
@@ -308,7 +311,7 @@ def test_what_cannot_be_used_is_counted_and_dropped() -> None:
     corrupt = delivery(1, 20)._replace(payload=bytes(SIZE))
     t.absorb([corrupt, corrupt._replace(payload=b"hello")], 30)
     t.absorb([delivery(1, 20, sender=3), delivery(4, 20), delivery(1, 31)], 30)
-    assert t.heard(30) == []
+    assert t.heard(30) == ()
     counted = {cause: n for cause, n in t.counters.items() if n}
     assert counted == {"checksum": 1, "length": 1, "wrong_sender": 2, "from_future": 1}
 
@@ -327,19 +330,16 @@ def test_every_profile_leaves_room_round_the_reference(name: str) -> None:
 def test_unknown_names_list_the_known_ones() -> None:
     with pytest.raises(UnknownNameError, match="paper, consistent, hardened"):
         profile("papper")
-    with pytest.raises(UnknownNameError, match="nboc"):
-        Agent(replace(agent_config(1), controller="pid"))
 
 
 # ------------------------------------------------------------------------------------------- the agent
 
 
-def named(telemetry: tuple[float, ...]) -> dict[str, tuple[float, ...]]:
+def named(telemetry: tuple[float, ...], controller: str = "nboc") -> dict[str, tuple[float, ...]]:
     """Telemetry by signal name."""
-    values = iter(telemetry)
-    found = {s.name: tuple(itertools.islice(values, s.width)) for s in Agent.signals}
-    assert next(values, None) is None
-    return found
+    layout = Agent(agent_config(1, controller=controller)).layout
+    assert len(telemetry) == layout.size
+    return {signal.name: telemetry[place] for _, signal, place in layout.signals()}
 
 
 def still(tick: int = 0, **changes: tuple[float, ...]) -> Nav:
@@ -349,12 +349,13 @@ def still(tick: int = 0, **changes: tuple[float, ...]) -> Nav:
 
 @pytest.mark.parametrize("controller", CONTROLLERS)
 def test_telemetry_is_what_signals_declare(controller: str) -> None:
-    agent = Agent(replace(agent_config(1), controller=controller))
+    agent = Agent(agent_config(1, controller=controller))
     tau, telemetry, payloads = agent.step(still(), [])
-    assert len(telemetry) == sum(signal.width for signal in Agent.signals)
+    assert len(telemetry) == agent.layout.size
     assert all(type(value) is float for value in (*tau, *telemetry))
     assert len(payloads) == 1
-    assert len({(s.group, s.name) for s in Agent.signals}) == len(Agent.signals)
+    names = [(group, signal.name) for group, signal, _ in agent.layout.signals()]
+    assert len(set(names)) == len(names)
 
 
 def test_tau_is_the_demand_within_the_limits() -> None:
@@ -460,6 +461,12 @@ def test_missed_samples_count_as_the_time_they_took() -> None:
     assert named(resumed)["r_err"] == pytest.approx(named(last)["r_err"], abs=0.05)
 
 
+def sample_of(eta: Any, nu: Any) -> Sample:
+    """A sample of a vehicle alone."""
+    zero = (0.0, 0.0, 0.0)
+    return Sample(0, 0.0, 0.01, eta, nu, earth_velocity(eta, nu), Motion(zero, zero), (), zero, 1.0, "seed")
+
+
 @pytest.mark.parametrize(
     ("theta", "nu"),
     [
@@ -475,9 +482,9 @@ def test_missed_samples_count_as_the_time_they_took() -> None:
 def test_guards(theta: float, nu: Any) -> None:
     """Where the printed law divides by zero the demand stays of a reasonable size."""
     config = agent_config(1)
-    tracking = NeurodynamicTracking(config.tracking, config.vehicle)
+    tracking = NeurodynamicTracking(config)
     for command in ((0.7, 0.0, 0.0), (1.5, 0.5, -2.0)):
-        demand, values = tracking.step((0.0, 0.0, 0.0, theta, 0.0), nu, command, 0.01)
+        demand, values = tracking.step(sample_of((0.0, 0.0, 0.0, theta, 0.0), nu), Command(*command))
         assert all(map(math.isfinite, values))
         assert max(map(abs, demand)) < 500.0
 
@@ -486,8 +493,9 @@ def test_at_rest_the_thrust_still_has_a_direction() -> None:
     """Below u_eps the cosine shrinks with the speed; above, a straight run has cosine 1."""
     config = agent_config(1)
     for u, cosine in ((0.01, 0.5), (0.019, 0.95), (0.5, 1.0)):
-        tracking = NeurodynamicTracking(config.tracking, config.vehicle)
-        demand, values = tracking.step((0.0,) * 5, (u, 0.0, 0.0, 0.0, 0.0), (0.7, 0.0, 0.0), 0.01)
+        tracking = NeurodynamicTracking(config)
+        sample = sample_of((0.0,) * 5, (u, 0.0, 0.0, 0.0, 0.0))
+        demand, values = tracking.step(sample, Command(0.7, 0.0, 0.0))
         x1 = values[5]
         assert demand[0] == pytest.approx(1.0 * u - 4.0 / cosine * 10.0 * x1)
 
@@ -508,9 +516,9 @@ def test_with_nowhere_to_go_the_first_direction_is_held() -> None:
 def test_the_law_cancels_the_vehicles_own_dynamics() -> None:
     """With no error at all, the demanded forces balance surge, pitch and yaw in a steady straight run."""
     config = agent_config(1)
-    tracking = NeurodynamicTracking(config.tracking, config.vehicle)
+    tracking = NeurodynamicTracking(config)
     eta, nu = (0.0, 0.0, 0.0, 0.0, 0.4), (0.8, 0.0, 0.0, 0.0, 0.0)
-    tau, _ = tracking.step(eta, nu, (0.8, 0.0, 0.4), 0.01)
+    tau, _ = tracking.step(sample_of(eta, nu), Command(0.8, 0.0, 0.4))
     rate = derivative(coefficients(config.vehicle), (*eta, *nu), tau, NO_FORCE)
     assert rate[5:] == pytest.approx((0.0,) * 5, abs=1e-12)
 
@@ -524,10 +532,15 @@ def test_virtual_control_with_the_optimal_gain_closes_the_error() -> None:
 
 
 @settings(max_examples=15)
-@given(st.integers(0, 40), st.integers(1, 12), st.sampled_from(("paper", "consistent", "hardened")))
-def test_agent_state_and_restore(before: int, after: int, name: str) -> None:
+@given(
+    st.integers(0, 40),
+    st.integers(1, 12),
+    st.sampled_from(("paper", "consistent", "hardened")),
+    st.sampled_from(sorted(CONTROLLERS)),
+)
+def test_agent_state_and_restore(before: int, after: int, name: str, controller: str) -> None:
     """step, state, restore in a fresh object, step == uninterrupted; state is plain MessagePack values."""
-    config = agent_config(2, name, "neighbour", 10)
+    config = agent_config(2, name, "neighbour", 10, controller)
     rng = random.Random(before)
 
     def sample(k: int) -> tuple[Nav, list[Delivery]]:

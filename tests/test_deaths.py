@@ -307,16 +307,16 @@ def sabotage(folder: Path, code: str) -> dict[str, str]:
 
 NAN_IN_THE_CORE = """
     from agents.agent import Agent
-    control = Agent._control
+    guarded = Agent._guarded
 
-    def failing(self, tick, dt, eta, nu):
-        demand, telemetry = control(self, tick, dt, eta, nu)
-        if (self.config.id, tick) == (3, 57):
+    def failing(self, sample):
+        demand, telemetry = guarded(self, sample)
+        if (self.config.id, sample.tick) == (3, 57):
             nan = float("nan")
             return (nan, nan, nan), (*telemetry[:-3], nan, nan, nan)
         return demand, telemetry
 
-    Agent._control = failing
+    Agent._guarded = failing
 """
 NAN_COMMAND = """
     from agents.agent import Agent, Decision
@@ -339,7 +339,7 @@ def test_controller_that_computes_nan(tmp_path: Path) -> None:
         run.until_nobody_is_left()
         assert "agent 3 (pid " in run.said
         assert "exited with status 1 at t = 0.5" in run.said
-        assert "controller failed: ControllerError: agent 3, tick 57: control.demand is (nan, nan, nan)" in run.said
+        assert "controller failed: agent 3, tick 57: control.demand is (nan, nan, nan)" in run.said
         assert "last lines of " in run.said
         assert "agents.errors.ControllerError: agent 3, tick 57" in run.said
         assert LogReader(run.log).missing == ""
@@ -349,7 +349,7 @@ def test_controller_that_computes_nan_in_process(tmp_path: Path, monkeypatch: py
     """Likewise in the plain loop: a broken run with vehicle and tick, not a traceback."""
     from agents.agent import Agent
 
-    monkeypatch.setattr(Agent, "_control", Agent._control)  # restored after the sabotage
+    monkeypatch.setattr(Agent, "_guarded", Agent._guarded)  # restored after the sabotage
     exec(dedent(NAN_IN_THE_CORE), {})
     result = execute(load_scenario("paper"), Options(tmp_path, in_process=True, quiet=True))
     assert result.status is Status.BROKEN
@@ -505,7 +505,7 @@ def test_notes_that_lie_are_only_notes(tmp_path: Path, monkeypatch: pytest.Monke
 
 
 def test_controller_error_names_vehicle_and_tick() -> None:
-    error = ControllerError(3, 57, "control.demand", (float("nan"),))
+    error = ControllerError(3, 57, "control.demand is (nan,)")
     assert str(error) == "agent 3, tick 57: control.demand is (nan,)"
 
 

@@ -12,7 +12,7 @@ import msgpack
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from loops import NU0, world_config
+from loops import NU0, PARAMS, TAU_MAX, world_config
 
 from world.config import NavNoise, VehicleSetup, WorldConfig
 from world.disturbance import NO_FORCE, PAPER, disturbance
@@ -25,10 +25,10 @@ from world.errors import (
     UnknownVehicleError,
 )
 from world.sea import World
-from world.vehicle import Vec3, VehicleParams
+from world.vehicle import Vec3
 
-K = coefficients(VehicleParams())
-NO_DAMPING = coefficients(VehicleParams(beta_u=0.0, beta_v=0.0, beta_w=0.0, beta_q=0.0, beta_r=0.0, beta_b=0.0))
+K = coefficients(PARAMS)
+NO_DAMPING = coefficients(replace(PARAMS, beta_u=0.0, beta_v=0.0, beta_w=0.0, beta_q=0.0, beta_r=0.0, beta_b=0.0))
 REST = (0.0, 0.0, 0.0)
 CALM_SEA = (NO_FORCE, NO_FORCE, NO_FORCE)
 
@@ -70,7 +70,7 @@ def test_coriolis_terms_do_no_work(state: State) -> None:
 @given(states)
 def test_damping_dissipates(state: State) -> None:
     """Without thrust and restoring the energy falls by sum of beta nu^2, and by nothing else."""
-    k = coefficients(VehicleParams(beta_b=0.0))
+    k = coefficients(replace(PARAMS, beta_b=0.0))
     rate = derivative(k, state, REST, NO_FORCE)
     loss = sum(beta * n * n for beta, n in zip(k[5:10], state[5:], strict=True))
     assert power(k, state, rate) == pytest.approx(-loss, abs=1e-9)
@@ -154,7 +154,7 @@ def test_the_papers_disturbance() -> None:
 @pytest.mark.parametrize("theta", [math.pi / 2, -math.pi / 2, math.pi / 2 + 0.5 * COS_THETA_MIN])
 def test_a_vertical_vehicle_is_an_error_that_says_who_and_when(theta: float) -> None:
     config = world_config()
-    vertical = VehicleSetup(7, (0.0, 0.0, 0.0, theta, 0.0), NU0)
+    vertical = VehicleSetup(7, (0.0, 0.0, 0.0, theta, 0.0), NU0, PARAMS, TAU_MAX)
     world = World(replace(config, vehicles=(*config.vehicles, vertical)))
     before = world.state_values()
     with pytest.raises(PitchSingularityError) as caught:
@@ -174,7 +174,7 @@ def test_a_tumbling_vehicle_passes_the_vertical() -> None:
 
 @pytest.mark.parametrize("u", [1e200, 1e308])
 def test_a_motion_that_leaves_the_finite_numbers_is_an_error(u: float) -> None:
-    runaway = VehicleSetup(1, (0.0, 0.0, 0.0, 0.0, 0.0), (u, u, u, 1e150, 1e150))
+    runaway = VehicleSetup(1, (0.0, 0.0, 0.0, 0.0, 0.0), (u, u, u, 1e150, 1e150), PARAMS, TAU_MAX)
     world = World(replace(world_config(), vehicles=(runaway,)))
     before = world.state_values()
     with pytest.raises(IntegrationError) as caught:

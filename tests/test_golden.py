@@ -14,7 +14,8 @@ import pytest
 from loops import OFFSETS, REFERENCE, TICK_NS, WEIGHTS, Link, Sample, agent_config, run_loop, world_config
 
 from agents.agent import Agent
-from agents.config import Extrapolation
+from agents.config import AgentConfig, Extrapolation
+from agents.signals import Layout
 from world.config import Harmonic
 from world.disturbance import PAPER
 from world.sea import World
@@ -30,11 +31,16 @@ class Case(NamedTuple):
     extrapolation: Extrapolation = "hold"
     round_ticks: int = 1
     delay_ticks: int = 0
+    controller: str = "nboc"
 
 
 CASES = {
     "NBOC_undisturbed": Case("paper"),
     "NBOC_disturbed": Case("paper", PAPER),
+    "BOC_undisturbed": Case("paper", controller="boc"),
+    "NBC_undisturbed": Case("paper", controller="nbc"),
+    "BC_undisturbed": Case("paper", controller="bc"),
+    "BSMC_undisturbed": Case("paper", controller="bsmc"),
     "NBOC_C_undisturbed": Case("consistent"),
     "NBOC_H_undisturbed": Case("hardened"),
     "net_1tick_hold": Case("paper", delay_ticks=1),
@@ -46,18 +52,23 @@ CASES = {
 TOLERANCE = {"eta": 1e-6, "nu": 1e-6, "e": 1e-6, "rho": 1e-6, "cmd": 1e-6, "K": 1e-5, "x": 1e-5, "tau": 1e-4}
 
 
-def columns(name: str) -> slice:
+def layout(case: Case) -> Layout:
+    return Agent(case_config(1, case)).layout
+
+
+def columns(case: Case, name: str) -> slice:
     """Where a signal sits in the telemetry."""
-    start = 0
-    for signal in Agent.signals:
-        if signal.name == name:
-            return slice(start, start + signal.width)
-        start += signal.width
-    raise LookupError(name)
+    place = layout(case).where(name)
+    assert place is not None, name
+    return place
+
+
+def case_config(i: int, case: Case) -> AgentConfig:
+    return agent_config(i, case.profile, case.extrapolation, case.round_ticks, case.controller)
 
 
 def run(case: Case, ticks: int) -> list[Sample]:
-    agents = {i: Agent(agent_config(i, case.profile, case.extrapolation, case.round_ticks)) for i in (1, 2, 3, 4)}
+    agents = {i: Agent(case_config(i, case)) for i in (1, 2, 3, 4)}
     world = World(world_config(case.disturbance))
     return list(run_loop(agents, world, ticks, Link(case.round_ticks, case.delay_ticks)))
 
@@ -76,18 +87,20 @@ def true_error(tick: int, states: Any) -> Any:
 @pytest.mark.parametrize("name", CASES)
 def test_reference_trajectory(name: str) -> None:
     """The whole 60 s, every 0.1 s, all vehicles."""
-    samples = [s for s in run(CASES[name], TICKS) if s.tick % EVERY == 0]
+    case = CASES[name]
+    samples = [s for s in run(case, TICKS) if s.tick % EVERY == 0]
     telemetry = np.array([s.telemetry for s in samples[:-1]])
     ours = {
         "eta": np.array([[eta for eta, _ in s.states] for s in samples]),
         "nu": np.array([[nu for _, nu in s.states] for s in samples]),
         "e": np.array([true_error(s.tick, s.states) for s in samples]),
-        "K": telemetry[..., columns("K")],
-        "rho": telemetry[..., columns("rho")],
-        "cmd": telemetry[..., columns("u_cmd").start : columns("psi_cmd").stop],
-        "x": telemetry[..., columns("x")],
+        "K": telemetry[..., columns(case, "K")],
+        "rho": telemetry[..., columns(case, "rho")],
+        "cmd": telemetry[..., columns(case, "u_cmd").start : columns(case, "psi_cmd").stop],
         "tau": np.array([s.tau for s in samples[:-1]]),
     }
+    if layout(case).where("x") is not None:
+        ours["x"] = telemetry[..., columns(case, "x")]
     with np.load(GOLDEN / f"{name}.npz") as golden:
         worst = {key: float(np.abs(value - golden[key][: len(value)]).max()) for key, value in ours.items()}
     assert not {key: error for key, error in worst.items() if not error <= TOLERANCE[key]}, worst
@@ -125,7 +138,7 @@ def test_every_variable_of_the_first_samples(name: str) -> None:
             for key, signal, element, tolerance in TRACED:
                 theirs = line[key][vehicle]
                 theirs = theirs[element] if isinstance(theirs, list) else theirs
-                ours = sample.telemetry[vehicle][columns(signal)][element]
+                ours = sample.telemetry[vehicle][columns(CASES[name], signal)][element]
                 assert ours == pytest.approx(theirs, abs=tolerance), f"{where}{key}[{element}] -> {signal}"
             tau = [row[vehicle] for row in line["tau"]]
             assert list(sample.tau[vehicle]) == pytest.approx(tau, abs=1e-4), where + "tau"

@@ -19,7 +19,7 @@ from netem.messages import Command, Delivery, Frame, Inbox, LinkReport, Nav, Rou
 from world.lockstep import Lockstep, NavTo
 
 SCENARIO = load_scenario("paper", ["duration=300 ms", "checks={}"])
-SIZE = SCENARIO.world_config().telemetry_size or 0
+SIZE = SCENARIO.layout(1).size
 
 
 def command(tick: int, incarnation: int = 0) -> Command:

@@ -13,8 +13,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from agents.config import GuidanceParams, Neighbour, Reference, TrackingParams
+from agents.config import GuidanceParams, Neighbour, TrackingParams
 from agents.profiles import PROFILES, profile
+from agents.trajectory import Line, Offset
 from fleet.errors import FleetError, ScenarioError
 from fleet.formation import grid
 from fleet.scenario import LOG_GROUPS, Scenario, list_scenarios, load_scenario, parse_scenario
@@ -41,6 +42,11 @@ def small(*overrides: str) -> Scenario:
     return parse_scenario(SMALL, "small.yaml", overrides)
 
 
+def places(s: Scenario) -> tuple[tuple[float, ...], ...]:
+    """The formation at the start."""
+    return tuple(plan.start for plan in s.plans)
+
+
 def problems(text: str, *overrides: str) -> list[tuple[int, int, str]]:
     with pytest.raises(ScenarioError) as caught:
         parse_scenario(text, "t.yaml", overrides)
@@ -61,7 +67,7 @@ def test_the_paper_is_the_paper() -> None:
     """The numbers of the paper's simulation section, written down here a second time."""
     s = load_scenario("paper")
     assert (s.vehicles, s.ticks, s.tick_ns, s.round_ticks, s.seed) == (4, 6000, 10_000_000, 10, 1)
-    assert s.offsets == ((0, 0, 0), (0, -10, 0), (10, -10, 0), (10, 0, 0))
+    assert places(s) == ((0, 0, 0), (0, -10, 0), (10, -10, 0), (10, 0, 0))
     assert s.graph.weights == {(1, 2): 1, (2, 3): 1, (3, 4): 1, (2, 1): 0.8, (3, 2): 0.8, (4, 3): 0.8}
     assert s.b == (1, 1, 1, 1)
     assert s.conditions == {}
@@ -74,9 +80,9 @@ def test_the_paper_is_the_paper() -> None:
     assert world.disturbance == ()
     assert world.noise.off
     agent = s.agent_config(2)
-    assert agent.neighbours == (Neighbour(1, 1.0, (0, -10, 0)), Neighbour(3, 0.8, (-10, 0, 0)))
-    assert agent.reference == Reference((5, 1, 5), (0.7, 0.1, 0))
-    assert agent.offset == (0, -10, 0)
+    assert agent.neighbours == (Neighbour(1, 1.0, Offset((0, -10, 0))), Neighbour(3, 0.8, Offset((-10, 0, 0))))
+    assert agent.reference == Line((5, 1, 5), (0.7, 0.1, 0))
+    assert agent.offset == Offset((0, -10, 0))
     assert agent.reference_weight == 1
     assert (agent.guidance, agent.tracking) == profile("paper")
     assert agent.extrapolation == "neighbour"
@@ -113,7 +119,7 @@ def test_shipped_scenarios_carry_their_file_name_and_checks(name: str) -> None:
 def test_neighbours_offsets_cancel() -> None:
     """Delta_ij = -Delta_ji, and every directed edge is a link."""
     s = load_scenario("paper", ["vehicles=9", "graph.shape=ring"])
-    delta = {(i, n.id): n.offset for i in range(1, 10) for n in s.agent_config(i).neighbours}
+    delta = {(i, n.id): n.offset.start for i in range(1, 10) for n in s.agent_config(i).neighbours}
     for (i, j), offset in delta.items():
         assert offset == tuple(-x for x in delta[j, i])
     assert {(j, i) for i, j in delta} == set(s.netem_config().links)
@@ -140,22 +146,23 @@ def test_explicit_edges_point_the_way_the_payload_travels() -> None:
 
 def test_overrides_of_the_profile() -> None:
     s = small("profile=hardened", "guidance.k_max=0.5 1/s", "guidance.qp_period=20 ms", "tracking.tau_f=20 ms")
-    assert s.guidance.k_max == 0.5
-    assert s.guidance.qp_ticks == 2
-    assert s.tracking.tau_f == 0.02
-    assert s.guidance.k_min == profile("hardened")[0].k_min
+    assert s.controls[0].guidance.k_max == 0.5
+    assert s.controls[0].guidance.qp_ticks == 2
+    assert s.controls[0].tracking.tau_f == 0.02
+    assert s.controls[0].guidance.k_min == profile("hardened")[0].k_min
 
 
 def test_every_parameter_can_be_set() -> None:
     """A parameter that the controllers gain must gain a key here; two are written as times."""
     guidance = {field.name for field in fields(GuidanceParams)}
-    assert set(GuidanceSection.model_fields) == guidance - {"qp_ticks", "horizon_s"} | {"qp_period", "horizon"}
-    assert set(TrackingSection.model_fields) == {field.name for field in fields(TrackingParams)}
+    law = {"law", "parameters"}
+    assert set(GuidanceSection.model_fields) == guidance - {"qp_ticks", "horizon_s"} | {"qp_period", "horizon"} | law
+    assert set(TrackingSection.model_fields) == {field.name for field in fields(TrackingParams)} | law
 
 
 def test_the_qp_period_is_a_time() -> None:
     """A profile's period of five ticks of 10 ms stays 50 ms when the tick changes."""
-    assert small("tick=5 ms").guidance.qp_ticks == 10
+    assert small("tick=5 ms").controls[0].guidance.qp_ticks == 10
 
 
 def test_log_groups() -> None:
@@ -167,9 +174,9 @@ def test_log_groups() -> None:
 
 @pytest.mark.parametrize("vehicles", [1, 2, 3, 4, 5, 9, 10, 100])
 def test_grid_neighbours_are_adjacent(vehicles: int) -> None:
-    places = grid(vehicles, 10.0)
-    assert len(set(places)) == vehicles
-    for a, b in pairwise(places):
+    cells = grid(vehicles, 10.0)
+    assert len(set(cells)) == vehicles
+    for a, b in pairwise(cells):
         assert sum(abs(x - y) for x, y in zip(a, b, strict=True)) == 10.0
 
 
@@ -180,7 +187,7 @@ def test_scatter_is_order_free() -> None:
     def offsets_of(s: Scenario) -> list[tuple[float, ...]]:
         return [
             tuple(round(a - b, 9) for a, b in zip(e, p, strict=False))
-            for (e, _), p in zip(s.initial, s.offsets, strict=True)
+            for (e, _), p in zip(s.initial, places(s), strict=True)
         ]
 
     assert offsets_of(few) == offsets_of(many)[:3]
@@ -250,7 +257,7 @@ def test_every_valid_scenario_round_trips(overrides: list[str]) -> None:
 def test_an_explicit_profile_can_still_be_changed() -> None:
     """The shown profile values are comments: as keys they would silence `--set profile`."""
     shown = load_scenario("paper").to_yaml()
-    assert parse_scenario(shown, "p.yaml", ["profile=hardened"]).guidance == profile("hardened")[0]
+    assert parse_scenario(shown, "p.yaml", ["profile=hardened"]).controls[0].guidance == profile("hardened")[0]
 
 
 # --- overrides and scaling -------------------------------------------------
@@ -297,8 +304,8 @@ def test_mistakes_of_file_and_overrides_come_together() -> None:
 @pytest.mark.parametrize("vehicles", [1, 2, 20, 100])
 def test_scaling(name: str, vehicles: int) -> None:
     s = load_scenario(name, [f"vehicles={vehicles}"])
-    assert s.vehicles == len(s.offsets) == len(s.initial) == len(s.world_config().vehicles) == vehicles
-    assert s.offsets == grid(vehicles, 10.0)
+    assert s.vehicles == len(s.plans) == len(s.initial) == len(s.world_config().vehicles) == vehicles
+    assert places(s) == grid(vehicles, 10.0)
     assert len(s.graph.links) == 2 * (vehicles - 1)
     assert {nu0[0] for _, nu0 in s.initial} == {0.1}
     assert set(s.graph.weights.values()) <= {1.0, 0.8}
@@ -311,10 +318,10 @@ def test_scaling_to_the_same_number_changes_nothing() -> None:
 def test_what_is_also_set_wins_over_scaling() -> None:
     """Whatever the order on the command line: the overrides are of the scaled scenario."""
     ring = load_scenario("paper", ["initial.scatter=0 m", "graph.shape=ring", "vehicles=20"])
-    assert [eta0[:3] for eta0, _ in ring.initial] == list(ring.offsets)
+    assert [eta0[:3] for eta0, _ in ring.initial] == list(places(ring))
     assert len(ring.graph.links) == 40
     s = load_scenario("paper", ["vehicles=2", "formation={offsets: [0 0 0 m, 3 0 0 m]}", "graph={shape: path}"])
-    assert s.offsets == ((0, 0, 0), (3, 0, 0))
+    assert places(s) == ((0, 0, 0), (3, 0, 0))
     assert set(s.graph.weights.values()) == {1.0}
 
 

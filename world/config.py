@@ -41,8 +41,9 @@ class VehicleSetup:
     id: int
     eta0: Vec5  # x, y, z [m, NED], theta, psi [rad]
     nu0: Vec5  # u, v, w [m/s, body, over ground], q, r [rad/s]
-    params: VehicleParams = field(default_factory=VehicleParams)
-    tau_max: Vec3 = (20.0, 20.0, 20.0)  # N, N m, N m
+    params: VehicleParams
+    tau_max: Vec3  # N, N m, N m
+    telemetry_size: int | None = None  # how many values a command's telemetry must have; None: any number
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,4 +59,3 @@ class WorldConfig:
     disturbance: tuple[Harmonic, ...] = ()  # d1..d5, the same on every vehicle; empty: none
     current: Vec3 = (0.0, 0.0, 0.0)  # m/s, NED, constant and irrotational
     noise: NavNoise = field(default_factory=NavNoise)
-    telemetry_size: int | None = None  # how many values a command's telemetry must have; None: any number

@@ -32,6 +32,7 @@ class Lockstep:
         self.config = config
         self.world = World(config)
         self._ids = self.world.ids
+        self._telemetry_size = {setup.id: setup.telemetry_size for setup in config.vehicles}
         self._frame_every = frame_every
         self._granted = 0
         self._incarnation = dict.fromkeys(self._ids, 0)
@@ -76,8 +77,9 @@ class Lockstep:
             raise OutOfPlace("tick", "no command (no nav is unanswered)", command.tick)
         if command.tick != nav.tick:
             raise OutOfPlace("tick", nav.tick, command.tick)
-        if self.config.telemetry_size not in (None, len(command.telemetry)):
-            raise OutOfPlace("telemetry values", self.config.telemetry_size, len(command.telemetry))
+        size = self._telemetry_size[i]
+        if size not in (None, len(command.telemetry)):
+            raise OutOfPlace("telemetry values", size, len(command.telemetry))
         del self._awaiting[i]
         world, k = self.world, nav.tick
         eta, nu = world.state(i)

@@ -18,22 +18,22 @@ Vec5 = tuple[float, float, float, float, float]
 
 @dataclass(frozen=True, slots=True)
 class VehicleParams:
-    """Parameters of the 5-DOF underactuated vehicle (eqs. 1-2), defaults from the paper's Table I."""
+    """Parameters of the 5-DOF underactuated vehicle (eqs. 1-2); `world/vehicles` holds numbers with their sources."""
 
-    m: float = 10.0
-    Iy: float = 3.0
-    Iz: float = 2.0
-    beta_udot: float = 6.0
-    beta_vdot: float = 1.1
-    beta_wdot: float = 1.15
-    beta_qdot: float = 0.5
-    beta_rdot: float = 0.45
-    beta_u: float = 1.0
-    beta_v: float = 1.1
-    beta_w: float = 1.15
-    beta_q: float = 0.2
-    beta_r: float = 0.25
-    beta_b: float = 0.1
+    m: float
+    Iy: float
+    Iz: float
+    beta_udot: float
+    beta_vdot: float
+    beta_wdot: float
+    beta_qdot: float
+    beta_rdot: float
+    beta_u: float
+    beta_v: float
+    beta_w: float
+    beta_q: float
+    beta_r: float
+    beta_b: float
 
     @property
     def inertia(self) -> Vec5:

@@ -1,0 +1,99 @@
+"""What a control law is given and what it answers: one protocol for the laws that ship and for yours.
+
+A *controller* turns a sample into forces. It may be composed of a *guidance law*, which turns the sample into a
+commanded velocity, and a *tracking law*, which turns that command into forces; any guidance goes with any tracking.
+`docs/plugins.md` is the guide; `fleet new controller NAME` writes a template.
+
+A law is made once per run and vehicle, as `Law(config, **parameters)`: the agent's own slice of the scenario, and the
+parameters that the scenario gives it. It has
+
+* `signals`: what it reports, a tuple of `Signal` on the class;
+* `step`: one sample, see `Controller`, `Guidance`, `Tracking`;
+* optionally `state()` and `restore(values)`: everything that the next sample depends on, as plain values (None, bool,
+  int, float, str, bytes, list, dict). A run whose laws all have them can be resumed from its log.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from random import Random
+from typing import ClassVar, NamedTuple, Protocol
+
+from agents.config import AgentConfig
+from agents.signals import Signal
+from agents.trajectory import Motion
+from world.vehicle import Vec3, Vec5
+
+__all__ = ["AgentConfig", "Controller", "Guidance", "Motion", "NeighbourState", "Sample", "Signal", "Tracking"]
+
+Telemetry = Mapping[str, float | Sequence[float]]
+
+
+class NeighbourState(NamedTuple):
+    """What is known of one neighbour that has been heard."""
+
+    id: int
+    weight: float  # a_ij [1]
+    offset: Vec3  # Delta_ij = p_i - p_j, what to keep from it [m, NED]
+    position: Vec3  # where it should be now, extrapolated as the scenario says [m, NED]
+    velocity: Vec3  # over ground, when it sent [m/s, NED]
+    age: float  # time since it sampled what it sent [s]
+
+
+class Command(NamedTuple):
+    """What guidance asks of tracking: speed [m/s], pitch and course of the velocity [rad, NED]."""
+
+    speed: float
+    theta: float
+    psi: float
+
+
+class Sample(NamedTuple):
+    """All that a law may know at one control sample."""
+
+    tick: int
+    t: float  # time [s]
+    dt: float  # time since the previous sample [s]; one tick, and more after samples that were missed
+    eta: Vec5  # own measured x, y, z [m, NED], theta, psi [rad]
+    nu: Vec5  # own measured u, v, w [m/s, body, over ground], q, r [rad/s]
+    velocity: Vec3  # own velocity over ground [m/s, NED]
+    desired: Motion  # where this vehicle should be now, and how it should move: the reference plus its own offset
+    neighbours: tuple[NeighbourState, ...]  # those heard so far, by number
+    e: Vec3  # consensus error [m, NED], eq. (8)
+    c: float  # sum of the weights in e [1]
+    seed: str  # names this vehicle's chance at this tick
+
+    def rng(self) -> Random:
+        """A generator for this vehicle and tick; take it once per sample.
+
+        It is seeded from (scenario seed, vehicle, tick), so a law needs no memory of it, and what it draws does
+        not depend on what was drawn before.
+        """
+        return Random(self.seed)
+
+
+class Controller(Protocol):
+    """Sample in, forces out."""
+
+    signals: ClassVar[tuple[Signal, ...]]
+
+    def step(self, sample: Sample) -> tuple[Vec3, Telemetry]:
+        """Surge force [N], pitch moment and yaw moment [N m], before the actuators' limits; and the telemetry."""
+
+
+class Guidance(Protocol):
+    """Sample in, commanded velocity out."""
+
+    signals: ClassVar[tuple[Signal, ...]]
+
+    def step(self, sample: Sample) -> tuple[Vec3, Telemetry]:
+        """The commanded velocity over ground [m/s, NED], and the telemetry."""
+
+
+class Tracking(Protocol):
+    """Sample and command in, forces out."""
+
+    signals: ClassVar[tuple[Signal, ...]]
+
+    def step(self, sample: Sample, command: Command) -> tuple[Vec3, Telemetry]:
+        """Surge force [N], pitch moment and yaw moment [N m], before the actuators' limits; and the telemetry."""

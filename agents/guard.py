@@ -1,0 +1,188 @@
+"""The fence round a law that is not ours: what it raises, answers, prints, and how long it takes.
+
+Whatever goes wrong becomes one `ControllerError` that names vehicle, tick and line.
+"""
+
+from __future__ import annotations
+
+import signal
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, redirect_stdout
+from io import TextIOBase
+from math import isfinite
+from time import perf_counter
+from types import FrameType
+from typing import Any
+
+from agents.api import Sample
+from agents.config import AgentConfig, Law
+from agents.errors import ControllerError
+from agents.plugins import place_of, place_of_line, place_of_method
+from agents.signals import Signal
+from world.vehicle import Vec3
+
+MAX_PAYLOAD_BYTES = 40_000  # of one round; the transport carries 48 kB in a message
+
+
+class _OverBudgetError(BaseException):
+    """Raised inside a law by the timer; no Exception, so that the law cannot take it for one of its own."""
+
+
+class Fence:
+    """Calls into one law of one vehicle."""
+
+    def __init__(self, config: AgentConfig, law: Law, notes: list[tuple[int, str]]) -> None:
+        self._vehicle = config.id
+        self._name = law.name.rpartition(":")[2]
+        self._budget_s = config.budget_s
+        self._printed = _Printed(self)
+        self._tick = 0
+        self._notes = notes  # (tick, what a person should know)
+
+    def make(self, found: type[Any], config: AgentConfig, law: Law) -> Any:
+        """An instance of the law."""
+        return self.call(0, found, config, **law.parameters)
+
+    def call(self, tick: int, function: Callable[..., Any], *args: Any, **named: Any) -> Any:
+        """What a function of the law returns.
+
+        Raises:
+            ControllerError: it raised, or took longer than its budget.
+        """
+        self._tick = tick
+        try:
+            with redirect_stdout(self._printed), self._timer():
+                return function(*args, **named)
+        except _OverBudgetError as error:
+            took = f"{self._name} took longer than its budget of {self._budget_s * 1e3:g} ms"
+            raise ControllerError(self._vehicle, tick, took, place_of(error)) from None
+        except Exception as error:
+            problem = f"{self._name} raised {type(error).__name__}: {error}"
+            raise ControllerError(self._vehicle, tick, problem, place_of(error)) from error
+
+    def wrong(self, tick: int, method: Any, problem: str) -> ControllerError:
+        """The error for an answer that cannot be used."""
+        return ControllerError(self._vehicle, tick, f"{self._name} {problem}", place_of_method(method))
+
+    def vector(self, tick: int, method: Any, what: str, value: Any) -> Vec3:
+        """`value` as three finite numbers."""
+        try:
+            x, y, z = (float(number) for number in value)
+        except (TypeError, ValueError):
+            raise self.wrong(tick, method, f"returned {what} {value!r:.80}: expected three numbers") from None
+        if not isfinite(x + y + z):
+            raise self.wrong(tick, method, f"returned {what} {(x, y, z)}: every number must be finite")
+        return x, y, z
+
+    def telemetry(self, tick: int, method: Any, signals: Sequence[Signal], values: Any) -> tuple[float, ...]:
+        """The values of `signals` as one flat tuple."""
+        if not isinstance(values, Mapping):
+            raise self.wrong(tick, method, f"returned telemetry {values!r:.80}: expected a dict by signal name")
+        if values.keys() != {signal.name for signal in signals}:
+            missing = sorted({signal.name for signal in signals} - values.keys())
+            unknown = sorted(map(str, values.keys() - {signal.name for signal in signals}))
+            text = [f"lacks {', '.join(missing)}"] * bool(missing) + [f"adds {', '.join(unknown)}"] * bool(unknown)
+            raise self.wrong(
+                tick, method, f"returned telemetry that {' and '.join(text)}; signals declare what is there"
+            )
+        flat: list[float] = []
+        for signal_ in signals:
+            value = values[signal_.name]
+            try:
+                numbers = (
+                    [float(value)]
+                    if signal_.width == 1 and not isinstance(value, (str, Sequence))
+                    else [float(number) for number in value]
+                )
+            except (TypeError, ValueError):
+                numbers = []
+            if len(numbers) != signal_.width:
+                expected = "a number" if signal_.width == 1 else f"{signal_.width} numbers"
+                raise self.wrong(tick, method, f"returned {signal_.name} {value!r:.80}: expected {expected}")
+            if not all(map(isfinite, numbers)):
+                raise self.wrong(tick, method, f"returned {signal_.name} {value!r:.80}: every number must be finite")
+            flat += numbers
+        return tuple(flat)
+
+    def note_print(self, text: str) -> None:
+        """Say once that the law prints, and where."""
+        if self._printed.noted:
+            return
+        self._printed.noted = True
+        frame = sys._getframe(2)  # behind this and `_Printed.write`
+        where = place_of_line(frame.f_code.co_filename, frame.f_lineno)
+        self._notes.append((self._tick, f"{self._name} prints ({where}): {text.strip()[:200]!r}; see the process log"))
+
+    @contextmanager
+    def _timer(self) -> Iterator[None]:
+        if not self._budget_s:
+            yield
+            return
+        before = signal.signal(signal.SIGALRM, _over_budget)
+        began = perf_counter()
+        signal.setitimer(signal.ITIMER_REAL, self._budget_s)
+        try:
+            yield
+        finally:
+            signal.setitimer(signal.ITIMER_REAL, 0.0)
+            signal.signal(signal.SIGALRM, before)
+        if perf_counter() - began > self._budget_s:  # a law that swallowed the signal, or never left C code
+            raise _OverBudgetError
+
+
+def _over_budget(number: int, frame: FrameType | None) -> None:
+    raise _OverBudgetError
+
+
+class _Printed(TextIOBase):
+    """Where a law's prints go: to standard error, which in an agent process is its log. Debuggers work with it."""
+
+    def __init__(self, fence: Fence) -> None:
+        self._fence = fence
+        self.noted = False
+
+    def writable(self) -> bool:
+        return True
+
+    def write(self, text: str) -> int:
+        if text.strip():
+            self._fence.note_print(text)
+        return sys.stderr.write(text)
+
+    def flush(self) -> None:
+        sys.stderr.flush()
+
+
+class FencedLaw:
+    """A user's guidance, tracking or controller with the manners of ours: `step` answers a flat tuple."""
+
+    def __init__(
+        self, config: AgentConfig, law: Law, found: type[Any], what: str, notes: list[tuple[int, str]]
+    ) -> None:
+        self._fence = Fence(config, law, notes)
+        self._signals: tuple[Signal, ...] = found.signals
+        self._law = self._fence.make(found, config, law)
+        self._what = what
+
+    def step(self, sample: Sample, *more: Any) -> tuple[Vec3, tuple[float, ...]]:
+        """One sample, checked.
+
+        Raises:
+            ControllerError: the law raised, was late, or answered what cannot be used.
+        """
+        fence, method, tick = self._fence, self._law.step, sample.tick
+        answer = fence.call(tick, method, sample, *more)
+        if not isinstance(answer, tuple) or len(answer) != 2:
+            raise fence.wrong(tick, method, f"returned {answer!r:.80}: expected ({self._what}, telemetry)")
+        vector = fence.vector(tick, method, self._what, answer[0])
+        return vector, fence.telemetry(tick, method, self._signals, answer[1])
+
+    def state(self) -> Any:
+        """The law's own, or None when it has none."""
+        return self._law.state() if hasattr(self._law, "state") else None
+
+    def restore(self, values: Any) -> None:
+        """Continue from `state()`; a law without one begins anew."""
+        if hasattr(self._law, "restore"):
+            self._law.restore(values)

@@ -165,7 +165,7 @@ class Agent(_Brain):
         e, c = consensus_error(eta[:3], desired.position, config.reference_weight, heard)
         known = (*e, float(len(heard)), float(self._neighbours.rejected))
         demand: Vec3 = (0.0, 0.0, 0.0)
-        telemetry = known
+        telemetry: tuple[float, ...] = known
         if not self._failed:
             seed = f"{self._seed}{tick}"
             sample = Sample(tick, t, dt, eta, nu, earth_velocity(eta, nu), desired, heard, e, c, seed)

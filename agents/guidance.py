@@ -9,6 +9,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, ClassVar
 
 from agents.api import Sample
@@ -51,7 +52,7 @@ class FixedGuidance:
 
     def restore(self, values: dict[str, Any]) -> None:
         """Continue from `state()`."""
-        self._rho = None if values["rho"] is None else tuple(values["rho"])
+        self._rho = _vec3(values["rho"])
 
 
 class OptimalGuidance:
@@ -114,5 +115,12 @@ class OptimalGuidance:
         """Continue from `state()`."""
         k1, k2, k3 = values["K"]
         self.K = (k1, k2, k3)
-        self._rho = None if values["rho"] is None else tuple(values["rho"])
+        self._rho = _vec3(values["rho"])
         self.failures = values["failures"]
+
+
+def _vec3(values: Sequence[float] | None) -> Vec3 | None:
+    if values is None:
+        return None
+    x, y, z = values
+    return x, y, z

@@ -112,6 +112,11 @@ def run(
         from fleet.run import Options, execute
         from fleet.table import show
 
+        if not quiet:
+            from fleet.stability import analyse
+
+            for warning in analyse(loaded).warnings:
+                terminal.print(f"warning: {warning}", highlight=False, markup=False, soft_wrap=True)
         options = Options(out, in_process, speed, quiet, port, _shuffle(start_order))
         if loaded.ideal and not in_process and not quiet:
             terminal.print("network: ideal has no latency and so runs in one process", highlight=False)
@@ -143,6 +148,9 @@ def _shuffle(seed: int | None) -> Any:
 def check(scenario: str, overrides: tuple[str, ...]) -> None:
     """Check SCENARIO without running it; every mistake is reported in one pass.
 
+    Says what theory expects of it: whether the graph is connected and everyone reached, the eigenvalues of L+B, and
+    whether the gains stay within the limits of the control loops.
+
     \b
     Examples:
       fleet check my.yaml
@@ -154,12 +162,87 @@ def check(scenario: str, overrides: tuple[str, ...]) -> None:
         loaded = load_scenario(scenario, overrides)
     except ScenarioError as error:
         _fail(error)
+    from fleet.stability import analyse, report
+
     links = loaded.graph.links
     click.echo(
         f"{loaded.name}: valid. {loaded.vehicles} vehicles, {len(links)} directed links, "
         f"{loaded.duration_ns / 1e9:g} s in {loaded.ticks} ticks of {loaded.tick_ns / 1e6:g} ms, "
         + ("ideal network" if loaded.ideal else f"a round every {loaded.round_ticks} ticks")
     )
+    found = analyse(loaded)
+    for line in report(loaded, found):
+        click.echo(line)
+    for warning in found.warnings:
+        click.echo(f"warning: {warning}", err=True)
+
+
+@cli.command()
+@click.option(
+    "--out",
+    metavar="DIR",
+    type=click.Path(path_type=Path, file_okay=False),
+    default=Path("reproduction"),
+    show_default=True,
+    help="Where report.md, metrics.json and the pictures go.",
+)
+@click.option("--jobs", metavar="N", type=click.IntRange(1, 256), help="Runs at a time; by default one per core.")
+@click.option(
+    "--case",
+    "cases",
+    metavar="NAME",
+    multiple=True,
+    help="Only runs whose name begins with NAME (no case); repeatable.",
+)
+@click.option("--format", "formats", type=click.Choice(["png", "svg", "pdf"]), multiple=True, default=("png",),
+              show_default=True, help="Format of the pictures; repeatable.")  # fmt: skip
+def reproduce(out: Path, jobs: int | None, cases: tuple[str, ...], formats: tuple[str, ...]) -> None:
+    """Run the paper's simulation section again and judge each of its claims.
+
+    Five controllers, undisturbed and disturbed, under the printed and the corrected cost, over no network and over
+    one, in parallel; pictures for every figure of the paper, and a report with a verdict on every claim.
+
+    \b
+    Examples:
+      fleet reproduce
+      fleet reproduce --out /tmp/paper --jobs 4 --format png --format pdf
+      fleet reproduce --case nboc --case nbc-disturbed
+    """
+    from rich.table import Table
+
+    from fleet.reproduce.cases import CASES
+    from fleet.reproduce.progress import showing
+
+    names = [name for name in CASES if not cases or any(name.lower().startswith(c.lower()) for c in cases)]
+    for case in cases:
+        if not any(name.lower().startswith(case.lower()) for name in CASES):
+            raise click.BadParameter(f"no run begins with {case!r}; there are {', '.join(CASES)}", param_hint="--case")
+    from fleet.reproduce.run import reproduce as run_all
+
+    terminal = Terminal(stderr=True)
+    try:
+        with showing(terminal) as tell:
+            path, claims, _ = run_all(out, jobs or _cores(), names, formats, tell)
+    except FleetError as error:
+        click.echo(f"fleet: {error}", err=True)
+        sys.exit(3)
+    table = Table(box=None, pad_edge=False)
+    for heading in ("verdict", "claim", "under which reading"):
+        table.add_column(heading)
+    colours = {"reproduced": "green", "partly": "yellow", "not reproduced": "red"}
+    for claim in claims:
+        table.add_row(f"[{colours[claim.verdict]}]{claim.verdict}[/]", claim.text, claim.readings)
+    output = Terminal(width=None if sys.stdout.isatty() else 150)
+    output.print(table)
+    if not claims:
+        output.print("no claim can be judged on these runs alone", highlight=False)
+    output.print(str(path), highlight=False, soft_wrap=True)
+
+
+def _cores() -> int:
+    import os
+
+    return len(os.sched_getaffinity(0))
 
 
 @cli.command(name="list")

@@ -7,20 +7,28 @@ The clock's grants stay within a window of what is written, so a slow disk slows
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Mapping
 from math import gcd
+from typing import Protocol
 
-from fleet.log import LogWriter
-from fleet.metrics import Metrics
+from fleet.metrics import Metrics, VehicleError
 from fleet.scenario import Scenario
 from netem.errors import OutOfPlace
 from netem.ledger import Ledger
 from netem.messages import Command, Fate, Frame, LinkReport, VehicleFrame, decode
 
 
+class Sink(Protocol):
+    """Where the journal writes: a log, or memory."""
+
+    def frame(self, frame: Frame, commands: Mapping[int, Command], errors: Mapping[int, VehicleError]) -> None: ...
+    def packet(self, fate: Fate) -> None: ...
+
+
 class Journal:
     """Orders, judges and records what the world and netem report. In-process and distributed runs share it."""
 
-    def __init__(self, scenario: Scenario, log: LogWriter) -> None:
+    def __init__(self, scenario: Scenario, log: Sink) -> None:
         self.log = log
         self.metrics = Metrics(scenario)
         self.ledger = Ledger(scenario.graph.links)

@@ -15,8 +15,8 @@ import re
 from collections.abc import Sequence
 
 from fleet.errors import Problem
-from fleet.shapes import DEFAULT_SPACING_M
 from fleet.quantities import describe
+from fleet.shapes import DEFAULT_SPACING_M
 from fleet.yaml_marks import Items, Mapping, Node, Place, Scalar, Source, plain, read
 
 _MAX_STEPS = 10
@@ -129,9 +129,9 @@ def _scale(before: Mapping, root: Mapping) -> Mapping:
         root = root.with_entry("formation", root.keys["formation"], formation)
     per_vehicle = root.entries.get("per_vehicle")
     if isinstance(per_vehicle, Mapping):
-        for numbers in per_vehicle.entries:
-            if any(int(n) > new for n in _numbers(numbers)):
-                per_vehicle = per_vehicle.without(numbers)
+        for text in per_vehicle.entries:
+            if any(int(n) > new for n in _numbers(text)):
+                per_vehicle = per_vehicle.without(text)
         root = root.with_entry("per_vehicle", root.keys["per_vehicle"], per_vehicle)
     initial = root.entries.get("initial")
     if isinstance(initial, Items):

@@ -206,4 +206,5 @@ def inlined(section: VehicleSection, folder: Path | None) -> VehicleSection:
     """The same vehicle with every number written out, so that it no longer needs its file."""
     params, limits = vehicle(section, folder)
     values: dict[str, Any] = {key: getattr(params, key) for key in vehicles.PARAMETERS}
-    return VehicleSection.model_construct(**values, **dict(zip(vehicles.LIMITS, limits, strict=True)))
+    values |= zip(vehicles.LIMITS, limits, strict=True)
+    return VehicleSection.model_construct(**values)

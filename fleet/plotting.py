@@ -1,0 +1,77 @@
+"""How our pictures look: sizes, colours that everybody can tell apart, units on every axis, files that repeat."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+# Okabe and Ito's palette without its yellow, which vanishes on white: distinct in print and with any colour vision.
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#000000", "#56B4E9", "#E69F00")
+STYLES = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)), (0, (1, 1)), (0, (7, 2)))
+COLUMN_IN, PAGE_IN = 3.5, 7.0  # widths of a column and of a page of a journal
+DPI = 200
+FORMATS = ("png", "svg", "pdf")
+
+_STYLE = {
+    "font.size": 8,
+    "axes.titlesize": 8,
+    "axes.labelsize": 8,
+    "legend.fontsize": 7,
+    "xtick.labelsize": 7,
+    "ytick.labelsize": 7,
+    "lines.linewidth": 1.0,
+    "axes.linewidth": 0.6,
+    "axes.grid": True,
+    "grid.linewidth": 0.3,
+    "grid.alpha": 0.5,
+    "legend.frameon": False,
+    "svg.hashsalt": "uuv-fleet",  # otherwise every file has other ids
+    "svg.fonttype": "none",
+}
+
+
+def panels(rows: int, columns: int, width: float = PAGE_IN, height: float | None = None) -> tuple[Figure, list[Axes]]:
+    """A figure with a grid of axes, row by row, that share the horizontal axis."""
+    with matplotlib.rc_context(_STYLE):
+        figure = Figure(figsize=(width, height or 1.6 * rows + 0.5), layout="constrained")
+        FigureCanvasAgg(figure)
+        axes = figure.subplots(rows, columns, sharex=True, squeeze=False)
+    return figure, [ax for row in axes for ax in row]
+
+
+def line(ax: Axes, number: int, t: Any, values: Any, label: str, **style: Any) -> None:
+    """The `number`-th line of a picture, in its own colour and dashes."""
+    k = number % len(COLOURS)
+    ax.plot(t, values, color=COLOURS[k], linestyle=STYLES[k], label=label, **style)
+
+
+def limit(ax: Axes, value: float, label: str | None = None) -> None:
+    """A bound as a thin grey line."""
+    ax.axhline(value, color="0.45", linewidth=0.7, linestyle=(0, (4, 3)), label=label)
+
+
+def legend(figure: Figure, ax: Axes, columns: int) -> None:
+    """One legend for all axes, above them."""
+    handles, labels = ax.get_legend_handles_labels()
+    with matplotlib.rc_context(_STYLE):
+        figure.legend(handles, labels, loc="outside upper center", ncols=columns)
+
+
+def save(figure: Figure, stem: Path, formats: Sequence[str] = ("png",)) -> list[Path]:
+    """Write a figure in the given formats; the same figure gives the same bytes."""
+    paths = []
+    for form in formats:
+        path = stem.with_name(f"{stem.name}.{form}")
+        metadata: dict[str, Any] = {"png": {"Software": None}, "svg": {"Date": None}}.get(
+            form, {"CreationDate": None, "ModDate": None}
+        )
+        with matplotlib.rc_context(_STYLE):
+            figure.savefig(path, dpi=DPI, metadata=metadata)
+        paths.append(path)
+    return paths

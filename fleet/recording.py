@@ -1,0 +1,119 @@
+"""A run kept in memory as arrays, for whoever wants numbers and no file."""
+
+from __future__ import annotations
+
+import time
+from array import array
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from agents.errors import AgentError
+from fleet.clock import Clock
+from fleet.errors import RunBroken
+from fleet.inprocess import InProcess
+from fleet.journal import Journal
+from fleet.metrics import VehicleError
+from fleet.scenario import Scenario
+from netem.messages import Command, Fate, Frame
+from world.errors import WorldError
+
+Array = np.ndarray[Any, np.dtype[np.float64]]
+
+
+@dataclass(slots=True)
+class Recording:
+    """One run: every signal as an array (sample, vehicle, component); one sample per tick from t = 0.
+
+    The last sample has a state and errors only; where a vehicle does not report a signal, or no longer, it is NaN.
+    """
+
+    scenario: Scenario
+    t: Array  # s, shape (samples,)
+    signals: dict[str, Array] = field(default_factory=dict)
+    broken: str = ""  # why the run ended early, or nothing
+
+    def __getitem__(self, name: str) -> Array:
+        return self.signals[name]
+
+
+class _Capture:
+    """A sink for the journal that keeps everything in flat arrays."""
+
+    def __init__(self, scenario: Scenario) -> None:
+        self._ids = range(1, scenario.vehicles + 1)
+        self._layouts = {i: scenario.layout(i) for i in self._ids}
+        self.ticks = array("d")
+        self.fixed = array("d")  # per vehicle: eta, nu, e, formation
+        self.tau = array("d")  # per vehicle: as applied
+        self.telemetry = {i: array("d") for i in self._ids}
+
+    def frame(self, frame: Frame, commands: Mapping[int, Command], errors: Mapping[int, VehicleError]) -> None:
+        self.ticks.append(frame.tick)
+        for row in frame.vehicles:
+            error = errors[row.id]
+            self.fixed.extend(row.eta)
+            self.fixed.extend(row.nu)
+            self.fixed.extend(error.e)
+            self.fixed.extend(error.formation)
+            if row.tau:
+                self.tau.extend(row.tau)
+                self.telemetry[row.id].extend(commands[row.id].telemetry)
+
+    def packet(self, fate: Fate) -> None:
+        """Packets are not kept."""
+
+    def recording(self, scenario: Scenario, broken: str) -> Recording:
+        n, samples = len(self._ids), len(self.ticks)
+        fixed = np.frombuffer(self.fixed).reshape(samples, n, 16)
+        found = Recording(scenario, np.frombuffer(self.ticks) * (scenario.tick_ns / 1e9), broken=broken)
+        for name, place in (
+            ("eta", slice(5)),
+            ("nu", slice(5, 10)),
+            ("e", slice(10, 13)),
+            ("formation", slice(13, 16)),
+        ):
+            found.signals[name] = fixed[..., place]
+        found.signals["tau"] = _padded(np.frombuffer(self.tau).reshape(-1, n, 3), samples)
+        for i, layout in self._layouts.items():
+            values = np.frombuffer(self.telemetry[i]).reshape(-1, layout.size)
+            for _, signal, place in layout.signals():
+                if signal.name not in found.signals:
+                    found.signals[signal.name] = np.full((samples, n, signal.width), np.nan)
+                if found.signals[signal.name].shape[2] == signal.width:
+                    found.signals[signal.name][: len(values), i - 1] = values[:, place]
+        return found
+
+
+def record(scenario: Scenario, progress: Callable[[float], None] = lambda _: None) -> Recording:
+    """Run a scenario in this process. A run that breaks gives what there was until then.
+
+    Args:
+        progress: told the simulated time [s] now and then.
+    """
+    capture = _Capture(scenario)
+    journal = Journal(scenario, capture)
+    clock = Clock(scenario.ticks, scenario.tick_ns, scenario.round_ticks, 1)
+    broken = ""
+    next_report = 0.0
+
+    def tell() -> None:
+        nonlocal next_report
+        now = time.monotonic()
+        if now >= next_report:
+            next_report = now + 0.1
+            progress(max(0, journal.written) * scenario.tick_ns / 1e9)
+
+    try:
+        InProcess(scenario, journal).serve(clock, tell)
+    except (AgentError, WorldError, RunBroken) as error:
+        broken = str(error)
+    return capture.recording(scenario, broken)
+
+
+def _padded(values: Array, samples: int) -> Array:
+    """The same with NaN for the samples that are missing at the end."""
+    missing = samples - len(values)
+    return np.concatenate([values, np.full((missing, *values.shape[1:]), np.nan)]) if missing else values

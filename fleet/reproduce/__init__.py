@@ -1,0 +1,1 @@
+"""`fleet reproduce`: the paper's simulation section once more, and a verdict on each of its claims."""

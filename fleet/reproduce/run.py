@@ -1,0 +1,169 @@
+"""All cases in parallel, then the pictures, the verdicts and the report."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from fleet.deathsig import die_with_parent
+from fleet.errors import FleetError
+from fleet.reproduce.cases import CASES, Outcome, U, run_case
+from fleet.reproduce.claims import Claim, judge
+from fleet.reproduce.figures import FIGURES, draw
+from fleet.reproduce.report import write
+
+CHECK_S = 3  # simulated time of the distributed run that is compared with the in-process one
+
+_shared: Any = None  # in a worker: simulated seconds of each case
+
+
+class ReproduceError(FleetError):
+    """The report cannot be made."""
+
+
+Tell = Callable[[str, float], None]  # (what is going on, share of everything that is done)
+
+
+def reproduce(
+    folder: Path, jobs: int, names: Sequence[str], formats: tuple[str, ...], tell: Tell
+) -> tuple[Path, list[Claim], dict[str, Outcome]]:
+    """Run cases and write the report into `folder`.
+
+    Raises:
+        ReproduceError: the folder cannot be written, or a worker died.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ReproduceError(f"cannot make {folder}: {error.strerror}") from None
+    network = _network_check(tell) if any(CASES[name].group == "network" for name in names) else ""
+    context = multiprocessing.get_context("spawn")
+    times = context.Array("d", len(names))
+    try:
+        with _pool(jobs, context, times) as pool:
+            outcomes = _run_all(pool, names, times, tell)
+            figures = [name for name in FIGURES if _possible(name, outcomes)]
+            drawn = _draw_all(pool, figures, outcomes, folder, formats, tell)
+    except BrokenProcessPool:
+        raise ReproduceError("a worker process died; is there enough memory?") from None
+    claims = judge(outcomes)
+    try:
+        return write(folder, outcomes, claims, network, drawn), claims, outcomes
+    except OSError as error:
+        raise ReproduceError(f"cannot write the report into {folder}: {error.strerror}") from None
+
+
+@contextmanager
+def _pool(jobs: int, context: Any, times: Any) -> Iterator[ProcessPoolExecutor]:
+    """Workers that leave Ctrl-C to us and never outlive us."""
+    pool = ProcessPoolExecutor(jobs, mp_context=context, initializer=_begin, initargs=(os.getpid(), times))
+    try:
+        yield pool
+    except BaseException:
+        processes = list((pool._processes or {}).values())
+        pool.shutdown(wait=False, cancel_futures=True)
+        for process in processes:
+            process.terminate()
+        raise
+    pool.shutdown()
+
+
+def _begin(parent: int, times: Any) -> None:
+    global _shared
+    die_with_parent(parent)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    _shared = times
+
+
+def _case(name: str, index: int) -> Outcome:
+    def progress(seconds: float) -> None:
+        _shared[index] = seconds
+
+    return run_case(name, progress)
+
+
+def _run_all(pool: ProcessPoolExecutor, names: Sequence[str], times: Any, tell: Tell) -> dict[str, Outcome]:
+    running: dict[Future[Outcome], str] = {pool.submit(_case, name, index): name for index, name in enumerate(names)}
+    lengths = [CASES[name].scenario().duration_ns / 1e9 for name in names]
+    found: dict[str, Outcome] = {}
+    pending = set(running)
+    while pending:
+        done, pending = wait(pending, timeout=0.2, return_when=FIRST_COMPLETED)
+        for future in done:
+            name = running[future]
+            found[name] = future.result()
+            times[list(names).index(name)] = lengths[list(names).index(name)]
+        simulated = sum(min(t, length) for t, length in zip(times, lengths, strict=True))
+        tell(f"{len(found)} of {len(names)} runs, {simulated:.0f} of {sum(lengths):.0f} s simulated",
+             0.85 * simulated / sum(lengths))  # fmt: skip
+    return {name: found[name] for name in names}
+
+
+def _possible(figure: str, outcomes: dict[str, Outcome]) -> bool:
+    """Whether anything of a figure's sea was run; a figure that lacks a run says so when it is drawn."""
+    return any(CASES[name].sea == FIGURES[figure][1] for name in outcomes)
+
+
+def _draw_all(
+    pool: ProcessPoolExecutor,
+    figures: Sequence[str],
+    outcomes: dict[str, Outcome],
+    folder: Path,
+    formats: tuple[str, ...],
+    tell: Tell,
+) -> list[str]:
+    kept = {
+        name: Outcome(name, [], outcome.t, outcome.signals, outcome.broken)
+        for name, outcome in outcomes.items()
+        if CASES[name].group != "sensitivity"
+    }
+    futures = {name: pool.submit(draw, name, kept, folder, formats) for name in figures}
+    drawn = []
+    for number, (name, future) in enumerate(futures.items(), start=1):
+        try:
+            if future.result():
+                drawn.append(name)
+        except OSError as error:
+            raise ReproduceError(f"cannot write {name} into {folder}: {error.strerror}") from None
+        tell(f"{number} of {len(figures)} pictures", 0.85 + 0.15 * number / max(1, len(figures)))
+    return drawn
+
+
+def _network_check(tell: Tell) -> str:
+    """A few seconds of the network case as real processes over zenoh, against the same in this process."""
+    from fleet.run import Options, Status, execute
+    from fleet.scenario import load_scenario
+
+    tell("a distributed run, to compare with the in-process one", 0.0)
+    case = CASES[f"NBOC-network-{U}"]
+    scenario = load_scenario("ideal", ["checks={}", *case.overrides, f"duration={CHECK_S} s"])
+    with tempfile.TemporaryDirectory(prefix="uuv-fleet-") as place:
+        run = partial(execute, scenario)
+        began = time.monotonic()
+        over_zenoh = run(Options(Path(place), quiet=True))
+        seconds = time.monotonic() - began
+        plain = run(Options(Path(place), in_process=True, quiet=True))
+    if over_zenoh.status is not Status.PASS:
+        return f"The distributed run broke: {over_zenoh.reason}. The numbers below are from one process."
+    same = over_zenoh.digest == plain.digest
+    return (
+        "NBOC as a distributed fleet at its least latency: every agent sends at every tick, what it sends is usable one "
+        "tick (10 ms) later, neighbours are extrapolated with the velocity they sent (dead reckoning). The runs of 60 s "
+        f"below were made in one process; {CHECK_S} s of the same were also run as {scenario.vehicles} agent processes, "
+        f"a world and a network process over zenoh (in {seconds:.1f} s): "
+        + (
+            f"the same log, message for message (digest {plain.digest[:16]})."
+            if same
+            else f"**the logs differ** ({over_zenoh.digest[:16]} against {plain.digest[:16]}): please report this."
+        )
+    )

@@ -1,0 +1,210 @@
+"""What theory says of a scenario before it runs: connectivity, eigenvalues, and the limits of the gains.
+
+| symbol | meaning | unit | source |
+|---|---|---|---|
+| A = (a_ij), B = diag(b_i) | weights of the graph and of the reference | 1 | (8) |
+| L + B | Laplacian plus B: the consensus error of the fleet is (L + B) times its position error | 1 | (8), Lemma 1 |
+| K | largest gain of the virtual control that may occur | 1/s | (11) |
+| a | passive decay of the shunting model | 1/s | (43) |
+| tau | age of what is heard: one round, and the delay of the link | s | |
+
+Two limits follow from linear theory (docs/paper.md, G11 and "What a network does to it"): with the shunting model in
+the surge loop K lambda_max(L + B) < a, by Routh on s^3 + a s^2 + k b s + k b K lambda; and dead reckoning with the
+neighbours' velocities is a neutral loop, which needs K tau rho(A) < 1.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import reduce
+from typing import Any
+
+import numpy as np
+
+from fleet.scenario import Scenario
+from netem.config import Condition
+
+
+@dataclass(frozen=True, slots=True)
+class Analysis:
+    """What was found."""
+
+    components: list[list[int]]  # vehicles that are connected, links taken both ways
+    unreached: list[int]  # vehicles that no chain of links connects with one that follows the reference
+    eigenvalues: list[complex]  # of L + B, by real part
+    spectral_radius_A: float
+    gain_max: float | None  # 1/s; None when no vehicle of the paper's guidance is there
+    warnings: list[str] = field(default_factory=list)
+
+    @property
+    def lambda_max(self) -> float:
+        """Largest absolute value of an eigenvalue of L + B."""
+        return max(abs(value) for value in self.eigenvalues)
+
+
+def analyse(scenario: Scenario) -> Analysis:
+    """Connectivity, eigenvalues and violated limits of a scenario."""
+    A, M = matrices(scenario)
+    eigenvalues = sorted(np.linalg.eigvals(M).tolist(), key=lambda v: (v.real, v.imag))
+    gains = [gain for i in range(1, scenario.vehicles + 1) if (gain := _gain(scenario, i)) is not None]
+    found = Analysis(
+        components=_components(scenario),
+        unreached=_unreached(scenario),
+        eigenvalues=[complex(value) for value in eigenvalues],
+        spectral_radius_A=float(max(abs(np.linalg.eigvals(A)))),
+        gain_max=max(gains) if gains else None,
+    )
+    found.warnings.extend(_graph_warnings(found))
+    found.warnings.extend(_shunting_warning(scenario, found))
+    found.warnings.extend(_dead_reckoning_warning(scenario, found))
+    found.warnings.extend(_vehicle_warnings(scenario))
+    return found
+
+
+def matrices(scenario: Scenario) -> tuple[Any, Any]:
+    """A and L + B, vehicle by vehicle."""
+    n = scenario.vehicles
+    A = np.zeros((n, n))
+    for (src, dst), weight in scenario.graph.weights.items():
+        A[dst - 1, src - 1] = weight
+    return A, np.diag(A.sum(axis=1) + np.array(scenario.b)) - A
+
+
+def report(scenario: Scenario, found: Analysis) -> list[str]:
+    """The analysis in lines of text, without the warnings."""
+    n = scenario.vehicles
+    followers = [i for i in range(1, n + 1) if scenario.b[i - 1] > 0.0]
+    who = "every vehicle follows" if len(followers) == n else f"{_names(followers)} follow"
+    parts = len(found.components)
+    connected = "connected" if parts == 1 else f"in {parts} parts: " + "; ".join(map(_names, found.components))
+    reach = "" if found.unreached else "; a vehicle that follows it reaches all" if len(followers) < n else ""
+    low, high = found.eigenvalues[0], found.eigenvalues[-1]
+    lines = [
+        f"graph {connected}; {who} the reference{reach}",
+        f"eigenvalues of L+B: {_number(low)} to {_number(high)}; spectral radius of A {found.spectral_radius_A:.4g}",
+    ]
+    if found.gain_max is not None:
+        decay = _shunting_decay(scenario)
+        if decay is not None:
+            lines.append(
+                f"gain limit: K lambda_max(L+B) = {found.gain_max:.4g} x {found.lambda_max:.4g} "
+                f"= {found.gain_max * found.lambda_max:.4g} 1/s, below a = {decay:g} 1/s"
+                + ("" if found.gain_max * found.lambda_max < decay else " it is NOT")
+            )
+        age = oldest_s(scenario)
+        if age > 0.0 and any(c.extrapolation == "neighbour" for c in scenario.controls):
+            product = found.gain_max * age * found.spectral_radius_A
+            lines.append(
+                f"dead reckoning with the neighbours' velocities: K tau rho(A) = {found.gain_max:.4g} x {age:.4g} s x "
+                f"{found.spectral_radius_A:.4g} = {product:.4g}, below 1" + ("" if product < 1.0 else " it is NOT")
+            )
+    return lines
+
+
+def oldest_s(scenario: Scenario) -> float:
+    """How old what an agent hears can become without loss [s]: a round, and the longest delay, in whole ticks."""
+    if scenario.ideal or not scenario.graph.links:
+        return 0.0
+    tick = scenario.tick_ns
+    delays = [scenario.conditions.get(link, Condition()) for link in scenario.graph.links]
+    worst = max(condition.delay_ns + condition.jitter_ns for condition in delays)
+    usable = max(1, -(-worst // tick))
+    return (usable + scenario.round_ticks - 1) * tick / 1e9
+
+
+def _gain(scenario: Scenario, i: int) -> float | None:
+    control = scenario.controls[i - 1]
+    if not control.cascade:
+        return None
+    match control.guidance_law.name:
+        case "optimal":
+            return control.guidance.k_max
+        case "fixed":
+            return max(control.guidance.K0)
+        case _:
+            return None
+
+
+def _shunting_decay(scenario: Scenario) -> float | None:
+    decays = [c.tracking.a for c in scenario.controls if c.cascade and c.tracking_law.name == "neurodynamic"]
+    return min(decays) if decays else None
+
+
+def _graph_warnings(found: Analysis) -> list[str]:
+    if not found.unreached:
+        return []
+    return [
+        f"no chain of links leads from a vehicle that follows the reference (b_i > 0) to {_names(found.unreached)}: "
+        "L+B is singular, and their place in the formation is not defined"
+    ]
+
+
+def _shunting_warning(scenario: Scenario, found: Analysis) -> list[str]:
+    decay = _shunting_decay(scenario)
+    if decay is None or found.gain_max is None or found.gain_max * found.lambda_max < decay:
+        return []
+    return [
+        f"K lambda_max(L+B) = {found.gain_max * found.lambda_max:.4g} 1/s is not below a = {decay:g} 1/s: the surge loop "
+        f"of the neurodynamic law can burst; a gain below {decay / found.lambda_max:.4g} 1/s (guidance.k_max) is safe"
+    ]
+
+
+def _dead_reckoning_warning(scenario: Scenario, found: Analysis) -> list[str]:
+    age = oldest_s(scenario)
+    if found.gain_max is None or not any(c.extrapolation == "neighbour" for c in scenario.controls):
+        return []
+    product = found.gain_max * age * found.spectral_radius_A
+    if product < 1.0:
+        return []
+    return [
+        f"K tau rho(A) = {product:.4g} is not below 1 at an age of {age:.4g} s: dead reckoning with the neighbours' "
+        f"velocities is unstable; use neighbours.extrapolate: reference, or a gain below "
+        f"{1.0 / (age * found.spectral_radius_A):.4g} 1/s (guidance.k_max)"
+    ]
+
+
+def _vehicle_warnings(scenario: Scenario) -> list[str]:
+    warnings = []
+    unstable = []
+    for i, control in enumerate(scenario.controls, start=1):
+        m1, m2, m3, *_ = control.vehicle.inertia
+        if control.cascade and not (m1 < m2 and m1 < m3):
+            unstable.append(i)
+    if unstable:
+        warnings.append(
+            f"{_names(unstable)}: the surge inertia m1 is not below m2 and m3, so the attack and sideslip angles are "
+            "unstable under the paper's tracking laws (docs/paper.md, G28)"
+        )
+    return warnings
+
+
+def _components(scenario: Scenario) -> list[list[int]]:
+    def join(parts: list[set[int]], link: tuple[int, int]) -> list[set[int]]:
+        touched = [part for part in parts if part & set(link)]
+        return [part for part in parts if part not in touched] + [set().union(*touched)]
+
+    parts: list[set[int]] = [{i} for i in range(1, scenario.vehicles + 1)]
+    return sorted(sorted(part) for part in reduce(join, scenario.graph.links, parts))
+
+
+def _unreached(scenario: Scenario) -> list[int]:
+    reached = {i for i in range(1, scenario.vehicles + 1) if scenario.b[i - 1] > 0.0}
+    hears: dict[int, list[int]] = {}
+    for src, dst in scenario.graph.links:
+        hears.setdefault(src, []).append(dst)
+    front = list(reached)
+    while front:
+        new = [dst for dst in hears.get(front.pop(), ()) if dst not in reached]
+        reached.update(new)
+        front += new
+    return [i for i in range(1, scenario.vehicles + 1) if i not in reached]
+
+
+def _names(vehicles: list[int]) -> str:
+    shown = ", ".join(map(str, vehicles[:8]))
+    more = f" and {len(vehicles) - 8} more" if len(vehicles) > 8 else ""
+    return f"vehicle{'s' if len(vehicles) > 1 else ''} {shown}{more}"
+
+
+def _number(value: complex) -> str:
+    return f"{value.real:.4g}" if abs(value.imag) < 1e-9 else f"{value.real:.4g}{value.imag:+.3g}i"

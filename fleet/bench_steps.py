@@ -77,16 +77,17 @@ def _log_tick(ticks: int) -> float:
 
     tape: list[tuple[Callable[..., None], object]] = []
     with tempfile.TemporaryDirectory(prefix="uuv-fleet-bench-") as folder:
-        first = Tape(scenario, LogWriter(Path(folder) / "a.mcap", scenario))
+        logs = [LogWriter(Path(folder) / name, scenario) for name in ("a.mcap", "b.mcap")]
+        first = Tape(scenario, logs[0])
         clock = Clock(scenario.ticks, scenario.tick_ns, scenario.round_ticks, 1)
         InProcess(scenario, first).serve(clock, lambda: None)
-        second = Journal(scenario, LogWriter(Path(folder) / "b.mcap", scenario))
+        second = Journal(scenario, logs[1])
         began = time.process_time()
         for take, message in tape:
             take(second, message)
         cost = (time.process_time() - began) / scenario.ticks * 1e6
-        for journal in (first, second):
-            journal.log.close()
+        for log in logs:
+            log.close()
     return cost
 
 

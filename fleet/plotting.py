@@ -18,30 +18,31 @@ COLUMN_IN, PAGE_IN = 3.5, 7.0  # widths of a column and of a page of a journal
 DPI = 200
 FORMATS = ("png", "svg", "pdf")
 
-_STYLE = {
-    "font.size": 8,
-    "axes.titlesize": 8,
-    "axes.labelsize": 8,
-    "legend.fontsize": 7,
-    "xtick.labelsize": 7,
-    "ytick.labelsize": 7,
-    "lines.linewidth": 1.0,
-    "axes.linewidth": 0.6,
-    "axes.grid": True,
-    "grid.linewidth": 0.3,
-    "grid.alpha": 0.5,
-    "legend.frameon": False,
-    "svg.hashsalt": "uuv-fleet",  # otherwise every file has other ids
-    "svg.fonttype": "none",
-}
+matplotlib.rcParams.update(
+    {
+        "font.size": 8,
+        "axes.titlesize": 8,
+        "axes.labelsize": 8,
+        "legend.fontsize": 7,
+        "xtick.labelsize": 7,
+        "ytick.labelsize": 7,
+        "lines.linewidth": 1.0,
+        "axes.linewidth": 0.6,
+        "axes.grid": True,
+        "grid.linewidth": 0.3,
+        "grid.alpha": 0.5,
+        "legend.frameon": False,
+        "svg.hashsalt": "uuv-fleet",  # otherwise every file has other ids
+        "svg.fonttype": "none",
+    }
+)
 
 
 def panels(rows: int, columns: int, width: float = PAGE_IN, height: float | None = None) -> tuple[Figure, list[Axes]]:
     """A figure with a grid of axes, row by row, that share the horizontal axis."""
-    with matplotlib.rc_context(_STYLE):
-        figure = Figure(figsize=(width, height or 1.6 * rows + 0.5), layout="constrained")
-        FigureCanvasAgg(figure)
-        axes = figure.subplots(rows, columns, sharex=True, squeeze=False)
+    figure = Figure(figsize=(width, height or 1.6 * rows + 0.5), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots(rows, columns, sharex=True, squeeze=False)
     return figure, [ax for row in axes for ax in row]
 
 
@@ -59,8 +60,7 @@ def limit(ax: Axes, value: float, label: str | None = None) -> None:
 def legend(figure: Figure, ax: Axes, columns: int) -> None:
     """One legend for all axes, above them."""
     handles, labels = ax.get_legend_handles_labels()
-    with matplotlib.rc_context(_STYLE):
-        figure.legend(handles, labels, loc="outside upper center", ncols=columns)
+    figure.legend(handles, labels, loc="outside upper center", ncols=columns)
 
 
 def save(figure: Figure, stem: Path, formats: Sequence[str] = ("png",)) -> list[Path]:
@@ -71,7 +71,6 @@ def save(figure: Figure, stem: Path, formats: Sequence[str] = ("png",)) -> list[
         metadata: dict[str, Any] = {"png": {"Software": None}, "svg": {"Date": None}}.get(
             form, {"CreationDate": None, "ModDate": None}
         )
-        with matplotlib.rc_context(_STYLE):
-            figure.savefig(path, dpi=DPI, metadata=metadata)
+        figure.savefig(path, dpi=DPI, metadata=metadata)
         paths.append(path)
     return paths

@@ -144,8 +144,8 @@ def _shunting_warning(scenario: Scenario, found: Analysis) -> list[str]:
     if decay is None or found.gain_max is None or found.gain_max * found.lambda_max < decay:
         return []
     return [
-        f"K lambda_max(L+B) = {found.gain_max * found.lambda_max:.4g} 1/s is not below a = {decay:g} 1/s: the surge loop "
-        f"of the neurodynamic law can burst; a gain below {decay / found.lambda_max:.4g} 1/s (guidance.k_max) is safe"
+        f"K lambda_max(L+B) = {found.gain_max * found.lambda_max:.4g} 1/s is not below a = {decay:g} 1/s: the surge "
+        f"loop of the neurodynamic law can burst; below {decay / found.lambda_max:.4g} 1/s (guidance.k_max) it is safe"
     ]
 
 

@@ -93,7 +93,7 @@ class Outcome:
     name: str
     metrics: list[dict[str, Any]]
     t: Array
-    signals: dict[str, Array] = field(default_factory=dict)
+    signals: dict[str, Any] = field(default_factory=dict)  # float32 arrays (sample, vehicle, component)
     broken: str = ""
 
 
@@ -134,9 +134,7 @@ def measure(recording: Recording) -> list[dict[str, Any]]:
                 "effort": [float(x) for x in np.nansum(np.abs(tau), axis=0) * tick],
                 "u_cmd_max_mps": float(np.nanmax(recording["u_cmd"][:, i])),
                 "rho_first_step_mps": float(np.linalg.norm(rho[0] - velocity)),
-                "rho_step_max_mps": float(np.nanmax(np.linalg.norm(np.diff(rho, axis=0), axis=1)))
-                if len(t) > 2
-                else 0.0,
+                "rho_step_max_mps": float(np.nanmax(np.linalg.norm(np.diff(rho, axis=0), axis=1), initial=0.0)),
                 "theta_max_deg": float(np.degrees(np.abs(recording["eta"][:, i, 3]).max())),
                 "u_min_mps": float(recording["nu"][:, i, 0].min()),
                 "K_late_mean": [float(x) for x in np.nanmean(recording["K"][late, i], axis=0)],

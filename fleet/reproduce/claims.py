@@ -130,8 +130,8 @@ def _formation(o: Outcomes) -> Claim:
         "The formation tracking objective is perfectly achieved by all five controllers (undisturbed).",
         "first case",
         tuple(checks),
-        "Literally as printed (no actuator limit, no floor on the commanded speed) the fixed-gain controllers ask for a "
-        "steep turn at once and tumble; the optimised ones do not.",
+        "Literally as printed (no actuator limit, no floor on the commanded speed) the fixed-gain controllers ask for "
+        "a steep turn at once and tumble; the optimised ones do not.",
     )
 
 
@@ -153,8 +153,8 @@ def _convergence(sea: str, where: str) -> Callable[[Outcomes], Claim]:
             f"The controllers with online optimisation converge faster, clearly for UUVs 2-4 ({sea}).",
             where,
             tuple(checks),
-            "The printed cost penalises rho instead of its difference from the reference velocity, so near the goal the "
-            "gain falls to its floor (docs/paper.md, G10).",
+            "The printed cost penalises rho instead of its difference from the reference velocity, so near the goal "
+            "the gain falls to its floor (docs/paper.md, G10).",
         )
 
     return claim
@@ -224,7 +224,8 @@ def _jump(o: Outcomes) -> Claim:
         "The online optimisation avoids an evident jump of the commanded speed.",
         "first case, Fig. 6",
         tuple(checks),
-        "The step is less than half, but a weight R2 = 1 on it lets rho reach its bound within one or two optimisations.",
+        "The step is less than half, but a weight R2 = 1 on it lets rho reach its bound within one or two "
+        "optimisations.",
     )
 
 
@@ -258,8 +259,8 @@ def _errors(o: Outcomes) -> Claim:
         "Under the disturbance NBOC and BOC have smaller consensus errors.",
         "second case, Fig. 8",
         tuple(checks),
-        "Without a bound on K its x component drifts upwards under the periodic disturbance, which helps until the loop "
-        "bursts (docs/paper.md, G11).",
+        "Without a bound on K its x component drifts upwards under the periodic disturbance, which helps until the "
+        "loop bursts (docs/paper.md, G11).",
     )
 
 

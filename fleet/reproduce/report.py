@@ -58,9 +58,10 @@ def _lines(outcomes: Outcomes, claims: Sequence[Claim], network: str, drawn: Seq
         "T. Yan, Z. Xu, S. X. Yang, S. A. Gadsden, *Distributed Neurodynamics-Based Backstepping Optimal Control for "
         "Robust Constrained Consensus of Underactuated Underwater Vehicles Fleet*.",
         "",
-        f"Made by `fleet reproduce` (uuv-fleet {version('uuv-fleet')}, piqp {version('piqp')}) from {len(outcomes)} runs; "
-        "no number here was typed in. How the paper was read, gap by gap: `docs/paper.md`. All runs but the one over the "
-        "network use `network: ideal`, the zero latency that the paper assumes; Ts = 10 ms, 60 s.",
+        f"Made by `fleet reproduce` (uuv-fleet {version('uuv-fleet')}, piqp {version('piqp')}) from "
+        f"{len(outcomes)} runs; no number here was typed in. How the paper was read, gap by gap: `docs/paper.md`. All "
+        "runs but the one over the network use `network: ideal`, the zero latency that the paper assumes; Ts = 10 ms, "
+        "60 s.",
         "",
         "## Verdicts",
         "",
@@ -92,10 +93,10 @@ def _lines(outcomes: Outcomes, claims: Sequence[Claim], network: str, drawn: Seq
     lines += [
         "## How the numbers are defined",
         "",
-        "*settle*: first time after which the vehicle's consensus error stays below the limit to the end, the limit being "
-        "10 % of its initial error or 5 cm. *RMS*: over the last 10 s, every sample. *z*: root of the squared errors of "
-        "speed, pitch rate and yaw rate. *demand*: before the actuator limits; at t = 0 the filters have seen one sample, "
-        "so only ratios mean something. *effort*: integral of the applied surge force's magnitude.",
+        "*settle*: first time after which the vehicle's consensus error stays below the limit to the end, the limit "
+        "being 10 % of its initial error or 5 cm. *RMS*: over the last 10 s, every sample. *z*: root of the squared "
+        "errors of speed, pitch rate and yaw rate. *demand*: before the actuator limits; at t = 0 the filters have "
+        "seen one sample, so only ratios mean something. *effort*: integral of the applied surge force's magnitude.",
     ]
     return lines
 

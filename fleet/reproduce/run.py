@@ -157,10 +157,10 @@ def _network_check(tell: Tell) -> str:
         return f"The distributed run broke: {over_zenoh.reason}. The numbers below are from one process."
     same = over_zenoh.digest == plain.digest
     return (
-        "NBOC as a distributed fleet at its least latency: every agent sends at every tick, what it sends is usable one "
-        "tick (10 ms) later, neighbours are extrapolated with the velocity they sent (dead reckoning). The runs of 60 s "
-        f"below were made in one process; {CHECK_S} s of the same were also run as {scenario.vehicles} agent processes, "
-        f"a world and a network process over zenoh (in {seconds:.1f} s): "
+        "NBOC as a distributed fleet at its least latency: every agent sends at every tick, what it sends is usable "
+        "one tick (10 ms) later, neighbours are extrapolated with the velocity they sent (dead reckoning). The runs of "
+        f"60 s below were made in one process; {CHECK_S} s of the same were also run as {scenario.vehicles} agent "
+        f"processes, a world and a network process over zenoh (in {seconds:.1f} s): "
         + (
             f"the same log, message for message (digest {plain.digest[:16]})."
             if same

@@ -102,10 +102,10 @@ class AgentConfig:
     def desired(self, t: float) -> Motion:
         """Where this vehicle should be at time t [s], and how it should move: pd_i = eta_1^d + p_i and its rate."""
         reference = self.reference.at(t)
+        if not self.offset.changes:
+            return Motion(plus(reference.position, self.offset.start), reference.velocity)
         own = self.offset.at(t)
-        if self.offset.moving:
-            return Motion(plus(reference.position, own.position), plus(reference.velocity, own.velocity))
-        return Motion(plus(reference.position, own.position), reference.velocity)
+        return Motion(plus(reference.position, own.position), plus(reference.velocity, own.velocity))
 
     def to_values(self) -> dict[str, Any]:
         """Plain maps, lists and scalars (MessagePack values)."""

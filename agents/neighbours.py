@@ -102,7 +102,8 @@ class NeighbourTable:
                 position = (x + vx * age, y + vy * age, z + vz * age)
             elif self._extrapolation == "reference":
                 position = plus(position, self._drift(neighbour, message.sent_tick * tick_s, age))
-            delta = neighbour.offset.at(now * tick_s).position
+            offset = neighbour.offset
+            delta = offset.at(now * tick_s).position if offset.changes else offset.start
             found.append(NeighbourState(neighbour.id, neighbour.weight, delta, position, message.velocity, age))
         return tuple(found)
 

@@ -287,9 +287,6 @@ class Offset:
         return cls(values["start"], tuple(Change(**change) for change in values["changes"]))
 
 
-BLEND_PEAK = 1.875  # largest rate of a blend, in units of distance per duration
-
-
 def plus(a: Vec3, b: Vec3) -> Vec3:
     """a + b."""
     return a[0] + b[0], a[1] + b[1], a[2] + b[2]

@@ -20,6 +20,7 @@ from multiprocessing.connection import Connection, Pipe
 from pathlib import Path
 from typing import Any
 
+from fleet.bench_agent import GOALS_US
 from fleet.bench_echo import echo_bus, echo_pipe
 from fleet.bench_steps import steps
 from fleet.children import Children
@@ -233,3 +234,11 @@ def targets(rows: list[dict[str, Any]]) -> list[str]:
                 sign = "at most" if most else "at least"
                 lines.append(f"{'met   ' if met else 'MISSED'} N = {n}: {name} {found:.2f}, {sign} {wanted:g}")
     return lines
+
+
+def step_targets(steps_us: dict[str, float]) -> list[str]:
+    """The same for single steps of an agent."""
+    return [
+        f"{'met   ' if steps_us[name] <= goal else 'MISSED'} {name}: {steps_us[name]:.1f} us, at most {goal:g} us"
+        for name, goal in GOALS_US.items()
+    ]

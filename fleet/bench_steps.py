@@ -8,53 +8,27 @@ from collections.abc import Callable
 from pathlib import Path
 from statistics import median
 
-from agents.agent import Agent
-from agents.gain_qp import build_qp, solve
-from agents.payload import StateMessage
-from agents.payload import encode as encode_payload
+from fleet.bench_agent import agent_steps
 from fleet.clock import Clock
 from fleet.inprocess import InProcess
 from fleet.journal import Journal
 from fleet.log import LogWriter
 from fleet.scenario import load_scenario
-from netem.messages import Command, Delivery, Nav, decode, encode
+from netem.messages import Command, Nav, decode, encode
 from world.sea import World
 
 
 def steps(repeats: int) -> dict[str, float]:
     """Median microseconds by step."""
-    scenario = load_scenario("paper-disturbed", ["duration=10 s"])
-    config = scenario.agent_config(2)
-    agent = Agent(config)
-    size = agent.layout.size
-    eta, nu = (-1.0, -10.0, 1.0, 0.1, 0.1), (0.7, 0.05, 0.02, 0.01, 0.01)
-
-    def nav(tick: int) -> Nav:
-        return Nav(0, tick, eta, nu)
-
-    def heard(tick: int) -> list[Delivery]:
-        payload = [encode_payload(StateMessage(j, tick, (1.0, 2.0, 3.0), (0.7, 0.1, 0.0))) for j in (1, 3)]
-        return [Delivery(tick, tick, j, tick, 0, p) for j, p in zip((1, 3), payload, strict=True)]
-
-    plain: list[float] = []
-    with_qp: list[float] = []
-    with_round: list[float] = []
-    for tick in range(max(30, repeats)):
-        deliveries = heard(tick) if tick % scenario.round_ticks == 0 else []
-        cost = _cost(lambda t=tick, d=deliveries: agent.step(nav(t), d))  # type: ignore[misc]
-        kind = with_round if deliveries else with_qp if tick % config.guidance.qp_ticks == 0 else plain
-        kind.append(cost)
-    problem = build_qp((1.0, 2.0, -1.0), 2.8, (0.7, 0.1, 0.0), (0.7, 0.1, 0.0), (0.3, 0.3, 0.3), config.guidance)
+    nav = Nav(0, 1, (-1.0, -10.0, 1.0, 0.1, 0.1), (0.7, 0.05, 0.02, 0.01, 0.01))
+    size = load_scenario("paper").layout(1).size
     # Undisturbed and straight ahead: an open-loop vehicle in rough sea ends up vertical.
     world = World(load_scenario("paper").world_config())
     command = Command(0, 0, (1.0, 2.0, 3.0), (0.5,) * size)
     return {
-        "agent step": median(plain),
-        "agent step with QP": median(with_qp),
-        "agent step with QP and round": median(with_round),
-        "gain QP": median(_cost(lambda: solve(problem)) for _ in range(repeats)),
+        **agent_steps(max(60, repeats)),
         "world advance, one vehicle": median(_cost(lambda: world.advance(1, (1.0, 0.0, 0.0))) for _ in range(repeats)),
-        "nav encode and decode": median(_cost(lambda: decode(encode(nav(1)))) for _ in range(repeats)),
+        "nav encode and decode": median(_cost(lambda: decode(encode(nav))) for _ in range(repeats)),
         "command encode and decode": median(_cost(lambda: decode(encode(command))) for _ in range(repeats)),
         "journal and log, one tick of 4 vehicles": _log_tick(repeats),
     }

@@ -7,7 +7,7 @@ from typing import Any
 from rich.console import Console as Terminal
 from rich.table import Table
 
-from fleet.bench import targets
+from fleet.bench import step_targets, targets
 
 
 def show(figures: dict[str, Any], terminal: Terminal) -> None:
@@ -31,5 +31,5 @@ def show(figures: dict[str, Any], terminal: Terminal) -> None:
     for name, cost in figures["steps_us"].items():
         single.add_row(name, f"{cost:.1f}")
     terminal.print(single)
-    for line in targets(figures["fleets"]):
+    for line in [*targets(figures["fleets"]), *step_targets(figures["steps_us"])]:
         terminal.print(line, highlight=False)

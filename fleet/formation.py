@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from math import cos, pi, sin
 
-from agents.trajectory import Change, Offset
+from agents.trajectory import Change, Motion, Offset, plus
 from fleet.schema import FormationSection, FormationShape, InitialSection
 from fleet.shapes import DEFAULT_SPACING_M
 from netem.draws import uniform
@@ -96,10 +96,12 @@ def grid(vehicles: int, spacing: float) -> tuple[Vec3, ...]:
 SHAPES = {"line": line, "column": column, "wedge": wedge, "circle": circle, "grid": grid}
 
 
-def initial_states(initial: InitialSection, places: tuple[Vec3, ...], seed: int) -> tuple[tuple[Vec5, Vec5], ...]:
-    """(eta0, nu0) of every vehicle.
+def initial_states(
+    initial: InitialSection, places: tuple[Vec3, ...], start: Motion, seed: int
+) -> tuple[tuple[Vec5, Vec5], ...]:
+    """(eta0, nu0) of every vehicle; `start` is the reference at t = 0.
 
-    A scatter puts vehicle i at p_i plus draws that depend on (seed, i) alone, so that a larger fleet starts
+    A scatter puts vehicle i at its place plus draws that depend on (seed, i) alone, so that a larger fleet starts
     with the same first vehicles. It never lifts a vehicle: z is down, and nobody should start above the
     surface."""
     if initial.vehicles is not None:
@@ -112,9 +114,13 @@ def initial_states(initial: InitialSection, places: tuple[Vec3, ...], seed: int)
         )
     assert initial.scatter is not None
     radius, surge = initial.scatter.scatter, initial.scatter.surge
+    origin, yaw = (0.0, 0.0, 0.0), 0.0
+    if initial.scatter.around == "reference":
+        origin, yaw = start.position, math.atan2(start.velocity[1], start.velocity[0])
     states: list[tuple[Vec5, Vec5]] = []
-    for number, (x, y, z) in enumerate(places, start=1):
+    for number, place in enumerate(places, start=1):
+        x, y, z = plus(origin, place)
         dx, dy, dz = (uniform(seed, "scatter", number, axis) for axis in range(3))
-        eta0 = (x + radius * (2.0 * dx - 1.0), y + radius * (2.0 * dy - 1.0), z + radius * dz, 0.0, 0.0)
+        eta0 = (x + radius * (2.0 * dx - 1.0), y + radius * (2.0 * dy - 1.0), z + radius * dz, 0.0, yaw)
         states.append((eta0, (surge, 0.0, 0.0, 0.0, 0.0)))
     return tuple(states)

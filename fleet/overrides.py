@@ -5,8 +5,8 @@ into a list count from 1, as vehicles do: `initial.2.surge=0.3 m/s`.
 
 `vehicles=N` scales the scenario, before the other overrides apply. What the file writes out vehicle by vehicle
 cannot fit another number of them, so it is replaced by what can: the formation's offsets by a grid, the
-initial states by a scatter, the graph's edges by a path (a shape scales by itself), and what is said of links and
-vehicles that may be gone is dropped. `--show-config` shows the result.
+initial states by a scatter, the graph's edges by a path (a shape scales by itself); what is said of links and
+vehicles that may be gone is dropped, and so are changes of the formation, whose ways grow with the fleet. `--show-config` shows the result.
 """
 
 from __future__ import annotations
@@ -118,15 +118,9 @@ def _scale(before: Mapping, root: Mapping) -> Mapping:
     formation = root.entries.get("formation")
     if isinstance(formation, Mapping) and "offsets" in formation.entries:
         entries: dict[str, Node] = {"shape": scalar("grid"), "spacing": scalar(f"{DEFAULT_SPACING_M:g} m")}
-        if "changes" in formation.entries:
-            entries["changes"] = formation.entries["changes"]
         root = replaced(root, "formation", entries)
-    formation = root.entries.get("formation")
-    changes = formation.entries.get("changes") if isinstance(formation, Mapping) else None
-    if isinstance(formation, Mapping) and isinstance(changes, Items):
-        kept = tuple(c for c in changes.items if not (isinstance(c, Mapping) and "offsets" in c.entries))
-        formation = formation.with_entry("changes", formation.keys["changes"], Items(kept, changes.place))
-        root = root.with_entry("formation", root.keys["formation"], formation)
+    elif isinstance(formation, Mapping) and "changes" in formation.entries:
+        root = replaced(root, "formation", {k: v for k, v in formation.entries.items() if k != "changes"})
     per_vehicle = root.entries.get("per_vehicle")
     if isinstance(per_vehicle, Mapping):
         for text in per_vehicle.entries:
@@ -159,8 +153,9 @@ def _scaled_graph(graph: Mapping, explicit: bool, vehicles: int, path: Scalar) -
     entries = {key: node for key, node in graph.entries.items() if key != "edges"}
     if explicit:
         entries["shape"] = path
-    if "hub" in entries and _above(entries["hub"], vehicles):
-        del entries["hub"]
+    for key, most in (("hub", vehicles), ("count", vehicles - 1)):
+        if key in entries and _above(entries[key], most):
+            del entries[key]
     followers = entries.get("reference")
     if isinstance(followers, Items):
         kept = tuple(n for n in followers.items if not _above(n, vehicles))

@@ -25,7 +25,7 @@ Array = np.ndarray[Any, np.dtype[np.float64]]
 
 @dataclass(slots=True)
 class Recording:
-    """One run: every signal as an array (sample, vehicle, component); one sample per tick from t = 0.
+    """One run: every signal as an array (sample, vehicle, component), from t = 0, as often as the scenario logs.
 
     The last sample has a state and errors only; where a vehicle does not report a signal, or no longer, it is NaN.
     """

@@ -17,11 +17,11 @@ from agents.controllers import BUILT_IN, CONTROLLERS
 from agents.errors import PluginError
 from agents.plugins import load
 from agents.profiles import profile
-from agents.trajectory import BLEND_PEAK, PathError
+from agents.trajectory import Offset, PathError
 from agents.trajectory import Path as Path_
 from fleet.errors import Problem
 from fleet.fields import vehicle_numbers
-from fleet.formation import offsets, plans
+from fleet.formation import plans
 from fleet.graph import build, parse_edge
 from fleet.quantities import RATE, SPEED, QuantityError, Vec3, show, show_time, show_vector
 from fleet.reference import build as build_reference
@@ -35,6 +35,7 @@ from netem.grammar import GrammarError, nearest, parse_selector
 
 Table = dict[str, Keys]
 _LINKS_SHOWN = 12
+_BLEND_SAMPLES = 40
 
 
 def _dotted(path: tuple[str | int, ...]) -> str:
@@ -145,7 +146,8 @@ def _reference(spec: ScenarioSpec, report: Report) -> None:
             path.length  # noqa: B018 - walks the path
         except PathError as error:
             where = f"leg {error.leg} " if error.leg else ""
-            hint = "lower speed or raise acceleration: the radius is speed^2 / acceleration" if error.leg else ""
+            hint = "lower speed or raise acceleration: the radius is speed^2 / acceleration"
+            hint = hint if "arcs" in str(error) and r.points else ""
             report.add(("reference", "points" if r.points else "leg"), where + str(error), hint)
 
 
@@ -287,11 +289,7 @@ def _graph_links(spec: ScenarioSpec) -> tuple[Link, ...]:
     if (g.edges is None) == (g.shape is None) or any(parse_edge(text) is None for text in g.edges or ()):
         raise UnknownValueError
     if g.shape == "nearest":
-        if (spec.formation.offsets is None) == (spec.formation.shape is None):
-            raise UnknownValueError
-        if spec.formation.offsets is not None and len(spec.formation.offsets) != spec.vehicles:
-            raise UnknownValueError
-        places = offsets(spec.formation, spec.vehicles)
+        places = tuple(plan.start for plan in _plans(spec))
     else:
         places = ((0.0, 0.0, 0.0),) * spec.vehicles
     return build(g, places, spec.seed if g.shape == "random" else 0).links
@@ -406,10 +404,14 @@ def _velocity_bounds(spec: ScenarioSpec, report: Report) -> None:
                 report.add(
                     (*path, "guidance", bound_name) if ours else _reference_place(spec),
                     f"{bound_name} {show_vector(bound, SPEED)} must be {side} the {extreme}reference velocity "
-                    f"{show_vector(speeds, SPEED)} on every axis; it is not on {axis}",
+                    f"{_rounded(speeds)} on every axis; it is not on {axis}",
                     "" if ours else f"the bound is that of profile {name}; set guidance.{bound_name}",
                 )
                 break
+
+
+def _rounded(speeds: Vec3) -> str:
+    return show_vector(tuple(float(f"{speed:.4g}") for speed in speeds), SPEED)
 
 
 def _reference_place(spec: ScenarioSpec) -> tuple[str, ...]:
@@ -422,22 +424,30 @@ def _desired_velocity(spec: ScenarioSpec) -> tuple[Vec3, Vec3]:
     needed = REFERENCE[r.shape or "line"].needed
     if any(getattr(r, key) is None for key in needed):
         raise UnknownValueError
+    reference = build_reference(r)
     try:
-        low, high = build_reference(r).velocity_bounds()
+        low, high = map(list, reference.velocity_bounds())
     except PathError:
         raise UnknownValueError from None
-    extra: list[float] = [0.0, 0.0, 0.0]
-    for plan in plans(spec.formation, spec.vehicles) if spec.formation.changes else ():
-        before = plan.start
-        for change in plan.changes:
-            for axis in range(3):
-                step = abs(change.offset[axis] - before[axis])
-                extra[axis] = max(extra[axis], BLEND_PEAK * step / change.blend)
-            before = change.offset
-    return (
-        (low[0] - extra[0], low[1] - extra[1], low[2] - extra[2]),
-        (high[0] + extra[0], high[1] + extra[1], high[2] + extra[2]),
-    )
+    for change in spec.formation.changes or ():
+        for step in range(_BLEND_SAMPLES + 1):
+            t = (change.at + change.over * step / _BLEND_SAMPLES) / 1e9
+            velocity = reference.at(t).velocity
+            for plan in _plans(spec):
+                rate = plan.at(t).velocity
+                for axis in range(3):
+                    low[axis] = min(low[axis], velocity[axis] + rate[axis])
+                    high[axis] = max(high[axis], velocity[axis] + rate[axis])
+    return (low[0], low[1], low[2]), (high[0], high[1], high[2])
+
+
+def _plans(spec: ScenarioSpec) -> tuple[Offset, ...]:
+    shapes = [spec.formation, *(spec.formation.changes or ())]
+    if any((f.offsets is None) == (f.shape is None) for f in shapes):
+        raise UnknownValueError
+    if any(f.offsets is not None and len(f.offsets) != spec.vehicles for f in shapes):
+        raise UnknownValueError
+    return plans(spec.formation, spec.vehicles)
 
 
 def _gain_bounds(spec: ScenarioSpec, report: Report) -> None:

@@ -55,15 +55,16 @@ class Scenario:
         plans = formation.plans(spec.formation, spec.vehicles)
         places = tuple(plan.start for plan in plans)
         links = graph.build(spec.graph, places, spec.seed)
+        trajectory = reference.build(spec.reference)
         conditions: dict[Link, Condition] = {}
         for selector, condition in spec.network.links.items():
             conditions |= dict.fromkeys(select(parse_selector(selector), links.links), condition)
         return cls(
             spec=_standing_alone(spec, folder),
-            reference=reference.build(spec.reference),
+            reference=trajectory,
             plans=plans,
             graph=links,
-            initial=formation.initial_states(spec.initial, places, spec.seed),
+            initial=formation.initial_states(spec.initial, places, trajectory.at(0.0), spec.seed),
             conditions={k: conditions[k] for k in links.links if conditions.get(k, Condition()) != Condition()},
             controls=tuple(tuning.control(spec, i, folder) for i in range(1, spec.vehicles + 1)),
             source=source,

@@ -164,10 +164,15 @@ class InitialState(Section):
 
 
 class Scatter(Section):
-    """Every vehicle near its offset: x and y uniform within the scatter, z below the offset by at most it."""
+    """Every vehicle near its place: x and y uniform within the scatter, z below the place by at most it.
+
+    `around` the origin the place is the vehicle's offset p_i; around the reference it is where the vehicle should be
+    at t = 0, with the reference's course.
+    """
 
     scatter: Length
     surge: SignedSpeed = 0.0
+    around: Literal["origin", "reference"] = "origin"
 
 
 class VehicleSection(Section):

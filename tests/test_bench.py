@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from fleet.bench import measure, targets
+from fleet.bench import measure, step_targets, targets
 
 
 def test_quick_bench_reports_every_figure() -> None:
@@ -12,10 +12,18 @@ def test_quick_bench_reports_every_figure() -> None:
     assert row["vehicles"] == 2
     speeds = ["zenoh_barrier", "pipe_barrier", "distributed", "in_process", "c/a", "c/d", "x_real_time", "startup_s"]
     assert all(row[name] > 0 for name in speeds)
-    assert {"agent step", "agent step with QP", "gain QP"} <= set(figures["steps_us"])
+    steps = figures["steps_us"]
+    assert {"agent step", "agent step with QP", "QP: solve (PIQP, fresh solver)", "controller alone, bsmc"} <= set(steps)
     assert heard[-1] == "single steps"
 
 
 def test_targets_say_met_or_missed() -> None:
     row = {"vehicles": 4, "c/a": 0.4, "x_real_time": 20.0, "startup_s": 1.0, "pss_mb": 6.0}
     assert targets([row]) == ["MISSED N = 4: c/a 0.40, at least 0.5", "met    N = 4: x real time 20.00, at least 15"]
+
+
+def test_goals_of_single_steps_say_met_or_missed() -> None:
+    assert step_targets({"agent step": 30.0, "agent step with QP": 90.0}) == [
+        "met    agent step: 30.0 us, at most 40 us",
+        "MISSED agent step with QP: 90.0 us, at most 80 us",
+    ]

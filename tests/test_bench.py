@@ -13,7 +13,9 @@ def test_quick_bench_reports_every_figure() -> None:
     speeds = ["zenoh_barrier", "pipe_barrier", "distributed", "in_process", "c/a", "c/d", "x_real_time", "startup_s"]
     assert all(row[name] > 0 for name in speeds)
     steps = figures["steps_us"]
-    assert {"agent step", "agent step with QP", "QP: solve (PIQP, fresh solver)", "controller alone, bsmc"} <= set(steps)
+    assert {"agent step", "agent step with QP", "QP: solve (PIQP, fresh solver)", "controller alone, bsmc"} <= set(
+        steps
+    )
     assert heard[-1] == "single steps"
 
 

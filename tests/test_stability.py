@@ -1,0 +1,118 @@
+"""What theory says of a scenario: eigenvalues against the published ones, and every warning once."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from fleet.scenario import Scenario, load_scenario, parse_scenario
+from fleet.stability import analyse, matrices, oldest_s, report
+
+SMALL = """\
+title: A fleet
+vehicles: {n}
+duration: 1 s
+reference: {{start: 0 0 5 m, velocity: 0.5 0 0 m/s}}
+formation: {{shape: grid}}
+graph: {graph}
+initial: {{scatter: 1 m}}
+network: {{period: 50 ms}}
+"""
+
+
+def fleet(graph: str, n: int = 4, *overrides: str) -> Scenario:
+    return parse_scenario(SMALL.format(n=n, graph=graph), "t.yaml", overrides)
+
+
+def test_the_paper_fleet() -> None:
+    """L + B has eigenvalues from 1 to 4.065 and A the spectral radius 1.447 (docs/paper.md, G11)."""
+    found = analyse(load_scenario("paper"))
+    assert found.eigenvalues[0].real == pytest.approx(1.0)
+    assert found.lambda_max == pytest.approx(4.065, abs=5e-4)
+    assert found.spectral_radius_A == pytest.approx(1.447, abs=5e-4)
+    assert found.gain_max == 2.0
+    assert found.components == [[1, 2, 3, 4]]
+    assert found.unreached == []
+    assert found.warnings == []
+
+
+def test_only_the_first_follows() -> None:
+    """Its slowest mode is 0.158 times the gain."""
+    found = analyse(load_scenario("paper", ["graph.reference=[1]"]))
+    assert min(value.real for value in found.eigenvalues) == pytest.approx(0.158, abs=5e-4)
+    assert any(
+        "a vehicle that follows it reaches all" in line
+        for line in report(load_scenario("paper", ["graph.reference=[1]"]), found)
+    )
+
+
+@given(st.integers(2, 12), st.integers(0, 2**31), st.floats(0.0, 1.0))
+@settings(max_examples=40, deadline=None)
+def test_rows_of_the_laplacian_sum_to_zero(n: int, seed: int, probability: float) -> None:
+    """(L + B) 1 = b, for any graph: a fleet that is displaced as a whole sees only its references."""
+    scenario = fleet(f"{{shape: random, probability: {probability!r}, reference: [1]}}", n, f"seed={seed}")
+    A, M = matrices(scenario)
+    assert M.sum(axis=1) == pytest.approx(np.array(scenario.b))
+    assert (A == A.T).all()
+    found = analyse(scenario)
+    assert found.components == [list(range(1, n + 1))]
+    assert found.unreached == []
+    # Connected, symmetric and with one follower: positive definite (Lemma 1 where it is true).
+    assert found.eigenvalues[0].real > 0.0
+
+
+def test_parts_and_who_is_not_reached() -> None:
+    scenario = fleet('{edges: {"1->2": 1, "4->3": 1}, reference: [1]}')
+    found = analyse(scenario)
+    assert found.components == [[1, 2], [3, 4]]
+    assert found.unreached == [3, 4]
+    assert "in 2 parts: vehicles 1, 2; vehicles 3, 4" in report(scenario, found)[0]
+    assert any("to vehicles 3, 4: L+B is singular" in warning for warning in found.warnings)
+    assert abs(found.eigenvalues[0]) < 1e-12
+    # An edge carries information one way only.
+    assert analyse(fleet('{edges: {"2->1": 1}, reference: [1]}', 2)).unreached == [2]
+
+
+def test_a_dense_graph_needs_smaller_gains() -> None:
+    """complete: lambda_max = N + 1, so 2 1/s is too much from N = 4 on; and a tracking law without shunting has no
+    such limit."""
+    (warning,) = analyse(fleet("{shape: complete}", 6)).warnings
+    assert "K lambda_max(L+B) = 14 1/s is not below a = 10 1/s" in warning
+    assert "below 1.429 1/s" in warning
+    assert analyse(fleet("{shape: complete}", 6, "guidance.k_max=1.4 1/s")).warnings == []
+    assert analyse(fleet("{shape: complete}", 6, "controller=boc")).warnings == []
+    assert analyse(fleet("{shape: complete}", 6, "per_vehicle.1-6.controller=bc")).warnings == []
+
+
+def test_dead_reckoning_needs_fresh_news() -> None:
+    """K tau rho(A) < 1: 0.691 s at K = 1 on the paper's graph, whose rho(A) is 1.447."""
+    slow = ["guidance.k_max=1 1/s", "network.period=500 ms"]
+    assert analyse(load_scenario("paper", [*slow, "network.links={'*': 'delay 190ms'}"])).warnings == []
+    (warning,) = analyse(load_scenario("paper", [*slow, "network.links={'*': 'delay 190ms 20ms'}"])).warnings
+    assert "K tau rho(A) = 1.013 is not below 1 at an age of 0.7 s" in warning
+    for other in ("hold", "reference"):
+        links = "network.links={'*': 'delay 5s'}"
+        assert analyse(load_scenario("paper", [*slow, links, f"neighbours.extrapolate={other}"])).warnings == []
+
+
+@pytest.mark.parametrize(
+    ("overrides", "age_s"),
+    [
+        ([], 0.1),
+        (["network.period=10 ms"], 0.01),
+        (["network.links={'*': 'delay 25ms'}"], 0.12),
+        (["network=ideal"], 0.0),
+    ],
+)
+def test_oldest_news(overrides: list[str], age_s: float) -> None:
+    """A payload is used from its due tick until the next round's is due."""
+    assert oldest_s(load_scenario("paper", overrides)) == pytest.approx(age_s)
+
+
+def test_a_vehicle_whose_flow_angles_are_unstable() -> None:
+    """With the usual sign of the added mass m1 is above m2 and m3, and all five controllers fail."""
+    usual = ["vehicle={beta_udot: -6 kg, beta_vdot: -1.1 kg, beta_wdot: -1.15 kg}"]
+    (warning,) = analyse(load_scenario("paper", usual)).warnings
+    assert warning.startswith("vehicles 1, 2, 3, 4: the surge inertia m1")

@@ -192,7 +192,7 @@ def check(scenario: str, overrides: tuple[str, ...]) -> None:
     "cases",
     metavar="NAME",
     multiple=True,
-    help="Only runs whose name begins with NAME (no case); repeatable.",
+    help="Only runs whose name begins with NAME; repeatable.",
 )
 @click.option("--format", "formats", type=click.Choice(["png", "svg", "pdf"]), multiple=True, default=("png",),
               show_default=True, help="Format of the pictures; repeatable.")  # fmt: skip
@@ -243,6 +243,45 @@ def _cores() -> int:
     import os
 
     return len(os.sched_getaffinity(0))
+
+
+@cli.group()
+def new() -> None:
+    """Begin something of your own from a template."""
+
+
+@new.command()
+@click.argument("name")
+@click.option(
+    "--kind",
+    type=click.Choice(["controller", "guidance", "tracking", "agent"]),
+    default="controller",
+    show_default=True,
+    help="What it replaces: guidance and tracking, one of them, or the whole agent.",
+)
+@click.option(
+    "--dir",
+    "folder",
+    metavar="DIR",
+    type=click.Path(path_type=Path, file_okay=False),
+    default=Path(),
+    help="Where to write; by default here.",
+)
+def controller(name: str, kind: str, folder: Path) -> None:
+    """Write NAME.py, a control law that runs as it is, and NAME.yaml, a scenario that uses it.
+
+    \b
+    Examples:
+      fleet new controller pid
+      fleet new controller swarm --kind guidance --dir laws
+    """
+    from fleet.new import write_law
+
+    try:
+        law, scenario = write_law(kind, name, folder)
+    except FleetError as error:
+        _fail(error)
+    click.echo(f"wrote {law} and {scenario}; now: fleet run {scenario}")
 
 
 @cli.command(name="list")

@@ -46,12 +46,7 @@ class InProcess:
         self._scenario, self._journal = scenario, journal
         self._world = Lockstep(scenario.world_config(), frame_every=frame_every(scenario))
         self._rounds = Rounds(scenario.netem_config())
-        self._loops = {
-            i: AgentLoop(
-                make_agent(_over_the_wire(scenario.agent_config(i))), scenario.round_ticks, ideal=scenario.ideal
-            )
-            for i in range(1, scenario.vehicles + 1)
-        }
+        self._loops: dict[int, AgentLoop] = {}
         self.notes: list[str] = []
         self.middleware_lost = 0  # there is no middleware here
         self._post: deque[tuple[int, int, bytes]] = deque()  # (from, to, message)
@@ -59,6 +54,10 @@ class InProcess:
     def serve(self, clock: Clock, progress: Callable[[], None]) -> dict[str, Any]:
         """Run to the end; returns what the processes of a distributed run report when they close."""
         began = time.monotonic()
+        scenario = self._scenario
+        for i in range(1, scenario.vehicles + 1):
+            core = make_agent(_over_the_wire(scenario.agent_config(i)))
+            self._loops[i] = AgentLoop(core, scenario.round_ticks, ideal=scenario.ideal)
         while not self._world.finished:
             until = clock.until(self._journal.written, time.monotonic() - began)
             for out in self._world.grant(until):

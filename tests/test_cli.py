@@ -11,6 +11,7 @@ from collections import Counter
 from pathlib import Path
 from typing import Any
 
+import click
 import pytest
 from click.testing import CliRunner, Result
 from mcap.reader import make_reader
@@ -23,7 +24,19 @@ from fleet.scenario import list_scenarios, load_scenario
 ROOT = Path(__file__).parent.parent
 EXPECTED = Path(__file__).parent / "expected"
 SHIPPED = [name for name, *_ in list_scenarios()]
-COMMANDS = sorted(cli.commands)
+
+
+def names_below(group: click.Group, prefix: str = "") -> list[str]:
+    """Every command, those of groups with the group's name before them."""
+    found = []
+    for name, command in sorted(group.commands.items()):
+        found.append(prefix + name)
+        if isinstance(command, click.Group):
+            found += names_below(command, f"{prefix}{name} ")
+    return found
+
+
+COMMANDS = names_below(cli)
 QUICK = ["--in-process", "--duration", "500 ms"]
 NO_CHECKS = ["--set", "checks={}"]
 
@@ -53,14 +66,14 @@ def shell(*arguments: str | Path, script: bool = False, **environment: str) -> A
 def test_help(command: str) -> None:
     """What `--help` says is a contract that a change must show in a diff. To renew one:
     COLUMNS=100 fleet run --help > tests/expected/help-run.txt"""
-    result = invoke(*filter(None, [command]), "--help")
+    result = invoke(*command.split(), "--help")
     assert result.exit_code == 0
-    assert result.output == (EXPECTED / f"help-{command or 'fleet'}.txt").read_text("utf-8")
+    assert result.output == (EXPECTED / f"help-{command.replace(' ', '-') or 'fleet'}.txt").read_text("utf-8")
 
 
 def test_every_golden_help_has_its_command() -> None:
     names = {path.stem.removeprefix("help-") for path in EXPECTED.glob("help-*.txt")}
-    assert names == {"fleet", *COMMANDS}
+    assert names == {"fleet", *(command.replace(" ", "-") for command in COMMANDS)}
 
 
 def test_python_dash_m() -> None:
@@ -74,7 +87,11 @@ def test_python_dash_m() -> None:
 @pytest.mark.parametrize("command", COMMANDS)
 def test_every_option_is_explained(command: str) -> None:
     """An option without a word of help is one that somebody must guess."""
-    for parameter in cli.commands[command].params:
+    found: click.Command = cli
+    for name in command.split():
+        assert isinstance(found, click.Group)
+        found = found.commands[name]
+    for parameter in found.params:
         assert parameter.param_type_name == "argument" or getattr(parameter, "hidden", False) or parameter.help
 
 
@@ -166,7 +183,7 @@ def test_list_names_every_scenario() -> None:
 def test_check_accepts_what_ships(name: str) -> None:
     result = invoke("check", name)
     assert (result.exit_code, result.stderr) == (0, "")
-    assert result.stdout.startswith(f"{name}: valid. 4 vehicles, ")
+    assert result.stdout.startswith(f"{name}: valid. {load_scenario(name).vehicles} vehicles, ")
 
 
 @pytest.mark.parametrize("name", SHIPPED)

@@ -9,98 +9,33 @@ some languages' MessagePack writes 1.0 as 1). Ticks count control periods Ts fro
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from math import isfinite
 from typing import Annotated, Any, NamedTuple, TypeVar, get_args, get_type_hints
 
-import msgpack
+import msgspec
 
 from netem.errors import MalformedMessage
 
 PROTOCOL_VERSION = 1
 
-Check = Callable[[Any], Any]
 Reals = tuple[float, ...]
 
 
 @dataclass(frozen=True, slots=True)
 class Field:
-    """The declaration of one field: unit ("" when it has none), meaning, wire type and its check."""
+    """The declaration of one field: unit ("" when it has none), meaning, wire type.
+
+    A wire type is uint, bool, str, bin, a record's name, real[n] or real[*] (of any number), or an array of one of
+    them, marked by another [*]. Reals must be finite unless said otherwise.
+    """
 
     unit: str
     meaning: str
     wire: str
-    check: Check
-
-
-class _Invalid(ValueError):
-    pass
-
-
-def _uint(value: Any) -> int:
-    if type(value) is not int or value < 0:
-        raise _Invalid(f"expected an unsigned integer, got {value!r:.60}")
-    return value
-
-
-def _flag(value: Any) -> bool:
-    if type(value) is not bool:
-        raise _Invalid(f"expected true or false, got {value!r:.60}")
-    return value
-
-
-def _text(value: Any) -> str:
-    if type(value) is not str or len(value) > 4096:
-        raise _Invalid(f"expected a short text, got {value!r:.60}")
-    return value
-
-
-def _binary(value: Any) -> bytes:
-    if type(value) is not bytes:
-        raise _Invalid(f"expected bytes, got {value!r:.60}")
-    return value
-
-
-def _reals(size: int | None = None, finite: bool = True) -> Check:
-    def check(value: Any) -> Reals:
-        if type(value) is not list or (size is not None and len(value) != size):
-            raise _Invalid(f"expected {'an array of' if size is None else size} reals, got {value!r:.60}")
-        kinds = set(map(type, value))
-        if not kinds <= {float, int}:
-            raise _Invalid(f"expected reals only, got {value!r:.60}")
-        if kinds != {float}:
-            value = list(map(float, value))
-        # One addition chain is far cheaper than a test per element; only its failure looks closer.
-        if finite and not isfinite(sum(value)) and not all(map(isfinite, value)):
-            index = next(i for i, x in enumerate(value) if not isfinite(x))
-            raise _Invalid(f"element {index} is {value[index]}, expected a finite number")
-        return tuple(value)
-
-    return check
-
-
-def _array(item: Check) -> Check:
-    def check(value: Any) -> tuple[Any, ...]:
-        if type(value) is not list:
-            raise _Invalid(f"expected an array, got {value!r:.60}")
-        return tuple(item(element) for element in value)
-
-    return check
-
-
-def _record(cls: type) -> Check:
-    fields = tuple(fields_of(cls).values())
-    checks = tuple(field.check for field in fields)
-    count = len(checks)
-    make = cls._make  # type: ignore[attr-defined]
-
-    def check(value: Any) -> Any:
-        if type(value) is not list or len(value) != count:
-            raise _Invalid(f"expected an array of {count} fields for {cls.__name__}, got {value!r:.60}")
-        return make([test(element) for test, element in zip(checks, value, strict=True)])
-
-    return check
+    finite: bool = True
 
 
 def fields_of(cls: type) -> dict[str, Field]:
@@ -112,16 +47,79 @@ def fields_of(cls: type) -> dict[str, Field]:
 
 
 def uint(unit: str, meaning: str) -> Field:
-    return Field(unit, meaning, "uint", _uint)
+    return Field(unit, meaning, "uint")
 
 
 def real(unit: str, meaning: str, size: int | None, *, finite: bool = True) -> Field:
-    wire = f"real[{'*' if size is None else size}]"
-    return Field(unit, meaning, wire, _reals(size, finite))
+    return Field(unit, meaning, f"real[{'*' if size is None else size}]", finite)
+
+
+class _InvalidError(ValueError):
+    pass
+
+
+# What msgspec is told of each wire type; it refuses everything else, true where a number is expected included.
+_TYPES: dict[str, Any] = {
+    "uint": Annotated[int, msgspec.Meta(ge=0)],
+    "bool": bool,
+    "str": Annotated[str, msgspec.Meta(max_length=4096)],
+    "bin": bytes,
+    "real[*]": tuple[float, ...],
+}
+_RECORDS: dict[str, type] = {}
+
+
+def _type_of(wire: str) -> Any:
+    """The type that msgspec decodes a wire type into."""
+    if wire in _TYPES:
+        return _TYPES[wire]
+    if match := re.fullmatch(r"real\[(\d+)\]", wire):
+        return tuple.__class_getitem__((float,) * int(match[1]))
+    if wire in _RECORDS:
+        return tuple.__class_getitem__(tuple(_type_of(field.wire) for field in fields_of(_RECORDS[wire]).values()))
+    return tuple[_type_of(wire.removesuffix("[*]")), ...]  # type: ignore[misc]
+
+
+def _finite(values: Reals) -> None:
+    # One addition chain is far cheaper than a test per element; only its failure looks closer.
+    if not isfinite(sum(values)) and not all(map(isfinite, values)):
+        index = next(i for i, x in enumerate(values) if not isfinite(x))
+        raise _InvalidError(f"element {index} is {values[index]}, expected a finite number")
+
+
+def _each_finite(rows: Sequence[Reals]) -> None:
+    for values in rows:
+        _finite(values)
+
+
+def _builder(cls: type) -> Callable[[tuple[Any, ...]], Any]:
+    """What makes a record or message out of its decoded fields, and refuses what is not finite."""
+    checks: list[tuple[int, Callable[[Any], None]]] = []
+    records: list[tuple[int, Callable[[tuple[Any, ...]], Any]]] = []
+    for index, field in enumerate(fields_of(cls).values()):
+        item = field.wire.removesuffix("[*]")
+        if item in _RECORDS:
+            records.append((index, _builder(_RECORDS[item])))
+        elif item.startswith("real") and field.finite:
+            checks.append((index, _each_finite if item.endswith("]") and item != field.wire else _finite))
+    make = cls._make  # type: ignore[attr-defined]
+
+    def build(values: tuple[Any, ...]) -> Any:
+        for index, check in checks:
+            check(values[index])
+        if records:
+            fields = list(values)
+            for index, of in records:
+                fields[index] = tuple([of(item) for item in values[index]])
+            values = tuple(fields)
+        return make(values)
+
+    return build
 
 
 _MESSAGES: dict[str, type] = {}
-_DECODERS: dict[str, Check] = {}
+_DECODERS: dict[str, Callable[[bytes], Any]] = {}
+_BY_HEAD: dict[bytes, str] = {}  # a kind as MessagePack writes it after the array's first byte
 _KINDS: dict[type, str] = {}
 _M = TypeVar("_M", bound=type)
 
@@ -138,11 +136,28 @@ class Route:
 _ROUTES: dict[str, Route] = {}
 
 
+_ENCODER = msgspec.msgpack.Encoder()
+
+
+def _decoder(cls: type) -> Callable[[bytes], Any]:
+    types = tuple(_type_of(field.wire) for field in fields_of(cls).values())
+    read = msgspec.msgpack.Decoder(tuple.__class_getitem__((str, *types))).decode
+    build = _builder(cls)
+    return lambda data: build(read(data)[1:])
+
+
+def _record(cls: _M) -> _M:
+    """Declare a record, so that fields may name it."""
+    _RECORDS[cls.__name__] = cls
+    return cls
+
+
 def _declare(kind: str, key: str, sender: str, receiver: str) -> Callable[[_M], _M]:
     def register(cls: _M) -> _M:
         _MESSAGES[kind] = cls
         _KINDS[cls] = kind
-        _DECODERS[kind] = _record(cls)
+        _DECODERS[kind] = _decoder(cls)
+        _BY_HEAD[_ENCODER.encode(kind)] = kind
         _ROUTES[kind] = Route(key, sender, receiver)
         return cls
 
@@ -152,6 +167,7 @@ def _declare(kind: str, key: str, sender: str, receiver: str) -> Callable[[_M], 
 # ------------------------------------------------------------------------------------------ records
 
 
+@_record
 class Delivery(NamedTuple):
     """One payload that reaches an agent."""
 
@@ -160,9 +176,10 @@ class Delivery(NamedTuple):
     src: Annotated[int, uint("", "sending vehicle")]
     seq: Annotated[int, uint("", "number of the payload on its directed link, from 0")]
     copy: Annotated[int, uint("", "0 for the original, 1.. for duplicates made by the network")]
-    payload: Annotated[bytes, Field("", "opaque to the network", "bin", _binary)]
+    payload: Annotated[bytes, Field("", "opaque to the network", "bin")]
 
 
+@_record
 class Fate(NamedTuple):
     """The one, final record of a packet: netem writes it at the tick where the fate became final."""
 
@@ -174,10 +191,11 @@ class Fate(NamedTuple):
     sent_tick: Annotated[int, uint("tick", "round tick at which it was sent")]
     due_tick: Annotated[int, uint("tick", "tick at which it was, or would have been, usable")]
     delay_ns: Annotated[int, uint("ns", "drawn delay of the link, before rounding up to ticks")]
-    cause: Annotated[str, Field("", "delivered, in flight, or the cause of its loss", "str", _text)]
-    payload: Annotated[bytes, Field("", "the payload's bytes", "bin", _binary)]
+    cause: Annotated[str, Field("", "delivered, in flight, or the cause of its loss", "str")]
+    payload: Annotated[bytes, Field("", "the payload's bytes", "bin")]
 
 
+@_record
 class VehicleFrame(NamedTuple):
     """One vehicle in one tick, as the world saw it."""
 
@@ -186,7 +204,7 @@ class VehicleFrame(NamedTuple):
     nu: Annotated[Reals, real("m/s, rad/s", "true u, v, w (body, over ground), q, r", 5)]
     nav: Annotated[Reals, real("", "what its sensor reported: eta then nu; empty when not sensed", None)]
     tau: Annotated[Reals, real("N, N m", "applied thrust and moments after limits; empty at the end", None)]
-    command: Annotated[bytes, Field("", "the agent's Command message; empty when none", "bin", _binary)]
+    command: Annotated[bytes, Field("", "the agent's Command message; empty when none", "bin")]
 
 
 # ------------------------------------------------------------------------------------------ messages
@@ -196,11 +214,11 @@ class VehicleFrame(NamedTuple):
 class Hello(NamedTuple):
     """Readiness probe; whoever receives one on its own key answers with `echo` set."""
 
-    role: Annotated[str, Field("", "agent, world, netem or console", "str", _text)]
+    role: Annotated[str, Field("", "agent, world, netem or console", "str")]
     id: Annotated[int, uint("", "vehicle number; 0 for other roles")]
     incarnation: Annotated[int, uint("", "0 for the first life of an agent, then 1, 2, ...")]
     version: Annotated[int, uint("", "protocol version")]
-    echo: Annotated[bool, Field("", "true in the answer", "bool", _flag)]
+    echo: Annotated[bool, Field("", "true in the answer", "bool")]
 
 
 @_declare("nav", "nav/{i}", "world", "agent i")
@@ -229,7 +247,7 @@ class Transmission(NamedTuple):
 
     incarnation: Annotated[int, uint("", "life of the sending agent")]
     tick: Annotated[int, uint("tick", "round tick")]
-    payloads: Annotated[tuple[bytes, ...], Field("", "each goes to every graph neighbour", "bin[*]", _array(_binary))]
+    payloads: Annotated[tuple[bytes, ...], Field("", "each goes to every graph neighbour", "bin[*]")]
 
 
 @_declare("rx", "rx/{i}", "netem", "agent i")
@@ -238,10 +256,10 @@ class Inbox(NamedTuple):
 
     incarnation: Annotated[int, uint("", "life of the agent it is meant for")]
     until: Annotated[int, uint("tick", "the inbox is known up to this tick")]
-    more: Annotated[bool, Field("", "more deliveries of the same inbox follow", "bool", _flag)]
+    more: Annotated[bool, Field("", "more deliveries of the same inbox follow", "bool")]
     deliveries: Annotated[
         tuple[Delivery, ...],
-        Field("", "ordered by (due, sent, src, seq, copy)", "Delivery[*]", _array(_record(Delivery))),
+        Field("", "ordered by (due, sent, src, seq, copy)", "Delivery[*]"),
     ]
 
 
@@ -250,21 +268,22 @@ class Round(NamedTuple):
     """Everyone's command for a round tick is in: who is alive, and where."""
 
     tick: Annotated[int, uint("tick", "round tick")]
-    alive: Annotated[tuple[int, ...], Field("", "vehicles alive at the tick, ascending", "uint[*]", _array(_uint))]
+    alive: Annotated[tuple[int, ...], Field("", "vehicles alive at the tick, ascending", "uint[*]")]
     positions: Annotated[
         tuple[Reals, ...],
-        Field("m", "true x, y, z (NED) of each alive vehicle", "real[3][*]", _array(_reals(3))),
+        Field("m", "true x, y, z (NED) of each alive vehicle", "real[3][*]"),
     ]
 
 
+@_record
 class Frame(NamedTuple):
     """All vehicles at one tick; the log's source."""
 
     tick: Annotated[int, uint("tick", "control tick; consecutive on this key")]
-    more: Annotated[bool, Field("", "more vehicles of the same tick follow", "bool", _flag)]
+    more: Annotated[bool, Field("", "more vehicles of the same tick follow", "bool")]
     vehicles: Annotated[
         tuple[VehicleFrame, ...],
-        Field("", "ascending by id", "VehicleFrame[*]", _array(_record(VehicleFrame))),
+        Field("", "ascending by id", "VehicleFrame[*]"),
     ]
 
 
@@ -272,7 +291,7 @@ class Frame(NamedTuple):
 class Frames(NamedTuple):
     """Consecutive frames in one message: the world saves a message per tick while it has more to do."""
 
-    frames: Annotated[tuple[Frame, ...], Field("", "ascending by tick", "Frame[*]", _array(_record(Frame)))]
+    frames: Annotated[tuple[Frame, ...], Field("", "ascending by tick", "Frame[*]")]
 
 
 @_declare("links", "links", "netem", "console")
@@ -280,11 +299,11 @@ class LinkReport(NamedTuple):
     """Every fate that became final after the previous report's `until`, up to this one's."""
 
     until: Annotated[int, uint("tick", "fates are complete up to this tick")]
-    closing: Annotated[bool, Field("", "true for the last report of a run", "bool", _flag)]
-    more: Annotated[bool, Field("", "more fates of the same report follow", "bool", _flag)]
+    closing: Annotated[bool, Field("", "true for the last report of a run", "bool")]
+    more: Annotated[bool, Field("", "more fates of the same report follow", "bool")]
     fates: Annotated[
         tuple[Fate, ...],
-        Field("", "ordered by (final, src, dst, seq, copy)", "Fate[*]", _array(_record(Fate))),
+        Field("", "ordered by (final, src, dst, seq, copy)", "Fate[*]"),
     ]
 
 
@@ -299,10 +318,10 @@ class Grant(NamedTuple):
 class Note(NamedTuple):
     """Something a person should know: a rejected message, a failed controller, a counter."""
 
-    role: Annotated[str, Field("", "who noticed", "str", _text)]
+    role: Annotated[str, Field("", "who noticed", "str")]
     subject: Annotated[int, uint("", "vehicle concerned; 0 for none")]
     tick: Annotated[int, uint("tick", "tick at which it was noticed")]
-    text: Annotated[str, Field("", "one line", "str", _text)]
+    text: Annotated[str, Field("", "one line", "str")]
 
 
 Message = Hello | Nav | Command | Transmission | Inbox | Round | Frames | LinkReport | Grant | Note
@@ -310,8 +329,7 @@ Message = Hello | Nav | Command | Transmission | Inbox | Round | Frames | LinkRe
 
 def encode(message: Message) -> bytes:
     """MessagePack array `[kind, field, ...]` of a declared message."""
-    data: bytes = msgpack.packb((_KINDS[type(message)], *message))
-    return data
+    return _ENCODER.encode((_KINDS[type(message)], *message))
 
 
 def decode(data: bytes) -> Message:
@@ -320,23 +338,40 @@ def decode(data: bytes) -> Message:
     Raises:
         MalformedMessage: not MessagePack, not an array, an unknown kind, or a field out of range.
     """
+    # The kind as every encoder of short arrays writes it; what is written otherwise takes the long way.
+    kind = _BY_HEAD.get(data[1 : 2 + (data[1] & 0x1F)]) if len(data) > 1 else None
+    if kind is None:
+        kind = _kind_of(data)
     try:
-        values = msgpack.unpackb(data)
-    except Exception as error:  # msgpack raises half a dozen unrelated types for bad bytes
-        raise MalformedMessage("unknown", f"not MessagePack ({error or type(error).__name__})") from None
+        message: Message = _DECODERS[kind](data)
+    except _InvalidError as error:
+        raise MalformedMessage(kind, str(error)) from None
+    except (msgspec.MsgspecError, RecursionError, UnicodeDecodeError) as error:
+        raise MalformedMessage(kind, _explain(kind, str(error) or type(error).__name__)) from None
+    return message
+
+
+def _kind_of(data: bytes) -> str:
+    try:
+        values = msgspec.msgpack.decode(data)
+    except Exception as error:  # bytes that are no MessagePack, in one of many ways
+        raise MalformedMessage("unknown", f"not MessagePack ({error or type(error).__name__})"[:150]) from None
     if type(values) is not list or not values or type(values[0]) is not str:
         raise MalformedMessage("unknown", "expected an array that starts with the message kind")
-    kind = values[0]
-    decoder = _DECODERS.get(kind)
-    if decoder is None:
-        raise MalformedMessage("unknown", f"no message kind {kind!r:.40}")
-    try:
-        message: Message = decoder(values[1:])
-    except _Invalid as error:
-        raise MalformedMessage(kind, str(error)) from None
-    except OverflowError:
-        raise MalformedMessage(kind, "a number is too large for a double") from None
-    return message
+    if values[0] not in _DECODERS:
+        raise MalformedMessage("unknown", f"no message kind {values[0]!r:.40}")
+    return values[0]
+
+
+def _explain(kind: str, reason: str) -> str:
+    """msgspec's words with the field's name: ``Expected `int` >= 0 - at `$[1]` `` of a nav is about its incarnation."""
+    reason = reason.replace("Expected `int` >= 0", "expected an unsigned integer")
+    match = re.search(r"(.*) - at `\$\[(\d+)\](.*)`", reason)
+    if match is None:
+        return reason
+    names = ["kind", *fields_of(_MESSAGES[kind])]
+    index = int(match[2])
+    return f"{names[index] if index < len(names) else index}{match[3]}: {match[1]}"
 
 
 _T = TypeVar("_T")

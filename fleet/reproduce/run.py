@@ -125,7 +125,7 @@ def _draw_all(
     kept = {
         name: Outcome(name, [], outcome.t, outcome.signals, outcome.broken)
         for name, outcome in outcomes.items()
-        if CASES[name].group != "sensitivity"
+        if CASES[name].group not in ("sensitivity", "unlimited")
     }
     futures = {name: pool.submit(draw, name, kept, folder, formats) for name in figures}
     drawn = []

@@ -122,7 +122,8 @@ class _Brain:
         if self.config.on_error == "abort":
             raise error
         self._failed = True
-        self._notes.append((error.tick, f"{error}; it is not called again, the vehicle coasts"))
+        where = f" ({error.where})" if error.where else ""
+        self._notes.append((error.tick, f"{error.problem}{where}; it is not called again, the vehicle coasts"))
 
     def _check(self, tick: int, demand: Vec3, telemetry: tuple[float, ...]) -> None:
         """Raise for the first value that is not finite, if there is one."""

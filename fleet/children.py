@@ -11,6 +11,7 @@ import signal
 import sys
 import threading
 import time
+import traceback
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from multiprocessing import resource_tracker
@@ -189,7 +190,17 @@ def _child(title: str, log_path: str, target: Callable[..., None], args: tuple[A
     logging.basicConfig(level=logging.INFO, format="%(levelname)s %(name)s: %(message)s", stream=sys.stderr)
     quiet_zenoh()
     threading.Thread(target=_end_with_console, name="console-watch", daemon=True).start()
-    target(*args)
+    code = 1
+    try:
+        target(*args)
+        code = 0
+    except BaseException:
+        traceback.print_exc()
+    finally:
+        # At once: the interpreter's own way out joins zenoh's threads, which may wait for others of the run.
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(code)
 
 
 def _end_with_console() -> None:

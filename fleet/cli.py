@@ -233,8 +233,9 @@ def reproduce(out: Path, jobs: int | None, cases: tuple[str, ...], formats: tupl
     for claim in claims:
         table.add_row(f"[{colours[claim.verdict]}]{claim.verdict}[/]", claim.text, claim.readings)
     output = Terminal(width=None if sys.stdout.isatty() else 150)
-    output.print(table)
-    if not claims:
+    if claims:
+        output.print(table)
+    else:
         output.print("no claim can be judged on these runs alone", highlight=False)
     output.print(str(path), highlight=False, soft_wrap=True)
 

@@ -163,7 +163,8 @@ def _shape_keys(report: Report, path: tuple[str | int, ...], section: Any, shape
     for key in dict.fromkeys(key for other in known.values() for key in other.all):
         if getattr(section, key) is not None and key not in keys.all:
             others = " or ".join(name for name, other in known.items() if key in other.all)
-            report.add((*path, key), f"has no effect on {shape}: it belongs to {others}", key=True)
+            hint = f"for another shape replace the section, as in --set '{_dotted(path)}={{shape: {shape}, ...}}'"
+            report.add((*path, key), f"has no effect on {shape}: it belongs to {others}", hint, key=True)
             fine = False
     return fine
 

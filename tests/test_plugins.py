@@ -229,7 +229,8 @@ def test_failures_name_vehicle_tick_and_line(
     coasting = run(scenario(f"controller={name}:Law", "on_controller_error=coast"), tmp_path)
     assert coasting.status is Status.PASS
     (note,) = coasting.values["notes"]
-    assert note.startswith("t = 0.20 s (tick 20) agent 2: agent 2, tick 20: ")
+    assert note.startswith("t = 0.20 s (tick 20) agent 2: ")
+    assert words in note
     assert "the vehicle coasts" in note
     with (coasting.directory / "run.mcap").open("rb") as file:
         messages = make_reader(file, decoder_factories=[DecoderFactory()]).iter_decoded_messages(["uuv/2/command"])
@@ -243,7 +244,8 @@ def test_failures_in_processes(policy: str, module: Callable[[str], str], tmp_pa
     s = scenario(f"controller={module(failing(20, '1 / 0'))}:Law", f"on_controller_error={policy}")
     result = run(s, tmp_path, in_process=False)
     said = "\n".join([result.reason, *result.lines, *result.values["notes"]])
-    assert "agent 2, tick 20: Law raised ZeroDivisionError" in said
+    assert "agent 2" in said
+    assert "Law raised ZeroDivisionError" in said
     assert ".py:10" in said
     if policy == "abort":
         assert result.status is Status.BROKEN

@@ -240,7 +240,7 @@ class Console:
         self.middleware_lost = lost_messages(counts)
         rejected = {**sea.get("rejected", {}), **answer.get("rejected", {})}
         return {
-            "sent": {(src, dst): count for src, dst, count in answer.get("sent", ())},
+            "entered": {(src, dst): (sent, copies) for src, dst, sent, copies in answer.get("entered", ())},
             "rejected": rejected,
         }
 

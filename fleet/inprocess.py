@@ -73,7 +73,7 @@ class InProcess:
                     raise RunBroken(f"{who} sent what cannot be used: {error}") from error
             progress()
         self._journal.links(self._rounds.close(self._scenario.ticks))
-        return {"sent": self._rounds.netem.sent, "rejected": {}}
+        return {"entered": self._rounds.netem.entered, "rejected": {}}
 
     def _send(self, sender: int, receiver: int, message: Message) -> None:
         self._post.append((sender, receiver, encode(message)))

@@ -165,6 +165,7 @@ class LogWriter:
             delay=fate.delay_ns / SECOND_NS,
             fate=fate.cause,
             payload=fate.payload,
+            corrupted=fate.corrupted,
         )
         final_ns = fate.final_tick * tick_ns
         data = message.SerializeToString()

@@ -24,6 +24,7 @@ DOUBLE = descriptor_pb2.FieldDescriptorProto.TYPE_DOUBLE
 UINT32 = descriptor_pb2.FieldDescriptorProto.TYPE_UINT32
 STRING = descriptor_pb2.FieldDescriptorProto.TYPE_STRING
 BYTES = descriptor_pb2.FieldDescriptorProto.TYPE_BYTES
+BOOL = descriptor_pb2.FieldDescriptorProto.TYPE_BOOL
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,7 +74,8 @@ PACKET = (
     Column("due", "s", "time from which it is, or would have been, usable"),
     Column("delay", "s", "drawn delay of the link, before rounding up to ticks"),
     Column("fate", "", "delivered, in flight, or the cause of the loss", type=STRING),
-    Column("payload", "", "the payload's bytes", type=BYTES),
+    Column("payload", "", "the payload's bytes, as they arrived", type=BYTES),
+    Column("corrupted", "", "whether the link changed the payload", type=BOOL),
 )
 
 

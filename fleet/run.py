@@ -82,7 +82,7 @@ def execute(scenario: Scenario, options: Options, terminal: Terminal | None = No
     else:
         fleet = Console(scenario, directory, journal, port=options.port, start_order=options.start_order)
     result = Result(Status.PASS, directory.path, "")
-    closing: dict[str, Any] = {"sent": {}, "rejected": {}}
+    closing: dict[str, Any] = {"entered": {}, "rejected": {}}
     began = time.monotonic()
     try:
         with ProgressLine(
@@ -99,8 +99,8 @@ def execute(scenario: Scenario, options: Options, terminal: Terminal | None = No
         result.status, result.reason = Status.INTERRUPTED, "interrupted"
     wall_s = time.monotonic() - began
     _close_log(log, result)
-    for link, sent in closing["sent"].items():
-        journal.ledger.enter(link, sent=sent)
+    for link, (sent, duplicated) in closing["entered"].items():
+        journal.ledger.enter(link, sent=sent, duplicated=duplicated)
     if result.status is Status.PASS:
         result.verdicts = judge(scenario.spec.checks, journal, middleware_lost=fleet.middleware_lost)
         if not all(verdict.passed for verdict in result.verdicts):

@@ -66,7 +66,15 @@ def _vehicles(rows: dict[str, dict[str, float | None]]) -> Table:
 def _links(rows: dict[str, dict[str, object]]) -> Table:
     causes = sorted({cause for row in rows.values() for cause in row["lost"]})  # type: ignore[attr-defined]
     table = Table(title="packets per directed link", title_justify="left", box=None, pad_edge=False)
-    for heading in ("link", "sent", "duplicated", "delivered", *(f"lost: {c}" for c in causes), "in flight"):
+    for heading in (
+        "link",
+        "sent",
+        "duplicated",
+        "delivered",
+        *(f"lost: {c}" for c in causes),
+        "in flight",
+        "corrupted",
+    ):
         table.add_column(escape(heading), justify="right")
     for name, row in list(rows.items())[:MOST_ROWS]:
         lost = [str(row["lost"].get(cause, 0)) for cause in causes]  # type: ignore[attr-defined]
@@ -77,6 +85,7 @@ def _links(rows: dict[str, dict[str, object]]) -> Table:
             str(row["delivered"]),
             *lost,
             str(row["in_flight"]),
+            str(row["corrupted"]),
         )
     if len(rows) > MOST_ROWS:
         table.add_row("...", f"{len(rows) - MOST_ROWS} more")

@@ -1,12 +1,21 @@
 """The text form of link conditions and of link selectors.
 
-Conditions are written in the grammar of Linux tc-netem (tc-netem(8)), of which this much is understood:
+Conditions are written in the grammar of Linux tc-netem (tc-netem(8)):
 
-    CONDITION := { delay TIME [ JITTER ] | loss [ random ] PERCENT | down } ...
-    TIME      := number followed by us, ms or s        PERCENT := number followed by %
+    CONDITION    := { limit PACKETS | DELAY | LOSS | DUPLICATE | CORRUPT | REORDER | RATE | seed N | down } ...
+    DELAY        := delay TIME [ JITTER [ CORRELATION ] ] [ distribution uniform|normal|pareto|paretonormal ]
+    LOSS         := loss [ random ] PERCENT [ CORRELATION ]
+                  | loss state P13 [ P31 [ P32 [ P23 [ P14 ] ] ] ]
+                  | loss gemodel P [ R [ 1-H [ 1-K ] ] ]
+    DUPLICATE    := duplicate PERCENT [ CORRELATION ]
+    CORRUPT      := corrupt PERCENT [ CORRELATION ]
+    REORDER      := reorder PERCENT [ CORRELATION ] [ gap DISTANCE ]       (needs a delay)
+    RATE         := rate RATE [ PACKETOVERHEAD ]
+    TIME         := number followed by us, ms or s        PERCENT, CORRELATION := number followed by %
+    RATE         := number followed by bit, kbit, mbit, gbit (bits per second), or bps, kbps, mbps, gbps (bytes!)
 
-tc reads a TIME without a unit as microseconds; here the unit is required, since 200 for "200 ms" is a slip
-that would otherwise pass. The rest of tc-netem is refused by name.
+tc reads a TIME without a unit as microseconds and a PERCENT without a sign as percent; here units are required, since
+200 for "200 ms" is a slip that would otherwise pass. `down` is ours. `slot` and `ecn` are refused by name.
 
 Selectors say which directed links are meant; an arrow points the way the payload travels:
 
@@ -17,24 +26,32 @@ Selectors say which directed links are meant; an arrow points the way the payloa
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from decimal import Decimal
 from difflib import get_close_matches
 from fractions import Fraction
+from typing import Any
 
-from netem.config import Condition, Link
+from netem.config import DEFAULT_LIMIT, Condition, FourState, GilbertElliott, Link
 from netem.errors import NetemError
 
 _NUMBER = re.compile(r"[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d{1,3})?", re.ASCII)
 _VALUE = re.compile(rf"({_NUMBER.pattern})\s*([^\W\d_]+|%)?(?=\s|$)", re.ASCII)
 _WORD = re.compile(r"\S+")
 _TIME_NS = {"us": 10**3, "ms": 10**6, "s": 10**9}
+_RATE_BIT = {"bit": 1, "kbit": 10**3, "mbit": 10**6, "gbit": 10**9, "bps": 8, "kbps": 8000, "mbps": 8 * 10**6,
+             "gbps": 8 * 10**9, "kibit": 1024, "mibit": 1024**2, "gibit": 1024**3}  # fmt: skip
 _LONGEST_NUMBER = 40  # characters: keeps exact arithmetic cheap whatever the text
 _LONGEST_TIME_NS = 10**9 * 86_400
+_MOST_PACKETS = 10**6
 
-WORDS = ("delay", "loss", "down")
-LATER = ("limit", "reorder", "rate", "duplicate", "corrupt", "slot", "distribution", "ecn", "gap", "seed")
+WORDS = ("limit", "delay", "loss", "duplicate", "corrupt", "reorder", "rate", "seed", "down")
+REFUSED = {
+    "slot": "time slots belong to an acoustic channel (mac: tdma), which is still to come",
+    "ecn": "payloads here carry no congestion marks",
+}
+_INNER = ("distribution", "random", "state", "gemodel", "gap")
 
 
 class GrammarError(NetemError):
@@ -86,6 +103,9 @@ class _Reader:
         self._skip()
         return word
 
+    def value_follows(self) -> bool:
+        return _VALUE.match(self.text, self.at) is not None
+
     def value(self) -> tuple[Fraction, str, int] | None:
         """The next (number, unit, column), or None if the next thing is not a number."""
         match = _VALUE.match(self.text, self.at)
@@ -93,7 +113,7 @@ class _Reader:
         if match is None or number is None:
             return None
         unit, column, self.at = match.group(2) or "", self.at, match.end()
-        if unit in WORDS + LATER:  # "delay 200 loss 30%": what follows the number is the next condition
+        if unit in (*WORDS, *_INNER, *REFUSED):  # "delay 200 loss 30%": what follows the number is the next condition
             unit, self.at = "", match.end(1)
         self._skip()
         return number, unit, column
@@ -103,42 +123,166 @@ def parse_condition(text: str) -> Condition:
     """The condition that `text` describes; what it does not mention is perfect.
 
     Raises:
-        GrammarError: unknown or unsupported words, wrong units, a jitter above its delay.
+        GrammarError: unknown or unsupported words, wrong units, values out of range or without effect.
     """
     reader = _Reader(text)
     if reader.done():
         raise GrammarError('expected a link condition such as "delay 200ms 50ms loss 30%", got nothing')
     seen: dict[str, int] = {}
-    delay = jitter = 0
-    loss = 0.0
+    found: dict[str, Any] = {}
     while not reader.done():
         column, word = reader.at, reader.word()
         if word in seen:
             raise GrammarError(f'"{word}" is given twice', column)
         seen[word] = column
-        if word == "delay":
-            delay, jitter = _delay(reader)
-        elif word == "loss":
-            loss = _loss(reader)
-        elif word != "down":
+        if word not in _PARSERS:
             raise _unknown(word, column)
-    return Condition(delay_ns=delay, jitter_ns=jitter, loss=loss, up="down" not in seen)
+        found |= _PARSERS[word](reader)
+    if found.get("reorder") and not found.get("delay_ns"):
+        raise GrammarError("reorder sends some packets at once, so the others need a delay", seen["reorder"])
+    return Condition(**found)
 
 
-def _delay(reader: _Reader) -> tuple[int, int]:
-    delay = _time(reader, "delay", "200ms")
-    if _VALUE.match(reader.text, reader.at) is None:
-        return delay, 0
-    column = reader.at
-    jitter = _time(reader, "jitter", "50ms")
-    if jitter > delay:
+def _delay(reader: _Reader) -> dict[str, Any]:
+    found: dict[str, Any] = {"delay_ns": _time(reader, "delay", "200ms")}
+    jitter_column = reader.at
+    if reader.value_follows():
+        found["jitter_ns"] = _time(reader, "jitter", "50ms")
+        if reader.value_follows():
+            found["delay_correlation"] = _percent(reader, "correlation")
+    if reader.peek() == "distribution":
+        column = reader.at
+        reader.word()
+        name_column, name = reader.at, reader.word()
+        if name not in _DISTRIBUTIONS:
+            hint = nearest(name, _DISTRIBUTIONS) or f"known: {', '.join(_DISTRIBUTIONS)}"
+            raise GrammarError(f"no distribution is called {_quoted(name)}", name_column, hint)
+        if not found.get("jitter_ns"):
+            raise GrammarError("a distribution has no effect without a jitter", column, "write delay 200ms 50ms ...")
+        found["distribution"] = name
+    delay, jitter = found["delay_ns"], found.get("jitter_ns", 0)
+    if jitter > delay and found.get("distribution", "uniform") == "uniform":
         raise GrammarError(
             f"the jitter {_print_time(jitter)} is above the delay {_print_time(delay)}: "
             "a packet cannot arrive before it is sent",
-            column,
+            jitter_column,
         )
-    _no_correlation(reader)
-    return delay, jitter
+    if found.get("delay_correlation") and not jitter:
+        raise GrammarError("a correlation has no effect without a jitter", jitter_column)
+    return found
+
+
+def _loss(reader: _Reader) -> dict[str, Any]:
+    match reader.peek():
+        case "state":
+            reader.word()
+            p13 = _percent(reader, "p13")
+            p = _percents(reader, ("p31", "p32", "p23", "p14"))
+            model = FourState(p13, p.get("p31", 1.0 - p13), p.get("p32", 0.0), p.get("p23", 1.0), p.get("p14", 0.0))
+            for first, second in (("p13", "p14"), ("p31", "p32")):
+                if getattr(model, first) + getattr(model, second) > 1.0 + 1e-12:
+                    raise GrammarError(f"{first} and {second} leave the same state: together at most 100%", reader.at)
+            return {"loss_model": model}
+        case "gemodel":
+            reader.word()
+            p_bad = _percent(reader, "p")
+            p = _percents(reader, ("r", "1-h", "1-k"))
+            return {"loss_model": GilbertElliott(p_bad, p.get("r", 1.0 - p_bad), p.get("1-h", 1.0), p.get("1-k", 0.0))}
+        case "random":  # tc's optional word for independent loss
+            reader.word()
+    return _chance(reader, "loss")
+
+
+def _chance(reader: _Reader, name: str) -> dict[str, Any]:
+    """PERCENT [ CORRELATION ]."""
+    found = {name: _percent(reader, name)}
+    if reader.value_follows():
+        found[f"{name}_correlation"] = _percent(reader, "correlation")
+    return found
+
+
+def _reorder(reader: _Reader) -> dict[str, Any]:
+    found = _chance(reader, "reorder")
+    gap = 1
+    if reader.peek() == "gap":
+        reader.word()
+        gap = _whole(reader, "gap", "5", 1)
+    return found | ({"gap": gap} if found["reorder"] else {})
+
+
+def _rate(reader: _Reader) -> dict[str, Any]:
+    column = reader.at
+    got = reader.peek()
+    value = reader.value()
+    if value is None:
+        raise GrammarError(f'expected a rate such as "1kbit", got {_quoted(got)}', column)
+    number, unit, column = value
+    if unit.lower() not in _RATE_BIT:
+        text = "has no unit" if not unit else f'takes bit, kbit, mbit (bits) or bps, kbps, mbps (bytes), got "{unit}"'
+        raise GrammarError(f'the rate "{got}" {text}', column, nearest(unit, _RATE_BIT) if unit else "write 1kbit")
+    bits_per_s = number * _RATE_BIT[unit.lower()]
+    if bits_per_s.denominator != 1 or not 0 <= bits_per_s <= 10**12:
+        raise GrammarError("the rate must be a whole number of bits per second, at most 1000 gbit", column)
+    found = {"rate_bit_s": bits_per_s.numerator}
+    if reader.value_follows():
+        column = reader.at
+        found["rate_overhead"] = _whole(reader, "packet overhead (bytes)", "20", 0)
+        if found["rate_overhead"] and not found["rate_bit_s"]:
+            raise GrammarError("a packet overhead has no effect without a rate", column)
+    return found
+
+
+def _down(_: _Reader) -> dict[str, Any]:
+    return {"up": False}
+
+
+_DISTRIBUTIONS = ("uniform", "normal", "pareto", "paretonormal")
+_PARSERS: dict[str, Callable[[_Reader], dict[str, Any]]] = {
+    "limit": lambda reader: {"limit": _whole(reader, "limit", "20", 1)},
+    "delay": _delay,
+    "loss": _loss,
+    "duplicate": lambda reader: _chance(reader, "duplicate"),
+    "corrupt": lambda reader: _chance(reader, "corrupt"),
+    "reorder": _reorder,
+    "rate": _rate,
+    "seed": lambda reader: {"seed": _whole(reader, "seed", "7", 0, 2**63 - 1)},
+    "down": _down,
+}
+
+
+def _whole(reader: _Reader, what: str, example: str, least: int, most: int = _MOST_PACKETS) -> int:
+    column = reader.at
+    got = reader.peek()
+    value = reader.value()
+    if value is None or value[1] or value[0].denominator != 1 or not least <= value[0] <= most:
+        raise GrammarError(
+            f'the {what} takes a whole number from {least} to {most} such as "{example}", got {_quoted(got)}', column
+        )
+    return value[0].numerator
+
+
+def _percents(reader: _Reader, names: tuple[str, ...]) -> dict[str, float]:
+    """As many percentages as there are, in the order of the names."""
+    found: dict[str, float] = {}
+    for name in names:
+        if not reader.value_follows():
+            break
+        found[name] = _percent(reader, name)
+    return found
+
+
+def _percent(reader: _Reader, what: str) -> float:
+    column = reader.at
+    got = reader.peek()
+    value = reader.value()
+    if value is None:
+        raise GrammarError(f'expected a {what} such as "30%", got {_quoted(got)}', column)
+    number, unit, column = value
+    if unit != "%":
+        raise GrammarError(f'the {what} takes a percentage such as "30%", got {_quoted(got)}', column)
+    if not 0 <= number <= 100:
+        raise GrammarError(f'the {what} must be between 0% and 100%, got "{got}"', column)
+    return float(number / 100)
 
 
 def _time(reader: _Reader, what: str, example: str) -> int:
@@ -164,35 +308,12 @@ def _time(reader: _Reader, what: str, example: str) -> int:
     return ns.numerator
 
 
-def _loss(reader: _Reader) -> float:
-    column = reader.at
-    if reader.peek() in ("state", "gemodel"):
-        raise GrammarError(f'"loss {reader.peek()}" is not supported yet', column, 'use "loss 30%"')
-    if reader.peek() == "random":  # tc's optional word for the independent loss that this is
-        reader.word()
-        column = reader.at
-    got = reader.peek()
-    value = reader.value()
-    if value is None:
-        raise GrammarError(f'expected a loss such as "30%", got {_quoted(got)}', column)
-    number, unit, column = value
-    if unit != "%":
-        raise GrammarError(f'the loss takes a percentage such as "30%", got {_quoted(got)}', column)
-    if not 0 <= number <= 100:
-        raise GrammarError(f'the loss must be between 0% and 100%, got "{got}"', column)
-    _no_correlation(reader)
-    return float(number / 100)
-
-
-def _no_correlation(reader: _Reader) -> None:
-    if _VALUE.match(reader.text, reader.at) is not None:
-        raise GrammarError(f'correlation ("{reader.peek()}") is not supported yet', reader.at)
-
-
 def _unknown(word: str, column: int) -> GrammarError:
-    if word in LATER:
-        return GrammarError(f'"{word}" of tc-netem is not supported yet', column, f"supported: {', '.join(WORDS)}")
-    hint = nearest(word, (*WORDS, *LATER)) or f"supported: {', '.join(WORDS)}"
+    if word in REFUSED:
+        return GrammarError(f'"{word}" of tc-netem is not supported', column, REFUSED[word])
+    if word in _INNER:
+        return GrammarError(f'"{word}" belongs behind another word of tc-netem', column, f"first: {', '.join(WORDS)}")
+    hint = nearest(word, WORDS) or f"known: {', '.join(WORDS)}"
     return GrammarError(f'unknown link condition "{word[:40]}"', column, hint)
 
 
@@ -202,16 +323,53 @@ def _quoted(text: str) -> str:
 
 def print_condition(condition: Condition) -> str:
     """The canonical text: `parse_condition(print_condition(c)) == c`."""
+    c = condition
     words = []
-    if condition.delay_ns or condition.jitter_ns:
-        words.append(f"delay {_print_time(condition.delay_ns)}")
-        if condition.jitter_ns:
-            words.append(_print_time(condition.jitter_ns))
-    if condition.loss:
-        words.append(f"loss {_plain(Decimal(repr(condition.loss)) * 100)}%")
-    if not condition.up:
+    if c.limit != DEFAULT_LIMIT:
+        words.append(f"limit {c.limit}")
+    if c.delay_ns or c.jitter_ns:
+        words.append(f"delay {_print_time(c.delay_ns)}")
+        if c.jitter_ns:
+            words.append(_print_time(c.jitter_ns))
+            words += [_print_percent(c.delay_correlation)] if c.delay_correlation else []
+            words += [f"distribution {c.distribution}"] if c.distribution != "uniform" else []
+    match c.loss_model:
+        case FourState(p13, p31, p32, p23, p14):
+            words.append("loss state " + " ".join(map(_print_percent, (p13, p31, p32, p23, p14))))
+        case GilbertElliott(p, r, bad, good):
+            words.append("loss gemodel " + " ".join(map(_print_percent, (p, r, bad, good))))
+        case _:
+            words += _print_chance("loss", c.loss, c.loss_correlation)
+    words += _print_chance("duplicate", c.duplicate, c.duplicate_correlation)
+    words += _print_chance("corrupt", c.corrupt, c.corrupt_correlation)
+    words += _print_chance("reorder", c.reorder, c.reorder_correlation)
+    if c.reorder and c.gap > 1:
+        words.append(f"gap {c.gap}")
+    if c.rate_bit_s:
+        words.append(f"rate {_print_rate(c.rate_bit_s)}")
+        words += [str(c.rate_overhead)] if c.rate_overhead else []
+    if c.seed is not None:
+        words.append(f"seed {c.seed}")
+    if not c.up:
         words.append("down")
     return " ".join(words) or "delay 0ms"
+
+
+def _print_chance(name: str, probability: float, correlation: float) -> list[str]:
+    if not probability and not correlation:
+        return []
+    return [f"{name} {_print_percent(probability)}", *([_print_percent(correlation)] if correlation else [])]
+
+
+def _print_percent(value: float) -> str:
+    return f"{_plain(Decimal(repr(value)) * 100)}%"
+
+
+def _print_rate(bits_per_s: int) -> str:
+    for unit in ("gbit", "mbit", "kbit"):
+        if bits_per_s % _RATE_BIT[unit] == 0:
+            return f"{bits_per_s // _RATE_BIT[unit]}{unit}"
+    return f"{bits_per_s}bit"
 
 
 def _print_time(ns: int) -> str:

@@ -1,41 +1,233 @@
-"""What one directed link does to one packet.
+"""What one directed link does to one packet, in the order in which Linux' sch_netem does it.
 
-A rule returns a verdict and moves no time: the caller (`netem.network`) owns ticks and queues. Every draw is
-keyed by (seed, purpose, link, sequence number), so that changing one link never shifts another's draws.
+duplicate, lose, corrupt, drop at the queue's limit, and then either reorder (send at once) or delay and rate-limit.
+`docs/netem.md` lists where we differ from the kernel.
+
+A rule returns a verdict and moves no time: the caller (`netem.network`) owns ticks and queues. Every draw is keyed by
+(seed, purpose, link, sequence number, copy), so that changing one link, or one value of a link, never shifts another
+draw. What a link remembers between packets (correlations, loss states, its queue) is plain values.
+
+| symbol | meaning | source |
+|---|---|---|
+| x_n = (1 - rho) u_n + rho x_(n-1) | correlated random number, u_n uniform in [0, 1) | get_crandom |
+| delay = mu + sigma t | t uniform in [-1, 1), normal, Pareto, or 1/4 normal + 3/4 Pareto | tabledist |
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from statistics import NormalDist
+from typing import Any, NamedTuple
 
-from netem.config import Condition, Link
-from netem.draws import uniform
+from netem.config import Condition, FourState, GilbertElliott, Link
+from netem.draws import bits, uniform
 
-# The declared causes of a loss, in the order of the ledger's columns. More come with more of the grammar.
-LOSS, DOWN = "loss", "down"
-CAUSES: tuple[str, ...] = (LOSS, DOWN)
+# The declared causes of a loss, in the order of the ledger's columns.
+LOSS, DOWN, QUEUE = "loss", "down", "queue"
+CAUSES: tuple[str, ...] = (LOSS, DOWN, QUEUE)
 DELIVERED, IN_FLIGHT = "delivered", "in flight"
+
+GOOD, BAD = 0, 1  # of Gilbert and Elliott
+GAP, BURST, LOST_IN_BURST, LOST_ALONE = 1, 2, 3, 4  # of the four-state model
+
+# iproute2's tables for Pareto: shape 3, shifted to mean 0, scaled by 4/3 and cut at 32767 / 8192.
+_PARETO_SHAPE, _PARETO_MEAN, _PARETO_SCALE, _PARETO_MOST = 3.0, 1.5, 4.0 / 3.0, 32767.0 / 8192.0
+_NORMAL = NormalDist()
+_TINY = 2.0**-53
 
 
 class Verdict(NamedTuple):
-    """The fate decided at the sending tick: the drawn delay, or the cause of the loss ("" if none)."""
+    """The fate decided at the sending tick: when the packet leaves, its payload then, or the cause of its loss."""
 
     delay_ns: int
-    cause: str
+    cause: str  # "" if it is not lost
+    payload: bytes
+    corrupted: bool
 
 
-def judge(condition: Condition, seed: int, link: Link, seq: int) -> Verdict:
-    """The verdict on packet `seq` of `link`, sent under `condition`.
+@dataclass(slots=True)
+class LinkState:
+    """What a link remembers from packet to packet."""
 
-    Loss is Bernoulli with probability `loss`. Delay is `delay +- jitter`, uniform, rounded to whole ns and
-    never negative. Both as in tc-netem(8) without correlation.
-    """
-    if not condition.up:
-        return Verdict(0, DOWN)
-    if condition.loss > 0.0 and uniform(seed, "loss", *link, seq) < condition.loss:
-        return Verdict(0, LOSS)
-    delay_ns = condition.delay_ns
-    if condition.jitter_ns:
-        spread = 2.0 * uniform(seed, "delay", *link, seq) - 1.0
-        delay_ns = max(0, delay_ns + round(spread * condition.jitter_ns))
-    return Verdict(delay_ns, "")
+    last: dict[str, float] = field(default_factory=dict)  # the last correlated number of each purpose
+    loss_state: int = 0  # GOOD, or 0 for the four-state model's first GAP
+    since_reordered: int = 0  # packets since the last one that was sent at once
+    leaving_ns: list[int] = field(default_factory=list)  # when each packet in the queue leaves, ascending
+
+    def to_values(self) -> list[Any]:
+        """Plain values of everything."""
+        return [sorted(map(list, self.last.items())), self.loss_state, self.since_reordered, list(self.leaving_ns)]
+
+    @classmethod
+    def from_values(cls, values: list[Any]) -> LinkState:
+        """The inverse of `to_values`."""
+        last, loss_state, since, leaving = values
+        return cls(dict(last), loss_state, since, list(leaving))
+
+
+class LinkModel:
+    """One directed link: its condition, which may change at any time, and what it remembers."""
+
+    __slots__ = ("_link", "_seed", "_state", "condition")
+
+    def __init__(self, condition: Condition, seed: int, link: Link, state: LinkState | None = None) -> None:
+        self.condition = condition
+        self._seed = seed
+        self._link = link
+        self._state = state or LinkState()
+
+    @property
+    def state(self) -> LinkState:
+        return self._state
+
+    def enter(self, now_ns: int, seq: int, payload: bytes) -> list[Verdict]:
+        """The verdict on packet `seq`, sent at `now_ns`; a second one when the link duplicates it.
+
+        A packet that is both duplicated and lost goes on as one, as in the kernel.
+        """
+        c = self.condition
+        if not c.up:
+            return [Verdict(0, DOWN, payload, False)]
+        copies = 2 if c.duplicate and self._chance("duplicate", c.duplicate, c.duplicate_correlation, seq, 0) else 1
+        lost = self._lost(seq, 0)
+        if copies == 1:
+            return [Verdict(0, LOSS, payload, False) if lost else self._queue(now_ns, seq, 0, payload)]
+        # The clone enters first and is not duplicated again, but may be lost on its own.
+        if lost:
+            return [self._queue(now_ns, seq, 0, payload)]
+        clone_lost = self._lost(seq, 1)
+        clone = Verdict(0, LOSS, payload, False) if clone_lost else self._queue(now_ns, seq, 1, payload)
+        return [self._queue(now_ns, seq, 0, payload), clone]
+
+    def _queue(self, now_ns: int, seq: int, copy: int, payload: bytes) -> Verdict:
+        c, leaving = self.condition, self._state.leaving_ns
+        corrupted = bool(payload and c.corrupt) and self._chance("corrupt", c.corrupt, c.corrupt_correlation, seq, copy)
+        if corrupted:
+            payload = self._flipped(payload, seq, copy)
+        while leaving and leaving[0] <= now_ns:
+            leaving.pop(0)
+        if len(leaving) >= c.limit:
+            return Verdict(0, QUEUE, payload, corrupted)
+        if self._reordered(seq, copy):
+            self._state.since_reordered = 0
+            return Verdict(0, "", payload, corrupted)
+        self._state.since_reordered += 1
+        delay = self._delay(seq, copy)
+        start = now_ns
+        if c.rate_bit_s:
+            if leaving:
+                # The last packet in the queue is where the line gets free; waiting for it counts as delay.
+                delay = max(0, delay - (leaving[-1] - now_ns))
+                start = leaving[-1]
+            delay += -(-(len(payload) + c.rate_overhead) * 8 * 10**9 // c.rate_bit_s)
+        leaves = start + delay
+        at = len(leaving)
+        while at and leaving[at - 1] > leaves:
+            at -= 1
+        leaving.insert(at, leaves)
+        return Verdict(leaves - now_ns, "", payload, corrupted)
+
+    def _reordered(self, seq: int, copy: int) -> bool:
+        c = self.condition
+        if not c.reorder or self._state.since_reordered < c.gap - 1:
+            return False
+        return self._chance("reorder", c.reorder, c.reorder_correlation, seq, copy)
+
+    def _delay(self, seq: int, copy: int) -> int:
+        c = self.condition
+        if not c.jitter_ns:
+            return c.delay_ns
+        x = self._random("delay", c.delay_correlation, seq, copy)
+        t = _SHAPES[c.distribution](x, lambda: self._draw("delay, normal part", seq, copy))
+        return max(0, c.delay_ns + round(t * c.jitter_ns))
+
+    def _lost(self, seq: int, copy: int) -> bool:
+        c = self.condition
+        match c.loss_model:
+            case None:
+                return c.loss > 0.0 and self._chance("loss", c.loss, c.loss_correlation, seq, copy)
+            case GilbertElliott():
+                return self._gilbert_elliott(c.loss_model, seq, copy)
+            case FourState():
+                return self._four_state(c.loss_model, seq, copy)
+
+    def _gilbert_elliott(self, model: GilbertElliott, seq: int, copy: int) -> bool:
+        """The state moves first; what decides on the packet is the state before."""
+        state = self._state
+        move, fate = self._draw("loss state", seq, copy), self._draw("loss", seq, copy)
+        if state.loss_state != BAD:
+            state.loss_state = BAD if move < model.p else GOOD
+            return fate < model.good
+        state.loss_state = GOOD if move < model.r else BAD
+        return fate < model.bad
+
+    def _four_state(self, model: FourState, seq: int, copy: int) -> bool:
+        """The state moves, and the packet is lost when it is one of the lost states then."""
+        state, x = self._state, self._draw("loss state", seq, copy)
+        match state.loss_state:
+            case 3:
+                after = BURST if x < model.p32 else GAP if x < model.p32 + model.p31 else LOST_IN_BURST
+            case 2:
+                after = LOST_IN_BURST if x < model.p23 else BURST
+            case 4:
+                after = GAP
+            case _:
+                after = LOST_ALONE if x < model.p14 else LOST_IN_BURST if x < model.p14 + model.p13 else GAP
+        state.loss_state = after
+        return after in (LOST_IN_BURST, LOST_ALONE)
+
+    def _flipped(self, payload: bytes, seq: int, copy: int) -> bytes:
+        """One bit of the payload turned over."""
+        bit = bits(self._seed_in_use, "corrupted bit", *self._link, seq, copy) % (8 * len(payload))
+        damaged = bytearray(payload)
+        damaged[bit // 8] ^= 1 << bit % 8
+        return bytes(damaged)
+
+    def _chance(self, purpose: str, probability: float, correlation: float, seq: int, copy: int) -> bool:
+        return self._random(purpose, correlation, seq, copy) < probability
+
+    def _random(self, purpose: str, correlation: float, seq: int, copy: int) -> float:
+        u = self._draw(purpose, seq, copy)
+        if not correlation:
+            return u
+        last = self._state.last
+        before = last.get(purpose)
+        if before is None:
+            before = uniform(self._seed_in_use, f"{purpose}, first", *self._link)
+        last[purpose] = x = (1.0 - correlation) * u + correlation * before
+        return x
+
+    @property
+    def _seed_in_use(self) -> int:
+        return self._seed if self.condition.seed is None else self.condition.seed
+
+    def _draw(self, purpose: str, seq: int, copy: int) -> float:
+        if copy:
+            return uniform(self._seed_in_use, purpose, *self._link, seq, copy)
+        return uniform(self._seed_in_use, purpose, *self._link, seq)
+
+
+def _uniform(x: float, _: Callable[[], float]) -> float:
+    return 2.0 * x - 1.0
+
+
+def _normal(x: float, _: Callable[[], float]) -> float:
+    return _NORMAL.inv_cdf(min(max(x, _TINY), 1.0 - _TINY))
+
+
+def _pareto(x: float, _: Callable[[], float]) -> float:
+    power: float = (1.0 - x) ** (-1.0 / _PARETO_SHAPE)
+    return min((power - _PARETO_MEAN) * _PARETO_SCALE, _PARETO_MOST)
+
+
+def _pareto_normal(x: float, other: Callable[[], float]) -> float:
+    return 0.25 * _normal(other(), other) + 0.75 * _pareto(x, other)
+
+
+_SHAPES: dict[str, Callable[[float, Callable[[], float]], float]] = {
+    "uniform": _uniform,
+    "normal": _normal,
+    "pareto": _pareto,
+    "paretonormal": _pareto_normal,
+}

@@ -22,6 +22,7 @@ class Account:
     duplicated: int = 0
     delivered: int = 0
     in_flight: int = 0
+    corrupted: int = 0  # of those delivered
     lost: dict[str, int] = field(default_factory=dict)
 
     @property
@@ -37,6 +38,7 @@ class Account:
             "delivered": self.delivered,
             "lost": {cause: self.lost[cause] for cause in CAUSES if cause in self.lost},
             "in_flight": self.in_flight,
+            "corrupted": self.corrupted,
         }
 
 
@@ -63,6 +65,7 @@ class Ledger:
             account = self.accounts[(fate.src, fate.dst)]
             if fate.cause == DELIVERED:
                 account.delivered += 1
+                account.corrupted += fate.corrupted
             elif fate.cause == IN_FLIGHT:
                 account.in_flight += 1
             elif fate.cause in CAUSES:
@@ -82,6 +85,7 @@ class Ledger:
             total.duplicated += account.duplicated
             total.delivered += account.delivered
             total.in_flight += account.in_flight
+            total.corrupted += account.corrupted
             for cause, count in account.lost.items():
                 total.lost[cause] = total.lost.get(cause, 0) + count
         return total

@@ -192,6 +192,7 @@ class Fate(NamedTuple):
     due_tick: Annotated[int, uint("tick", "tick at which it was, or would have been, usable")]
     delay_ns: Annotated[int, uint("ns", "drawn delay of the link, before rounding up to ticks")]
     cause: Annotated[str, Field("", "delivered, in flight, or the cause of its loss", "str")]
+    corrupted: Annotated[bool, Field("", "whether the link changed the payload", "bool")]
     payload: Annotated[bytes, Field("", "the payload's bytes", "bin")]
 
 

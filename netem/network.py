@@ -9,10 +9,11 @@ from __future__ import annotations
 
 import heapq
 from collections.abc import Mapping
+from dataclasses import asdict
 from typing import Any, NamedTuple
 
-from netem.config import Condition, Link, NetemConfig
-from netem.impairment import DELIVERED, IN_FLIGHT, judge
+from netem.config import Condition, FourState, GilbertElliott, Link, NetemConfig
+from netem.impairment import DELIVERED, IN_FLIGHT, LinkModel, LinkState
 from netem.ledger import Ledger
 from netem.messages import Delivery, Fate
 
@@ -30,6 +31,7 @@ class Packet(NamedTuple):
     dst: int
     delay_ns: int
     payload: bytes
+    corrupted: bool
 
 
 class Exchange(NamedTuple):
@@ -44,7 +46,9 @@ class Netem:
 
     def __init__(self, config: NetemConfig) -> None:
         self.config = config
-        self._conditions: dict[Link, Condition] = dict(config.conditions)
+        self._models = {
+            link: LinkModel(config.conditions.get(link, PERFECT), config.seed, link) for link in config.links
+        }
         self._receivers: dict[int, list[int]] = {i: [] for i in config.vehicles}
         for src, dst in sorted(config.links):
             self._receivers[src].append(dst)
@@ -55,9 +59,9 @@ class Netem:
         self._round = -1
 
     @property
-    def sent(self) -> dict[Link, int]:
-        """Packets that entered each link so far."""
-        return {link: account.sent for link, account in self._ledger.accounts.items()}
+    def entered(self) -> dict[Link, tuple[int, int]]:
+        """Packets sent into each link so far, and those that it added as duplicates."""
+        return {link: (account.sent, account.duplicated) for link, account in self._ledger.accounts.items()}
 
     def exchange(self, tick: int, transmissions: Mapping[int, tuple[bytes, ...]]) -> Exchange:
         """One round: take the payloads sent at round tick `tick`, hand out what falls due until the next.
@@ -75,9 +79,7 @@ class Netem:
         for src in sorted(transmissions):
             for payload in transmissions[src]:
                 for dst in self._receivers[src]:
-                    fate = self._enter(tick, src, dst, payload)
-                    if fate is not None:
-                        dropped.append(fate)
+                    dropped += self._enter(tick, src, dst, payload)
         until = tick if config.ideal else tick + config.round_ticks
         # On an ideal network today's packets are due today, so they are announced before they are settled.
         if config.ideal:
@@ -97,19 +99,34 @@ class Netem:
         self._announced, self._pending = [], {i: [] for i in self._pending}
         return self._book(fates)
 
-    def _enter(self, tick: int, src: int, dst: int, payload: bytes) -> Fate | None:
+    def set_condition(self, link: Link, condition: Condition) -> None:
+        """Change a link from now on; what is on its way, and what the link remembers, stays."""
+        model = self._models[link]
+        if type(model.condition.loss_model) is not type(condition.loss_model):
+            model.state.loss_state = 0  # a state of one model means nothing in the other
+        model.condition = condition
+
+    def condition(self, link: Link) -> Condition:
+        """The condition of a link now."""
+        return self._models[link].condition
+
+    def _enter(self, tick: int, src: int, dst: int, payload: bytes) -> list[Fate]:
+        """Let a payload into a link; the fates of what is lost at once."""
         config, link = self.config, (src, dst)
         seq = self._next_seq[link]
         self._next_seq[link] = seq + 1
-        self._ledger.enter(link, sent=1)
-        delay_ns, cause = judge(self._conditions.get(link, PERFECT), config.seed, link, seq)
-        ticks = -(-delay_ns // config.tick_ns)
-        due = tick + (ticks if config.ideal else max(1, ticks))
-        packet = Packet(due, tick, src, seq, 0, dst, delay_ns, payload)
-        if cause:
-            return _fate(packet, tick, cause)
-        heapq.heappush(self._pending[dst], packet)
-        return None
+        verdicts = self._models[link].enter(tick * config.tick_ns, seq, payload)
+        self._ledger.enter(link, sent=1, duplicated=len(verdicts) - 1)
+        lost = []
+        for copy, verdict in enumerate(verdicts):
+            ticks = -(-verdict.delay_ns // config.tick_ns)
+            due = tick + (ticks if config.ideal else max(1, ticks))
+            packet = Packet(due, tick, src, seq, copy, dst, verdict.delay_ns, verdict.payload, verdict.corrupted)
+            if verdict.cause:
+                lost.append(_fate(packet, tick, verdict.cause))
+            else:
+                heapq.heappush(self._pending[dst], packet)
+        return lost
 
     def _announce(self, receivers: Mapping[int, Any], until: int) -> dict[int, tuple[Delivery, ...]]:
         inboxes = {}
@@ -138,8 +155,9 @@ class Netem:
         return {
             "round": self._round,
             "next_seq": [[src, dst, seq] for (src, dst), seq in sorted(self._next_seq.items())],
-            "conditions": [
-                [src, dst, c.delay_ns, c.jitter_ns, c.loss, c.up] for (src, dst), c in sorted(self._conditions.items())
+            "links": [
+                [*link, condition_values(model.condition), model.state.to_values()]
+                for link, model in sorted(self._models.items())
             ],
             "pending": [list(p) for i in sorted(self._pending) for p in sorted(self._pending[i])],
             "announced": [list(p) for p in self._announced],
@@ -150,7 +168,10 @@ class Netem:
         """The inverse of `state`, into a core built from the same configuration."""
         self._round = values["round"]
         self._next_seq = {(src, dst): seq for src, dst, seq in values["next_seq"]}
-        self._conditions = {(src, dst): Condition(*rest) for src, dst, *rest in values["conditions"]}
+        for src, dst, condition, state in values["links"]:
+            link = (src, dst)
+            restored = LinkState.from_values(state)
+            self._models[link] = LinkModel(condition_from_values(condition), self.config.seed, link, restored)
         self._pending = {i: [] for i in self.config.vehicles}
         for fields in values["pending"]:
             packet = Packet(*fields)
@@ -160,7 +181,25 @@ class Netem:
             entry = self._ledger.accounts[(src, dst)]
             entry.sent, entry.duplicated = account["sent"], account["duplicated"]
             entry.delivered, entry.in_flight = account["delivered"], account["in_flight"]
+            entry.corrupted = account["corrupted"]
             entry.lost = dict(account["lost"])
+
+
+def condition_values(condition: Condition) -> dict[str, Any]:
+    """A condition as plain values."""
+    values = asdict(condition)
+    if condition.loss_model is not None:
+        values["loss_model"] = [type(condition.loss_model).__name__, values["loss_model"]]
+    return values
+
+
+def condition_from_values(values: dict[str, Any]) -> Condition:
+    """The inverse of `condition_values`."""
+    model = values["loss_model"]
+    if model is not None:
+        kind = {cls.__name__: cls for cls in (FourState, GilbertElliott)}[model[0]]
+        model = kind(**model[1])
+    return Condition(**values | {"loss_model": model})
 
 
 def fate_order(fate: Fate) -> tuple[int, int, int, int, int]:
@@ -179,5 +218,6 @@ def _fate(packet: Packet, final_tick: int, cause: str) -> Fate:
         packet.due_tick,
         packet.delay_ns,
         cause,
+        packet.corrupted,
         packet.payload,
     )

@@ -103,8 +103,8 @@ class NetemProcess:
                 respond(msgpack.packb({"tick": self._rounds.tick, "missing": self._rounds.missing}))
             case "close":
                 self._report(self._rounds.close(int(request["tick"])))
-                sent = [[src, dst, count] for (src, dst), count in self._rounds.netem.sent.items()]
-                values = {"sent": sent, "rejected": dict(self._shell.rejected), "counts": self._counts}
+                entered = [[*link, *counts] for link, counts in self._rounds.netem.entered.items()]
+                values = {"entered": entered, "rejected": dict(self._shell.rejected), "counts": self._counts}
                 respond(msgpack.packb(values))
             case other:
                 respond(msgpack.packb({"error": f"no operation {other!r}"}))

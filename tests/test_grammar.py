@@ -6,10 +6,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from netem.config import Condition
+from netem.config import DEFAULT_LIMIT, Condition, FourState, GilbertElliott
 from netem.errors import NetemError
 from netem.grammar import (
-    LATER,
+    REFUSED,
     GrammarError,
     Selector,
     exact_number,
@@ -22,13 +22,43 @@ from netem.grammar import (
 DAY_NS = 86_400 * 10**9
 
 
+chance = st.floats(0.0, 1.0)
+loss_models = st.one_of(
+    st.builds(GilbertElliott, chance, chance, chance, chance),
+    st.tuples(chance, chance, chance, chance, chance).map(
+        lambda p: FourState(p[0], p[1], p[2] * (1.0 - p[1]), p[3], p[4] * (1.0 - p[0]))
+    ),
+)
+
+
 @st.composite
 def conditions(draw: st.DrawFn) -> Condition:
+    """Every word of the grammar, in every combination that means something."""
     delay = draw(st.integers(0, DAY_NS))
+    shape = draw(st.sampled_from(("uniform", "normal", "pareto", "paretonormal")))
+    jitter = draw(st.integers(0, delay) if shape == "uniform" else st.integers(0, DAY_NS))
+    model = draw(st.none() | loss_models)
+    reorder = draw(chance) if delay else 0.0
+    rate = draw(st.integers(0, 10**12))
     return Condition(
         delay_ns=delay,
-        jitter_ns=draw(st.integers(0, delay)),
-        loss=draw(st.floats(0.0, 1.0)),
+        jitter_ns=jitter,
+        delay_correlation=draw(chance) if jitter else 0.0,
+        distribution=shape if jitter else "uniform",  # type: ignore[arg-type]
+        loss=draw(chance) if model is None else 0.0,
+        loss_correlation=draw(chance) if model is None else 0.0,
+        loss_model=model,
+        duplicate=draw(chance),
+        duplicate_correlation=draw(chance),
+        corrupt=draw(chance),
+        corrupt_correlation=draw(chance),
+        reorder=reorder,
+        reorder_correlation=draw(chance) if reorder else 0.0,
+        gap=draw(st.integers(1, 100)) if reorder else 0,
+        rate_bit_s=rate,
+        rate_overhead=draw(st.integers(0, 1500)) if rate else 0,
+        limit=draw(st.sampled_from((DEFAULT_LIMIT, 1, 20))),
+        seed=draw(st.none() | st.integers(0, 2**63 - 1)),
         up=draw(st.booleans()),
     )
 
@@ -57,6 +87,19 @@ def test_printing_is_canonical(condition: Condition) -> None:
         ("delay 0.001us", Condition(delay_ns=1)),
         ("delay 0ms", Condition()),
         ("loss 100%", Condition(loss=1.0)),
+        ("delay 200ms 50ms 25%", Condition(200_000_000, 50_000_000, delay_correlation=0.25)),
+        ("delay 1ms 2ms distribution pareto", Condition(1_000_000, 2_000_000, distribution="pareto")),
+        ("loss 1% 25%", Condition(loss=0.01, loss_correlation=0.25)),
+        ("loss gemodel 1%", Condition(loss_model=GilbertElliott(0.01, 0.99))),
+        ("loss gemodel 1% 10% 70% 0.1%", Condition(loss_model=GilbertElliott(0.01, 0.1, 0.7, 0.001))),
+        ("loss state 1%", Condition(loss_model=FourState(0.01, 0.99))),
+        ("loss state 1% 50% 10% 30% 2%", Condition(loss_model=FourState(0.01, 0.5, 0.1, 0.3, 0.02))),
+        ("duplicate 1% 5% corrupt 0.1%", Condition(duplicate=0.01, duplicate_correlation=0.05, corrupt=0.001)),
+        ("delay 10ms reorder 25% 50%", Condition(10_000_000, reorder=0.25, reorder_correlation=0.5, gap=1)),
+        ("reorder 25% gap 5 delay 10ms", Condition(10_000_000, reorder=0.25, gap=5)),
+        ("rate 1kbit", Condition(rate_bit_s=1000)),
+        ("rate 10kbps 4 limit 3", Condition(rate_bit_s=80_000, rate_overhead=4, limit=3)),
+        ("rate 1Mbit seed 7", Condition(rate_bit_s=1_000_000, seed=7)),
     ],
 )
 def test_reads_tc_netem(text: str, condition: Condition) -> None:
@@ -74,17 +117,29 @@ def test_reads_tc_netem(text: str, condition: Condition) -> None:
         ("delay 200 loss 30%", 6, "has no unit"),
         ("delay 200min", 6, 'us, ms or s, got "min"'),
         ("delay 200ms 300ms", 12, "the jitter 300ms is above the delay 200ms"),
-        ("delay 200ms 50ms 25%", 17, "correlation"),
         ("delay -1ms", 6, "between 0 and one day"),
         ("delay 1e99s", 6, "between 0 and one day"),
         ("delay 0.1ns", 6, "us, ms or s"),
         ("delay 0.0001us", 6, "whole number of nanoseconds"),
         ("loss 30", 5, "percentage"),
         ("loss 101%", 5, "between 0% and 100%"),
-        ("loss 30% 25%", 9, "correlation"),
-        ("loss gemodel 1%", 5, '"loss gemodel" is not supported yet'),
-        ("delay 1ms distribution normal", 10, '"distribution" of tc-netem is not supported yet'),
         ("loss 1% loss 2%", 8, '"loss" is given twice'),
+        ("delay 1ms distribution normal", 10, "a distribution has no effect without a jitter"),
+        ("delay 1ms 1ms distribution norml", 27, 'no distribution is called "norml"'),
+        ("delay 1ms 0ms 25%", 10, "a correlation has no effect without a jitter"),
+        ("loss state 60% 60% 50%", 22, "p31 and p32 leave the same state"),
+        ("loss state", 10, 'expected a p13 such as "30%", got nothing'),
+        ("loss gemodel 1 2", 13, "the p takes a percentage"),
+        ("reorder 25%", 0, "the others need a delay"),
+        ("delay 1ms reorder 25% gap 0", 26, "whole number from 1"),
+        ("gap 5", 0, '"gap" belongs behind another word'),
+        ("rate 1", 5, "has no unit"),
+        ("rate 1kB", 5, 'bps, kbps, mbps (bytes), got "kB"'),
+        ("rate 0.0001bit", 5, "whole number of bits per second"),
+        ("rate 1kbit -5", 11, "whole number from 0"),
+        ("limit 0", 6, "whole number from 1"),
+        ("limit 5%", 6, "whole number from 1"),
+        ("seed -1", 5, "whole number from 0"),
         ("delay " + "9" * 5000 + "ms", 6, "expected a delay"),
     ],
 )
@@ -95,10 +150,11 @@ def test_points_at_what_is_wrong(text: str, column: int, words: str) -> None:
     assert caught.value.column == column
 
 
-@pytest.mark.parametrize("word", LATER)
+@pytest.mark.parametrize("word", REFUSED)
 def test_the_rest_of_tc_netem_is_refused_by_name(word: str) -> None:
-    with pytest.raises(GrammarError, match="not supported yet"):
+    with pytest.raises(GrammarError, match="of tc-netem is not supported") as caught:
         parse_condition(f"{word} 5%")
+    assert caught.value.hint
 
 
 def test_names_the_nearest_word() -> None:

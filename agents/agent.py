@@ -143,7 +143,13 @@ class Agent(_Brain):
     def __init__(self, config: AgentConfig) -> None:
         super().__init__(config)
         self._neighbours = NeighbourTable(
-            config.neighbours, config.extrapolation, config.reference, config.offset, self._tick_s
+            config.neighbours,
+            config.extrapolation,
+            config.reference,
+            config.offset,
+            self._tick_s,
+            config.age_cap_s,
+            config.drop_after_s,
         )
         self._controller = build(config, self._notes)
         self._seed = f"{config.seed}/controller/{config.id}/"

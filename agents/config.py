@@ -88,6 +88,8 @@ class AgentConfig:
     reference_weight: float  # b_i [1]
     neighbours: tuple[Neighbour, ...]
     extrapolation: Extrapolation
+    age_cap_s: float  # what is older is extrapolated no further; 0: any
+    drop_after_s: float  # a neighbour not heard for longer has no weight until it is heard again; 0: never
     guidance: GuidanceParams
     tracking: TrackingParams
     vehicle: VehicleParams  # the controller's model of its own vehicle

@@ -10,6 +10,9 @@
 | position now, neighbour | pos_j + vel_j age | m | NED |
 | position now, reference | pos_j + eta_j^d(now) - eta_j^d(k_j) | m | NED |
 
+Past the age cap the position stays where extrapolation left it; a neighbour not heard for longer than `drop_after`
+is left out of every sum, as before it was heard first, and counts again with its next message.
+
 Newest means by the sending tick: a late older message never replaces a newer one. "neighbour" has no bias but
 closes a loop through the neighbour's velocity that is unstable for long delays; "reference" is stable for
 every delay; "hold" is stable and lags behind a moving formation.
@@ -53,6 +56,8 @@ class NeighbourTable:
         reference: Reference,
         offset: Offset,
         tick_s: float,
+        age_cap_s: float = 0.0,
+        drop_after_s: float = 0.0,
     ) -> None:
         # One order for the sums, whatever the order of the configuration or of arrival.
         self._neighbours = tuple(sorted(neighbours, key=lambda n: n.id))
@@ -60,6 +65,9 @@ class NeighbourTable:
         self._reference = reference
         self._offset = offset  # own: p_j = p_i - Delta_ij
         self._tick_s = tick_s
+        # In ticks, so that neither depends on how a product of floats is rounded.
+        self._age_cap = round(age_cap_s / tick_s) if age_cap_s else None
+        self._drop_after = round(drop_after_s / tick_s) if drop_after_s else None
         self._newest: dict[int, StateMessage | None] = {n.id: None for n in self._neighbours}
         self.counters = dict.fromkeys(
             ("accepted", "duplicate", "superseded", *CAUSES, "wrong_sender", "from_future"), 0
@@ -95,13 +103,17 @@ class NeighbourTable:
             if message is None:
                 continue
             position = message.position
-            age = (now - message.sent_tick) * tick_s
+            ticks = now - message.sent_tick
+            if self._drop_after is not None and ticks > self._drop_after:
+                continue
+            age = ticks * tick_s
+            span = age if self._age_cap is None or ticks <= self._age_cap else self._age_cap * tick_s
             if self._extrapolation == "neighbour":
                 x, y, z = position
                 vx, vy, vz = message.velocity
-                position = (x + vx * age, y + vy * age, z + vz * age)
+                position = (x + vx * span, y + vy * span, z + vz * span)
             elif self._extrapolation == "reference":
-                position = plus(position, self._drift(neighbour, message.sent_tick * tick_s, age))
+                position = plus(position, self._drift(neighbour, message.sent_tick * tick_s, span))
             offset = neighbour.offset
             delta = offset.at(now * tick_s).position if offset.changes else offset.start
             found.append(NeighbourState(neighbour.id, neighbour.weight, delta, position, message.velocity, age))

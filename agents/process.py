@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import sys
 import traceback
 from collections.abc import Callable
 from time import monotonic, sleep
@@ -23,6 +24,7 @@ log = logging.getLogger(__name__)
 READY_TIMEOUT_S = 30.0
 RETRY_S = 0.02
 POLL_S = 0.001
+CONTROLLER_FAILED = 70  # exit status: a law failed, and the scenario says that the run shall end
 
 
 def run(endpoint: str, run_id: str, vehicle: int, credentials: Credentials) -> None:
@@ -105,7 +107,8 @@ class AgentProcess:
             raise
         except ControllerError as error:
             self._shell.note(self._vehicle, error.tick, f"controller failed: {error}")
-            raise
+            traceback.print_exc()
+            sys.exit(CONTROLLER_FAILED)
         except Exception as error:
             where = traceback.extract_tb(error.__traceback__)[-1]
             text = f"controller failed: {type(error).__name__}: {error} ({where.filename}:{where.lineno})"

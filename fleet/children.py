@@ -194,6 +194,8 @@ def _child(title: str, log_path: str, target: Callable[..., None], args: tuple[A
     try:
         target(*args)
         code = 0
+    except SystemExit as ended:
+        code = ended.code if isinstance(ended.code, int) else 1
     except BaseException:
         traceback.print_exc()
     finally:

@@ -6,8 +6,10 @@ from the watcher's. The main thread takes them one by one.
 
 from __future__ import annotations
 
+import contextlib
 import os
 import secrets
+import signal
 import socket
 import tempfile
 import time
@@ -31,10 +33,11 @@ from netem.access import CONSOLE, NETEM, OPERATOR, Credentials, agent_role, gene
 from netem.bus import Bus, Respond
 from netem.errors import BusError, MalformedMessage, OutOfPlace
 from netem.keys import Keys
-from netem.messages import PROTOCOL_VERSION, Frames, Grant, Hello, LinkReport, Note, encode
+from netem.messages import PROTOCOL_VERSION, Death, Frames, Grant, Hello, LinkReport, Note, encode
 from netem.shell import expect, read_map, request
 
 WORLD = world.process.WORLD
+CONTROLLER_FAILED = agents.process.CONTROLLER_FAILED
 JOIN_S = 10.0
 JOIN_TRY_MS = 500
 READY_S = 20.0
@@ -75,6 +78,9 @@ class Console:
         self._rejected_notes = 0
         self._received = {FRAME: 0, LINKS: 0}
         self.middleware_lost = 0  # messages that zenoh lost; any makes the run invalid
+        self._running = False  # between the first grant and the last frame
+        self._killed: set[int] = set()  # by the scenario
+        self.deaths: dict[int, str] = {}  # agents that ended by themselves, and how
         self.waiting = ""  # who is being waited for, when nothing moves
         self.started_s = 0.0  # wall time until everyone was ready
 
@@ -206,7 +212,9 @@ class Console:
         journal = self._journal
         granted = 0
         began = moved = asked = time.monotonic()
+        self._running = True
         while journal.framed < clock.ticks:
+            self._kill_scripted()
             now = time.monotonic()
             until = clock.until(journal.written, now - began)
             if until > granted:
@@ -256,6 +264,9 @@ class Console:
 
     def _handle(self, kind: str, data: Any) -> None:
         if kind == EXIT:
+            if self._survivable(data):
+                self._bury(data)
+                return
             self._explain([data])
         try:
             # Agents may put notes and nothing else, so each key takes its own kinds only.
@@ -279,6 +290,35 @@ class Console:
             if kind != NOTE:
                 raise RunBroken(f"a damaged message on {kind}: {error}") from error
             self._rejected_notes += 1
+
+    def _survivable(self, ended: Exit) -> bool:
+        """Whether the run goes on without this process."""
+        return (
+            self._running
+            and self._scenario.spec.on_death == "continue"
+            and ended.role.startswith("agent-")
+            and ended.code not in (FORKSERVER_LOST, CONTROLLER_FAILED)
+        )
+
+    def _bury(self, ended: Exit) -> None:
+        """Tell the world, which decides from which tick on the vehicle drifts."""
+        i = int(ended.role.removeprefix("agent-"))
+        self._grant(encode(Death(i, 0)))
+        if i in self._killed:
+            return
+        child = self._children.by_role[ended.role]
+        self.deaths[i] = describe_exit(ended.code)
+        last = f"; last line of {child.log_path}: {line}" if (line := "".join(child.tail()[-1:])) else ""
+        at = self._seconds(self._journal.framed)
+        self.notes.append(f"{at} agent {i} (pid {child.pid}) {self.deaths[i]}: its vehicle drifts without thrust{last}")
+
+    def _kill_scripted(self) -> None:
+        """End the agents whose time has come: the world has not asked them any more from that tick on."""
+        for i, tick in self._scenario.faults.kills.items():
+            if i not in self._killed and self._journal.framed >= tick:
+                self._killed.add(i)
+                with contextlib.suppress(ProcessLookupError):
+                    os.kill(self._children.by_role[agent_role(i)].pid, signal.SIGKILL)
 
     def _note(self, note: Note) -> None:
         if len(self.notes) >= MOST_NOTES:

@@ -21,8 +21,12 @@ _PLAIN = re.compile(r"(?:[A-Za-z0-9]|-?[0-9.])(?:[A-Za-z0-9 ._/%^<>+-]*[A-Za-z0-
 
 def scenario_yaml(spec: ScenarioSpec) -> str:
     """The text of a scenario; what its profile and its vehicle's model supply is shown as comments."""
-    values = spec.model_dump(exclude_none=True)
-    for key in ("per_vehicle", "model_error"):
+    values = spec.model_dump(exclude_none=True, by_alias=True)
+    values["per_vehicle"] = {
+        numbers: overrides.model_dump(exclude_none=True, exclude_unset=True, by_alias=True)
+        for numbers, overrides in spec.per_vehicle.items()
+    }
+    for key in ("per_vehicle", "model_error", "faults"):
         if not values[key]:
             del values[key]
     lines: list[str] = []

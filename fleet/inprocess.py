@@ -60,8 +60,7 @@ class InProcess:
             self._loops[i] = AgentLoop(core, scenario.round_ticks, ideal=scenario.ideal)
         while not self._world.finished:
             until = clock.until(self._journal.written, time.monotonic() - began)
-            for out in self._world.grant(until):
-                self._from_world(out)
+            self._from_world(self._world.grant(until))
             if not self._post:
                 time.sleep(0.002)  # paced by --speed: nothing to do until the wall clock moves on
             while self._post:
@@ -78,13 +77,17 @@ class InProcess:
     def _send(self, sender: int, receiver: int, message: Message) -> None:
         self._post.append((sender, receiver, encode(message)))
 
-    def _from_world(self, out: NavTo | Round | Frame) -> None:
-        if isinstance(out, NavTo):
-            self._send(WORLD, out.id, out.nav)
-        elif isinstance(out, Frame):
-            self._send(WORLD, CONSOLE, Frames((out,)))
-        elif not self._scenario.ideal:  # on an ideal network netem does not wait for the world
-            self._send(WORLD, NETEM, out)
+    def _from_world(self, outs: list[NavTo | Round | Frame]) -> None:
+        for i, tick, text in self._world.notes:
+            self.notes.append(note_text(self._scenario, tick, f"vehicle {i}", text))
+        self._world.notes.clear()
+        for out in outs:
+            if isinstance(out, NavTo):
+                self._send(WORLD, out.id, out.nav)
+            elif isinstance(out, Frame):
+                self._send(WORLD, CONSOLE, Frames((out,)))
+            elif not self._scenario.ideal:  # on an ideal network netem does not wait for the world
+                self._send(WORLD, NETEM, out)
 
     def _deliver(self, sender: int, receiver: int, message: Message, data: bytes) -> None:
         match message:
@@ -93,8 +96,7 @@ class InProcess:
             case Inbox():
                 self._answer(receiver, self._loops[receiver].inbox(message))
             case Command():
-                for out in self._world.command(sender, message, data):
-                    self._from_world(out)
+                self._from_world(self._world.command(sender, message, data))
             case Transmission():
                 self._rounds.transmission(sender, message)
                 self._exchange()

@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from math import gcd
 from typing import Protocol
 
+from fleet.faults import Event
 from fleet.metrics import Metrics, VehicleError
 from fleet.scenario import Scenario
 from netem.errors import OutOfPlace
@@ -23,6 +24,7 @@ class Sink(Protocol):
 
     def frame(self, frame: Frame, commands: Mapping[int, Command], errors: Mapping[int, VehicleError]) -> None: ...
     def packet(self, fate: Fate) -> None: ...
+    def event(self, event: Event) -> None: ...
 
 
 class Journal:
@@ -37,6 +39,8 @@ class Journal:
         self.reported = -1
         self.closed = False
         self._last = scenario.ticks
+        self._events = deque(scenario.faults.events)
+        self._without_agent: set[int] = set()
         self._frame_every = frame_every(scenario)
         self._round_ticks = scenario.round_ticks
         self._frames: deque[Frame] = deque()
@@ -87,9 +91,19 @@ class Journal:
             frame = self._frames.popleft()
             self._write_fates(frame.tick - 1)
             commands = {row.id: _command(row.command) for row in frame.vehicles if row.command}
+            self._write_events(frame, commands)
             self.log.frame(frame, commands, self.metrics.frame(frame, commands))
         self._write_fates(limit)
         self.written = max(self.written, limit)
+
+    def _write_events(self, frame: Frame, commands: dict[int, Command]) -> None:
+        """What the scenario scripted up to this tick, and whose agent is missing in it for the first time."""
+        while self._events and self._events[0].tick <= frame.tick:
+            self.log.event(self._events.popleft())
+        for row in frame.vehicles:
+            if row.id not in commands and row.id not in self._without_agent and frame.tick < self._last:
+                self._without_agent.add(row.id)
+                self.log.event(Event(frame.tick, f"death-{row.id}", "begins", f"kill {row.id}"))
 
     def _write_fates(self, until: int) -> None:
         while self._fates and self._fates[0].final_tick <= until:

@@ -24,9 +24,11 @@ from agents.controllers import BUILT_IN, law_class, laws
 from agents.plugins import fingerprint, resumable
 from agents.signals import Layout
 from fleet.errors import FleetError
+from fleet.faults import Event
 from fleet.log_schemas import (
     COMMAND,
     ERROR,
+    FAULT,
     PACKET,
     STATE,
     Column,
@@ -92,6 +94,9 @@ class LogWriter:
             }
             self._encoders[group] = {i: encoder for i, (_, encoder) in schemas.items() if encoder is not None}
         self._pose = PoseEncoder(FRAME_ID)
+        fault = flat_schema("Fault", FAULT)
+        self._fault = fault.message
+        self._faults = self._channel("faults", fault, registered)
         packet = flat_schema("Packet", PACKET)
         self._packet = packet.message
         self._by_link = {
@@ -171,6 +176,13 @@ class LogWriter:
         data = message.SerializeToString()
         self._add(self._by_link[fate.src, fate.dst], final_ns, fate.sent_tick * tick_ns, fate.seq, data)
         self._flush(final_ns)
+
+    def event(self, event: Event) -> None:
+        """Write the beginning or end of a fault."""
+        message = self._fault(fault=event.fault, action=event.action, what=event.what)
+        at_ns = event.tick * self._tick_ns
+        self._add(self._faults, at_ns, at_ns, event.tick, message.SerializeToString())
+        self._flush(at_ns)
 
     def close(self) -> None:
         """Write the index and close the file."""

@@ -67,6 +67,11 @@ ERROR = (
     Column("formation", "m", "true position minus desired position, NED", 3),
     Column("formation_norm", "m", "its Euclidean norm"),
 )
+FAULT = (
+    Column("fault", "", "its id", type=STRING),
+    Column("action", "", "begins or ends", type=STRING),
+    Column("what", "", "in the words of a scenario", type=STRING),
+)
 PACKET = (
     Column("seq", "1", "number of the payload on this directed link", type=UINT32),
     Column("copy", "1", "0 for the original, 1.. for duplicates", type=UINT32),

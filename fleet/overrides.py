@@ -6,7 +6,7 @@ into a list count from 1, as vehicles do: `initial.2.surge=0.3 m/s`.
 `vehicles=N` scales the scenario, before the other overrides apply. What the file writes out vehicle by vehicle
 cannot fit another number of them, so it is replaced by what can: the formation's offsets by a grid, the
 initial states by a scatter, the graph's edges by a path (a shape scales by itself). What is said of links and
-vehicles that may be gone is dropped, and so are changes of the formation, whose ways grow with the fleet.
+vehicles that may be gone is dropped, and so are faults and changes of the formation, whose ways grow with the fleet.
 `--show-config` shows the result.
 """
 
@@ -122,6 +122,8 @@ def _scale(before: Mapping, root: Mapping) -> Mapping:
         root = replaced(root, "formation", entries)
     elif isinstance(formation, Mapping) and "changes" in formation.entries:
         root = replaced(root, "formation", {k: v for k, v in formation.entries.items() if k != "changes"})
+    if "faults" in root.entries:
+        root = root.without("faults")
     per_vehicle = root.entries.get("per_vehicle")
     if isinstance(per_vehicle, Mapping):
         for text in per_vehicle.entries:

@@ -13,6 +13,7 @@ import numpy as np
 from agents.errors import AgentError
 from fleet.clock import Clock
 from fleet.errors import RunBroken
+from fleet.faults import Event
 from fleet.inprocess import InProcess
 from fleet.journal import Journal
 from fleet.metrics import VehicleError
@@ -64,6 +65,9 @@ class _Capture:
 
     def packet(self, fate: Fate) -> None:
         """Packets are not kept."""
+
+    def event(self, event: Event) -> None:
+        """Nor are faults."""
 
     def recording(self, scenario: Scenario, broken: str) -> Recording:
         n, samples = len(self._ids), len(self.ticks)

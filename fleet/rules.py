@@ -20,18 +20,19 @@ from agents.profiles import profile
 from agents.trajectory import Offset, PathError
 from agents.trajectory import Path as Path_
 from fleet.errors import Problem
+from fleet.faults import ACTIONS, FaultError, action, partition
 from fleet.fields import vehicle_numbers
 from fleet.formation import plans
 from fleet.graph import build, parse_edge
 from fleet.quantities import RATE, SPEED, QuantityError, Vec3, show, show_time, show_vector
 from fleet.reference import build as build_reference
-from fleet.schema import FormationShape, ScenarioSpec
+from fleet.schema import FaultSection, FormationShape, ScenarioSpec
 from fleet.shapes import FORMATION, GRAPH, REFERENCE, Keys
 from fleet.tuning import given, law_names, merged, qp_period_ns, used, vehicle, wrong_model
 from fleet.vehicles import VehicleFileError, mass_problems
 from fleet.yaml_marks import Mapping, locate
 from netem.config import Link
-from netem.grammar import GrammarError, nearest, parse_selector
+from netem.grammar import GrammarError, nearest, parse_selector, select
 
 Table = dict[str, Keys]
 _LINKS_SHOWN = 12
@@ -124,7 +125,7 @@ def _layers(spec: ScenarioSpec, key: str) -> Iterator[tuple[tuple[str, ...], Any
             yield ("per_vehicle", numbers), getattr(overrides, key), overrides.profile or spec.profile
 
 
-def _whole(report: Report, path: tuple[str, ...], ns: int, tick: int) -> None:
+def _whole(report: Report, path: tuple[str | int, ...], ns: int, tick: int) -> None:
     if ns % tick:
         below = ns // tick * tick
         near = " or ".join(show_time(t) for t in (below, below + tick) if t)
@@ -294,6 +295,56 @@ def _graph_links(spec: ScenarioSpec) -> tuple[Link, ...]:
     else:
         places = ((0.0, 0.0, 0.0),) * spec.vehicles
     return build(g, places, spec.seed if g.shape == "random" else 0).links
+
+
+def _faults(spec: ScenarioSpec, report: Report) -> None:
+    links = _graph_links(spec)
+    seen: dict[str, int] = {}
+    for index, fault in enumerate(spec.faults):
+        path: tuple[str | int, ...] = ("faults", index)
+        given_actions = [name for name in ACTIONS if getattr(fault, name) is not None]
+        if len(given_actions) != 1:
+            got = " and ".join(given_actions) or "none"
+            report.add(path, f"does exactly one thing, got {got}", f"one of {', '.join(ACTIONS)}")
+            continue
+        name = fault.id or f"f{index + 1}"
+        if name in seen:
+            report.add((*path, "id"), f'fault {seen[name] + 1} is called "{name}" as well')
+        seen[name] = index
+        _whole(report, (*path, "at"), fault.at, spec.tick)
+        if fault.for_ is not None:
+            _whole(report, (*path, "for"), fault.for_, spec.tick)
+        if fault.at >= spec.duration:
+            report.add((*path, "at"), f"the run is over at {show_time(spec.duration)}")
+        _fault_targets(spec, report, path, fault, links)
+
+
+def _fault_targets(
+    spec: ScenarioSpec, report: Report, path: tuple[str | int, ...], fault: FaultSection, links: tuple[Link, ...]
+) -> None:
+    kind = action(fault)
+    if spec.network.ideal:
+        report.add(path, f"{kind} needs a network, and this one is ideal", "give the network a period")
+        return
+    if kind == "kill" and fault.for_ is not None:
+        report.add((*path, "for"), "an agent that is killed stays dead", key=True)
+    if kind == "partition":
+        try:
+            cut = partition(fault.partition or "", spec.vehicles, spec.seed, 0)
+        except FaultError as error:
+            report.add((*path, kind), error.message, error.hint)
+            return
+        if not cut & set(links) and "one" not in (fault.partition or ""):
+            report.add((*path, kind), "cuts no link of the graph")
+        return
+    if kind in ("link", "down"):
+        for text in [fault.down] if kind == "down" else fault.link or ():
+            if not select(parse_selector(text or ""), links) and text != "*":
+                report.add((*path, kind), f"the graph has no link {text}")
+        return
+    for number in vehicle_numbers(getattr(fault, kind)):
+        if not 1 <= number <= spec.vehicles:
+            report.add((*path, kind), f"there is no vehicle {number}: they are 1 to {spec.vehicles}")
 
 
 def _per_vehicle(spec: ScenarioSpec, report: Report) -> None:
@@ -480,6 +531,7 @@ RULES: tuple[Callable[[ScenarioSpec, Report], None], ...] = (
     _followers,
     _links,
     _per_vehicle,
+    _faults,
     _laws,
     _effective,
     _vehicles,

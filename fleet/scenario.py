@@ -16,7 +16,7 @@ from agents.config import AgentConfig, Neighbour
 from agents.controllers import layout
 from agents.signals import Layout
 from agents.trajectory import Change, Offset, Reference, minus
-from fleet import emit, formation, graph, reference, tuning
+from fleet import emit, faults, formation, graph, reference, tuning
 from fleet.errors import Problem, ScenarioError
 from fleet.graph import Graph
 from fleet.overrides import apply, override_name
@@ -47,6 +47,7 @@ class Scenario:
     initial: tuple[tuple[Vec5, Vec5], ...]  # (eta0, nu0) of each vehicle
     conditions: dict[Link, Condition]  # of every link that is not perfect at the start
     controls: tuple[Control, ...]  # what each vehicle is and runs
+    faults: faults.Plan
     source: str = field(default="", compare=False)  # the shipped name or the path it was loaded from
 
     @classmethod
@@ -66,6 +67,7 @@ class Scenario:
             graph=links,
             initial=formation.initial_states(spec.initial, places, trajectory.at(0.0), spec.seed),
             conditions={k: conditions[k] for k in links.links if conditions.get(k, Condition()) != Condition()},
+            faults=faults.plan(spec, links.links),
             controls=tuple(tuning.control(spec, i, folder) for i in range(1, spec.vehicles + 1)),
             source=source,
         )
@@ -136,6 +138,8 @@ class Scenario:
             ),
             disturbance=disturbance.PAPER if spec.sea.disturbance == "paper" else (),
             current=spec.sea.current,
+            kills=dict(self.faults.kills),
+            keep_going=spec.on_death == "continue" and not self.ideal,
             noise=NavNoise(
                 position_m=spec.sensors.position_noise,
                 angle_rad=spec.sensors.angle_noise,
@@ -164,6 +168,8 @@ class Scenario:
                 for j, weight in self.graph.neighbours(i)
             ),
             extrapolation=control.extrapolation,
+            age_cap_s=control.age_cap_s,
+            drop_after_s=control.drop_after_s,
             guidance=control.guidance,
             tracking=control.tracking,
             vehicle=control.model,
@@ -185,6 +191,7 @@ class Scenario:
             vehicles=tuple(range(1, self.vehicles + 1)),
             links=self.graph.links,
             conditions=dict(self.conditions),
+            faults=self.faults.network,
             ideal=self.ideal,
         )
 

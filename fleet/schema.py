@@ -303,6 +303,8 @@ class NeighboursSection(Section):
     """How an agent estimates where a neighbour is now from what it heard last."""
 
     extrapolate: Extrapolation = "hold"
+    age_cap: Time = 0  # of the extrapolation; 0: none
+    drop_after: Time = 0  # without news for so long, a neighbour's weight is 0 until the next; 0: never
 
 
 class VehicleOverrides(Section):
@@ -324,6 +326,33 @@ class NetworkSection(Section):
     ideal: bool = False
     period: Period = 100_000_000  # one round: every agent sends once per period
     links: dict[LinkSelector, LinkCondition] = {}  # the last that matches a link wins
+
+
+class FaultSection(Section):
+    """One fault: when, for how long, and exactly one thing that it does. It always ends, at the latest with the run."""
+
+    id: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,31}$")] | None = None  # f1, f2, ...
+    at: Time
+    for_: Annotated[Period | None, Field(alias="for")] = None  # to the end
+    link: dict[LinkSelector, LinkCondition] | None = None  # in place of the links' own conditions
+    down: LinkSelector | None = None
+    partition: str | None = None  # "1,2 / 3,4", or halves, one, majority, ring, bridge, isolate:3
+    mute: VehicleNumbers | None = None  # sends nothing
+    deaf: VehicleNumbers | None = None  # hears nothing
+    kill: VehicleNumbers | None = None  # the agent ends; the vehicle drifts without thrust
+
+
+def _fault(value: Any) -> Any:
+    """`link 1->2: loss 30%` is short for `link: {1->2: loss 30%}`."""
+    if not isinstance(value, dict):
+        return value
+    long: dict[str, Any] = {}
+    for key, inner in value.items():
+        if isinstance(key, str) and key.startswith("link ") and "link" not in value:
+            long.setdefault("link", {})[key.removeprefix("link ").strip()] = inner
+        else:
+            long[key] = inner
+    return long
 
 
 class LogSection(Section):
@@ -361,8 +390,8 @@ class ChecksSection(Section):
 
 
 def _on_death(value: Any) -> Any:
-    if value in ("continue", "restart"):
-        raise mistake(f'"{value}" comes with the fault language', hint='use "abort"')
+    if value == "restart":
+        raise mistake('"restart" is still to come', hint='use "continue" or "abort"')
     return value
 
 
@@ -428,7 +457,7 @@ class ScenarioSpec(Section):
     duration: Period
     tick: Period = 10_000_000  # the control period Ts
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 1
-    on_death: Annotated[Literal["abort"], BeforeValidator(_on_death)] = "abort"
+    on_death: Annotated[Literal["continue", "abort"], BeforeValidator(_on_death)] = "continue"
     stall_timeout: Period = 30_000_000_000  # wall time without progress that ends the run
     reference: ReferenceSection
     formation: FormationSection
@@ -450,4 +479,5 @@ class ScenarioSpec(Section):
     network: Annotated[NetworkSection, BeforeValidator(_network), PlainSerializer(_show_network)]
     physics: PhysicsSection = PhysicsSection()
     log: LogSection = LogSection()
+    faults: list[Annotated[FaultSection, BeforeValidator(_fault)]] = []
     checks: ChecksSection = ChecksSection()

@@ -44,6 +44,8 @@ class Control:
     guidance: GuidanceParams
     tracking: TrackingParams
     extrapolation: Extrapolation
+    age_cap_s: float
+    drop_after_s: float
     vehicle: VehicleParams  # the truth
     model: VehicleParams  # what the controller believes
     tau_max: Vec3  # N, N m, N m
@@ -72,7 +74,9 @@ def _over(below: VehicleOverrides, above: VehicleOverrides) -> VehicleOverrides:
         elif isinstance(high, VehicleSection) and high.model is not None:
             values[key] = high  # another model, not this one with some of its numbers
         else:
-            values[key] = low.model_copy(update=given(high))
+            # What was written, not what has a default: a vehicle's own timeout leaves its extrapolation alone.
+            written = {name: value for name, value in given(high).items() if name in high.model_fields_set}
+            values[key] = low.model_copy(update=written)
     # A controller chosen here replaces the agent and the laws that were chosen below it.
     if above.controller is not None:
         if above.agent is None:
@@ -114,6 +118,8 @@ def control(spec: ScenarioSpec, i: int, folder: Path | None = None) -> Control:
         guidance=guidance_params(choice.profile or "paper", guidance_name, choice.guidance, spec.tick),
         tracking=tracking_params(choice.profile or "paper", tracking_name, choice.tracking),
         extrapolation=choice.neighbours.extrapolate,
+        age_cap_s=choice.neighbours.age_cap / 1e9,
+        drop_after_s=choice.neighbours.drop_after / 1e9,
         vehicle=params,
         model=wrong_model(params, choice.model_error),
         tau_max=tau_max,

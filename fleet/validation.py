@@ -138,7 +138,7 @@ def _nearest_key(loc: Loc) -> str:
     for step in loc[:-1]:
         if isinstance(step, str) and step in section.model_fields:
             section = _section_of(section.model_fields[step].annotation) or section
-    key, siblings = str(loc[-1]), list(section.model_fields)
+    key, siblings = str(loc[-1]), [info.alias or name for name, info in section.model_fields.items()]
     hint = nearest(key, siblings)
     if hint:
         return hint

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
+
+if TYPE_CHECKING:
+    from netem.faults import NetFault
 
 Link = tuple[int, int]  # (src, dst), vehicle numbers
 Distribution = Literal["uniform", "normal", "pareto", "paretonormal"]
@@ -70,4 +73,5 @@ class NetemConfig:
     vehicles: tuple[int, ...]
     links: tuple[Link, ...]  # (j, i): j's payloads reach i, i.e. a_ij > 0
     conditions: dict[Link, Condition] = field(default_factory=dict)
+    faults: tuple[NetFault, ...] = ()  # in the order in which they begin
     ideal: bool = False  # zero latency: due in the sending tick itself (in-process only)

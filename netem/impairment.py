@@ -25,7 +25,8 @@ from netem.draws import bits, uniform
 
 # The declared causes of a loss, in the order of the ledger's columns.
 LOSS, DOWN, QUEUE = "loss", "down", "queue"
-CAUSES: tuple[str, ...] = (LOSS, DOWN, QUEUE)
+PARTITION, MUTE, DEAF, DEAD_RECEIVER = "partition", "mute", "deaf", "dead receiver"
+CAUSES: tuple[str, ...] = (LOSS, DOWN, PARTITION, MUTE, QUEUE, DEAF, DEAD_RECEIVER)
 DELIVERED, IN_FLIGHT = "delivered", "in flight"
 
 GOOD, BAD = 0, 1  # of Gilbert and Elliott
@@ -51,28 +52,31 @@ class LinkState:
     """What a link remembers from packet to packet."""
 
     last: dict[str, float] = field(default_factory=dict)  # the last correlated number of each purpose
+    loss_model: str = ""  # whose `loss_state` is
     loss_state: int = 0  # GOOD, or 0 for the four-state model's first GAP
     since_reordered: int = 0  # packets since the last one that was sent at once
     leaving_ns: list[int] = field(default_factory=list)  # when each packet in the queue leaves, ascending
 
     def to_values(self) -> list[Any]:
         """Plain values of everything."""
-        return [sorted(map(list, self.last.items())), self.loss_state, self.since_reordered, list(self.leaving_ns)]
+        last = sorted(map(list, self.last.items()))
+        return [last, self.loss_model, self.loss_state, self.since_reordered, list(self.leaving_ns)]
 
     @classmethod
     def from_values(cls, values: list[Any]) -> LinkState:
         """The inverse of `to_values`."""
-        last, loss_state, since, leaving = values
-        return cls(dict(last), loss_state, since, list(leaving))
+        last, model, loss_state, since, leaving = values
+        return cls(dict(last), model, loss_state, since, list(leaving))
 
 
 class LinkModel:
     """One directed link: its condition, which may change at any time, and what it remembers."""
 
-    __slots__ = ("_link", "_seed", "_state", "condition")
+    __slots__ = ("_link", "_seed", "_state", "_used", "condition")
 
     def __init__(self, condition: Condition, seed: int, link: Link, state: LinkState | None = None) -> None:
-        self.condition = condition
+        self.condition = condition  # the link's own
+        self._used = condition
         self._seed = seed
         self._link = link
         self._state = state or LinkState()
@@ -81,12 +85,15 @@ class LinkModel:
     def state(self) -> LinkState:
         return self._state
 
-    def enter(self, now_ns: int, seq: int, payload: bytes) -> list[Verdict]:
+    def enter(self, now_ns: int, seq: int, payload: bytes, over: Condition | None = None) -> list[Verdict]:
         """The verdict on packet `seq`, sent at `now_ns`; a second one when the link duplicates it.
+
+        `over` is the condition of a fault that lies over the link's own.
 
         A packet that is both duplicated and lost goes on as one, as in the kernel.
         """
-        c = self.condition
+        c = self.condition if over is None else over
+        self._used = c
         if not c.up:
             return [Verdict(0, DOWN, payload, False)]
         copies = 2 if c.duplicate and self._chance("duplicate", c.duplicate, c.duplicate_correlation, seq, 0) else 1
@@ -101,7 +108,7 @@ class LinkModel:
         return [self._queue(now_ns, seq, 0, payload), clone]
 
     def _queue(self, now_ns: int, seq: int, copy: int, payload: bytes) -> Verdict:
-        c, leaving = self.condition, self._state.leaving_ns
+        c, leaving = self._used, self._state.leaving_ns
         corrupted = bool(payload and c.corrupt) and self._chance("corrupt", c.corrupt, c.corrupt_correlation, seq, copy)
         if corrupted:
             payload = self._flipped(payload, seq, copy)
@@ -129,13 +136,13 @@ class LinkModel:
         return Verdict(leaves - now_ns, "", payload, corrupted)
 
     def _reordered(self, seq: int, copy: int) -> bool:
-        c = self.condition
+        c = self._used
         if not c.reorder or self._state.since_reordered < c.gap - 1:
             return False
         return self._chance("reorder", c.reorder, c.reorder_correlation, seq, copy)
 
     def _delay(self, seq: int, copy: int) -> int:
-        c = self.condition
+        c = self._used
         if not c.jitter_ns:
             return c.delay_ns
         x = self._random("delay", c.delay_correlation, seq, copy)
@@ -143,7 +150,10 @@ class LinkModel:
         return max(0, c.delay_ns + round(t * c.jitter_ns))
 
     def _lost(self, seq: int, copy: int) -> bool:
-        c = self.condition
+        c, state = self._used, self._state
+        if c.loss_model is not None and state.loss_model != type(c.loss_model).__name__:
+            # A state of one model means nothing in the other.
+            state.loss_model, state.loss_state = type(c.loss_model).__name__, 0
         match c.loss_model:
             case None:
                 return c.loss > 0.0 and self._chance("loss", c.loss, c.loss_correlation, seq, copy)
@@ -200,7 +210,7 @@ class LinkModel:
 
     @property
     def _seed_in_use(self) -> int:
-        return self._seed if self.condition.seed is None else self.condition.seed
+        return self._seed if self._used.seed is None else self._used.seed
 
     def _draw(self, purpose: str, seq: int, copy: int) -> float:
         if copy:

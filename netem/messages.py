@@ -315,6 +315,14 @@ class Grant(NamedTuple):
     until: Annotated[int, uint("tick", "state `until` will exist, Nav(`until`) is not sent")]
 
 
+@_declare("death", "cmd/grant", "console", "world")
+class Death(NamedTuple):
+    """An agent has ended: its vehicle is not waited for any more."""
+
+    vehicle: Annotated[int, uint("", "vehicle number")]
+    incarnation: Annotated[int, uint("", "the life that ended")]
+
+
 @_declare("note", "note", "world, netem, agents", "console")
 class Note(NamedTuple):
     """Something a person should know: a rejected message, a failed controller, a counter."""
@@ -325,7 +333,7 @@ class Note(NamedTuple):
     text: Annotated[str, Field("", "one line", "str")]
 
 
-Message = Hello | Nav | Command | Transmission | Inbox | Round | Frames | LinkReport | Grant | Note
+Message = Hello | Nav | Command | Transmission | Inbox | Round | Frames | LinkReport | Grant | Death | Note
 
 
 def encode(message: Message) -> bytes:

@@ -13,7 +13,8 @@ from dataclasses import asdict
 from typing import Any, NamedTuple
 
 from netem.config import Condition, FourState, GilbertElliott, Link, NetemConfig
-from netem.impairment import DELIVERED, IN_FLIGHT, LinkModel, LinkState
+from netem.faults import Weather, weather
+from netem.impairment import DEAD_RECEIVER, DEAF, DELIVERED, IN_FLIGHT, MUTE, LinkModel, LinkState
 from netem.ledger import Ledger
 from netem.messages import Delivery, Fate
 
@@ -55,6 +56,7 @@ class Netem:
         self._next_seq: dict[Link, int] = dict.fromkeys(config.links, 0)
         self._pending: dict[int, list[Packet]] = {i: [] for i in config.vehicles}  # not yet in an inbox
         self._announced: list[Packet] = []  # in an inbox, not yet due
+        self._unheard: list[Fate] = []  # lost at a receiver that cannot hear, not yet due
         self._ledger = Ledger(config.links)
         self._round = -1
 
@@ -75,19 +77,21 @@ class Netem:
             and every fate that became final in (k - m, k].
         """
         config = self.config
+        now = weather(config.faults, tick)
         dropped: list[Fate] = []
         for src in sorted(transmissions):
             for payload in transmissions[src]:
                 for dst in self._receivers[src]:
-                    dropped += self._enter(tick, src, dst, payload)
+                    dropped += self._enter(tick, src, dst, payload, now)
         until = tick if config.ideal else tick + config.round_ticks
         # On an ideal network today's packets are due today, so they are announced before they are settled.
         if config.ideal:
-            inboxes = self._announce(transmissions, until)
+            inboxes, unheard = self._announce(transmissions, until, now)
             delivered = self._settle(tick)
         else:
             delivered = self._settle(tick)
-            inboxes = self._announce(transmissions, until)
+            inboxes, unheard = self._announce(transmissions, until, now)
+        self._unheard += unheard
         self._round = tick
         return Exchange(inboxes, self._book(dropped + delivered))
 
@@ -96,26 +100,29 @@ class Netem:
         fates = self._settle(end_tick - 1)
         rest = self._announced + [p for i in sorted(self._pending) for p in self._pending[i]]
         fates += [_fate(packet, end_tick, IN_FLIGHT) for packet in rest]
+        fates += [fate._replace(final_tick=end_tick, cause=IN_FLIGHT) for fate in self._unheard]
+        self._unheard = []
         self._announced, self._pending = [], {i: [] for i in self._pending}
         return self._book(fates)
 
     def set_condition(self, link: Link, condition: Condition) -> None:
         """Change a link from now on; what is on its way, and what the link remembers, stays."""
-        model = self._models[link]
-        if type(model.condition.loss_model) is not type(condition.loss_model):
-            model.state.loss_state = 0  # a state of one model means nothing in the other
-        model.condition = condition
+        self._models[link].condition = condition
 
     def condition(self, link: Link) -> Condition:
         """The condition of a link now."""
         return self._models[link].condition
 
-    def _enter(self, tick: int, src: int, dst: int, payload: bytes) -> list[Fate]:
+    def _enter(self, tick: int, src: int, dst: int, payload: bytes, now: Weather) -> list[Fate]:
         """Let a payload into a link; the fates of what is lost at once."""
         config, link = self.config, (src, dst)
         seq = self._next_seq[link]
         self._next_seq[link] = seq + 1
-        verdicts = self._models[link].enter(tick * config.tick_ns, seq, payload)
+        cut = MUTE if src in now.mute else now.cut.get(link, "")
+        if cut:
+            self._ledger.enter(link, sent=1)
+            return [_fate(Packet(tick, tick, src, seq, 0, dst, 0, payload, False), tick, cut)]
+        verdicts = self._models[link].enter(tick * config.tick_ns, seq, payload, now.conditions.get(link))
         self._ledger.enter(link, sent=1, duplicated=len(verdicts) - 1)
         lost = []
         for copy, verdict in enumerate(verdicts):
@@ -128,22 +135,34 @@ class Netem:
                 heapq.heappush(self._pending[dst], packet)
         return lost
 
-    def _announce(self, receivers: Mapping[int, Any], until: int) -> dict[int, tuple[Delivery, ...]]:
+    def _announce(
+        self, alive: Mapping[int, Any], until: int, now: Weather
+    ) -> tuple[dict[int, tuple[Delivery, ...]], list[Fate]]:
+        """The inboxes of the living, and what falls due at those who cannot hear it."""
         inboxes = {}
-        for i in sorted(receivers):
+        unheard = []
+        for i in sorted(self._pending):
             queue, inbox = self._pending[i], []
+            cause = DEAD_RECEIVER if i not in alive else DEAF if i in now.deaf else ""
             while queue and queue[0].due_tick <= until:
                 packet = heapq.heappop(queue)
-                self._announced.append(packet)
-                inbox.append(Delivery(*packet[:5], packet.payload))
-            inboxes[i] = tuple(inbox)
-        return inboxes
+                if cause:
+                    unheard.append(_fate(packet, packet.due_tick, cause))
+                else:
+                    self._announced.append(packet)
+                    inbox.append(Delivery(*packet[:5], packet.payload))
+            if i in alive:
+                inboxes[i] = tuple(inbox)
+        return inboxes, unheard
 
     def _settle(self, until: int) -> list[Fate]:
         due = [packet for packet in self._announced if packet.due_tick <= until]
         if due:
             self._announced = [packet for packet in self._announced if packet.due_tick > until]
-        return [_fate(packet, packet.due_tick, DELIVERED) for packet in due]
+        final = [fate for fate in self._unheard if fate.final_tick <= until]
+        if final:
+            self._unheard = [fate for fate in self._unheard if fate.final_tick > until]
+        return [_fate(packet, packet.due_tick, DELIVERED) for packet in due] + final
 
     def _book(self, fates: list[Fate]) -> tuple[Fate, ...]:
         fates.sort(key=fate_order)
@@ -161,6 +180,7 @@ class Netem:
             ],
             "pending": [list(p) for i in sorted(self._pending) for p in sorted(self._pending[i])],
             "announced": [list(p) for p in self._announced],
+            "unheard": [list(fate) for fate in self._unheard],
             "ledger": [[*link, account.to_values()] for link, account in self._ledger.accounts.items()],
         }
 
@@ -177,6 +197,7 @@ class Netem:
             packet = Packet(*fields)
             self._pending[packet.dst].append(packet)  # sorted, and a sorted list is a heap
         self._announced = [Packet(*fields) for fields in values["announced"]]
+        self._unheard = [Fate(*fields) for fields in values["unheard"]]
         for src, dst, account in values["ledger"]:
             entry = self._ledger.accounts[(src, dst)]
             entry.sent, entry.duplicated = account["sent"], account["duplicated"]

@@ -109,6 +109,8 @@ def agent_config(
         reference_weight=1.0,
         neighbours=neighbours,
         extrapolation=extrapolation,
+        age_cap_s=0.0,
+        drop_after_s=0.0,
         guidance=guidance,
         tracking=tracking,
         vehicle=PARAMS,

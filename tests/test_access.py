@@ -439,7 +439,8 @@ def test_no_secret_is_left_lying_about(tmp_path: Path, monkeypatch: pytest.Monke
 
 def test_connection_file(tmp_path: Path) -> None:
     """While the run lives, for its owner alone, and enough to join as the operator; afterwards gone."""
-    with LiveRun(tmp_path / "runs", "paper", "--duration", "60 s", "--speed", "5") as run:
+    arguments = ["--duration", "60 s", "--speed", "5", "--set", "on_death=abort"]
+    with LiveRun(tmp_path / "runs", "paper", *arguments) as run:
         run.until_running(0.5)
         path = run.directory / "connection.json"
         assert stat.S_IMODE(path.stat().st_mode) == 0o600

@@ -306,6 +306,18 @@ def test_a_duplicate_is_ignored_and_a_late_message_is_superseded() -> None:
     assert (t.counters["accepted"], t.counters["duplicate"], t.counters["superseded"]) == (1, 1, 1)
 
 
+def test_extrapolation_ends_at_its_cap_and_silence_ends_a_neighbours_weight() -> None:
+    """Sim time, not wall time: the same ticks whatever the machine; and the next message brings the neighbour back."""
+    neighbours = (Neighbour(1, 1.0, Offset((0.0, 0.0, 0.0))),)
+    t = NeighbourTable(neighbours, "neighbour", REFERENCE, Offset((0.0, 0.0, 0.0)), 0.01, 0.5, 2.0)
+    t.absorb([delivery(1, 0, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0))], 1)
+    assert [t.heard(k)[0].position[0] for k in (40, 50, 51, 200)] == pytest.approx([0.4, 0.5, 0.5, 0.5])
+    assert t.heard(200)[0].age == pytest.approx(2.0)
+    assert t.heard(201) == ()
+    t.absorb([delivery(1, 190, (9.0, 0.0, 0.0))], 202)
+    assert len(t.heard(202)) == 1
+
+
 def test_what_cannot_be_used_is_counted_and_dropped() -> None:
     t = table()
     corrupt = delivery(1, 20)._replace(payload=bytes(SIZE))

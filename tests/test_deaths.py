@@ -36,7 +36,8 @@ from netem.keys import Keys
 from netem.messages import Command, Frames, Hello, LinkReport, Nav, Note, Transmission, encode
 
 END_S = 5.0  # promised: 2 s
-LONG = ["--duration", "60 s", "--speed", "5"]  # of which the first seconds are seen
+# Of which the first seconds are seen; what follows a death unless the scenario says otherwise is tested further down.
+LONG = ["--duration", "60 s", "--speed", "5", "--set", "on_death=abort"]
 CHECKS = "checks={qp_infeasible: {at_most: 0}, ledger: balanced, middleware_loss: {at_most: 0}}"
 
 
@@ -338,7 +339,7 @@ def test_controller_that_computes_nan(tmp_path: Path) -> None:
         assert run.status(60.0) == 3
         run.until_nobody_is_left()
         assert "agent 3 (pid " in run.said
-        assert "exited with status 1 at t = 0.5" in run.said
+        assert "exited with status 70 at t = 0.5" in run.said
         assert "controller failed: agent 3, tick 57: control.demand is (nan, nan, nan)" in run.said
         assert "last lines of " in run.said
         assert "agents.errors.ControllerError: agent 3, tick 57" in run.said

@@ -226,6 +226,16 @@ def test_each_setting_reaches_its_vehicles() -> None:
     assert [c.guidance.K0[0] for c in s.controls] == [0.3, 0.6, 0.3, 0.6, 0.3]
 
 
+def test_what_a_vehicle_does_not_mention_stays() -> None:
+    s = small("neighbours={extrapolate: reference, drop_after: 9 s}", "per_vehicle.2.neighbours.drop_after=2 s")
+    assert [(c.extrapolation, c.drop_after_s) for c in s.controls] == [
+        ("reference", 9.0),
+        ("reference", 2.0),
+        ("reference", 9.0),
+    ]
+    assert parse_scenario(s.to_yaml(), "again.yaml") == s
+
+
 def test_a_controller_per_vehicle_replaces_laws_below_it() -> None:
     s = small("guidance=fixed", "per_vehicle.2.controller=boc", "per_vehicle.3={controller: boc, guidance: fixed}")
     assert [c.guidance_law.name for c in s.controls] == ["fixed", "optimal", "fixed"]

@@ -59,3 +59,5 @@ class WorldConfig:
     disturbance: tuple[Harmonic, ...] = ()  # d1..d5, the same on every vehicle; empty: none
     current: Vec3 = (0.0, 0.0, 0.0)  # m/s, NED, constant and irrotational
     noise: NavNoise = field(default_factory=NavNoise)
+    kills: dict[int, int] = field(default_factory=dict)  # vehicle -> first tick without an agent
+    keep_going: bool = False  # a vehicle that cannot be integrated any more is lost, and the run goes on

@@ -12,7 +12,11 @@ from typing import NamedTuple
 from netem.errors import OutOfPlace
 from netem.messages import Command, Frame, Nav, Round, VehicleFrame, encode
 from world.config import WorldConfig
+from world.errors import IntegrationError
 from world.sea import World
+from world.vehicle import Vec3
+
+STILL: Vec3 = (0.0, 0.0, 0.0)
 
 
 class NavTo(NamedTuple):
@@ -38,8 +42,11 @@ class Lockstep:
         self._incarnation = dict.fromkeys(self._ids, 0)
         self._awaiting: dict[int, Nav] = {}
         self._rows: dict[int, list[VehicleFrame]] = {}  # frames being assembled, by tick
-        self._commanded: dict[int, int] = {}  # round tick -> commands that are in
-        self._positions: dict[int, dict[int, tuple[float, ...]]] = {}
+        self._decided: dict[int, int] = {}  # round tick -> vehicles that are past it, alive or not
+        self._positions: dict[int, dict[int, tuple[float, ...]]] = {}  # of those alive at a round tick
+        self._died: dict[int, int] = dict(config.kills)  # vehicle -> first tick without an agent
+        self._lost: set[int] = set()  # vehicles that are not integrated any more
+        self.notes: list[tuple[int, int, str]] = []  # (vehicle, tick, text) for a person; whoever reads empties it
         self._framed = 0  # next tick whose frame has not left
 
     @property
@@ -59,7 +66,23 @@ class Lockstep:
     def grant(self, until: int) -> list[Out]:
         """Ticks below `until` may be started; a smaller grant than before changes nothing."""
         self._granted = max(self._granted, min(until, self.config.ticks))
-        return [nav for i in self._ids for nav in self._start(i)]
+        return [out for i in self._ids for out in self._start(i)] + self._frames()
+
+    def end(self, i: int, incarnation: int) -> list[Out]:
+        """Vehicle i's agent has ended: from the tick whose command is missing it drifts without thrust."""
+        if (
+            incarnation != self._incarnation[i]
+            or i in self._lost
+            or self._died.get(i, self.config.ticks) <= self.tick_of(i)
+        ):
+            return []
+        nav = self._awaiting.pop(i, None)
+        self._died[i] = self.tick_of(i) if nav is None else nav.tick
+        return self._start(i) + self._frames()
+
+    def dead(self, i: int) -> bool:
+        """Whether vehicle i has no agent at the tick it has reached."""
+        return self._died.get(i, self.config.ticks + 1) <= self.tick_of(i)
 
     def command(self, i: int, command: Command, raw: bytes | None = None) -> list[Out]:
         """Take vehicle i's command, advance it by one tick and say what follows.
@@ -84,29 +107,54 @@ class Lockstep:
         world, k = self.world, nav.tick
         eta, nu = world.state(i)
         tau = world.actuate(i, command.tau)
-        out: list[Out] = []
         if k % self._frame_every == 0:
             row = VehicleFrame(i, eta, nu, nav.eta + nav.nu, tau, encode(command) if raw is None else raw)
             self._rows.setdefault(k, []).append(row)
+        return self._pass(i, k, tau, eta[:3]) + self._start(i) + self._frames()
+
+    def _pass(self, i: int, k: int, tau: Vec3, alive_at: tuple[float, ...] | None) -> list[Out]:
+        """Take vehicle i over tick k; `alive_at` is where it is if its agent is alive."""
+        out: list[Out] = []
         if k % self.config.round_ticks == 0:
-            self._positions.setdefault(k, {})[i] = eta[:3]
-            if len(self._positions[k]) == len(self._ids):
-                positions = self._positions.pop(k)
-                out.append(Round(k, self._ids, tuple(positions[j] for j in self._ids)))
-        world.advance(i, tau)
+            positions = self._positions.setdefault(k, {})
+            if alive_at is not None:
+                positions[i] = alive_at
+            self._decided[k] = self._decided.get(k, 0) + 1
+            if self._decided[k] == len(self._ids):
+                del self._decided[k], self._positions[k]
+                alive = tuple(sorted(positions))
+                out.append(Round(k, alive, tuple(positions[j] for j in alive)))
+        if i in self._lost:
+            self.world.hold(i)
+        else:
+            try:
+                self.world.advance(i, tau)
+            except IntegrationError as error:
+                if not self.config.keep_going:
+                    raise
+                self._lost.add(i)
+                self._died[i] = min(self._died.get(i, k + 1), k + 1)
+                self.notes.append((i, k, f"{error.reason}: the vehicle is lost and stays where it is"))
+                self.world.hold(i)
         if k + 1 == self.config.ticks:
-            self._rows.setdefault(k + 1, []).append(VehicleFrame(i, *world.state(i), (), (), b""))
-        out += self._start(i)
-        out += self._frames()
+            self._rows.setdefault(k + 1, []).append(VehicleFrame(i, *self.world.state(i), (), (), b""))
         return out
 
     def _start(self, i: int) -> list[Out]:
+        """What vehicle i may do now: measure, or drift as far as the grant allows when it has no agent."""
+        out: list[Out] = []
         k = self.world.tick(i)
-        if i in self._awaiting or k >= self._granted:
-            return []
+        while k < self._granted and self.dead(i):
+            eta, nu = self.world.state(i)
+            if k % self._frame_every == 0:
+                self._rows.setdefault(k, []).append(VehicleFrame(i, eta, nu, (), STILL, b""))
+            out += self._pass(i, k, STILL, None)
+            k += 1
+        if i in self._awaiting or k >= self._granted or self.dead(i):
+            return out
         nav = Nav(self._incarnation[i], k, *self.world.sense(i))
         self._awaiting[i] = nav
-        return [NavTo(i, nav)]
+        return [*out, NavTo(i, nav)]
 
     def _frames(self) -> list[Out]:
         out: list[Out] = []

@@ -12,7 +12,19 @@ from netem.access import Credentials, agent_role
 from netem.bus import PART_BYTES, Bus, Respond
 from netem.errors import MalformedMessage, OutOfPlace
 from netem.keys import Keys
-from netem.messages import PROTOCOL_VERSION, Command, Frame, Frames, Grant, Hello, Round, VehicleFrame, encode, split
+from netem.messages import (
+    PROTOCOL_VERSION,
+    Command,
+    Death,
+    Frame,
+    Frames,
+    Grant,
+    Hello,
+    Round,
+    VehicleFrame,
+    encode,
+    split,
+)
 from netem.shell import Shell, expect, read_map, vehicle_of
 from world.config import WorldConfig
 from world.lockstep import Lockstep, NavTo, Out
@@ -74,9 +86,15 @@ class WorldProcess:
             key, data = item
             try:
                 if key == grant_key:
-                    message = expect(data, Grant, Hello)
+                    message = expect(data, Grant, Death, Hello)
                     if isinstance(message, Grant):
                         self._publish(self._lockstep.grant(message.until))
+                    elif isinstance(message, Death):
+                        if message.vehicle in self._ids:
+                            # A nav that nobody can answer any more was not lost on the way.
+                            waiting = (i for i, _ in self._lockstep.waiting_for)
+                            self._sent["nav"] -= message.vehicle in waiting
+                            self._publish(self._lockstep.end(message.vehicle, message.incarnation))
                     else:
                         self._grant_heard = True
                 else:
@@ -103,6 +121,10 @@ class WorldProcess:
                 self._nav[i](_ECHO)
 
     def _publish(self, out: list[Out]) -> None:
+        if self._lockstep.notes:
+            for i, tick, text in self._lockstep.notes:
+                self._shell.note(i, tick, text)
+            self._lockstep.notes.clear()
         for item in out:
             if isinstance(item, NavTo):
                 self._sent["nav"] += 1
@@ -126,7 +148,7 @@ class WorldProcess:
 
     def _token(self, key: str, alive: bool) -> None:
         i = self._token_roles.get(key)
-        if i is not None and not alive and not self._lockstep.finished:
+        if i is not None and not alive and not self._lockstep.finished and not self._lockstep.dead(i):
             self._shell.note(i, self._lockstep.tick_of(i), "its session ended")
 
     def _control(self, key: str, data: bytes, respond: Respond) -> None:

@@ -100,6 +100,11 @@ class World:
         self._states[i] = state
         self._ticks[i] = tick + 1
 
+    def hold(self, i: int) -> None:
+        """Pass a tick without integrating vehicle i: it is lost and stays where it was."""
+        self._known(i)
+        self._ticks[i] += 1
+
     def state_values(self) -> dict[str, Any]:
         """Everything that changes, as plain MessagePack values; `restore` takes it back."""
         return {"vehicles": [[i, self._ticks[i], *self._states[i]] for i in self.ids]}

@@ -1,0 +1,66 @@
+"""Faults of the network with a beginning and an end: what holds for every link at a tick.
+
+A fault never changes a link's own condition; it lies over it while it lasts, the later begun over the earlier. So every
+fault heals by ending, and faults that overlap need no order of ending.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
+
+from netem.config import Condition, Link
+
+FaultKind = Literal["link", "down", "partition", "mute", "deaf"]
+
+
+@dataclass(frozen=True, slots=True)
+class NetFault:
+    """One fault: from tick `begin` to before `end` (None: to the end of the run)."""
+
+    id: str
+    begin: int
+    end: int | None
+    kind: FaultKind
+    links: tuple[Link, ...] = ()  # of link, down, partition
+    vehicles: tuple[int, ...] = ()  # of mute, deaf
+    condition: Condition | None = None  # of link
+
+    def active(self, tick: int) -> bool:
+        """Whether it holds at a tick."""
+        return self.begin <= tick and (self.end is None or tick < self.end)
+
+
+class Weather(NamedTuple):
+    """What the faults that are active at a tick do."""
+
+    conditions: dict[Link, Condition]  # in place of the link's own
+    cut: dict[Link, str]  # links that lose everything, with the cause
+    mute: frozenset[int]
+    deaf: frozenset[int]
+
+
+CALM = Weather({}, {}, frozenset(), frozenset())
+
+
+def weather(faults: tuple[NetFault, ...], tick: int) -> Weather:
+    """What holds at a tick; `faults` in the order in which they begin."""
+    active = [fault for fault in faults if fault.active(tick)]
+    if not active:
+        return CALM
+    conditions: dict[Link, Condition] = {}
+    cut: dict[Link, str] = {}
+    mute: set[int] = set()
+    deaf: set[int] = set()
+    for fault in active:
+        match fault.kind:
+            case "link":
+                assert fault.condition is not None
+                conditions |= dict.fromkeys(fault.links, fault.condition)
+            case "down" | "partition":
+                cut |= dict.fromkeys(fault.links, fault.kind)
+            case "mute":
+                mute.update(fault.vehicles)
+            case "deaf":
+                deaf.update(fault.vehicles)
+    return Weather(conditions, cut, frozenset(mute), frozenset(deaf))

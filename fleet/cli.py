@@ -10,6 +10,7 @@ from typing import Any
 import click
 from rich.console import Console as Terminal
 
+from fleet.cli_live import COMMANDS
 from fleet.errors import FleetError, ScenarioError
 
 EPILOG = "Exit status: 0 pass, 1 a check failed, 2 usage or bad scenario, 3 the run broke, 130 Ctrl-C."
@@ -357,6 +358,10 @@ def bench(agents: str, json_path: Path | None, quick: bool) -> None:
     show(figures, Terminal(width=None if sys.stdout.isatty() else 120))
     if json_path is not None:
         json_path.write_text(json.dumps(figures, indent=2) + "\n", "utf-8")
+
+
+for _command in COMMANDS:
+    cli.add_command(_command)
 
 
 def _fail(error: FleetError) -> Any:

@@ -6,7 +6,7 @@ slow disk slows the run and loses nothing, and with a speed at most that many ti
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 WINDOW_NS = 500_000_000  # sim time; also the latency of a live action
 
@@ -37,3 +37,62 @@ class Clock:
         if self.speed is None:
             return limit
         return min(limit, int(wall_s * self.speed * 1e9) // self.tick_ns + 1)
+
+
+class LiveClock:
+    """A grant policy that an operator may pause, step and pace while it runs."""
+
+    def __init__(self, clock: Clock, now: float) -> None:
+        self._clock = clock
+        self._speed = clock.speed
+        self._origin = now, 0  # wall time and tick from which the speed counts
+        self._now = now
+        self._held: int | None = None  # paused at this grant
+
+    @property
+    def ticks(self) -> int:
+        return self._clock.ticks
+
+    @property
+    def speed(self) -> float | None:
+        return self._speed
+
+    @property
+    def paused(self) -> bool:
+        return self._held is not None
+
+    def until(self, written: int, now: float) -> int:
+        """The grant when ticks up to `written` are in the log, at wall time `now` [s]."""
+        self._now = now
+        limit = replace(self._clock, speed=None).until(written, 0.0)
+        if self._held is not None:
+            return min(limit, self._held)
+        if self._speed is None:
+            return limit
+        since, tick = self._origin
+        return min(limit, tick + int((now - since) * self._speed * 1e9) // self._clock.tick_ns + 1)
+
+    def pause(self, granted: int) -> None:
+        """Grant nothing more."""
+        self._held = granted if self._held is None else self._held
+
+    def resume(self) -> None:
+        """Go on at the speed that was."""
+        if self._held is not None:
+            self._origin = self._now, self._held
+            self._held = None
+
+    def step(self, granted: int, ticks: int) -> None:
+        """Grant so many ticks and pause."""
+        self._held = min(granted + ticks, self._clock.ticks)
+
+    def set_speed(self, granted: int, speed: float | None) -> None:
+        """So many times real time from now on; None: as fast as it goes."""
+        self._speed = speed
+        self._origin = self._now, granted
+
+    def describe(self) -> str:
+        """In words."""
+        if self.paused:
+            return "paused"
+        return "as fast as it goes" if self._speed is None else f"{self._speed:g} x real time"

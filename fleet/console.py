@@ -24,14 +24,16 @@ import agents.process
 import netem.process
 import world.process
 from fleet.children import FORKSERVER_LOST, Child, Children, Exit, describe_exit, forkserver_death
-from fleet.clock import Clock
-from fleet.errors import RunBroken
+from fleet.clock import Clock, LiveClock
+from fleet.control import Operator
+from fleet.errors import RunBroken, StoppedError
 from fleet.journal import Journal, frame_every
 from fleet.rundir import RunDirectory
 from fleet.scenario import Scenario
 from netem.access import CONSOLE, NETEM, OPERATOR, Credentials, agent_role, generate
 from netem.bus import Bus, Respond
 from netem.errors import BusError, MalformedMessage, OutOfPlace
+from netem.faults import NetFault, fault_values
 from netem.keys import Keys
 from netem.messages import PROTOCOL_VERSION, Death, Frames, Grant, Hello, LinkReport, Note, encode
 from netem.shell import expect, read_map, request
@@ -48,7 +50,7 @@ SETTLE_S = 0.2  # after a death, how long to collect what else happened
 
 MOST_NOTES = 1000
 
-FRAME, LINKS, NOTE, EXIT = "frame", "links", "note", "exit"
+FRAME, LINKS, NOTE, EXIT, OPERATION = "frame", "links", "note", "exit", "operation"
 _EXPECTED = {FRAME: (Frames, Hello), LINKS: (LinkReport, Hello), NOTE: (Note,)}
 
 
@@ -79,7 +81,10 @@ class Console:
         self._received = {FRAME: 0, LINKS: 0}
         self.middleware_lost = 0  # messages that zenoh lost; any makes the run invalid
         self._running = False  # between the first grant and the last frame
-        self._killed: set[int] = set()  # by the scenario
+        self._kills = dict(scenario.faults.kills)  # vehicle -> tick from which it has no agent
+        self._killed: set[int] = set()  # those whose process was ended for it
+        self._granted = 0
+        self.operator: Operator | None = None
         self.deaths: dict[int, str] = {}  # agents that ended by themselves, and how
         self.waiting = ""  # who is being waited for, when nothing moves
         self.started_s = 0.0  # wall time until everyone was ready
@@ -173,6 +178,7 @@ class Console:
             respond(slices[key])
 
         bus.answer(keys.cfg("*"), configure)
+        bus.answer(f"{keys.op}/*", lambda _, data, respond: put((OPERATION, (data, respond))))
 
     def _join(self, endpoint: str, credentials: Credentials) -> Bus:
         deadline = time.monotonic() + JOIN_S
@@ -210,21 +216,24 @@ class Console:
 
     def _record(self, bus: Bus, clock: Clock, progress: Callable[[], None]) -> None:
         journal = self._journal
-        granted = 0
-        began = moved = asked = time.monotonic()
+        moved = asked = time.monotonic()
+        live = LiveClock(clock, moved)
+        self.operator = self._operator(bus, live)
         self._running = True
         while journal.framed < clock.ticks:
             self._kill_scripted()
             now = time.monotonic()
-            until = clock.until(journal.written, now - began)
-            if until > granted:
-                granted = until
-                self._grant(encode(Grant(granted)))
+            until = live.until(journal.written, now)
+            if until > self._granted:
+                self._granted = until
+                self._grant(encode(Grant(until)))
                 moved = now
             before = journal.framed
-            self._take(0.01 if clock.speed is not None else 0.1)
-            if journal.framed != before:
-                moved, self.waiting = now, ""
+            self._take(0.01 if live.speed is not None or live.paused else 0.1)
+            if self.operator.stopping:
+                raise StoppedError
+            if journal.framed != before or live.paused:
+                moved, self.waiting = now, "paused" if live.paused else ""
             elif now - max(moved, asked) > QUIET_S:
                 asked = now
                 self.waiting = self._who_waits(bus)
@@ -235,6 +244,25 @@ class Console:
                     [*self.notes[-5:]],
                 )
             progress()
+
+    def _operator(self, bus: Bus, clock: LiveClock) -> Operator:
+        def tell_netem(faults: tuple[NetFault, ...]) -> bool:
+            return "tick" in self._control(bus, NETEM, "faults", faults=[fault_values(fault) for fault in faults])
+
+        def end_agent(i: int, tick: int) -> None:
+            self._kills.setdefault(i, tick)
+            self._grant(encode(Death(i, tick, 0)))
+
+        return Operator(
+            self._scenario,
+            self._journal,
+            clock,
+            tell_netem,
+            end_agent,
+            lambda: self._granted,
+            lambda: sorted({*self._killed, *self.deaths}),
+            lambda: self.waiting,
+        )
 
     def _close(self, bus: Bus) -> dict[str, Any]:
         answer = self._control(bus, NETEM, "close", tick=self._scenario.ticks)
@@ -263,6 +291,14 @@ class Console:
             return
 
     def _handle(self, kind: str, data: Any) -> None:
+        if kind == OPERATION:
+            request_data, respond = data
+            try:
+                answer = self.operator.handle(read_map(request_data)) if self.operator else {"error": "not ready yet"}
+            except MalformedMessage as error:
+                answer = {"error": str(error)}
+            respond(msgpack.packb(answer))
+            return
         if kind == EXIT:
             if self._survivable(data):
                 self._bury(data)
@@ -303,8 +339,8 @@ class Console:
     def _bury(self, ended: Exit) -> None:
         """Tell the world, which decides from which tick on the vehicle drifts."""
         i = int(ended.role.removeprefix("agent-"))
-        self._grant(encode(Death(i, 0)))
-        if i in self._killed:
+        self._grant(encode(Death(i, 0, 0)))
+        if i in self._kills:
             return
         child = self._children.by_role[ended.role]
         self.deaths[i] = describe_exit(ended.code)
@@ -314,7 +350,7 @@ class Console:
 
     def _kill_scripted(self) -> None:
         """End the agents whose time has come: the world has not asked them any more from that tick on."""
-        for i, tick in self._scenario.faults.kills.items():
+        for i, tick in self._kills.items():
             if i not in self._killed and self._journal.framed >= tick:
                 self._killed.add(i)
                 with contextlib.suppress(ProcessLookupError):
@@ -359,6 +395,8 @@ class Console:
                 break
             if kind == EXIT:
                 exits.append(data)
+            elif kind == OPERATION:
+                continue
             else:
                 self._handle(kind, data)
         at = self._seconds(self._journal.framed)

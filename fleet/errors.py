@@ -12,6 +12,10 @@ class FleetError(Exception):
     """Base of every error of this package that a user can cause or cure."""
 
 
+class StoppedError(Exception):
+    """An operator stopped the run."""
+
+
 class RunBroken(FleetError):
     """The run cannot go on: a process died, nothing moves, or nobody became ready. `lines` explain it."""
 

@@ -75,30 +75,50 @@ def plan(spec: ScenarioSpec, links: Sequence[Link]) -> Plan:
         if kind != "kill":  # a death is logged when its tick is seen, whoever caused it
             events.append(Event(begin, name, "begins", words(section)))
             events.append(Event(last if end is None else min(end, last), name, "ends", words(section)))
-        match kind:
-            case "link":
-                assert section.link is not None
-                for selector, condition in section.link.items():
-                    meant = select(parse_selector(selector), links)
-                    network.append(NetFault(name, begin, end, "link", meant, (), condition))
-            case "down":
-                assert section.down is not None
-                network.append(NetFault(name, begin, end, "down", select(parse_selector(section.down), links)))
-            case "partition":
-                assert section.partition is not None
-                cut = partition(section.partition, spec.vehicles, spec.seed, number)
-                severed = tuple(link for link in links if link in cut)
-                network.append(NetFault(name, begin, end, "partition", severed))
-            case "mute":
-                network.append(NetFault(name, begin, end, "mute", vehicles=_vehicles(section.mute)))
-            case "deaf":
-                network.append(NetFault(name, begin, end, "deaf", vehicles=_vehicles(section.deaf)))
-            case "kill":
-                for i in _vehicles(section.kill):
-                    kills[i] = min(begin, kills.get(i, begin))
+        if kind == "kill":
+            for i in vehicles_of(section):
+                kills[i] = min(begin, kills.get(i, begin))
+        else:
+            network += network_faults(section, name, number, spec, links)
     network.sort(key=lambda fault: fault.begin)
     events.sort(key=lambda event: (event.tick, event.action == "begins"))
     return Plan(tuple(network), kills, tuple(event for event in events if event.tick <= last))
+
+
+def network_faults(
+    section: FaultSection, name: str, number: int, spec: ScenarioSpec, links: Sequence[Link]
+) -> list[NetFault]:
+    """What netem is told of one fault.
+
+    Args:
+        number: of the fault in the scenario, from 1: what a partition draws depends on it.
+
+    Raises:
+        FaultError: a partition cannot be made.
+    """
+    begin = section.at // spec.tick
+    end = None if section.for_ is None else begin + section.for_ // spec.tick
+    match action(section):
+        case "link":
+            return [
+                NetFault(name, begin, end, "link", select(parse_selector(selector), links), (), condition)
+                for selector, condition in (section.link or {}).items()
+            ]
+        case "down":
+            return [NetFault(name, begin, end, "down", select(parse_selector(section.down or ""), links))]
+        case "partition":
+            cut = partition(section.partition or "", spec.vehicles, spec.seed, number)
+            return [NetFault(name, begin, end, "partition", tuple(link for link in links if link in cut))]
+        case "mute":
+            return [NetFault(name, begin, end, "mute", vehicles=vehicles_of(section))]
+        case _:
+            return [NetFault(name, begin, end, "deaf", vehicles=vehicles_of(section))]
+
+
+def vehicles_of(section: FaultSection) -> tuple[int, ...]:
+    """The vehicles that a fault names."""
+    text = section.mute or section.deaf or section.kill
+    return () if text is None else tuple(vehicle_numbers(text))
 
 
 def action(section: FaultSection) -> str:
@@ -166,10 +186,6 @@ def _groups(text: str, vehicles: int) -> list[list[int]]:
                 raise FaultError(f"vehicle {i} is in two groups")
         groups.append(group)
     return groups
-
-
-def _vehicles(text: str | None) -> tuple[int, ...]:
-    return tuple(vehicle_numbers(text or ""))
 
 
 def _between(groups: Sequence[Iterable[int]]) -> set[Link]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Mapping
+from dataclasses import replace
 from math import gcd
 from typing import Protocol
 
@@ -96,6 +97,17 @@ class Journal:
         self._write_fates(limit)
         self.written = max(self.written, limit)
 
+    def add_event(self, event: Event) -> None:
+        """Take a fault that was injected, behind those of the same tick."""
+        place = sum(_event_order(other) <= _event_order(event) for other in self._events)
+        self._events.insert(place, event)
+
+    def end_event(self, fault: str, tick: int) -> None:
+        """A fault ends earlier than was said."""
+        for event in [e for e in self._events if e.fault == fault and e.action == "ends"]:
+            self._events.remove(event)
+            self.add_event(replace(event, tick=tick))
+
     def _write_events(self, frame: Frame, commands: dict[int, Command]) -> None:
         """What the scenario scripted up to this tick, and whose agent is missing in it for the first time."""
         while self._events and self._events[0].tick <= frame.tick:
@@ -110,6 +122,10 @@ class Journal:
             fate = self._fates.popleft()
             self.ledger.settle((fate,))
             self.log.packet(fate)
+
+
+def _event_order(event: Event) -> tuple[int, bool]:
+    return event.tick, event.action == "begins"
 
 
 def _command(data: bytes) -> Command:

@@ -16,7 +16,7 @@ from agents.errors import AgentError
 from fleet.checks import Verdict, judge
 from fleet.clock import Clock
 from fleet.console import Console
-from fleet.errors import RunBroken
+from fleet.errors import RunBroken, StoppedError
 from fleet.inprocess import InProcess
 from fleet.journal import Journal, frame_every
 from fleet.log import LogError, LogWriter
@@ -97,6 +97,8 @@ def execute(scenario: Scenario, options: Options, terminal: Terminal | None = No
         result.status, result.reason = Status.BROKEN, str(error)
     except KeyboardInterrupt:
         result.status, result.reason = Status.INTERRUPTED, "interrupted"
+    except StoppedError:
+        result.status, result.reason = Status.INTERRUPTED, "stopped by the operator"
     wall_s = time.monotonic() - began
     _close_log(log, result)
     for link, (sent, duplicated) in closing["entered"].items():

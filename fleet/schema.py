@@ -355,6 +355,9 @@ def _fault(value: Any) -> Any:
     return long
 
 
+FaultEntry = Annotated[FaultSection, BeforeValidator(_fault)]
+
+
 class LogSection(Section):
     """How often each group of topics is logged; every packet of every link always is."""
 
@@ -479,5 +482,5 @@ class ScenarioSpec(Section):
     network: Annotated[NetworkSection, BeforeValidator(_network), PlainSerializer(_show_network)]
     physics: PhysicsSection = PhysicsSection()
     log: LogSection = LogSection()
-    faults: list[Annotated[FaultSection, BeforeValidator(_fault)]] = []
+    faults: list[FaultEntry] = []
     checks: ChecksSection = ChecksSection()

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Literal
+from dataclasses import asdict, dataclass, field
+from typing import TYPE_CHECKING, Any, Literal
 
 if TYPE_CHECKING:
     from netem.faults import NetFault
@@ -61,6 +61,23 @@ class Condition:
     rate_overhead: int = 0  # bytes per packet
     limit: int = DEFAULT_LIMIT
     seed: int | None = None  # of this link's draws; None: the scenario's
+
+
+def condition_values(condition: Condition) -> dict[str, Any]:
+    """A condition as plain values."""
+    values = asdict(condition)
+    if condition.loss_model is not None:
+        values["loss_model"] = [type(condition.loss_model).__name__, values["loss_model"]]
+    return values
+
+
+def condition_from_values(values: dict[str, Any]) -> Condition:
+    """The inverse of `condition_values`."""
+    model = values["loss_model"]
+    if model is not None:
+        kind = {cls.__name__: cls for cls in (FourState, GilbertElliott)}[model[0]]
+        model = kind(**model[1])
+    return Condition(**values | {"loss_model": model})
 
 
 @dataclass(frozen=True, slots=True)

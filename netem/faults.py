@@ -7,9 +7,9 @@ fault heals by ending, and faults that overlap need no order of ending.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
-from netem.config import Condition, Link
+from netem.config import Condition, Link, condition_from_values, condition_values
 
 FaultKind = Literal["link", "down", "partition", "mute", "deaf"]
 
@@ -29,6 +29,27 @@ class NetFault:
     def active(self, tick: int) -> bool:
         """Whether it holds at a tick."""
         return self.begin <= tick and (self.end is None or tick < self.end)
+
+
+def fault_values(fault: NetFault) -> list[Any]:
+    """A fault as plain values."""
+    condition = None if fault.condition is None else condition_values(fault.condition)
+    links = [list(link) for link in fault.links]
+    return [fault.id, fault.begin, fault.end, fault.kind, links, list(fault.vehicles), condition]
+
+
+def fault_from_values(values: list[Any]) -> NetFault:
+    """The inverse of `fault_values`."""
+    name, begin, end, kind, links, vehicles, condition = values
+    return NetFault(
+        name,
+        begin,
+        end,
+        kind,
+        tuple((src, dst) for src, dst in links),
+        tuple(vehicles),
+        None if condition is None else condition_from_values(condition),
+    )
 
 
 class Weather(NamedTuple):

@@ -317,9 +317,10 @@ class Grant(NamedTuple):
 
 @_declare("death", "cmd/grant", "console", "world")
 class Death(NamedTuple):
-    """An agent has ended: its vehicle is not waited for any more."""
+    """An agent has ended, or will: from a tick on its vehicle is not waited for any more."""
 
     vehicle: Annotated[int, uint("", "vehicle number")]
+    tick: Annotated[int, uint("tick", "first tick without an agent; one that has passed means now")]
     incarnation: Annotated[int, uint("", "the life that ended")]
 
 

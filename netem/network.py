@@ -9,11 +9,10 @@ from __future__ import annotations
 
 import heapq
 from collections.abc import Mapping
-from dataclasses import asdict
 from typing import Any, NamedTuple
 
-from netem.config import Condition, FourState, GilbertElliott, Link, NetemConfig
-from netem.faults import Weather, weather
+from netem.config import Condition, Link, NetemConfig, condition_from_values, condition_values
+from netem.faults import Weather, fault_from_values, fault_values, weather
 from netem.impairment import DEAD_RECEIVER, DEAF, DELIVERED, IN_FLIGHT, MUTE, LinkModel, LinkState
 from netem.ledger import Ledger
 from netem.messages import Delivery, Fate
@@ -59,6 +58,7 @@ class Netem:
         self._unheard: list[Fate] = []  # lost at a receiver that cannot hear, not yet due
         self._ledger = Ledger(config.links)
         self._round = -1
+        self.faults = config.faults  # in the order in which they begin; replaced as a whole by who injects
 
     @property
     def entered(self) -> dict[Link, tuple[int, int]]:
@@ -77,7 +77,7 @@ class Netem:
             and every fate that became final in (k - m, k].
         """
         config = self.config
-        now = weather(config.faults, tick)
+        now = weather(self.faults, tick)
         dropped: list[Fate] = []
         for src in sorted(transmissions):
             for payload in transmissions[src]:
@@ -173,6 +173,7 @@ class Netem:
         """Everything that determines the rest of the run, as plain values."""
         return {
             "round": self._round,
+            "faults": [fault_values(fault) for fault in self.faults],
             "next_seq": [[src, dst, seq] for (src, dst), seq in sorted(self._next_seq.items())],
             "links": [
                 [*link, condition_values(model.condition), model.state.to_values()]
@@ -187,6 +188,7 @@ class Netem:
     def restore(self, values: dict[str, Any]) -> None:
         """The inverse of `state`, into a core built from the same configuration."""
         self._round = values["round"]
+        self.faults = tuple(fault_from_values(fault) for fault in values["faults"])
         self._next_seq = {(src, dst): seq for src, dst, seq in values["next_seq"]}
         for src, dst, condition, state in values["links"]:
             link = (src, dst)
@@ -204,23 +206,6 @@ class Netem:
             entry.delivered, entry.in_flight = account["delivered"], account["in_flight"]
             entry.corrupted = account["corrupted"]
             entry.lost = dict(account["lost"])
-
-
-def condition_values(condition: Condition) -> dict[str, Any]:
-    """A condition as plain values."""
-    values = asdict(condition)
-    if condition.loss_model is not None:
-        values["loss_model"] = [type(condition.loss_model).__name__, values["loss_model"]]
-    return values
-
-
-def condition_from_values(values: dict[str, Any]) -> Condition:
-    """The inverse of `condition_values`."""
-    model = values["loss_model"]
-    if model is not None:
-        kind = {cls.__name__: cls for cls in (FourState, GilbertElliott)}[model[0]]
-        model = kind(**model[1])
-    return Condition(**values | {"loss_model": model})
 
 
 def fate_order(fate: Fate) -> tuple[int, int, int, int, int]:

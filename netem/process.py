@@ -11,6 +11,7 @@ from netem.access import NETEM, Credentials
 from netem.bus import PART_BYTES, Bus, Respond
 from netem.config import NetemConfig
 from netem.errors import MalformedMessage, OutOfPlace
+from netem.faults import fault_from_values
 from netem.keys import Keys
 from netem.messages import PROTOCOL_VERSION, Delivery, Fate, Hello, LinkReport, Round, Transmission, encode, split
 from netem.rounds import Rounds
@@ -101,6 +102,9 @@ class NetemProcess:
                 respond(msgpack.packb({"round": self._round_heard}))
             case "waiting":
                 respond(msgpack.packb({"tick": self._rounds.tick, "missing": self._rounds.missing}))
+            case "faults":
+                self._rounds.netem.faults = tuple(fault_from_values(values) for values in request["faults"])
+                respond(msgpack.packb({"tick": self._rounds.tick}))
             case "close":
                 self._report(self._rounds.close(int(request["tick"])))
                 entered = [[*link, *counts] for link, counts in self._rounds.netem.entered.items()]

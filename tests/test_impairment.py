@@ -12,9 +12,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_grammar import conditions
 
-from netem.config import Condition, FourState, GilbertElliott, NetemConfig
+from netem.config import (
+    Condition,
+    FourState,
+    GilbertElliott,
+    NetemConfig,
+    condition_from_values,
+    condition_values,
+)
 from netem.impairment import LinkModel, LinkState, Verdict
-from netem.network import Netem, condition_from_values, condition_values
+from netem.network import Netem
 
 MS = 1_000_000
 PAYLOAD = b"state of a vehicle"

@@ -68,16 +68,15 @@ class Lockstep:
         self._granted = max(self._granted, min(until, self.config.ticks))
         return [out for i in self._ids for out in self._start(i)] + self._frames()
 
-    def end(self, i: int, incarnation: int) -> list[Out]:
-        """Vehicle i's agent has ended: from the tick whose command is missing it drifts without thrust."""
-        if (
-            incarnation != self._incarnation[i]
-            or i in self._lost
-            or self._died.get(i, self.config.ticks) <= self.tick_of(i)
-        ):
+    def end(self, i: int, incarnation: int, tick: int = 0) -> list[Out]:
+        """Vehicle i's agent ends at `tick`, or has ended: from the first tick without a command it drifts."""
+        if incarnation != self._incarnation[i] or self.dead(i):
             return []
-        nav = self._awaiting.pop(i, None)
-        self._died[i] = self.tick_of(i) if nav is None else nav.tick
+        nav = self._awaiting.get(i)
+        missing = self.tick_of(i) if nav is None else nav.tick
+        self._died[i] = max(tick, missing)
+        if tick <= missing:
+            self._awaiting.pop(i, None)
         return self._start(i) + self._frames()
 
     def dead(self, i: int) -> bool:

@@ -92,9 +92,9 @@ class WorldProcess:
                     elif isinstance(message, Death):
                         if message.vehicle in self._ids:
                             # A nav that nobody can answer any more was not lost on the way.
-                            waiting = (i for i, _ in self._lockstep.waiting_for)
-                            self._sent["nav"] -= message.vehicle in waiting
-                            self._publish(self._lockstep.end(message.vehicle, message.incarnation))
+                            waiting = dict(self._lockstep.waiting_for)
+                            self._sent["nav"] -= waiting.get(message.vehicle, -1) >= message.tick
+                            self._publish(self._lockstep.end(message.vehicle, message.incarnation, message.tick))
                     else:
                         self._grant_heard = True
                 else:

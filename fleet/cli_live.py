@@ -1,0 +1,205 @@
+"""The commands for a fleet that is running: ps, status, inject, faults, heal, clock, stop; and script, for its log."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TypeVar
+
+import click
+
+from fleet.errors import FleetError, ScenarioError
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+
+def which(command: F) -> F:
+    """The options that say which run is meant."""
+    command = click.option(
+        "--run",
+        "run",
+        metavar="DIR",
+        type=click.Path(path_type=Path),
+        help="The run's directory; by default the newest live run.",
+    )(command)
+    return click.option(
+        "--out",
+        metavar="DIR",
+        type=click.Path(path_type=Path),
+        default=Path("runs"),
+        show_default=True,
+        help="Where run directories are.",
+    )(command)
+
+
+def _ask(run: Path | None, out: Path, op: str, **fields: Any) -> dict[str, Any]:
+    from fleet.remote import ask, find
+
+    try:
+        return ask(find(run, out), op, **fields)
+    except FleetError as error:
+        click.echo(f"fleet: {error}", err=True)
+        sys.exit(3)
+
+
+@click.command()
+@click.option("--out", metavar="DIR", type=click.Path(path_type=Path), default=Path("runs"), show_default=True,
+              help="Where run directories are.")  # fmt: skip
+def ps(out: Path) -> None:
+    """List the live runs: directory, scenario, process, endpoint and simulated time."""
+    from fleet.remote import RemoteError, ask, live_runs
+
+    for found in live_runs(out):
+        try:
+            values = ask(found, "status")
+            where = f"t = {values['at_s']:.1f} of {values['end_s']:g} s, {values['clock']}"
+        except RemoteError as error:
+            where = str(error)
+        click.echo(f"{found.directory}  {found.scenario}  pid {found.pid}  {found.endpoint}  {where}")
+
+
+@click.command()
+@which
+@click.option("-w", "--watch", is_flag=True, help="Again every second, until the run is over or Ctrl-C.")
+def status(run: Path | None, out: Path, watch: bool) -> None:
+    """Say how a live run is doing.
+
+    \b
+    Examples:
+      fleet status
+      fleet status -w --run runs/paper-1-20261121-120000
+    """
+    while True:
+        values = _ask(run, out, "status")
+        lines = [
+            f"{values['scenario']}: t = {values['at_s']:.2f} of {values['end_s']:g} s, {values['clock']}"
+            + (f", {values['waiting']}" if values["waiting"] not in ("", values["clock"]) else ""),
+            f"formation error {values['formation_error_m']:.3f} m, packets {values['delivered']} delivered, "
+            f"{values['lost']} lost",
+        ]
+        lines += [f"fault {f['id']}: {f['kind']}, until {f['to_s']:g} s" for f in values["faults"]]
+        if values["dead"]:
+            lines.append(f"without an agent: {', '.join(map(str, values['dead']))}")
+        click.echo("\n".join(lines))
+        if not watch:
+            return
+        time.sleep(1.0)
+
+
+@click.command()
+@click.argument("what", nargs=-1, required=True)
+@which
+@click.option("--for", "lasts", metavar="TIME", help="How long; by default to the end of the run, or until healed.")
+@click.option("--id", "name", metavar="ID", help="What to call it; by default live-1, live-2, ...")
+def inject(what: tuple[str, ...], run: Path | None, out: Path, lasts: str | None, name: str | None) -> None:
+    """Inject a fault into a live run; it acts within half a second of simulated time, which is told.
+
+    \b
+    Examples:
+      fleet inject link '1<->2' 'delay 500ms loss 20%' --for 10s
+      fleet inject partition '1,2 / 3,4'
+      fleet inject partition halves --for 5s
+      fleet inject down '2->3'
+      fleet inject mute 3
+      fleet inject kill 3
+    """
+    from fleet.faults import ACTIONS
+    from netem.grammar import nearest
+
+    kind, rest = what[0], what[1:]
+    if kind not in ACTIONS:
+        hint = nearest(kind, ACTIONS) or f"there are {', '.join(ACTIONS)}"
+        raise click.UsageError(f'no fault is called "{kind}": {hint}')
+    fault: dict[str, Any]
+    if kind == "link":
+        if len(rest) < 2:
+            raise click.UsageError("a link fault is: link SELECTOR CONDITION, as in link '1->2' 'loss 30%'")
+        fault = {"link": {rest[0]: " ".join(rest[1:])}}
+    elif len(rest) < 1:
+        raise click.UsageError(f"{kind} of what? See --help")
+    else:
+        fault = {kind: " ".join(rest)}
+    if lasts is not None:
+        fault["for"] = lasts
+    if name is not None:
+        fault["id"] = name
+    values = _ask(run, out, "inject", fault=fault)
+    click.echo(f"{values['id']}: {values['what']}, from t = {values['at_s']:.2f} s")
+
+
+@click.command()
+@which
+def faults(run: Path | None, out: Path) -> None:
+    """List the faults of a live run, with their ids."""
+    for fault in _ask(run, out, "faults")["faults"]:
+        mark = "active" if fault["active"] else ""
+        click.echo(
+            f"{fault['id']:10} {fault['kind']:10} {fault['from_s']:8.2f} to {fault['to_s']:.2f} s  {mark}".rstrip()
+        )
+
+
+@click.command()
+@click.argument("name", metavar="[ID]", required=False)
+@which
+def heal(name: str | None, run: Path | None, out: Path) -> None:
+    """End a fault of a live run, or all of them."""
+    values = _ask(run, out, "heal", id=name)
+    healed = ", ".join(values["healed"]) or "nothing"
+    click.echo(f"healed {healed} at t = {values['at_s']:.2f} s")
+
+
+@click.command()
+@click.argument("do", type=click.Choice(["pause", "resume", "step", "speed"]))
+@click.argument("value", required=False)
+@which
+def clock(do: str, value: str | None, run: Path | None, out: Path) -> None:
+    """Hold, step or pace a live run.
+
+    \b
+    Examples:
+      fleet clock pause
+      fleet clock step 10       ten ticks, then pause
+      fleet clock speed 2       twice real time; max: as fast as it goes
+      fleet clock resume
+    """
+    number: Any = None
+    try:
+        if do == "step":
+            number = int(value or 1)
+        elif do == "speed" and value not in (None, "max"):
+            number = float(str(value).removesuffix("x"))
+    except ValueError:
+        raise click.BadParameter(f"expected a number, got {value!r}", param_hint="VALUE") from None
+    values = _ask(run, out, "clock", do=do, value=number)
+    click.echo(f"{values['clock']}, t = {values['at_s']:.2f} s")
+
+
+@click.command()
+@which
+def stop(run: Path | None, out: Path) -> None:
+    """Stop a live run; what it has recorded stays."""
+    values = _ask(run, out, "stop")
+    click.echo(f"stopping at t = {values['at_s']:.2f} s")
+
+
+@click.command()
+@click.argument("log", type=click.Path(path_type=Path))
+def script(log: Path) -> None:
+    """Print the scenario that runs LOG again, with everything that was injected while it was made.
+
+    \b
+    Examples:
+      fleet script runs/latest > again.yaml && fleet run again.yaml
+    """
+    from fleet.script import script as make
+
+    try:
+        click.echo(make(log).to_yaml(), nl=False)
+    except (FleetError, ScenarioError) as error:
+        click.echo(f"fleet: {error}", err=True)
+        sys.exit(2)
+
+
+COMMANDS = (ps, status, inject, faults, heal, clock, stop, script)

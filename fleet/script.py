@@ -1,0 +1,86 @@
+"""`fleet script`: a log as a scenario that runs the same again, whatever was injected while it was made."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
+
+from fleet.errors import FleetError
+from fleet.quantities import show_time
+from fleet.reader import LogReader, log_path
+from fleet.scenario import Scenario, parse_scenario
+
+
+class ScriptError(FleetError):
+    """The log holds no scenario that could be run again."""
+
+
+def script(path: Path) -> Scenario:
+    """The scenario of a log, its faults taken from what happened.
+
+    Raises:
+        LogReadError: there is no log to read.
+        ScriptError: it holds no scenario of ours.
+    """
+    path = log_path(path)
+    reader = LogReader(path)
+    happened = [(record.log_ns, record.data) for record in reader if record.topic == "faults"]
+    text = reader.attachments.get("scenario.yaml")
+    if text is None:
+        raise ScriptError(f"{path} holds no scenario: it was not written by fleet run")
+    end_ns = int(reader.metadata.get("run", {}).get("ticks", 0)) * int(reader.metadata.get("run", {}).get("tick_ns", 0))
+    faults = _entries(_decoded(reader, happened), end_ns)
+    lines = text.decode("utf-8").splitlines()
+    return parse_scenario(_without_faults(lines) + _faults_yaml(faults), str(path))
+
+
+def _decoded(reader: LogReader, happened: Iterable[tuple[int, bytes]]) -> list[tuple[int, Any]]:
+    channel = next((c for c in reader.channels.values() if c.topic == "faults"), None)
+    if channel is None:
+        return []
+    schema = reader.schemas[channel.schema_id]
+    files = descriptor_pb2.FileDescriptorSet.FromString(schema.data)
+    pool = descriptor_pool.DescriptorPool()
+    for file in files.file:
+        pool.Add(file)
+    message = message_factory.GetMessageClass(pool.FindMessageTypeByName(schema.name))
+    return [(at_ns, message.FromString(data)) for at_ns, data in happened]
+
+
+def _entries(events: list[tuple[int, Any]], end_ns: int) -> list[dict[str, Any]]:
+    """One entry per fault, in the order in which they began."""
+    entries: dict[str, dict[str, Any]] = {}
+    for at_ns, event in events:
+        if event.action == "begins":
+            name = {} if event.fault.startswith("death-") else {"id": event.fault}
+            entries[event.fault] = {**name, "at": show_time(at_ns), **_action(event.what), "_at": at_ns}
+        elif event.fault in entries and at_ns < end_ns:
+            entries[event.fault]["for"] = show_time(at_ns - entries[event.fault]["_at"])
+    return [{key: value for key, value in entry.items() if key != "_at"} for entry in entries.values()]
+
+
+def _action(what: str) -> dict[str, Any]:
+    kind, _, rest = what.partition(" ")
+    if kind != "link":
+        return {kind: rest}
+    return {"link": dict(part.split(": ", 1) for part in rest.split(", "))}
+
+
+def _faults_yaml(faults: list[dict[str, Any]]) -> str:
+    # JSON is YAML, and quotes what needs quoting.
+    return "".join(["\nfaults:\n", *(f"  - {json.dumps(entry)}\n" for entry in faults)]) if faults else "\n"
+
+
+def _without_faults(lines: list[str]) -> str:
+    kept: list[str] = []
+    inside = False
+    for line in lines:
+        if line and not line.startswith((" ", "#")):
+            inside = line.startswith("faults:")
+        if not inside:
+            kept.append(line)
+    return "\n".join(kept) + "\n"

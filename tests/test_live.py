@@ -1,0 +1,165 @@
+"""The operator's hand on a running fleet: faults injected at arbitrary moments, the clock held and paced, and a script
+of it all that runs to the same digest."""
+
+from __future__ import annotations
+
+import json
+import random
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+from live import LiveRun
+from waiting import wait_for
+
+from fleet.clock import Clock, LiveClock
+from fleet.reader import digest
+from fleet.remote import RemoteError, find, live_runs
+from fleet.run import Options, execute
+from fleet.scenario import parse_scenario
+from fleet.script import script
+
+TICK_NS = 10_000_000
+SLOW = ["--speed", "2", "--set", "checks={ledger: balanced, middleware_loss: {at_most: 0}}"]
+
+
+def tool(out: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+    """A command from another terminal."""
+    command = [sys.executable, "-m", "fleet", *arguments]
+    if arguments[0] != "script":
+        command += ["--out", str(out)]
+    return subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+
+
+# --- the clock -------------------------------------------------------------
+
+
+def live_clock(speed: float | None = None) -> LiveClock:
+    return LiveClock(Clock(1000, TICK_NS, 10, 1, speed), 100.0)
+
+
+def test_a_paused_clock_grants_nothing_more() -> None:
+    clock = live_clock()
+    assert clock.until(0, 100.0) == 51
+    clock.pause(51)
+    assert [clock.until(k, 101.0) for k in (10, 50, 900)] == [51, 51, 51]
+    clock.step(51, 5)
+    assert (clock.until(51, 102.0), clock.describe()) == (56, "paused")
+    clock.resume()
+    assert clock.until(56, 103.0) == 107
+
+
+def test_a_change_of_speed_counts_from_where_it_is() -> None:
+    """No jump: what passed at the old speed, or in a pause, is not made up for."""
+    clock = live_clock(1.0)
+    assert clock.until(900, 101.0) == 101
+    clock.pause(101)
+    assert clock.until(900, 150.0) == 101
+    clock.resume()
+    assert clock.until(900, 150.0) == 102
+    clock.set_speed(102, 2.0)
+    assert clock.until(900, 151.0) == 303
+    clock.set_speed(303, None)
+    assert clock.until(900, 151.0) == 951
+
+
+# --- finding runs ----------------------------------------------------------
+
+
+def test_runs_are_found_by_their_connection_files(tmp_path: Path) -> None:
+    """A file left by a console that is gone is no live run."""
+    for name, pid in (("dead-1", 2**22 - 1), ("broken-1", "x")):
+        (tmp_path / name).mkdir()
+        values = {"endpoint": "tcp/127.0.0.1:1", "run": "a", "scenario": "s", "pid": pid, "user": "u", "password": "p"}
+        (tmp_path / name / "connection.json").write_text(json.dumps(values))
+    assert live_runs(tmp_path) == []
+    with pytest.raises(RemoteError, match="no live run under"):
+        find(None, tmp_path)
+    with pytest.raises(RemoteError, match="its console is gone"):
+        find(tmp_path / "dead-1", tmp_path)
+    with pytest.raises(RemoteError, match="is no live run"):
+        find(tmp_path / "nowhere", tmp_path)
+
+
+# --- live runs -------------------------------------------------------------
+
+
+def test_every_live_action_is_a_script_line(tmp_path: Path) -> None:
+    """Faults at moments that nobody chose, one healed early, a kill: the exported scenario gives the same digest."""
+    out = tmp_path / "runs"
+    rng = random.Random()  # arbitrary on purpose: it must hold whenever the faults come
+    with LiveRun(out, "paper", "--duration", "30 s", *SLOW) as live:
+        live.until_running()
+        answers = []
+        for arguments in (
+            ["link", "1<->2", "delay 60ms 20ms loss gemodel 10% 40%", "--for", "1500ms"],
+            ["partition", "halves", "--id", "split"],
+            ["mute", "3", "--for", "1s"],
+            ["kill", "4"],
+        ):
+            moment = live.logged_s() + rng.random() * 0.4
+            wait_for(lambda moment=moment: live.logged_s() > moment, 20.0)  # type: ignore[misc]
+            answers.append(tool(out, "inject", *arguments))
+        healed = tool(out, "heal", "split")
+        listed = tool(out, "faults")
+        said = tool(out, "status")
+        assert tool(out, "clock", "speed", "max").returncode == 0
+        assert live.status(60.0) == 0, live.said
+        log = live.log
+    assert [a.returncode for a in answers] == [0] * 4, [a.stderr for a in answers]
+    assert answers[0].stdout.startswith("live-1: link 1<->2: delay 60ms 20ms loss gemodel 10% 40%")
+    assert healed.stdout.startswith("healed split at t = ")
+    assert {line.split()[0] for line in listed.stdout.splitlines()} == {"live-1", "split", "live-3"}
+    assert "without an agent: 4" in said.stdout
+    again = script(log)
+    assert {fault.id for fault in again.spec.faults} == {"live-1", "split", "live-3", None}
+    assert parse_scenario(again.to_yaml(), "again.yaml") == again
+    result = execute(again, Options(tmp_path / "again", in_process=True, quiet=True))
+    assert result.digest == digest(log)
+
+
+def test_what_cannot_be_injected_is_refused_in_words(tmp_path: Path) -> None:
+    out = tmp_path / "runs"
+    with LiveRun(out, "paper", "--duration", "60 s", *SLOW) as live:
+        live.until_running()
+        cases: list[tuple[list[str], str, int]] = [
+            (["inject", "lnk", "1->2", "loss 3%"], 'did you mean "link"', 2),
+            (["inject", "link", "1->2"], "a link fault is: link SELECTOR CONDITION", 2),
+            (["inject", "link", "1->3", "loss 3%"], "the graph has no such link", 3),
+            (["inject", "link", "1->2", "lss 3%"], 'unknown link condition "lss"', 3),
+            (["inject", "mute", "9"], "there is no vehicle 9", 3),
+            (["inject", "partition", "half"], "is no partition", 3),
+            (["inject", "mute", "1", "--for", "5ms"], "not a whole number of ticks", 3),
+            (["heal", "nothing"], "there is no active fault 'nothing'; none is active", 3),
+        ]
+        for arguments, words, code in cases:
+            done = tool(out, *arguments)
+            assert (done.returncode, words in done.stderr) == (code, True), (arguments, done.stderr)
+            assert "Traceback" not in done.stderr
+        assert tool(out, "stop").returncode == 0
+        assert live.status(20.0) == 130
+        live.until_nobody_is_left()
+        assert "stopped by the operator" in live.said
+    done = tool(out, "status")
+    assert (done.returncode, "no live run under" in done.stderr) == (3, True)
+
+
+def test_two_runs_do_not_disturb_each_other(tmp_path: Path) -> None:
+    """Started in the same second, side by side: a fault in one is none in the other."""
+    out = tmp_path / "runs"
+    arguments = ["paper", "--duration", "20 s", *SLOW]
+    with LiveRun(out, *arguments) as one, LiveRun(tmp_path / "other", *arguments) as other:
+        one.until_running()
+        other.until_running()
+        listed = tool(out, "ps").stdout.splitlines()
+        assert len(listed) == 1
+        assert tool(out, "inject", "partition", "halves").returncode == 0
+        for place in (out, tmp_path / "other"):
+            assert tool(place, "clock", "speed", "max").returncode == 0
+        assert (one.status(60.0), other.status(60.0)) == (0, 0)
+        results: list[Any] = [json.loads((live.directory / "result.json").read_text()) for live in (one, other)]
+    lost = [sum(account["lost"].get("partition", 0) for account in r["ledger"].values()) for r in results]
+    assert lost[0] > 0
+    assert lost[1] == 0

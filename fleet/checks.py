@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from typing import Any
 
+from fleet.fields import vehicle_numbers
 from fleet.journal import Journal
 from fleet.schema import AtMost, Below, ChecksSection
 
@@ -43,8 +44,9 @@ def judge(checks: ChecksSection, journal: Journal, middleware_lost: int) -> list
 
 def _below(name: str, check: Below, journal: Journal) -> Verdict:
     after_s = check.after / 1e9
-    value, vehicle, at_s = journal.metrics.worst("formation" if name == "formation_error" else "e", after_s)
-    asked = f"below {check.below:g} m after {after_s:g} s"
+    who = None if check.vehicles is None else vehicle_numbers(check.vehicles)
+    value, vehicle, at_s = journal.metrics.worst("formation" if name == "formation_error" else "e", after_s, who)
+    asked = f"below {check.below:g} m after {after_s:g} s" + (f", vehicles {check.vehicles}" if who else "")
     if vehicle == 0:
         return Verdict(name, False, asked, f"the run ended at {at_s:g} s, before the check begins")
     return Verdict(name, value < check.below, asked, f"at most {value:.4g} m (vehicle {vehicle}, {at_s:g} s)")

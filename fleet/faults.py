@@ -72,6 +72,8 @@ def plan(spec: ScenarioSpec, links: Sequence[Link]) -> Plan:
         begin = section.at // spec.tick
         end = None if section.for_ is None else begin + section.for_ // spec.tick
         kind = action(section)
+        if begin >= last:
+            continue  # a run cut short with --duration; `fleet check` warns
         if kind != "kill":  # a death is logged when its tick is seen, whoever caused it
             events.append(Event(begin, name, "begins", words(section)))
             events.append(Event(last if end is None else min(end, last), name, "ends", words(section)))

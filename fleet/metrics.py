@@ -101,13 +101,15 @@ class Metrics:
             ez += a * (z - zj - (dz - pz))
         return VehicleError((ex, ey, ez), hypot(ex, ey, ez), (fx, fy, fz), hypot(fx, fy, fz))
 
-    def worst(self, what: str, after_s: float) -> tuple[float, int, float]:
-        """The largest `e` or `formation` of any vehicle from a time on: (value [m], vehicle, time [s]).
+    def worst(self, what: str, after_s: float, vehicles: list[int] | None = None) -> tuple[float, int, float]:
+        """The largest `e` or `formation` of any vehicle, or of some, from a time on: (value [m], vehicle, time [s]).
 
         A run that ended before `after_s` gives (inf, 0, end): nothing shows that the limit was kept.
         """
         found = (-1.0, 0, 0.0)
         for i, series in self.series.items():
+            if vehicles is not None and i not in vehicles:
+                continue
             for t, value in zip(self.times, getattr(series, what), strict=True):
                 if t >= after_s and not value <= found[0]:
                     found = (value, i, t)

@@ -124,6 +124,12 @@ def _scale(before: Mapping, root: Mapping) -> Mapping:
         root = replaced(root, "formation", {k: v for k, v in formation.entries.items() if k != "changes"})
     if "faults" in root.entries:
         root = root.without("faults")
+    checks = root.entries.get("checks")
+    if isinstance(checks, Mapping):
+        for name, check in checks.entries.items():
+            if isinstance(check, Mapping) and "vehicles" in check.entries:
+                checks = checks.without(name)
+        root = root.with_entry("checks", root.keys["checks"], checks)
     per_vehicle = root.entries.get("per_vehicle")
     if isinstance(per_vehicle, Mapping):
         for text in per_vehicle.entries:

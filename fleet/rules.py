@@ -297,6 +297,16 @@ def _graph_links(spec: ScenarioSpec) -> tuple[Link, ...]:
     return build(g, places, spec.seed if g.shape == "random" else 0).links
 
 
+def _checks(spec: ScenarioSpec, report: Report) -> None:
+    for name in ("formation_error", "consensus_error"):
+        check = getattr(spec.checks, name)
+        for number in vehicle_numbers(check.vehicles) if check is not None and check.vehicles else ():
+            if not 1 <= number <= spec.vehicles:
+                message = f"there is no vehicle {number}: they are 1 to {spec.vehicles}"
+                report.add(("checks", name, "vehicles"), message)
+                break
+
+
 def _faults(spec: ScenarioSpec, report: Report) -> None:
     links = _graph_links(spec)
     seen: dict[str, int] = {}
@@ -314,8 +324,6 @@ def _faults(spec: ScenarioSpec, report: Report) -> None:
         _whole(report, (*path, "at"), fault.at, spec.tick)
         if fault.for_ is not None:
             _whole(report, (*path, "for"), fault.for_, spec.tick)
-        if fault.at >= spec.duration:
-            report.add((*path, "at"), f"the run is over at {show_time(spec.duration)}")
         _fault_targets(spec, report, path, fault, links)
 
 
@@ -532,6 +540,7 @@ RULES: tuple[Callable[[ScenarioSpec, Report], None], ...] = (
     _links,
     _per_vehicle,
     _faults,
+    _checks,
     _laws,
     _effective,
     _vehicles,

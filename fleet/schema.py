@@ -372,10 +372,11 @@ class LogSection(Section):
 
 
 class Below(Section):
-    """The largest value over all vehicles stays below a limit from a time to the end."""
+    """The largest value over all vehicles, or those named, stays below a limit from a time to the end."""
 
     below: PositiveLength
     after: Time = 0
+    vehicles: VehicleNumbers | None = None
 
 
 class AtMost(Section):

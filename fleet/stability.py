@@ -58,6 +58,7 @@ def analyse(scenario: Scenario) -> Analysis:
     found.warnings.extend(_shunting_warning(scenario, found))
     found.warnings.extend(_dead_reckoning_warning(scenario, found))
     found.warnings.extend(_vehicle_warnings(scenario))
+    found.warnings.extend(_fault_warnings(scenario))
     return found
 
 
@@ -176,6 +177,14 @@ def _vehicle_warnings(scenario: Scenario) -> list[str]:
             "unstable under the paper's tracking laws (docs/paper.md, G28)"
         )
     return warnings
+
+
+def _fault_warnings(scenario: Scenario) -> list[str]:
+    spec = scenario.spec
+    late = [section.id or f"f{n}" for n, section in enumerate(spec.faults, start=1) if section.at >= spec.duration]
+    if not late:
+        return []
+    return [f"fault {', '.join(late)}: the run is over before it begins"]
 
 
 def _components(scenario: Scenario) -> list[list[int]]:

@@ -21,6 +21,7 @@ from fleet.errors import ScenarioError
 from fleet.faults import FaultError, partition
 from fleet.run import Options, Result, Status, execute
 from fleet.scenario import load_scenario, parse_scenario
+from fleet.stability import analyse
 from netem.config import Condition, NetemConfig
 from netem.faults import CALM, NetFault, weather
 from netem.network import Netem
@@ -216,7 +217,6 @@ def test_a_timeline_compiles_and_prints_back() -> None:
 @pytest.mark.parametrize(
     ("entry", "words"),
     [
-        ("{at: 2 s, mute: 1}", "the run is over at 1 s"),
         ("{at: 0 s, mute: 4}", "there is no vehicle 4: they are 1 to 3"),
         ("{at: 0 s}", "does exactly one thing, got none"),
         ("{at: 0 s, mute: 1, deaf: 2}", "got mute and deaf"),
@@ -231,6 +231,14 @@ def test_a_timeline_compiles_and_prints_back() -> None:
 )
 def test_each_rule_of_faults_speaks(entry: str, words: str) -> None:
     assert words in only_problem(f"faults=[{entry}]")
+
+
+def test_a_fault_behind_the_end_is_warned_of() -> None:
+    """A run may be cut short with --duration; that is no mistake in its faults."""
+    s = small("faults=[{at: 2 s, mute: 1}, {at: 3 s, kill: 2}, {at: 0 s, deaf: 1}]")
+    assert [fault.id for fault in s.netem_config().faults] == ["f3"]
+    assert s.world_config().kills == {}
+    assert "fault f1, f2: the run is over before it begins" in analyse(s).warnings
 
 
 def test_an_ideal_network_has_no_faults() -> None:
@@ -332,6 +340,21 @@ def test_a_run_full_of_faults_is_the_same_everywhere(tmp_path: Path) -> None:
         (0.3, "f1", "begins"), (0.5, "f2", "begins"), (0.7, "f1", "ends"), (0.8, "death-3", "begins"),
         (1.0, "f2", "ends"), (1.0, "f4", "begins"), (1.3, "f4", "ends"),
     ]  # fmt: skip
+
+
+@pytest.mark.parametrize("name", ["burst", "partition-heal", "kill"])
+def test_shipped_faults_pass_their_checks(name: str, tmp_path: Path) -> None:
+    result = execute(load_scenario(name, ["log.every=50 ticks"]), Options(tmp_path, in_process=True, quiet=True))
+    assert result.status is Status.PASS, (result.reason, result.verdicts)
+
+
+def test_a_check_of_some_vehicles(tmp_path: Path) -> None:
+    """The dead one is far away, which does not count against the others; nobody else's number is accepted."""
+    everyone = ["checks.formation_error={below: 0.1 m, after: 45 s}", "log.every=50 ticks"]
+    result = execute(load_scenario("kill", everyone), Options(tmp_path, in_process=True, quiet=True))
+    assert result.status is Status.CHECK_FAILED
+    assert "(vehicle 4" in next(v.found for v in result.verdicts if v.check == "formation_error")
+    assert "there is no vehicle 4" in only_problem("checks.formation_error={below: 1 m, vehicles: 1-9}")
 
 
 def test_a_killed_agent_does_not_end_the_run(tmp_path: Path) -> None:

@@ -104,6 +104,8 @@ def inject(what: tuple[str, ...], run: Path | None, out: Path, lasts: str | None
       fleet inject down '2->3'
       fleet inject mute 3
       fleet inject kill 3
+      fleet inject current '0.2 0 0 m/s'
+      fleet inject efficiency vehicles=2 surge='50 %' --for 20s
     """
     from fleet.faults import ACTIONS
     from netem.grammar import nearest
@@ -117,6 +119,11 @@ def inject(what: tuple[str, ...], run: Path | None, out: Path, lasts: str | None
         if len(rest) < 2:
             raise click.UsageError("a link fault is: link SELECTOR CONDITION, as in link '1->2' 'loss 30%'")
         fault = {"link": {rest[0]: " ".join(rest[1:])}}
+    elif kind in ("noise", "bias", "efficiency", "saturate", "wrench"):
+        pairs = [word.partition("=") for word in rest]
+        if not pairs or not all(equals for _, equals, _ in pairs):
+            raise click.UsageError(f"a {kind} fault is: {kind} KEY=VALUE ..., as in efficiency vehicles=2 surge='50 %'")
+        fault = {kind: {key: value for key, _, value in pairs}}
     elif len(rest) < 1:
         raise click.UsageError(f"{kind} of what? See --help")
     else:

@@ -35,8 +35,9 @@ from netem.bus import Bus, Respond
 from netem.errors import BusError, MalformedMessage, OutOfPlace
 from netem.faults import NetFault, fault_values
 from netem.keys import Keys
-from netem.messages import PROTOCOL_VERSION, Death, Frames, Grant, Hello, LinkReport, Note, encode
+from netem.messages import PROTOCOL_VERSION, Ailments, Death, Frames, Grant, Hello, LinkReport, Note, encode
 from netem.shell import expect, read_map, request
+from world.faults import WorldFault
 
 WORLD = world.process.WORLD
 CONTROLLER_FAILED = agents.process.CONTROLLER_FAILED
@@ -249,6 +250,10 @@ class Console:
         def tell_netem(faults: tuple[NetFault, ...]) -> bool:
             return "tick" in self._control(bus, NETEM, "faults", faults=[fault_values(fault) for fault in faults])
 
+        def tell_world(faults: tuple[WorldFault, ...]) -> None:
+            # On the key of the grants, so that it is there before any tick that is granted later.
+            self._grant(encode(Ailments(msgpack.packb([fault.to_values() for fault in faults]))))
+
         def end_agent(i: int, tick: int) -> None:
             self._kills.setdefault(i, tick)
             self._grant(encode(Death(i, tick, 0)))
@@ -262,6 +267,7 @@ class Console:
             lambda: self._granted,
             lambda: sorted({*self._killed, *self.deaths}),
             lambda: self.waiting,
+            tell_world=tell_world,
         )
 
     def _close(self, bus: Bus) -> dict[str, Any]:

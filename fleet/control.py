@@ -6,18 +6,29 @@ is acknowledged with that time, logged like a scripted fault, and so can be prin
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 from pydantic import TypeAdapter, ValidationError
 
 from fleet.clock import LiveClock
-from fleet.faults import ACTIONS, Event, FaultError, action, network_faults, vehicles_of, words
+from fleet.faults import (
+    ACTIONS,
+    OF_THE_WORLD,
+    Event,
+    FaultError,
+    action,
+    network_faults,
+    vehicles_of,
+    words,
+    world_fault,
+)
 from fleet.journal import Journal
 from fleet.scenario import Scenario
 from fleet.schema import FaultEntry, FaultSection
 from netem.faults import NetFault
+from world.faults import WorldFault
 
 _ENTRY: TypeAdapter[FaultSection] = TypeAdapter(FaultEntry)
 
@@ -39,11 +50,12 @@ class Operator:
     dead: Callable[[], list[int]]
     waiting: Callable[[], str]
     stopping: bool = False
-    faults: list[NetFault] = field(default_factory=list)
+    tell_world: Callable[[tuple[WorldFault, ...]], None] = lambda _: None
+    faults: list[NetFault | WorldFault] = field(default_factory=list)
     _injected: int = 0
 
     def __post_init__(self) -> None:
-        self.faults = list(self.scenario.faults.network)
+        self.faults = [*self.scenario.faults.network, *self.scenario.faults.world]
 
     def handle(self, request: dict[str, Any]) -> dict[str, Any]:
         """The answer to one request; a refusal is an answer, too."""
@@ -113,11 +125,15 @@ class Operator:
     def _add(self, section: FaultSection, name: str, tick: int) -> None:
         scenario = self.scenario
         number = len(scenario.spec.faults) + self._injected
+        found: list[NetFault] | list[WorldFault]
         try:
-            found = network_faults(section, name, number, scenario.spec, scenario.graph.links)
+            if action(section) in OF_THE_WORLD:
+                found = [world_fault(section, name, scenario.spec)]
+            else:
+                found = network_faults(section, name, number, scenario.spec, scenario.graph.links)
         except FaultError as error:
             raise RefusedError(f"{error.message}; {error.hint}" if error.hint else error.message) from None
-        if not any(fault.links or fault.vehicles for fault in found):
+        if not any(isinstance(fault, WorldFault) or fault.links or fault.vehicles for fault in found):
             raise RefusedError("the graph has no such link")
         self._replace([*self.faults, *found])
         last = scenario.ticks
@@ -137,10 +153,11 @@ class Operator:
             self.journal.end_event(fault, tick)
         return {"healed": sorted(healed), "at_s": self._seconds(tick)}
 
-    def _replace(self, faults: list[NetFault]) -> None:
+    def _replace(self, faults: Sequence[NetFault | WorldFault]) -> None:
         ordered = sorted(faults, key=lambda fault: fault.begin)
-        if not self.tell_netem(tuple(ordered)):
+        if not self.tell_netem(tuple(fault for fault in ordered if isinstance(fault, NetFault))):
             raise RefusedError("netem did not answer; nothing was changed")
+        self.tell_world(tuple(fault for fault in ordered if isinstance(fault, WorldFault)))
         self.faults = ordered
 
     def _clock(self, request: dict[str, Any]) -> dict[str, Any]:

@@ -26,6 +26,9 @@ def scenario_yaml(spec: ScenarioSpec) -> str:
         numbers: overrides.model_dump(exclude_none=True, exclude_unset=True, by_alias=True)
         for numbers, overrides in spec.per_vehicle.items()
     }
+    values["faults"] = [
+        fault.model_dump(exclude_none=True, exclude_defaults=True, by_alias=True) for fault in spec.faults
+    ]
     for key in ("per_vehicle", "model_error", "faults"):
         if not values[key]:
             del values[key]

@@ -24,9 +24,12 @@ from netem.config import Link
 from netem.draws import uniform
 from netem.faults import NetFault
 from netem.grammar import parse_selector, print_condition, select
+from world.faults import WorldFault
 
 NAMED_PARTITIONS = ("halves", "one", "majority", "ring", "bridge", "isolate:N")
-ACTIONS = ("link", "down", "partition", "mute", "deaf", "kill")
+OF_THE_NETWORK = ("link", "down", "partition", "mute", "deaf")
+OF_THE_WORLD = ("noise", "bias", "freeze", "efficiency", "saturate", "off", "stuck", "current", "wrench")
+ACTIONS = (*OF_THE_NETWORK, "kill", *OF_THE_WORLD)
 
 
 class FaultError(ValueError):
@@ -53,6 +56,7 @@ class Plan:
     """Every fault of a scenario, for the cores."""
 
     network: tuple[NetFault, ...]
+    world: tuple[WorldFault, ...]
     kills: dict[int, int]  # vehicle -> tick from which it has no agent
     events: tuple[Event, ...]  # in order of time
 
@@ -64,6 +68,7 @@ def plan(spec: ScenarioSpec, links: Sequence[Link]) -> Plan:
         FaultError: a partition cannot be made.
     """
     network: list[NetFault] = []
+    world: list[WorldFault] = []
     kills: dict[int, int] = {}
     events: list[Event] = []
     last = spec.duration // spec.tick
@@ -80,11 +85,14 @@ def plan(spec: ScenarioSpec, links: Sequence[Link]) -> Plan:
         if kind == "kill":
             for i in vehicles_of(section):
                 kills[i] = min(begin, kills.get(i, begin))
+        elif kind in OF_THE_WORLD:
+            world.append(world_fault(section, name, spec))
         else:
             network += network_faults(section, name, number, spec, links)
     network.sort(key=lambda fault: fault.begin)
+    world.sort(key=lambda fault: fault.begin)
     events.sort(key=lambda event: (event.tick, event.action == "begins"))
-    return Plan(tuple(network), kills, tuple(event for event in events if event.tick <= last))
+    return Plan(tuple(network), tuple(world), kills, tuple(event for event in events if event.tick <= last))
 
 
 def network_faults(
@@ -117,10 +125,41 @@ def network_faults(
             return [NetFault(name, begin, end, "deaf", vehicles=vehicles_of(section))]
 
 
+def world_fault(section: FaultSection, name: str, spec: ScenarioSpec) -> WorldFault:
+    """What the world is told of one fault."""
+    begin = section.at // spec.tick
+    end = None if section.for_ is None else begin + section.for_ // spec.tick
+    kind = action(section)
+    return WorldFault(name, begin, end, kind, vehicles_of(section), _numbers_of(section))  # type: ignore[arg-type]
+
+
+def _numbers_of(section: FaultSection) -> tuple[float, ...]:
+    """The values of a fault of the world, as `world.faults` lists them."""
+    if (n := section.noise) is not None:
+        return n.position_noise, n.angle_noise, n.velocity_noise, n.rate_noise
+    if (b := section.bias) is not None:
+        return *b.position, b.pitch, b.yaw, *b.velocity, b.pitch_rate, b.yaw_rate
+    if (e := section.efficiency) is not None:
+        return e.surge, e.pitch, e.yaw
+    if (s := section.saturate) is not None:
+        return tuple(_ANY if limit is None else limit for limit in (s.surge_force, s.pitch_moment, s.yaw_moment))
+    if section.current is not None:
+        return section.current
+    if (w := section.wrench) is not None:
+        return *w.force, w.pitch_moment, w.yaw_moment
+    return ()
+
+
+_ANY = 1e300  # N, N m: no limit of a fault's own
+
+
 def vehicles_of(section: FaultSection) -> tuple[int, ...]:
-    """The vehicles that a fault names."""
-    text = section.mute or section.deaf or section.kill
-    return () if text is None else tuple(vehicle_numbers(text))
+    """The vehicles that a fault names; none where it concerns all."""
+    value = getattr(section, action(section))
+    text = value if isinstance(value, str) else getattr(value, "vehicles", None)
+    if text is None or action(section) in ("down", "partition"):
+        return ()
+    return tuple(vehicle_numbers(text))
 
 
 def action(section: FaultSection) -> str:
@@ -134,7 +173,10 @@ def words(section: FaultSection) -> str:
     if name == "link":
         assert section.link is not None
         return "link " + ", ".join(f"{selector}: {print_condition(c)}" for selector, c in section.link.items())
-    return f"{name} {getattr(section, name)}"
+    value = section.model_dump(exclude_none=True, exclude_defaults=True)[name]
+    if isinstance(value, dict):
+        return f"{name} {{{', '.join(f'{key}: {inner}' for key, inner in value.items())}}}"
+    return f"{name} {value}"
 
 
 def partition(text: str, vehicles: int, seed: int, number: int) -> set[Link]:

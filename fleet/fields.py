@@ -94,7 +94,7 @@ def vehicle_numbers(text: str) -> list[int]:
 
 def _numbers(value: Any) -> str:
     vehicle_numbers(str(value))
-    return str(value)
+    return re.sub(r"\s+", "", str(value))
 
 
 def _selector(value: Any) -> str:
@@ -116,6 +116,7 @@ Angle = Annotated[float, _scalar(q.ANGLE, "not negative")]
 SignedAngularRate = Annotated[float, _scalar(q.ANGULAR_RATE)]
 AngularRate = Annotated[float, _scalar(q.ANGULAR_RATE, "not negative")]
 Force = Annotated[float, _scalar(q.FORCE, "not negative")]
+ForceVector = Annotated[Vec3, _vector(q.FORCE)]
 Moment = Annotated[float, _scalar(q.MOMENT, "not negative")]
 Mass = Annotated[float, _scalar(q.MASS)]
 Inertia = Annotated[float, _scalar(q.INERTIA)]

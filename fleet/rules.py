@@ -20,7 +20,7 @@ from agents.profiles import profile
 from agents.trajectory import Offset, PathError
 from agents.trajectory import Path as Path_
 from fleet.errors import Problem
-from fleet.faults import ACTIONS, FaultError, action, partition
+from fleet.faults import ACTIONS, OF_THE_WORLD, FaultError, action, partition, vehicles_of
 from fleet.fields import vehicle_numbers
 from fleet.formation import plans
 from fleet.graph import build, parse_edge
@@ -331,7 +331,7 @@ def _fault_targets(
     spec: ScenarioSpec, report: Report, path: tuple[str | int, ...], fault: FaultSection, links: tuple[Link, ...]
 ) -> None:
     kind = action(fault)
-    if spec.network.ideal:
+    if spec.network.ideal and kind not in OF_THE_WORLD:
         report.add(path, f"{kind} needs a network, and this one is ideal", "give the network a period")
         return
     if kind == "kill" and fault.for_ is not None:
@@ -350,7 +350,7 @@ def _fault_targets(
             if not select(parse_selector(text or ""), links) and text != "*":
                 report.add((*path, kind), f"the graph has no link {text}")
         return
-    for number in vehicle_numbers(getattr(fault, kind)):
+    for number in vehicles_of(fault):
         if not 1 <= number <= spec.vehicles:
             report.add((*path, kind), f"there is no vehicle {number}: they are 1 to {spec.vehicles}")
 

@@ -138,6 +138,7 @@ class Scenario:
             ),
             disturbance=disturbance.PAPER if spec.sea.disturbance == "paper" else (),
             current=spec.sea.current,
+            faults=self.faults.world,
             kills=dict(self.faults.kills),
             keep_going=spec.on_death == "continue" and not self.ideal,
             noise=NavNoise(

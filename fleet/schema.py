@@ -29,6 +29,7 @@ from fleet.fields import (
     Count,
     Damping,
     Force,
+    ForceVector,
     Gain,
     Gains,
     Inertia,
@@ -328,6 +329,49 @@ class NetworkSection(Section):
     links: dict[LinkSelector, LinkCondition] = {}  # the last that matches a link wins
 
 
+class SensorNoise(SensorsSection):
+    """More noise on some vehicles' navigation."""
+
+    vehicles: VehicleNumbers | None = None
+
+
+class SensorBias(Section):
+    vehicles: VehicleNumbers | None = None
+    position: Position = (0.0, 0.0, 0.0)  # NED
+    velocity: Velocity = (0.0, 0.0, 0.0)  # body
+    pitch: SignedAngle = 0.0
+    yaw: SignedAngle = 0.0
+    pitch_rate: SignedAngularRate = 0.0
+    yaw_rate: SignedAngularRate = 0.0
+
+
+class Efficiency(Section):
+    """What is left of what the actuators should do."""
+
+    vehicles: VehicleNumbers | None = None
+    surge: Ratio = 1.0
+    pitch: Ratio = 1.0
+    yaw: Ratio = 1.0
+
+
+class Saturation(Section):
+    """Smaller limits."""
+
+    vehicles: VehicleNumbers | None = None
+    surge_force: Force | None = None
+    pitch_moment: Moment | None = None
+    yaw_moment: Moment | None = None
+
+
+class Wrench(Section):
+    """A constant force and moment in body axes."""
+
+    vehicles: VehicleNumbers | None = None
+    force: ForceVector = (0.0, 0.0, 0.0)
+    pitch_moment: AnyMoment = 0.0
+    yaw_moment: AnyMoment = 0.0
+
+
 class FaultSection(Section):
     """One fault: when, for how long, and exactly one thing that it does. It always ends, at the latest with the run."""
 
@@ -340,6 +384,15 @@ class FaultSection(Section):
     mute: VehicleNumbers | None = None  # sends nothing
     deaf: VehicleNumbers | None = None  # hears nothing
     kill: VehicleNumbers | None = None  # the agent ends; the vehicle drifts without thrust
+    noise: SensorNoise | None = None
+    bias: SensorBias | None = None
+    freeze: VehicleNumbers | None = None  # the same measurement again and again
+    efficiency: Efficiency | None = None
+    saturate: Saturation | None = None
+    off: VehicleNumbers | None = None  # no force, no moments
+    stuck: VehicleNumbers | None = None  # those of the tick at which it began
+    current: Velocity | None = None  # on top of the sea's own, for everybody
+    wrench: Wrench | None = None
 
 
 def _fault(value: Any) -> Any:

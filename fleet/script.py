@@ -65,6 +65,8 @@ def _entries(events: list[tuple[int, Any]], end_ns: int) -> list[dict[str, Any]]
 
 def _action(what: str) -> dict[str, Any]:
     kind, _, rest = what.partition(" ")
+    if rest.startswith("{"):
+        return {kind: dict(part.split(": ", 1) for part in rest[1:-1].split(", ") if part)}
     if kind != "link":
         return {kind: rest}
     return {"link": dict(part.split(": ", 1) for part in rest.split(", "))}

@@ -324,6 +324,13 @@ class Death(NamedTuple):
     incarnation: Annotated[int, uint("", "the life that ended")]
 
 
+@_declare("ailments", "cmd/grant", "console", "world")
+class Ailments(NamedTuple):
+    """The faults of sensors, actuators and sea, all of them: they replace those that were told before."""
+
+    faults: Annotated[bytes, Field("", "MessagePack: a list of world.faults.WorldFault values", "bin")]
+
+
 @_declare("note", "note", "world, netem, agents", "console")
 class Note(NamedTuple):
     """Something a person should know: a rejected message, a failed controller, a counter."""
@@ -334,7 +341,7 @@ class Note(NamedTuple):
     text: Annotated[str, Field("", "one line", "str")]
 
 
-Message = Hello | Nav | Command | Transmission | Inbox | Round | Frames | LinkReport | Grant | Death | Note
+Message = Hello | Nav | Command | Transmission | Inbox | Round | Frames | LinkReport | Grant | Death | Ailments | Note
 
 
 def encode(message: Message) -> bytes:

@@ -97,6 +97,9 @@ def test_every_live_action_is_a_script_line(tmp_path: Path) -> None:
             ["link", "1<->2", "delay 60ms 20ms loss gemodel 10% 40%", "--for", "1500ms"],
             ["partition", "halves", "--id", "split"],
             ["mute", "3", "--for", "1s"],
+            ["stuck", "1", "--for", "300ms"],
+            ["noise", "vehicles=1,2", "position_noise=5 cm", "--id", "fog"],
+            ["current", "0.1 0 0 m/s"],
             ["kill", "4"],
         ):
             moment = live.logged_s() + rng.random() * 0.4
@@ -108,13 +111,20 @@ def test_every_live_action_is_a_script_line(tmp_path: Path) -> None:
         assert tool(out, "clock", "speed", "max").returncode == 0
         assert live.status(60.0) == 0, live.said
         log = live.log
-    assert [a.returncode for a in answers] == [0] * 4, [a.stderr for a in answers]
+    assert [a.returncode for a in answers] == [0] * 7, [a.stderr for a in answers]
     assert answers[0].stdout.startswith("live-1: link 1<->2: delay 60ms 20ms loss gemodel 10% 40%")
     assert healed.stdout.startswith("healed split at t = ")
-    assert {line.split()[0] for line in listed.stdout.splitlines()} == {"live-1", "split", "live-3"}
+    assert {line.split()[0] for line in listed.stdout.splitlines()} == {
+        "live-1",
+        "split",
+        "live-3",
+        "live-4",
+        "fog",
+        "live-6",
+    }
     assert "without an agent: 4" in said.stdout
     again = script(log)
-    assert {fault.id for fault in again.spec.faults} == {"live-1", "split", "live-3", None}
+    assert {fault.id for fault in again.spec.faults} == {"live-1", "split", "live-3", "live-4", "fog", "live-6", None}
     assert parse_scenario(again.to_yaml(), "again.yaml") == again
     result = execute(again, Options(tmp_path / "again", in_process=True, quiet=True))
     assert result.digest == digest(log)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from world.faults import WorldFault
 from world.vehicle import Vec3, Vec5, VehicleParams
 
 # RK4 steps per tick. At a tick of 10 ms one step stays within 4e-7 of a converged velocity in the paper's
@@ -59,5 +60,6 @@ class WorldConfig:
     disturbance: tuple[Harmonic, ...] = ()  # d1..d5, the same on every vehicle; empty: none
     current: Vec3 = (0.0, 0.0, 0.0)  # m/s, NED, constant and irrotational
     noise: NavNoise = field(default_factory=NavNoise)
+    faults: tuple[WorldFault, ...] = ()  # in the order in which they begin
     kills: dict[int, int] = field(default_factory=dict)  # vehicle -> first tick without an agent
     keep_going: bool = False  # a vehicle that cannot be integrated any more is lost, and the run goes on

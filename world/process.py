@@ -14,6 +14,7 @@ from netem.errors import MalformedMessage, OutOfPlace
 from netem.keys import Keys
 from netem.messages import (
     PROTOCOL_VERSION,
+    Ailments,
     Command,
     Death,
     Frame,
@@ -27,6 +28,7 @@ from netem.messages import (
 )
 from netem.shell import Shell, expect, read_map, vehicle_of
 from world.config import WorldConfig
+from world.faults import WorldFault
 from world.lockstep import Lockstep, NavTo, Out
 
 log = logging.getLogger(__name__)
@@ -86,9 +88,12 @@ class WorldProcess:
             key, data = item
             try:
                 if key == grant_key:
-                    message = expect(data, Grant, Death, Hello)
+                    message = expect(data, Grant, Death, Ailments, Hello)
                     if isinstance(message, Grant):
                         self._publish(self._lockstep.grant(message.until))
+                    elif isinstance(message, Ailments):
+                        faults = msgpack.unpackb(message.faults)
+                        self._lockstep.world.faults = tuple(map(WorldFault.from_values, faults))
                     elif isinstance(message, Death):
                         if message.vehicle in self._ids:
                             # A nav that nobody can answer any more was not lost on the way.

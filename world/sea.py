@@ -7,16 +7,20 @@ No clock, no I/O: a run is a function of the configuration and the commands.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import lru_cache
 from math import isfinite
 from typing import Any, NamedTuple
 
-from world.config import VehicleSetup, WorldConfig
+from world.config import NavNoise, VehicleSetup, WorldConfig
 from world.disturbance import disturbance
 from world.dynamics import Coefficients, State, coefficients, rk4_step
 from world.errors import CommandError, NonFiniteStateError, PitchSingularityError, UnknownVehicleError
+from world.faults import WorldFault
 from world.sensors import measure
 from world.vehicle import Vec3, Vec5
+
+Stages = tuple[tuple[Vec5, Vec5, Vec5], ...]  # the disturbance at start, middle and end of each RK4 step
 
 
 class _Vehicle(NamedTuple):
@@ -35,6 +39,8 @@ class World:
         self._fixed = {s.id: _Vehicle(coefficients(s.params), s.tau_max) for s in config.vehicles}
         self._ticks = dict.fromkeys(self.ids, 0)
         self._states: dict[int, State] = {s.id: _initial(s) for s in config.vehicles}
+        self.faults = config.faults  # replaced as a whole by who injects
+        self._held: dict[tuple[str, int], tuple[float, ...]] = {}  # (fault, vehicle): what froze or got stuck
         self._h = config.tick_ns / 1e9 / config.substeps
         # Every vehicle feels the same disturbance and all pass the same ticks, some ahead of others.
         self._stage_forces = lru_cache(maxsize=4 * max(config.round_ticks, 8))(self._stage_forces_at)
@@ -59,7 +65,20 @@ class World:
     def sense(self, i: int) -> tuple[Vec5, Vec5]:
         """Measured eta and nu of vehicle i at its tick."""
         eta, nu = self.state(i)
-        return measure(eta, nu, self.config.noise, self.config.seed, i, self._ticks[i])
+        tick = self._ticks[i]
+        measured = measure(eta, nu, self.config.noise, self.config.seed, i, tick)
+        if not self.faults:
+            return measured
+        for fault in self._active(i, tick):
+            match fault.kind:
+                case "noise":
+                    extra = NavNoise(*fault.values)
+                    measured = measure(*measured, extra, self.config.seed, i, tick, f"fault {fault.id}")
+                case "bias":
+                    measured = _halves([a + b for a, b in zip(sum(measured, ()), fault.values, strict=True)])
+                case "freeze":
+                    measured = _halves(self._held.setdefault((fault.id, i), sum(measured, ())))
+        return measured
 
     def actuate(self, i: int, tau: tuple[float, ...]) -> Vec3:
         """What the actuators of vehicle i make of a command: each element within +-tau_max [N, N m].
@@ -72,7 +91,28 @@ class World:
             raise CommandError(i, self._ticks[i], tau)
         t1, t2, t3 = tau
         l1, l2, l3 = self._fixed[i].tau_max
-        return max(-l1, min(l1, t1)), max(-l2, min(l2, t2)), max(-l3, min(l3, t3))
+        applied = max(-l1, min(l1, t1)), max(-l2, min(l2, t2)), max(-l3, min(l3, t3))
+        return self._ailing(i, applied) if self.faults else applied
+
+    def _ailing(self, i: int, tau: Vec3) -> Vec3:
+        """What faulty actuators make of a force."""
+        for fault in self._active(i, self._ticks[i]):
+            match fault.kind:
+                case "efficiency":
+                    f1, f2, f3 = fault.values
+                    tau = (f1 * tau[0], f2 * tau[1], f3 * tau[2])
+                case "saturate":
+                    l1, l2, l3 = fault.values
+                    tau = max(-l1, min(l1, tau[0])), max(-l2, min(l2, tau[1])), max(-l3, min(l3, tau[2]))
+                case "off":
+                    tau = (0.0, 0.0, 0.0)
+                case "stuck":
+                    t1, t2, t3 = self._held.setdefault((fault.id, i), tau)
+                    tau = (t1, t2, t3)
+        return tau
+
+    def _active(self, i: int, tick: int) -> list[WorldFault]:
+        return [fault for fault in self.faults if fault.active(tick) and fault.concerns(i)]
 
     def advance(self, i: int, tau: Vec3) -> None:
         """Integrate vehicle i, and it alone, to its next tick with `tau` [N, N m] held.
@@ -87,8 +127,11 @@ class World:
         state = self._states[i]
         current = self.config.current
         h = self._h
+        forces = self._stage_forces(tick)
+        if self.faults:
+            current, forces = self._weather(i, tick, current, forces)
         try:
-            for d in self._stage_forces(tick):
+            for d in forces:
                 state = rk4_step(k, state, tau, d, h, current)
         except PitchSingularityError as error:
             raise PitchSingularityError(error.reason, error.theta, i, tick) from None
@@ -100,6 +143,21 @@ class World:
         self._states[i] = state
         self._ticks[i] = tick + 1
 
+    def _weather(self, i: int, tick: int, current: Vec3, forces: Stages) -> tuple[Vec3, Stages]:
+        """Current and disturbance with the faults of the sea in them."""
+        for fault in self._active(i, tick):
+            if fault.kind == "current":
+                x, y, z = fault.values
+                current = (current[0] + x, current[1] + y, current[2] + z)
+            elif fault.kind == "wrench":
+                w1, w2, w3, w4, w5 = fault.values
+                start, middle, end = (
+                    [(a + w1, b + w2, c + w3, d + w4, e + w5) for a, b, c, d, e in column]
+                    for column in zip(*forces, strict=True)
+                )
+                forces = tuple(zip(start, middle, end, strict=True))
+        return current, forces
+
     def hold(self, i: int) -> None:
         """Pass a tick without integrating vehicle i: it is lost and stays where it was."""
         self._known(i)
@@ -107,7 +165,11 @@ class World:
 
     def state_values(self) -> dict[str, Any]:
         """Everything that changes, as plain MessagePack values; `restore` takes it back."""
-        return {"vehicles": [[i, self._ticks[i], *self._states[i]] for i in self.ids]}
+        return {
+            "vehicles": [[i, self._ticks[i], *self._states[i]] for i in self.ids],
+            "faults": [fault.to_values() for fault in self.faults],
+            "held": [[fault, i, list(values)] for (fault, i), values in sorted(self._held.items())],
+        }
 
     def restore(self, values: dict[str, Any]) -> None:
         """Continue from `state_values()` of a world with the same configuration.
@@ -119,6 +181,8 @@ class World:
             self._known(i)
             self._ticks[i] = tick
             self._states[i] = (x, y, z, theta, psi, u, v, w, q, r)
+        self.faults = tuple(WorldFault.from_values(fault) for fault in values["faults"])
+        self._held = {(fault, i): tuple(held) for fault, i, held in values["held"]}
 
     def _known(self, i: int) -> None:
         if i not in self._fixed:
@@ -131,6 +195,11 @@ class World:
         t = tick * config.tick_ns / 1e9
         d = [disturbance(config.disturbance, t + j * 0.5 * self._h) for j in range(2 * n + 1)]
         return tuple((d[2 * j], d[2 * j + 1], d[2 * j + 2]) for j in range(n))
+
+
+def _halves(values: Sequence[float]) -> tuple[Vec5, Vec5]:
+    x, y, z, theta, psi, u, v, w, q, r = values
+    return (x, y, z, theta, psi), (u, v, w, q, r)
 
 
 def _initial(setup: VehicleSetup) -> State:

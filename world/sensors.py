@@ -18,7 +18,9 @@ from world.vehicle import Vec5
 PURPOSE = "nav noise"
 
 
-def measure(eta: Vec5, nu: Vec5, noise: NavNoise, seed: int, vehicle: int, tick: int) -> tuple[Vec5, Vec5]:
+def measure(
+    eta: Vec5, nu: Vec5, noise: NavNoise, seed: int, vehicle: int, tick: int, purpose: str = PURPOSE
+) -> tuple[Vec5, Vec5]:
     """What the sensor of `vehicle` reports at `tick`: the truth itself when the noise is off.
 
     Args:
@@ -31,7 +33,7 @@ def measure(eta: Vec5, nu: Vec5, noise: NavNoise, seed: int, vehicle: int, tick:
     p, a, s, r = noise.position_m, noise.angle_rad, noise.velocity_mps, noise.rate_radps
     # A component without noise is not drawn: hashing costs more than the rest of the tick.
     x, y, z, theta, psi, u, v, w, q, rate = (
-        value + sigma * normal(seed, PURPOSE, vehicle, tick, component) if sigma else value
+        value + sigma * normal(seed, purpose, vehicle, tick, component) if sigma else value
         for component, (value, sigma) in enumerate(zip(eta + nu, (p, p, p, a, a, s, s, s, r, r), strict=True))
     )
     return (x, y, z, theta, psi), (u, v, w, q, rate)

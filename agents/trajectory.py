@@ -16,7 +16,7 @@ from __future__ import annotations
 from bisect import bisect_right
 from dataclasses import dataclass, field
 from functools import cached_property
-from math import acos, cos, hypot, pi, sin, tan
+from math import atan2, cos, hypot, pi, sin, tan
 from typing import Any, Literal, NamedTuple
 
 from world.vehicle import Vec3
@@ -198,7 +198,9 @@ class Path:
         tangents = [0.0] * len(legs)
         turns = [0.0] * len(legs)
         for n in range(len(legs) if self.closed else len(legs) - 1):
-            turn = acos(max(-1.0, min(1.0, _dot(directions[n], directions[(n + 1) % len(legs)]))))
+            ahead, following = directions[n], directions[(n + 1) % len(legs)]
+            # Not acos, which takes a rounding error of 1e-16 in the cosine for a turn of 1e-8.
+            turn = atan2(hypot(*_across(following, ahead)), _dot(following, ahead))
             if turn > pi - 1e-3:
                 raise PathError(n + 1, "turns back on itself, which no arc can follow: put a point beside it")
             if turn > STRAIGHT:
@@ -221,7 +223,7 @@ class Path:
             s += max(0.0, straight)
             if turns[n]:
                 following = directions[(n + 1) % len(legs)]
-                across = _add(following, ahead, -_dot(following, ahead))
+                across = _across(following, ahead)
                 inward = _scale(across, 1.0 / hypot(*across))
                 entry = _add(a, ahead, lengths[n] - tangents[n])
                 starts.append(s)
@@ -303,6 +305,11 @@ def _add(a: Vec3, direction: Vec3, length: float) -> Vec3:
 
 def _scale(a: Vec3, factor: float) -> Vec3:
     return a[0] * factor, a[1] * factor, a[2] * factor
+
+
+def _across(a: Vec3, ahead: Vec3) -> Vec3:
+    """The part of a across a unit vector."""
+    return _add(a, ahead, -_dot(a, ahead))
 
 
 def _dot(a: Vec3, b: Vec3) -> float:

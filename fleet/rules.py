@@ -26,7 +26,7 @@ from fleet.formation import plans
 from fleet.graph import build, parse_edge
 from fleet.quantities import RATE, SPEED, QuantityError, Vec3, show, show_time, show_vector
 from fleet.reference import build as build_reference
-from fleet.schema import FaultSection, FormationShape, ScenarioSpec
+from fleet.schema import FaultSection, FormationShape, GuidanceSection, ScenarioSpec, VehicleOverrides
 from fleet.shapes import FORMATION, GRAPH, REFERENCE, Keys
 from fleet.tuning import given, law_names, merged, qp_period_ns, used, vehicle, wrong_model
 from fleet.vehicles import VehicleFileError, mass_problems
@@ -35,6 +35,7 @@ from netem.config import Link
 from netem.grammar import GrammarError, nearest, parse_selector, select
 
 Table = dict[str, Keys]
+Entries = tuple[str, ...]  # the keys of per_vehicle that name a vehicle
 _LINKS_SHOWN = 12
 _BLEND_SAMPLES = 40
 
@@ -56,8 +57,11 @@ class Report:
     problems: list[Problem] = field(default_factory=list)
 
     def add(self, path: tuple[str | int, ...], message: str, hint: str = "", *, key: bool = False) -> None:
-        """Report a mistake at the value (or the key) at `path`, or at its nearest ancestor that is there."""
-        self.problems.append(locate(self.root, path, key=key).problem(f"{_dotted(path)}: {message}", hint))
+        """Report a mistake, once, at the value (or the key) at `path`, or at its nearest ancestor that is there."""
+        path = self._written(path)
+        problem = locate(self.root, path, key=key).problem(f"{_dotted(path)}: {message}", hint)
+        if problem not in self.problems:
+            self.problems.append(problem)
 
     def add_missing(self, path: tuple[str | int, ...], key: str, why: str) -> None:
         """Report a key that a section should have."""
@@ -67,7 +71,7 @@ class Report:
     def has(self, path: tuple[str, ...]) -> bool:
         """Whether the file says anything at `path`."""
         node: Any = self.root
-        for step in path:
+        for step in self._written(path):
             if not isinstance(node, Mapping) or step not in node.entries:
                 return False
             node = node.entries[step]
@@ -82,6 +86,24 @@ class Report:
                 return []
             node = below
         return list(node.entries)
+
+    def origin(self, entries: Entries, *path: str) -> tuple[str, ...] | None:
+        """Where a value was written that holds for vehicles: in the last of their entries that has it, or for all."""
+        places = [*(("per_vehicle", numbers, *path) for numbers in reversed(entries)), path]
+        return next((place for place in places if self.has(place)), None)
+
+    def _written(self, path: tuple[Any, ...]) -> tuple[Any, ...]:
+        """`path` with the spaces that its vehicle numbers have in the file."""
+        if path[:1] == ("per_vehicle",):
+            for text in self.keys("per_vehicle"):
+                if len(path) > 1 and _packed(text) == path[1]:
+                    return (path[0], text, *path[2:])
+        return path
+
+
+def _packed(numbers: str) -> str:
+    """Vehicle numbers as the schema keeps them."""
+    return "".join(numbers.split())
 
 
 def check(spec: ScenarioSpec, report: Report) -> None:
@@ -103,26 +125,45 @@ def _network_period(spec: ScenarioSpec, report: Report) -> None:
 
 
 def _qp_period(spec: ScenarioSpec, report: Report) -> None:
-    for path, section, name in _layers(spec, "guidance"):
+    for entries, law, section, name in _guidance(spec):
         period = qp_period_ns(name, section)
-        if section.qp_period is not None:
-            _whole(report, (*path, "guidance", "qp_period"), period, spec.tick)
-        elif period % spec.tick:
+        if "qp_period" not in used("guidance", law) or period % spec.tick == 0:
+            continue
+        path = report.origin(entries, "guidance", "qp_period")
+        if path is not None:
+            _whole(report, path, period, spec.tick)
+        else:
             report.add(
                 ("tick",),
                 f"the QP period of profile {name}, {show_time(period)}, is not a whole number of ticks "
                 f"of {show_time(spec.tick)}",
                 "choose a tick that divides it, or set guidance.qp_period",
             )
-            return
 
 
-def _layers(spec: ScenarioSpec, key: str) -> Iterator[tuple[tuple[str, ...], Any, str]]:
-    """(path, section, profile) of a section wherever it is given: for all vehicles, and for some."""
-    yield (), getattr(spec, key), spec.profile
+def _layers(spec: ScenarioSpec, key: str) -> Iterator[tuple[tuple[str, ...], Any]]:
+    """(path, section) of a section wherever it is given: for all vehicles, and for some."""
+    yield (), getattr(spec, key)
     for numbers, overrides in spec.per_vehicle.items():
         if getattr(overrides, key) is not None:
-            yield ("per_vehicle", numbers), getattr(overrides, key), overrides.profile or spec.profile
+            yield ("per_vehicle", numbers), getattr(overrides, key)
+
+
+def _choices(spec: ScenarioSpec) -> Iterator[tuple[Entries, VehicleOverrides]]:
+    """(entries, what holds), once for all vehicles that the same entries name; first without any entry."""
+    yield (), merged(spec, 0)
+    named = {numbers: set(vehicle_numbers(numbers)) for numbers in spec.per_vehicle}
+    alike = {tuple(n for n, vehicles in named.items() if i in vehicles): i for i in range(1, spec.vehicles + 1)}
+    yield from ((entries, merged(spec, i)) for entries, i in alike.items() if entries)
+
+
+def _guidance(spec: ScenarioSpec) -> Iterator[tuple[Entries, str, GuidanceSection, str]]:
+    """(entries, law, section, profile) for all vehicles alike, where a guidance law runs."""
+    for entries, choice in _choices(spec):
+        names = law_names(choice)
+        if names is not None:
+            assert choice.guidance is not None and choice.profile is not None
+            yield entries, names[0], choice.guidance, choice.profile
 
 
 def _whole(report: Report, path: tuple[str | int, ...], ns: int, tick: int) -> None:
@@ -147,9 +188,10 @@ def _reference(spec: ScenarioSpec, report: Report) -> None:
             path.length  # noqa: B018 - walks the path
         except PathError as error:
             where = f"leg {error.leg} " if error.leg else ""
+            waypoints = r.points is not None
             hint = "lower speed or raise acceleration: the radius is speed^2 / acceleration"
-            hint = hint if "arcs" in str(error) and r.points else ""
-            report.add(("reference", "points" if r.points else "leg"), where + str(error), hint)
+            hint = hint if "arcs" in str(error) and waypoints else ""
+            report.add(("reference", "points" if waypoints else "leg"), where + str(error), hint)
 
 
 def _shape_keys(report: Report, path: tuple[str | int, ...], section: Any, shape: str, known: Table) -> bool:
@@ -356,11 +398,15 @@ def _fault_targets(
 
 
 def _per_vehicle(spec: ScenarioSpec, report: Report) -> None:
+    seen: dict[str, str] = {}
     for text in report.keys("per_vehicle"):
         try:
             numbers = vehicle_numbers(text)
         except QuantityError:
             continue  # reported by the schema
+        if _packed(text) in seen:
+            report.add(("per_vehicle", text), f'the same vehicles as "{seen[_packed(text)]}"', key=True)
+        seen[_packed(text)] = text
         for number in numbers:
             if not 1 <= number <= spec.vehicles:
                 message = f"there is no vehicle {number}: they are 1 to {spec.vehicles}"
@@ -403,7 +449,7 @@ def _law(report: Report, path: tuple[str, ...], kind: str, law: Law) -> None:
 def _effective(spec: ScenarioSpec, report: Report) -> None:
     """A parameter that no law reads is a mistake, not a comment."""
     for kind in ("guidance", "tracking"):
-        for path, section, _ in _layers(spec, kind):
+        for path, section in _layers(spec, kind):
             where = vehicle_numbers(path[1]) if path else range(spec.vehicles + 1)
             names = {law_names(merged(spec, i)) for i in where}
             if any(n is not None and ":" in n[kind == "tracking"] for n in names):
@@ -420,54 +466,52 @@ def _effective(spec: ScenarioSpec, report: Report) -> None:
 
 def _vehicles(spec: ScenarioSpec, report: Report) -> None:
     """Each vehicle's numbers can be read, and make a vehicle; so does what the controller believes."""
-    places: list[tuple[tuple[str, ...], tuple[int, ...]]] = [((), (0,))]
-    places += [(("per_vehicle", numbers), tuple(vehicle_numbers(numbers))) for numbers in spec.per_vehicle]
-    for path, numbers in places:
-        choice = merged(spec, numbers[0])
+    for entries, choice in _choices(spec):
         assert choice.vehicle is not None and choice.model_error is not None
-        at = (*path, "vehicle") if not path or report.has((*path, "vehicle")) else ("vehicle",)
         try:
             params, _ = vehicle(choice.vehicle, report.folder)
         except VehicleFileError as error:
             for problem in error.problems:
-                report.add((*at, "model"), problem)
+                report.add(report.origin(entries, "vehicle", "model") or ("vehicle", "model"), problem)
             continue
         for problem in mass_problems(params):
-            report.add(at, problem)
+            report.add(report.origin(entries, "vehicle") or ("vehicle",), problem)
         if not mass_problems(params):
-            errors = (*path, "model_error") if not path or report.has((*path, "model_error")) else ("model_error",)
             for problem in mass_problems(wrong_model(params, choice.model_error)):
-                report.add(errors, f"with it, {problem}")
+                report.add(report.origin(entries, "model_error") or ("model_error",), f"with it, {problem}")
 
 
 def _velocity_bounds(spec: ScenarioSpec, report: Report) -> None:
     """Strictly inside, the QP is feasible for every consensus error: some k > 0 exists on each axis."""
     low, high = _desired_velocity(spec)
-    for path, section, name in _layers(spec, "guidance"):
-        where = vehicle_numbers(path[1]) if path else [0]
-        laws = law_names(merged(spec, where[0]))
-        if laws is None or laws[0] != "optimal":
+    for entries, law, section, name in _guidance(spec):
+        if law != "optimal":
             continue
         preset = profile(name)[0]
         bounds: dict[str, Vec3] = {
-            "rho_lo": section.rho_lo or spec.guidance.rho_lo or preset.rho_lo,
-            "rho_hi": section.rho_hi or spec.guidance.rho_hi or preset.rho_hi,
+            "rho_lo": section.rho_lo or preset.rho_lo,
+            "rho_hi": section.rho_hi or preset.rho_hi,
         }
         for bound_name, bound in bounds.items():
             sign, speeds = (1.0, low) if bound_name == "rho_lo" else (-1.0, high)
             for axis, limit, speed in zip("xyz", bound, speeds, strict=True):
                 if sign * limit < sign * speed:
                     continue
-                ours = getattr(section, bound_name) is not None
+                ours = report.origin(entries, "guidance", bound_name)
                 side, extreme = ("below", "least ") if sign > 0 else ("above", "greatest ")
                 extreme = "" if low == high else extreme
                 report.add(
-                    (*path, "guidance", bound_name) if ours else _reference_place(spec),
+                    ours or _reference_place(spec),
                     f"{bound_name} {show_vector(bound, SPEED)} must be {side} the {extreme}reference velocity "
                     f"{_rounded(speeds)} on every axis; it is not on {axis}",
-                    "" if ours else f"the bound is that of profile {name}; set guidance.{bound_name}",
+                    "" if ours else f"the bound is that of profile {name}; set {_key_of(entries, bound_name)}",
                 )
                 break
+
+
+def _key_of(entries: Entries, key: str) -> str:
+    """The guidance key that changes something for vehicles, and for no others that have entries of their own."""
+    return f"per_vehicle.{entries[-1]}.guidance.{key}" if entries else f"guidance.{key}"
 
 
 def _rounded(speeds: Vec3) -> str:
@@ -511,18 +555,19 @@ def _plans(spec: ScenarioSpec) -> tuple[Offset, ...]:
 
 
 def _gain_bounds(spec: ScenarioSpec, report: Report) -> None:
-    for path, section, name in _layers(spec, "guidance"):
+    for entries, law, section, name in _guidance(spec):
         preset = profile(name)[0]
-        lows = [value for value in (section.k_min, spec.guidance.k_min, preset.k_min) if value is not None]
-        highs = [value for value in (section.k_max, spec.guidance.k_max, preset.k_max) if value is not None]
-        k_min, k_max = lows[0], highs[0]
-        if k_min > k_max:
-            key = "k_max" if section.k_max is not None else "k_min"
-            report.add((*path, "guidance", key), f"k_min {show(k_min, RATE)} is above k_max {show(k_max, RATE)}")
+        k_min, k_max = section.k_min or preset.k_min, section.k_max or preset.k_max
+        if k_min > k_max and {"k_min", "k_max"} <= used("guidance", law):
+            path = report.origin(entries, "guidance", "k_max") or report.origin(entries, "guidance", "k_min")
+            assert path is not None  # no profile is wrong by itself
+            given_both = section.k_min is not None and section.k_max is not None
+            hint = "" if given_both else f"the other one is that of profile {name}"
+            report.add(path, f"k_min {show(k_min, RATE)} is above k_max {show(k_max, RATE)}", hint)
 
 
 def _cosine_guard(spec: ScenarioSpec, report: Report) -> None:
-    for path, section, _ in _layers(spec, "tracking"):
+    for path, section in _layers(spec, "tracking"):
         if section.cos_eps is not None and section.cos_eps >= 1.0:
             report.add((*path, "tracking", "cos_eps"), f"is a cosine and must be below 1, got {section.cos_eps!r}")
 

@@ -76,6 +76,8 @@ def _over(below: VehicleOverrides, above: VehicleOverrides) -> VehicleOverrides:
         else:
             # What was written, not what has a default: a vehicle's own timeout leaves its extrapolation alone.
             written = {name: value for name, value in given(high).items() if name in high.model_fields_set}
+            if "law" in written:
+                written.setdefault("parameters", None)  # those below belong to the law below
             values[key] = low.model_copy(update=written)
     # A controller chosen here replaces the agent and the laws that were chosen below it.
     if above.controller is not None:
@@ -197,9 +199,8 @@ def tracking_section(params: TrackingParams, law: str) -> TrackingSection:
 def used(kind: str, law: str) -> frozenset[str]:
     """The scenario keys that a law of ours uses; a law of yours is given all and told nothing."""
     laws: dict[str, Any] = {"guidance": GUIDANCE, "tracking": TRACKING}[kind]  # type: ignore[assignment]
-    if law not in laws:
-        return frozenset(f.name for f in fields(GuidanceParams if kind == "guidance" else TrackingParams))
-    names: Iterable[str] = laws[law].uses
+    params = GuidanceParams if kind == "guidance" else TrackingParams
+    names: Iterable[str] = laws[law].uses if law in laws else (f.name for f in fields(params))
     back = {parameter: key for key, parameter in _NAMES.items()}
     return frozenset(back.get(name, name) for name in names)
 

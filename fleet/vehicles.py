@@ -32,6 +32,8 @@ PARAMETERS: dict[str, q.Dimension] = {
     "beta_q": q.ROTATION_DAMPING, "beta_r": q.ROTATION_DAMPING, "beta_b": q.MOMENT,
 }  # fmt: skip
 LIMITS: dict[str, q.Dimension] = {"surge_force": q.FORCE, "pitch_moment": q.MOMENT, "yaw_moment": q.MOMENT}
+# As in the schema: the merged scenario holds the numbers of a file as keys.
+NOT_NEGATIVE = frozenset(LIMITS) | {key for key, d in PARAMETERS.items() if d in (q.DAMPING, q.ROTATION_DAMPING)}
 _MAX_BYTES = 100_000
 
 
@@ -77,8 +79,8 @@ def load_vehicle(name: str, folder: Path | None = None) -> Vehicle:
                 return parse_vehicle(file.read(_MAX_BYTES), str(path))
         except FileNotFoundError:
             continue
-        except OSError as error:
-            raise VehicleFileError(name, [error.strerror or str(error)]) from None
+        except (OSError, ValueError) as error:  # ValueError: no name of a file
+            raise VehicleFileError(name, [getattr(error, "strerror", None) or str(error)]) from None
     raise VehicleFileError(
         name, [f"there is no such file (looked in {', '.join(str(p.parent) for p in places) or '.'})"]
     )
@@ -98,12 +100,13 @@ def parse_vehicle(data: bytes, name: str, *, shipped: bool = False) -> Vehicle:
     """
     try:
         values = tomllib.loads(data.decode("utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
+    except (ValueError, RecursionError) as error:  # not UTF-8, not TOML, or an integer of thousands of digits
         raise VehicleFileError(name, [f"not TOML: {error}"]) from None
-    problems = [f"unknown key {key!r}" for key in values.keys() - {"name", "title", "parameters", "limits"}]
+    problems = [f"unknown key {key!r}" for key in values if key not in ("name", "title", "parameters", "limits")]
     params = _table(values, "parameters", PARAMETERS, problems)
     limits = _table(values, "limits", LIMITS, problems)
-    problems += [f"limits.{key} must be 0 or more" for key, limit in limits.items() if limit < 0.0]
+    for section, table in (("parameters", params), ("limits", limits)):
+        problems += [f"{section}.{key} must be 0 or more" for key in table if key in NOT_NEGATIVE and table[key] < 0.0]
     if not problems:
         problems += mass_problems(VehicleParams(**params))
     if problems:
@@ -129,7 +132,7 @@ def _table(
     if not isinstance(table, dict):
         problems.append(f"there is no [{section}]")
         return {}
-    for key in table.keys() - known.keys():
+    for key in [key for key in table if key not in known]:
         hint = nearest(key, known)
         problems.append(f"unknown {section}.{key}" + (f" ({hint})" if hint else ""))
     found = {}

@@ -198,8 +198,8 @@ def test_suspended_process_is_a_stall_that_names_it(suspended: str, tmp_path: Pa
 
 def test_suspension_shorter_than_the_timeout_changes_nothing(tmp_path: Path) -> None:
     """Sim time does not know of the pause: the log is that of a run without it, byte for byte."""
-    arguments = ["--duration", "3 s", "--set", CHECKS]
-    with LiveRun(tmp_path / "paused", "paper", *arguments, "--speed", "4") as run:
+    arguments = ["--duration", "8 s", "--set", CHECKS]
+    with LiveRun(tmp_path / "paused", "paper", *arguments, "--speed", "2") as run:
         agent = run.until_running().role("agent 2")
         agent.suspend()
         stood = run.logged_s()
@@ -208,7 +208,7 @@ def test_suspension_shorter_than_the_timeout_changes_nothing(tmp_path: Path) -> 
         assert run.logged_s() - stood <= 1.0
         agent.resume()
         assert run.status() == 0, run.printed
-        scenario = load_scenario("paper", [CHECKS, "duration=3 s"])
+        scenario = load_scenario("paper", [CHECKS, "duration=8 s"])
         alone = execute(scenario, Options(tmp_path / "alone", in_process=True, quiet=True))
         assert_same_bytes(alone.directory / "run.mcap", run.log)
 

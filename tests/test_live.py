@@ -22,7 +22,7 @@ from fleet.scenario import parse_scenario
 from fleet.script import script
 
 TICK_NS = 10_000_000
-SLOW = ["--speed", "2", "--set", "checks={ledger: balanced, middleware_loss: {at_most: 0}}"]
+SLOW = ["--speed", "1", "--set", "checks={ledger: balanced, middleware_loss: {at_most: 0}}"]
 
 
 def tool(out: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
@@ -90,7 +90,7 @@ def test_every_live_action_is_a_script_line(tmp_path: Path) -> None:
     """Faults at moments that nobody chose, one healed early, a kill: the exported scenario gives the same digest."""
     out = tmp_path / "runs"
     rng = random.Random()  # arbitrary on purpose: it must hold whenever the faults come
-    with LiveRun(out, "paper", "--duration", "30 s", *SLOW) as live:
+    with LiveRun(out, "paper", "--duration", "45 s", *SLOW) as live:
         live.until_running()
         answers = []
         for arguments in (

@@ -24,7 +24,7 @@ from agents.config import AgentConfig, Law
 from agents.consensus import consensus_error
 from agents.controllers import HEARD, build, layout
 from agents.errors import ControllerError
-from agents.guard import MAX_PAYLOAD_BYTES, Fence
+from agents.guard import MAX_PAYLOAD_BYTES, Fence, shown
 from agents.kinematics import earth_velocity
 from agents.neighbours import Delivery, NeighbourTable
 from agents.payload import StateMessage, encode
@@ -222,7 +222,9 @@ class PluggedAgent(_Brain):
     def __init__(self, config: AgentConfig, law: Law) -> None:
         super().__init__(config)
         self._fence = Fence(config, law, self._notes)
-        self._user = self._fence.make(plugins.load("agent", law), config, law)
+        found = plugins.load("agent", law)
+        self._resumable = plugins.resumable(found)
+        self._user = self._fence.make(found, config, law)
 
     def transmit(self, nav: Nav) -> tuple[bytes, ...]:
         """The payloads to every neighbour; none once it has failed."""
@@ -232,7 +234,7 @@ class PluggedAgent(_Brain):
         try:
             payloads = fence.call(nav.tick, method, nav)
             if not isinstance(payloads, (list, tuple)) or not all(isinstance(p, bytes) for p in payloads):
-                raise fence.wrong(nav.tick, method, f"returned {payloads!r:.80}: expected a list of bytes")
+                raise fence.wrong(nav.tick, method, f"returned {shown(payloads)}: expected a list of bytes")
             if (size := sum(map(len, payloads))) > MAX_PAYLOAD_BYTES:
                 text = f"returned {size} bytes: at most {MAX_PAYLOAD_BYTES} fit into a round"
                 raise fence.wrong(nav.tick, method, text)
@@ -253,7 +255,7 @@ class PluggedAgent(_Brain):
             try:
                 answer = fence.call(tick, method, nav, list(deliveries))
                 if not isinstance(answer, tuple) or len(answer) != 2:
-                    text = f"returned {answer!r:.80}: expected ((tau1, tau2, tau3), telemetry)"
+                    text = f"returned {shown(answer)}: expected ((tau1, tau2, tau3), telemetry)"
                     raise fence.wrong(tick, method, text)
                 demand = fence.vector(tick, method, "(tau1, tau2, tau3)", answer[0])
                 telemetry = fence.telemetry(tick, method, self.layout.control, answer[1])
@@ -267,14 +269,14 @@ class PluggedAgent(_Brain):
 
     def state(self) -> dict[str, Any]:
         """Everything that the next sample depends on; the agent's own is None when it has no state()."""
-        own = self._user.state() if hasattr(self._user, "state") else None
+        own = self._user.state() if self._resumable else None
         return {"last_tick": self._last_tick, "failed": self._failed, "agent": own}
 
     def restore(self, values: dict[str, Any]) -> None:
         """Continue from `state()`."""
         self._last_tick = values["last_tick"]
         self._failed = values["failed"]
-        if hasattr(self._user, "restore"):
+        if self._resumable:
             self._user.restore(values["agent"])
 
 

@@ -62,7 +62,8 @@ HEARD = (
     Signal("neighbours_heard", "1", "neighbours heard at least once"),
     Signal("payloads_rejected", "1", "payloads refused by the codec since the start"),
 )
-_COMMANDED = (
+# What every agent with a guidance law reports besides.
+COMMANDED = (
     Signal("rho", "m/s", "commanded velocity, NED", 3),
     Signal("u_cmd", "m/s", "commanded speed after the floor"),
     Signal("theta_cmd", "rad", "commanded pitch of the velocity"),
@@ -108,7 +109,7 @@ def layout(config: AgentConfig) -> Layout:
         return Layout((), found["agent"])
     if "controller" in found:
         return Layout(HEARD, found["controller"])
-    return Layout((*HEARD, *_COMMANDED, *found["guidance"]), found["tracking"])
+    return Layout((*HEARD, *COMMANDED, *found["guidance"]), found["tracking"])
 
 
 class Controller:

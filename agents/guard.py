@@ -5,12 +5,17 @@ Whatever goes wrong becomes one `ControllerError` that names vehicle, tick and l
 
 from __future__ import annotations
 
+import re
 import signal
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, redirect_stdout
+import threading
+from bdb import BdbQuit
+from collections.abc import Callable, Iterator, Mapping, Sequence, Set
+from contextlib import contextmanager, nullcontext, redirect_stdout
 from io import TextIOBase
+from itertools import islice
 from math import isfinite
+from multiprocessing import parent_process
 from time import perf_counter
 from types import FrameType
 from typing import Any
@@ -18,7 +23,7 @@ from typing import Any
 from agents.api import Sample
 from agents.config import AgentConfig, Law
 from agents.errors import ControllerError
-from agents.plugins import place_of, place_of_line, place_of_method
+from agents.plugins import MOST_NUMBERS, in_library, place_of, place_of_line, place_of_method, resumable, words_of
 from agents.signals import Signal
 from world.vehicle import Vec3
 
@@ -41,25 +46,33 @@ class Fence:
         self._notes = notes  # (tick, what a person should know)
 
     def make(self, found: type[Any], config: AgentConfig, law: Law) -> Any:
-        """An instance of the law."""
-        return self.call(0, found, config, **law.parameters)
+        """An instance of the law. The budget is one of samples: what is made once may take longer."""
+        return self._call(0, False, found, config, **law.parameters)
 
-    def call(self, tick: int, function: Callable[..., Any], *args: Any, **named: Any) -> Any:
+    def call(self, tick: int, function: Callable[..., Any], *args: Any) -> Any:
         """What a function of the law returns.
 
         Raises:
             ControllerError: it raised, or took longer than its budget.
         """
+        return self._call(tick, True, function, *args)
+
+    def _call(self, tick: int, timed: bool, function: Callable[..., Any], /, *args: Any, **named: Any) -> Any:
         self._tick = tick
         try:
-            with redirect_stdout(self._printed), self._timer():
+            with redirect_stdout(self._printed), self._timer() if timed else nullcontext():
                 return function(*args, **named)
         except _OverBudgetError as error:
             took = f"{self._name} took longer than its budget of {self._budget_s * 1e3:g} ms"
-            raise ControllerError(self._vehicle, tick, took, place_of(error)) from None
-        except Exception as error:
-            problem = f"{self._name} raised {type(error).__name__}: {error}"
-            raise ControllerError(self._vehicle, tick, problem, place_of(error)) from error
+            raise ControllerError(self._vehicle, tick, took, place_of(error) or place_of_method(function)) from None
+        except BaseException as error:  # SystemExit, too: a law may fail, but not end the run as if all were well
+            by_hand = isinstance(error, (KeyboardInterrupt, BdbQuit))  # Ctrl-C, `q` in the debugger
+            if by_hand and parent_process() is None:
+                raise KeyboardInterrupt from None
+            problem = f"{self._name} raised {words_of(error)}"
+            if isinstance(error, BdbQuit):  # an agent process has no terminal
+                problem += ": to debug, run it with --in-process"
+            raise ControllerError(self._vehicle, tick, problem, place_of(error) or place_of_method(function)) from error
 
     def wrong(self, tick: int, method: Any, problem: str) -> ControllerError:
         """The error for an answer that cannot be used."""
@@ -67,18 +80,18 @@ class Fence:
 
     def vector(self, tick: int, method: Any, what: str, value: Any) -> Vec3:
         """`value` as three finite numbers."""
-        try:
-            x, y, z = (float(number) for number in value)
-        except (TypeError, ValueError):
-            raise self.wrong(tick, method, f"returned {what} {value!r:.80}: expected three numbers") from None
-        if not isfinite(x + y + z):
+        numbers = _numbers(value)
+        if len(numbers) != 3:
+            raise self.wrong(tick, method, f"returned {what} {shown(value)}: expected three numbers")
+        x, y, z = numbers
+        if not all(map(isfinite, numbers)):
             raise self.wrong(tick, method, f"returned {what} {(x, y, z)}: every number must be finite")
         return x, y, z
 
     def telemetry(self, tick: int, method: Any, signals: Sequence[Signal], values: Any) -> tuple[float, ...]:
         """The values of `signals` as one flat tuple."""
         if not isinstance(values, Mapping):
-            raise self.wrong(tick, method, f"returned telemetry {values!r:.80}: expected a dict by signal name")
+            raise self.wrong(tick, method, f"returned telemetry {shown(values)}: expected a dict by signal name")
         if values.keys() != {signal.name for signal in signals}:
             missing = sorted({signal.name for signal in signals} - values.keys())
             unknown = sorted(map(str, values.keys() - {signal.name for signal in signals}))
@@ -89,19 +102,13 @@ class Fence:
         flat: list[float] = []
         for signal_ in signals:
             value = values[signal_.name]
-            try:
-                numbers = (
-                    [float(value)]
-                    if signal_.width == 1 and not isinstance(value, (str, Sequence))
-                    else [float(number) for number in value]
-                )
-            except (TypeError, ValueError):
-                numbers = []
+            numbers = (hasattr(value, "__iter__") and _numbers(value)) or _numbers((value,))
             if len(numbers) != signal_.width:
                 expected = "a number" if signal_.width == 1 else f"{signal_.width} numbers"
-                raise self.wrong(tick, method, f"returned {signal_.name} {value!r:.80}: expected {expected}")
+                raise self.wrong(tick, method, f"returned {signal_.name} = {shown(value)}: expected {expected}")
             if not all(map(isfinite, numbers)):
-                raise self.wrong(tick, method, f"returned {signal_.name} {value!r:.80}: every number must be finite")
+                problem = f"returned {signal_.name} = {shown(value)}: every number must be finite"
+                raise self.wrong(tick, method, problem)
             flat += numbers
         return tuple(flat)
 
@@ -110,7 +117,12 @@ class Fence:
         if self._printed.noted:
             return
         self._printed.noted = True
-        frame = sys._getframe(2)  # behind this and `_Printed.write`
+        caller = sys._getframe(2)  # behind this and `_Printed.write`
+        frame: FrameType | None = caller
+        while frame is not None and in_library(frame.f_code.co_filename):  # pprint, say, was called from somewhere
+            frame = frame.f_back
+        if frame is None or frame.f_code.co_filename == __file__:  # the law is itself an installed one
+            frame = caller
         where = place_of_line(frame.f_code.co_filename, frame.f_lineno)
         self._notes.append((self._tick, f"{self._name} prints ({where}): {text.strip()[:200]!r}; see the process log"))
 
@@ -119,20 +131,56 @@ class Fence:
         if not self._budget_s:
             yield
             return
-        before = signal.signal(signal.SIGALRM, _over_budget)
         began = perf_counter()
-        signal.setitimer(signal.ITIMER_REAL, self._budget_s)
-        try:
+        # Only a main thread gets signals; elsewhere the time is looked at when the law is back.
+        if threading.current_thread() is threading.main_thread():
+            with _alarm(self._budget_s):
+                yield
+        else:
             yield
-        finally:
-            signal.setitimer(signal.ITIMER_REAL, 0.0)
-            signal.signal(signal.SIGALRM, before)
         if perf_counter() - began > self._budget_s:  # a law that swallowed the signal, or never left C code
             raise _OverBudgetError
 
 
+@contextmanager
+def _alarm(after_s: float) -> Iterator[None]:
+    """Raise `_OverBudgetError` in what runs inside; whoever used the timer before finds it as it was, but later."""
+    began = perf_counter()
+    left_s = interval_s = 0.0
+    before = signal.signal(signal.SIGALRM, _over_budget)
+    try:
+        left_s, interval_s = signal.setitimer(signal.ITIMER_REAL, after_s)
+        try:
+            yield
+        finally:
+            signal.setitimer(signal.ITIMER_REAL, 0.0)
+    finally:
+        signal.signal(signal.SIGALRM, before)
+        if left_s:
+            signal.setitimer(signal.ITIMER_REAL, max(1e-6, left_s - (perf_counter() - began)), interval_s)
+
+
 def _over_budget(number: int, frame: FrameType | None) -> None:
     raise _OverBudgetError
+
+
+def _numbers(value: Any) -> list[float]:
+    """`value` as numbers; none if it is anything else. A text, a set or a dict is no vector, though it has a length."""
+    if isinstance(value, (str, bytes, bytearray, Mapping, Set)):
+        return []
+    try:
+        items = list(islice(value, MOST_NUMBERS + 1))  # an endless generator, too, has an end here
+        return [] if any(isinstance(item, (str, bytes)) for item in items) else [float(item) for item in items]
+    except Exception:  # whatever the user's objects raise when they are asked
+        return []
+
+
+def shown(value: Any) -> str:
+    """What a person is shown of an answer: on one line, and the same in every run."""
+    try:
+        return re.sub(r" at 0x[0-9a-f]+", "", " ".join(repr(value).split()))[:80]
+    except Exception:
+        return f"a {type(value).__name__}"
 
 
 class _Printed(TextIOBase):
@@ -163,6 +211,7 @@ class FencedLaw:
         self._fence = Fence(config, law, notes)
         self._signals: tuple[Signal, ...] = found.signals
         self._law = self._fence.make(found, config, law)
+        self._resumable = resumable(found)  # the class, not the instance: there `state` may be anything
         self._what = what
 
     def step(self, sample: Sample, *more: Any) -> tuple[Vec3, tuple[float, ...]]:
@@ -174,15 +223,15 @@ class FencedLaw:
         fence, method, tick = self._fence, self._law.step, sample.tick
         answer = fence.call(tick, method, sample, *more)
         if not isinstance(answer, tuple) or len(answer) != 2:
-            raise fence.wrong(tick, method, f"returned {answer!r:.80}: expected ({self._what}, telemetry)")
+            raise fence.wrong(tick, method, f"returned {shown(answer)}: expected ({self._what}, telemetry)")
         vector = fence.vector(tick, method, self._what, answer[0])
         return vector, fence.telemetry(tick, method, self._signals, answer[1])
 
     def state(self) -> Any:
         """The law's own, or None when it has none."""
-        return self._law.state() if hasattr(self._law, "state") else None
+        return self._law.state() if self._resumable else None
 
     def restore(self, values: Any) -> None:
         """Continue from `state()`; a law without one begins anew."""
-        if hasattr(self._law, "restore"):
+        if self._resumable:
             self._law.restore(values)

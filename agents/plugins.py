@@ -6,8 +6,12 @@ import hashlib
 import importlib
 import inspect
 import os
+import re
 import sys
+import sysconfig
 import traceback
+from collections.abc import Callable
+from contextlib import redirect_stdout
 from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
@@ -18,14 +22,19 @@ from agents.signals import Signal
 
 GROUP = "uuv_fleet.controllers"
 
-# What a class of each kind must be able to do.
-METHODS = {
-    "controller": ("step",),
-    "guidance": ("step",),
-    "tracking": ("step",),
-    "agent": ("transmit", "decide"),
+# What a class of each kind must be able to do, and with what it is called.
+METHODS: dict[str, dict[str, tuple[str, ...]]] = {
+    "controller": {"step": ("sample",)},
+    "guidance": {"step": ("sample",)},
+    "tracking": {"step": ("sample", "command")},
+    "agent": {"transmit": ("nav",), "decide": ("nav", "deliveries")},
 }
+MOST_NUMBERS = 1000  # of one signal
 _UNITLESS = "1"
+_MOST_CLASSES = 8  # named in a hint
+_MOST_TEXT = 300  # characters of what an error of the user's says
+_LIBRARIES = tuple({sysconfig.get_path(name) + os.sep for name in ("stdlib", "platstdlib", "purelib", "platlib")})
+_SITE = "-packages" + os.sep  # site-packages, and Debian's dist-packages
 
 
 def load(kind: str, law: Law) -> type[Any]:
@@ -38,8 +47,17 @@ def load(kind: str, law: Law) -> type[Any]:
     Raises:
         PluginError: there is no such class, or it cannot be used.
     """
-    found = _import(kind, law.name) if ":" in law.name else _entry_point(kind, law.name)
-    _check(kind, law, found)
+    if ":" in law.name:
+        found = _import(kind, law.name)
+        _check(kind, law, found)
+        return found  # type: ignore[no-any-return]
+    value, found = _entry_point(kind, law.name)
+    try:
+        _check(kind, law, found)
+    except PluginError as error:
+        # By the words "does not load" fleet.rules knows that there is one.
+        text = f"its entry point {value} does not load as a law: {error.problem}"
+        raise PluginError(kind, law.name, text, error.hint) from None
     return found  # type: ignore[no-any-return]
 
 
@@ -58,11 +76,33 @@ def resumable(found: type[Any]) -> bool:
 
 
 def place_of(error: BaseException) -> str:
-    """`file.py:12`: the innermost line of an error outside this package and the standard library's helpers."""
+    """`file.py:12`: the innermost line of an error that the user can have written.
+
+    A line of a library, the standard one or an installed one, is the answer only if there is no other: what raised
+    inside numpy was called from somewhere.
+    """
     frames = [f for f in traceback.extract_tb(error.__traceback__) if not _ours(f.filename)]
-    if not frames:
-        return ""
-    return place_of_line(frames[-1].filename, frames[-1].lineno)
+    own = [f for f in frames if not in_library(f.filename)]
+    if not own:  # an installed law: its file is the first that was called
+        installed = [f for f in frames if _SITE in f.filename] or frames
+        own = [f for f in frames if f.filename == installed[0].filename]
+    return place_of_line(own[-1].filename, own[-1].lineno) if own else ""
+
+
+def in_library(filename: str) -> bool:
+    """Whether a file belongs to the standard library or to an installed package."""
+    return filename.startswith(_LIBRARIES) or filename.startswith("<frozen")
+
+
+def words_of(error: BaseException) -> str:
+    """`ValueError: what it says`, on one line, and not too long a one."""
+    try:
+        # A SyntaxError's own text ends with its place, which is told beside it.
+        text = " ".join(((error.msg or "") if isinstance(error, SyntaxError) else str(error)).split())
+    except Exception:  # its __str__ is the user's, too
+        text = "(it cannot be printed)"
+    text = text if len(text) <= _MOST_TEXT else text[:_MOST_TEXT] + "..."
+    return f"{type(error).__name__}: {text}" if text else type(error).__name__
 
 
 def place_of_line(filename: str, line: int | None) -> str:
@@ -71,13 +111,13 @@ def place_of_line(filename: str, line: int | None) -> str:
 
 
 def place_of_method(method: Any) -> str:
-    """`file.py:12`: where a method begins."""
-    code = getattr(method, "__code__", None)
+    """`file.py:12`: where a method, or the making of a class, begins."""
+    code = getattr(method.__init__ if inspect.isclass(method) else method, "__code__", None)
     return "" if code is None else place_of_line(code.co_filename, code.co_firstlineno)
 
 
 def _ours(filename: str) -> bool:
-    return Path(filename).parent == Path(__file__).parent or filename == "<frozen importlib._bootstrap>"
+    return Path(filename).parent == Path(__file__).parent or filename.startswith("<frozen importlib")
 
 
 def _shown(filename: str) -> str:
@@ -87,76 +127,147 @@ def _shown(filename: str) -> str:
 
 def _import(kind: str, name: str) -> Any:
     module_name, _, class_name = name.partition(":")
-    if not all(part.isidentifier() for part in module_name.split(".")) or not class_name.isidentifier():
+    if not all(part.isidentifier() for part in (*module_name.split("."), class_name)):
         raise PluginError(kind, name, "expected package.module:Class")
+    if not name.isascii():  # it also names the message in the log
+        raise PluginError(kind, name, "expected package.module:Class", "in a-z, A-Z, digits and _")
     importlib.invalidate_caches()
     try:
-        module = importlib.import_module(module_name)
+        module = _loaded(lambda: importlib.import_module(module_name))
     except ModuleNotFoundError as error:
         if error.name is not None and (module_name == error.name or module_name.startswith(error.name + ".")):
-            looked = ", ".join(_shown(p) if p else "." for p in sys.path[-2:])
-            hint = f"it must be installed, or lie beside the scenario or where you are (last searched: {looked})"
+            # The scenario's folder and the current one were added at the end; what is installed goes without saying.
+            looked = dict.fromkeys(_shown(p or ".") for p in sys.path[-2:] if not in_library(p + os.sep))
+            hint = f"it must be installed, or lie beside the scenario or where you are ({', '.join(looked) or '.'})"
             raise PluginError(kind, name, f"there is no module {error.name!r}", hint) from None
         raise PluginError(kind, name, f"importing it failed: {error}", place_of(error)) from error
-    except Exception as error:
-        where = place_of(error)
-        if isinstance(error, SyntaxError) and error.filename:
-            where = f"{_shown(error.filename)}:{error.lineno}"
-        raise PluginError(kind, name, f"importing it failed: {type(error).__name__}: {error}", where) from error
+    except _LoadError as error:
+        raise PluginError(kind, name, f"importing it failed: {error}", error.where) from error.__cause__
     if not hasattr(module, class_name):
         classes = [n for n, v in vars(module).items() if inspect.isclass(v) and v.__module__ == module.__name__]
-        hint = f"it has {', '.join(classes)}" if classes else "it has no class at all"
+        more = ", ..." if len(classes) > _MOST_CLASSES else ""
+        listed = f"it has {', '.join(classes[:_MOST_CLASSES])}{more}" if classes else "it has no class at all"
+        file = getattr(module, "__file__", None)
+        hint = f"{listed} ({_shown(file)})" if file else listed
         raise PluginError(kind, name, f"module {module_name!r} has no {class_name!r}", hint)
     return getattr(module, class_name)
 
 
-def _entry_point(kind: str, name: str) -> Any:
+class _LoadError(Exception):
+    """A module of the user's failed while it was imported; `where` is the line."""
+
+    def __init__(self, text: str, where: str) -> None:
+        super().__init__(text)
+        self.where = where
+
+
+def _loaded(load_it: Callable[[], Any]) -> Any:
+    """What an import returns. Standard output is data, so what the module prints goes to standard error."""
+    try:
+        with redirect_stdout(sys.stderr):
+            return load_it()
+    except (ModuleNotFoundError, KeyboardInterrupt):
+        raise
+    except BaseException as error:  # SystemExit, too: a module that ends the program is no law
+        where = place_of(error)
+        if isinstance(error, SyntaxError) and error.filename:
+            where = f"{_shown(error.filename)}:{error.lineno}"
+        raise _LoadError(words_of(error), where) from error
+
+
+def _entry_point(kind: str, name: str) -> tuple[str, Any]:
+    """What the entry point says, and what is there."""
     points = {point.name: point for point in entry_points(group=GROUP)}
     if name not in points:
         there = f"installed: {', '.join(sorted(points))}" if points else f"nothing is installed in group {GROUP}"
         raise PluginError(
             kind, name, "there is none of this name", f"write package.module:Class, or install one; {there}"
         )
+    value = points[name].value
     try:
-        return points[name].load()
-    except Exception as error:
-        text = f"its entry point {points[name].value} does not load: {type(error).__name__}: {error}"
-        raise PluginError(kind, name, text, place_of(error)) from error
+        return value, _loaded(points[name].load)
+    except ModuleNotFoundError as error:
+        raise PluginError(kind, name, f"its entry point {value} does not load: {error}", place_of(error)) from error
+    except _LoadError as error:
+        raise PluginError(kind, name, f"its entry point {value} does not load: {error}", error.where) from error
 
 
 def _check(kind: str, law: Law, found: Any) -> None:
     name = law.name
     if not inspect.isclass(found):
         raise PluginError(kind, name, f"expected a class, got {type(found).__name__}")
-    for method in METHODS[kind]:
+    for method, arguments in METHODS[kind].items():
         if not callable(getattr(found, method, None)):
-            raise PluginError(kind, name, f"it has no method {method}", f"a {kind} needs {' and '.join(METHODS[kind])}")
+            article = "an" if kind == "agent" else "a"
+            hint = f"{article} {kind} needs {' and '.join(METHODS[kind])}"
+            raise PluginError(kind, name, f"it has no method {method}", hint)
+        _check_method(kind, name, found, method, arguments)
+    if abstract := sorted(getattr(found, "__abstractmethods__", ())):
+        raise PluginError(kind, name, f"it is abstract: it lacks {', '.join(abstract)}")
     if callable(getattr(found, "state", None)) != callable(getattr(found, "restore", None)):
         raise PluginError(kind, name, "it has only one of state and restore", "write both, or neither")
-    signals = getattr(found, "signals", None)
-    if not isinstance(signals, tuple) or not all(isinstance(signal, Signal) for signal in signals):
-        raise PluginError(
-            kind, name, f"expected signals as a tuple of agents.api.Signal, got {signals!r:.80}", "() reports nothing"
-        )
-    seen: set[str] = set()
-    for signal in signals:
-        if not isinstance(signal.name, str) or not signal.name.isidentifier() or signal.name in seen:
-            text = f"signal {signal.name!r} is not a name, or is declared twice"
-            raise PluginError(kind, name, text, "names are letters, digits and _")
-        if not isinstance(signal.unit, str) or not signal.unit:
-            hint = f'write "{_UNITLESS}" for a number without'
-            raise PluginError(kind, name, f"signal {signal.name!r} has no unit", hint)
-        if not isinstance(signal.width, int) or not 1 <= signal.width <= 1000:
-            raise PluginError(kind, name, f"signal {signal.name!r} has width {signal.width!r}", "1 to 1000")
-        seen.add(signal.name)
+    _check_signals(kind, name, getattr(found, "signals", None))
     try:
-        inspect.signature(found).bind(None, **law.parameters)
+        signature = inspect.signature(found)
+    except ValueError:  # written in C: making it will tell
+        return
+    try:
+        signature.bind(None, **law.parameters)
     except TypeError as error:
-        shown = _parameters(found)
+        if "too many positional" in str(error):
+            hint = "write def __init__(self, config, ...): config is the agent's own slice of the scenario"
+            raise PluginError(kind, name, "it is made with the agent's configuration, and takes none", hint) from None
+        own = list(signature.parameters.values())[1:]
+        shown = ", ".join(str(parameter.replace(annotation=inspect.Parameter.empty)) for parameter in own)
         hint = f"its parameters: {shown}" if shown else "it takes no parameters"
         raise PluginError(kind, name, f"cannot be made with these parameters: {error}", hint) from None
 
 
-def _parameters(found: type[Any]) -> str:
-    parameters = list(inspect.signature(found).parameters.values())[1:]
-    return ", ".join(str(parameter) for parameter in parameters)
+def _check_method(kind: str, name: str, found: type[Any], method: str, arguments: tuple[str, ...]) -> None:
+    """A method that cannot be called, or does not answer at once, is found before the run."""
+    function = inspect.getattr_static(found, method)
+    if not inspect.isfunction(function):  # decorated, or written in C: calling it will tell
+        return
+    place = place_of_method(function)
+    if inspect.iscoroutinefunction(function) or inspect.isgeneratorfunction(function):
+        raise PluginError(kind, name, f"its {method} must return its answer, not await or yield", place)
+    try:
+        inspect.signature(function).bind(None, *arguments)
+    except TypeError as error:
+        text = f"its {method} cannot be called as {method}({', '.join(arguments)}): {error}"
+        raise PluginError(kind, name, text, place) from None
+
+
+def _check_signals(kind: str, name: str, signals: Any) -> None:
+    """What is declared can be logged."""
+    # Here, because agents.controllers is built on this module.
+    from agents.controllers import COMMANDED, HEARD
+
+    if not isinstance(signals, tuple) or not all(isinstance(signal, Signal) for signal in signals):
+        raise PluginError(
+            kind, name, f"expected signals as a tuple of agents.api.Signal, got {signals!r:.80}", "() reports nothing"
+        )
+    # A guidance law's signals share their topic with what every agent reports.
+    taken = {signal.name for signal in (*HEARD, *COMMANDED)} if kind == "guidance" else set()
+    seen: dict[str, str] = {}  # name in JSON -> name
+    for signal in signals:
+        # As in protobuf, whose names are ASCII and differ also as JSON writes them: a_b is aB there.
+        if not isinstance(signal.name, str) or not signal.name.isascii() or not signal.name.isidentifier():
+            raise PluginError(kind, name, f"signal {signal.name!r} is not a name", "names are a-z, A-Z, digits and _")
+        if signal.name in taken:
+            hint = f"these are: {', '.join(sorted(taken))}"
+            raise PluginError(kind, name, f"signal {signal.name!r} is reported already by every agent", hint)
+        in_json = re.sub(r"_+(.?)", lambda match: match[1].upper(), signal.name)
+        if seen.get(in_json) == signal.name:
+            raise PluginError(kind, name, f"signal {signal.name!r} is declared twice")
+        if in_json in seen:
+            text = f"signals {seen[in_json]!r} and {signal.name!r} are both {in_json!r} in JSON"
+            raise PluginError(kind, name, text, "rename one")
+        if not isinstance(signal.unit, str) or not signal.unit:
+            hint = f'write "{_UNITLESS}" for a number without'
+            raise PluginError(kind, name, f"signal {signal.name!r} has no unit", hint)
+        if not isinstance(signal.meaning, str):
+            raise PluginError(kind, name, f"signal {signal.name!r} has meaning {signal.meaning!r:.80}, not a text")
+        if not isinstance(signal.width, int) or not 1 <= signal.width <= MOST_NUMBERS:
+            raise PluginError(kind, name, f"signal {signal.name!r} has width {signal.width!r}", f"1 to {MOST_NUMBERS}")
+        seen[in_json] = signal.name

@@ -7,10 +7,11 @@ import sys
 import traceback
 from collections.abc import Callable
 from time import monotonic, sleep
+from typing import NoReturn
 
 from agents.agent import make_agent
 from agents.config import AgentConfig
-from agents.errors import ControllerError
+from agents.errors import AgentError, ControllerError
 from agents.loop import AgentLoop
 from netem.access import Credentials, agent_role
 from netem.bus import Bus
@@ -37,7 +38,12 @@ def run(endpoint: str, run_id: str, vehicle: int, credentials: Credentials) -> N
     keys = Keys(run_id)
     bus = Bus.connect(endpoint, credentials)
     config = _ask_config(bus, keys, vehicle)
-    process = AgentProcess(bus, keys, vehicle, AgentLoop(make_agent(config), config.round_ticks))
+    try:
+        core = make_agent(config)
+    except AgentError as error:
+        role = agent_role(vehicle)
+        _give_up(Shell(bus, role, keys.note(role)), vehicle, 0, error)
+    process = AgentProcess(bus, keys, vehicle, AgentLoop(core, config.round_ticks))
     process.get_ready()
     process.serve()
 
@@ -106,14 +112,21 @@ class AgentProcess:
         except OutOfPlace:
             raise
         except ControllerError as error:
-            self._shell.note(self._vehicle, error.tick, f"controller failed: {error}")
-            traceback.print_exc()
-            sys.exit(CONTROLLER_FAILED)
+            _give_up(self._shell, self._vehicle, error.tick, error)
         except Exception as error:
             where = traceback.extract_tb(error.__traceback__)[-1]
             text = f"controller failed: {type(error).__name__}: {error} ({where.filename}:{where.lineno})"
             self._shell.note(self._vehicle, self._loop.tick + 1, text)
             raise
+
+
+def _give_up(shell: Shell, vehicle: int, tick: int, error: AgentError) -> NoReturn:
+    """End this process and tell why: the console in a line, the process log with what the law itself raised."""
+    shell.note(vehicle, tick, f"controller failed: {error}")
+    if error.__cause__ is not None:
+        traceback.print_exception(error.__cause__)
+    sys.stderr.writelines(traceback.format_exception_only(error))
+    sys.exit(CONTROLLER_FAILED)
 
 
 def _ask_config(bus: Bus, keys: Keys, vehicle: int) -> AgentConfig:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 import sys
 from pathlib import Path
 from typing import Any
@@ -283,7 +284,7 @@ def controller(name: str, kind: str, folder: Path) -> None:
         law, scenario = write_law(kind, name, folder)
     except FleetError as error:
         _fail(error)
-    click.echo(f"wrote {law} and {scenario}; now: fleet run {scenario}")
+    click.echo(f"wrote {law} and {scenario}; now: fleet run {shlex.quote(str(scenario))}")
 
 
 @cli.command(name="list")

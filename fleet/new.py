@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import importlib.util
 import keyword
+import re
 from importlib import resources
 from pathlib import Path
 
 from fleet.errors import FleetError
 
 KINDS = ("controller", "guidance", "tracking", "agent")
+_IMPORTED = {"Any", "AgentConfig", "Command", "Delivery", "Nav", "PAYLOAD", "Sample", "Signal"}  # by the templates
 
 
 class NewFileError(FleetError):
@@ -19,27 +22,42 @@ def write_law(kind: str, name: str, folder: Path) -> tuple[Path, Path]:
     """Write `name`.py and `name`.yaml into `folder`.
 
     Raises:
-        NewFileError: the name is none for a module, or a file is in the way.
+        NewFileError: the name is none for a module, belongs to another one, or a file is in the way.
     """
     if not name.isascii() or not name.isidentifier() or keyword.iskeyword(name):
         raise NewFileError(f"{name!r} cannot name a Python module: letters, digits and _, not a digit first")
-    module = name.lower()
-    class_name = "".join(part[:1].upper() + part[1:] for part in name.split("_") if part) or "Law"
-    written = (folder / f"{module}.py", folder / f"{module}.yaml")
+    written = (folder / f"{name}.py", folder / f"{name}.yaml")
     for path in written:
         if path.exists():
             raise NewFileError(f"{path} is there already; choose another name or --dir")
+    if (place := _taken(name)) is not None:
+        raise NewFileError(
+            f"Python has a module {name!r} already ({place}) and would find that one; choose another name"
+        )
+    class_name = "".join(part[:1].upper() + part[1:] for part in name.split("_") if part) or "Law"
+    class_name += "Law" * (keyword.iskeyword(class_name) or class_name in _IMPORTED)
     templates = resources.files("fleet.templates")
-    choice = f"{kind}: {module}:{class_name}"
+    choice = f"{kind}: {name}:{class_name}"
     other = {"guidance": "tracking: neurodynamic", "tracking": "guidance: optimal"}.get(kind)
     if other is not None:
         choice += f"\n{other}  # the other half is the paper's, with gentle gains\nprofile: hardened"
+    values = {"THE_CHOICE": choice, "the_law": name, "TheLaw": class_name}
     try:
         folder.mkdir(parents=True, exist_ok=True)
         for path, template in zip(written, (f"{kind}.py", "scenario.yaml"), strict=True):
             text = (templates / template).read_text("utf-8")
-            text = text.replace("THE_CHOICE", choice).replace("the_law", module).replace("TheLaw", class_name)
-            path.write_text(text, "utf-8")
+            text = re.sub("|".join(values), lambda match: values[match[0]], text)
+            with path.open("x", encoding="utf-8") as file:
+                file.write(text)
     except OSError as error:
         raise NewFileError(f"cannot write into {folder}: {error.strerror or error}") from None
     return written
+
+
+def _taken(name: str) -> str | None:
+    """Where the module is that `import name` would find now; None if there is none."""
+    try:
+        found = importlib.util.find_spec(name)
+    except ValueError:  # imported, and of unknown origin
+        return "built in"
+    return None if found is None else found.origin or "a folder"

@@ -94,11 +94,10 @@ class Report:
 
     def _written(self, path: tuple[Any, ...]) -> tuple[Any, ...]:
         """`path` with the spaces that its vehicle numbers have in the file."""
-        if path[:1] == ("per_vehicle",):
-            for text in self.keys("per_vehicle"):
-                if len(path) > 1 and _packed(text) == path[1]:
-                    return (path[0], text, *path[2:])
-        return path
+        if len(path) < 2 or path[0] != "per_vehicle" or path[1] in self.keys("per_vehicle"):
+            return path
+        text = next((text for text in self.keys("per_vehicle") if _packed(text) == path[1]), path[1])
+        return (path[0], text, *path[2:])
 
 
 def _packed(numbers: str) -> str:
@@ -510,7 +509,7 @@ def _velocity_bounds(spec: ScenarioSpec, report: Report) -> None:
 
 
 def _key_of(entries: Entries, key: str) -> str:
-    """The guidance key that changes something for vehicles, and for no others that have entries of their own."""
+    """The nearest key that sets a guidance parameter of the vehicles that these entries name."""
     return f"per_vehicle.{entries[-1]}.guidance.{key}" if entries else f"guidance.{key}"
 
 

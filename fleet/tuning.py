@@ -157,7 +157,8 @@ def qp_period_ns(name: str, section: GuidanceSection) -> int:
 def guidance_params(name: str, law: str, section: GuidanceSection, tick_ns: int) -> GuidanceParams:
     """The guidance parameters of profile `name` for a law, changed as the section says."""
     changes = _tuned(section)
-    changes["qp_ticks"] = qp_period_ns(name, section) // tick_ns
+    # At least 1: where no QP runs, nothing asks that the tick divides its period, or is no longer.
+    changes["qp_ticks"] = max(1, qp_period_ns(name, section) // tick_ns)
     changes.pop("qp_period", None)
     if "horizon" in changes:
         changes["horizon_s"] = changes.pop("horizon") / 1e9

@@ -2,34 +2,74 @@
 
 from __future__ import annotations
 
+import cmath
 import math
-from itertools import pairwise
+from itertools import combinations, pairwise
 from pathlib import Path
 from typing import Any
 
 import pytest
+import yaml
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from mcap.reader import make_reader
 from test_scenario import SMALL, only_problem, places, small
 
 from fleet.errors import ScenarioError
+from fleet.formation import SHAPES, offsets
+from fleet.graph import build
 from fleet.run import Options, Status, execute
 from fleet.scenario import Scenario, load_scenario, parse_scenario
+from fleet.schema import FormationShape, GraphSection
+from fleet.shapes import GRAPH
 from fleet.stability import analyse
 from fleet.vehicles import load_vehicle
 
 # --- formations ------------------------------------------------------------
 
 
-@pytest.mark.parametrize("shape", ["line", "column", "wedge", "circle"])
-@pytest.mark.parametrize("n", [1, 2, 3, 7, 20])
+def beside(shape: str, n: int) -> list[tuple[int, int]]:
+    """The vehicles that stand next to each other in a shape, by index."""
+    if shape == "wedge":  # 1 at the point, then alternately on two arms
+        return [(max(0, i - 2), i) for i in range(1, n)]
+    ring = [(n - 1, 0)] if shape == "circle" and n > 2 else []
+    return [*pairwise(range(n)), *ring]
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("n", range(1, 51))
 def test_spacing_is_between_neighbours(shape: str, n: int) -> None:
-    cells = places(small(f"vehicles={n}", f"formation={{shape: {shape}, spacing: 4 m}}"))
-    assert len(set(cells)) == n
-    nearest = [min((math.dist(a, b) for b in cells if b != a), default=4.0) for a in cells]
-    assert nearest == pytest.approx([4.0] * n)
-    assert max(x for x, _, _ in cells) == pytest.approx(cells[0][0])  # vehicle 1 is ahead
-    if shape in ("line", "column"):
-        assert all(math.dist(a, b) == pytest.approx(4.0) for a, b in pairwise(cells))
+    """And nobody is nearer than that to anybody."""
+    cells = SHAPES[shape](n, 4.0)
+    assert len(cells) == n
+    assert all(down == 0.0 for _, _, down in cells)
+    assert [math.dist(cells[i], cells[j]) for i, j in beside(shape, n)] == pytest.approx([4.0] * len(beside(shape, n)))
+    assert min((math.dist(a, b) for a, b in combinations(cells, 2)), default=4.0) == pytest.approx(4.0)
+    if shape != "grid":  # the paper's square has vehicle 1 behind
+        assert max(x for x, _, _ in cells) == pytest.approx(cells[0][0])
+    if shape == "circle":
+        assert [sum(axis) for axis in zip(*cells, strict=True)] == pytest.approx([0.0] * 3, abs=1e-9)
+    else:
+        assert cells[0] == (0.0, 0.0, 0.0)
+
+
+def test_on_which_side_they_are() -> None:
+    """North is ahead, east is starboard: as docs/scenarios.md says."""
+    signs = {shape: [int(math.copysign(y != 0, y)) for _, y, _ in make(5, 4.0)] for shape, make in SHAPES.items()}
+    assert signs["line"] == [0, -1, -1, -1, -1]
+    assert signs["wedge"] == [0, 1, -1, 1, -1]
+    assert [round(y, 9) > 0 for _, y, _ in SHAPES["circle"](4, 4.0)] == [False, True, False, False]  # clockwise
+
+
+@given(st.sampled_from(sorted(SHAPES)), st.integers(1, 50), st.floats(-720.0, 720.0))
+@settings(max_examples=60)
+def test_heading_is_a_rotation(shape: str, n: int, heading: float) -> None:
+    """Clockwise seen from above: what is ahead in the shape lies on that course, and all distances stay."""
+    section = {"shape": shape, "spacing": "4 m"}
+    turned = offsets(FormationShape.model_validate(section | {"heading": f"{heading!r} deg"}), n)
+    for (x, y, _), (north, east, _) in zip(offsets(FormationShape.model_validate(section), n), turned, strict=True):
+        course = complex(x, y) * cmath.exp(1j * math.radians(heading))
+        assert (north, east) == pytest.approx((course.real, course.imag), abs=1e-9)
 
 
 def test_heading_turns_a_shape() -> None:
@@ -75,6 +115,57 @@ def test_graphs_by_name() -> None:
     assert small("vehicles=5", column, "graph={shape: nearest}").graph.neighbours(3) == ((2, 1.0), (4, 1.0))
 
 
+def edges(graph: str, n: int, seed: int = 1) -> set[tuple[int, int]]:
+    """The links of a named shape over a wedge."""
+    section = GraphSection.model_validate(yaml.safe_load(graph))
+    return set(build(section, SHAPES["wedge"](n, 4.0), seed).links)
+
+
+def components(links: set[tuple[int, int]], n: int) -> int:
+    """How many parts a graph has, links taken both ways."""
+    part = list(range(n + 1))
+    for _ in range(n):
+        for i, j in links:
+            part[i] = part[j] = min(part[i], part[j])
+    return len({part[i] for i in range(1, n + 1)})
+
+
+@pytest.mark.parametrize("shape", [shape for shape in GRAPH if shape != "edges"])
+@pytest.mark.parametrize("n", [3, 4, 7, 20, 50])
+def test_every_graph_is_what_its_name_says(shape: str, n: int) -> None:
+    found = edges(f"{{shape: {shape}}}", n)
+    heard = {i: {j for j, to in found if to == i} for i in range(1, n + 1)}
+    assert all(i != j and 1 <= i <= n and 1 <= j <= n for i, j in found)
+    if shape == "nearest":  # the only one in which hearing is not mutual
+        assert {len(others) for others in heard.values()} == {2}
+        cells = SHAPES["wedge"](n, 4.0)
+        for i, others in heard.items():
+            ways = sorted(math.dist(cells[i - 1], cells[j - 1]) for j in range(1, n + 1) if j != i)
+            assert sorted(math.dist(cells[i - 1], cells[j - 1]) for j in others) == pytest.approx(ways[:2])
+        return
+    assert found == {(j, i) for i, j in found}
+    assert components(found, n) == 1
+    sizes = {"path": 2 * (n - 1), "ring": 2 * n, "star": 2 * (n - 1), "complete": n * (n - 1)}
+    assert len(found) == sizes.get(shape, len(found))
+    if shape == "star":
+        assert len(heard[1]) == n - 1
+
+
+@given(st.integers(1, 30), st.integers(1, 30), st.integers(0, 2**63 - 1), st.floats(0.0, 100.0))
+@settings(max_examples=80)
+def test_random_graphs_are_connected_and_order_free(n: int, m: int, seed: int, percent: float) -> None:
+    """A draw per pair: another vehicle adds pairs and changes none; so does a larger probability."""
+    few, many = sorted((n, m))
+    graph = f"{{shape: random, probability: {percent!r} %}}"
+    found = edges(graph, many, seed)
+    assert components(found, many) == 1
+    assert found == {(j, i) for i, j in found}
+    assert edges(graph, few, seed) == {link for link in found if max(link) <= few}
+    assert edges("{shape: random, probability: 0}", many, seed) <= found
+    assert len(edges("{shape: random, probability: 0}", many, seed)) == 2 * (many - 1)
+    assert len(edges("{shape: random, probability: 100 %}", many, seed)) == many * (many - 1)
+
+
 def test_a_random_graph_is_connected_and_order_free() -> None:
     """From the seed alone; a larger fleet keeps the links of the smaller one; probability only adds links."""
     few, many = links("{shape: random}", 6), links("{shape: random}", 12)
@@ -105,6 +196,12 @@ REFERENCES = {
     "overrides",
     [
         *([f"reference={text}", *WIDE] for text in REFERENCES.values()),
+        ["reference={shape: line, start: 1 2 3 m, velocity: 0.5 0.1 0 m/s}"],
+        *([f"formation={{shape: {shape}, spacing: 3.3 m, heading: -20 deg}}"] for shape in SHAPES),
+        *([f"graph={{shape: {shape}}}"] for shape in GRAPH if shape != "edges"),
+        ["graph={shape: nearest, count: 1, weight: 2}"],
+        ["graph={shape: star, hub: 2}", "formation={offsets: [0 0 0 m, 3 0 0 m, 0 3 0 m]}"],
+        ["formation.changes=[{at: 0 s, over: 900 ms, offsets: [0 0 0 m, 0 -5 0 m, 5.1 -5 0 m]}]"],
         ["formation={shape: wedge, changes: [{at: 100 ms, over: 900 ms, shape: wedge, spacing: 10.1 m}]}"],
         ["graph={shape: random, probability: 30 %, weight: 0.5, reference: [2]}"],
         ["initial={scatter: 1 m, around: reference}"],

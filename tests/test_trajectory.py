@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from itertools import pairwise
 from typing import Any
 
 import msgpack
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 from loops import agent_config
 
@@ -94,11 +95,95 @@ def test_displacement_is_the_way_between(reference: Reference, begin: float, spa
     assert reference.displacement(begin, span) == pytest.approx(way, abs=1e-9)
 
 
-def test_a_closed_path_comes_round() -> None:
-    path = Path(((0.0, 0.0, 5.0), (50.0, 0.0, 5.0), (50.0, 40.0, 10.0)), 0.7, 4.0, closed=True)
-    lap = path.length / path.speed
-    for t in (0.0, 13.0, 100.0):
-        assert path.at(t + lap).position == pytest.approx(path.at(t).position, abs=1e-9)
+@given(references(), st.floats(0.0, 200.0), st.floats(0.0, 50.0))
+@settings(max_examples=100, deadline=None)
+def test_no_chord_is_longer_than_the_way(reference: Reference, begin: float, span: float) -> None:
+    """No jump anywhere, also where a piece of a path or a lap ends: nothing gets further than its speed allows."""
+    speed = math.hypot(*reference.at(begin).velocity)  # constant on every reference
+    assert math.hypot(*reference.displacement(begin, span)) <= speed * span + 1e-9
+
+
+@st.composite
+def roomy_paths(draw: st.DrawFn) -> Path:
+    """Paths with a straight piece on every leg, open or closed."""
+    corners = draw(st.lists(points, min_size=3, max_size=5))
+    path = Path(tuple(corners), draw(st.floats(0.1, 3.0)), draw(st.floats(2.0, 10.0)), draw(st.booleans()))
+    try:
+        tightest = replace(path, radius=1.1 * path.radius)  # fits too, so that 10 % of each arc's share are left over
+        assume(tightest.length > 0.0)
+    except PathError:
+        assume(False)
+    return path
+
+
+@given(roomy_paths())
+@settings(max_examples=40, deadline=None)
+def test_a_path_is_made_of_its_legs_and_arcs(path: Path) -> None:
+    """Of each leg an arc takes radius tan(turn / 2) at its end; the middle of what is left is passed on the leg, in
+    its direction, after the way that the legs and arcs before it have."""
+    ends = [*path.points, path.points[0]] if path.closed else list(path.points)
+    legs = [(a, b, math.dist(a, b)) for a, b in pairwise(ends)]
+    turns = []
+    for (a, b, this), (_, c, following) in zip(legs, [*legs[1:], legs[0]], strict=True):
+        cosine = sum(p * q for p, q in zip(minus(b, a), minus(c, b), strict=True)) / (this * following)
+        turns.append(math.acos(max(-1.0, min(1.0, cosine))))
+    if not path.closed:
+        turns[-1] = 0.0
+    way = 0.0
+    for n, (a, b, length) in enumerate(legs):
+        before, after = (path.radius * math.tan(turns[k] / 2) for k in (n - 1, n))
+        straight = length - before - after
+        share = (before + straight / 2) / length
+        middle = tuple(p + share * q for p, q in zip(a, minus(b, a), strict=True))
+        now = path.at((way + straight / 2) / path.speed)
+        assert now.position == pytest.approx(middle, abs=1e-4)  # 1e-4: of the arc cosine above
+        ahead = tuple(q / length * path.speed for q in minus(b, a))
+        assert now.velocity == pytest.approx(ahead, abs=1e-4)
+        way += straight + path.radius * turns[n]
+    assert path.length == pytest.approx(way, abs=1e-4)
+
+
+@given(roomy_paths(), st.floats(0.0, 300.0), st.integers(1, 5))
+@settings(max_examples=60, deadline=None)
+def test_a_closed_path_comes_round(path: Path, t: float, laps: int) -> None:
+    """However often, with the velocity that it had."""
+    path = replace(path, closed=True)
+    try:
+        lap = path.length / path.speed
+    except PathError:
+        assume(False)
+    again, now = path.at(t + laps * lap), path.at(t)
+    assert again.position == pytest.approx(now.position, abs=1e-6)
+    assert again.velocity == pytest.approx(now.velocity, abs=1e-6)
+
+
+@given(points, st.tuples(*[st.floats(-1.0, 1.0)] * 3), st.lists(st.floats(1.0, 50.0), min_size=2, max_size=5))
+@example((7.0, -17.0, 10.0), (-0.1, 0.7, 0.7), [10.0, 15.0])
+@settings(max_examples=300, deadline=None)
+def test_points_on_one_line_need_no_arc(start: Any, ahead: Any, steps: list[float]) -> None:
+    """However their coordinates are rounded. An arc of 1e-8 rad between them once had no direction to turn to."""
+    assume(math.hypot(*ahead) > 0.1)
+    ways = [sum(steps[:n]) for n in range(len(steps) + 1)]
+    path = Path(tuple(tuple(p + way * d for p, d in zip(start, ahead, strict=True)) for way in ways), 0.5, 10.0)
+    assert path.acceleration == 0.0
+    assert path.length == pytest.approx(ways[-1] * math.hypot(*ahead))
+
+
+@given(references().filter(lambda reference: not isinstance(reference, Path)) | roomy_paths())
+@settings(max_examples=40, deadline=None)
+def test_velocity_bounds_are_tight(reference: Reference) -> None:
+    """To a percent: wider ones would refuse scenarios that can be flown. Sampled to 0.02 rad of a turn."""
+    low, high = reference.velocity_bounds()
+    if isinstance(reference, Line):
+        assert low == high == reference.velocity
+        return
+    length = reference.length if isinstance(reference, Path) else 2.0 * math.pi * reference.radius
+    steps = math.ceil(length / (0.02 * reference.radius))
+    velocities = [reference.at(length / reference.speed * n / steps).velocity for n in range(steps + 1)]
+    for axis in range(3):
+        seen = [velocity[axis] for velocity in velocities]
+        assert min(seen) - low[axis] <= 0.01 * reference.speed + 1e-12
+        assert high[axis] - max(seen) <= 0.01 * reference.speed + 1e-12
 
 
 def test_an_open_path_goes_on() -> None:
@@ -131,7 +216,8 @@ def test_what_no_arc_can_follow(corners: Any, closed: bool, leg: int, words: str
 @given(offsets, st.floats(0.0, 100.0))
 @settings(max_examples=200, deadline=None)
 def test_a_blend_is_smooth(offset: Offset, t: float) -> None:
-    """The rate is the derivative, bounded by 1.875 of an even pace, and zero where nothing changes."""
+    """The rate is the derivative, bounded by 1.875 of an even pace, and zero where nothing changes; it changes no
+    faster than 10 x^3 - 15 x^4 + 6 x^5 does, whose second derivative is at most 10 / sqrt(3)."""
     h = 1e-5
     now, after = offset.at(t), offset.at(t + h)
     places = [offset.start, *(change.offset for change in offset.changes)]
@@ -139,6 +225,10 @@ def test_a_blend_is_smooth(offset: Offset, t: float) -> None:
         (math.dist(a, b) / c.blend for a, b, c in zip(places, places[1:], offset.changes, strict=False)), default=0.0
     )
     assert math.hypot(*now.velocity) <= 1.875 * pace + 1e-9
+    bend = max(
+        (math.dist(a, b) / c.blend**2 for a, b, c in zip(places, places[1:], offset.changes, strict=False)), default=0.0
+    )
+    assert math.dist(now.velocity, after.velocity) <= 10.0 / math.sqrt(3.0) * bend * h * 1.001 + 1e-9
     for axis in range(3):
         derivative = (after.position[axis] - now.position[axis]) / h
         assert derivative == pytest.approx(now.velocity[axis], abs=1e-4 + 20.0 * pace * h)
@@ -178,3 +268,23 @@ def test_reference_extrapolation_is_exact_in_formation(reference: Reference, dat
     (heard,) = table.heard(sent + age)
     assert heard.position == pytest.approx(place(sent + age), abs=1e-6)
     assert heard.age == pytest.approx(age * 0.01)
+
+
+@pytest.mark.parametrize(("mode", "in_place"), [("hold", False), ("neighbour", False), ("reference", True)])
+def test_only_the_reference_knows_the_turn_and_the_change(mode: Any, in_place: bool) -> None:
+    """On a circle, half-way through a change of the formation, with news two seconds old: the other two modes leave
+    the neighbour where it was, or on the tangent."""
+    circle = Circle((0.0, 0.0, 10.0), 20.0, 0.6, 0.4, -1.0)
+    own = Offset((0.0, 0.0, 0.0), (Change(10.0, 20.0, (0.0, 4.0, 0.0)),))
+    other = Offset((-5.0, 0.0, 0.0), (Change(10.0, 20.0, (0.0, 9.0, 2.0)),))
+    delta = Offset((5.0, 0.0, 0.0), (Change(10.0, 20.0, (0.0, -5.0, -2.0)),))
+    table = NeighbourTable((Neighbour(2, 1.0, delta),), mode, circle, own, 0.01)
+    then, now = (
+        [plus(a, b) for a, b in zip(circle.at(t), other.at(t), strict=True)] for t in (18.0, 20.0)
+    )  # position, velocity
+    table.absorb([Delivery(1810, 1800, 2, 0, 0, encode(StateMessage(2, 1800, then[0], then[1])))], 1810)
+    (heard,) = table.heard(2000)
+    assert (math.dist(heard.position, now[0]) < 1e-9) is in_place
+    # Then the sum of the consensus error is zero for a vehicle that is in place as well.
+    mine = plus(circle.at(20.0).position, own.at(20.0).position)
+    assert (math.dist(minus(mine, heard.position), heard.offset) < 1e-9) is in_place

@@ -1,4 +1,4 @@
-"""The shipped scenarios that stress the network: each keeps its promise, and distributed gives the bytes of in-process."""
+"""The shipped scenarios that stress the network keep their promises, and distributed gives the bytes of in-process."""
 
 from __future__ import annotations
 

@@ -62,7 +62,7 @@ class _Partial:
         try:
             return kind.validate_python(value, strict=True)
         except ValidationError as error:
-            section = None if _holds_many(info.annotation) else _section_of(info.annotation)
+            section = None if _holds_many(info.annotation) else section_of(info.annotation)
             locs = [detail["loc"] for detail in error.errors()]
             if not isinstance(value, dict) or (section is None and () in locs):
                 raise UnknownValueError from None
@@ -137,7 +137,7 @@ def _nearest_key(loc: Loc) -> str:
     section: type[Section] = ScenarioSpec
     for step in loc[:-1]:
         if isinstance(step, str) and step in section.model_fields:
-            section = _section_of(section.model_fields[step].annotation) or section
+            section = section_of(section.model_fields[step].annotation) or section
     key, siblings = str(loc[-1]), [info.alias or name for name, info in section.model_fields.items()]
     hint = nearest(key, siblings)
     if hint:
@@ -152,7 +152,7 @@ def _nearest_key(loc: Loc) -> str:
 def _paths(section: type[Section], prefix: str) -> Iterator[str]:
     for name, info in section.model_fields.items():
         yield prefix + name
-        below = _section_of(info.annotation)
+        below = section_of(info.annotation)
         if below is not None:
             yield from _paths(below, f"{prefix}{name}.")
 
@@ -161,12 +161,12 @@ def _holds_many(annotation: Any) -> bool:
     return get_origin(annotation) in (list, dict) or any(_holds_many(argument) for argument in get_args(annotation))
 
 
-def _section_of(annotation: Any) -> type[Section] | None:
+def section_of(annotation: Any) -> type[Section] | None:
     """The section inside an annotation such as `Below | None` or `list[InitialState]`."""
     if isinstance(annotation, type) and issubclass(annotation, Section):
         return annotation
     for argument in get_args(annotation):
-        found = _section_of(argument)
+        found = section_of(argument)
         if found is not None:
             return found
     return None

@@ -126,10 +126,9 @@ def _connected(check: Connected, scenario: Scenario, journal: Journal) -> Verdic
         return Verdict("connected", True, asked, f"in all {found.windows} windows")
     tick_s = scenario.tick_ns / 1e9
     begin, end, unreached = found.first
-    missed = f"{names(unreached)} not reached in the windows that end from {begin * tick_s:g} s to {(end - 1) * tick_s:g} s; "
-    missed += f"{found.ticks} of {found.windows} windows" + (
-        f", {found.outages} stretches" if found.outages > 1 else ""
-    )
+    missed = f"{names(unreached)} not reached in the windows that end from {begin * tick_s:g} s"
+    missed += f" to {(end - 1) * tick_s:g} s; {found.ticks} of {found.windows} windows"
+    missed += f", {found.outages} stretches" if found.outages > 1 else ""
     return Verdict("connected", False, asked, missed)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from math import isnan
 from typing import NamedTuple
 
 import numpy as np
@@ -56,6 +57,6 @@ class Separation:
         squared = np.einsum("pk,pk->p", apart, apart)
         nearest = int(squared.argmin())  # of a position that is no number, if there is one
         distance = float(squared[nearest]) ** 0.5
-        if self.least is None or not distance >= self.least.distance_m:
+        if self.least is None or isnan(distance) or distance < self.least.distance_m:
             pair = self._vehicles[self._i[nearest]], self._vehicles[self._j[nearest]]
             self.least = Nearest(distance, pair, frame.tick)

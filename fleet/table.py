@@ -66,7 +66,7 @@ def _vehicles(rows: dict[str, dict[str, float | None]]) -> Table:
 
 
 def _links(rows: dict[str, dict[str, Any]], ages: dict[str, dict[str, float]]) -> Table:
-    """Packets and ages of all links, or of the oldest; without the columns in which every link has a 0."""
+    """Packets and ages of all links, or of those that grew oldest; without the columns in which every link has a 0."""
     lost = sorted({cause for row in rows.values() for cause in row["lost"]})
     numbers = {
         name: {
@@ -81,16 +81,18 @@ def _links(rows: dict[str, dict[str, Any]], ages: dict[str, dict[str, float]]) -
     }
     total = {key: sum(row[key] for row in numbers.values()) for key in next(iter(numbers.values()))}
     headings = [key for key in total if total[key] or key in ("sent", "delivered")]
-    shown, title = list(rows), "packets per directed link, and the age of what was heard last"
+    shown = list(rows)
     if len(rows) > MOST_ROWS:
         shown = sorted(rows, key=lambda name: -ages[name]["max_s"] if name in ages else 0.0)[:MOST_ROWS]
-        title = f"packets of {len(rows)} directed links, and the age of what was heard last; the {MOST_ROWS} oldest"
+    title = "packets per directed link, age of what was heard last"
     table = Table(title=title, title_justify="left", box=None, pad_edge=False)
     for heading in ("link", *headings, "mean age [s]", "p95 age [s]", "max age [s]"):
         table.add_column(escape(heading), justify="right")
-    for name, row, age in [("*", total, ages.get("*")), *((name, numbers[name], ages.get(name)) for name in shown)]:
+    for name, row, age in [("all", total, ages.get("*")), *((name, numbers[name], ages.get(name)) for name in shown)]:
         times = ["-"] * 3 if age is None else [f"{age[key]:.3f}" for key in ("mean_s", "p95_s", "max_s")]
         table.add_row(name, *(str(row[heading]) for heading in headings), *times)
+    if len(rows) > MOST_ROWS:
+        table.add_row("...", f"{len(rows) - MOST_ROWS} more")
     return table
 
 

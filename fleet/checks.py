@@ -105,7 +105,7 @@ def _min_separation(check: MinSeparation, scenario: Scenario, journal: Journal) 
 def _max_age(check: MaxAge, scenario: Scenario, journal: Journal) -> Verdict:
     some = f", links {check.links}" if check.links != "*" else ""
     asked = f"below {check.below / 1e9:g} s after {check.after / 1e9:g} s{some}"
-    links = select(parse_selector(check.links), scenario.graph.links)
+    links = sorted(select(parse_selector(check.links), scenario.graph.links))
     if not links:
         return Verdict("max_age", True, asked, "no link")
     oldest = journal.ages.oldest(-(-check.after // scenario.tick_ns), links)
@@ -126,8 +126,8 @@ def _connected(check: Connected, scenario: Scenario, journal: Journal) -> Verdic
         return Verdict("connected", True, asked, f"in all {found.windows} windows")
     tick_s = scenario.tick_ns / 1e9
     begin, end, unreached = found.first
-    missed = f"{names(unreached)} not reached in the windows that end from {begin * tick_s:g} s"
-    missed += f" to {(end - 1) * tick_s:g} s; {found.ticks} of {found.windows} windows"
+    missed = f"{names(unreached)} not reached in the window that ends at {begin * tick_s:g} s, some until "
+    missed += f"{(end - 1) * tick_s:g} s; {found.ticks} of {found.windows} windows"
     missed += f", {found.outages} stretches" if found.outages > 1 else ""
     return Verdict("connected", False, asked, missed)
 

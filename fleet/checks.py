@@ -82,7 +82,7 @@ def _recovery_time(check: Recovery, scenario: Scenario, journal: Journal) -> Ver
     what = "formation" if check.error == "formation" else "e"
     at_s, vehicle, off_m = journal.metrics.settled(what, span, check.within, who)
     if vehicle == 0:
-        return Verdict("recovery_time", False, asked, f"{until}, at once")
+        return Verdict("recovery_time", False, asked, f"{until}, before any frame of the log")
     if at_s is None:
         return Verdict("recovery_time", False, asked, f"{off_m:.4g} m (vehicle {vehicle}) when {until}")
     took = round(at_s / tick_s) - end

@@ -152,7 +152,7 @@ def _values(scenario: Scenario, journal: Journal, log: LogWriter, result: Result
         "checks": [verdict.to_values() for verdict in result.verdicts],
         "vehicles": journal.metrics.summary(),
         "ledger": {_name(link): account.to_values() for link, account in journal.ledger.accounts.items()},
-        "ages": journal.ages.summary(scenario.tick_ns / 1e9),
+        "ages": journal.ages.summary(scenario.tick_ns),
         "middleware_lost": lost,
         "messages": log.messages,
         "digest": log.digest,

@@ -91,24 +91,24 @@ class Ages:
                 found = peak[0], link, peak[1]
         return found
 
-    def summary(self, tick_s: float) -> dict[str, dict[str, float]]:
+    def summary(self, tick_ns: int) -> dict[str, dict[str, float]]:
         """Mean, 95th percentile and maximum [s] over the counted ticks, per link, and of all links as `*`."""
         counted = {f"{src}->{dst}": age for (src, dst), age in self.links.items() if age.counted}
         if not counted:
             return {}
-        rows = {name: _row(age.total, age.counted, age.edges, tick_s) for name, age in counted.items()}
+        rows = {name: _row(age.total, age.counted, age.edges, tick_ns) for name, age in counted.items()}
         edges: Counter[int] = Counter()
         for age in counted.values():
             edges.update(age.edges)
         total, ticks = (sum(getattr(age, key) for age in counted.values()) for key in ("total", "counted"))
-        return {"*": _row(total, ticks, edges, tick_s)} | rows
+        return {"*": _row(total, ticks, edges, tick_ns)} | rows
 
 
-def _row(total: int, ticks: int, edges: Counter[int], tick_s: float) -> dict[str, float]:
+def _row(total: int, ticks: int, edges: Counter[int], tick_ns: int) -> dict[str, float]:
     return {
-        "mean_s": total / ticks * tick_s,
-        "p95_s": percentile(edges, ticks, 95) * tick_s,
-        "max_s": (max(edges) - 1) * tick_s,
+        "mean_s": total * tick_ns / ticks / 1e9,
+        "p95_s": percentile(edges, ticks, 95) * tick_ns / 1e9,
+        "max_s": (max(edges) - 1) * tick_ns / 1e9,
     }
 
 

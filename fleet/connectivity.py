@@ -61,6 +61,11 @@ class Connectivity:
         self.ticks = 0  # windows that were not connected
         self.windows = 0
 
+    @property
+    def trivial(self) -> bool:
+        """Whether nobody needs to be reached."""
+        return set(self._wanted) <= set(self._roots)
+
     @classmethod
     def asked(cls, scenario: Scenario) -> Connectivity | None:
         """What the scenario's check needs; None if it has none."""

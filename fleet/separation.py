@@ -52,9 +52,9 @@ class Separation:
         """Take one frame with all vehicles in it."""
         if frame.tick < self._after or len(self._vehicles) < 2:
             return
-        places = np.array([row.eta[:3] for row in frame.vehicles if row.id in self._wanted])
-        apart = places[self._i] - places[self._j]
-        squared = np.einsum("pk,pk->p", apart, apart)
+        x, y, z = np.array([row.eta[:3] for row in frame.vehicles if row.id in self._wanted]).T
+        i, j = self._i, self._j
+        squared = (x[i] - x[j]) ** 2 + (y[i] - y[j]) ** 2 + (z[i] - z[j]) ** 2
         nearest = int(squared.argmin())  # of a position that is no number, if there is one
         distance = float(squared[nearest]) ** 0.5
         if self.least is None or isnan(distance) or distance < self.least.distance_m:

@@ -22,6 +22,7 @@ from typing import Any
 
 import numpy as np
 
+from fleet.connectivity import Connectivity
 from fleet.scenario import Scenario
 from netem.config import Condition
 
@@ -60,6 +61,7 @@ def analyse(scenario: Scenario) -> Analysis:
     found.warnings.extend(_dead_reckoning_warning(scenario, found))
     found.warnings.extend(_vehicle_warnings(scenario))
     found.warnings.extend(_fault_warnings(scenario))
+    found.warnings.extend(_check_warnings(scenario))
     return found
 
 
@@ -186,6 +188,13 @@ def _fault_warnings(scenario: Scenario) -> list[str]:
     if not late:
         return []
     return [f"fault {', '.join(late)}: the run is over before it begins"]
+
+
+def _check_warnings(scenario: Scenario) -> list[str]:
+    connectivity = Connectivity.asked(scenario)
+    if connectivity is None or not connectivity.trivial:
+        return []
+    return ["checks.connected always holds: whom it concerns follows the reference itself (graph.reference)"]
 
 
 def _components(scenario: Scenario) -> list[list[int]]:

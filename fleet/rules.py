@@ -391,7 +391,7 @@ def _recovery_time(spec: ScenarioSpec, report: Report) -> None:
     for index, check in enumerate(checks):
         path: tuple[str | int, ...] = ("checks", "recovery_time", *(() if one else (index,)))
         if check.fault not in known:
-            shown = f"there are {', '.join(known[:_LINKS_SHOWN])}" if known else "the scenario has none"
+            shown = f"known: {', '.join(known[:_LINKS_SHOWN])}" if known else "the scenario has none"
             more = f" and {len(known) - _LINKS_SHOWN} more" if len(known) > _LINKS_SHOWN else ""
             report.add((*path, "fault"), f'there is no fault "{check.fault[:40]}"', shown + more)
         elif check.fault in lasting:

@@ -61,7 +61,7 @@ def _vehicles(rows: dict[str, dict[str, float | None]]) -> Table:
             "-" if row["u_cmd_max_mps"] is None else format(row["u_cmd_max_mps"], ".2f"),
         )
     if len(rows) > MOST_ROWS:
-        table.add_row("...", f"and {len(rows) - MOST_ROWS} more in result.json")
+        table.add_row("...", f"{len(rows) - MOST_ROWS} more")
     return table
 
 
@@ -86,7 +86,7 @@ def _links(rows: dict[str, dict[str, Any]], ages: dict[str, dict[str, float]]) -
         shown = sorted(rows, key=lambda name: -ages[name]["max_s"] if name in ages else 0.0)[:MOST_ROWS]
     title = "packets per directed link, age of what was heard last"
     table = Table(title=title, title_justify="left", box=None, pad_edge=False)
-    for heading in ("link", *headings, "mean age [s]", "p95 age [s]", "max age [s]"):
+    for heading in ("link", *headings, "mean age [s]", "p95 [s]", "max [s]"):
         table.add_column(escape(heading), justify="right")
     for name, row, age in [("all", total, ages.get("*")), *((name, numbers[name], ages.get(name)) for name in shown)]:
         times = ["-"] * 3 if age is None else [f"{age[key]:.3f}" for key in ("mean_s", "p95_s", "max_s")]

@@ -286,7 +286,7 @@ def test_one_recovery_prints_without_the_list() -> None:
     ("check", "words"),
     [
         ("recovery_time={fault: spilt, below: 1 s, within: 1 m}", 'there is no fault "spilt"'),
-        ("recovery_time={fault: spilt, below: 1 s, within: 1 m}", "there are split, f2, f3"),
+        ("recovery_time={fault: spilt, below: 1 s, within: 1 m}", "known: split, f2, f3"),
         ("recovery_time={fault: f2, below: 1 s, within: 1 m}", '"f2" lasts to the end of the run'),
         ("recovery_time={fault: f3, below: 1 s, within: 1 m}", '"f3" lasts to the end of the run'),
         ("recovery_time={fault: split, below: 1 s, within: 1 m, vehicles: 4}", "there is no vehicle 4"),
@@ -426,7 +426,7 @@ def test_the_table_fits_a_terminal(vehicles: int, tmp_path: Path, capsys: pytest
     show(result, Console(width=100))
     lines = [line.split() for line in capsys.readouterr().out.splitlines()]
     begin = next(n for n, line in enumerate(lines) if line[:2] == ["packets", "per"])
-    head = "link sent delivered lost: loss mean age [s] p95 age [s] max age [s]"
+    head = "link sent delivered lost: loss mean age [s] p95 [s] max [s]"
     assert lines[begin + 1] == head.split()
     assert lines[begin + 2][0] == "all"
     oldest = [float(line[-1]) for line in lines[begin + 3 :] if line and "->" in line[0]]

@@ -385,8 +385,7 @@ def _recovery_time(spec: ScenarioSpec, report: Report) -> None:
     checks = spec.checks.recovery_time
     if not checks:
         return
-    known = _fault_names(spec)
-    lasting = [fault.id or f"f{n}" for n, fault in enumerate(spec.faults, start=1) if fault.for_ is None]
+    known, lasting = _fault_names(spec)
     one = bool(report.keys("checks", "recovery_time"))  # given without the list
     for index, check in enumerate(checks):
         path: tuple[str | int, ...] = ("checks", "recovery_time", *(() if one else (index,)))
@@ -401,16 +400,19 @@ def _recovery_time(spec: ScenarioSpec, report: Report) -> None:
             _vehicles_exist(spec, report, (*path, "vehicles"), check.vehicles)
 
 
-def _fault_names(spec: ScenarioSpec) -> list[str]:
-    """The ids of all faults, written and drawn, in their order."""
-    written = [fault.id or f"f{n}" for n, fault in enumerate(spec.faults, start=1)]
+def _fault_names(spec: ScenarioSpec) -> tuple[list[str], set[str]]:
+    """The ids of all faults in their order, and those of which nothing says that they end before the run."""
     if any(sum(getattr(fault, name) is not None for name in ACTIONS) != 1 for fault in spec.faults):
         raise UnknownValueError
     try:
         events = fault_plan(spec, _graph_links(spec)).events
     except FaultError:
         raise UnknownValueError from None
-    return list(dict.fromkeys([*written, *(event.fault for event in events)]))
+    last = spec.duration // spec.tick
+    ending = {event.fault for event in events if event.action == "ends" and event.tick < last}
+    written = {fault.id or f"f{n}": fault for n, fault in enumerate(spec.faults, start=1)}
+    lasting = {name for name, fault in written.items() if fault.for_ is None and name not in ending}
+    return list(dict.fromkeys([*written, *(event.fault for event in events)])), lasting
 
 
 def _faults(spec: ScenarioSpec, report: Report) -> None:

@@ -50,7 +50,7 @@ def verdict(
     journal = Journal(scenario, Nowhere())
     before_end(journal)
     for tick in range(0, scenario.ticks + 1, frame_every(scenario)):
-        journal.frame(Frame(tick, False, tuple(_row(scenario, i, tick, error(i, tick)) for i in (1, 2, 3))))
+        journal.frame(Frame(tick, False, (), tuple(_row(scenario, i, tick, error(i, tick)) for i in (1, 2, 3))))
     fates: list[Fate] = []
     for k in range(0, scenario.ticks, scenario.round_ticks):
         journal.links(LinkReport(k, False, False, tuple(fates)))

@@ -20,7 +20,7 @@ from fleet.scenario import Scenario, load_scenario, parse_scenario
 from fleet.script import script
 from fleet.stability import analyse
 from fleet.table import MOST_ROWS, show
-from netem.messages import Fate, Frame, LinkReport, VehicleFrame
+from netem.messages import Fate, Frame, Life, LinkReport, VehicleFrame
 
 Link = tuple[int, int]
 
@@ -39,6 +39,7 @@ def verdict(
     error: Callable[[int, int], float] = lambda i, tick: 0.0,
     heard: Callable[[Link, int], bool] = lambda link, tick: True,
     before_end: Callable[[Journal], None] = lambda journal: None,
+    lives: dict[int, tuple[Life, ...]] | None = None,
 ) -> Verdict:
     """The verdict on a run of 4 s with three vehicles on a path, 5 m apart, a round every 50 ms.
 
@@ -50,7 +51,14 @@ def verdict(
     journal = Journal(scenario, Nowhere())
     before_end(journal)
     for tick in range(0, scenario.ticks + 1, frame_every(scenario)):
-        journal.frame(Frame(tick, False, (), tuple(_row(scenario, i, tick, error(i, tick)) for i in (1, 2, 3))))
+        journal.frame(
+            Frame(
+                tick,
+                False,
+                (lives or {}).get(tick, ()),
+                tuple(_row(scenario, i, tick, error(i, tick)) for i in (1, 2, 3)),
+            )
+        )
     fates: list[Fate] = []
     for k in range(0, scenario.ticks, scenario.round_ticks):
         journal.links(LinkReport(k, False, False, tuple(fates)))
@@ -163,6 +171,31 @@ def test_recovery_counts_from_a_heal() -> None:
     assert verdict(check, SPLIT, error=back_at(150)).found == "0.5 s (vehicle 3 the last)"
     healed = verdict(check, SPLIT, error=back_at(150), before_end=lambda journal: journal.end_event("split", 80))
     assert healed.found == "0.7 s (vehicle 3 the last)"
+
+
+NEMESIS = "nemesis={every: 1 s, for: 500 ms, pick: [mute, deaf]}"  # nemesis-1 from 1 s to 1.5 s, and so on
+
+
+@pytest.mark.parametrize(
+    ("fault", "overrides", "found"),
+    [
+        ("nemesis-1", [NEMESIS], "1 m (vehicle 3) when fault nemesis-2 begins at 2 s"),
+        ("nemesis-2", [NEMESIS], "0.1 s (vehicle 3 the last)"),
+        ("f1", ["faults=[{at: 1 s, for: 1 s, kill: 2}]"], "0.6 s (vehicle 3 the last)"),
+        ("f1", ["faults=[{at: 1 s, gust: {velocity: 1 0 0 m/s, over: 500 ms}}]"], "1.1 s (vehicle 3 the last)"),
+    ],
+)
+def test_recovery_from_what_ends_by_itself(fault: str, overrides: list[str], found: str) -> None:
+    """The nemesis, a restart, a gust: whatever has an end in the timeline."""
+    check = f"recovery_time: {{fault: {fault}, below: 9 s, within: 10 cm}}"
+    assert verdict(check, *overrides, error=back_at(260)).found == found
+
+
+def test_the_death_of_an_agent_is_a_beginning() -> None:
+    check = "recovery_time: {fault: f1, below: 9 s, within: 10 cm}"
+    faults = "faults=[{at: 1 s, for: 500 ms, mute: 2}]"
+    result = verdict(check, faults, error=back_at(260), lives={200: (Life(200, 3, False),)})
+    assert (result.passed, result.found) == (False, "1 m (vehicle 3) when fault death-3 begins at 2 s")
 
 
 def test_recovery_from_each_of_several_faults(tmp_path: Path) -> None:
@@ -296,6 +329,7 @@ def test_one_recovery_prints_without_the_list() -> None:
         ("recovery_time={fault: split, below: 1 s}", '"within" is missing in "checks.recovery_time"'),
         ("recovery_time={fault: split, below: 1 s, within: 1 m, vehicle: 1}", 'did you mean "vehicles"?'),
         ("recovery_time=split", "expected a list"),
+        ("recovery_time={fault: nemesis-2, below: 1 s, within: 1 m}", "known: split, f2, f3, nemesis-1"),
         ("max_age={below: 1 m}", "a time"),
         ("max_age={after: 1 s}", '"below" is missing'),
         ("max_age={below: 50 ms}", "every age grows to a round of 50 ms"),
@@ -311,11 +345,16 @@ def test_one_recovery_prints_without_the_list() -> None:
     ],
 )
 def test_mistakes_in_asking(check: str, words: str) -> None:
+    drawn = ["nemesis={every: 500 ms, for: 500 ms, pick: [mute]}"] if "nemesis" in check else []
     with pytest.raises(ScenarioError) as caught:
-        small(FAULTS, f"checks.{check}")
+        small(FAULTS, *drawn, f"checks.{check}")
     assert words in str(caught.value)
 
 
+NEMESES = st.sampled_from(
+    [[], ["nemesis={every: 100 ms, for: 100 ms, pick: [down]}"], ["nemesis={every: 1 s, for: 3 s, pick: [{}, x]}"],
+     ["nemesis={every: 100 ms, for: 50 ms, pick: [down]}", "vehicles=1"], ["faults=[{at: 0 s, link: {}}]"]]
+)  # fmt: skip
 KEYS = [
     f"{check}{key}"
     for check, keys in {
@@ -331,13 +370,13 @@ GOOD = st.sampled_from(
 )
 
 
-@given(st.lists(st.tuples(st.sampled_from(KEYS), WILD | GOOD).map("=".join), min_size=1, max_size=8))
+@given(st.lists(st.tuples(st.sampled_from(KEYS), WILD | GOOD).map("=".join), min_size=1, max_size=8), NEMESES)
 @settings(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.too_slow])
-def test_any_check_is_accepted_or_a_scenario_error(overrides: list[str]) -> None:
+def test_any_check_is_accepted_or_a_scenario_error(overrides: list[str], drawn: list[str]) -> None:
     """Wrong values at every key, also of an entry without its list; what is accepted prints back."""
     full = "checks={recovery_time: [{fault: split, below: 1 s, within: 1 m}], max_age: {below: 1 s}}"
     try:
-        s = small(FAULTS, full, *(f"checks.{override}" for override in overrides))
+        s = small(FAULTS, full, *drawn, *(f"checks.{override}" for override in overrides))
     except ScenarioError as error:
         assert error.problems  # noqa: PT017 - most are errors, all must be ours
         assert str(error)  # noqa: PT017

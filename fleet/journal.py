@@ -13,7 +13,7 @@ from math import gcd
 from typing import Protocol
 
 from fleet.connectivity import Connectivity
-from fleet.faults import Event
+from fleet.faults import Event, event_order
 from fleet.metrics import Metrics, VehicleError
 from fleet.scenario import Scenario
 from fleet.separation import Separation
@@ -120,7 +120,7 @@ class Journal:
 
     def add_event(self, event: Event) -> None:
         """Take a fault that was injected, behind those of the same tick."""
-        place = sum(_event_order(other) <= _event_order(event) for other in self._events)
+        place = sum(event_order(other) <= event_order(event) for other in self._events)
         self._events.insert(place, event)
 
     def end_event(self, fault: str, tick: int) -> None:
@@ -144,6 +144,9 @@ class Journal:
                 name = f"death-{i}" if count == 1 else f"death-{i}-{count}"
                 self.deaths[i] = Event(life.tick, name, "begins", f"kill {i}")
                 self.add_event(self.deaths[i])
+        if frame.tick == self._last:
+            for death in self.deaths.values():
+                self.add_event(replace(death, tick=frame.tick, action="ends"))
         while self._events and self._events[0].tick <= frame.tick:
             event = self._events.popleft()
             self.happened.append(event)
@@ -157,10 +160,6 @@ class Journal:
             if self.connectivity is not None:
                 self.connectivity.settle(fate)
             self.log.packet(fate)
-
-
-def _event_order(event: Event) -> tuple[int, bool]:
-    return event.tick, event.action == "begins"
 
 
 def _command(data: bytes) -> Command:

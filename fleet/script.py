@@ -35,11 +35,11 @@ def script(path: Path) -> Scenario:
     end_ns = int(reader.metadata.get("run", {}).get("ticks", 0)) * int(reader.metadata.get("run", {}).get("tick_ns", 0))
     faults = _entries(_decoded(reader, happened), end_ns)
     lines = text.decode("utf-8").splitlines()
-    ended = {entry.get("id") for entry in faults if "for" in entry}
+    ended = {str(entry["id"]) for entry in faults if "for" in entry}
     return parse_scenario(_without_faults(lines) + _faults_yaml(faults), str(path), _recoveries(text.decode(), ended))
 
 
-def _recoveries(text: str, ended: set[str | None]) -> list[str]:
+def _recoveries(text: str, ended: set[str]) -> list[str]:
     """The checks of recovery without those from a fault that the run did not see end, which a scenario must not ask."""
     checks = parse_scenario(text, "scenario.yaml").spec.checks.recovery_time or []
     kept = [check.model_dump(exclude_none=True) for check in checks if check.fault in ended]
@@ -64,8 +64,7 @@ def _entries(events: list[tuple[int, Any]], end_ns: int) -> list[dict[str, Any]]
     entries: dict[str, dict[str, Any]] = {}
     for at_ns, event in events:
         if event.action == "begins":
-            name = {} if event.fault.startswith("death-") else {"id": event.fault}
-            entries[event.fault] = {**name, "at": show_time(at_ns), **_action(event.what), "_at": at_ns}
+            entries[event.fault] = {"id": event.fault, "at": show_time(at_ns), **_action(event.what), "_at": at_ns}
         elif event.fault in entries and at_ns < end_ns:
             entries[event.fault]["for"] = show_time(at_ns - entries[event.fault]["_at"])
     return [{key: value for key, value in entry.items() if key != "_at"} for entry in entries.values()]

@@ -28,7 +28,11 @@ def unleash(spec: ScenarioSpec, links: Sequence[Link]) -> ScenarioSpec:
         name = f"nemesis-{number}"
         while name in taken:
             name += "x"
-        pick = nemesis.pick[_draw(spec, number, 0, len(nemesis.pick))]
+        # A fleet of one keeps its scenario: what needs a link does not come.
+        picks = [pick for pick in nemesis.pick if links or pick.drawn not in ("partition", "down")]
+        if not picks:
+            break
+        pick = picks[_draw(spec, number, 0, len(picks))]
         if pick.drawn is None:
             body = pick.model_dump(exclude_none=True, exclude_defaults=True, by_alias=True)
         else:

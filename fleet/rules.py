@@ -456,8 +456,6 @@ def _nemesis(spec: ScenarioSpec, report: Report) -> None:
         if pick.drawn is not None:
             if spec.network.ideal and pick.drawn not in OF_THE_WORLD:
                 report.add(path, f"{pick.drawn} needs a network, and this one is ideal", "give the network a period")
-            elif pick.drawn in ("partition", "down") and not links:
-                report.add(path, "the graph has no link")
         elif _one_action(pick, path, report):
             _fault_targets(spec, report, path, pick, links)
 

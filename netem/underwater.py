@@ -33,7 +33,7 @@
 [1] K. V. Mackenzie, J. Acoust. Soc. Am. 70(3), 807-812, 1981. ns-3: [2] `uan-prop-model-thorp.cc`,
 [3] `uan-noise-model-default.cc`, [4] `UanPhyPerUmodem` in `uan-phy-gen.cc`.
 
-ns-3 subtracts, in addition, the chance of one error among 288 bits: that is left out, since for packets of fewer bits it
+ns-3 subtracts, in addition, the chance of one error among 288 bits: that is left out, since for shorter packets it
 makes the probability negative.
 
 Pure functions on doubles; `docs/acoustic.md` says what is left out (multipath, Doppler, bending rays).

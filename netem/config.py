@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any, Literal
 
+from netem.modem import AcousticConfig
+
 if TYPE_CHECKING:
     from netem.faults import NetFault
 
@@ -92,3 +94,4 @@ class NetemConfig:
     conditions: dict[Link, Condition] = field(default_factory=dict)
     faults: tuple[NetFault, ...] = ()  # in the order in which they begin
     ideal: bool = False  # zero latency: due in the sending tick itself (in-process only)
+    acoustic: AcousticConfig | None = None  # in the water; None: links of their own

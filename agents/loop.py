@@ -51,20 +51,22 @@ class AgentCore(Protocol):
 class AgentLoop:
     """Feeds an agent core with navs and inboxes in the right order."""
 
-    def __init__(self, core: AgentCore, round_ticks: int, *, incarnation: int = 0, ideal: bool = False) -> None:
+    def __init__(
+        self, core: AgentCore, round_ticks: int, *, incarnation: int = 0, begin: int = 0, ideal: bool = False
+    ) -> None:
         self.core = core
         self.round_ticks = round_ticks
         self.incarnation = incarnation
         self.ideal = ideal
-        self._known = -1 if ideal else 0  # the inbox is known up to this tick
-        self._tick = -1  # last tick answered
+        self._known = -1 if ideal else begin  # the inbox is known up to this tick: nothing before was for this agent
+        self._tick = begin - 1  # last tick answered, or before the first
         self._nav: Nav | None = None
         self._transmitted = False
         self._deliveries: list[Delivery] = []
 
     @property
     def tick(self) -> int:
-        """The last tick answered; -1 before the first."""
+        """The last tick answered; one before the first that could be."""
         return self._tick
 
     @property
@@ -73,13 +75,13 @@ class AgentLoop:
         return self._nav is not None
 
     def nav(self, nav: Nav) -> list[Transmission | Command]:
-        """Take the nav of the next tick.
+        """Take the nav of the next tick, or of a later one when the agent was suspended in between.
 
         Raises:
-            OutOfPlace: another incarnation's, or not the next tick (the first may be any).
+            OutOfPlace: another incarnation's, or a tick before the next.
         """
         self._check_incarnation(nav.incarnation)
-        if self._nav is not None or (self._tick >= 0 and nav.tick != self._tick + 1):
+        if self._nav is not None or nav.tick <= self._tick:
             raise OutOfPlace("nav tick", self._tick + 1 + (self._nav is not None), nav.tick)
         self._nav = nav
         return self._advance()
@@ -92,7 +94,7 @@ class AgentLoop:
         """
         self._check_incarnation(inbox.incarnation)
         expected = max(0, self._known + self.round_ticks)
-        if inbox.until != expected and self._tick >= 0:
+        if inbox.until != expected:
             raise OutOfPlace("inbox until tick", expected, inbox.until)
         self._deliveries.extend(inbox.deliveries)
         if inbox.more:

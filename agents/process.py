@@ -28,8 +28,10 @@ POLL_S = 0.001
 CONTROLLER_FAILED = 70  # exit status: a law failed, and the scenario says that the run shall end
 
 
-def run(endpoint: str, run_id: str, vehicle: int, credentials: Credentials) -> None:
-    """Join a run as agent `vehicle` and answer navs until the process is told to end.
+def run(
+    endpoint: str, run_id: str, vehicle: int, credentials: Credentials, incarnation: int = 0, begin: int = 0
+) -> None:
+    """Join a run as agent `vehicle` and answer navs, from tick `begin` on, until the process is told to end.
 
     Raises:
         BusError: the run cannot be joined.
@@ -42,8 +44,9 @@ def run(endpoint: str, run_id: str, vehicle: int, credentials: Credentials) -> N
         core = make_agent(config)
     except AgentError as error:
         role = agent_role(vehicle)
-        _give_up(Shell(bus, role, keys.note(role)), vehicle, 0, error)
-    process = AgentProcess(bus, keys, vehicle, AgentLoop(core, config.round_ticks))
+        _give_up(Shell(bus, role, keys.note(role)), vehicle, begin, error)
+    loop = AgentLoop(core, config.round_ticks, incarnation=incarnation, begin=begin)
+    process = AgentProcess(bus, keys, vehicle, loop)
     process.get_ready()
     process.serve()
 

@@ -32,10 +32,11 @@ TAIL_LINES = 12
 
 @dataclass(frozen=True, slots=True)
 class Exit:
-    """A process that ended: its role, and its exit code (negative: the signal that killed it)."""
+    """A process that ended: its role, its exit code (negative: the signal that killed it) and what its number was."""
 
     role: str
     code: int
+    pid: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,7 +72,10 @@ class Children:
         self._watcher: threading.Thread | None = None
 
     def start(self, role: str, title: str, log_path: Path, target: Callable[..., None], *args: Any) -> None:
-        """Start `target(*args)` as a process of its own, called `title` in `ps`, printing to `log_path`."""
+        """Start `target(*args)` as a process of its own, called `title` in `ps`, printing to `log_path`.
+
+        It may take the role of one that has ended.
+        """
         assert threading.current_thread() is threading.main_thread(), "PDEATHSIG follows the forking thread"
         os.environ[CONSOLE_PID_VARIABLE] = str(os.getpid())
         self._context.set_forkserver_preload(["fleet.preload"])
@@ -107,17 +111,17 @@ class Children:
             process.join(GRACE_S)
 
     def _watch(self) -> None:
-        ended: set[str] = set()
+        ended: set[int] = set()
         while not self._stopping.is_set():
             running: dict[Any, Child] = {
-                child.process.sentinel: child for role, child in list(self.by_role.items()) if role not in ended
+                child.process.sentinel: child for child in list(self.by_role.values()) if child.pid not in ended
             }
             for sentinel in wait(list(running), timeout=0.1):
                 child = running[sentinel]
-                ended.add(child.role)
+                ended.add(child.pid)
                 child.process.join()
                 code = child.process.exitcode
-                self._on_exit(Exit(child.role, FORKSERVER_LOST if code is None else code))
+                self._on_exit(Exit(child.role, FORKSERVER_LOST if code is None else code, child.pid))
 
 
 def forkserver_death(patience_s: float = 0.0) -> str | None:

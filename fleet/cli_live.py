@@ -13,6 +13,8 @@ import click
 from fleet.errors import FleetError, ScenarioError
 
 F = TypeVar("F", bound=Callable[..., Any])
+# Faults that are several values; a current may be.
+_KEYED = ("noise", "bias", "dropout", "slow", "gust", "efficiency", "saturate", "wrench")
 
 
 def which(command: F) -> F:
@@ -103,8 +105,12 @@ def inject(what: tuple[str, ...], run: Path | None, out: Path, lasts: str | None
       fleet inject partition halves --for 5s
       fleet inject down '2->3'
       fleet inject mute 3
-      fleet inject kill 3
+      fleet inject kill 3                       for good, or until healed
+      fleet inject kill 3 --for 5s              another agent takes over then
+      fleet inject pause 2 --for 3s
+      fleet inject slow vehicles=2 by='5 ticks'
       fleet inject current '0.2 0 0 m/s'
+      fleet inject gust velocity='0 0.5 0 m/s' over=10s
       fleet inject efficiency vehicles=2 surge='50 %' --for 20s
     """
     from fleet.faults import ACTIONS
@@ -119,7 +125,7 @@ def inject(what: tuple[str, ...], run: Path | None, out: Path, lasts: str | None
         if len(rest) < 2:
             raise click.UsageError("a link fault is: link SELECTOR CONDITION, as in link '1->2' 'loss 30%'")
         fault = {"link": {rest[0]: " ".join(rest[1:])}}
-    elif kind in ("noise", "bias", "efficiency", "saturate", "wrench"):
+    elif kind in _KEYED or (rest and "=" in rest[0]):
         pairs = [word.partition("=") for word in rest]
         if not pairs or not all(equals for _, equals, _ in pairs):
             raise click.UsageError(f"a {kind} fault is: {kind} KEY=VALUE ..., as in efficiency vehicles=2 surge='50 %'")

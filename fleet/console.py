@@ -27,6 +27,7 @@ from fleet.children import FORKSERVER_LOST, Child, Children, Exit, describe_exit
 from fleet.clock import Clock, LiveClock
 from fleet.control import Operator
 from fleet.errors import RunBroken, StoppedError
+from fleet.faults import Kill
 from fleet.journal import Journal, frame_every
 from fleet.rundir import RunDirectory
 from fleet.scenario import Scenario
@@ -35,7 +36,8 @@ from netem.bus import Bus, Respond
 from netem.errors import BusError, MalformedMessage, OutOfPlace
 from netem.faults import NetFault, fault_values
 from netem.keys import Keys
-from netem.messages import PROTOCOL_VERSION, Ailments, Death, Frames, Grant, Hello, LinkReport, Note, encode
+from netem.lives import Absence, Lives
+from netem.messages import PROTOCOL_VERSION, Ailments, Death, Frames, Grant, Hello, LinkReport, Note, Restart, encode
 from netem.shell import expect, read_map, request
 from world.faults import WorldFault
 
@@ -50,6 +52,7 @@ QUIET_S = 2.0  # without an event for so long, ask who is waiting for whom
 SETTLE_S = 0.2  # after a death, how long to collect what else happened
 
 MOST_NOTES = 1000
+MOST_RESTARTS = 3  # of one agent that nobody killed on purpose: its next life would end the same way
 
 FRAME, LINKS, NOTE, EXIT, OPERATION = "frame", "links", "note", "exit", "operation"
 _EXPECTED = {FRAME: (Frames, Hello), LINKS: (LinkReport, Hello), NOTE: (Note,)}
@@ -82,11 +85,16 @@ class Console:
         self._received = {FRAME: 0, LINKS: 0}
         self.middleware_lost = 0  # messages that zenoh lost; any makes the run invalid
         self._running = False  # between the first grant and the last frame
-        self._kills = dict(scenario.faults.kills)  # vehicle -> tick from which it has no agent
-        self._killed: set[int] = set()  # those whose process was ended for it
+        self._lives = Lives(scenario.faults.absences)
+        self._agent_arguments: dict[int, tuple[Any, ...]] = {}
+        self._incarnation = dict.fromkeys(self._vehicles, 0)  # of the process that was started last
+        self._starting: dict[int, int] = {}  # vehicle -> tick of the agent that was started again and is not ready
+        self._looked = 0.0
+        self._told_to_end: set[int] = set()  # processes
+        self._gone: set[int] = set()  # processes
         self._granted = 0
         self.operator: Operator | None = None
-        self.deaths: dict[int, str] = {}  # agents that ended by themselves, and how
+        self._restarted: dict[int, int] = {}  # vehicle -> how often because of on_death
         self.waiting = ""  # who is being waited for, when nothing moves
         self.started_s = 0.0  # wall time until everyone was ready
 
@@ -131,18 +139,14 @@ class Console:
         }
         for i in self._vehicles:
             role = agent_role(i)
-            targets[role] = (agents.process.run, (endpoint, keys.run, i, credentials[role]))
+            self._agent_arguments[i] = (endpoint, keys.run, i, credentials[role])
+            targets[role] = (agents.process.run, self._agent_arguments[i])
         order = list(targets)
         if self._start_order is not None:
             order = self._start_order(order)
         try:
             for role in order:
-                title = f"fleet {role.replace('-', ' ')} [{scenario.name}]"
-                try:
-                    self._children.start(role, title, self._directory.process_log(role), *_flat(targets[role]))
-                except (EOFError, OSError) as error:
-                    why = forkserver_death(SETTLE_S) or str(error) or type(error).__name__
-                    raise RunBroken(f"{role} could not be started: {why}") from error
+                self._start_process(role, *_flat(targets[role]))
                 if role == order[0]:
                     self._children.watch()
                 if role == WORLD:
@@ -165,6 +169,14 @@ class Console:
         )
         assert self._bus is not None  # the world is among the roles
         return self._bus
+
+    def _start_process(self, role: str, *target: Any) -> None:
+        title = f"fleet {role.replace('-', ' ')} [{self._scenario.name}]"
+        try:
+            self._children.start(role, title, self._directory.process_log(role), *target)
+        except (EOFError, OSError) as error:
+            why = forkserver_death(SETTLE_S) or str(error) or type(error).__name__
+            raise RunBroken(f"{role} could not be started: {why}") from error
 
     def _listen(self, bus: Bus) -> None:
         scenario, keys = self._scenario, self._keys
@@ -200,7 +212,7 @@ class Console:
             self._grant(probe)
             answer = self._control(bus, WORLD, "ready")
             network = self._control(bus, NETEM, "ready")
-            ready = set(answer.get("ready", ()))
+            ready = {i for i, _ in answer.get("ready", ())}
             absent = [i for i in self._vehicles if i not in ready]
             unheard = {FRAME, LINKS} - self._hello
             if not absent and not unheard and network.get("round") and answer.get("grant"):
@@ -222,15 +234,15 @@ class Console:
         self.operator = self._operator(bus, live)
         self._running = True
         while journal.framed < clock.ticks:
-            self._kill_scripted()
+            self._tend_agents(bus)
             now = time.monotonic()
-            until = live.until(journal.written, now)
+            until = min(live.until(journal.written, now), hold := self._next_restart())
             if until > self._granted:
                 self._granted = until
                 self._grant(encode(Grant(until)))
                 moved = now
             before = journal.framed
-            self._take(0.01 if live.speed is not None or live.paused else 0.1)
+            self._take(0.01 if live.speed is not None or live.paused or hold <= self._granted else 0.1)
             if self.operator.stopping:
                 raise StoppedError
             if journal.framed != before or live.paused:
@@ -254,18 +266,26 @@ class Console:
             # On the key of the grants, so that it is there before any tick that is granted later.
             self._grant(encode(Ailments(msgpack.packb([fault.to_values() for fault in faults]))))
 
-        def end_agent(i: int, tick: int) -> None:
-            self._kills.setdefault(i, tick)
-            self._grant(encode(Death(i, tick, 0)))
+        def end_agents(kill: Kill) -> None:
+            for absence in kill.absences:
+                self._lives.add(absence)
+                self._grant(encode(Death(absence.vehicle, kill.begin, 0, kill.end or 0)))
+            self._tell_lives(bus)
+
+        def restart_agent(i: int, begin: int, tick: int) -> None:
+            self._lives.restart(i, begin, tick)
+            self._grant(encode(Restart(i, begin, tick)))
+            self._tell_lives(bus)
 
         return Operator(
             self._scenario,
             self._journal,
             clock,
             tell_netem,
-            end_agent,
+            end_agents,
+            restart_agent,
             lambda: self._granted,
-            lambda: sorted({*self._killed, *self.deaths}),
+            lambda: [i for i in self._vehicles if self._lives.without_agent(i, max(0, self._journal.framed))],
             lambda: self.waiting,
             tell_world=tell_world,
         )
@@ -335,32 +355,87 @@ class Console:
 
     def _survivable(self, ended: Exit) -> bool:
         """Whether the run goes on without this process."""
-        return (
+        return ended.pid in self._told_to_end or (
             self._running
-            and self._scenario.spec.on_death == "continue"
+            and self._scenario.spec.on_death != "abort"
             and ended.role.startswith("agent-")
             and ended.code not in (FORKSERVER_LOST, CONTROLLER_FAILED)
         )
 
     def _bury(self, ended: Exit) -> None:
-        """Tell the world, which decides from which tick on the vehicle drifts."""
+        """An agent's process is gone: if nobody told it to go, tell the world, which decides at which tick it ended."""
         i = int(ended.role.removeprefix("agent-"))
-        self._grant(encode(Death(i, 0, 0)))
-        if i in self._kills:
+        self._gone.add(ended.pid)
+        if ended.pid in self._told_to_end:
             return
+        life = self._incarnation[i]
+        gap = self._gap(i)
+        begin = self._starting.pop(i, None)
+        until = 0
+        if gap is None or gap[0] > self._granted:
+            if self._scenario.spec.on_death == "restart" and self._restarted.get(i, 0) < MOST_RESTARTS:
+                self._restarted[i] = self._restarted.get(i, 0) + 1
+                m = self._scenario.round_ticks
+                until = (self._granted // m + 1) * m
+                until = until if until < self._scenario.ticks else 0
+            # The world will say when it was; here it matters only when another one takes over.
+            since = max(self._journal.framed, 0 if life == 0 else self._lives.gaps(i)[life - 1][1] or 0)
+            self._lives.add(Absence(i, since, until or (gap and gap[1])))
+        # One that has not been ready never got a nav: its life ends where it would have begun.
+        self._grant(encode(Death(i, begin or 0, life, until)))
+        if until:
+            assert self._bus is not None
+            self._tell_lives(self._bus)
         child = self._children.by_role[ended.role]
-        self.deaths[i] = describe_exit(ended.code)
+        how = describe_exit(ended.code)
         last = f"; last line of {child.log_path}: {line}" if (line := "".join(child.tail()[-1:])) else ""
         at = self._seconds(self._journal.framed)
-        self.notes.append(f"{at} agent {i} (pid {child.pid}) {self.deaths[i]}: its vehicle drifts without thrust{last}")
+        then = f", another one takes over at {self._seconds(until)}" if until else ""
+        self.notes.append(f"{at} agent {i} (pid {child.pid}) {how}: its vehicle drifts without thrust{then}{last}")
 
-    def _kill_scripted(self) -> None:
-        """End the agents whose time has come: the world has not asked them any more from that tick on."""
-        for i, tick in self._kills.items():
-            if i not in self._killed and self._journal.framed >= tick:
-                self._killed.add(i)
+    def _gap(self, i: int) -> tuple[int, int | None] | None:
+        """How the life of agent i that was started last ends, if it does: (begin, end) of the gap after it."""
+        gaps = self._lives.gaps(i)
+        life = self._incarnation[i]
+        return gaps[life] if life < len(gaps) else None
+
+    def _next_restart(self) -> int:
+        """No tick from here on may start: somebody who begins there is not ready yet."""
+        planned = [gap[1] for i in self._vehicles if (gap := self._gap(i)) is not None and gap[1] is not None]
+        return min([*planned, *self._starting.values()], default=self._scenario.ticks)
+
+    def _tell_lives(self, bus: Bus) -> None:
+        """Netem must know which life of an agent it talks to."""
+        if "tick" not in self._control(bus, NETEM, "absences", absences=[list(a) for a in self._lives.absences]):
+            raise RunBroken("netem did not answer")
+
+    def _tend_agents(self, bus: Bus) -> None:
+        """End the agents whose time has come, and start those that follow them."""
+        if not self._lives.absences or time.monotonic() < self._looked + POLL_S:
+            return
+        self._looked = time.monotonic()
+        if self._starting:
+            ready = {(i, life) for i, life in self._control(bus, WORLD, "ready").get("ready", ())}
+            for i in [i for i in self._starting if (i, self._incarnation[i]) in ready]:
+                del self._starting[i]
+        due = {i: gap for i in self._vehicles if (gap := self._gap(i)) is not None and gap[0] <= self._granted}
+        alive = [i for i in due if self._children.by_role[agent_role(i)].pid not in self._told_to_end | self._gone]
+        # The world asks nobody for a command from the gap's first tick on: once it is there, nothing is lost.
+        reached = dict(self._control(bus, WORLD, "ticks").get("ticks", ())) if alive else {}
+        for i, (begin, end) in due.items():
+            pid = self._children.by_role[agent_role(i)].pid
+            if i in alive and i not in self._starting and reached.get(i, -1) >= begin:
+                self._told_to_end.add(pid)
                 with contextlib.suppress(ProcessLookupError):
-                    os.kill(self._children.by_role[agent_role(i)].pid, signal.SIGKILL)
+                    os.kill(pid, signal.SIGKILL)
+            elif pid in self._gone and end is not None:
+                self._incarnation[i] += 1
+                self._starting[i] = end
+                self._start_agent(i, self._incarnation[i], end)
+
+    def _start_agent(self, i: int, incarnation: int, begin: int) -> None:
+        role = agent_role(i)
+        self._start_process(role, agents.process.run, *self._agent_arguments[i], incarnation, begin)
 
     def _note(self, note: Note) -> None:
         if len(self.notes) >= MOST_NOTES:
@@ -371,6 +446,8 @@ class Console:
 
     def _who_waits(self, bus: Bus) -> str:
         """Who has not answered, in words."""
+        if self._starting:
+            return "waiting for agents to start again: " + ", ".join(map(str, sorted(self._starting)))
         waiting = self._control(bus, WORLD, "waiting")
         network = self._control(bus, NETEM, "waiting")
         late = sorted({i for i, _ in waiting.get("waiting", ())})

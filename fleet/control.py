@@ -15,14 +15,13 @@ from pydantic import TypeAdapter, ValidationError
 from fleet.clock import LiveClock
 from fleet.faults import (
     ACTIONS,
-    OF_THE_WORLD,
-    Event,
     FaultError,
-    action,
-    network_faults,
+    Kill,
+    Part,
+    begin_and_end,
+    parts,
     vehicles_of,
     words,
-    world_fault,
 )
 from fleet.journal import Journal
 from fleet.scenario import Scenario
@@ -45,17 +44,18 @@ class Operator:
     journal: Journal
     clock: LiveClock
     tell_netem: Callable[[tuple[NetFault, ...]], bool]  # False: it did not answer
-    end_agent: Callable[[int, int], None]  # vehicle, tick
+    end_agents: Callable[[Kill], None]
+    restart_agent: Callable[[int, int, int], None]  # vehicle, without one since, tick
     granted: Callable[[], int]
     dead: Callable[[], list[int]]
     waiting: Callable[[], str]
     stopping: bool = False
     tell_world: Callable[[tuple[WorldFault, ...]], None] = lambda _: None
-    faults: list[NetFault | WorldFault] = field(default_factory=list)
+    faults: list[Part] = field(default_factory=list)
     _injected: int = 0
 
     def __post_init__(self) -> None:
-        self.faults = [*self.scenario.faults.network, *self.scenario.faults.world]
+        self.faults = list(self.scenario.faults.parts)
 
     def handle(self, request: dict[str, Any]) -> dict[str, Any]:
         """The answer to one request; a refusal is an answer, too."""
@@ -115,45 +115,56 @@ class Operator:
         if any(fault.id == name for fault in self.faults):
             raise RefusedError(f"there is a fault {name} already")
         self._check_vehicles(section)
-        if action(section) == "kill":
-            for i in vehicles_of(section):
-                self.end_agent(i, tick)
-        else:
-            self._add(section, name, tick)
+        self._add(section, name)
         return {"id": name, "at_s": self._seconds(tick), "what": words(section)}
 
-    def _add(self, section: FaultSection, name: str, tick: int) -> None:
+    def _add(self, section: FaultSection, name: str) -> None:
         scenario = self.scenario
-        number = len(scenario.spec.faults) + self._injected
-        found: list[NetFault] | list[WorldFault]
         try:
-            if action(section) in OF_THE_WORLD:
-                found = [world_fault(section, name, scenario.spec)]
-            else:
-                found = network_faults(section, name, number, scenario.spec, scenario.graph.links)
+            found = parts(section, name, scenario.spec, scenario.graph.links)
         except FaultError as error:
             raise RefusedError(f"{error.message}; {error.hint}" if error.hint else error.message) from None
-        if not any(isinstance(fault, WorldFault) or fault.links or fault.vehicles for fault in found):
+        if not any(not isinstance(part, NetFault) or part.links or part.vehicles for part in found):
             raise RefusedError("the graph has no such link")
         self._replace([*self.faults, *found])
-        last = scenario.ticks
-        end = found[0].end
-        self.journal.add_event(Event(tick, name, "begins", words(section)))
-        self.journal.add_event(Event(last if end is None else min(end, last), name, "ends", words(section)))
+        for part in found:
+            if isinstance(part, Kill):
+                self.journal.tell_deaths(part.absences)
+                self.end_agents(part)
+        for event in begin_and_end(found, section, scenario.ticks):
+            self.journal.add_event(event)
 
     def _heal(self, name: Any) -> dict[str, Any]:
         tick = self.granted()
-        ill = {fault.id for fault in self.faults if fault.active(tick)}
+        m = self.scenario.round_ticks
+        round_tick = -(-tick // m) * m  # of a restart
+        lasting = [part for part in self.faults if part.active(tick)]
+        dead = {death.fault: i for i, death in self.journal.deaths.items()}
+        ill = {part.id for part in lasting} | dead.keys()
         if name is not None and name not in ill:
             known = f"active: {', '.join(sorted(ill))}" if ill else "none is active"
             raise RefusedError(f"there is no active fault {name!r}; {known}")
         healed = ill if name is None else {name}
-        self._replace([replace(f, end=tick) if f.id in healed and f.active(tick) else f for f in self.faults])
-        for fault in sorted(healed):
-            self.journal.end_event(fault, tick)
-        return {"healed": sorted(healed), "at_s": self._seconds(tick)}
+        kills = [part for part in lasting if isinstance(part, Kill) and part.id in healed]
+        restarted = [dead[fault] for fault in healed & dead.keys()]
+        for part in lasting:
+            if isinstance(part, Kill) and part.id not in healed and (both := set(part.vehicles) & set(restarted)):
+                raise RefusedError(f"agent {min(both)} was killed by {part.id}, too: heal that one first")
+        acts = round_tick if kills or restarted else tick
+        if acts >= self.scenario.ticks:
+            raise RefusedError("no round is left in which an agent could begin again")
+        ends = {part: round_tick if isinstance(part, Kill) else tick for part in lasting if part.id in healed}
+        self._replace([replace(part, end=ends[part]) if part in ends else part for part in self.faults])
+        for i in restarted:
+            self.restart_agent(i, 0, round_tick)
+        for kill in kills:
+            for i in kill.vehicles:
+                self.restart_agent(i, kill.begin, round_tick)
+        for fault in sorted({(part.id, end) for part, end in ends.items()}):
+            self.journal.end_event(*fault)
+        return {"healed": sorted(healed), "at_s": self._seconds(acts)}
 
-    def _replace(self, faults: Sequence[NetFault | WorldFault]) -> None:
+    def _replace(self, faults: Sequence[Part]) -> None:
         ordered = sorted(faults, key=lambda fault: fault.begin)
         if not self.tell_netem(tuple(fault for fault in ordered if isinstance(fault, NetFault))):
             raise RefusedError("netem did not answer; nothing was changed")
@@ -190,6 +201,9 @@ class Operator:
                 "to_s": self._seconds(self.scenario.ticks if fault.end is None else fault.end),
                 "active": fault.active(now),
             }
+        for i, death in self.journal.deaths.items():
+            where = {"from_s": self._seconds(death.tick), "to_s": self._seconds(self.scenario.ticks), "active": True}
+            found[death.fault] = {"id": death.fault, "kind": f"death of {i}", **where}
         return list(found.values())
 
     def _seconds(self, tick: int) -> float:

@@ -10,7 +10,7 @@
 | `bridge` | two halves from each other, but for one vehicle between them, drawn, that both see |
 | `isolate:3` | vehicle 3 from all |
 
-The named ones are Jepsen's. What is drawn depends on (seed, number of the fault) alone.
+The named ones are Jepsen's. What is drawn depends on (seed, id of the fault) alone.
 """
 
 from __future__ import annotations
@@ -19,17 +19,22 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from fleet.fields import vehicle_numbers
-from fleet.schema import FaultSection, ScenarioSpec
+from fleet.schema import FaultAction, FaultSection, ScenarioSpec
 from netem.config import Link
 from netem.draws import uniform
 from netem.faults import NetFault
 from netem.grammar import parse_selector, print_condition, select
+from netem.lives import Absence
 from world.faults import WorldFault
 
 NAMED_PARTITIONS = ("halves", "one", "majority", "ring", "bridge", "isolate:N")
-OF_THE_NETWORK = ("link", "down", "partition", "mute", "deaf")
-OF_THE_WORLD = ("noise", "bias", "freeze", "efficiency", "saturate", "off", "stuck", "current", "wrench")
-ACTIONS = (*OF_THE_NETWORK, "kill", *OF_THE_WORLD)
+OF_THE_NETWORK = ("link", "down", "up", "partition", "mute", "deaf", "slow")
+OF_AGENTS = ("kill", "pause")
+OF_THE_WORLD = (
+    *("noise", "bias", "freeze", "dropout", "efficiency", "saturate", "off", "stuck"),
+    *("current", "gust", "wrench"),
+)
+ACTIONS = (*OF_THE_NETWORK, *OF_AGENTS, *OF_THE_WORLD)
 
 
 class FaultError(ValueError):
@@ -52,13 +57,45 @@ class Event:
 
 
 @dataclass(frozen=True, slots=True)
+class Kill:
+    """Agents that are ended at tick `begin` and, unless `end` is None, started anew at tick `end`."""
+
+    id: str
+    begin: int
+    end: int | None
+    vehicles: tuple[int, ...]
+    kind: str = "kill"
+
+    def active(self, tick: int) -> bool:
+        """Whether they are missing at a tick."""
+        return self.begin <= tick and (self.end is None or tick < self.end)
+
+    @property
+    def absences(self) -> list[Absence]:
+        return [Absence(i, self.begin, self.end) for i in self.vehicles]
+
+
+Part = NetFault | WorldFault | Kill  # of a fault: what one core is told
+
+
+@dataclass(frozen=True, slots=True)
 class Plan:
     """Every fault of a scenario, for the cores."""
 
-    network: tuple[NetFault, ...]
-    world: tuple[WorldFault, ...]
-    kills: dict[int, int]  # vehicle -> tick from which it has no agent
+    parts: tuple[Part, ...]  # in order of time
     events: tuple[Event, ...]  # in order of time
+
+    @property
+    def network(self) -> tuple[NetFault, ...]:
+        return tuple(part for part in self.parts if isinstance(part, NetFault))
+
+    @property
+    def world(self) -> tuple[WorldFault, ...]:
+        return tuple(part for part in self.parts if isinstance(part, WorldFault))
+
+    @property
+    def absences(self) -> tuple[Absence, ...]:
+        return tuple(absence for part in self.parts if isinstance(part, Kill) for absence in part.absences)
 
 
 def plan(spec: ScenarioSpec, links: Sequence[Link]) -> Plan:
@@ -67,73 +104,71 @@ def plan(spec: ScenarioSpec, links: Sequence[Link]) -> Plan:
     Raises:
         FaultError: a partition cannot be made.
     """
-    network: list[NetFault] = []
-    world: list[WorldFault] = []
-    kills: dict[int, int] = {}
+    found: list[Part] = []
     events: list[Event] = []
     last = spec.duration // spec.tick
     for number, section in enumerate(spec.faults, start=1):
         name = section.id or f"f{number}"
-        begin = section.at // spec.tick
-        end = None if section.for_ is None else begin + section.for_ // spec.tick
-        kind = action(section)
-        if begin >= last:
-            continue  # a run cut short with --duration; `fleet check` warns
-        if kind != "kill":  # a death is logged when its tick is seen, whoever caused it
-            events.append(Event(begin, name, "begins", words(section)))
-            events.append(Event(last if end is None else min(end, last), name, "ends", words(section)))
-        if kind == "kill":
-            for i in vehicles_of(section):
-                kills[i] = min(begin, kills.get(i, begin))
-        elif kind in OF_THE_WORLD:
-            world.append(world_fault(section, name, spec))
-        else:
-            network += network_faults(section, name, number, spec, links)
-    network.sort(key=lambda fault: fault.begin)
-    world.sort(key=lambda fault: fault.begin)
+        if section.at // spec.tick < last:  # beyond it: a run cut short with --duration; `fleet check` warns
+            found += (of_this := parts(section, name, spec, links))
+            events += begin_and_end(of_this, section, last)
+    found.sort(key=lambda part: part.begin)
     events.sort(key=lambda event: (event.tick, event.action == "begins"))
-    return Plan(tuple(network), tuple(world), kills, tuple(event for event in events if event.tick <= last))
+    return Plan(tuple(found), tuple(events))
 
 
-def network_faults(
-    section: FaultSection, name: str, number: int, spec: ScenarioSpec, links: Sequence[Link]
-) -> list[NetFault]:
-    """What netem is told of one fault.
+def begin_and_end(of_this: Sequence[Part], section: FaultSection, last: int) -> tuple[Event, Event]:
+    """What the log is told of a fault in a run of `last` ticks."""
+    part, what = of_this[0], words(section)
+    end = last if part.end is None else min(part.end, last)
+    return Event(part.begin, part.id, "begins", what), Event(end, part.id, "ends", what)
 
-    Args:
-        number: of the fault in the scenario, from 1: what a partition draws depends on it.
+
+def parts(section: FaultSection, name: str, spec: ScenarioSpec, links: Sequence[Link]) -> list[Part]:
+    """What the cores are told of one fault, called `name`.
 
     Raises:
         FaultError: a partition cannot be made.
     """
     begin = section.at // spec.tick
     end = None if section.for_ is None else begin + section.for_ // spec.tick
-    match action(section):
+    kind, who = action(section), vehicles_of(section)
+    match kind:
         case "link":
             return [
                 NetFault(name, begin, end, "link", select(parse_selector(selector), links), (), condition)
                 for selector, condition in (section.link or {}).items()
             ]
-        case "down":
-            return [NetFault(name, begin, end, "down", select(parse_selector(section.down or ""), links))]
+        case "down" | "up":
+            return [NetFault(name, begin, end, kind, select(parse_selector(getattr(section, kind)), links))]
         case "partition":
-            cut = partition(section.partition or "", spec.vehicles, spec.seed, number)
+            cut = partition(section.partition or "", spec.vehicles, spec.seed, name)
             return [NetFault(name, begin, end, "partition", tuple(link for link in links if link in cut))]
-        case "mute":
-            return [NetFault(name, begin, end, "mute", vehicles=vehicles_of(section))]
-        case _:
-            return [NetFault(name, begin, end, "deaf", vehicles=vehicles_of(section))]
+        case "mute" | "deaf":
+            return [NetFault(name, begin, end, kind, vehicles=who)]
+        case "slow":
+            assert section.slow is not None
+            everybody = who or tuple(range(1, spec.vehicles + 1))
+            late = section.slow.by
+            return [
+                NetFault(name, begin, end, kind, vehicles=everybody, ticks=late),
+                WorldFault(name, begin, end, kind, who, (float(late),)),
+            ]
+        case "kill":
+            if end is not None:
+                # Whoever comes back does so with a round: that is when agents talk, and the network counts.
+                m = 1 if spec.network.ideal else spec.network.period // spec.tick
+                end = -(-end // m) * m
+                end = end if end < spec.duration // spec.tick else None
+            return [Kill(name, begin, end, who)]
+        case "gust":
+            assert section.gust is not None
+            over = begin + -(-section.gust.over // spec.tick)
+            end = over if end is None else min(end, over)
+    return [WorldFault(name, begin, end, kind, who, _numbers_of(section))]  # type: ignore[arg-type]
 
 
-def world_fault(section: FaultSection, name: str, spec: ScenarioSpec) -> WorldFault:
-    """What the world is told of one fault."""
-    begin = section.at // spec.tick
-    end = None if section.for_ is None else begin + section.for_ // spec.tick
-    kind = action(section)
-    return WorldFault(name, begin, end, kind, vehicles_of(section), _numbers_of(section))  # type: ignore[arg-type]
-
-
-def _numbers_of(section: FaultSection) -> tuple[float, ...]:
+def _numbers_of(section: FaultAction) -> tuple[float, ...]:
     """The values of a fault of the world, as `world.faults` lists them."""
     if (n := section.noise) is not None:
         return n.position_noise, n.angle_noise, n.velocity_noise, n.rate_noise
@@ -143,8 +178,12 @@ def _numbers_of(section: FaultSection) -> tuple[float, ...]:
         return e.surge, e.pitch, e.yaw
     if (s := section.saturate) is not None:
         return tuple(_ANY if limit is None else limit for limit in (s.surge_force, s.pitch_moment, s.yaw_moment))
-    if section.current is not None:
-        return section.current
+    if (c := section.current) is not None:
+        return *c.mean, *c.sigma, c.time_constant / 1e9
+    if section.gust is not None:
+        return *section.gust.velocity, section.gust.over / 1e9
+    if section.dropout is not None:
+        return (section.dropout.probability,)
     if (w := section.wrench) is not None:
         return *w.force, w.pitch_moment, w.yaw_moment
     return ()
@@ -153,21 +192,21 @@ def _numbers_of(section: FaultSection) -> tuple[float, ...]:
 _ANY = 1e300  # N, N m: no limit of a fault's own
 
 
-def vehicles_of(section: FaultSection) -> tuple[int, ...]:
+def vehicles_of(section: FaultAction) -> tuple[int, ...]:
     """The vehicles that a fault names; none where it concerns all."""
     value = getattr(section, action(section))
     text = value if isinstance(value, str) else getattr(value, "vehicles", None)
-    if text is None or action(section) in ("down", "partition"):
+    if text is None or action(section) in ("down", "up", "partition"):
         return ()
     return tuple(vehicle_numbers(text))
 
 
-def action(section: FaultSection) -> str:
+def action(section: FaultAction) -> str:
     """What a valid fault does."""
     return next(name for name in ACTIONS if getattr(section, name) is not None)
 
 
-def words(section: FaultSection) -> str:
+def words(section: FaultAction) -> str:
     """A fault in the words of the scenario."""
     name = action(section)
     if name == "link":
@@ -179,7 +218,7 @@ def words(section: FaultSection) -> str:
     return f"{name} {value}"
 
 
-def partition(text: str, vehicles: int, seed: int, number: int) -> set[Link]:
+def partition(text: str, vehicles: int, seed: int, name: str) -> set[Link]:
     """The directed links that a partition cuts, of all there could be.
 
     Raises:
@@ -190,7 +229,7 @@ def partition(text: str, vehicles: int, seed: int, number: int) -> set[Link]:
         groups = _groups(text, vehicles)
         return _between([*groups, *([i] for i in everyone if not any(i in group for group in groups))])
     name, _, who = text.strip().partition(":")
-    drawn = sorted(everyone, key=lambda i: (uniform(seed, "partition", number, i), i))
+    drawn = sorted(everyone, key=lambda i: (uniform(seed, f"partition {name}", i), i))
     half = (vehicles + 1) // 2
     match name:
         case "halves":

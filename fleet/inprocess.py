@@ -56,8 +56,7 @@ class InProcess:
         began = time.monotonic()
         scenario = self._scenario
         for i in range(1, scenario.vehicles + 1):
-            core = make_agent(_over_the_wire(scenario.agent_config(i)))
-            self._loops[i] = AgentLoop(core, scenario.round_ticks, ideal=scenario.ideal)
+            self._loops[i] = self._born(i, 0, 0)
         while not self._world.finished:
             until = clock.until(self._journal.written, time.monotonic() - began)
             self._from_world(self._world.grant(until))
@@ -73,6 +72,19 @@ class InProcess:
             progress()
         self._journal.links(self._rounds.close(self._scenario.ticks))
         return {"entered": self._rounds.netem.entered, "rejected": {}}
+
+    def _born(self, i: int, incarnation: int, begin: int) -> AgentLoop:
+        scenario = self._scenario
+        core = make_agent(_over_the_wire(scenario.agent_config(i)))
+        return AgentLoop(core, scenario.round_ticks, incarnation=incarnation, begin=begin, ideal=scenario.ideal)
+
+    def _loop(self, i: int, incarnation: int) -> AgentLoop:
+        """Agent i, another one when that is what it is asked for."""
+        if incarnation > self._loops[i].incarnation:
+            begin = self._world.lives.gaps(i)[incarnation - 1][1]
+            assert begin is not None  # otherwise nobody would ask
+            self._loops[i] = self._born(i, incarnation, begin)
+        return self._loops[i]
 
     def _send(self, sender: int, receiver: int, message: Message) -> None:
         self._post.append((sender, receiver, encode(message)))
@@ -92,9 +104,9 @@ class InProcess:
     def _deliver(self, sender: int, receiver: int, message: Message, data: bytes) -> None:
         match message:
             case Nav():
-                self._answer(receiver, self._loops[receiver].nav(message))
+                self._answer(receiver, self._loop(receiver, message.incarnation).nav(message))
             case Inbox():
-                self._answer(receiver, self._loops[receiver].inbox(message))
+                self._answer(receiver, self._loop(receiver, message.incarnation).inbox(message))
             case Command():
                 self._from_world(self._world.command(sender, message, data))
             case Transmission():

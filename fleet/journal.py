@@ -7,7 +7,7 @@ The clock's grants stay within a window of what is written, so a slow disk slows
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from math import gcd
 from typing import Protocol
@@ -17,7 +17,8 @@ from fleet.metrics import Metrics, VehicleError
 from fleet.scenario import Scenario
 from netem.errors import OutOfPlace
 from netem.ledger import Ledger
-from netem.messages import Command, Fate, Frame, LinkReport, VehicleFrame, decode
+from netem.lives import Absence
+from netem.messages import Command, Fate, Frame, Life, LinkReport, VehicleFrame, decode
 
 
 class Sink(Protocol):
@@ -41,11 +42,14 @@ class Journal:
         self.closed = False
         self._last = scenario.ticks
         self._events = deque(scenario.faults.events)
-        self._without_agent: set[int] = set()
+        self._told_deaths = {(absence.vehicle, absence.begin) for absence in scenario.faults.absences}
+        self._died: dict[int, int] = {}  # vehicle -> how often its agent ended without being told to
+        self.deaths: dict[int, Event] = {}  # vehicle -> such a death that lasts
         self._frame_every = frame_every(scenario)
         self._round_ticks = scenario.round_ticks
         self._frames: deque[Frame] = deque()
         self._rows: tuple[VehicleFrame, ...] = ()  # of a frame whose rest is still to come
+        self._lives: tuple[Life, ...] = ()
         self._fates: deque[Fate] = deque()
 
     @property
@@ -63,11 +67,12 @@ class Journal:
         if frame.tick != expected:
             raise OutOfPlace("frame", expected, frame.tick)
         self._rows += frame.vehicles
+        self._lives += frame.lives
         if frame.more:
             return
         self.framed = frame.tick
-        self._frames.append(frame._replace(vehicles=self._rows))
-        self._rows = ()
+        self._frames.append(frame._replace(vehicles=self._rows, lives=self._lives))
+        self._rows, self._lives = (), ()
         self._write()
 
     def links(self, report: LinkReport) -> None:
@@ -92,7 +97,7 @@ class Journal:
             frame = self._frames.popleft()
             self._write_fates(frame.tick - 1)
             commands = {row.id: _command(row.command) for row in frame.vehicles if row.command}
-            self._write_events(frame, commands)
+            self._write_events(frame)
             self.log.frame(frame, commands, self.metrics.frame(frame, commands))
         self._write_fates(limit)
         self.written = max(self.written, limit)
@@ -108,14 +113,23 @@ class Journal:
             self._events.remove(event)
             self.add_event(replace(event, tick=tick))
 
-    def _write_events(self, frame: Frame, commands: dict[int, Command]) -> None:
-        """What the scenario scripted up to this tick, and whose agent is missing in it for the first time."""
+    def tell_deaths(self, absences: Iterable[Absence]) -> None:
+        """These are faults that have an event already."""
+        self._told_deaths.update((absence.vehicle, absence.begin) for absence in absences)
+
+    def _write_events(self, frame: Frame) -> None:
+        """What was to happen up to this tick, and what happened to agents without that."""
+        for life in frame.lives:
+            i = life.vehicle
+            if life.begins and i in self.deaths:
+                self.add_event(replace(self.deaths.pop(i), tick=life.tick, action="ends"))
+            elif not life.begins and life.tick < self._last and (i, life.tick) not in self._told_deaths:
+                count = self._died[i] = self._died.get(i, 0) + 1
+                name = f"death-{i}" if count == 1 else f"death-{i}-{count}"
+                self.deaths[i] = Event(life.tick, name, "begins", f"kill {i}")
+                self.add_event(self.deaths[i])
         while self._events and self._events[0].tick <= frame.tick:
             self.log.event(self._events.popleft())
-        for row in frame.vehicles:
-            if row.id not in commands and row.id not in self._without_agent and frame.tick < self._last:
-                self._without_agent.add(row.id)
-                self.log.event(Event(frame.tick, f"death-{row.id}", "begins", f"kill {row.id}"))
 
     def _write_fates(self, until: int) -> None:
         while self._fates and self._fates[0].final_tick <= until:

@@ -28,7 +28,7 @@ from fleet.formation import plans
 from fleet.graph import build, parse_edge
 from fleet.quantities import RATE, SPEED, QuantityError, Vec3, show, show_time, show_vector
 from fleet.reference import build as build_reference
-from fleet.schema import FaultSection, FormationShape, GuidanceSection, ScenarioSpec, VehicleOverrides
+from fleet.schema import FaultAction, FormationShape, GuidanceSection, ScenarioSpec, VehicleOverrides
 from fleet.shapes import FORMATION, GRAPH, REFERENCE, Keys
 from fleet.tuning import given, law_names, merged, qp_period_ns, used, vehicle, wrong_model
 from fleet.vehicles import VehicleFileError, mass_problems
@@ -430,10 +430,7 @@ def _faults(spec: ScenarioSpec, report: Report) -> None:
     seen: dict[str, int] = {}
     for index, fault in enumerate(spec.faults):
         path: tuple[str | int, ...] = ("faults", index)
-        given_actions = [name for name in ACTIONS if getattr(fault, name) is not None]
-        if len(given_actions) != 1:
-            got = " and ".join(given_actions) or "none"
-            report.add(path, f"does exactly one thing, got {got}", f"one of {', '.join(ACTIONS)}")
+        if not _one_action(fault, path, report):
             continue
         name = fault.id or f"f{index + 1}"
         if name in seen:
@@ -445,26 +442,57 @@ def _faults(spec: ScenarioSpec, report: Report) -> None:
         _fault_targets(spec, report, path, fault, links)
 
 
+def _nemesis(spec: ScenarioSpec, report: Report) -> None:
+    nemesis = spec.nemesis
+    if nemesis is None:
+        return
+    times = {"every": nemesis.every, "for": nemesis.for_, "start": nemesis.start, "until": nemesis.until}
+    for key, time in times.items():
+        if time is not None:
+            _whole(report, ("nemesis", key), time, spec.tick)
+    first = nemesis.every if nemesis.start is None else nemesis.start
+    until = spec.duration if nemesis.until is None else nemesis.until
+    if until - first < nemesis.for_:
+        span = f"from {show_time(first)} to {show_time(until)}"
+        report.add(("nemesis", "for"), f"no fault of {show_time(nemesis.for_)} fits: it acts {span}")
+    links = _graph_links(spec)
+    for index, pick in enumerate(nemesis.pick):
+        path = ("nemesis", "pick", index)
+        if pick.drawn is not None:
+            if spec.network.ideal and pick.drawn not in OF_THE_WORLD:
+                report.add(path, f"{pick.drawn} needs a network, and this one is ideal", "give the network a period")
+            elif pick.drawn in ("partition", "down") and not links:
+                report.add(path, "the graph has no link")
+        elif _one_action(pick, path, report):
+            _fault_targets(spec, report, path, pick, links)
+
+
+def _one_action(fault: FaultAction, path: tuple[str | int, ...], report: Report) -> bool:
+    given_actions = [name for name in ACTIONS if getattr(fault, name) is not None]
+    if len(given_actions) != 1:
+        got = " and ".join(given_actions) or "none"
+        report.add(path, f"does exactly one thing, got {got}", f"one of {', '.join(ACTIONS)}")
+    return len(given_actions) == 1
+
+
 def _fault_targets(
-    spec: ScenarioSpec, report: Report, path: tuple[str | int, ...], fault: FaultSection, links: tuple[Link, ...]
+    spec: ScenarioSpec, report: Report, path: tuple[str | int, ...], fault: FaultAction, links: tuple[Link, ...]
 ) -> None:
     kind = action(fault)
     if spec.network.ideal and kind not in OF_THE_WORLD:
         report.add(path, f"{kind} needs a network, and this one is ideal", "give the network a period")
         return
-    if kind == "kill" and fault.for_ is not None:
-        report.add((*path, "for"), "an agent that is killed stays dead", key=True)
     if kind == "partition":
         try:
-            cut = partition(fault.partition or "", spec.vehicles, spec.seed, 0)
+            cut = partition(fault.partition or "", spec.vehicles, spec.seed, "")
         except FaultError as error:
             report.add((*path, kind), error.message, error.hint)
             return
         if not cut & set(links) and "one" not in (fault.partition or ""):
             report.add((*path, kind), "cuts no link of the graph")
         return
-    if kind in ("link", "down"):
-        for text in [fault.down] if kind == "down" else fault.link or ():
+    if kind in ("link", "down", "up"):
+        for text in (fault.link or ()) if kind == "link" else [getattr(fault, kind)]:
             if not select(parse_selector(text or ""), links) and text != "*":
                 report.add((*path, kind), f"the graph has no link {text}")
         return
@@ -663,6 +691,7 @@ RULES: tuple[Callable[[ScenarioSpec, Report], None], ...] = (
     _talking,
     _per_vehicle,
     _faults,
+    _nemesis,
     _checks,
     _laws,
     _effective,

@@ -16,12 +16,12 @@ from agents.config import AgentConfig, Neighbour
 from agents.controllers import layout
 from agents.signals import Layout
 from agents.trajectory import Change, Offset, Reference, minus
-from fleet import acoustics, emit, faults, formation, graph, reference, tuning
+from fleet import acoustics, emit, faults, formation, graph, nemesis, reference, tuning
 from fleet.errors import Problem, ScenarioError
 from fleet.graph import Graph
 from fleet.modems import shipped as shipped_modems
 from fleet.overrides import apply, override_name
-from fleet.schema import ScenarioSpec, VehicleSection
+from fleet.schema import CurrentSection, ScenarioSpec, VehicleSection
 from fleet.tuning import Control
 from fleet.validation import validate
 from fleet.vehicles import shipped as shipped_vehicles
@@ -31,7 +31,7 @@ from netem.grammar import nearest, parse_selector, select
 from netem.modem import AcousticConfig
 from world import disturbance
 from world.config import NavNoise, VehicleSetup, WorldConfig
-from world.vehicle import Vec5
+from world.vehicle import Vec3, Vec5
 
 _MAX_BYTES = 4_000_000  # more than yaml_marks takes, less than /dev/zero gives
 
@@ -59,6 +59,7 @@ class Scenario:
         plans = formation.plans(spec.formation, spec.vehicles)
         places = tuple(plan.start for plan in plans)
         links = graph.build(spec.graph, places, spec.seed)
+        spec = nemesis.unleash(spec, links.links)
         trajectory = reference.build(spec.reference)
         conditions: dict[Link, Condition] = {}
         for selector, condition in spec.network.links.items():
@@ -141,10 +142,11 @@ class Scenario:
                 for i, ((eta0, nu0), control) in enumerate(zip(self.initial, self.controls, strict=True), start=1)
             ),
             disturbance=disturbance.PAPER if spec.sea.disturbance == "paper" else (),
-            current=spec.sea.current,
+            current=spec.sea.current.mean,
+            drift=_drift(spec.sea.current),
             faults=self.faults.world,
-            kills=dict(self.faults.kills),
-            keep_going=spec.on_death == "continue" and not self.ideal,
+            absences=self.faults.absences,
+            keep_going=spec.on_death != "abort" and not self.ideal,
             noise=NavNoise(
                 position_m=spec.sensors.position_noise,
                 angle_rad=spec.sensors.angle_noise,
@@ -198,6 +200,7 @@ class Scenario:
             links=self.graph.links,
             conditions=dict(self.conditions),
             faults=self.faults.network,
+            absences=self.faults.absences,
             ideal=self.ideal,
             acoustic=self.acoustic,
         )
@@ -224,6 +227,11 @@ def _standing_alone(spec: ScenarioSpec, folder: Path | None) -> ScenarioSpec:
         network = network.model_copy(update={"acoustic": acoustics.inlined(acoustic, folder)})
     changes = {"vehicle": alone(spec.vehicle), "per_vehicle": per_vehicle, "network": network}
     return spec.model_copy(update=changes)
+
+
+def _drift(current: CurrentSection) -> tuple[Vec3, float] | None:
+    """Standard deviation [m/s] and time constant [s] of the sea's own current; None when it is constant."""
+    return (current.sigma, current.time_constant / 1e9) if any(current.sigma) else None
 
 
 def _difference(a: Offset, b: Offset) -> Offset:

@@ -7,7 +7,7 @@ two keys at once is checked in `fleet.rules`.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, get_args
 
 from pydantic import (
     BaseModel,
@@ -58,6 +58,7 @@ from fleet.fields import (
     SignedAngularRate,
     SignedSpeed,
     Speed,
+    Speeds,
     Spreading,
     Temperature,
     Ticks,
@@ -68,7 +69,7 @@ from fleet.fields import (
     mistake,
 )
 from fleet.quantities import describe, show_time
-from netem.grammar import print_condition
+from netem.grammar import nearest, print_condition
 from world.config import DEFAULT_SUBSTEPS
 
 
@@ -226,9 +227,32 @@ class ModelErrorSection(Section):
     beta_b: Ratio | None = None
 
 
+class CurrentSection(Section):
+    """An irrotational current, NED: constant, or with a first-order Gauss-Markov part."""
+
+    mean: Velocity = (0.0, 0.0, 0.0)
+    sigma: Speeds = (0.0, 0.0, 0.0)
+    time_constant: Period = 60_000_000_000
+
+
+def _current(value: Any) -> Any:
+    """A current that is constant is its velocity alone."""
+    return {"mean": value} if isinstance(value, str) else value
+
+
+def _show_current(current: CurrentSection | None) -> Any:
+    if current is None:
+        return None
+    values = current.model_dump()
+    return values if any(current.sigma) else values["mean"]
+
+
+Current = Annotated[CurrentSection, BeforeValidator(_current), PlainSerializer(_show_current)]
+
+
 class SeaSection(Section):
     disturbance: Literal["none", "paper"] = "none"
-    current: Velocity = (0.0, 0.0, 0.0)  # NED, constant and irrotational
+    current: Current = CurrentSection()
 
 
 class SensorsSection(Section):
@@ -423,27 +447,62 @@ class Wrench(Section):
     yaw_moment: AnyMoment = 0.0
 
 
-class FaultSection(Section):
-    """One fault: when, for how long, and exactly one thing that it does. It always ends, at the latest with the run."""
+class Dropout(Section):
+    """Every so often the navigation sensor has nothing new, and reports what it did before."""
+
+    vehicles: VehicleNumbers | None = None
+    probability: Probability
+
+
+class Slow(Section):
+    """What an agent decides and sends is late."""
+
+    vehicles: VehicleNumbers | None = None
+    by: Ticks
+
+
+class Gust(Section):
+    """A current that rises to a velocity and falls again, for everybody."""
+
+    velocity: Velocity
+    over: Period
+
+
+class FaultTimes(Section):
+    """When a fault begins, and for how long it lasts. It always ends, at the latest with the run."""
 
     id: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,31}$")] | None = None  # f1, f2, ...
     at: Time
     for_: Annotated[Period | None, Field(alias="for")] = None  # to the end
+
+
+class FaultAction(Section):
+    """Exactly one thing that a fault does."""
+
     link: dict[LinkSelector, LinkCondition] | None = None  # in place of the links' own conditions
     down: LinkSelector | None = None
+    up: LinkSelector | None = None  # the end of every down, and of the links' own
     partition: str | None = None  # "1,2 / 3,4", or halves, one, majority, ring, bridge, isolate:3
     mute: VehicleNumbers | None = None  # sends nothing
     deaf: VehicleNumbers | None = None  # hears nothing
-    kill: VehicleNumbers | None = None  # the agent ends; the vehicle drifts without thrust
+    kill: VehicleNumbers | None = None  # the agent ends; the vehicle drifts until it is restarted
+    pause: VehicleNumbers | None = None  # the agent is suspended; the vehicle holds its last command
+    slow: Slow | None = None
     noise: SensorNoise | None = None
     bias: SensorBias | None = None
     freeze: VehicleNumbers | None = None  # the same measurement again and again
+    dropout: Dropout | None = None
     efficiency: Efficiency | None = None
     saturate: Saturation | None = None
     off: VehicleNumbers | None = None  # no force, no moments
     stuck: VehicleNumbers | None = None  # those of the tick at which it began
-    current: Velocity | None = None  # on top of the sea's own, for everybody
+    current: Current | None = None  # on top of the sea's own, for everybody
+    gust: Gust | None = None
     wrench: Wrench | None = None
+
+
+class FaultSection(FaultAction, FaultTimes):
+    """One fault."""
 
 
 def _fault(value: Any) -> Any:
@@ -453,13 +512,41 @@ def _fault(value: Any) -> Any:
     long: dict[str, Any] = {}
     for key, inner in value.items():
         if isinstance(key, str) and key.startswith("link ") and "link" not in value:
-            long.setdefault("link", {})[key.removeprefix("link ").strip()] = inner
+            long.setdefault("link", {})[key.removeprefix("link ").strip(" \"'")] = inner
         else:
             long[key] = inner
     return long
 
 
 FaultEntry = Annotated[FaultSection, BeforeValidator(_fault)]
+
+
+DrawnKind = Literal["partition", "down", "mute", "deaf", "kill", "pause", "freeze", "off", "stuck"]
+
+
+class NemesisPick(FaultAction):
+    """A fault as it may come, or the name of one whose target is drawn each time."""
+
+    drawn: DrawnKind | None = None
+
+
+def _pick(value: Any) -> Any:
+    if not isinstance(value, str):
+        return _fault(value)
+    if value not in get_args(DrawnKind):
+        hint = nearest(value, get_args(DrawnKind)) or 'or a fault such as {link "*": loss 40%}'
+        raise mistake(f"expected one of {', '.join(get_args(DrawnKind))}, got {value[:40]!r}", hint=hint)
+    return {"drawn": value}
+
+
+class NemesisSection(Section):
+    """Faults at random, from the seed: every so often one of those to pick from, each for a while."""
+
+    every: Period
+    for_: Annotated[Period, Field(alias="for")]
+    pick: Annotated[list[Annotated[NemesisPick, BeforeValidator(_pick)]], Field(min_length=1)]
+    start: Time | None = None  # of the first; `every`
+    until: Period | None = None  # when the last has ended; the end of the run
 
 
 class LogSection(Section):
@@ -495,12 +582,6 @@ class ChecksSection(Section):
     qp_infeasible: AtMost | None = None
     ledger: Literal["balanced"] | None = None
     middleware_loss: AtMost | None = None
-
-
-def _on_death(value: Any) -> Any:
-    if value == "restart":
-        raise mistake('"restart" is still to come', hint='use "continue" or "abort"')
-    return value
 
 
 def _network(value: Any) -> Any:
@@ -573,7 +654,7 @@ class ScenarioSpec(Section):
     duration: Period
     tick: Period = 10_000_000  # the control period Ts
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 1
-    on_death: Annotated[Literal["continue", "abort"], BeforeValidator(_on_death)] = "continue"
+    on_death: Literal["continue", "restart", "abort"] = "continue"  # when an agent ends that nobody was to kill
     stall_timeout: Period = 30_000_000_000  # wall time without progress that ends the run
     reference: ReferenceSection
     formation: FormationSection
@@ -596,4 +677,5 @@ class ScenarioSpec(Section):
     physics: PhysicsSection = PhysicsSection()
     log: LogSection = LogSection()
     faults: list[FaultEntry] = []
+    nemesis: NemesisSection | None = None  # becomes explicit faults when the scenario is read
     checks: ChecksSection = ChecksSection()

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any, Literal
 
+from netem.lives import Absence
 from netem.modem import AcousticConfig
 
 if TYPE_CHECKING:
@@ -93,5 +94,6 @@ class NetemConfig:
     links: tuple[Link, ...]  # (j, i): j's payloads reach i, i.e. a_ij > 0
     conditions: dict[Link, Condition] = field(default_factory=dict)
     faults: tuple[NetFault, ...] = ()  # in the order in which they begin
+    absences: tuple[Absence, ...] = ()  # when a vehicle has no agent: restarts count incarnations
     ideal: bool = False  # zero latency: due in the sending tick itself (in-process only)
     acoustic: AcousticConfig | None = None  # in the water; None: links of their own

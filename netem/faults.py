@@ -11,7 +11,7 @@ from typing import Any, Literal, NamedTuple
 
 from netem.config import Condition, Link, condition_from_values, condition_values
 
-FaultKind = Literal["link", "down", "partition", "mute", "deaf"]
+FaultKind = Literal["link", "down", "up", "partition", "mute", "deaf", "slow"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,9 +22,10 @@ class NetFault:
     begin: int
     end: int | None
     kind: FaultKind
-    links: tuple[Link, ...] = ()  # of link, down, partition
-    vehicles: tuple[int, ...] = ()  # of mute, deaf
+    links: tuple[Link, ...] = ()  # of link, down, up, partition
+    vehicles: tuple[int, ...] = ()  # of mute, deaf, slow
     condition: Condition | None = None  # of link
+    ticks: int = 0  # of slow: how late
 
     def active(self, tick: int) -> bool:
         """Whether it holds at a tick."""
@@ -35,12 +36,12 @@ def fault_values(fault: NetFault) -> list[Any]:
     """A fault as plain values."""
     condition = None if fault.condition is None else condition_values(fault.condition)
     links = [list(link) for link in fault.links]
-    return [fault.id, fault.begin, fault.end, fault.kind, links, list(fault.vehicles), condition]
+    return [fault.id, fault.begin, fault.end, fault.kind, links, list(fault.vehicles), condition, fault.ticks]
 
 
 def fault_from_values(values: list[Any]) -> NetFault:
     """The inverse of `fault_values`."""
-    name, begin, end, kind, links, vehicles, condition = values
+    name, begin, end, kind, links, vehicles, condition, ticks = values
     return NetFault(
         name,
         begin,
@@ -49,6 +50,7 @@ def fault_from_values(values: list[Any]) -> NetFault:
         tuple((src, dst) for src, dst in links),
         tuple(vehicles),
         None if condition is None else condition_from_values(condition),
+        ticks,
     )
 
 
@@ -59,9 +61,11 @@ class Weather(NamedTuple):
     cut: dict[Link, str]  # links that lose everything, with the cause
     mute: frozenset[int]
     deaf: frozenset[int]
+    up: frozenset[Link]  # links that are up whatever their own condition says
+    slow: dict[int, int]  # vehicle -> by how many ticks what it sends is late
 
 
-CALM = Weather({}, {}, frozenset(), frozenset())
+CALM = Weather({}, {}, frozenset(), frozenset(), frozenset(), {})
 
 
 def weather(faults: tuple[NetFault, ...], tick: int) -> Weather:
@@ -73,6 +77,8 @@ def weather(faults: tuple[NetFault, ...], tick: int) -> Weather:
     cut: dict[Link, str] = {}
     mute: set[int] = set()
     deaf: set[int] = set()
+    up: set[Link] = set()
+    slow: dict[int, int] = {}
     for fault in active:
         match fault.kind:
             case "link":
@@ -80,8 +86,14 @@ def weather(faults: tuple[NetFault, ...], tick: int) -> Weather:
                 conditions |= dict.fromkeys(fault.links, fault.condition)
             case "down" | "partition":
                 cut |= dict.fromkeys(fault.links, fault.kind)
+                up -= set(fault.links)
+            case "up":
+                cut = {link: cause for link, cause in cut.items() if cause != "down" or link not in fault.links}
+                up |= set(fault.links)
+            case "slow":
+                slow |= {i: max(fault.ticks, slow.get(i, 0)) for i in fault.vehicles}
             case "mute":
                 mute.update(fault.vehicles)
             case "deaf":
                 deaf.update(fault.vehicles)
-    return Weather(conditions, cut, frozenset(mute), frozenset(deaf))
+    return Weather(conditions, cut, frozenset(mute), frozenset(deaf), frozenset(up), slow)

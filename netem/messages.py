@@ -274,6 +274,16 @@ class Round(NamedTuple):
         tuple[Reals, ...],
         Field("m", "true x, y, z (NED) of each alive vehicle", "real[3][*]"),
     ]
+    paused: Annotated[tuple[int, ...], Field("", "those of them that are suspended: no transmission comes", "uint[*]")]
+
+
+@_record
+class Life(NamedTuple):
+    """A vehicle lost its agent, or got another one."""
+
+    tick: Annotated[int, uint("tick", "first tick without, or with")]
+    vehicle: Annotated[int, uint("", "vehicle number")]
+    begins: Annotated[bool, Field("", "true when another agent takes over", "bool")]
 
 
 @_record
@@ -282,6 +292,7 @@ class Frame(NamedTuple):
 
     tick: Annotated[int, uint("tick", "control tick; consecutive on this key")]
     more: Annotated[bool, Field("", "more vehicles of the same tick follow", "bool")]
+    lives: Annotated[tuple[Life, ...], Field("", "since the frame before; with the first part", "Life[*]")]
     vehicles: Annotated[
         tuple[VehicleFrame, ...],
         Field("", "ascending by id", "VehicleFrame[*]"),
@@ -320,8 +331,18 @@ class Death(NamedTuple):
     """An agent has ended, or will: from a tick on its vehicle is not waited for any more."""
 
     vehicle: Annotated[int, uint("", "vehicle number")]
-    tick: Annotated[int, uint("tick", "first tick without an agent; one that has passed means now")]
-    incarnation: Annotated[int, uint("", "the life that ended")]
+    tick: Annotated[int, uint("tick", "first tick without an agent; 0: its process has ended, it is the next one")]
+    incarnation: Annotated[int, uint("", "the life that ended, if it has")]
+    until: Annotated[int, uint("tick", "round tick at which another agent takes over; 0: none that was not planned")]
+
+
+@_declare("restart", "cmd/grant", "console", "world")
+class Restart(NamedTuple):
+    """Another agent takes a vehicle over earlier than was said; that tick is not granted before it is ready."""
+
+    vehicle: Annotated[int, uint("", "vehicle number")]
+    begin: Annotated[int, uint("tick", "since when it has none; 0: whenever")]
+    tick: Annotated[int, uint("tick", "round tick, its first sample")]
 
 
 @_declare("ailments", "cmd/grant", "console", "world")
@@ -341,7 +362,8 @@ class Note(NamedTuple):
     text: Annotated[str, Field("", "one line", "str")]
 
 
-Message = Hello | Nav | Command | Transmission | Inbox | Round | Frames | LinkReport | Grant | Death | Ailments | Note
+Told = Grant | Death | Restart | Ailments  # by the console to the world
+Message = Hello | Nav | Command | Transmission | Inbox | Round | Frames | LinkReport | Told | Note
 
 
 def encode(message: Message) -> bytes:

@@ -9,11 +9,12 @@ from __future__ import annotations
 
 import heapq
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 from netem.config import Condition, Link, NetemConfig, condition_from_values, condition_values
 from netem.faults import Weather, fault_from_values, fault_values, weather
-from netem.impairment import DEAD_RECEIVER, DEAF, DELIVERED, IN_FLIGHT, MUTE, LinkModel, LinkState
+from netem.impairment import DEAD_RECEIVER, DEAF, DELIVERED, IN_FLIGHT, MUTE, LinkModel, LinkState, Verdict
 from netem.ledger import Ledger
 from netem.messages import Delivery, Fate
 
@@ -65,12 +66,18 @@ class Netem:
         """Packets sent into each link so far, and those that it added as duplicates."""
         return {link: (account.sent, account.duplicated) for link, account in self._ledger.accounts.items()}
 
-    def exchange(self, tick: int, transmissions: Mapping[int, tuple[bytes, ...]]) -> Exchange:
+    def exchange(
+        self,
+        tick: int,
+        transmissions: Mapping[int, tuple[bytes, ...]],
+        positions: Mapping[int, tuple[float, ...]] | None = None,
+    ) -> Exchange:
         """One round: take the payloads sent at round tick `tick`, hand out what falls due until the next.
 
         Args:
             tick: the round tick k; rounds are exchanged in order.
-            transmissions: payloads by living sender. A sender's payload goes to every graph neighbour.
+            transmissions: payloads by sender. A sender's payload goes to every graph neighbour.
+            positions: true x, y, z [m, NED] of everyone alive, who may be more than have transmitted; None: those.
 
         Returns:
             for every living vehicle all deliveries due in (k, k + m] in order (due, sent, src, seq, copy),
@@ -83,14 +90,15 @@ class Netem:
             for payload in transmissions[src]:
                 for dst in self._receivers[src]:
                     dropped += self._enter(tick, src, dst, payload, now)
+        alive: Mapping[int, Any] = transmissions if positions is None else positions
         until = tick if config.ideal else tick + config.round_ticks
         # On an ideal network today's packets are due today, so they are announced before they are settled.
         if config.ideal:
-            inboxes, unheard = self._announce(transmissions, until, now)
+            inboxes, unheard = self._announce(alive, until, now)
             delivered = self._settle(tick)
         else:
             delivered = self._settle(tick)
-            inboxes, unheard = self._announce(transmissions, until, now)
+            inboxes, unheard = self._announce(alive, until, now)
         self._unheard += unheard
         self._round = tick
         return Exchange(inboxes, self._book(dropped + delivered))
@@ -122,11 +130,11 @@ class Netem:
         if cut:
             self._ledger.enter(link, sent=1)
             return [_fate(Packet(tick, tick, src, seq, 0, dst, 0, payload, False), tick, cut)]
-        verdicts = self._models[link].enter(tick * config.tick_ns, seq, payload, now.conditions.get(link))
+        verdicts = self._verdicts(tick * config.tick_ns, link, seq, payload, now)
         self._ledger.enter(link, sent=1, duplicated=len(verdicts) - 1)
         lost = []
         for copy, verdict in enumerate(verdicts):
-            ticks = -(-verdict.delay_ns // config.tick_ns)
+            ticks = -(-verdict.delay_ns // config.tick_ns) + now.slow.get(src, 0)
             due = tick + (ticks if config.ideal else max(1, ticks))
             packet = Packet(due, tick, src, seq, copy, dst, verdict.delay_ns, verdict.payload, verdict.corrupted)
             if verdict.cause:
@@ -134,6 +142,14 @@ class Netem:
             else:
                 heapq.heappush(self._pending[dst], packet)
         return lost
+
+    def _verdicts(self, at_ns: int, link: Link, seq: int, payload: bytes, now: Weather) -> list[Verdict]:
+        """What a link does to a packet that enters it at a time."""
+        model, over = self._models[link], now.conditions.get(link)
+        if link in now.up:
+            condition = model.condition if over is None else over
+            over = condition if condition.up else replace(condition, up=True)
+        return model.enter(at_ns, seq, payload, over)
 
     def _announce(
         self, alive: Mapping[int, Any], until: int, now: Weather

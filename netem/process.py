@@ -13,6 +13,7 @@ from netem.config import NetemConfig
 from netem.errors import MalformedMessage, OutOfPlace
 from netem.faults import fault_from_values
 from netem.keys import Keys
+from netem.lives import Absence, Lives
 from netem.messages import PROTOCOL_VERSION, Delivery, Fate, Hello, LinkReport, Round, Transmission, encode, split
 from netem.rounds import Rounds
 from netem.shell import Shell, expect, read_map, vehicle_of
@@ -104,6 +105,10 @@ class NetemProcess:
                 respond(msgpack.packb({"tick": self._rounds.tick, "missing": self._rounds.missing}))
             case "faults":
                 self._rounds.netem.faults = tuple(fault_from_values(values) for values in request["faults"])
+                respond(msgpack.packb({"tick": self._rounds.tick}))
+            case "absences":
+                # Of them, only when another agent takes over matters here: messages of the one before are refused.
+                self._rounds.lives = Lives(Absence(*absence) for absence in request["absences"])
                 respond(msgpack.packb({"tick": self._rounds.tick}))
             case "close":
                 self._report(self._rounds.close(int(request["tick"])))

@@ -10,6 +10,7 @@ from __future__ import annotations
 from netem.acoustic import AcousticNetem
 from netem.config import NetemConfig
 from netem.errors import OutOfPlace
+from netem.lives import Lives
 from netem.messages import Inbox, LinkReport, Round, Transmission
 from netem.network import Netem
 
@@ -21,9 +22,9 @@ class Rounds:
         self.config = config
         self.netem = Netem(config) if config.acoustic is None else AcousticNetem(config)
         self._next = 0
-        self._incarnation = dict.fromkeys(config.vehicles, 0)
+        self.lives = Lives(config.absences)
         self._transmissions: dict[int, dict[int, tuple[bytes, ...]]] = {}
-        self._alive: dict[int, tuple[int, ...]] = {}
+        self._alive: dict[int, Round] = {}
 
     @property
     def tick(self) -> int:
@@ -34,7 +35,7 @@ class Rounds:
     def missing(self) -> list[int]:
         """The vehicles whose transmission of the awaited round has not come."""
         have = self._transmissions.get(self._next, {})
-        return [i for i in self._alive.get(self._next, self.config.vehicles) if i not in have]
+        return [i for i in self._speakers(self._next) or self.config.vehicles if i not in have]
 
     def transmission(self, i: int, message: Transmission) -> None:
         """Take vehicle i's transmission.
@@ -42,11 +43,15 @@ class Rounds:
         Raises:
             OutOfPlace: not a round tick, one that was already exchanged or taken, or of another incarnation.
         """
-        if message.incarnation != self._incarnation[i]:
-            raise OutOfPlace("incarnation", self._incarnation[i], message.incarnation)
+        incarnation = self.lives.incarnation(i, message.tick)
+        if message.incarnation != incarnation:
+            raise OutOfPlace("incarnation", incarnation, message.incarnation)
         m = self.config.round_ticks
+        # An agent needs the inbox of one round to transmit in the next, but for its first, while others lag behind.
+        begins = incarnation > self.lives.incarnation(i, self._next)
+        latest = message.tick if begins else self._next + m
         taken = self._transmissions.setdefault(message.tick, {})
-        if message.tick % m or not self._next <= message.tick <= self._next + m or i in taken:
+        if message.tick % m or not self._next <= message.tick <= latest or i in taken:
             if not taken:
                 del self._transmissions[message.tick]
             expected = self._next if i not in self._transmissions.get(self._next, {}) else self._next + m
@@ -61,22 +66,30 @@ class Rounds:
         """
         if message.tick != self._next:
             raise OutOfPlace("round", self._next, message.tick)
-        self._alive[message.tick] = message.alive
+        self._alive[message.tick] = message
 
     def exchange(self) -> tuple[list[tuple[int, Inbox]], LinkReport] | None:
         """The next round's outcome if everything for it is in: (vehicle, inbox) pairs and the report."""
         tick = self._next
-        alive = self.config.vehicles if self.config.ideal else self._alive.get(tick)
+        speakers = self.config.vehicles if self.config.ideal else self._speakers(tick)
         have = self._transmissions.get(tick, {})
-        if alive is None or any(i not in have for i in alive):
+        if speakers is None or any(i not in have for i in speakers):
             return None
-        self._alive.pop(tick, None)
+        where = self._alive.pop(tick, None)
         self._transmissions.pop(tick, None)
-        inboxes, fates = self.netem.exchange(tick, {i: have[i] for i in alive})
+        positions = None if where is None else dict(zip(where.alive, where.positions, strict=True))
+        inboxes, fates = self.netem.exchange(tick, {i: have[i] for i in speakers}, positions)
         self._next = tick + self.config.round_ticks
         until = tick if self.config.ideal else self._next
-        out = [(i, Inbox(self._incarnation[i], until, False, deliveries)) for i, deliveries in inboxes.items()]
+        out = [
+            (i, Inbox(self.lives.incarnation(i, tick), until, False, deliveries)) for i, deliveries in inboxes.items()
+        ]
         return out, LinkReport(tick, False, False, fates)
+
+    def _speakers(self, tick: int) -> list[int] | None:
+        """Those whose transmission of a round must come: the living but for the suspended."""
+        where = self._alive.get(tick)
+        return None if where is None else [i for i in where.alive if i not in where.paused]
 
     def close(self, end_tick: int) -> LinkReport:
         """The last report of a run that ended before tick `end_tick` was started."""

@@ -24,6 +24,7 @@ from fleet.scenario import load_scenario, parse_scenario
 from fleet.stability import analyse
 from netem.config import Condition, NetemConfig
 from netem.faults import CALM, NetFault, weather
+from netem.lives import Absence
 from netem.network import Netem
 from world.config import WorldConfig
 from world.lockstep import Lockstep, NavTo
@@ -196,7 +197,8 @@ def test_ledger_balances_under_any_faults_and_state_goes_on(found: list[Any], cu
 
 TIMELINE = (
     "faults=[{at: 100 ms, for: 200 ms, link 1->2: loss 30%}, {at: 200 ms, partition: halves, id: split}, "
-    "{at: 300 ms, down: 2<->3, for: 100 ms}, {at: 400 ms, mute: '1-2', for: 100 ms}, {at: 500 ms, kill: 3}]"
+    "{at: 300 ms, down: 2<->3, for: 100 ms}, {at: 400 ms, mute: '1-2', for: 100 ms}, "
+    "{at: 500 ms, for: 130 ms, kill: 3}]"
 )
 
 
@@ -210,7 +212,9 @@ def test_a_timeline_compiles_and_prints_back() -> None:
         ("f3", "down", 30, 40),
         ("f4", "mute", 40, 50),
     ]
-    assert s.world_config().kills == {3: 50}
+    assert (
+        s.world_config().absences == s.netem_config().absences == (Absence(3, 50, 65),)
+    )  # with a round, every 5 ticks
     assert s.netem_config().faults[0].links == ((1, 2),)
 
 
@@ -224,7 +228,6 @@ def test_a_timeline_compiles_and_prints_back() -> None:
         ("{at: 0 s, link 1->3: loss 30%}", "the graph has no link 1->3"),
         ("{at: 0 s, link 1->2: lss 30%}", 'did you mean "loss"?'),
         ("{at: 0 s, partition: halfs}", "is no partition of vehicles 1 to 3"),
-        ("{at: 0 s, kill: 1, for: 1 s}", "an agent that is killed stays dead"),
         ("{at: 0 s, four: 1 s, mute: 1}", 'did you mean "for"?'),
         ("{mute: 1}", '"at" is missing'),
     ],
@@ -237,7 +240,7 @@ def test_a_fault_behind_the_end_is_warned_of() -> None:
     """A run may be cut short with --duration; that is no mistake in its faults."""
     s = small("faults=[{at: 2 s, mute: 1}, {at: 3 s, kill: 2}, {at: 0 s, deaf: 1}]")
     assert [fault.id for fault in s.netem_config().faults] == ["f3"]
-    assert s.world_config().kills == {}
+    assert s.world_config().absences == ()
     assert "fault f1, f2: the run is over before it begins" in analyse(s).warnings
 
 
@@ -273,7 +276,7 @@ def world(**changes: Any) -> WorldConfig:
 
 def test_a_scripted_kill_and_an_end_at_the_same_tick_are_the_same() -> None:
     """The first tick without a command is the tick of death, whoever caused it."""
-    scripted = drive(Lockstep(world(kills={2: 17})), 50, {1, 2, 3, 4})
+    scripted = drive(Lockstep(world(absences=(Absence(2, 17),))), 50, {1, 2, 3, 4})
     lockstep = Lockstep(world())
     natural = drive(lockstep, 17, {1, 2, 3, 4})
     lockstep.grant(18)
@@ -331,14 +334,13 @@ def test_a_run_full_of_faults_is_the_same_everywhere(tmp_path: Path) -> None:
     assert [r.status for r in results] == [Status.PASS] * 2, [(r.reason, r.lines, r.verdicts) for r in results]
     alone, fleet = ((r.directory / "run.mcap").read_bytes() for r in results)
     assert alone == fleet
-    assert results[1].values["deaths"] == {}  # nobody died who was not meant to
     with (results[0].directory / "run.mcap").open("rb") as file:
         reader = make_reader(file, decoder_factories=[DecoderFactory()])
         told = [(m.log_time, d.fault, d.action) for _, _, m, d in reader.iter_decoded_messages(["faults"])]
     seconds = [(t / 1e9, fault, what) for t, fault, what in told]
     assert seconds == [
-        (0.3, "f1", "begins"), (0.5, "f2", "begins"), (0.7, "f1", "ends"), (0.8, "death-3", "begins"),
-        (1.0, "f2", "ends"), (1.0, "f4", "begins"), (1.3, "f4", "ends"),
+        (0.3, "f1", "begins"), (0.5, "f2", "begins"), (0.7, "f1", "ends"), (0.8, "f3", "begins"),
+        (1.0, "f2", "ends"), (1.0, "f4", "begins"), (1.3, "f4", "ends"), (2.0, "f3", "ends"),
     ]  # fmt: skip
 
 

@@ -90,7 +90,7 @@ def test_every_live_action_is_a_script_line(tmp_path: Path) -> None:
     """Faults at moments that nobody chose, one healed early, a kill: the exported scenario gives the same digest."""
     out = tmp_path / "runs"
     rng = random.Random()  # arbitrary on purpose: it must hold whenever the faults come
-    with LiveRun(out, "paper", "--duration", "45 s", *SLOW) as live:
+    with LiveRun(out, "paper", "--duration", "45 s", *SLOW, "--set", "profile=hardened") as live:
         live.until_running()
         answers = []
         for arguments in (
@@ -100,7 +100,9 @@ def test_every_live_action_is_a_script_line(tmp_path: Path) -> None:
             ["stuck", "1", "--for", "300ms"],
             ["noise", "vehicles=1,2", "position_noise=5 cm", "--id", "fog"],
             ["current", "0.1 0 0 m/s"],
-            ["kill", "4"],
+            ["kill", "4", "--id", "crash"],
+            ["pause", "2", "--for", "200ms"],
+            ["slow", "vehicles=1", "by=3 ticks", "--for", "500ms"],
         ):
             moment = live.logged_s() + rng.random() * 0.4
             wait_for(lambda moment=moment: live.logged_s() > moment, 20.0)  # type: ignore[misc]
@@ -108,23 +110,21 @@ def test_every_live_action_is_a_script_line(tmp_path: Path) -> None:
         healed = tool(out, "heal", "split")
         listed = tool(out, "faults")
         said = tool(out, "status")
+        reborn = tool(out, "heal", "crash")
+        again_dead = tool(out, "inject", "kill", "2", "--for", "700ms")
         assert tool(out, "clock", "speed", "max").returncode == 0
         assert live.status(60.0) == 0, live.said
         log = live.log
-    assert [a.returncode for a in answers] == [0] * 7, [a.stderr for a in answers]
+    assert [a.returncode for a in answers] == [0] * 9, [a.stderr for a in answers]
     assert answers[0].stdout.startswith("live-1: link 1<->2: delay 60ms 20ms loss gemodel 10% 40%")
     assert healed.stdout.startswith("healed split at t = ")
-    assert {line.split()[0] for line in listed.stdout.splitlines()} == {
-        "live-1",
-        "split",
-        "live-3",
-        "live-4",
-        "fog",
-        "live-6",
-    }
+    names = {"live-1", "split", "live-3", "live-4", "fog", "live-6", "crash", "live-8", "live-9"}
+    assert {line.split()[0] for line in listed.stdout.splitlines()} == names
     assert "without an agent: 4" in said.stdout
+    assert reborn.stdout.startswith("healed crash at t = ")
+    assert again_dead.stdout.startswith("live-10: kill 2, from t = ")
     again = script(log)
-    assert {fault.id for fault in again.spec.faults} == {"live-1", "split", "live-3", "live-4", "fog", "live-6", None}
+    assert {fault.id for fault in again.spec.faults} == {*names, "live-10"}
     assert parse_scenario(again.to_yaml(), "again.yaml") == again
     result = execute(again, Options(tmp_path / "again", in_process=True, quiet=True))
     assert result.digest == digest(log)

@@ -24,6 +24,7 @@ from netem.messages import (
     Fate,
     Frame,
     Hello,
+    Life,
     Message,
     Nav,
     VehicleFrame,
@@ -34,7 +35,7 @@ from netem.messages import (
 )
 from netem.shell import expect, read_map
 
-RECORDS = {record.__name__: record for record in (Delivery, Fate, Frame, VehicleFrame)}
+RECORDS = {record.__name__: record for record in (Delivery, Fate, Frame, Life, VehicleFrame)}
 KINDS = sorted(declared())
 UINTS = st.one_of(st.integers(0, 300), st.integers(0, 2**64 - 1))
 REALS = st.floats(allow_nan=False, allow_infinity=False)

@@ -178,7 +178,7 @@ def test_a_round_waits_for_exactly_the_living() -> None:
     send(rounds, 1, 0)
     send(rounds, 2, 0)
     assert rounds.exchange() is None
-    rounds.round(Round(0, (1, 2, 3), ((0.0, 0.0, 0.0),) * 3))
+    rounds.round(Round(0, (1, 2, 3), ((0.0, 0.0, 0.0),) * 3, ()))
     assert rounds.exchange() is None
     assert rounds.missing == [3]
     send(rounds, 3, 0)
@@ -186,7 +186,7 @@ def test_a_round_waits_for_exactly_the_living() -> None:
     assert outcome is not None
     assert [i for i, _ in outcome[0]] == [1, 2, 3]
     assert outcome[0][0][1].until == 10
-    rounds.round(Round(10, (1, 3), ((0.0, 0.0, 0.0),) * 2))
+    rounds.round(Round(10, (1, 3), ((0.0, 0.0, 0.0),) * 2, ()))
     send(rounds, 1, 10)
     send(rounds, 3, 10)
     later = rounds.exchange()
@@ -238,7 +238,7 @@ def test_the_order_of_arrival_changes_no_round(arrivals: list) -> None:
         found = []
         for who, tick in arrivals:
             if who == "round":
-                rounds.round(Round(tick, (1, 2, 3), ((0.0, 0.0, 0.0),) * 3))
+                rounds.round(Round(tick, (1, 2, 3), ((0.0, 0.0, 0.0),) * 3, ()))
             else:
                 rounds.transmission(who, Transmission(0, tick, (b"%d at %d" % (who, tick),)))
             while (outcome := rounds.exchange()) is not None:

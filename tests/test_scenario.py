@@ -382,7 +382,7 @@ def test_ten_mistakes_in_one_pass(monkeypatch: pytest.MonkeyPatch) -> None:
         ("seed=9223372036854775808", "expected a whole number"),
         ("seed=true", "expected a whole number, got true"),
         ("tick=0 s", "must be above 0"),
-        ("on_death=restart", "is still to come"),
+        ("on_death=resurrect", "expected continue or restart or abort"),
         ("controller=nbocc", 'did you mean "nboc"?'),
         ("profile=3", "expected paper or consistent or hardened, got 3"),
         ("title=[]", "expected a text, got a list"),

@@ -24,7 +24,9 @@ KINDS = {
     "saturate": (2.0, 1e300, 1.0),
     "off": (),
     "stuck": (),
-    "current": (0.2, 0.1, 0.0),
+    "current": (0.2, 0.1, 0.0, 0.0, 0.0, 0.0, 60.0),
+    "dropout": (0.6,),
+    "gust": (0.2, 0.1, 0.0, 0.2),
     "wrench": (1.0, 0.0, 0.5, 0.1, 0.2),
 }
 
@@ -87,7 +89,7 @@ def test_actuators() -> None:
 
 def test_the_sea() -> None:
     """A current is the scenario's own current, a wrench on everybody the scenario's own disturbance, for a while."""
-    always = WorldFault("f", 0, None, "current", (), (0.2, 0.1, 0.0))
+    always = WorldFault("f", 0, None, "current", (), (0.2, 0.1, 0.0, 0.0, 0.0, 0.0, 60.0))
     steady = World(replace(world_config(), current=(0.2, 0.1, 0.0)))
     assert drive(world(always), 15) == drive(steady, 15)
     pushed, calm = drive(world(fault("wrench", 0, None)), 30), drive(world(), 30)
@@ -121,7 +123,14 @@ def test_a_world_goes_on_from_its_plain_values(found: list[tuple[str, int, int]]
         ("saturate: {yaw_moment: 2 N m}", "saturate", (1e300, 1e300, 2.0)),
         ("off: '1, 3'", "off", ()),
         ("stuck: 1-3", "stuck", ()),
-        ("current: 0.1 0 0 m/s", "current", (0.1, 0.0, 0.0)),
+        ("current: 0.1 0 0 m/s", "current", (0.1, 0.0, 0.0, 0.0, 0.0, 0.0, 60.0)),
+        (
+            "current: {mean: 0.1 0 0 m/s, sigma: 0 5 0 cm/s, time_constant: 20 s}",
+            "current",
+            (0.1, 0.0, 0.0, 0.0, 0.05, 0.0, 20.0),
+        ),
+        ("gust: {velocity: 0 1 0 m/s, over: 1 s}", "gust", (0.0, 1.0, 0.0, 1.0)),
+        ("dropout: {vehicles: 2, probability: 30 %}", "dropout", (0.3,)),
         ("wrench: {force: 1 0 0 N, pitch_moment: -1 N m}", "wrench", (1.0, 0.0, 0.0, -1.0, 0.0)),
     ],
 )

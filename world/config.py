@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from netem.lives import Absence
 from world.faults import WorldFault
 from world.vehicle import Vec3, Vec5, VehicleParams
 
@@ -58,8 +59,9 @@ class WorldConfig:
     substeps: int  # RK4 steps per tick
     vehicles: tuple[VehicleSetup, ...]
     disturbance: tuple[Harmonic, ...] = ()  # d1..d5, the same on every vehicle; empty: none
-    current: Vec3 = (0.0, 0.0, 0.0)  # m/s, NED, constant and irrotational
+    current: Vec3 = (0.0, 0.0, 0.0)  # m/s, NED, irrotational; the mean
+    drift: tuple[Vec3, float] | None = None  # sigma [m/s, NED] and time constant [s] of a Gauss-Markov part
     noise: NavNoise = field(default_factory=NavNoise)
     faults: tuple[WorldFault, ...] = ()  # in the order in which they begin
-    kills: dict[int, int] = field(default_factory=dict)  # vehicle -> first tick without an agent
+    absences: tuple[Absence, ...] = ()  # when a vehicle has no agent
     keep_going: bool = False  # a vehicle that cannot be integrated any more is lost, and the run goes on

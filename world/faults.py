@@ -5,11 +5,17 @@
 | noise | sigma of position [m], angle [rad], velocity [m/s], rate [rad/s] | white noise on top of the sensor's own |
 | bias | ten numbers on eta and nu [m, rad, m/s, rad/s] | added to what is measured |
 | freeze | | the measurement of the tick at which it began, again and again |
+| dropout | probability | so often the sensor has nothing new, and reports what it did before |
 | efficiency | three factors | of what the actuators make of a command |
 | saturate | three limits [N, N m, N m] | in place of the actuators' own where they are smaller |
 | off, stuck | | no force at all; the force of the tick at which it began |
-| current | x, y, z [m/s, NED] | added to the sea's own, for every vehicle |
+| current | x, y, z [m/s, NED], three sigma [m/s], time constant [s] | added to the sea's own, for every vehicle |
+| gust | x, y, z [m/s, NED], how long it blows [s] | a current that rises and falls once: (1 - cos) / 2 |
 | wrench | five forces and moments [N, N m, body] | added to the disturbance |
+| pause | | the agent is suspended: no samples; the vehicle holds its last command |
+| slow | ticks | commands take effect so much later |
+
+The last two are the lockstep's affair (`world.lockstep`): they are simulated time, not a signal to a process.
 """
 
 from __future__ import annotations
@@ -17,7 +23,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, Literal
 
-WorldFaultKind = Literal["noise", "bias", "freeze", "efficiency", "saturate", "off", "stuck", "current", "wrench"]
+WorldFaultKind = Literal[
+    "noise", "bias", "freeze", "efficiency", "saturate", "off", "stuck", "current", "wrench",
+    "dropout", "gust", "pause", "slow",
+]  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)

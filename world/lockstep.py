@@ -10,7 +10,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from netem.errors import OutOfPlace
-from netem.messages import Command, Frame, Nav, Round, VehicleFrame, encode
+from netem.lives import Absence, Lives
+from netem.messages import Command, Frame, Life, Nav, Round, VehicleFrame, encode
 from world.config import WorldConfig
 from world.errors import IntegrationError
 from world.sea import World
@@ -39,12 +40,16 @@ class Lockstep:
         self._telemetry_size = {setup.id: setup.telemetry_size for setup in config.vehicles}
         self._frame_every = frame_every
         self._granted = 0
-        self._incarnation = dict.fromkeys(self._ids, 0)
+        self.lives = Lives(config.absences)
+        self._absent: set[int] = set()  # vehicles without an agent at the tick they have reached
+        self._changes: dict[int, list[Life]] = {}  # what happened to agents, by the frame that tells it
         self._awaiting: dict[int, Nav] = {}
         self._rows: dict[int, list[VehicleFrame]] = {}  # frames being assembled, by tick
         self._decided: dict[int, int] = {}  # round tick -> vehicles that are past it, alive or not
         self._positions: dict[int, dict[int, tuple[float, ...]]] = {}  # of those alive at a round tick
-        self._died: dict[int, int] = dict(config.kills)  # vehicle -> first tick without an agent
+        self._paused: dict[int, list[int]] = {}  # round tick -> those that are suspended in it
+        self._tau: dict[int, Vec3] = dict.fromkeys(self._ids, STILL)  # the last command that took effect
+        self._late: dict[int, dict[int, Vec3]] = {i: {} for i in self._ids}  # commands of those that are slow
         self._lost: set[int] = set()  # vehicles that are not integrated any more
         self.notes: list[tuple[int, int, str]] = []  # (vehicle, tick, text) for a person; whoever reads empties it
         self._framed = 0  # next tick whose frame has not left
@@ -68,20 +73,29 @@ class Lockstep:
         self._granted = max(self._granted, min(until, self.config.ticks))
         return [out for i in self._ids for out in self._start(i)] + self._frames()
 
-    def end(self, i: int, incarnation: int, tick: int = 0) -> list[Out]:
-        """Vehicle i's agent ends at `tick`, or has ended: from the first tick without a command it drifts."""
-        if incarnation != self._incarnation[i] or self.dead(i):
+    def end(self, i: int, incarnation: int, until: int | None = None) -> list[Out]:
+        """Vehicle i's agent has ended: from the first tick without a command it drifts.
+
+        Args:
+            until: the tick at which another one takes over, if it is to be another than what was planned.
+        """
+        if incarnation != self.incarnation(i) or self.dead(i):
             return []
-        nav = self._awaiting.get(i)
-        missing = self.tick_of(i) if nav is None else nav.tick
-        self._died[i] = max(tick, missing)
-        if tick <= missing:
-            self._awaiting.pop(i, None)
+        nav = self._awaiting.pop(i, None)
+        tick = self.tick_of(i) if nav is None else nav.tick
+        if until is None:
+            self.lives.end(i, tick)
+        else:
+            self.lives.add(Absence(i, tick, until))
         return self._start(i) + self._frames()
 
     def dead(self, i: int) -> bool:
         """Whether vehicle i has no agent at the tick it has reached."""
-        return self._died.get(i, self.config.ticks + 1) <= self.tick_of(i)
+        return self.lives.without_agent(i, self.tick_of(i))
+
+    def incarnation(self, i: int) -> int:
+        """Which life of its agent vehicle i is in at the tick it has reached."""
+        return self.lives.incarnation(i, self.tick_of(i))
 
     def command(self, i: int, command: Command, raw: bytes | None = None) -> list[Out]:
         """Take vehicle i's command, advance it by one tick and say what follows.
@@ -93,8 +107,8 @@ class Lockstep:
             OutOfPlace: the command does not answer the nav that is waiting for one.
         """
         nav = self._awaiting.get(i)
-        if command.incarnation != self._incarnation[i]:
-            raise OutOfPlace("incarnation", self._incarnation[i], command.incarnation)
+        if command.incarnation != self.incarnation(i):
+            raise OutOfPlace("incarnation", self.incarnation(i), command.incarnation)
         if nav is None:
             raise OutOfPlace("tick", "no command (no nav is unanswered)", command.tick)
         if command.tick != nav.tick:
@@ -105,24 +119,46 @@ class Lockstep:
         del self._awaiting[i]
         world, k = self.world, nav.tick
         eta, nu = world.state(i)
-        tau = world.actuate(i, command.tau)
+        tau = world.actuate(i, self._effective(i, k, command.tau))
         if k % self._frame_every == 0:
             row = VehicleFrame(i, eta, nu, nav.eta + nav.nu, tau, encode(command) if raw is None else raw)
             self._rows.setdefault(k, []).append(row)
         return self._pass(i, k, tau, eta[:3]) + self._start(i) + self._frames()
 
-    def _pass(self, i: int, k: int, tau: Vec3, alive_at: tuple[float, ...] | None) -> list[Out]:
+    def _effective(self, i: int, k: int, tau: tuple[float, ...]) -> tuple[float, ...]:
+        """The command that takes effect at tick k: that of some ticks ago when the agent is slow."""
+        late = self._late[i]
+        delay = self.world.slow(i, k)
+        if delay or late:
+            x, y, z = tau
+            late[k] = (x, y, z)
+            due = [tick for tick in late if tick <= k - delay]
+            for tick in due[:-1]:
+                del late[tick]
+            if not delay:
+                late.clear()
+            tau = (late[due[-1]] if due else self._tau[i]) if delay else tau
+        x, y, z = tau
+        self._tau[i] = (x, y, z)
+        return tau
+
+    def _pass(
+        self, i: int, k: int, tau: Vec3, alive_at: tuple[float, ...] | None, *, paused: bool = False
+    ) -> list[Out]:
         """Take vehicle i over tick k; `alive_at` is where it is if its agent is alive."""
         out: list[Out] = []
         if k % self.config.round_ticks == 0:
             positions = self._positions.setdefault(k, {})
             if alive_at is not None:
                 positions[i] = alive_at
+            if paused:
+                self._paused.setdefault(k, []).append(i)
             self._decided[k] = self._decided.get(k, 0) + 1
             if self._decided[k] == len(self._ids):
                 del self._decided[k], self._positions[k]
                 alive = tuple(sorted(positions))
-                out.append(Round(k, alive, tuple(positions[j] for j in alive)))
+                silent = tuple(sorted(self._paused.pop(k, ())))
+                out.append(Round(k, alive, tuple(positions[j] for j in alive), silent))
         if i in self._lost:
             self.world.hold(i)
         else:
@@ -132,7 +168,7 @@ class Lockstep:
                 if not self.config.keep_going:
                     raise
                 self._lost.add(i)
-                self._died[i] = min(self._died.get(i, k + 1), k + 1)
+                self.lives.end(i, k + 1)
                 self.notes.append((i, k, f"{error.reason}: the vehicle is lost and stays where it is"))
                 self.world.hold(i)
         if k + 1 == self.config.ticks:
@@ -140,27 +176,43 @@ class Lockstep:
         return out
 
     def _start(self, i: int) -> list[Out]:
-        """What vehicle i may do now: measure, or drift as far as the grant allows when it has no agent."""
+        """What vehicle i may do now: measure; or, when it has no agent or that is suspended, go on without it as far
+        as the grant allows."""
         out: list[Out] = []
         k = self.world.tick(i)
-        while k < self._granted and self.dead(i):
+        while k < self._granted and i not in self._awaiting:
+            dead = self._is_dead(i, k)
+            if not dead and not self.world.paused(i, k):
+                nav = Nav(self.lives.incarnation(i, k), k, *self.world.sense(i))
+                self._awaiting[i] = nav
+                return [*out, NavTo(i, nav)]
             eta, nu = self.world.state(i)
+            tau = STILL if dead else self.world.actuate(i, self._tau[i])
             if k % self._frame_every == 0:
-                self._rows.setdefault(k, []).append(VehicleFrame(i, eta, nu, (), STILL, b""))
-            out += self._pass(i, k, STILL, None)
+                self._rows.setdefault(k, []).append(VehicleFrame(i, eta, nu, (), tau, b""))
+            out += self._pass(i, k, tau, None if dead else eta[:3], paused=not dead)
             k += 1
-        if i in self._awaiting or k >= self._granted or self.dead(i):
-            return out
-        nav = Nav(self._incarnation[i], k, *self.world.sense(i))
-        self._awaiting[i] = nav
-        return [*out, NavTo(i, nav)]
+        return out
+
+    def _is_dead(self, i: int, k: int) -> bool:
+        """Whether vehicle i has no agent at tick k; the frame that follows tells when that changes."""
+        dead = self.lives.without_agent(i, k)
+        if dead != (i in self._absent):
+            self._absent ^= {i}
+            every = self._frame_every
+            frame = min(-(-k // every) * every, self.config.ticks)
+            self._changes.setdefault(frame, []).append(Life(k, i, not dead))
+            if not dead:
+                self._tau[i] = STILL
+                self._late[i].clear()
+        return dead
 
     def _frames(self) -> list[Out]:
         out: list[Out] = []
         while (rows := self._rows.get(self._framed)) is not None and len(rows) == len(self._ids):
             del self._rows[self._framed]
             rows.sort()
-            out.append(Frame(self._framed, False, tuple(rows)))
+            out.append(Frame(self._framed, False, tuple(sorted(self._changes.pop(self._framed, ()))), tuple(rows)))
             last = self.config.ticks
             self._framed = min(last, self._framed + self._frame_every) if self._framed < last else last + 1
         return out

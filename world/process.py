@@ -12,6 +12,7 @@ from netem.access import Credentials, agent_role
 from netem.bus import PART_BYTES, Bus, Respond
 from netem.errors import MalformedMessage, OutOfPlace
 from netem.keys import Keys
+from netem.lives import Absence
 from netem.messages import (
     PROTOCOL_VERSION,
     Ailments,
@@ -21,6 +22,8 @@ from netem.messages import (
     Frames,
     Grant,
     Hello,
+    Message,
+    Restart,
     Round,
     VehicleFrame,
     encode,
@@ -69,7 +72,7 @@ class WorldProcess:
         self._frames_bytes = 0
         self._sent = dict.fromkeys(("nav", "round", "frame"), 0)
         self._received = {"cmd": 0}
-        self._ready: set[int] = set()
+        self._ready: set[tuple[int, int]] = set()  # agent and incarnation
         self._grant_heard = False
         self._in = bus.channel(keys.cmd("*"))  # commands and grants
         bus.answer(keys.ctl(WORLD), self._control)
@@ -88,25 +91,32 @@ class WorldProcess:
             key, data = item
             try:
                 if key == grant_key:
-                    message = expect(data, Grant, Death, Ailments, Hello)
-                    if isinstance(message, Grant):
-                        self._publish(self._lockstep.grant(message.until))
-                    elif isinstance(message, Ailments):
-                        faults = msgpack.unpackb(message.faults)
-                        self._lockstep.world.faults = tuple(map(WorldFault.from_values, faults))
-                    elif isinstance(message, Death):
-                        if message.vehicle in self._ids:
-                            # A nav that nobody can answer any more was not lost on the way.
-                            waiting = dict(self._lockstep.waiting_for)
-                            self._sent["nav"] -= waiting.get(message.vehicle, -1) >= message.tick
-                            self._publish(self._lockstep.end(message.vehicle, message.incarnation, message.tick))
-                    else:
-                        self._grant_heard = True
+                    self._told(expect(data, Grant, Death, Restart, Ailments, Hello))
                 else:
                     self._command(key, data)
             except (MalformedMessage, OutOfPlace) as error:
                 i = vehicle_of(key)
                 self._shell.reject(key, self._lockstep.tick_of(i) if i in self._ids else 0, error)
+
+    def _told(self, message: Message) -> None:
+        """What the console says, in order: nothing that is told acts on a tick granted before."""
+        lockstep = self._lockstep
+        match message:
+            case Grant():
+                self._publish(lockstep.grant(message.until))
+            case Ailments():
+                lockstep.world.faults = tuple(map(WorldFault.from_values, msgpack.unpackb(message.faults)))
+            case Death(vehicle=i) if i in self._ids:
+                if message.tick:
+                    lockstep.lives.add(Absence(i, message.tick, message.until or None))
+                    return
+                # A nav that nobody can answer any more was not lost on the way.
+                self._sent["nav"] -= dict(lockstep.waiting_for).get(i) is not None
+                self._publish(lockstep.end(i, message.incarnation, message.until or None))
+            case Restart(vehicle=i) if i in self._ids:
+                lockstep.lives.restart(i, message.begin, message.tick)
+            case Hello():
+                self._grant_heard = True
 
     def _command(self, key: str, data: bytes) -> None:
         i = vehicle_of(key)
@@ -121,7 +131,7 @@ class WorldProcess:
             if message.version != PROTOCOL_VERSION:
                 raise MalformedMessage("hello", f"protocol version {message.version}, ours is {PROTOCOL_VERSION}")
             if message.echo:
-                self._ready.add(i)
+                self._ready.add((i, message.incarnation))
             else:
                 self._nav[i](_ECHO)
 
@@ -135,8 +145,10 @@ class WorldProcess:
                 self._sent["nav"] += 1
                 self._nav[item.id](encode(item.nav))
             elif isinstance(item, Frame):
+                lives = item.lives
                 for rows, more in split(item.vehicles, _row_bytes, PART_BYTES):
-                    self._frames.append(Frame(item.tick, more, tuple(rows)))
+                    self._frames.append(Frame(item.tick, more, lives, tuple(rows)))
+                    lives = ()
                     self._frames_bytes += sum(map(_row_bytes, rows))
                     if len(self._frames) >= FRAMES_PER_MESSAGE or self._frames_bytes > PART_BYTES // 2:
                         self._flush_frames()
@@ -153,7 +165,10 @@ class WorldProcess:
 
     def _token(self, key: str, alive: bool) -> None:
         i = self._token_roles.get(key)
-        if i is not None and not alive and not self._lockstep.finished and not self._lockstep.dead(i):
+        lockstep = self._lockstep
+        ended = i is not None and not alive and not lockstep.finished
+        # An agent that was to end may be gone from here only when its successor has begun.
+        if i is not None and ended and not lockstep.dead(i) and not lockstep.incarnation(i):
             self._shell.note(i, self._lockstep.tick_of(i), "its session ended")
 
     def _control(self, key: str, data: bytes, respond: Respond) -> None:
@@ -167,10 +182,12 @@ class WorldProcess:
             case "ready":
                 self._round(_PROBE)
                 self._frame(_ECHO)
-                respond(msgpack.packb({"ready": sorted(self._ready), "grant": self._grant_heard}))
+                respond(msgpack.packb({"ready": sorted(map(list, self._ready.copy())), "grant": self._grant_heard}))
             case "waiting":
                 waiting = [list(pair) for pair in self._lockstep.waiting_for]
                 respond(msgpack.packb({"waiting": waiting}))
+            case "ticks":
+                respond(msgpack.packb({"ticks": [[i, self._lockstep.tick_of(i)] for i in self._ids]}))
             case "close":
                 counts = {"sent": self._sent, "received": self._received}
                 respond(msgpack.packb({"rejected": dict(self._shell.rejected), "counts": counts}))

@@ -12,7 +12,9 @@ from functools import lru_cache
 from math import isfinite
 from typing import Any, NamedTuple
 
+from netem.draws import uniform
 from world.config import NavNoise, VehicleSetup, WorldConfig
+from world.current import GaussMarkov, gust
 from world.disturbance import disturbance
 from world.dynamics import Coefficients, State, coefficients, rk4_step
 from world.errors import CommandError, NonFiniteStateError, PitchSingularityError, UnknownVehicleError
@@ -41,6 +43,8 @@ class World:
         self._states: dict[int, State] = {s.id: _initial(s) for s in config.vehicles}
         self.faults = config.faults  # replaced as a whole by who injects
         self._held: dict[tuple[str, int], tuple[float, ...]] = {}  # (fault, vehicle): what froze or got stuck
+        self._drifts: dict[str, GaussMarkov] = {}  # of the sea (""), and of faults by id
+        self._tick_s = config.tick_ns / 1e9
         self._h = config.tick_ns / 1e9 / config.substeps
         # Every vehicle feels the same disturbance and all pass the same ticks, some ahead of others.
         self._stage_forces = lru_cache(maxsize=4 * max(config.round_ticks, 8))(self._stage_forces_at)
@@ -78,6 +82,12 @@ class World:
                     measured = _halves([a + b for a, b in zip(sum(measured, ()), fault.values, strict=True)])
                 case "freeze":
                     measured = _halves(self._held.setdefault((fault.id, i), sum(measured, ())))
+                case "dropout":
+                    known = self._held.get((fault.id, i))
+                    if known is None or uniform(self.config.seed, f"fault {fault.id}", i, tick) >= fault.values[0]:
+                        self._held[fault.id, i] = sum(measured, ())
+                    else:
+                        measured = _halves(known)
         return measured
 
     def actuate(self, i: int, tau: tuple[float, ...]) -> Vec3:
@@ -126,6 +136,8 @@ class World:
         tick = self._ticks[i]
         state = self._states[i]
         current = self.config.current
+        if self.config.drift is not None:
+            current = _plus(current, self._drift("", *self.config.drift).at(tick))
         h = self._h
         forces = self._stage_forces(tick)
         if self.faults:
@@ -147,8 +159,14 @@ class World:
         """Current and disturbance with the faults of the sea in them."""
         for fault in self._active(i, tick):
             if fault.kind == "current":
-                x, y, z = fault.values
-                current = (current[0] + x, current[1] + y, current[2] + z)
+                x, y, z, *sigma, time_constant = fault.values
+                current = _plus(current, (x, y, z))
+                if any(sigma):
+                    drift = self._drift(fault.id, (sigma[0], sigma[1], sigma[2]), time_constant)
+                    current = _plus(current, drift.at(tick - fault.begin))
+            elif fault.kind == "gust":
+                x, y, z, over_s = fault.values
+                current = _plus(current, gust((x, y, z), over_s, (tick - fault.begin) * self._tick_s))
             elif fault.kind == "wrench":
                 w1, w2, w3, w4, w5 = fault.values
                 start, middle, end = (
@@ -157,6 +175,22 @@ class World:
                 )
                 forces = tuple(zip(start, middle, end, strict=True))
         return current, forces
+
+    def _drift(self, name: str, sigma: Vec3, time_constant_s: float) -> GaussMarkov:
+        if name not in self._drifts:
+            purpose = f"current {name}"
+            self._drifts[name] = GaussMarkov(sigma, time_constant_s, self._tick_s, self.config.seed, purpose)
+        return self._drifts[name]
+
+    def paused(self, i: int, tick: int) -> bool:
+        """Whether vehicle i's agent is suspended at a tick."""
+        return bool(self.faults) and any(fault.kind == "pause" for fault in self._active(i, tick))
+
+    def slow(self, i: int, tick: int) -> int:
+        """By how many ticks what vehicle i's agent decides at a tick is late."""
+        if not self.faults:
+            return 0
+        return max((int(f.values[0]) for f in self._active(i, tick) if f.kind == "slow"), default=0)
 
     def hold(self, i: int) -> None:
         """Pass a tick without integrating vehicle i: it is lost and stays where it was."""
@@ -195,6 +229,10 @@ class World:
         t = tick * config.tick_ns / 1e9
         d = [disturbance(config.disturbance, t + j * 0.5 * self._h) for j in range(2 * n + 1)]
         return tuple((d[2 * j], d[2 * j + 1], d[2 * j + 2]) for j in range(n))
+
+
+def _plus(a: Vec3, b: Vec3) -> Vec3:
+    return a[0] + b[0], a[1] + b[1], a[2] + b[2]
 
 
 def _halves(values: Sequence[float]) -> tuple[Vec5, Vec5]:

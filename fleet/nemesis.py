@@ -1,0 +1,57 @@
+"""Random faults from the seed: a `nemesis:` becomes an explicit timeline before anything runs.
+
+What comes when is a pure function of (seed, number of the fault), so the timeline can be printed, edited and run
+again. The word, and the idea that faults come by themselves and go again, are Jepsen's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from fleet.schema import DrawnKind, FaultSection, NemesisSection, ScenarioSpec
+from netem.config import Link
+from netem.draws import bits
+from netem.grammar import Selector
+
+PARTITIONS = ("halves", "one", "majority", "ring", "bridge")
+
+
+def unleash(spec: ScenarioSpec, links: Sequence[Link]) -> ScenarioSpec:
+    """The same scenario with the faults of its nemesis written out after its own."""
+    nemesis = spec.nemesis
+    if nemesis is None:
+        return spec
+    taken = {fault.id for fault in spec.faults}
+    faults = list(spec.faults)
+    for number, at in enumerate(_times(nemesis, spec), start=1):
+        pick = nemesis.pick[_draw(spec, number, 0, len(nemesis.pick))]
+        if pick.drawn is None:
+            body = pick.model_dump(exclude_none=True, exclude_defaults=True, by_alias=True)
+        else:
+            body = {pick.drawn: _target(pick.drawn, spec, number, links)}
+        name = f"nemesis-{number}"
+        while name in taken:
+            name += "x"
+        times = {"at": f"{at} ns", "for": f"{nemesis.for_} ns"}
+        faults.append(FaultSection.model_validate({"id": name, **times, **body}))
+    return spec.model_copy(update={"faults": faults, "nemesis": None})
+
+
+def _times(nemesis: NemesisSection, spec: ScenarioSpec) -> range:
+    """When a fault begins [ns], so that each is over by the end of the nemesis."""
+    first = nemesis.every if nemesis.start is None else nemesis.start
+    until = spec.duration if nemesis.until is None else min(nemesis.until, spec.duration)
+    return range(first, until - nemesis.for_ + 1, nemesis.every)
+
+
+def _target(kind: DrawnKind, spec: ScenarioSpec, number: int, links: Sequence[Link]) -> str:
+    if kind == "partition":
+        return PARTITIONS[_draw(spec, number, 1, len(PARTITIONS))]
+    if kind == "down":
+        pairs = sorted({(min(link), max(link)) for link in links})
+        return str(Selector(*pairs[_draw(spec, number, 1, len(pairs))], both=True))
+    return str(1 + _draw(spec, number, 1, spec.vehicles))
+
+
+def _draw(spec: ScenarioSpec, number: int, what: int, among: int) -> int:
+    return bits(spec.seed, "nemesis", number, what) % among

@@ -1,0 +1,70 @@
+"""Who has an agent at which tick, and which life of it that is.
+
+An agent that ended leaves its vehicle without one from a tick on, until another is started in its place: a new
+incarnation, with an empty memory. Both are ticks, so that whatever asks gets the same answer in every process.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from math import inf
+from typing import NamedTuple
+
+
+class Absence(NamedTuple):
+    """A vehicle has no agent from tick `begin` to before `end` (None: to the end of the run)."""
+
+    vehicle: int
+    begin: int
+    end: int | None = None
+
+
+class Lives:
+    """The absences of every vehicle. They may overlap: it has an agent whenever none of them lasts."""
+
+    def __init__(self, absences: Iterable[Absence] = ()) -> None:
+        self.absences: list[Absence] = []
+        self._gaps: dict[int, list[tuple[float, float]]] = {}  # by vehicle: what the absences add up to, ascending
+        for absence in absences:
+            self.add(absence)
+
+    def without_agent(self, i: int, tick: int) -> bool:
+        """Whether vehicle i has no agent at a tick."""
+        return i in self._gaps and any(begin <= tick < end for begin, end in self._gaps[i])
+
+    def incarnation(self, i: int, tick: int) -> int:
+        """How often vehicle i's agent has been restarted up to a tick."""
+        return sum(end <= tick for _, end in self._gaps[i]) if i in self._gaps else 0
+
+    def gaps(self, i: int) -> list[tuple[int, int | None]]:
+        """From when to before when vehicle i has no agent: life n ends with gap n, both counted from 0."""
+        return [(int(begin), None if end == inf else int(end)) for begin, end in self._gaps.get(i, ())]
+
+    def add(self, absence: Absence) -> None:
+        """Take one more."""
+        self.absences.append(absence)
+        self._add_up(absence.vehicle)
+
+    def end(self, i: int, tick: int) -> None:
+        """Vehicle i's agent ended without being told to: whoever is to be restarted next brings it back."""
+        if not self.without_agent(i, tick):
+            self.add(Absence(i, tick, next((end for _, end in self.gaps(i) if end is None or end > tick), None)))
+
+    def restart(self, i: int, begin: int, tick: int) -> None:
+        """The absences of vehicle i that began at `begin` (0: whenever) and last at `tick` end there."""
+        self.absences = [
+            a._replace(end=tick)
+            if a.vehicle == i and begin in (0, a.begin) and a.begin < tick and (a.end is None or tick < a.end)
+            else a
+            for a in self.absences
+        ]
+        self._add_up(i)
+
+    def _add_up(self, i: int) -> None:
+        gaps: list[tuple[float, float]] = []
+        for begin, end in sorted((a.begin, inf if a.end is None else a.end) for a in self.absences if a.vehicle == i):
+            if gaps and begin < gaps[-1][1]:
+                gaps[-1] = gaps[-1][0], max(gaps[-1][1], end)
+            elif begin < end:
+                gaps.append((begin, end))
+        self._gaps[i] = gaps

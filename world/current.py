@@ -1,0 +1,47 @@
+"""Currents that change with time: a Gauss-Markov drift, and a gust. Both the same for every vehicle.
+
+| symbol [m/s] | meaning | source |
+|---|---|---|
+| X_k+1 = phi X_k + sigma sqrt(1 - phi^2) n_k, phi = exp(-Ts / T) | first-order Gauss-Markov, exact | Fossen 2011, 8.3 |
+| X_0 = sigma n | so that it is stationary from the start | |
+| V (1 - cos(2 pi t / D)) / 2, 0 <= t < D | a discrete gust | MIL-F-8785C |
+
+Within a tick a current is constant. What its change would do to the added mass is left out: at a time constant of
+10 s and 0.1 m/s it is some 0.01 m/s^2 of the water's, 1 % of what the paper's disturbance does.
+"""
+
+from __future__ import annotations
+
+from math import cos, exp, pi, sqrt
+
+from netem.draws import normal
+from world.vehicle import Vec3
+
+
+class GaussMarkov:
+    """A drift round zero; its value at a tick is a function of (seed, purpose, tick) alone."""
+
+    def __init__(self, sigma: Vec3, time_constant_s: float, tick_s: float, seed: int, purpose: str) -> None:
+        self._sigma, self._seed, self._purpose = sigma, seed, purpose
+        self._phi = exp(-tick_s / time_constant_s)
+        self._kick = sqrt(1.0 - self._phi**2)
+        self._known: list[Vec3] = []
+
+    def at(self, tick: int) -> Vec3:
+        """The current [m/s, NED] so many ticks after the beginning."""
+        while len(self._known) <= tick:
+            self._known.append(self._next(len(self._known)))
+        return self._known[tick]
+
+    def _next(self, k: int) -> Vec3:
+        drawn = [s * normal(self._seed, self._purpose, k, axis) if s else 0.0 for axis, s in enumerate(self._sigma)]
+        if not self._known:
+            return drawn[0], drawn[1], drawn[2]
+        (x, y, z), phi, kick = self._known[-1], self._phi, self._kick
+        return phi * x + kick * drawn[0], phi * y + kick * drawn[1], phi * z + kick * drawn[2]
+
+
+def gust(velocity: Vec3, over_s: float, t: float) -> Vec3:
+    """The current [m/s, NED] at time t [s] of a gust that reaches `velocity` after half of `over_s`."""
+    share = 0.5 * (1.0 - cos(2.0 * pi * t / over_s)) if t < over_s else 0.0
+    return share * velocity[0], share * velocity[1], share * velocity[2]

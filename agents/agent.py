@@ -81,7 +81,7 @@ class _Brain:
             deliveries: what became due at this tick, ordered by (due_tick, sent_tick, src, seq).
 
         Raises:
-            ControllerError: the measurement is not finite, time went back, or a law failed and `on_error` is abort.
+            ControllerError: the measurement is not finite, time went back, or a law failed and `on_error` is not coast.
         """
         payloads = self.transmit(nav) if nav.tick % self.config.round_ticks == 0 else ()
         tau, telemetry = self.decide(nav, deliveries)
@@ -118,8 +118,8 @@ class _Brain:
         return (tick - last) * self._tick_s
 
     def _coast(self, error: ControllerError) -> None:
-        """From here on the vehicle coasts; or the run ends, as the scenario says."""
-        if self.config.on_error == "abort":
+        """From here on the vehicle coasts; or this agent ends, as the scenario says, and perhaps the run with it."""
+        if self.config.on_error != "coast":
             raise error
         self._failed = True
         where = f" ({error.where})" if error.where else ""

@@ -15,7 +15,7 @@ from world.vehicle import Vec3, VehicleParams
 Extrapolation = Literal["hold", "neighbour", "reference"]
 Cost = Literal["printed", "consistent"]
 Angles = Literal["printed", "exact"]
-OnError = Literal["abort", "coast"]
+OnError = Literal["abort", "coast", "die"]
 Codec = Literal["full", "compact"]
 
 

@@ -78,9 +78,10 @@ class AgentLoop:
         """Take the nav of the next tick, or of a later one when the agent was suspended in between.
 
         Raises:
-            OutOfPlace: another incarnation's, or a tick before the next.
+            OutOfPlace: a later incarnation's, or a tick before the next.
         """
-        self._check_incarnation(nav.incarnation)
+        if not self._is_mine(nav.incarnation):
+            return []
         if self._nav is not None or nav.tick <= self._tick:
             raise OutOfPlace("nav tick", self._tick + 1 + (self._nav is not None), nav.tick)
         self._nav = nav
@@ -90,9 +91,10 @@ class AgentLoop:
         """Take the next round's deliveries.
 
         Raises:
-            OutOfPlace: another incarnation's, or not the next round.
+            OutOfPlace: a later incarnation's, or not the next round.
         """
-        self._check_incarnation(inbox.incarnation)
+        if not self._is_mine(inbox.incarnation):
+            return []
         expected = max(0, self._known + self.round_ticks)
         if inbox.until != expected:
             raise OutOfPlace("inbox until tick", expected, inbox.until)
@@ -132,6 +134,8 @@ class AgentLoop:
         taken, self._deliveries = self._deliveries[:due], self._deliveries[due:]
         return taken
 
-    def _check_incarnation(self, incarnation: int) -> None:
-        if incarnation != self.incarnation:
+    def _is_mine(self, incarnation: int) -> bool:
+        """Whether a message is for this life of the agent: one for the life before may come late."""
+        if incarnation > self.incarnation:
             raise OutOfPlace("incarnation", self.incarnation, incarnation)
+        return incarnation == self.incarnation

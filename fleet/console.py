@@ -27,7 +27,7 @@ from fleet.children import FORKSERVER_LOST, Child, Children, Exit, describe_exit
 from fleet.clock import Clock, LiveClock
 from fleet.control import Operator
 from fleet.errors import RunBroken, StoppedError
-from fleet.faults import Kill
+from fleet.faults import MOST_RESTARTS, Kill
 from fleet.journal import Journal, frame_every
 from fleet.rundir import RunDirectory
 from fleet.scenario import Scenario
@@ -52,7 +52,6 @@ QUIET_S = 2.0  # without an event for so long, ask who is waiting for whom
 SETTLE_S = 0.2  # after a death, how long to collect what else happened
 
 MOST_NOTES = 1000
-MOST_RESTARTS = 3  # of one agent that nobody killed on purpose: its next life would end the same way
 
 FRAME, LINKS, NOTE, EXIT, OPERATION = "frame", "links", "note", "exit", "operation"
 _EXPECTED = {FRAME: (Frames, Hello), LINKS: (LinkReport, Hello), NOTE: (Note,)}
@@ -95,6 +94,7 @@ class Console:
         self._granted = 0
         self.operator: Operator | None = None
         self._restarted: dict[int, int] = {}  # vehicle -> how often because of on_death
+        self.deaths: dict[int, list[str]] = {}  # how agents ended that nobody told to
         self.waiting = ""  # who is being waited for, when nothing moves
         self.started_s = 0.0  # wall time until everyone was ready
 
@@ -359,7 +359,8 @@ class Console:
             self._running
             and self._scenario.spec.on_death != "abort"
             and ended.role.startswith("agent-")
-            and ended.code not in (FORKSERVER_LOST, CONTROLLER_FAILED)
+            and ended.code != FORKSERVER_LOST
+            and (ended.code != CONTROLLER_FAILED or self._scenario.spec.on_controller_error == "die")
         )
 
     def _bury(self, ended: Exit) -> None:
@@ -375,9 +376,7 @@ class Console:
         if gap is None or gap[0] > self._granted:
             if self._scenario.spec.on_death == "restart" and self._restarted.get(i, 0) < MOST_RESTARTS:
                 self._restarted[i] = self._restarted.get(i, 0) + 1
-                m = self._scenario.round_ticks
-                until = (self._granted // m + 1) * m
-                until = until if until < self._scenario.ticks else 0
+                until = self._scenario.next_round(self._granted)
             # The world will say when it was; here it matters only when another one takes over.
             since = max(self._journal.framed, 0 if life == 0 else self._lives.gaps(i)[life - 1][1] or 0)
             self._lives.add(Absence(i, since, until or (gap and gap[1])))
@@ -388,6 +387,7 @@ class Console:
             self._tell_lives(self._bus)
         child = self._children.by_role[ended.role]
         how = describe_exit(ended.code)
+        self.deaths.setdefault(i, []).append(how)
         last = f"; last line of {child.log_path}: {line}" if (line := "".join(child.tail()[-1:])) else ""
         at = self._seconds(self._journal.framed)
         then = f", another one takes over at {self._seconds(until)}" if until else ""

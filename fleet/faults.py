@@ -34,6 +34,7 @@ OF_THE_WORLD = (
     *("noise", "bias", "freeze", "dropout", "efficiency", "saturate", "off", "stuck"),
     *("current", "gust", "wrench"),
 )
+MOST_RESTARTS = 3  # of one agent that nobody killed on purpose: its next life would end the same way
 ACTIONS = (*OF_THE_NETWORK, *OF_AGENTS, *OF_THE_WORLD)
 
 
@@ -113,8 +114,14 @@ def plan(spec: ScenarioSpec, links: Sequence[Link]) -> Plan:
             found += (of_this := parts(section, name, spec, links))
             events += begin_and_end(of_this, section, last)
     found.sort(key=lambda part: part.begin)
-    events.sort(key=lambda event: (event.tick, event.action == "begins"))
+    events.sort(key=event_order)
     return Plan(tuple(found), tuple(events))
+
+
+def event_order(event: Event) -> tuple[int, bool, str]:
+    """In the log, ends stand before what begins at the same tick; what begins keeps the scenario's order."""
+    begins = event.action == "begins"
+    return event.tick, begins, "" if begins else event.fault
 
 
 def begin_and_end(of_this: Sequence[Part], section: FaultSection, last: int) -> tuple[Event, Event]:

@@ -14,12 +14,15 @@ import msgpack
 
 from agents.agent import make_agent
 from agents.config import AgentConfig
+from agents.errors import ControllerError
 from agents.loop import AgentLoop
 from fleet.clock import Clock
 from fleet.errors import RunBroken
+from fleet.faults import MOST_RESTARTS
 from fleet.journal import Journal, frame_every
 from fleet.scenario import Scenario
 from netem.errors import MalformedMessage, OutOfPlace
+from netem.lives import Absence
 from netem.messages import (
     Command,
     Frame,
@@ -48,6 +51,9 @@ class InProcess:
         self._rounds = Rounds(scenario.netem_config())
         self._loops: dict[int, AgentLoop] = {}
         self.notes: list[str] = []
+        self.deaths: dict[int, list[str]] = {}  # how agents ended that nobody told to
+        self._gone: set[tuple[int, int]] = set()  # those agents, and which life of theirs
+        self._granted = 0
         self.middleware_lost = 0  # there is no middleware here
         self._post: deque[tuple[int, int, bytes]] = deque()  # (from, to, message)
 
@@ -59,6 +65,7 @@ class InProcess:
             self._loops[i] = self._born(i, 0, 0)
         while not self._world.finished:
             until = clock.until(self._journal.written, time.monotonic() - began)
+            self._granted = max(self._granted, until)
             self._from_world(self._world.grant(until))
             if not self._post:
                 time.sleep(0.002)  # paced by --speed: nothing to do until the wall clock moves on
@@ -66,6 +73,10 @@ class InProcess:
                 sender, receiver, data = self._post.popleft()
                 try:
                     self._deliver(sender, receiver, decode(data), data)
+                except ControllerError as error:
+                    if scenario.spec.on_controller_error != "die" or scenario.spec.on_death == "abort":
+                        raise
+                    self._bury(receiver, error)
                 except (MalformedMessage, OutOfPlace) as error:
                     who = f"agent {sender}" if sender > 0 else {WORLD: "the world", NETEM: "netem"}[sender]
                     raise RunBroken(f"{who} sent what cannot be used: {error}") from error
@@ -86,6 +97,18 @@ class InProcess:
             self._loops[i] = self._born(i, incarnation, begin)
         return self._loops[i]
 
+    def _bury(self, i: int, error: ControllerError) -> None:
+        """Agent i ended by itself, as its process would have."""
+        died = self.deaths.setdefault(i, [])
+        self.notes.append(note_text(self._scenario, error.tick, f"agent {i}", f"controller failed: {error}"))
+        restart = self._scenario.spec.on_death == "restart" and len(died) < MOST_RESTARTS
+        until = self._scenario.next_round(self._granted) if restart else 0
+        died.append("controller failed")
+        self._gone.add((i, self._loops[i].incarnation))
+        if until:
+            self._rounds.lives.add(Absence(i, until - 1, until))
+        self._from_world(self._world.end(i, self._loops[i].incarnation, until or None))
+
     def _send(self, sender: int, receiver: int, message: Message) -> None:
         self._post.append((sender, receiver, encode(message)))
 
@@ -103,6 +126,8 @@ class InProcess:
 
     def _deliver(self, sender: int, receiver: int, message: Message, data: bytes) -> None:
         match message:
+            case Nav() | Inbox() if (receiver, message.incarnation) in self._gone:
+                return
             case Nav():
                 self._answer(receiver, self._loop(receiver, message.incarnation).nav(message))
             case Inbox():

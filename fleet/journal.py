@@ -12,7 +12,7 @@ from dataclasses import replace
 from math import gcd
 from typing import Protocol
 
-from fleet.faults import Event
+from fleet.faults import Event, event_order
 from fleet.metrics import Metrics, VehicleError
 from fleet.scenario import Scenario
 from netem.errors import OutOfPlace
@@ -104,7 +104,7 @@ class Journal:
 
     def add_event(self, event: Event) -> None:
         """Take a fault that was injected, behind those of the same tick."""
-        place = sum(_event_order(other) <= _event_order(event) for other in self._events)
+        place = sum(event_order(other) <= event_order(event) for other in self._events)
         self._events.insert(place, event)
 
     def end_event(self, fault: str, tick: int) -> None:
@@ -128,6 +128,9 @@ class Journal:
                 name = f"death-{i}" if count == 1 else f"death-{i}-{count}"
                 self.deaths[i] = Event(life.tick, name, "begins", f"kill {i}")
                 self.add_event(self.deaths[i])
+        if frame.tick == self._last:
+            for death in self.deaths.values():
+                self.add_event(replace(death, tick=frame.tick, action="ends"))
         while self._events and self._events[0].tick <= frame.tick:
             self.log.event(self._events.popleft())
 
@@ -136,10 +139,6 @@ class Journal:
             fate = self._fates.popleft()
             self.ledger.settle((fate,))
             self.log.packet(fate)
-
-
-def _event_order(event: Event) -> tuple[int, bool]:
-    return event.tick, event.action == "begins"
 
 
 def _command(data: bytes) -> Command:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from fleet.faults import partition
 from fleet.schema import DrawnKind, FaultSection, NemesisSection, ScenarioSpec
 from netem.config import Link
 from netem.draws import bits
@@ -24,14 +25,14 @@ def unleash(spec: ScenarioSpec, links: Sequence[Link]) -> ScenarioSpec:
     taken = {fault.id for fault in spec.faults}
     faults = list(spec.faults)
     for number, at in enumerate(_times(nemesis, spec), start=1):
+        name = f"nemesis-{number}"
+        while name in taken:
+            name += "x"
         pick = nemesis.pick[_draw(spec, number, 0, len(nemesis.pick))]
         if pick.drawn is None:
             body = pick.model_dump(exclude_none=True, exclude_defaults=True, by_alias=True)
         else:
-            body = {pick.drawn: _target(pick.drawn, spec, number, links)}
-        name = f"nemesis-{number}"
-        while name in taken:
-            name += "x"
+            body = {pick.drawn: _target(pick.drawn, name, spec, number, links)}
         times = {"at": f"{at} ns", "for": f"{nemesis.for_} ns"}
         faults.append(FaultSection.model_validate({"id": name, **times, **body}))
     return spec.model_copy(update={"faults": faults, "nemesis": None})
@@ -44,9 +45,10 @@ def _times(nemesis: NemesisSection, spec: ScenarioSpec) -> range:
     return range(first, until - nemesis.for_ + 1, nemesis.every)
 
 
-def _target(kind: DrawnKind, spec: ScenarioSpec, number: int, links: Sequence[Link]) -> str:
+def _target(kind: DrawnKind, name: str, spec: ScenarioSpec, number: int, links: Sequence[Link]) -> str:
     if kind == "partition":
-        return PARTITIONS[_draw(spec, number, 1, len(PARTITIONS))]
+        cuts = [p for p in PARTITIONS if partition(p, spec.vehicles, spec.seed, name) & set(links)] or ["halves"]
+        return cuts[_draw(spec, number, 1, len(cuts))]
     if kind == "down":
         pairs = sorted({(min(link), max(link)) for link in links})
         return str(Selector(*pairs[_draw(spec, number, 1, len(pairs))], both=True))

@@ -167,6 +167,12 @@ def _guidance(spec: ScenarioSpec) -> Iterator[tuple[Entries, str, GuidanceSectio
             yield entries, names[0], choice.guidance, choice.profile
 
 
+def _policies(spec: ScenarioSpec, report: Report) -> None:
+    if spec.network.ideal and spec.on_controller_error == "die":
+        message = "the others of an ideal network wait for everybody, also for an agent that is gone"
+        report.add(("on_controller_error",), message, "abort, coast, or give the network a period")
+
+
 def _whole(report: Report, path: tuple[str | int, ...], ns: int, tick: int) -> None:
     if ns % tick:
         below = ns // tick * tick
@@ -488,7 +494,8 @@ def _fault_targets(
         except FaultError as error:
             report.add((*path, kind), error.message, error.hint)
             return
-        if not cut & set(links) and "one" not in (fault.partition or ""):
+        drawn = fault.partition in ("one", "majority", "ring", "bridge")  # may cut none, this time
+        if not cut & set(links) and not drawn:
             report.add((*path, kind), "cuts no link of the graph")
         return
     if kind in ("link", "down", "up"):
@@ -679,6 +686,7 @@ def _cosine_guard(spec: ScenarioSpec, report: Report) -> None:
 RULES: tuple[Callable[[ScenarioSpec, Report], None], ...] = (
     _duration,
     _network_period,
+    _policies,
     _qp_period,
     _reference,
     _formation,

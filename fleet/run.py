@@ -120,7 +120,7 @@ def execute(scenario: Scenario, options: Options, terminal: Terminal | None = No
         "x_real_time": max(0, journal.written) * scenario.tick_ns / 1e9 / max(1e-9, wall_s - started_s),
     }
     result.values["rejected"] = closing["rejected"]
-    result.values["deaths"] = {str(i): how for i, how in getattr(fleet, "deaths", {}).items()}
+    result.values["deaths"] = {str(i): how for i, how in fleet.deaths.items()}
     result.values["notes"] = list(getattr(fleet, "notes", ()))
     try:
         directory.write_result(result.values)

@@ -56,8 +56,7 @@ def _entries(events: list[tuple[int, Any]], end_ns: int) -> list[dict[str, Any]]
     entries: dict[str, dict[str, Any]] = {}
     for at_ns, event in events:
         if event.action == "begins":
-            name = {} if event.fault.startswith("death-") else {"id": event.fault}
-            entries[event.fault] = {**name, "at": show_time(at_ns), **_action(event.what), "_at": at_ns}
+            entries[event.fault] = {"id": event.fault, "at": show_time(at_ns), **_action(event.what), "_at": at_ns}
         elif event.fault in entries and at_ns < end_ns:
             entries[event.fault]["for"] = show_time(at_ns - entries[event.fault]["_at"])
     return [{key: value for key, value in entry.items() if key != "_at"} for entry in entries.values()]

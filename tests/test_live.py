@@ -124,7 +124,7 @@ def test_every_live_action_is_a_script_line(tmp_path: Path) -> None:
     assert reborn.stdout.startswith("healed crash at t = ")
     assert again_dead.stdout.startswith("live-10: kill 2, from t = ")
     again = script(log)
-    assert {fault.id for fault in again.spec.faults} == {*names, "live-10"}
+    assert {*names, "live-10"} <= {fault.id for fault in again.spec.faults}  # a vehicle may be lost besides
     assert parse_scenario(again.to_yaml(), "again.yaml") == again
     result = execute(again, Options(tmp_path / "again", in_process=True, quiet=True))
     assert result.digest == digest(log)

@@ -22,6 +22,7 @@ from typing import Any
 
 from fleet.bench_agent import GOALS_US
 from fleet.bench_echo import echo_bus, echo_pipe
+from fleet.bench_netem import SHARE, SHARE_GOAL, netem_figures
 from fleet.bench_steps import steps
 from fleet.children import Children
 from fleet.console import free_port
@@ -94,11 +95,14 @@ def measure(sizes: list[int], *, quick: bool, say: Callable[[str], None]) -> dic
                 pss_mb=pss[0],
             )
         )
+    say("the network core")
+    network = netem_figures(quick=quick)
     say("single steps")
     return {
         "machine": {"cpus": os.cpu_count(), "system": platform.platform(), "python": platform.python_version()},
         "versions": {name: version(name) for name in ("uuv-fleet", "eclipse-zenoh", "piqp", "numpy", "mcap")},
         "fleets": [row.to_values() for row in rows],
+        "netem": network,
         "steps_us": steps(50 if quick else 2000),
     }
 
@@ -242,3 +246,9 @@ def step_targets(steps_us: dict[str, float]) -> list[str]:
         f"{'met   ' if steps_us[name] <= goal else 'MISSED'} {name}: {steps_us[name]:.1f} us, at most {goal:g} us"
         for name, goal in GOALS_US.items()
     ]
+
+
+def netem_targets(figures: dict[str, float]) -> list[str]:
+    """The same for the network core's share of a run."""
+    share = figures[SHARE]
+    return [f"{'met   ' if share < SHARE_GOAL else 'MISSED'} netem: {SHARE} {share:.3f}, below {SHARE_GOAL:g}"]

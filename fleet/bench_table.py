@@ -7,7 +7,7 @@ from typing import Any
 from rich.console import Console as Terminal
 from rich.table import Table
 
-from fleet.bench import step_targets, targets
+from fleet.bench import netem_targets, step_targets, targets
 
 
 def show(figures: dict[str, Any], terminal: Terminal) -> None:
@@ -31,5 +31,9 @@ def show(figures: dict[str, Any], terminal: Terminal) -> None:
     for name, cost in figures["steps_us"].items():
         single.add_row(name, f"{cost:.1f}")
     terminal.print(single)
-    for line in [*targets(figures["fleets"]), *step_targets(figures["steps_us"])]:
+    network = Table(title="the network core", title_justify="left", box=None, pad_edge=False, show_header=False)
+    for name, value in figures["netem"].items():
+        network.add_row(name, f"{value:.3f}" if value < 1 else f"{value:.0f}")
+    terminal.print(network)
+    for line in [*targets(figures["fleets"]), *step_targets(figures["steps_us"]), *netem_targets(figures["netem"])]:
         terminal.print(line, highlight=False)

@@ -48,7 +48,7 @@ class InProcess:
     def __init__(self, scenario: Scenario, journal: Journal) -> None:
         self._scenario, self._journal = scenario, journal
         self._world = Lockstep(scenario.world_config(), frame_every=frame_every(scenario))
-        self._rounds = Rounds(scenario.netem_config())
+        self.rounds = Rounds(scenario.netem_config())
         self._loops: dict[int, AgentLoop] = {}
         self.notes: list[str] = []
         self.deaths: dict[int, list[str]] = {}  # how agents ended that nobody told to
@@ -81,8 +81,8 @@ class InProcess:
                     who = f"agent {sender}" if sender > 0 else {WORLD: "the world", NETEM: "netem"}[sender]
                     raise RunBroken(f"{who} sent what cannot be used: {error}") from error
             progress()
-        self._journal.links(self._rounds.close(self._scenario.ticks))
-        return {"entered": self._rounds.netem.entered, "rejected": {}}
+        self._journal.links(self.rounds.close(self._scenario.ticks))
+        return {"entered": self.rounds.netem.entered, "rejected": {}}
 
     def _born(self, i: int, incarnation: int, begin: int) -> AgentLoop:
         scenario = self._scenario
@@ -106,7 +106,7 @@ class InProcess:
         died.append("controller failed")
         self._gone.add((i, self._loops[i].incarnation))
         if until:
-            self._rounds.lives.add(Absence(i, until - 1, until))
+            self.rounds.lives.add(Absence(i, until - 1, until))
         self._from_world(self._world.end(i, self._loops[i].incarnation, until or None))
 
     def _send(self, sender: int, receiver: int, message: Message) -> None:
@@ -135,10 +135,10 @@ class InProcess:
             case Command():
                 self._from_world(self._world.command(sender, message, data))
             case Transmission():
-                self._rounds.transmission(sender, message)
+                self.rounds.transmission(sender, message)
                 self._exchange()
             case Round():
-                self._rounds.round(message)
+                self.rounds.round(message)
                 self._exchange()
             case Frames():
                 for frame in message.frames:
@@ -155,7 +155,7 @@ class InProcess:
             self._send(i, NETEM if isinstance(message, Transmission) else WORLD, message)
 
     def _exchange(self) -> None:
-        while (outcome := self._rounds.exchange()) is not None:
+        while (outcome := self.rounds.exchange()) is not None:
             inboxes, report = outcome
             for i, inbox in inboxes:
                 self._send(NETEM, i, inbox)

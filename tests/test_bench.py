@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from fleet.bench import measure, step_targets, targets
+from fleet.bench import measure, netem_targets, step_targets, targets
+from fleet.bench_netem import SHARE
 
 
 def test_quick_bench_reports_every_figure() -> None:
@@ -16,6 +17,9 @@ def test_quick_bench_reports_every_figure() -> None:
     assert {"agent step", "agent step with QP", "QP: solve (PIQP, fresh solver)", "controller alone, bsmc"} <= set(
         steps
     )
+    network = figures["netem"]
+    assert 0 < network["full grammar, packets/s"] < network["perfect, packets/s"]
+    assert 0 < network[SHARE] < 1
     assert heard[-1] == "single steps"
 
 
@@ -29,3 +33,8 @@ def test_goals_of_single_steps_say_met_or_missed() -> None:
         "met    agent step: 30.0 us, at most 40 us",
         "MISSED agent step with QP: 90.0 us, at most 80 us",
     ]
+
+
+def test_the_goal_of_the_network_core() -> None:
+    assert netem_targets({SHARE: 0.12}) == ["MISSED netem: share of a run, N = 20 0.120, below 0.1"]
+    assert netem_targets({SHARE: 0.05}) == ["met    netem: share of a run, N = 20 0.050, below 0.1"]

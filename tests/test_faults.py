@@ -348,12 +348,6 @@ def test_a_run_full_of_faults_is_the_same_everywhere(tmp_path: Path) -> None:
     assert results[1].values["deaths"] == {}  # nobody died who was not meant to
 
 
-@pytest.mark.parametrize("name", ["burst", "partition-heal", "kill"])
-def test_shipped_faults_pass_their_checks(name: str, tmp_path: Path) -> None:
-    result = execute(load_scenario(name, ["log.every=50 ticks"]), Options(tmp_path, in_process=True, quiet=True))
-    assert result.status is Status.PASS, (result.reason, result.verdicts)
-
-
 def test_a_check_of_some_vehicles(tmp_path: Path) -> None:
     """The dead one is far away, which does not count against the others; nobody else's number is accepted."""
     everyone = ["checks.formation_error={below: 0.1 m, after: 45 s}", "log.every=50 ticks"]

@@ -1,0 +1,94 @@
+"""The network core alone: packets per second, and its share of a whole run."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+
+from fleet.clock import Clock
+from fleet.inprocess import InProcess
+from fleet.journal import Journal, frame_every
+from fleet.scenario import Scenario, load_scenario
+from netem.config import NetemConfig
+from netem.messages import Fate
+from netem.network import Exchange, Netem
+
+AGENTS = 100
+SHARE_AT = 20
+SHARE_GOAL = 0.10
+SHARE = f"share of a run, N = {SHARE_AT}"
+# Everything the grammar has but a second loss model.
+CONDITION = (
+    "delay 80ms 30ms 25% distribution normal loss gemodel 1% 10% duplicate 1% 10% corrupt 1% 10% "
+    "reorder 5% 25% gap 3 rate 100kbit 20 limit 100"
+)
+_PAYLOAD = b"x" * 63
+
+
+def netem_figures(*, quick: bool) -> dict[str, float]:
+    """Packets per second through `Netem.exchange`, and the share of an in-process run that it takes."""
+    rounds = 5 if quick else 100
+    return {
+        "vehicles": AGENTS,
+        "perfect, packets/s": packets_per_second("", rounds),
+        "full grammar, packets/s": packets_per_second(CONDITION, rounds),
+        SHARE: share_of_a_run(0.5 if quick else 10.0),
+    }
+
+
+def scenario(vehicles: int, condition: str, seconds: float) -> Scenario:
+    """The paper's fleet, each vehicle hearing four others."""
+    links = "{}" if not condition else f'{{"*": {condition}}}'
+    graph = "graph={shape: nearest, count: 4}"
+    return load_scenario(
+        "paper", [f"vehicles={vehicles}", graph, f"duration={seconds} s", f"network.links={links}", "checks={}"]
+    )
+
+
+def packets_per_second(condition: str, rounds: int) -> float:
+    """How many packets one core takes, impairs and hands out."""
+    config = scenario(AGENTS, condition, 10.0).netem_config()
+    netem = Netem(config)
+    payloads = dict.fromkeys(config.vehicles, (_PAYLOAD,))
+    began = time.perf_counter()
+    for k in range(rounds):
+        netem.exchange(k * config.round_ticks, payloads)
+    return rounds * len(config.links) / (time.perf_counter() - began)
+
+
+def share_of_a_run(seconds: float) -> float:
+    """The part of an in-process run's wall time, without a log, that is spent in `exchange`."""
+    run = scenario(SHARE_AT, CONDITION, seconds)
+
+    class Nowhere:
+        """A log that keeps nothing."""
+
+        def frame(self, *_: object) -> None: ...
+        def packet(self, _: Fate) -> None: ...
+        def event(self, _: object) -> None: ...
+
+    fleet = InProcess(run, Journal(run, Nowhere()))
+    core = fleet.rounds.netem = Timed(run.netem_config())
+    began = time.perf_counter()
+    fleet.serve(Clock(run.ticks, run.tick_ns, run.round_ticks, frame_every(run)), lambda: None)
+    return core.spent_s / (time.perf_counter() - began)
+
+
+class Timed(Netem):
+    """A network core with a stopwatch."""
+
+    def __init__(self, config: NetemConfig) -> None:
+        super().__init__(config)
+        self.spent_s = 0.0
+
+    def exchange(
+        self,
+        tick: int,
+        transmissions: Mapping[int, tuple[bytes, ...]],
+        positions: Mapping[int, tuple[float, ...]] | None = None,
+    ) -> Exchange:
+        began = time.perf_counter()
+        try:
+            return super().exchange(tick, transmissions, positions)
+        finally:
+            self.spent_s += time.perf_counter() - began

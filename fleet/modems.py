@@ -37,7 +37,21 @@ NUMBERS: dict[str, q.Dimension] = {
     "clear_above": q.LEVEL,
     "capture": q.LEVEL,
 }
-POSITIVE = frozenset({"bit_rate", "carrier", "bandwidth", "max_range"})
+# What the formulas can bear, wider than any modem there is.
+BOUNDS: dict[str, tuple[float, float]] = {
+    "bit_rate": (0.1, 1e8),
+    "preamble": (0.0, 3600.0),
+    "carrier": (100.0, 1e6),
+    "bandwidth": (1.0, 1e6),
+    "source_level": (0.0, 300.0),
+    "directivity": (-100.0, 100.0),
+    "max_range": (1.0, 1e7),
+    "interference_range": (0.0, 1e7),
+    "mtu": (1.0, 1e6),
+    "lost_below": (-200.0, 200.0),
+    "clear_above": (-200.0, 200.0),
+    "capture": (0.0, 200.0),
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,15 +99,13 @@ def modem_of(numbers: Mapping[str, float]) -> Modem:
 
 def modem_problems(numbers: Mapping[str, float]) -> list[str]:
     """What no modem can have."""
-    found = [
-        f"{key} must be above 0, is {numbers[key]:g}" for key in NUMBERS if key in POSITIVE and numbers[key] <= 0.0
-    ]
-    negative = [key for key in ("preamble", "interference_range", "capture") if numbers[key] < 0.0]
-    found += [f"{key} must be 0 or more, is {numbers[key]:g}" for key in negative]
-    if numbers["mtu"] < 1.0 or numbers["mtu"] != int(numbers["mtu"]):
-        found.append(f"mtu must be a whole number of bytes, 1 or more, is {numbers['mtu']:g}")
+    found = []
+    for key, (low, high) in BOUNDS.items():
+        if not low <= numbers[key] <= high:
+            unit = next(unit for unit, size in NUMBERS[key].units.items() if size == 1)
+            found.append(f"{key} must be between {low:g} and {high:g} {unit}, is {numbers[key]:g}")
+    if numbers["mtu"] != int(numbers["mtu"]):
+        found.append(f"mtu must be a whole number of bytes, is {numbers['mtu']:g}")
     if numbers["lost_below"] > numbers["clear_above"]:
         found.append(f"lost_below {numbers['lost_below']:g} dB is above clear_above {numbers['clear_above']:g} dB")
-    if 0.0 < numbers["bit_rate"] < 0.001:
-        found.append(f"bit_rate must be 0.001 bit/s or more, is {numbers['bit_rate']:g}")
     return found

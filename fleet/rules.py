@@ -363,6 +363,10 @@ def _acoustic(spec: ScenarioSpec, report: Report) -> None:
             if not low <= value <= high:
                 text = f"{value:g} {unit} is outside {low} to {high} {unit}, for which the formula was made"
                 report.add((*at, "water", key), text, "give sound_speed instead")
+    if section.sound_speed is not None and not 100.0 <= section.sound_speed <= 10_000.0:
+        report.add((*at, "sound_speed"), f"must be between 100 and 10000 m/s, is {section.sound_speed:g}")
+    if section.wind > 100.0:
+        report.add((*at, "wind"), f"must be at most 100 m/s, is {section.wind:g}")
     try:
         wrong = acoustics.problems(section, report.folder)
     except DataFileError as error:

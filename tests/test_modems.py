@@ -16,6 +16,7 @@ from fleet.datafiles import DataFileError
 from fleet.errors import ScenarioError
 from fleet.modems import NUMBERS, load_modem, parse_modem, shipped
 from fleet.scenario import Scenario, parse_scenario
+from fleet.schema import AcousticSection
 from netem.modem import AcousticConfig
 
 SMALL = """\
@@ -78,11 +79,11 @@ def shipped_text(name: str = "s2c") -> str:
     [
         ("[modem]", "[modm]", "there is no [modem]"),
         ("bit_rate =", "bitrate =", 'unknown modem.bitrate (did you mean "bit_rate"?); modem.bit_rate is missing'),
-        ('13.9, unit = "kbit/s"', '0, unit = "kbit/s"', "bit_rate must be above 0"),
+        ('13.9, unit = "kbit/s"', '0, unit = "kbit/s"', "bit_rate must be between 0.1 and 1e+08 bit/s, is 0"),
         ('13.9, unit = "kbit/s"', '13.9, unit = "kbps"', "unknown unit"),
         ('13.9, unit = "kbit/s"', '13.9, unit = "kHz"', "got a frequency"),
-        ('64, unit = "bytes"', '0.5, unit = "bytes"', "mtu must be a whole number"),
-        ('0.1, unit = "s"', '-0.1, unit = "s"', "preamble must be 0 or more"),
+        ('64, unit = "bytes"', '0.5, unit = "bytes"', "mtu must be between 1 and 1e+06 bytes, is 0.5"),
+        ('0.1, unit = "s"', '-0.1, unit = "s"', "preamble must be between 0 and 3600 s, is -0.1"),
         (
             'value = 8, unit = "dB", source = "ns-3',
             'value = 9, unit = "dB", source = "ns-3',
@@ -190,6 +191,9 @@ def test_a_modem_file_lies_beside_the_scenario_and_is_not_needed_afterwards(tmp_
             "network.acoustic={sound_speed: 1 m/s, water: {temperature: 9 degC, depth: 5 m}}",
             "either a speed or the water",
         ),
+        ("network.acoustic.wind=400 kn", "must be at most 100 m/s, is 205.778"),
+        ("network.acoustic.sound_speed=1 m/s", "must be between 100 and 10000 m/s"),
+        ("network.acoustic.carrier=1 Hz", "carrier must be between 100 and 1e+06 Hz, is 1"),
         ("network.acoustic.wnd=3 m/s", 'did you mean "wind"?'),
         ("network={ideal: true, acoustic: s2c}", 'write "network: ideal" for the network without latency'),
         ("network=akustic", '"ideal", or "acoustic", got "akustic"'),
@@ -205,7 +209,7 @@ CHOICES: dict[str, st.SearchStrategy[str]] = {
     "network.acoustic": st.sampled_from(["fsk-80", "s2c", "{mac: tdma, slot: 4 s}", "{modem: mfsk-1066, buffer: 3}"]),
     "network.acoustic.modem": st.sampled_from(["fsk-80", "s2c", "mfsk-1066"]),
     "network.acoustic.source_level": st.floats(0.0, 300.0).map(lambda v: f"{v!r} dB"),
-    "network.acoustic.carrier": st.floats(1.0, 1e6).map(lambda v: f"{v!r} Hz"),
+    "network.acoustic.carrier": st.floats(1.0, 1e7).map(lambda v: f"{v!r} Hz"),
     "network.acoustic.bit_rate": st.floats(0.1, 100.0).map(lambda v: f"{v!r} kbit/s"),
     "network.acoustic.preamble": st.integers(0, 10**9).map(lambda v: f"{v} ns"),
     "network.acoustic.mtu": st.integers(15, 100).map(lambda v: f"{v} bytes"),
@@ -233,6 +237,28 @@ def test_every_valid_channel_round_trips(overrides: list[str]) -> None:
     assert again.netem_config() == s.netem_config()
     assert again.agent_config(1) == s.agent_config(1)
     assert again.to_yaml() == s.to_yaml()
+
+
+WILD = st.text(max_size=12) | st.sampled_from(
+    ["3", "3 m", "[1]", "{}", "null", ".nan", "-1", "1e400", "true", "5 s", "1e300 dB", "1e-300 Hz", "s2c", "x.toml"]
+)
+KEYS = [f"network.acoustic.{key}" for key in (*AcousticSection.model_fields, "water.depth")]
+
+
+@given(st.lists(st.tuples(st.sampled_from([*KEYS, "network.acoustic", "network.payload"]), WILD), max_size=4))
+@settings(max_examples=150, deadline=None)
+def test_any_override_is_accepted_or_a_scenario_error(pairs: list[tuple[str, str]]) -> None:
+    """And what is accepted can be played: no number that passes overflows in the formulas."""
+    try:
+        s = small(*(f"{key}={value}" for key, value in pairs))
+    except ScenarioError as error:
+        assert str(error)  # noqa: PT017 - most are errors, all must be ours
+        return
+    assert parse_scenario(s.to_yaml(), "small.yaml") == s
+    if s.acoustic is not None:
+        for range_m in (0.0, 1.0, 1e3, 1e6):
+            assert 0.0 <= s.acoustic.packet_error_rate(range_m, 15) <= 1.0
+            assert s.acoustic.delay_ns(range_m) >= 0
 
 
 # --- what it means ---------------------------------------------------------

@@ -12,6 +12,7 @@ import click
 from rich.console import Console as Terminal
 
 from fleet.cli_live import COMMANDS
+from fleet.completion import scenarios
 from fleet.errors import FleetError, ScenarioError
 
 EPILOG = "Exit status: 0 pass, 1 a check failed, 2 usage or bad scenario, 3 the run broke, 130 Ctrl-C."
@@ -58,7 +59,7 @@ _overrides = click.option(
 
 
 @cli.command(epilog=EPILOG)
-@click.argument("scenario")
+@click.argument("scenario", shell_complete=scenarios)
 @click.option(
     "--out",
     metavar="DIR",
@@ -145,7 +146,7 @@ def _shuffle(seed: int | None) -> Any:
 
 
 @cli.command()
-@click.argument("scenario")
+@click.argument("scenario", shell_complete=scenarios)
 @_overrides
 def check(scenario: str, overrides: tuple[str, ...]) -> None:
     """Check SCENARIO without running it; every mistake is reported in one pass.

@@ -9,7 +9,9 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import click
+from click.shell_completion import get_completion_class
 
+from fleet import completion
 from fleet.errors import FleetError, ScenarioError
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -24,6 +26,7 @@ def which(command: F) -> F:
         "run",
         metavar="DIR",
         type=click.Path(path_type=Path),
+        shell_complete=completion.runs,
         help="The run's directory; by default the newest live run.",
     )(command)
     return click.option(
@@ -91,7 +94,7 @@ def status(run: Path | None, out: Path, watch: bool) -> None:
 
 
 @click.command()
-@click.argument("what", nargs=-1, required=True)
+@click.argument("what", nargs=-1, required=True, shell_complete=completion.injection)
 @which
 @click.option("--for", "lasts", metavar="TIME", help="How long; by default to the end of the run, or until healed.")
 @click.option("--id", "name", metavar="ID", help="What to call it; by default live-1, live-2, ...")
@@ -154,7 +157,7 @@ def faults(run: Path | None, out: Path) -> None:
 
 
 @click.command()
-@click.argument("name", metavar="[ID]", required=False)
+@click.argument("name", metavar="[ID]", required=False, shell_complete=completion.faults)
 @which
 def heal(name: str | None, run: Path | None, out: Path) -> None:
     """End a fault of a live run, or all of them."""
@@ -215,4 +218,20 @@ def script(log: Path) -> None:
         sys.exit(2)
 
 
-COMMANDS = (ps, status, inject, faults, heal, clock, stop, script)
+@click.command(name="completion")
+@click.argument("shell", type=click.Choice(["bash", "zsh", "fish"]))
+def completion_command(shell: str) -> None:
+    """Print what makes a shell complete commands, scenarios, live runs, links, vehicles and faults.
+
+    \b
+    Examples:
+      eval "$(fleet completion bash)"           in ~/.bashrc
+      eval "$(fleet completion zsh)"            in ~/.zshrc
+      fleet completion fish > ~/.config/fish/completions/fleet.fish
+    """
+    cls = get_completion_class(shell)
+    assert cls is not None  # click has all three
+    click.echo(cls(click.get_current_context().find_root().command, {}, "fleet", "_FLEET_COMPLETE").source())
+
+
+COMMANDS = (ps, status, inject, faults, heal, clock, stop, script, completion_command)

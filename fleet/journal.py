@@ -12,9 +12,12 @@ from dataclasses import replace
 from math import gcd
 from typing import Protocol
 
+from fleet.connectivity import Connectivity
 from fleet.faults import Event, event_order
 from fleet.metrics import Metrics, VehicleError
 from fleet.scenario import Scenario
+from fleet.separation import Separation
+from netem.ages import Ages
 from netem.errors import OutOfPlace
 from netem.ledger import Ledger
 from netem.lives import Absence
@@ -36,6 +39,10 @@ class Journal:
         self.log = log
         self.metrics = Metrics(scenario)
         self.ledger = Ledger(scenario.graph.links)
+        self.ages = Ages(scenario.graph.links)
+        self.separation = Separation.asked(scenario)
+        self.connectivity = Connectivity.asked(scenario)
+        self.happened: list[Event] = []  # those of the events that are written
         self.written = -1  # complete in the log up to this tick
         self.framed = -1
         self.reported = -1
@@ -56,6 +63,13 @@ class Journal:
     def complete(self) -> bool:
         """Whether everything up to the end tick is written."""
         return self.closed and self.written >= self._last
+
+    def finish(self) -> None:
+        """Bring what counts ticks up to what is written; nothing comes after that."""
+        ticks = min(self.written + 1, self._last)  # the last one is never started
+        self.ages.count(ticks)
+        if self.connectivity is not None:
+            self.connectivity.close(ticks)
 
     def frame(self, frame: Frame) -> None:
         """Take the world's next frame.
@@ -99,6 +113,8 @@ class Journal:
             commands = {row.id: _command(row.command) for row in frame.vehicles if row.command}
             self._write_events(frame)
             self.log.frame(frame, commands, self.metrics.frame(frame, commands))
+            if self.separation is not None:
+                self.separation.frame(frame)
         self._write_fates(limit)
         self.written = max(self.written, limit)
 
@@ -132,12 +148,17 @@ class Journal:
             for death in self.deaths.values():
                 self.add_event(replace(death, tick=frame.tick, action="ends"))
         while self._events and self._events[0].tick <= frame.tick:
-            self.log.event(self._events.popleft())
+            event = self._events.popleft()
+            self.happened.append(event)
+            self.log.event(event)
 
     def _write_fates(self, until: int) -> None:
         while self._fates and self._fates[0].final_tick <= until:
             fate = self._fates.popleft()
             self.ledger.settle((fate,))
+            self.ages.settle(fate)
+            if self.connectivity is not None:
+                self.connectivity.settle(fate)
             self.log.packet(fate)
 
 

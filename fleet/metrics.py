@@ -10,6 +10,7 @@
 from __future__ import annotations
 
 from array import array
+from bisect import bisect_left
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from math import hypot, isfinite, sqrt
@@ -116,6 +117,39 @@ class Metrics:
         if found[1] == 0:
             return float("inf"), 0, self.times[-1] if self.times else 0.0
         return found
+
+    def settled(
+        self, what: str, span: tuple[int, int], limit: float, vehicles: list[int] | None = None
+    ) -> tuple[float | None, int, float]:
+        """When `e` or `formation` of every vehicle, or of some, came below a limit to stay within a span of ticks.
+
+        Args:
+            what: `e` or `formation`.
+            span: the first tick, and the one behind the last.
+            limit: in m.
+
+        Returns:
+            the time of the first frame from which all are below it [s], or None; the vehicle that was last, or of None
+            the one that is farthest off in the last frame of the span; and how far off it then is [m]. The vehicle is
+            0 if the span has no frame.
+        """
+        frames = range(bisect_left(self.times, span[0] * self._tick_s), bisect_left(self.times, span[1] * self._tick_s))
+        if not frames:
+            return None, 0, 0.0
+        last, slowest = -1, 0  # frame from which all so far are below, and whose it is
+        farthest = -1.0, 0
+        for i, series in self.series.items():
+            if vehicles is not None and i not in vehicles:
+                continue
+            values = getattr(series, what)
+            above = next((k for k in reversed(frames) if not values[k] < limit), frames.start - 1)
+            if above + 1 > last:
+                last, slowest = above + 1, i
+            if not values[frames[-1]] <= farthest[0]:
+                farthest = values[frames[-1]], i
+        if last < frames.stop:
+            return self.times[last], slowest, getattr(self.series[slowest], what)[frames[-1]]
+        return None, farthest[1], farthest[0]
 
     def summary(self) -> dict[str, Any]:
         """Per vehicle, the numbers of the result table; None where a vehicle never settled."""

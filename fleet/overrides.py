@@ -127,7 +127,9 @@ def _scale(before: Mapping, root: Mapping) -> Mapping:
     checks = root.entries.get("checks")
     if isinstance(checks, Mapping):
         for name, check in checks.entries.items():
-            if isinstance(check, Mapping) and "vehicles" in check.entries:
+            links = check.entries.get("links") if isinstance(check, Mapping) else None
+            some = isinstance(links, Scalar) and bool(_numbers(str(links.value)))
+            if name == "recovery_time" or some or (isinstance(check, Mapping) and "vehicles" in check.entries):
                 checks = checks.without(name)
         root = root.with_entry("checks", root.keys["checks"], checks)
     per_vehicle = root.entries.get("per_vehicle")

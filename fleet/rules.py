@@ -23,9 +23,11 @@ from fleet import acoustics
 from fleet.datafiles import DataFileError
 from fleet.errors import Problem
 from fleet.faults import ACTIONS, OF_THE_WORLD, FaultError, action, partition, vehicles_of
+from fleet.faults import plan as fault_plan
 from fleet.fields import vehicle_numbers
 from fleet.formation import plans
 from fleet.graph import build, parse_edge
+from fleet.nemesis import unleash
 from fleet.quantities import RATE, SPEED, QuantityError, Vec3, show, show_time, show_vector
 from fleet.reference import build as build_reference
 from fleet.schema import FaultAction, FormationShape, GuidanceSection, ScenarioSpec, VehicleOverrides
@@ -426,13 +428,77 @@ def _graph_links(spec: ScenarioSpec) -> tuple[Link, ...]:
 
 
 def _checks(spec: ScenarioSpec, report: Report) -> None:
-    for name in ("formation_error", "consensus_error"):
+    for name in ("formation_error", "consensus_error", "min_separation", "connected"):
         check = getattr(spec.checks, name)
-        for number in vehicle_numbers(check.vehicles) if check is not None and check.vehicles else ():
-            if not 1 <= number <= spec.vehicles:
-                message = f"there is no vehicle {number}: they are 1 to {spec.vehicles}"
-                report.add(("checks", name, "vehicles"), message)
-                break
+        if check is not None and check.vehicles:
+            _vehicles_exist(spec, report, ("checks", name, "vehicles"), check.vehicles)
+    separation = spec.checks.min_separation
+    if separation is not None and separation.vehicles and len(set(vehicle_numbers(separation.vehicles))) < 2:
+        report.add(("checks", "min_separation", "vehicles"), "a distance is between two vehicles or more")
+
+
+def _vehicles_exist(spec: ScenarioSpec, report: Report, path: tuple[str | int, ...], text: str) -> None:
+    for number in vehicle_numbers(text):
+        if not 1 <= number <= spec.vehicles:
+            report.add(path, f"there is no vehicle {number}: they are 1 to {spec.vehicles}")
+            break
+
+
+def _max_age(spec: ScenarioSpec, report: Report) -> None:
+    check = spec.checks.max_age
+    if check is None:
+        return
+    if not spec.network.ideal and check.below <= spec.network.period:
+        report.add(
+            ("checks", "max_age", "below"),
+            f"every age grows to a round of {show_time(spec.network.period)} before the next can be heard",
+            "choose more",
+        )
+    if check.links != "*" and not select(parse_selector(check.links), _graph_links(spec)):
+        report.add(("checks", "max_age", "links"), f"the graph has no link {check.links}")
+
+
+def _connected(spec: ScenarioSpec, report: Report) -> None:
+    check = spec.checks.connected
+    if check is None:
+        return
+    path = ("checks", "connected", "window")
+    _whole(report, path, check.window, spec.tick)
+    if not spec.network.ideal and check.window < spec.network.period:
+        message = f"is shorter than a round of {show_time(spec.network.period)}: nothing is sent in some windows"
+        report.add(path, message, "choose several rounds")
+
+
+def _recovery_time(spec: ScenarioSpec, report: Report) -> None:
+    checks = spec.checks.recovery_time
+    if not checks:
+        return
+    if any(problem.message.startswith(("faults", "nemesis")) for problem in report.problems):
+        raise UnknownValueError  # there is no timeline yet
+    spec = unleash(spec, _graph_links(spec))
+    known, lasting = _fault_names(spec)
+    one = bool(report.keys("checks", "recovery_time"))  # given without the list
+    for index, check in enumerate(checks):
+        path: tuple[str | int, ...] = ("checks", "recovery_time", *(() if one else (index,)))
+        if check.fault not in known:
+            shown = f"known: {', '.join(known[:_LINKS_SHOWN])}" if known else "the scenario has none"
+            more = f" and {len(known) - _LINKS_SHOWN} more" if len(known) > _LINKS_SHOWN else ""
+            report.add((*path, "fault"), f'there is no fault "{check.fault[:40]}"', shown + more)
+        elif check.fault in lasting:
+            message = f'"{check.fault}" lasts to the end of the run: nothing can recover from it'
+            report.add((*path, "fault"), message, 'give the fault a "for"')
+        if check.vehicles:
+            _vehicles_exist(spec, report, (*path, "vehicles"), check.vehicles)
+
+
+def _fault_names(spec: ScenarioSpec) -> tuple[list[str], set[str]]:
+    """The ids of all faults in their order, and those of which nothing says that they end before the run."""
+    events = fault_plan(spec, _graph_links(spec)).events
+    last = spec.duration // spec.tick
+    ending = {event.fault for event in events if event.action == "ends" and event.tick < last}
+    written = {fault.id or f"f{n}": fault for n, fault in enumerate(spec.faults, start=1)}
+    lasting = {name for name, fault in written.items() if fault.for_ is None and name not in ending}
+    return list(dict.fromkeys([*written, *(event.fault for event in events)])), lasting
 
 
 def _faults(spec: ScenarioSpec, report: Report) -> None:
@@ -501,6 +567,9 @@ def _fault_targets(
         drawn = fault.partition in ("one", "majority", "ring", "bridge")  # may cut none, this time
         if not cut & set(links) and not drawn:
             report.add((*path, kind), "cuts no link of the graph")
+        return
+    if kind == "link" and not fault.link:
+        report.add((*path, kind), "names no link", "write link 1->2: loss 30%")
         return
     if kind in ("link", "down", "up"):
         for text in (fault.link or ()) if kind == "link" else [getattr(fault, kind)]:
@@ -705,6 +774,9 @@ RULES: tuple[Callable[[ScenarioSpec, Report], None], ...] = (
     _faults,
     _nemesis,
     _checks,
+    _max_age,
+    _connected,
+    _recovery_time,
     _laws,
     _effective,
     _vehicles,

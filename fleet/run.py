@@ -103,8 +103,9 @@ def execute(scenario: Scenario, options: Options, terminal: Terminal | None = No
     _close_log(log, result)
     for link, (sent, duplicated) in closing["entered"].items():
         journal.ledger.enter(link, sent=sent, duplicated=duplicated)
+    journal.finish()
     if result.status is Status.PASS:
-        result.verdicts = judge(scenario.spec.checks, journal, middleware_lost=fleet.middleware_lost)
+        result.verdicts = judge(scenario, journal, middleware_lost=fleet.middleware_lost)
         if not all(verdict.passed for verdict in result.verdicts):
             result.status = Status.CHECK_FAILED
         if fleet.middleware_lost:
@@ -151,6 +152,7 @@ def _values(scenario: Scenario, journal: Journal, log: LogWriter, result: Result
         "checks": [verdict.to_values() for verdict in result.verdicts],
         "vehicles": journal.metrics.summary(),
         "ledger": {_name(link): account.to_values() for link, account in journal.ledger.accounts.items()},
+        "ages": journal.ages.summary(scenario.tick_ns),
         "middleware_lost": lost,
         "messages": log.messages,
         "digest": log.digest,

@@ -295,11 +295,12 @@ def _order(problem: Problem, source: Source, overrides: Sequence[str]) -> tuple[
 
 def list_scenarios() -> list[tuple[str, str, int, float]]:
     """(name, title, vehicles, duration in s) of every shipped scenario, by name."""
-    found = [load_scenario(name) for name in _shipped()]
+    found = [load_scenario(name) for name in shipped()]
     return [(s.name, s.title, s.vehicles, s.duration_ns / 1e9) for s in found]
 
 
-def _shipped() -> list[str]:
+def shipped() -> list[str]:
+    """The names of the scenarios that come with the package."""
     folder = resources.files("fleet.scenarios")
     return sorted(entry.name.removesuffix(".yaml") for entry in folder.iterdir() if entry.name.endswith(".yaml"))
 
@@ -307,7 +308,7 @@ def _shipped() -> list[str]:
 def _text(name_or_path: str) -> tuple[str, str, Path | None]:
     """What to call the source, its text and its folder. A suffix or a slash makes a path of an unknown name."""
     try:
-        if name_or_path in _shipped():
+        if name_or_path in shipped():
             entry = resources.files("fleet.scenarios") / f"{name_or_path}.yaml"
             return f"{name_or_path}.yaml", entry.read_text("utf-8"), None
         path = Path(name_or_path)
@@ -318,8 +319,8 @@ def _text(name_or_path: str) -> tuple[str, str, Path | None]:
         raise _unreadable(name_or_path, f"not UTF-8 text (byte {error.start})") from None
     except (OSError, ValueError) as error:
         raise _unreadable(name_or_path, getattr(error, "strerror", None) or str(error)) from None
-    hint = nearest(name_or_path, _shipped()) or "a file needs its suffix, as in my-scenario.yaml"
-    message = f"there is no such shipped scenario; there are {', '.join(_shipped())}"
+    hint = nearest(name_or_path, shipped()) or "a file needs its suffix, as in my-scenario.yaml"
+    message = f"there is no such shipped scenario; there are {', '.join(shipped())}"
     raise _unreadable(name_or_path, message, hint)
 
 

@@ -574,11 +574,66 @@ class AtMost(Section):
     at_most: Count
 
 
+class MaxAge(Section):
+    """The age of what was heard last stays below a limit on some links, from a time to the end."""
+
+    below: Period
+    after: Time = 0
+    links: LinkSelector = "*"
+
+
+class Recovery(Section):
+    """After a fault has ended, an error comes below `within` in less than `below`, and stays there.
+
+    It stays until the next fault begins, or to the end.
+    """
+
+    fault: str  # its id: as given, or f1, f2, ...
+    below: Period
+    within: PositiveLength
+    error: Literal["formation", "consensus"] = "formation"
+    vehicles: VehicleNumbers | None = None
+
+
+class MinSeparation(Section):
+    """No two vehicles, of all or of those named, come nearer to each other, from a time to the end."""
+
+    above: PositiveLength
+    after: Time = 0
+    vehicles: VehicleNumbers | None = None
+
+
+class Connected(Section):
+    """What is delivered within every window of some length connects each vehicle with the reference."""
+
+    window: Period
+    after: Time = 0  # when the first window begins
+    vehicles: VehicleNumbers | None = None  # who must be reached
+
+
+def _recoveries(value: Any) -> Any:
+    """One may be given without the list."""
+    if isinstance(value, dict):
+        return [value]
+    return None if value == [] else value
+
+
+def _show_recoveries(recoveries: list[Recovery] | None) -> Any:
+    shown = [entry.model_dump(exclude_none=True) for entry in recoveries or ()]
+    return shown[0] if len(shown) == 1 else shown or None
+
+
 class ChecksSection(Section):
     """What decides whether a run passes."""
 
     formation_error: Below | None = None  # |eta_i - eta_i^d|
     consensus_error: Below | None = None  # |e_i| from true positions
+    recovery_time: Annotated[list[Recovery] | None, BeforeValidator(_recoveries), PlainSerializer(_show_recoveries)] = (
+        None
+    )
+    min_separation: MinSeparation | None = None
+    max_age: MaxAge | None = None
+    connected: Connected | None = None
     qp_infeasible: AtMost | None = None
     ledger: Literal["balanced"] | None = None
     middleware_loss: AtMost | None = None

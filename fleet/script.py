@@ -35,7 +35,15 @@ def script(path: Path) -> Scenario:
     end_ns = int(reader.metadata.get("run", {}).get("ticks", 0)) * int(reader.metadata.get("run", {}).get("tick_ns", 0))
     faults = _entries(_decoded(reader, happened), end_ns)
     lines = text.decode("utf-8").splitlines()
-    return parse_scenario(_without_faults(lines) + _faults_yaml(faults), str(path))
+    ended = {str(entry["id"]) for entry in faults if "for" in entry}
+    return parse_scenario(_without_faults(lines) + _faults_yaml(faults), str(path), _recoveries(text.decode(), ended))
+
+
+def _recoveries(text: str, ended: set[str]) -> list[str]:
+    """The checks of recovery without those from a fault that the run did not see end, which a scenario must not ask."""
+    checks = parse_scenario(text, "scenario.yaml").spec.checks.recovery_time or []
+    kept = [check.model_dump(exclude_none=True) for check in checks if check.fault in ended]
+    return [f"checks.recovery_time={json.dumps(kept)}"] if len(kept) < len(checks) else []
 
 
 def _decoded(reader: LogReader, happened: Iterable[tuple[int, bytes]]) -> list[tuple[int, Any]]:

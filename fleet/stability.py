@@ -15,6 +15,7 @@ neighbours' velocities is a neutral loop, which needs K tau rho(A) < 1.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import reduce
 from typing import Any
@@ -22,6 +23,7 @@ from typing import Any
 import numpy as np
 
 from fleet import acoustics
+from fleet.connectivity import Connectivity
 from fleet.scenario import Scenario
 from netem.config import Condition
 
@@ -60,6 +62,7 @@ def analyse(scenario: Scenario) -> Analysis:
     found.warnings.extend(_dead_reckoning_warning(scenario, found))
     found.warnings.extend(_vehicle_warnings(scenario))
     found.warnings.extend(_fault_warnings(scenario))
+    found.warnings.extend(_check_warnings(scenario))
     return found
 
 
@@ -76,9 +79,9 @@ def report(scenario: Scenario, found: Analysis) -> list[str]:
     """The analysis in lines of text, without the warnings."""
     n = scenario.vehicles
     followers = [i for i in range(1, n + 1) if scenario.b[i - 1] > 0.0]
-    who = "every vehicle follows" if len(followers) == n else f"{_names(followers)} follow"
+    who = "every vehicle follows" if len(followers) == n else f"{names(followers)} follow"
     parts = len(found.components)
-    connected = "connected" if parts == 1 else f"in {parts} parts: " + "; ".join(map(_names, found.components))
+    connected = "connected" if parts == 1 else f"in {parts} parts: " + "; ".join(map(names, found.components))
     reach = "" if found.unreached else "; a vehicle that follows it reaches all" if len(followers) < n else ""
     low, high = found.eigenvalues[0], found.eigenvalues[-1]
     lines = [
@@ -143,7 +146,7 @@ def _graph_warnings(found: Analysis) -> list[str]:
     if not found.unreached:
         return []
     return [
-        f"no chain of links leads from a vehicle that follows the reference (b_i > 0) to {_names(found.unreached)}: "
+        f"no chain of links leads from a vehicle that follows the reference (b_i > 0) to {names(found.unreached)}: "
         "L+B is singular, and their place in the formation is not defined"
     ]
 
@@ -181,7 +184,7 @@ def _vehicle_warnings(scenario: Scenario) -> list[str]:
             unstable.append(i)
     if unstable:
         warnings.append(
-            f"{_names(unstable)}: the surge inertia m1 is not below m2 and m3, so the attack and sideslip angles are "
+            f"{names(unstable)}: the surge inertia m1 is not below m2 and m3, so the attack and sideslip angles are "
             "unstable under the paper's tracking laws (docs/paper.md, G28)"
         )
     return warnings
@@ -193,6 +196,13 @@ def _fault_warnings(scenario: Scenario) -> list[str]:
     if not late:
         return []
     return [f"fault {', '.join(late)}: the run is over before it begins"]
+
+
+def _check_warnings(scenario: Scenario) -> list[str]:
+    connectivity = Connectivity.asked(scenario)
+    if connectivity is None or not connectivity.trivial:
+        return []
+    return ["checks.connected always holds: whom it concerns follows the reference itself (graph.reference)"]
 
 
 def _components(scenario: Scenario) -> list[list[int]]:
@@ -217,7 +227,8 @@ def _unreached(scenario: Scenario) -> list[int]:
     return [i for i in range(1, scenario.vehicles + 1) if i not in reached]
 
 
-def _names(vehicles: list[int]) -> str:
+def names(vehicles: Sequence[int]) -> str:
+    """`vehicle 3`, or `vehicles 3, 4 and 5 more`."""
     shown = ", ".join(map(str, vehicles[:8]))
     more = f" and {len(vehicles) - 8} more" if len(vehicles) > 8 else ""
     return f"vehicle{'s' if len(vehicles) > 1 else ''} {shown}{more}"

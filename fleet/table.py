@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from rich.console import Console as Terminal
 from rich.markup import escape
 from rich.table import Table
@@ -17,7 +19,7 @@ def show(result: Result, terminal: Terminal) -> None:
     if values["vehicles"]:
         terminal.print(_vehicles(values["vehicles"]))
     if any(account["sent"] for account in values["ledger"].values()):
-        terminal.print(_links(values["ledger"]))
+        terminal.print(_links(values["ledger"], values["ages"]))
     for verdict in result.verdicts:
         mark = "[green]pass[/]" if verdict.passed else "[red]FAIL[/]"
         terminal.print(
@@ -59,34 +61,36 @@ def _vehicles(rows: dict[str, dict[str, float | None]]) -> Table:
             "-" if row["u_cmd_max_mps"] is None else format(row["u_cmd_max_mps"], ".2f"),
         )
     if len(rows) > MOST_ROWS:
-        table.add_row("...", f"and {len(rows) - MOST_ROWS} more in result.json")
+        table.add_row("...", f"{len(rows) - MOST_ROWS} more")
     return table
 
 
-def _links(rows: dict[str, dict[str, object]]) -> Table:
-    causes = sorted({cause for row in rows.values() for cause in row["lost"]})  # type: ignore[attr-defined]
-    table = Table(title="packets per directed link", title_justify="left", box=None, pad_edge=False)
-    for heading in (
-        "link",
-        "sent",
-        "duplicated",
-        "delivered",
-        *(f"lost: {c}" for c in causes),
-        "in flight",
-        "corrupted",
-    ):
+def _links(rows: dict[str, dict[str, Any]], ages: dict[str, dict[str, float]]) -> Table:
+    """Packets and ages of all links, or of those that grew oldest; without the columns in which every link has a 0."""
+    lost = sorted({cause for row in rows.values() for cause in row["lost"]})
+    numbers = {
+        name: {
+            "sent": row["sent"],
+            "duplicated": row["duplicated"],
+            "delivered": row["delivered"],
+            **{f"lost: {cause}": row["lost"].get(cause, 0) for cause in lost},
+            "in flight": row["in_flight"],
+            "corrupted": row["corrupted"],
+        }
+        for name, row in rows.items()
+    }
+    total = {key: sum(row[key] for row in numbers.values()) for key in next(iter(numbers.values()))}
+    headings = [key for key in total if total[key] or key in ("sent", "delivered")]
+    shown = list(rows)
+    if len(rows) > MOST_ROWS:
+        shown = sorted(rows, key=lambda name: -ages[name]["max_s"] if name in ages else 0.0)[:MOST_ROWS]
+    title = "packets per directed link, age of what was heard last"
+    table = Table(title=title, title_justify="left", box=None, pad_edge=False)
+    for heading in ("link", *headings, "mean age [s]", "p95 [s]", "max [s]"):
         table.add_column(escape(heading), justify="right")
-    for name, row in list(rows.items())[:MOST_ROWS]:
-        lost = [str(row["lost"].get(cause, 0)) for cause in causes]  # type: ignore[attr-defined]
-        table.add_row(
-            name,
-            str(row["sent"]),
-            str(row["duplicated"]),
-            str(row["delivered"]),
-            *lost,
-            str(row["in_flight"]),
-            str(row["corrupted"]),
-        )
+    for name, row, age in [("all", total, ages.get("*")), *((name, numbers[name], ages.get(name)) for name in shown)]:
+        times = ["-"] * 3 if age is None else [f"{age[key]:.3f}" for key in ("mean_s", "p95_s", "max_s")]
+        table.add_row(name, *(str(row[heading]) for heading in headings), *times)
     if len(rows) > MOST_ROWS:
         table.add_row("...", f"{len(rows) - MOST_ROWS} more")
     return table

@@ -15,7 +15,7 @@ from fleet.errors import Problem
 from fleet.quantities import describe
 from fleet.rules import Report, UnknownValueError, check
 from fleet.schema import ScenarioSpec, Section
-from fleet.yaml_marks import Mapping, locate, plain, text_place
+from fleet.yaml_marks import Items, Mapping, Node, locate, plain, text_place
 from netem.grammar import nearest
 
 Loc = tuple[str | int, ...]
@@ -62,9 +62,10 @@ class _Partial:
         try:
             return kind.validate_python(value, strict=True)
         except ValidationError as error:
-            section = None if _holds_many(info.annotation) else _section_of(info.annotation)
+            section = None if _holds_many(info.annotation) else section_of(info.annotation)
             locs = [detail["loc"] for detail in error.errors()]
-            if not isinstance(value, dict) or (section is None and () in locs):
+            entries = {(key,) for key in value} if isinstance(value, dict) else set()
+            if not isinstance(value, dict) or (section is None and any(loc[:1] not in entries for loc in locs)):
                 raise UnknownValueError from None
             if section is not None:
                 return _Partial(section, value)
@@ -79,7 +80,7 @@ def _kind(section: type[Section], name: str) -> TypeAdapter[Any]:
 
 def _explain(root: Mapping, error: ErrorDetails) -> Problem:
     loc = error["loc"]
-    path = _in_file(loc)
+    path = _in_file(root, loc)
     context, value = error.get("ctx", {}), error["input"]
     name = dotted(path)
     match error["type"]:
@@ -128,16 +129,31 @@ def dotted(path: Sequence[str | int]) -> str:
     return ".".join(str(step + 1) if isinstance(step, int) else step for step in path)
 
 
-def _in_file(loc: Loc) -> Loc:
-    """The path in the file, which lacks the step that tells the two forms of `initial` apart in the model."""
-    return loc[:1] + loc[2:] if loc[0] == "initial" and len(loc) > 1 else loc
+def _in_file(root: Mapping, loc: Loc) -> Loc:
+    """The path in the file: without the step that tells the two forms of `initial` apart in the model, and without
+    the place in a list where the file has an entry without the list."""
+    if loc[0] == "initial" and len(loc) > 1:
+        return loc[:1] + loc[2:]
+    path: Loc = ()
+    node: Node | None = root
+    for step in loc:
+        if isinstance(node, Mapping) and isinstance(step, int):
+            continue
+        path += (step,)
+        if isinstance(node, Mapping):
+            node = node.entries.get(str(step))
+        elif isinstance(node, Items) and isinstance(step, int) and step < len(node.items):
+            node = node.items[step]
+        else:
+            node = None
+    return path
 
 
 def _nearest_key(loc: Loc) -> str:
     section: type[Section] = ScenarioSpec
     for step in loc[:-1]:
         if isinstance(step, str) and step in section.model_fields:
-            section = _section_of(section.model_fields[step].annotation) or section
+            section = section_of(section.model_fields[step].annotation) or section
     key, siblings = str(loc[-1]), [info.alias or name for name, info in section.model_fields.items()]
     hint = nearest(key, siblings)
     if hint:
@@ -152,7 +168,7 @@ def _nearest_key(loc: Loc) -> str:
 def _paths(section: type[Section], prefix: str) -> Iterator[str]:
     for name, info in section.model_fields.items():
         yield prefix + name
-        below = _section_of(info.annotation)
+        below = section_of(info.annotation)
         if below is not None:
             yield from _paths(below, f"{prefix}{name}.")
 
@@ -161,12 +177,12 @@ def _holds_many(annotation: Any) -> bool:
     return get_origin(annotation) in (list, dict) or any(_holds_many(argument) for argument in get_args(annotation))
 
 
-def _section_of(annotation: Any) -> type[Section] | None:
+def section_of(annotation: Any) -> type[Section] | None:
     """The section inside an annotation such as `Below | None` or `list[InitialState]`."""
     if isinstance(annotation, type) and issubclass(annotation, Section):
         return annotation
     for argument in get_args(annotation):
-        found = _section_of(argument)
+        found = section_of(argument)
         if found is not None:
             return found
     return None

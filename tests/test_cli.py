@@ -248,7 +248,7 @@ def test_result_file(tmp_path: Path) -> None:
     values = json.loads((directory / "result.json").read_text())
     assert list(values) == [
         "scenario", "seed", "status", "exit", "reason", "lines", "sim_s", "checks", "vehicles", "ledger",
-        "middleware_lost", "messages", "digest", "python", "wall", "rejected", "deaths", "notes",
+        "ages", "middleware_lost", "messages", "digest", "python", "wall", "rejected", "deaths", "notes",
     ]  # fmt: skip
     assert (values["scenario"], values["seed"], values["sim_s"]) == ("rough-sea", 1, 2.0)
     assert (values["status"], values["exit"], values["reason"], values["lines"]) == ("pass", 0, "", [])
@@ -317,7 +317,7 @@ def test_run_says_what_came_of_it(tmp_path: Path) -> None:
     done = shell("run", "rough-sea", *QUICK, "--out", tmp_path, "--set", "checks.ledger=balanced", COLUMNS="40")
     assert done.returncode == 1
     lines = [line.rstrip() for line in done.stdout.splitlines()]
-    assert "packets per directed link" in lines
+    assert "packets per directed link, age of what was heard last" in lines
     assert any(line.startswith("FAIL  formation_error: below 0.15 m after 60 s; found ") for line in lines)
     assert "pass  ledger: balanced; found balanced" in lines
     assert lines[-1] == str((tmp_path / "latest").resolve())

@@ -6,6 +6,7 @@ from dataclasses import replace
 from typing import Any
 
 import msgpack
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -13,6 +14,7 @@ from loops import world_config
 from test_scenario import only_problem, small
 
 from fleet.scenario import parse_scenario
+from world.current import GaussMarkov, gust
 from world.faults import WorldFault
 from world.sea import World
 
@@ -94,6 +96,52 @@ def test_the_sea() -> None:
     assert drive(world(always), 15) == drive(steady, 15)
     pushed, calm = drive(world(fault("wrench", 0, None)), 30), drive(world(), 30)
     assert pushed[-1][1][2][1][0] > calm[-1][1][2][1][0]  # pushed forward
+
+
+def test_a_drifting_current_is_first_order_gauss_markov() -> None:
+    """Stationary from the start: its deviation is sigma, and it forgets as exp(-t / T); axes have nothing in common."""
+    runs = [GaussMarkov((0.2, 0.0, 0.1), 2.0, 0.1, seed, "current") for seed in range(400)]
+    values = np.array([[drift.at(k) for k in range(60)] for drift in runs])
+    for when in (0, 59):
+        assert np.std(values[:, when, 0]) == pytest.approx(0.2, rel=0.1)
+        assert np.std(values[:, when, 2]) == pytest.approx(0.1, rel=0.1)
+    assert not values[:, :, 1].any()
+    for lag in (5, 20, 40):
+        pairs = values[:, : 60 - lag, 0], values[:, lag:, 0]
+        found = np.mean(pairs[0] * pairs[1]) / 0.04
+        assert found == pytest.approx(np.exp(-lag * 0.1 / 2.0), abs=0.08)
+    assert abs(np.mean(values[:, :, 0] * values[:, :, 2])) < 0.1 * 0.2 * 0.1
+    late = GaussMarkov((0.2, 0.0, 0.1), 2.0, 0.1, 0, "current").at(59)
+    assert late == runs[0].at(59)  # whoever asks, and in whatever order
+
+
+def test_a_gust_rises_and_falls_once() -> None:
+    assert gust((2.0, 0.0, -1.0), 10.0, 0.0) == (0.0, 0.0, 0.0)
+    assert gust((2.0, 0.0, -1.0), 10.0, 5.0) == pytest.approx((2.0, 0.0, -1.0))
+    assert gust((2.0, 0.0, -1.0), 10.0, 2.5) == pytest.approx((1.0, 0.0, -0.5))
+    assert gust((2.0, 0.0, -1.0), 10.0, 10.0) == (0.0, 0.0, 0.0)
+
+
+def test_the_seas_own_drift_is_that_of_a_fault_but_for_its_draws() -> None:
+    drifting = replace(world_config(), drift=((0.1, 0.1, 0.0), 5.0))
+    assert drive(World(drifting), 15) != drive(world(), 15)
+    assert drive(World(drifting), 15) == drive(World(drifting), 15)
+    # Both vehicles see the same water.
+    one, other = World(drifting), World(drifting)
+    drive(one, 5)
+    for i in reversed(other.ids):
+        for k in range(5):
+            other.advance(i, other.actuate(i, (3.0 + 0.5 * k, 0.2 * k, -1.5)))
+    assert [one.state(i) for i in one.ids] == [other.state(i) for i in one.ids]
+
+
+def test_a_dropout_repeats_what_was_measured_before() -> None:
+    rows = drive(world(fault("dropout")), 12)
+    measured = [row[1][0] for row in rows]
+    truth = [measured[0], *(row[1][2] for row in rows[:-1])]
+    repeated = [measured[k] == measured[k - 1] for k in range(6, 10)]
+    assert any(repeated)
+    assert all(measured[k] in (truth[k], measured[k - 1]) for k in range(1, 12))
 
 
 @given(

@@ -1,0 +1,111 @@
+"""Shell completion: scenarios, live runs, kinds of faults, and their targets in the run that is meant.
+
+click writes the shell's part (https://click.palletsprojects.com/en/stable/shell-completion/) and asks here for words.
+What goes wrong means no words: nobody wants an error in the middle of typing.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Any
+
+import click
+from click.shell_completion import CompletionItem
+
+Words = Callable[[click.Context, click.Parameter, str], list[CompletionItem]]
+_CONDITIONS = ("delay", "loss", "duplicate", "corrupt", "reorder", "rate", "limit", "down")
+
+
+def _words(find: Callable[[click.Context], Iterable[str]]) -> Words:
+    """The words that go on from what is typed, quoted for bash where its parser would stumble."""
+
+    def complete(context: click.Context, parameter: click.Parameter, typed: str) -> list[CompletionItem]:
+        try:
+            words = list(find(context))
+        except Exception:
+            return []
+        return [CompletionItem(_for_the_shell(word)) for word in words if word.startswith(typed)]
+
+    return complete
+
+
+def _for_the_shell(word: str) -> str:
+    # zsh and fish quote what they insert; bash inserts it as it is, unless a quote has been opened.
+    current = os.environ.get("COMP_WORDS", "").rsplit(None, 1)[-1:]
+    if "bash" not in os.environ.get("_FLEET_COMPLETE", "") or (current and current[0][:1] in ("'", '"')):
+        return word
+    # Twice, because click's function reads the words with bash's `read`, which takes one backslash away.
+    return "".join(f"\\\\{c}" if c in "<>*|&;() '\"" else c for c in word)
+
+
+def scenarios(context: click.Context, parameter: click.Parameter, typed: str) -> list[CompletionItem]:
+    """Shipped scenarios, or files: bash takes one kind only."""
+    from fleet.scenario import shipped
+
+    found = [CompletionItem(name) for name in shipped() if name.startswith(typed)]
+    return found or [CompletionItem(typed, type="file")]
+
+
+@_words
+def runs(context: click.Context) -> Iterable[str]:
+    """Directories of live runs."""
+    from fleet.remote import live_runs
+
+    return [str(found.directory) for found in live_runs(_out(context))]
+
+
+@_words
+def faults(context: click.Context) -> Iterable[str]:
+    """Ids of the faults that are active in a live run."""
+    from fleet.remote import ask
+
+    return [fault["id"] for fault in ask(_run(context), "faults")["faults"] if fault["active"]]
+
+
+@_words
+def injection(context: click.Context) -> Iterable[str]:
+    """What may come next in `fleet inject`."""
+    from fleet.faults import ACTIONS, NAMED_PARTITIONS
+    from fleet.schema import FaultSection
+    from fleet.validation import section_of
+
+    given = context.params.get("what") or ()
+    if not given:
+        return ACTIONS
+    kind = given[0]
+    section = section_of(FaultSection.model_fields[kind].annotation)
+    if section is not None and kind != "current":
+        return [f"{key}=" for key in section.model_fields]
+    if len(given) > 1:
+        return _CONDITIONS if kind == "link" else ()
+    vehicles, links = _targets(context)
+    match kind:
+        case "link" | "down" | "up":
+            both = [f"{a}<->{b}" for a, b in links if a < b and (b, a) in links]
+            return ["*", *(f"{a}->{b}" for a, b in links), *both]
+        case "partition":
+            isolated = [f"isolate:{i}" for i in range(1, vehicles + 1)]
+            return [*NAMED_PARTITIONS[:-1], *isolated]
+        case "current" | "gust":
+            return ()
+    return [str(i) for i in range(1, vehicles + 1)]
+
+
+def _targets(context: click.Context) -> tuple[int, tuple[tuple[int, int], ...]]:
+    from fleet.scenario import load_scenario
+
+    scenario = load_scenario(_run(context).directory / "scenario.yaml")
+    return scenario.vehicles, scenario.graph.links
+
+
+def _run(context: click.Context) -> Any:
+    from fleet.remote import find
+
+    run = context.params.get("run")
+    return find(None if run is None else Path(run), _out(context))
+
+
+def _out(context: click.Context) -> Path:
+    return Path(context.params.get("out") or "runs")

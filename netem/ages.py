@@ -1,0 +1,124 @@
+"""Age of information: per directed link, how old the newest that has arrived is, at every tick.
+
+| symbol | meaning | unit |
+|---|---|---|
+| t | a tick that was started, from 0 to the end of the run, without it | tick |
+| U(t) | newest tick of sending among what the link delivered whole up to t; 0 before there is any | tick |
+| Delta(t) | t - U(t), the age | tick |
+
+Delta is the age of S. Kaul, R. Yates, M. Gruteser, "Real-time status: How often should one update?", INFOCOM 2012: a
+sawtooth that grows by one per tick and drops when something newer arrives. What arrives late behind something newer, a
+copy, and a payload that the link corrupted (the agent refuses it by its CRC) do not lower it. At the start nobody
+knows anything of anybody, so the age counts from tick 0: a link that never delivers is as old as the run. It belongs to
+the link, not to an agent's memory: it also grows at a receiver, or of a sender, that is dead.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+
+from netem.config import Link
+from netem.impairment import DELIVERED
+from netem.messages import Fate
+
+
+@dataclass(slots=True)
+class Age:
+    """The age on one link, counted tick by tick, each tooth in closed form.
+
+    Kept are the edges of a histogram (between two edges every age occurred equally often) and the peaks that no later
+    one reaches, so what it takes grows with the number of different ages, not with the run.
+    """
+
+    heard: int = 0  # U
+    counted: int = 0  # ticks below it are in what follows
+    total: int = 0  # sum of their ages
+    edges: Counter[int] = field(default_factory=Counter)  # age: by how many more ticks had it than the age below it
+    peaks: list[tuple[int, int]] = field(default_factory=list)  # (tick, age): later, lower
+
+    def hear(self, sent_tick: int, due_tick: int) -> None:
+        """Something was delivered; deliveries come in order of `due_tick`."""
+        if sent_tick > self.heard:
+            self.count(due_tick)
+            self.heard = sent_tick
+
+    def count(self, until: int) -> None:
+        """Count the ticks below `until`."""
+        first, last = self.counted - self.heard, until - 1 - self.heard
+        if last < first:
+            return
+        self.counted = until
+        self.total += (first + last) * (last - first + 1) // 2
+        self.edges[first] += 1
+        self.edges[last + 1] -= 1
+        while self.peaks and self.peaks[-1][1] <= last:
+            self.peaks.pop()
+        self.peaks.append((until - 1, last))
+
+    def oldest(self, after: int = 0) -> tuple[int, int] | None:
+        """The largest age of the counted ticks from `after` on, and the last tick that had it."""
+        return next(((age, tick) for tick, age in self.peaks if tick >= after), None)
+
+
+class Ages:
+    """The ages on all links, from final fates in the order in which the journal has them."""
+
+    def __init__(self, links: Iterable[Link]) -> None:
+        self.links: dict[Link, Age] = {link: Age() for link in sorted(links)}
+
+    def settle(self, fate: Fate) -> None:
+        """Take a final fate.
+
+        Raises:
+            KeyError: it names a link that does not exist.
+        """
+        if fate.cause == DELIVERED and not fate.corrupted:
+            self.links[fate.src, fate.dst].hear(fate.sent_tick, fate.due_tick)
+
+    def count(self, until: int) -> None:
+        """Count the ticks below `until`; every fate that was final before it has been taken."""
+        for age in self.links.values():
+            age.count(until)
+
+    def oldest(self, after: int, links: Iterable[Link]) -> tuple[int, Link, int] | None:
+        """The largest age on some links from a tick on: (age, link, tick); None if no tick was counted there."""
+        found: tuple[int, Link, int] | None = None
+        for link in links:
+            peak = self.links[link].oldest(after)
+            if peak is not None and (found is None or peak[0] > found[0]):
+                found = peak[0], link, peak[1]
+        return found
+
+    def summary(self, tick_ns: int) -> dict[str, dict[str, float]]:
+        """Mean, 95th percentile and maximum [s] over the counted ticks, per link, and of all links as `*`."""
+        counted = {f"{src}->{dst}": age for (src, dst), age in self.links.items() if age.counted}
+        if not counted:
+            return {}
+        rows = {name: _row(age.total, age.counted, age.edges, tick_ns) for name, age in counted.items()}
+        edges: Counter[int] = Counter()
+        for age in counted.values():
+            edges.update(age.edges)
+        total, ticks = (sum(getattr(age, key) for age in counted.values()) for key in ("total", "counted"))
+        return {"*": _row(total, ticks, edges, tick_ns)} | rows
+
+
+def _row(total: int, ticks: int, edges: Counter[int], tick_ns: int) -> dict[str, float]:
+    return {
+        "mean_s": total * tick_ns / ticks / 1e9,
+        "p95_s": percentile(edges, ticks, 95) * tick_ns / 1e9,
+        "max_s": (max(edges) - 1) * tick_ns / 1e9,
+    }
+
+
+def percentile(edges: Counter[int], ticks: int, percent: int) -> int:
+    """The least age that at least so many percent of the ticks did not exceed (the nearest rank)."""
+    rank = -(-ticks * percent // 100)
+    begin = below = often = 0
+    for edge, change in sorted(edges.items()):
+        here = (edge - begin) * often
+        if below + here >= rank:
+            break
+        begin, below, often = edge, below + here, often + change
+    return begin - 1 - (below - rank) // often

@@ -1,0 +1,62 @@
+"""What a shell is offered while a command for a live run is typed."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from fleet.cli import cli
+from fleet.scenario import load_scenario
+
+
+def offered(monkeypatch: pytest.MonkeyPatch, *words: str, shell: str = "zsh") -> list[str]:
+    """The words that complete the last one."""
+    monkeypatch.setenv("COMP_WORDS", " ".join(["fleet", *(w if w else "''" for w in words)]))
+    monkeypatch.setenv("COMP_CWORD", str(len(words)))
+    monkeypatch.setenv("_FLEET_COMPLETE", f"{shell}_complete")
+    lines = CliRunner().invoke(cli, prog_name="fleet", complete_var="_FLEET_COMPLETE").output.splitlines()
+    return [line.removeprefix("plain,") for line in lines] if shell == "bash" else lines[1::3]
+
+
+@pytest.fixture
+def live(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
+    """A run directory as a live run of ours has it; nobody answers there."""
+    directory = tmp_path / "runs" / "paper-1"
+    directory.mkdir(parents=True)
+    (directory / "scenario.yaml").write_text(load_scenario("paper", ["vehicles=3"]).to_yaml())
+    values = {"endpoint": "tcp/127.0.0.1:1", "run": "a", "scenario": "paper", "user": "u", "password": "p"}
+    (directory / "connection.json").write_text(json.dumps(values | {"pid": os.getpid()}))
+    monkeypatch.chdir(tmp_path)
+    return "runs/paper-1"
+
+
+def test_words_that_need_no_run(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert offered(monkeypatch, "run", "partition-") == ["partition-heal"]
+    assert offered(monkeypatch, "inject", "ef") == ["efficiency"]
+    assert offered(monkeypatch, "inject", "slow", "b") == ["by="]
+    assert offered(monkeypatch, "inject", "mute", "1") == []  # there is no run to ask for its vehicles
+
+
+def test_targets_are_those_of_the_run(live: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert offered(monkeypatch, "status", "--run", "r") == [live]
+    assert offered(monkeypatch, "inject", "kill", "") == ["1", "2", "3"]
+    assert offered(monkeypatch, "inject", "down", "2") == ["2->1", "2->3", "2<->3"]
+    assert offered(monkeypatch, "inject", "link", "1->2", "del") == ["delay"]
+    assert offered(monkeypatch, "inject", "partition", "iso") == ["isolate:1", "isolate:2", "isolate:3"]
+    assert offered(monkeypatch, "heal", "") == []  # it does not answer
+
+
+def test_bash_gets_what_it_can_parse(live: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its completion takes one backslash away; after an opening quote it needs none."""
+    assert offered(monkeypatch, "inject", "down", "3", shell="bash") == [r"3-\\>2"]
+    assert offered(monkeypatch, "inject", "down", "'3", shell="bash") == ["3->2"]
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+def test_every_shell_has_its_part(shell: str) -> None:
+    result = CliRunner().invoke(cli, ["completion", shell])
+    assert (result.exit_code, f"_FLEET_COMPLETE={shell}_complete" in result.output) == (0, True)

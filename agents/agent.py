@@ -17,7 +17,7 @@ from collections.abc import Iterable
 from math import isfinite, nan
 from typing import Any, NamedTuple, Protocol
 
-from agents import plugins
+from agents import compact, plugins
 from agents.api import Sample
 from agents.command import clip
 from agents.config import AgentConfig, Law
@@ -150,14 +150,26 @@ class Agent(_Brain):
             self._tick_s,
             config.age_cap_s,
             config.drop_after_s,
+            config.codec,
+            config.round_ticks,
         )
         self._controller = build(config, self._notes)
         self._seed = f"{config.seed}/controller/{config.id}/"
+        self._unsaid = False  # whether a state was beyond what the compact payload can say
 
     def transmit(self, nav: Nav) -> tuple[bytes, ...]:
         """The payloads to every neighbour: own position and velocity over ground at this tick."""
         eta, nu = self._measured(nav)
-        return (encode(StateMessage(self.config.id, nav.tick, eta[:3], earth_velocity(eta, nu))),)
+        message = StateMessage(self.config.id, nav.tick, eta[:3], earth_velocity(eta, nu))
+        if self.config.codec == "full":
+            return (encode(message),)
+        try:
+            return (compact.encode(message, self.config.round_ticks),)
+        except compact.OutOfRange as error:
+            if not self._unsaid:
+                self._notes.append((nav.tick, f"a state that the compact payload cannot hold is not sent: {error}"))
+            self._unsaid = True
+            return ()
 
     def decide(self, nav: Nav, deliveries: Iterable[Delivery]) -> Decision:
         """The same as `step` without the sending."""
@@ -204,6 +216,7 @@ class Agent(_Brain):
         return {
             "last_tick": self._last_tick,
             "failed": self._failed,
+            "unsaid": self._unsaid,
             "neighbours": self._neighbours.state(),
             "controller": self._controller.state(),
         }
@@ -212,6 +225,7 @@ class Agent(_Brain):
         """Continue from `state()` of an agent with the same configuration."""
         self._last_tick = values["last_tick"]
         self._failed = values["failed"]
+        self._unsaid = values["unsaid"]
         self._neighbours.restore(values["neighbours"])
         self._controller.restore(values["controller"])
 

@@ -16,6 +16,7 @@ Extrapolation = Literal["hold", "neighbour", "reference"]
 Cost = Literal["printed", "consistent"]
 Angles = Literal["printed", "exact"]
 OnError = Literal["abort", "coast", "die"]
+Codec = Literal["full", "compact"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,6 +101,7 @@ class AgentConfig:
     agent: Law | None = None  # in place of everything
     on_error: OnError = "abort"  # what follows when a law fails
     budget_s: float = 0.0  # wall time a law may take for a sample; 0: any
+    codec: Codec = "full"  # of what it tells its neighbours: agents.payload or agents.compact
 
     def desired(self, t: float) -> Motion:
         """Where this vehicle should be at time t [s], and how it should move: pd_i = eta_1^d + p_i and its rate."""

@@ -24,7 +24,8 @@ from collections.abc import Iterable, Sequence
 from typing import Any, Protocol
 
 from agents.api import NeighbourState
-from agents.config import Extrapolation, Neighbour
+from agents.compact import decode as decode_compact
+from agents.config import Codec, Extrapolation, Neighbour
 from agents.errors import PayloadError
 from agents.payload import CAUSES, StateMessage, decode
 from agents.trajectory import Offset, Reference, minus, plus
@@ -58,6 +59,8 @@ class NeighbourTable:
         tick_s: float,
         age_cap_s: float = 0.0,
         drop_after_s: float = 0.0,
+        codec: Codec = "full",
+        round_ticks: int = 1,
     ) -> None:
         # One order for the sums, whatever the order of the configuration or of arrival.
         self._neighbours = tuple(sorted(neighbours, key=lambda n: n.id))
@@ -65,6 +68,7 @@ class NeighbourTable:
         self._reference = reference
         self._offset = offset  # own: p_j = p_i - Delta_ij
         self._tick_s = tick_s
+        self._compact_round = round_ticks if codec == "compact" else 0
         # In ticks, so that neither depends on how a product of floats is rounded.
         self._age_cap = round(age_cap_s / tick_s) if age_cap_s else None
         self._drop_after = round(drop_after_s / tick_s) if drop_after_s else None
@@ -80,7 +84,10 @@ class NeighbourTable:
 
     def _absorb(self, delivery: Delivery, now: int) -> str:
         try:
-            message = decode(delivery.payload)
+            if self._compact_round:
+                message = decode_compact(delivery.payload, now, self._compact_round)
+            else:
+                message = decode(delivery.payload)
         except PayloadError as error:
             return error.cause
         # The network knows who sent a packet. A payload that says otherwise came from somewhere else.

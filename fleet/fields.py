@@ -79,6 +79,27 @@ def _probability(value: Any) -> float:
     return probability
 
 
+def _fraction(value: Any) -> float:
+    number = q.scalar(value, q.NUMBER)
+    if not 0.0 <= number <= 1.0:
+        raise q.QuantityError(f"must be between 0 and 1, got {q.describe(value)}")
+    return number
+
+
+def _spreading(value: Any) -> float:
+    number = q.scalar(value, q.NUMBER)
+    if not 1.0 <= number <= 2.0:
+        raise q.QuantityError(f"must be between 1 (cylindrical) and 2 (spherical), got {q.describe(value)}")
+    return number
+
+
+def _bytes(value: Any) -> int:
+    number = q.parse(value, q.SIZE)[0]
+    if number.denominator != 1 or number > 10**9:
+        raise q.QuantityError(f"{q.describe(value)} is not a whole number of bytes")
+    return number.numerator
+
+
 def vehicle_numbers(text: str) -> list[int]:
     """The vehicles that `2-4, 7` stands for, in order. Raises QuantityError."""
     found: list[int] = []
@@ -128,6 +149,14 @@ Ratio = Annotated[float, _scalar(q.RATIO)]
 PositiveAcceleration = Annotated[float, _scalar(q.ACCELERATION, "positive")]
 Layers = Annotated[Vec3, _vector(q.NUMBER, "positive")]
 Probability = Annotated[float, Text(_probability, lambda value: q.show(value, q.RATIO))]
+BitRate = Annotated[float, _scalar(q.BIT_RATE, "positive")]
+Frequency = Annotated[float, _scalar(q.FREQUENCY, "positive")]
+Level = Annotated[float, _scalar(q.LEVEL)]
+Temperature = Annotated[float, _scalar(q.TEMPERATURE)]
+Salinity = Annotated[float, _scalar(q.NUMBER)]
+Bytes = Annotated[int, Text(_bytes, lambda value: f"{value} bytes", "positive")]
+Fraction = Annotated[float, Text(_fraction, float)]
+Spreading = Annotated[float, Text(_spreading, float)]
 Gain = Annotated[float, _scalar(q.RATE, "positive")]
 Gains = Annotated[Vec3, _vector(q.RATE, "positive")]
 Time = Annotated[int, Text(q.time_ns, q.show_time, "not negative")]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from inspect import getdoc
 
-from agents import payload
+from agents import compact, payload
 from netem.messages import PROTOCOL_VERSION, Delivery, Fate, Frame, VehicleFrame, declared, fields_of
 
 _HEAD = f"""# Wire protocol, version {PROTOCOL_VERSION}
@@ -34,6 +34,7 @@ def page() -> str:
     parts.append("## Records\n")
     parts += [f"### `{r.__name__}`\n\n{getdoc(r)}\n\n{_table(r)}" for r in (Delivery, Fate, Frame, VehicleFrame)]
     parts.append(f"## The payload of our own agents\n\nOpaque to the network.\n\n{getdoc(payload)}\n")
+    parts.append(f"### The compact payload\n\n{getdoc(compact)}\n")
     return "\n".join(parts)
 
 

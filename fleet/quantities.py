@@ -60,11 +60,16 @@ ROTATION_DAMPING = Dimension(
 )
 RATIO = Dimension("a relative error", "10 %", {"%": Fraction(1, 100), "": Fraction(1)})
 TICKS = Dimension("a number of ticks", "10 ticks", _units(ticks=1, tick=1))
+BIT_RATE = Dimension("a bit rate", "80 bit/s", {"bit/s": Fraction(1), "kbit/s": Fraction(1000)})
+FREQUENCY = Dimension("a frequency", "25 kHz", _units(kHz=1000, Hz=1))
+LEVEL = Dimension("a level", "190 dB", _units(dB=1))
+SIZE = Dimension("a size", "32 bytes", _units(bytes=1, byte=1))
+TEMPERATURE = Dimension("a temperature", "10 degC", _units(degC=1))
 NUMBER = Dimension("a number", "0.8", {"": Fraction(1)})
 
 DIMENSIONS = (
     TIME, LENGTH, SPEED, ACCELERATION, ANGLE, ANGULAR_RATE, FORCE, MOMENT, RATE, MASS, INERTIA, DAMPING,
-    ROTATION_DAMPING, TICKS, RATIO, NUMBER,
+    ROTATION_DAMPING, TICKS, BIT_RATE, FREQUENCY, LEVEL, SIZE, TEMPERATURE, RATIO, NUMBER,
 )  # fmt: skip
 
 

@@ -16,9 +16,10 @@ from agents.config import AgentConfig, Neighbour
 from agents.controllers import layout
 from agents.signals import Layout
 from agents.trajectory import Change, Offset, Reference, minus
-from fleet import emit, faults, formation, graph, nemesis, reference, tuning
+from fleet import acoustics, emit, faults, formation, graph, nemesis, reference, tuning
 from fleet.errors import Problem, ScenarioError
 from fleet.graph import Graph
+from fleet.modems import shipped as shipped_modems
 from fleet.overrides import apply, override_name
 from fleet.schema import CurrentSection, ScenarioSpec, VehicleSection
 from fleet.tuning import Control
@@ -27,6 +28,7 @@ from fleet.vehicles import shipped as shipped_vehicles
 from fleet.yaml_marks import Mapping, Scalar, Source, read
 from netem.config import Condition, Link, NetemConfig
 from netem.grammar import nearest, parse_selector, select
+from netem.modem import AcousticConfig
 from world import disturbance
 from world.config import NavNoise, VehicleSetup, WorldConfig
 from world.vehicle import Vec3, Vec5
@@ -48,6 +50,7 @@ class Scenario:
     conditions: dict[Link, Condition]  # of every link that is not perfect at the start
     controls: tuple[Control, ...]  # what each vehicle is and runs
     faults: faults.Plan
+    acoustic: AcousticConfig | None  # None: no water between them
     source: str = field(default="", compare=False)  # the shipped name or the path it was loaded from
 
     @classmethod
@@ -69,6 +72,7 @@ class Scenario:
             initial=formation.initial_states(spec.initial, places, trajectory.at(0.0), spec.seed),
             conditions={k: conditions[k] for k in links.links if conditions.get(k, Condition()) != Condition()},
             faults=faults.plan(spec, links.links),
+            acoustic=acoustics.compile_acoustic(spec.network, spec.vehicles, spec.tick, folder),
             controls=tuple(tuning.control(spec, i, folder) for i in range(1, spec.vehicles + 1)),
             source=source,
         )
@@ -189,6 +193,7 @@ class Scenario:
             agent=control.agent,
             on_error=spec.on_controller_error,
             budget_s=spec.controller_budget / 1e9,
+            codec=spec.network.payload,
         )
 
     def netem_config(self) -> NetemConfig:
@@ -203,6 +208,7 @@ class Scenario:
             faults=self.faults.network,
             absences=self.faults.absences,
             ideal=self.ideal,
+            acoustic=self.acoustic,
         )
 
     def to_yaml(self) -> str:
@@ -211,7 +217,7 @@ class Scenario:
 
 
 def _standing_alone(spec: ScenarioSpec, folder: Path | None) -> ScenarioSpec:
-    """The same specification without vehicle files beside it."""
+    """The same specification without files of vehicles and modems beside it."""
 
     def alone(section: VehicleSection | None) -> VehicleSection | None:
         if section is None or section.model is None or section.model in shipped_vehicles():
@@ -222,7 +228,11 @@ def _standing_alone(spec: ScenarioSpec, folder: Path | None) -> ScenarioSpec:
         numbers: overrides.model_copy(update={"vehicle": alone(overrides.vehicle)})
         for numbers, overrides in spec.per_vehicle.items()
     }
-    return spec.model_copy(update={"vehicle": alone(spec.vehicle), "per_vehicle": per_vehicle})
+    network, acoustic = spec.network, spec.network.acoustic
+    if acoustic is not None and acoustic.modem not in shipped_modems():
+        network = network.model_copy(update={"acoustic": acoustics.inlined(acoustic, folder)})
+    changes = {"vehicle": alone(spec.vehicle), "per_vehicle": per_vehicle, "network": network}
+    return spec.model_copy(update=changes)
 
 
 def _drift(current: CurrentSection) -> tuple[Vec3, float] | None:

@@ -20,21 +20,26 @@ from pydantic import (
 )
 from pydantic_core import CoreSchema, core_schema
 
-from agents.config import Angles, Cost, Extrapolation, OnError
+from agents.config import Angles, Codec, Cost, Extrapolation, OnError
 from fleet.fields import (
     Acceleration,
     Angle,
     AngularRate,
     AnyMoment,
+    BitRate,
+    Bytes,
     Count,
     Damping,
     Force,
     ForceVector,
+    Fraction,
+    Frequency,
     Gain,
     Gains,
     Inertia,
     Layers,
     Length,
+    Level,
     LinkCondition,
     LinkSelector,
     Mass,
@@ -48,11 +53,14 @@ from fleet.fields import (
     Probability,
     Ratio,
     RotationDamping,
+    Salinity,
     SignedAngle,
     SignedAngularRate,
     SignedSpeed,
     Speed,
     Speeds,
+    Spreading,
+    Temperature,
     Ticks,
     Time,
     VehicleNumbers,
@@ -345,12 +353,55 @@ class VehicleOverrides(Section):
     model_error: ModelErrorSection | None = None
 
 
+class WaterSection(Section):
+    """What the speed of sound follows from."""
+
+    temperature: Temperature
+    salinity: Salinity = 35.0  # ppt
+    depth: Length
+
+
+class AcousticSection(Section):
+    """The acoustic channel: a modem, shipped or a TOML file, and what differs from it; when each talks; the water."""
+
+    modem: str = "s2c"
+    bit_rate: BitRate | None = None
+    preamble: Time | None = None
+    carrier: Frequency | None = None
+    bandwidth: Frequency | None = None
+    source_level: Level | None = None  # re 1 uPa at 1 m
+    directivity: Level | None = None
+    max_range: PositiveLength | None = None
+    interference_range: Length | None = None
+    mtu: Bytes | None = None
+    lost_below: Level | None = None
+    clear_above: Level | None = None
+    capture: Level | None = None
+    mac: Literal["aloha", "tdma"] = "aloha"
+    backoff: Time | None = None  # aloha: the largest; what makes pure ALOHA carry most
+    slot: Period | None = None  # tdma
+    guard: Time | None = None  # tdma; 100 ms
+    buffer: Annotated[int, Field(ge=1, le=1000)] = 1  # payloads that wait
+    sound_speed: PositiveSpeed | None = None  # 1500 m/s
+    water: WaterSection | None = None  # in place of a speed
+    spreading: Spreading = 1.5
+    shipping: Fraction = 0.5
+    wind: Speed = 5.0
+
+
+def _acoustic(value: Any) -> Any:
+    """A modem may be given by its name alone; with nothing at all everything is as it comes."""
+    return {"modem": value} if isinstance(value, str) else {} if value is None else value
+
+
 class NetworkSection(Section):
     """The network between the agents; `network: ideal` in the file is `ideal` here."""
 
     ideal: bool = False
     period: Period = 100_000_000  # one round: every agent sends once per period
     links: dict[LinkSelector, LinkCondition] = {}  # the last that matches a link wins
+    acoustic: Annotated[AcousticSection | None, BeforeValidator(_acoustic)] = None  # in the water
+    payload: Codec = "full"  # how our own agents write what they tell each other
 
 
 class SensorNoise(SensorsSection):
@@ -591,18 +642,26 @@ class ChecksSection(Section):
 def _network(value: Any) -> Any:
     if value == "ideal":
         return {"ideal": True}
+    if value == "acoustic":
+        return {"acoustic": {}}
     if isinstance(value, dict):
         if "ideal" in value:
-            raise mistake('write "network: ideal" for the network without latency')
+            raise mistake('write "network: ideal" for the network without latency, which then is nothing else')
         return value
-    raise mistake(f'expected a mapping with a period and links, or "ideal", got {describe(value)}')
+    raise mistake(f'expected a mapping with a period and links, or "ideal", or "acoustic", got {describe(value)}')
 
 
 def _show_network(network: NetworkSection) -> Any:
     if network.ideal:
         return "ideal"
     links = {selector: print_condition(condition) for selector, condition in network.links.items()}
-    return {"period": show_time(network.period)} | ({"links": links} if links else {})
+    shown: dict[str, Any] = {"period": show_time(network.period)}
+    if network.acoustic is not None:
+        modem = {"modem": network.acoustic.modem}
+        shown["acoustic"] = modem | network.acoustic.model_dump(exclude_none=True, exclude_defaults=True)
+    return (
+        shown | ({"links": links} if links else {}) | ({"payload": "compact"} if network.payload == "compact" else {})
+    )
 
 
 def _initial(value: Any) -> Any:

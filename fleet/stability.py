@@ -22,6 +22,7 @@ from typing import Any
 
 import numpy as np
 
+from fleet import acoustics
 from fleet.connectivity import Connectivity
 from fleet.scenario import Scenario
 from netem.config import Condition
@@ -87,6 +88,10 @@ def report(scenario: Scenario, found: Analysis) -> list[str]:
         f"graph {connected}; {who} the reference{reach}",
         f"eigenvalues of L+B: {_number(low)} to {_number(high)}; spectral radius of A {found.spectral_radius_A:.4g}",
     ]
+    network, acoustic = scenario.spec.network, scenario.acoustic
+    if acoustic is not None:
+        talking = acoustics.describe(network, acoustic, n, scenario.tick_ns)
+        lines.append(f"{talking}; what is heard is up to {oldest_s(scenario):.4g} s old without loss")
     if found.gain_max is not None:
         decay = _shunting_decay(scenario)
         if decay is not None:
@@ -112,6 +117,9 @@ def oldest_s(scenario: Scenario) -> float:
     tick = scenario.tick_ns
     delays = [scenario.conditions.get(link, Condition()) for link in scenario.graph.links]
     worst = max(condition.delay_ns + condition.jitter_ns for condition in delays)
+    if scenario.acoustic is not None:
+        age = acoustics.oldest_s(scenario.spec.network, scenario.acoustic, scenario.plans, tick)
+        return age + worst / 1e9
     usable = max(1, -(-worst // tick))
     return (usable + scenario.round_ticks - 1) * tick / 1e9
 

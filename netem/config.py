@@ -6,6 +6,7 @@ from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any, Literal
 
 from netem.lives import Absence
+from netem.modem import AcousticConfig
 
 if TYPE_CHECKING:
     from netem.faults import NetFault
@@ -95,3 +96,4 @@ class NetemConfig:
     faults: tuple[NetFault, ...] = ()  # in the order in which they begin
     absences: tuple[Absence, ...] = ()  # when a vehicle has no agent: restarts count incarnations
     ideal: bool = False  # zero latency: due in the sending tick itself (in-process only)
+    acoustic: AcousticConfig | None = None  # in the water; None: links of their own

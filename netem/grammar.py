@@ -48,7 +48,7 @@ _MOST_PACKETS = 10**6
 
 WORDS = ("limit", "delay", "loss", "duplicate", "corrupt", "reorder", "rate", "seed", "down")
 REFUSED = {
-    "slot": "time slots belong to an acoustic channel (mac: tdma), which is still to come",
+    "slot": "time slots belong to an acoustic channel: network.acoustic with mac: tdma",
     "ecn": "payloads here carry no congestion marks",
 }
 _INNER = ("distribution", "random", "state", "gemodel", "gap")

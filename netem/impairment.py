@@ -26,7 +26,13 @@ from netem.draws import bits, uniform
 # The declared causes of a loss, in the order of the ledger's columns.
 LOSS, DOWN, QUEUE = "loss", "down", "queue"
 PARTITION, MUTE, DEAF, DEAD_RECEIVER = "partition", "mute", "deaf", "dead receiver"
-CAUSES: tuple[str, ...] = (LOSS, DOWN, PARTITION, MUTE, QUEUE, DEAF, DEAD_RECEIVER)
+REPLACED, MTU, RANGE, HALF_DUPLEX = "replaced", "mtu", "range", "half duplex"
+COLLISION, SNR, DEAD_SENDER = "collision", "snr", "dead sender"
+CAUSES: tuple[str, ...] = (
+    LOSS, DOWN, PARTITION, MUTE, QUEUE,
+    REPLACED, MTU, RANGE, HALF_DUPLEX, COLLISION, SNR, DEAD_SENDER,  # of the acoustic channel
+    DEAF, DEAD_RECEIVER,
+)  # fmt: skip
 DELIVERED, IN_FLIGHT = "delivered", "in flight"
 
 GOOD, BAD = 0, 1  # of Gilbert and Elliott

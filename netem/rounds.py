@@ -7,6 +7,7 @@ whose commands of the same tick depend on the exchange.
 
 from __future__ import annotations
 
+from netem.acoustic import AcousticNetem
 from netem.config import NetemConfig
 from netem.errors import OutOfPlace
 from netem.lives import Lives
@@ -19,7 +20,7 @@ class Rounds:
 
     def __init__(self, config: NetemConfig) -> None:
         self.config = config
-        self.netem = Netem(config)
+        self.netem = Netem(config) if config.acoustic is None else AcousticNetem(config)
         self._next = 0
         self.lives = Lives(config.absences)
         self._transmissions: dict[int, dict[int, tuple[bytes, ...]]] = {}

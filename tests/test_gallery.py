@@ -9,7 +9,10 @@ import pytest
 from fleet.run import Options, Status, execute
 from fleet.scenario import list_scenarios, load_scenario
 
-GALLERY = ["lossy", "burst", "partition-heal", "kill", "kill-restart", "gauss-markov-current", "nemesis"]
+GALLERY = [
+    "lossy", "burst", "partition-heal", "kill", "kill-restart", "gauss-markov-current", "nemesis", "acoustic-80bps",
+    "acoustic-s2c",
+]  # fmt: skip
 README = Path(__file__).parents[1] / "README.md"
 
 

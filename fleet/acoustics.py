@@ -1,0 +1,151 @@
+"""The acoustic part of a scenario: from its keys to what the channel is told, and what that means for talking.
+
+| symbol | meaning | unit |
+|---|---|---|
+| T | airtime of a payload: preamble + 8 bytes / bit rate | s |
+| n | vehicles | 1 |
+| B | largest back-off of `aloha` | s |
+| G | load: transmissions that begin during an airtime | 1 |
+
+Pure ALOHA carries most, 1/(2e) of the time, at G = 1/2 (N. Abramson, "The ALOHA system", AFIPS 1970). With news always
+waiting a vehicle talks every T + B/2 on average, so G = n T / (T + B/2), and B = 2 T (2 n - 1) is the default.
+"""
+
+from __future__ import annotations
+
+from math import exp, sqrt
+from pathlib import Path
+
+from agents import compact, payload
+from agents.config import Codec
+from agents.trajectory import Offset
+from fleet.modems import NUMBERS, load_modem, modem_of, modem_problems
+from fleet.schema import AcousticSection, NetworkSection
+from netem.modem import DEFAULT_GUARD_NS, SOUND_SPEED, AcousticConfig, Modem
+from netem.underwater import sound_speed
+
+DEFAULT_MODEM: str = AcousticSection().modem
+SIZES: dict[Codec, int] = {"full": payload.SIZE, "compact": compact.SIZE}
+
+
+def numbers(section: AcousticSection, folder: Path | None) -> dict[str, float]:
+    """The numbers of a section's modem: those of its file, changed as the section says. Raises DataFileError."""
+    base = load_modem(section.modem, folder).modem
+    return {key: _given(section, key, getattr(base, key)) for key in NUMBERS}
+
+
+def _given(section: AcousticSection, key: str, otherwise: float) -> float:
+    value = getattr(section, key)
+    return otherwise if value is None else value / 1e9 if key == "preamble" else value
+
+
+def modem(section: AcousticSection, folder: Path | None) -> Modem:
+    """The modem of a valid section. Raises DataFileError."""
+    return modem_of(numbers(section, folder))
+
+
+def inlined(section: AcousticSection, folder: Path | None) -> AcousticSection:
+    """The same channel with every number of the modem written out, so that it no longer needs the modem's file."""
+    values = numbers(section, folder)
+    written = {key: round(value * 1e9) if key == "preamble" else value for key, value in values.items()}
+    return section.model_copy(update={"modem": DEFAULT_MODEM, **written})
+
+
+def problems(section: AcousticSection, folder: Path | None) -> list[str]:
+    """What is wrong with the numbers of a section's modem. Raises DataFileError."""
+    return modem_problems(numbers(section, folder))
+
+
+def compile_acoustic(
+    network: NetworkSection, vehicles: int, tick_ns: int, folder: Path | None = None
+) -> AcousticConfig | None:
+    """What the channel of a valid scenario is told; None when there is none.
+
+    Raises:
+        DataFileError: its modem cannot be read.
+    """
+    section = network.acoustic
+    if section is None:
+        return None
+    ours = modem(section, folder)
+    backoff = backoff_ns(section, ours, network.payload, vehicles) if section.mac == "aloha" else 0
+    return AcousticConfig(
+        modem=ours,
+        mac=section.mac,
+        backoff_ticks=-(-backoff // tick_ns),
+        slot_ticks=(section.slot or 0) // tick_ns,
+        guard_ns=guard_ns(section),
+        buffer=section.buffer,
+        sound_speed=speed_of_sound(section),
+        spreading=section.spreading,
+        shipping=section.shipping,
+        wind=section.wind,
+    )
+
+
+def backoff_ns(section: AcousticSection, modem: Modem, codec: Codec, vehicles: int) -> int:
+    """The largest back-off: the one given, or that of ALOHA's best load with our own payloads."""
+    if section.backoff is not None:
+        return section.backoff
+    return 2 * modem.airtime_ns(SIZES[codec]) * (2 * vehicles - 1)
+
+
+def guard_ns(section: AcousticSection) -> int:
+    """The silent part of a slot."""
+    return DEFAULT_GUARD_NS if section.guard is None else section.guard
+
+
+def speed_of_sound(section: AcousticSection) -> float:
+    """The speed of sound [m/s]: given, or that of the water, or 1500."""
+    water = section.water
+    if water is not None:
+        return sound_speed(water.temperature, water.salinity, water.depth)
+    return SOUND_SPEED if section.sound_speed is None else section.sound_speed
+
+
+def extent_m(plans: tuple[Offset, ...]) -> float:
+    """The diagonal of the box that holds the formation whenever it is complete [m]: no two are farther apart."""
+    longest = 0.0
+    stages = [[plan.start for plan in plans]]
+    stages += [[plan.changes[n].offset for plan in plans] for n in range(len(plans[0].changes) if plans else 0)]
+    for places in stages:
+        sides = [max(place[axis] for place in places) - min(place[axis] for place in places) for axis in range(3)]
+        longest = max(longest, sqrt(sum(side * side for side in sides)))
+    return longest
+
+
+def turn_s(network: NetworkSection, acoustic: AcousticConfig, vehicles: int, tick_ns: int) -> tuple[float, float]:
+    """How often a vehicle talks: on average, and the longest from one start to the next [s]."""
+    period = network.period / 1e9
+    if acoustic.mac == "tdma":
+        turn = vehicles * acoustic.slot_ticks * tick_ns / 1e9
+        return max(period, turn), max(period, turn)
+    airtime = acoustic.modem.airtime_ns(SIZES[network.payload]) / 1e9
+    backoff = acoustic.backoff_ticks * tick_ns / 1e9
+    return max(period, airtime + backoff / 2.0), period + airtime + backoff
+
+
+def oldest_s(network: NetworkSection, acoustic: AcousticConfig, plans: tuple[Offset, ...], tick_ns: int) -> float:
+    """How old what an agent hears can become without a loss [s].
+
+    A state waits a round at most, until it starts; it is used until the next one of the same sender has arrived.
+    """
+    airtime = acoustic.modem.airtime_ns(SIZES[network.payload]) / 1e9
+    flight = extent_m(plans) / acoustic.sound_speed
+    _, longest = turn_s(network, acoustic, len(plans), tick_ns)
+    return network.period / 1e9 + longest + airtime + flight
+
+
+def describe(network: NetworkSection, acoustic: AcousticConfig, vehicles: int, tick_ns: int) -> str:
+    """Airtime and turns in a line of text."""
+    assert network.acoustic is not None
+    size = SIZES[network.payload]
+    airtime = acoustic.modem.airtime_ns(size) / 1e9
+    mean, _ = turn_s(network, acoustic, vehicles, tick_ns)
+    said = f"the {network.payload} payload of {size} bytes is {airtime:.4g} s on the air"
+    line = f"acoustic {network.acoustic.modem}: {said}"
+    if acoustic.mac == "tdma":
+        slot = acoustic.slot_ticks * tick_ns / 1e9
+        return f"{line}; with slots of {slot:g} s each vehicle talks every {mean:.4g} s"
+    free = exp(-2.0 * airtime * (vehicles - 1) / mean)
+    return f"{line}; each vehicle talks every {mean:.4g} s on average, {free:.0%} of it with nobody else"

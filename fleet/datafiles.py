@@ -1,0 +1,97 @@
+"""TOML files of numbers, each with its unit and its source: those that ship with a package, and a user's own."""
+
+from __future__ import annotations
+
+import tomllib
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+from fleet import quantities as q
+from fleet.errors import FleetError
+from netem.grammar import nearest
+
+_MAX_BYTES = 100_000
+
+
+class DataFileError(FleetError):
+    """A file of numbers that is not there or not right; `problems` holds one line per mistake."""
+
+    def __init__(self, kind: str, name: str, problems: list[str]) -> None:
+        super().__init__(f"{kind} {name}: " + "; ".join(problems))
+        self.problems = problems
+
+
+def shipped(package: str) -> list[str]:
+    """The names of the files that come with a package."""
+    entries = resources.files(package).iterdir()
+    return sorted(entry.name.removesuffix(".toml") for entry in entries if entry.name.endswith(".toml"))
+
+
+def find(kind: str, name: str, package: str, folder: Path | None) -> tuple[bytes, str]:
+    """The content of a shipped file by name, or of a file looked for in `folder` and then where we are, and its path.
+
+    Raises:
+        DataFileError: there is none, or it cannot be read.
+    """
+    ours = shipped(package)
+    if name in ours:
+        return (resources.files(package) / f"{name}.toml").read_bytes(), name
+    if not name.endswith(".toml"):
+        hint = nearest(name, ours) or "a file ends in .toml"
+        raise DataFileError(kind, name, [f"there is no such {kind}; there are {', '.join(ours)} ({hint})"])
+    places = [folder / name] if folder is not None else []
+    for path in [*places, Path(name)]:
+        try:
+            with path.open("rb") as file:
+                return file.read(_MAX_BYTES), str(path)
+        except FileNotFoundError:
+            continue
+        except (OSError, ValueError) as error:  # ValueError: no name of a file
+            raise DataFileError(kind, name, [getattr(error, "strerror", None) or str(error)]) from None
+    looked = ", ".join(str(p.parent) for p in places) or "."
+    raise DataFileError(kind, name, [f"there is no such file (looked in {looked})"])
+
+
+def read(kind: str, data: bytes, name: str) -> dict[str, Any]:
+    """The values in the bytes of a file.
+
+    Raises:
+        DataFileError: they are no TOML.
+    """
+    try:
+        return tomllib.loads(data.decode("utf-8"))
+    except (ValueError, RecursionError) as error:  # not UTF-8, not TOML, or an integer of thousands of digits
+        raise DataFileError(kind, name, [f"not TOML: {error}"]) from None
+
+
+def table(values: dict[str, Any], section: str, known: dict[str, q.Dimension], problems: list[str]) -> dict[str, float]:
+    """The numbers of a section in SI units; whatever is not right becomes a line in `problems`."""
+    entries = values.get(section)
+    if not isinstance(entries, dict):
+        problems.append(f"there is no [{section}]")
+        return {}
+    for key in [key for key in entries if key not in known]:
+        hint = nearest(key, known)
+        problems.append(f"unknown {section}.{key}" + (f" ({hint})" if hint else ""))
+    found = {}
+    for key, dimension in known.items():
+        entry = entries.get(key)
+        if entry is None:
+            problems.append(f"{section}.{key} is missing")
+            continue
+        if not isinstance(entry, dict) or set(entry) != {"value", "unit", "source"}:
+            problems.append(f'{section}.{key}: expected {{ value = 1.0, unit = "...", source = "..." }}')
+            continue
+        number, unit, source = entry["value"], entry["unit"], entry["source"]
+        if isinstance(number, bool) or not isinstance(number, (int, float)) or not isinstance(unit, str):
+            problems.append(f"{section}.{key}: expected a number and a unit as text")
+            continue
+        if not isinstance(source, str) or not source.strip():
+            problems.append(f"{section}.{key}: say where the number comes from")
+            continue
+        try:
+            found[key] = q.scalar(f"{number!r} {unit}", dimension)
+        except q.QuantityError as error:
+            problems.append(f"{section}.{key}: {error.message}")
+    return found

@@ -1,0 +1,1 @@
+"""The acoustic modems that ship, as data."""

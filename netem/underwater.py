@@ -1,0 +1,130 @@
+"""The physics of an acoustic link: speed of sound, absorption, noise, and what a modem makes of the signal.
+
+| symbol | meaning | unit |
+|---|---|---|
+| T, S, D | temperature, salinity, depth of the water | deg C, ppt, m |
+| c | speed of sound | m/s |
+| f | frequency | kHz |
+| alpha(f) | absorption | dB/km |
+| r, k | range; spreading: 1 cylindrical, 1.5 practical, 2 spherical | m, 1 |
+| SL, TL, RL = SL - TL | source level, transmission loss, received level | dB re 1 uPa (SL: at 1 m) |
+| N(f) | power spectral density of the ambient noise | dB re 1 uPa/sqrt(Hz) |
+| s, w | shipping activity from 0 to 1; wind | 1, m/s |
+| NL = N(fc) + 10 log10 B | noise within bandwidth B [Hz] round the carrier fc | dB re 1 uPa |
+| DI | directivity index of the receiver | dB |
+| SNR = SL - TL - (NL - DI) | signal-to-noise ratio, the passive sonar equation | dB |
+
+| formula | source |
+|---|---|
+| c(T, S, D), the nine terms of `sound_speed` | [1]; 2 to 30 deg C, 25 to 40 ppt, down to 8000 m |
+| alpha = 0.11 f^2/(1 + f^2) + 44 f^2/(4100 + f^2) + 2.75e-4 f^2 + 0.003 | Thorp, as in [2]; f >= 0.4 |
+| alpha = 0.002 + 0.11 f/(1 + f) + 0.011 f | likewise; f < 0.4 |
+| TL = 10 k log10(r / 1 m) + alpha r / 1000 | [2]; 0 within 1 m |
+| turbulence 17 - 30 log10 f | Wenz as fitted by Coates, as in [3] |
+| shipping 40 + 20 (s - 0.5) + 26 log10 f - 60 log10(f + 0.03) | likewise |
+| wind 50 + 7.5 sqrt(w) + 20 log10 f - 40 log10(f + 0.4) | likewise |
+| thermal -15 + 20 log10 f | likewise |
+| N = 10 log10 of the sum of the four as powers | likewise |
+| p = 1 / (2 + 10^(SNR/10)) | bit errors of non-coherent FSK in Rayleigh fading, before decoding [4] |
+| P_d = p^d sum_(k<d) C(d-1+k, k) (1-p)^k | two code words at distance d, square-law combined [4] |
+| P_b = sum_d B_d P_d, d = 12, 14, ..., 26 | union bound of the rate 1/2 code of constraint length 9 [4] |
+| PER = 1 - (1 - P_b)^bits | a packet without further correction |
+
+[1] K. V. Mackenzie, J. Acoust. Soc. Am. 70(3), 807-812, 1981. ns-3: [2] `uan-prop-model-thorp.cc`,
+[3] `uan-noise-model-default.cc`, [4] `UanPhyPerUmodem` in `uan-phy-gen.cc`.
+
+ns-3 subtracts, in addition, the chance of one error among 288 bits: that is left out, since for shorter packets it
+makes the probability negative.
+
+Pure functions on doubles; `docs/acoustic.md` says what is left out (multipath, Doppler, bending rays).
+"""
+
+from __future__ import annotations
+
+from math import comb, log10, sqrt
+
+# Information weights B_d of the code (561, 753), from its free distance 12 on, in steps of 2.
+_WEIGHTS = (33, 281, 2179, 15035, 105166, 692330, 4580007, 29692894)
+_FREE_DISTANCE = 12
+
+
+def sound_speed(temperature_degc: float, salinity_ppt: float, depth_m: float) -> float:
+    """Speed of sound in sea water [m/s], by Mackenzie."""
+    T, S, D = temperature_degc, salinity_ppt - 35.0, depth_m
+    c = 1448.96 + 4.591 * T - 5.304e-2 * T * T + 2.374e-4 * T * T * T
+    return c + 1.340 * S + 1.630e-2 * D + 1.675e-7 * D * D - 1.025e-2 * T * S - 7.139e-13 * T * D * D * D
+
+
+def absorption(f_khz: float) -> float:
+    """Absorption [dB/km] at a frequency, by Thorp."""
+    f2 = f_khz * f_khz
+    if f_khz < 0.4:
+        return 0.002 + 0.11 * f_khz / (1.0 + f_khz) + 0.011 * f_khz
+    return 0.11 * f2 / (1.0 + f2) + 44.0 * f2 / (4100.0 + f2) + 2.75e-4 * f2 + 0.003
+
+
+def transmission_loss(range_m: float, f_khz: float, spreading: float) -> float:
+    """Transmission loss [dB] over a range: spreading and absorption."""
+    if range_m <= 1.0:
+        return 0.0
+    return 10.0 * spreading * log10(range_m) + absorption(f_khz) * range_m / 1000.0
+
+
+def noise_density(f_khz: float, shipping: float, wind_mps: float) -> float:
+    """Power spectral density of the ambient noise [dB re 1 uPa/sqrt(Hz)]; the parts add as powers."""
+    log_f = log10(f_khz)
+    parts = (
+        17.0 - 30.0 * log_f,
+        40.0 + 20.0 * (shipping - 0.5) + 26.0 * log_f - 60.0 * log10(f_khz + 0.03),
+        50.0 + 7.5 * sqrt(wind_mps) + 20.0 * log_f - 40.0 * log10(f_khz + 0.4),
+        -15.0 + 20.0 * log_f,
+    )
+    return decibels(sum(power(part) for part in parts))
+
+
+def noise_level(f_khz: float, bandwidth_hz: float, shipping: float, wind_mps: float) -> float:
+    """Noise [dB re 1 uPa] within a bandwidth, whose density is taken as that at its middle."""
+    return noise_density(f_khz, shipping, wind_mps) + 10.0 * log10(bandwidth_hz)
+
+
+def signal_to_noise(
+    source_level_db: float, transmission_loss_db: float, noise_level_db: float, directivity_db: float = 0.0
+) -> float:
+    """The signal-to-noise ratio [dB] at the receiver."""
+    return source_level_db - transmission_loss_db - (noise_level_db - directivity_db)
+
+
+def bit_error_rate(snr_db: float) -> float:
+    """Bit errors after decoding, of coded non-coherent FSK in Rayleigh fading: a bound, so it may exceed 1."""
+    p = 1.0 / (2.0 + power(snr_db))
+    total = 0.0
+    for index, weight in enumerate(_WEIGHTS):
+        d = _FREE_DISTANCE + 2 * index
+        total += weight * p**d * sum(comb(d - 1 + k, k) * (1.0 - p) ** k for k in range(d))
+    return total
+
+
+def packet_error_rate(snr_db: float, bits: int, lost_below_db: float, clear_above_db: float) -> float:
+    """The probability that a packet cannot be decoded.
+
+    Args:
+        snr_db: signal-to-noise ratio.
+        bits: of the packet.
+        lost_below_db: at or below it every packet is lost, unless `clear_above_db` says otherwise.
+        clear_above_db: at or above it none is; equal to the other, this is a plain threshold.
+    """
+    if snr_db >= clear_above_db:
+        return 0.0
+    if snr_db <= lost_below_db:
+        return 1.0
+    return 1.0 - (1.0 - min(1.0, bit_error_rate(snr_db))) ** bits
+
+
+def power(level_db: float) -> float:
+    """The ratio of powers that a level is."""
+    return float(10.0 ** (level_db / 10.0))
+
+
+def decibels(ratio: float) -> float:
+    """The inverse of `power`."""
+    return 10.0 * log10(ratio)

@@ -1,0 +1,539 @@
+"""The acoustic channel: canned histories for every cause, and laws over random ones."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import msgpack
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from netem.acoustic import AcousticNetem
+from netem.config import Condition, Link, NetemConfig
+from netem.faults import NetFault
+from netem.impairment import CAUSES
+from netem.ledger import Ledger
+from netem.messages import Delivery, Fate, Round, Transmission
+from netem.modem import AcousticConfig, Modem
+from netem.network import Netem
+from netem.rounds import Rounds
+
+TICK_NS = 10_000_000
+ROUND = 100  # ticks: one second
+# A byte is 10 ms: payloads of n bytes are on the air for n ticks. Sound travels 15 m in a tick.
+MODEM = Modem(800.0, 0.0, 25e3, 4e3, 190.0, 0.0, 3000.0, 6000.0, 64, 6.0, 10.0, 10.0)
+# Back-offs of at most 0 ticks: everyone talks at the round tick.
+AT_ONCE = AcousticConfig(MODEM)
+TDMA = AcousticConfig(MODEM, "tdma", slot_ticks=25, guard_ns=50_000_000)
+ALL: tuple[Link, ...] = tuple((j, i) for j in (1, 2, 3) for i in (1, 2, 3) if i != j)
+CLOSE = {1: (0.0, 0.0, 0.0), 2: (15.0, 0.0, 0.0), 3: (0.0, 30.0, 0.0)}
+
+Traffic = dict[int, tuple[bytes, ...]]
+Places = dict[int, tuple[float, ...]]
+
+
+def channel(
+    acoustic: AcousticConfig = AT_ONCE,
+    links: tuple[Link, ...] = ALL,
+    conditions: dict[Link, Condition] | None = None,
+    faults: tuple[NetFault, ...] = (),
+    vehicles: tuple[int, ...] = (1, 2, 3),
+    seed: int = 1,
+) -> AcousticNetem:
+    return AcousticNetem(
+        NetemConfig(seed, TICK_NS, ROUND, vehicles, links, conditions or {}, faults, acoustic=acoustic)
+    )
+
+
+def play(netem: Netem, traffic: list[Traffic], places: Places | list[Places] = CLOSE, first: int = 0) -> list[Fate]:
+    """All fates of some rounds, without the closing ones."""
+    fates: list[Fate] = []
+    for number, sent in enumerate(traffic, start=first):
+        where = places[number] if isinstance(places, list) else places
+        fates += netem.exchange(ROUND * number, {i: sent.get(i, ()) for i in where}, where).fates
+    return fates
+
+
+def run(netem: Netem, traffic: list[Traffic], places: Places | list[Places] = CLOSE) -> list[Fate]:
+    """All fates of a run that ends with the last round."""
+    return [*play(netem, traffic, places), *netem.close(ROUND * len(traffic))]
+
+
+def causes(fates: list[Fate]) -> dict[Link, list[str]]:
+    found: dict[Link, list[str]] = {}
+    for fate in sorted(fates, key=lambda f: (f.seq, f.copy)):
+        found.setdefault((fate.src, fate.dst), []).append(fate.cause)
+    return found
+
+
+# --- canned histories ------------------------------------------------------
+
+
+def test_one_payload_is_one_broadcast() -> None:
+    """10 bytes last 10 ticks; 2 is a tick of sound away, 3 two ticks: each hears it in its time."""
+    netem = channel()
+    outcome = netem.exchange(0, {1: (b"0123456789",), 2: (), 3: ()}, CLOSE)
+    assert outcome.inboxes == {
+        1: (),
+        2: (Delivery(11, 0, 1, 0, 0, b"0123456789"),),
+        3: (Delivery(12, 0, 1, 0, 0, b"0123456789"),),
+    }
+    fates = netem.exchange(ROUND, {1: (), 2: (), 3: ()}, CLOSE).fates
+    assert [(f.final_tick, f.dst, f.delay_ns, f.cause) for f in fates] == [
+        (11, 2, 110_000_000, "delivered"),
+        (12, 3, 120_000_000, "delivered"),
+    ]
+    assert netem.entered[1, 2] == netem.entered[1, 3] == (1, 0)
+
+
+def test_only_graph_neighbours_decode() -> None:
+    assert causes(run(channel(links=((1, 2),)), [{1: (b"a",)}, {}])) == {(1, 2): ["delivered"]}
+
+
+def test_preamble_and_bit_rate_make_the_airtime() -> None:
+    slow = replace(MODEM, bit_rate=80.0, preamble=1.0)
+    assert slow.airtime_ns(15) == 2_500_000_000
+    assert slow.airtime_ns(0) == 1_000_000_000
+    assert replace(MODEM, bit_rate=3.0).airtime_ns(1) == 2_666_666_667
+
+
+def test_least_latency_is_one_tick() -> None:
+    fast = AcousticConfig(replace(MODEM, bit_rate=1e6))
+    fates = run(channel(fast), [{1: (b"a",)}, {}], {1: (0.0,) * 3, 2: (0.1, 0.0, 0.0), 3: (0.0, 0.1, 0.0)})
+    assert {f.due_tick for f in fates} == {1}
+
+
+def test_a_message_may_take_several_rounds() -> None:
+    """64 bytes at a fifth of the rate: 3.2 s. It is delivered in the round in which it ends."""
+    slow = AcousticConfig(replace(MODEM, bit_rate=160.0))
+    netem = channel(slow)
+    inboxes = [netem.exchange(k * ROUND, {1: (bytes(64),) if k == 0 else ()}, CLOSE).inboxes[2] for k in range(5)]
+    assert [len(inbox) for inbox in inboxes] == [0, 0, 0, 1, 0]
+    assert inboxes[3][0][:3] == (321, 0, 1)
+
+
+def test_mtu() -> None:
+    fates = run(channel(), [{1: (bytes(65), bytes(64))}, {}])
+    assert causes(fates) == {(1, 2): ["mtu", "delivered"], (1, 3): ["mtu", "delivered"]}
+    assert {f.final_tick for f in fates if f.cause == "mtu"} == {0}
+
+
+def test_a_slot_with_its_guard_is_an_mtu_as_well() -> None:
+    """25 ticks less 5 of guard hold 20 bytes."""
+    assert TDMA.longest(TICK_NS) == 20
+    assert AT_ONCE.longest(TICK_NS) == 64
+    assert causes(run(channel(TDMA), [{1: (bytes(21),)}, {1: (bytes(20),)}, {}]))[1, 2] == ["mtu", "delivered"]
+
+
+def test_the_newest_replaces_the_one_that_waits() -> None:
+    """In a round's tick the modem sends one; of three at once the last."""
+    fates = run(channel(), [{1: (b"a", b"b", b"c")}, {}])
+    assert causes(fates)[1, 2] == ["replaced", "replaced", "delivered"]
+
+
+def test_a_replacement_keeps_the_start() -> None:
+    """Vehicle 3's slot begins at tick 200 of 300: what it said at 0 gives way to what it says at 100."""
+    acoustic = replace(TDMA, slot_ticks=100)
+    netem = channel(acoustic)
+    fates = run(netem, [{3: (b"old",)}, {3: (b"new",)}, {}, {}])
+    assert [(f.cause, f.due_tick, f.sent_tick) for f in fates if f.dst == 1] == [
+        ("replaced", 100, 0),
+        ("delivered", 205, 100),
+    ]
+
+
+def test_news_never_delays_talking() -> None:
+    """With a back-off of several rounds and news in each, the first start is that of the first payload."""
+    acoustic = replace(AT_ONCE, backoff_ticks=1000)
+    for seed in range(5):
+        alone = run(channel(acoustic, seed=seed), [{1: (b"a",)}, *[{}] * 15])
+        often = run(channel(acoustic, seed=seed), [{1: (b"a",)}] * 16)
+        first = min(f.due_tick for f in often if f.cause == "delivered")
+        assert first == min(f.due_tick for f in alone if f.cause == "delivered")
+
+
+def test_a_buffer_of_two_keeps_order_and_drops_the_oldest() -> None:
+    fates = run(channel(replace(AT_ONCE, buffer=2)), [{1: (b"a", b"b", b"c")}, {}])
+    found = sorted((f.seq, f.cause, f.due_tick) for f in fates if f.dst == 2)
+    # "b" lasts from tick 0 to 1; "c" follows at once.
+    assert found == [(0, "replaced", 0), (1, "delivered", 2), (2, "delivered", 3)]
+
+
+def test_a_modem_that_talks_does_not_begin_again() -> None:
+    """64 bytes at half the rate last until tick 128: what comes at tick 100 starts then."""
+    acoustic = AcousticConfig(replace(MODEM, bit_rate=400.0))
+    fates = run(channel(acoustic), [{1: (bytes(64),)}, {1: (b"next",)}, {}])
+    assert [(f.sent_tick, f.due_tick) for f in fates if f.dst == 2] == [(0, 129), (100, 137)]
+
+
+def test_range() -> None:
+    far = CLOSE | {3: (3001.0, 0.0, 0.0)}
+    found = causes(run(channel(), [{1: (b"a",)}, {}, {}, {}], far))
+    assert found == {(1, 2): ["delivered"], (1, 3): ["range"]}
+
+
+def test_half_duplex() -> None:
+    """All three talk at tick 0: whoever listens is talking."""
+    found = causes(run(channel(), [{i: (bytes(10),) for i in (1, 2, 3)}, {}]))
+    assert found == {link: ["half duplex"] for link in ALL}
+
+
+def test_half_duplex_counts_any_part_of_it() -> None:
+    """3 hears 1 from tick 2 to 12; its own word of one tick ends at 1, or at 3."""
+    for size, cause in ((1, "delivered"), (2, "delivered"), (3, "half duplex")):
+        assert causes(run(channel(links=((1, 3),)), [{1: (bytes(10),), 3: (bytes(size),)}, {}])) == {(1, 3): [cause]}
+
+
+def test_collision_of_equals_loses_both() -> None:
+    places = {1: (0.0, 0.0, 0.0), 2: (30.0, 0.0, 0.0), 3: (60.0, 0.0, 0.0)}
+    found = causes(run(channel(links=((1, 2), (3, 2))), [{1: (bytes(10),), 3: (bytes(10),)}, {}], places))
+    assert found == {(1, 2): ["collision"], (3, 2): ["collision"]}
+
+
+def test_capture_saves_the_stronger() -> None:
+    """15 log10(10) = 15 dB louder is enough, 15 log10(4) = 9 dB is not."""
+    for distance, cause in ((100.0, "delivered"), (40.0, "collision")):
+        places = {1: (0.0, 0.0, 0.0), 2: (10.0, 0.0, 0.0), 3: (10.0 + distance, 0.0, 0.0)}
+        found = causes(run(channel(links=((1, 2), (3, 2))), [{1: (bytes(20),), 3: (bytes(20),)}, {}], places))
+        assert found == {(1, 2): [cause], (3, 2): ["collision"]}
+
+
+def test_interferers_add_up() -> None:
+    """Each alone is 11 dB below, the two together 8 dB."""
+    vehicles = (1, 2, 3, 4)
+    places = {1: (0.0, 0.0, 0.0), 2: (10.0, 0.0, 0.0), 3: (64.0, 0.0, 0.0), 4: (10.0, 54.0, 0.0)}
+    for talkers, cause in (((1, 3), "delivered"), ((1, 4), "delivered"), ((1, 3, 4), "collision")):
+        netem = channel(links=((1, 2),), vehicles=vehicles)
+        assert causes(run(netem, [{i: (bytes(20),) for i in talkers}, {}], places)) == {(1, 2): [cause]}
+
+
+def test_a_partial_overlap_is_a_collision() -> None:
+    """1 at 2 from tick 1 to 11. 3, as far, is heard from tick 1 on; 30 m further away from 3 to 4, or from 13 on."""
+    for north, cause in ((45.0, "collision"), (15.0 + 165.0, "delivered")):
+        places = {1: (0.0, 0.0, 0.0), 2: (15.0, 0.0, 0.0), 3: (north + 15.0, 0.0, 0.0)}
+        loud = AcousticConfig(replace(MODEM, capture=40.0))
+        netem = channel(loud, links=((1, 2),))
+        assert causes(run(netem, [{1: (bytes(10),), 3: (b"x",)}, {}], places)) == {(1, 2): [cause]}
+
+
+def test_an_interferer_of_an_earlier_round() -> None:
+    """3 talks from tick 0 to 128, 1 begins at tick 100, and both reach 2 at the same strength."""
+    acoustic = AcousticConfig(replace(MODEM, bit_rate=400.0))
+    places = {1: (0.0, 0.0, 0.0), 2: (30.0, 0.0, 0.0), 3: (60.0, 0.0, 0.0)}
+    found = causes(run(channel(acoustic), [{3: (bytes(64),)}, {1: (bytes(60),)}, {}, {}], places))
+    assert found[1, 2] == ["collision"]
+    assert found[3, 2] == ["collision"]
+    assert found[3, 1] == ["half duplex"]  # it began to talk while 3's message still came in
+    assert found[1, 3] == ["half duplex"]
+
+
+def test_an_interferer_beyond_the_interference_range_is_none() -> None:
+    places = {1: (0.0, 0.0, 0.0), 2: (30.0, 0.0, 0.0), 3: (60.0, 0.0, 0.0)}
+    deaf = AcousticConfig(replace(MODEM, interference_range=29.0))
+    netem = channel(deaf, links=((1, 2),))
+    assert causes(run(netem, [{1: (bytes(10),), 3: (bytes(10),)}, {}], places)) == {(1, 2): ["delivered"]}
+
+
+def test_noise_loses_what_the_formula_says() -> None:
+    """300 words at a range where half of them drown: within three standard errors."""
+    quiet = AcousticConfig(replace(MODEM, source_level=133.3, max_range=1e5), wind=5.0)
+    size, distance = 10, 1000.0
+    lost = quiet.packet_error_rate(distance, size)
+    assert 0.1 < lost < 0.9
+    places = {1: (0.0, 0.0, 0.0), 2: (distance, 0.0, 0.0)}
+    n = 300
+    fates = run(channel(quiet, ((1, 2),), vehicles=(1, 2)), [{1: (bytes(size),)}] * n + [{}, {}], places)
+    count = sum(f.cause == "snr" for f in fates)
+    assert abs(count / n - lost) < 3 * (lost * (1 - lost) / n) ** 0.5
+
+
+@pytest.mark.parametrize(
+    ("fault", "found"),
+    [
+        (NetFault("f", 0, 100, "mute", vehicles=(1,)), {(1, 2): "mute", (1, 3): "mute"}),
+        (NetFault("f", 0, 100, "partition", ((1, 2),)), {(1, 2): "partition", (1, 3): "delivered"}),
+        (NetFault("f", 0, 100, "down", ((1, 3),)), {(1, 2): "delivered", (1, 3): "down"}),
+        (NetFault("f", 0, 100, "deaf", vehicles=(2,)), {(1, 2): "deaf", (1, 3): "delivered"}),
+        (
+            NetFault("f", 0, 100, "link", ((1, 2),), condition=Condition(loss=1.0)),
+            {(1, 2): "loss", (1, 3): "delivered"},
+        ),
+        (
+            NetFault("f", 0, 100, "link", ((1, 2),), condition=Condition(up=False)),
+            {(1, 2): "down", (1, 3): "delivered"},
+        ),
+        (NetFault("f", 1, 90, "mute", vehicles=(1,)), {(1, 2): "delivered", (1, 3): "delivered"}),  # between rounds
+    ],
+)
+def test_faults_act_as_on_every_network(fault: NetFault, found: dict[Link, str]) -> None:
+    fates = run(channel(faults=(fault,)), [{1: (b"a",)}, {}])
+    assert causes(fates) == {link: [cause] for link, cause in found.items()}
+
+
+def test_the_muted_make_no_noise() -> None:
+    muted = NetFault("f", 0, 100, "mute", vehicles=(3,))
+    places = {1: (0.0, 0.0, 0.0), 2: (30.0, 0.0, 0.0), 3: (60.0, 0.0, 0.0)}
+    netem = channel(links=((1, 2),), faults=(muted,))
+    assert causes(run(netem, [{1: (bytes(10),), 3: (bytes(10),)}, {}], places)) == {(1, 2): ["delivered"]}
+
+
+def test_a_cut_link_still_suffers() -> None:
+    """A partition closes ears to words, not to noise."""
+    split = NetFault("f", 0, 100, "partition", ((3, 2), (2, 3)))
+    places = {1: (0.0, 0.0, 0.0), 2: (30.0, 0.0, 0.0), 3: (60.0, 0.0, 0.0)}
+    netem = channel(links=((1, 2), (3, 2)), faults=(split,))
+    found = causes(run(netem, [{1: (bytes(10),), 3: (bytes(10),)}, {}], places))
+    assert found == {(1, 2): ["collision"], (3, 2): ["partition"]}
+
+
+def test_up_lies_over_a_link_that_is_down() -> None:
+    netem = channel(
+        links=((1, 2),),
+        conditions={(1, 2): Condition(up=False)},
+        faults=(NetFault("f", 100, None, "up", ((1, 2),)),),
+    )
+    assert causes(run(netem, [{1: (b"a",)}, {1: (b"b",)}, {}]))[1, 2] == ["down", "delivered"]
+
+
+def test_slow_agents_hand_over_late() -> None:
+    slow = NetFault("f", 0, None, "slow", vehicles=(1,), ticks=130)
+    fates = run(channel(faults=(slow,)), [{1: (b"a",)}, {}, {}])
+    assert [(f.due_tick, f.sent_tick) for f in fates if f.dst == 2] == [(132, 0)]
+
+
+def test_link_conditions_act_on_top() -> None:
+    """A delay of the link comes after sound and airtime; its loss is decided at the start."""
+    conditions = {(1, 2): Condition(delay_ns=50_000_000, duplicate=1.0), (1, 3): Condition(loss=1.0)}
+    netem = channel(conditions=conditions)
+    fates = run(netem, [{1: (bytes(10),)}, {}])
+    assert [(f.copy, f.due_tick, f.cause) for f in fates if f.dst == 2] == [(0, 16, "delivered"), (1, 16, "delivered")]
+    assert [(f.final_tick, f.cause) for f in fates if f.dst == 3] == [(0, "loss")]
+    assert netem.entered[1, 2] == (1, 1)
+
+
+def test_a_dead_sender_takes_what_waits_with_it() -> None:
+    """Slots of a second: 3 was to talk from tick 200 on, and is gone at 100."""
+    acoustic = replace(TDMA, slot_ticks=100)
+    alive = [CLOSE, {1: CLOSE[1], 2: CLOSE[2]}, CLOSE, CLOSE]
+    fates = run(channel(acoustic), [{3: (b"a",)}, {}, {}, {}], alive)
+    assert causes(fates) == {(3, 1): ["dead sender"], (3, 2): ["dead sender"]}
+    assert {f.final_tick for f in fates} == {100}
+
+
+def test_a_dead_receiver_is_one_when_the_message_ends() -> None:
+    acoustic = AcousticConfig(replace(MODEM, bit_rate=400.0))
+    alive = [CLOSE, {1: CLOSE[1], 3: CLOSE[3]}, CLOSE]
+    fates = run(channel(acoustic), [{1: (bytes(64),)}, {}, {}], alive)
+    assert causes(fates) == {(1, 2): ["dead receiver"], (1, 3): ["delivered"]}
+    # And one of whom nobody ever knew where it was.
+    never = {1: CLOSE[1], 3: CLOSE[3]}
+    assert causes(run(channel(), [{1: (b"a",)}, {}], never)) == {(1, 2): ["dead receiver"], (1, 3): ["delivered"]}
+
+
+def test_what_waits_or_sounds_at_the_end_is_in_flight() -> None:
+    acoustic = AcousticConfig(replace(MODEM, bit_rate=400.0))
+    fates = run(channel(acoustic), [{1: (bytes(64), b"next")}])
+    assert causes(fates)[1, 2] == ["replaced", "delivered"]
+    fates = run(channel(replace(acoustic, buffer=2)), [{1: (bytes(64), b"next")}])
+    assert causes(fates)[1, 2] == ["in flight", "in flight"]
+    assert {f.final_tick for f in fates} == {100}
+
+
+def test_positions_of_the_round_of_the_start_count() -> None:
+    """2 is beyond range at tick 0 and near at 100: what starts at 0 is lost although it ends later."""
+    acoustic = AcousticConfig(replace(MODEM, bit_rate=400.0))
+    far = CLOSE | {2: (4000.0, 0.0, 0.0)}
+    fates = run(
+        channel(acoustic, ((1, 2),)), [{1: (bytes(64),)}, {}, {1: (b"b",)}, {}, {}], [far, CLOSE, CLOSE, CLOSE, CLOSE]
+    )
+    assert causes(fates) == {(1, 2): ["range", "delivered"]}
+
+
+def test_every_cause_of_the_channel_has_its_history() -> None:
+    """A cause that is declared and never tested would be one that nobody knows to work."""
+    text = Path(__file__).read_text("utf-8")
+    assert [cause for cause in CAUSES if cause != "queue" and f'"{cause}"' not in text] == []
+
+
+def test_an_acoustic_channel_needs_positions_and_a_modem() -> None:
+    with pytest.raises(ValueError, match="positions"):
+        channel().exchange(0, {1: ()})
+    with pytest.raises(ValueError, match="modem"):
+        AcousticNetem(NetemConfig(1, TICK_NS, ROUND, (1, 2), ((1, 2),)))
+
+
+def test_rounds_choose_the_channel() -> None:
+    rounds = Rounds(NetemConfig(1, TICK_NS, ROUND, (1, 2), ((1, 2),), acoustic=AT_ONCE))
+    assert isinstance(rounds.netem, AcousticNetem)
+    for i in (1, 2):
+        rounds.transmission(i, Transmission(0, 0, (b"a",) if i == 1 else ()))
+    rounds.round(Round(0, (1, 2), ((0.0, 0.0, 0.0), (15.0, 0.0, 0.0)), ()))
+    outcome = rounds.exchange()
+    assert outcome is not None
+    assert outcome[0][1][1].deliveries == (Delivery(2, 0, 1, 0, 0, b"a"),)
+
+
+# --- laws ------------------------------------------------------------------
+
+coordinate = st.floats(-4000.0, 4000.0)
+places = st.lists(
+    st.fixed_dictionaries(
+        {}, optional={i: st.tuples(coordinate, coordinate, st.floats(0.0, 100.0)) for i in (1, 2, 3)}
+    ),
+    min_size=8,
+    max_size=8,
+)
+traffic = st.lists(
+    st.dictionaries(st.sampled_from([1, 2, 3]), st.lists(st.binary(max_size=70), max_size=2).map(tuple)), max_size=8
+)
+vehicles_of_a_fault = st.lists(st.sampled_from([1, 2, 3]), max_size=2).map(tuple)
+links_of_a_fault = st.lists(st.sampled_from(ALL), max_size=3).map(tuple)
+fault_times = st.integers(0, 700)
+conditions = st.dictionaries(
+    st.sampled_from(ALL),
+    st.builds(
+        Condition,
+        delay_ns=st.integers(0, 3 * 10**9),
+        loss=st.sampled_from([0.0, 0.3]),
+        duplicate=st.sampled_from([0.0, 0.5]),
+        corrupt=st.sampled_from([0.0, 0.5]),
+        up=st.sampled_from([True, True, False]),
+    ),
+)
+
+
+@st.composite
+def faults(draw: st.DrawFn) -> tuple[NetFault, ...]:
+    found = []
+    for number in range(draw(st.integers(0, 3))):
+        kind: Any = draw(st.sampled_from(["link", "down", "up", "partition", "mute", "deaf", "slow"]))
+        begin = draw(fault_times)
+        found.append(
+            NetFault(
+                f"f{number}",
+                begin,
+                begin + draw(st.integers(1, 400)),
+                kind,
+                draw(links_of_a_fault),
+                draw(vehicles_of_a_fault),
+                Condition(loss=0.5) if kind == "link" else None,
+                draw(st.integers(1, 250)),
+            )
+        )
+    return tuple(sorted(found, key=lambda f: f.begin))
+
+
+channels = st.builds(
+    AcousticConfig,
+    st.builds(
+        lambda rate, preamble, level: replace(MODEM, bit_rate=rate, preamble=preamble, source_level=level),
+        st.sampled_from([80.0, 800.0, 13900.0]),
+        st.sampled_from([0.0, 0.05, 1.0]),
+        st.sampled_from([130.0, 150.0, 190.0]),
+    ),
+    st.sampled_from(["aloha", "tdma"]),
+    backoff_ticks=st.sampled_from([0, 20, 500]),
+    slot_ticks=st.sampled_from([25, 110, 800]),
+    guard_ns=st.sampled_from([0, 50_000_000]),
+    buffer=st.integers(1, 3),
+)
+
+
+def history(netem: Netem, sent: list[Traffic], where: list[Places], first: int = 0) -> list[Any]:
+    """Whatever came out of some rounds; who is nowhere is dead and sends nothing."""
+    out: list[Any] = []
+    for number, payloads in enumerate(sent, start=first):
+        alive = where[number]
+        outcome = netem.exchange(ROUND * number, {i: payloads.get(i, ()) for i in alive}, alive)
+        out.append((outcome.inboxes, outcome.fates))
+    return out
+
+
+@given(channels, conditions, faults(), traffic, places)
+@settings(max_examples=150, deadline=None)
+def test_ledger_balances_and_every_fate_is_told_once_in_its_round(
+    acoustic: AcousticConfig,
+    per_link: dict[Link, Condition],
+    weather: tuple[NetFault, ...],
+    sent: list[Traffic],
+    where: list[Places],
+) -> None:
+    """sent + duplicated = delivered + lost + in flight; a fate is final in the round that tells it; inboxes agree."""
+    netem = channel(acoustic, conditions=per_link, faults=weather)
+    out = history(netem, sent, where)
+    end = ROUND * len(sent)
+    closing = netem.close(end)
+    for number, (inboxes, fates) in enumerate(out):
+        assert all(ROUND * (number - 1) < f.final_tick <= ROUND * number for f in fates)
+        assert list(fates) == sorted(fates, key=lambda f: f[:5])
+        for inbox in inboxes.values():
+            assert list(inbox) == sorted(inbox, key=lambda d: d[:5])
+            assert all(ROUND * number < d.due_tick <= ROUND * (number + 1) for d in inbox)
+            assert all(d.sent_tick < d.due_tick for d in inbox)
+    everything = [*(f for _, fates in out for f in fates), *closing]
+    assert len({(f.src, f.dst, f.seq, f.copy) for f in everything}) == len(everything)
+    ledger = Ledger(ALL)
+    ledger.settle(everything)
+    for link, (entered, duplicated) in netem.entered.items():
+        ledger.enter(link, sent=entered, duplicated=duplicated)
+    assert not ledger.unbalanced()
+    reached = sorted((f.src, f.dst, f.seq, f.copy, f.due_tick) for f in everything if f.cause == "delivered")
+    told = [(d.src, i, d.seq, d.copy, d.due_tick) for inboxes, _ in out for i, box in inboxes.items() for d in box]
+    assert reached == sorted(d for d in told if d[4] < end)
+
+
+@given(channels, conditions, faults(), traffic, places, st.integers(0, 8))
+@settings(max_examples=150, deadline=None)
+def test_state_and_restore_continue_as_if_uninterrupted(
+    acoustic: AcousticConfig,
+    per_link: dict[Link, Condition],
+    weather: tuple[NetFault, ...],
+    sent: list[Traffic],
+    where: list[Places],
+    cut: int,
+) -> None:
+    cut = min(cut, len(sent))
+    end = ROUND * len(sent)
+    whole = channel(acoustic, conditions=per_link, faults=weather)
+    expected = [*history(whole, sent, where), whole.close(end)]
+    first = channel(acoustic, conditions=per_link, faults=weather)
+    out = history(first, sent[:cut], where)
+    second = channel(acoustic)
+    second.restore(msgpack.unpackb(msgpack.packb(first.state())))
+    assert second.state() == first.state()
+    assert [*out, *history(second, sent[cut:], where, cut), second.close(end)] == expected
+    assert second.entered == whole.entered
+
+
+@given(st.integers(1, 20), traffic, st.floats(0.0, 70.0), st.sampled_from([25, 60, 250]))
+@settings(deadline=None)
+def test_tdma_never_collides(seed: int, sent: list[Traffic], spread: float, slot: int) -> None:
+    """As long as sound crosses the fleet within the guard: 75 m in 50 ms."""
+    acoustic = replace(TDMA, slot_ticks=slot)
+    where = {1: (0.0, 0.0, 5.0), 2: (spread, 0.0, 5.0), 3: (0.0, spread / 3.0, 0.0)}
+    fates = run(channel(acoustic, seed=seed), sent, where)
+    assert not {f.cause for f in fates} & {"collision", "half duplex"}
+
+
+@given(st.integers(0, 2**31), traffic, st.sampled_from([0, 50, 400]))
+@settings(deadline=None)
+def test_aloha_is_the_same_again_and_keeps_within_its_back_off(seed: int, sent: list[Traffic], most: int) -> None:
+    acoustic = replace(AT_ONCE, backoff_ticks=most)
+    fates = run(channel(acoustic, seed=seed), sent)
+    assert run(channel(acoustic, seed=seed), sent) == fates
+    for f in fates:
+        if f.cause == "delivered" and len(sent) == 1:
+            assert f.due_tick <= most + len(f.payload) + 3
+
+
+def test_a_quiet_vehicle_more_shifts_no_draw() -> None:
+    acoustic = AcousticConfig(replace(MODEM, source_level=133.3, max_range=1e5), backoff_ticks=30)
+    sent: list[Traffic] = [{1: (bytes(8),)}] * 20 + [{}]
+    places = {1: (0.0, 0.0, 0.0), 2: (1000.0, 0.0, 0.0)}
+    few = run(channel(acoustic, ((1, 2),), vehicles=(1, 2)), sent, places)
+    many = run(channel(acoustic, ((1, 2),)), sent, places | {3: (0.0, 500.0, 0.0)})
+    assert few == many
+    assert {f.cause for f in few} == {"delivered", "snr"}

@@ -1,0 +1,50 @@
+"""Whole runs over the acoustic channel, in both ways to run, and what the compact payload costs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from first_difference import assert_same_bytes
+
+from fleet.run import Options, Result, Status, execute
+from fleet.scenario import load_scenario
+
+
+def run(out: Path, name: str, *overrides: str, in_process: bool = True) -> Result:
+    options = Options(out, quiet=True, in_process=in_process)
+    return execute(load_scenario(name, ["log.every=50 ticks", *overrides]), options)
+
+
+def test_distributed_is_in_process(tmp_path: Path) -> None:
+    """Through death, restart, suspension and every kind of loss: processes and loop write the same bytes."""
+    overrides = [
+        "duration=8 s",
+        "on_death=continue",
+        "checks={ledger: balanced, middleware_loss: {at_most: 0}}",
+        "faults=[{at: 1.5 s, for: 2 s, kill: 3}, {at: 2 s, for: 2 s, pause: 2}, {at: 3 s, for: 2 s, mute: 1}, "
+        "{at: 4 s, for: 2 s, slow: {vehicles: 4, by: 30 ticks}}, {at: 5 s, for: 2 s, link 1->2: loss 50% delay 300ms}]",
+    ]
+    logs = []
+    for in_process in (True, False):
+        result = run(tmp_path, "acoustic-s2c", *overrides, in_process=in_process)
+        assert result.status is Status.PASS, (result.reason, result.lines, result.verdicts)
+        logs.append(result.directory / "run.mcap")
+    assert_same_bytes(*logs)
+
+
+def final_error_m(result: Result) -> float:
+    """The formation error at the end [m], of the vehicle that has most."""
+    check = next(v for v in result.verdicts if v.check == "formation_error")
+    return float(check.found.removeprefix("at most ").split()[0])
+
+
+def test_the_compact_payload_costs_less_than_its_step(tmp_path: Path) -> None:
+    """The paper's fleet at the end of its minute: without error in full, within half a step of 5 cm in compact."""
+    errors = {
+        payload: final_error_m(
+            run(tmp_path, "paper", f"network.payload={payload}", "checks.formation_error.after=59 s")
+        )
+        for payload in ("full", "compact")
+    }
+    assert errors["full"] < 1e-4
+    assert 1e-4 < errors["compact"] < 0.025

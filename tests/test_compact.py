@@ -1,0 +1,138 @@
+"""The compact payload: what it loses is at most half a step, and what is damaged is refused."""
+
+from __future__ import annotations
+
+from binascii import crc_hqx
+from dataclasses import replace
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from loops import agent_config
+
+from agents.agent import Agent
+from agents.compact import PER_METRE, PER_MPS, ROUNDS, SIZE, OutOfRange, decode, encode
+from agents.errors import PayloadError
+from agents.payload import StateMessage
+from netem.messages import Delivery, Nav
+
+M = 10  # ticks per round
+
+states = st.builds(
+    StateMessage,
+    st.integers(0, 1023),
+    st.integers(0, 10**7).map(lambda k: k * M),
+    st.tuples(st.floats(-6553.0, 6553.0), st.floats(-6553.0, 6553.0), st.floats(-1638.0, 1638.0)),
+    st.tuples(*[st.floats(-2.55, 2.55)] * 3),
+)
+
+
+@given(states, st.integers(0, ROUNDS * M - 1))
+def test_the_error_is_at_most_half_a_step(message: StateMessage, age: int) -> None:
+    data = encode(message, M)
+    assert len(data) == SIZE == 15
+    found = decode(data, message.sent_tick + age, M)
+    assert (found.sender, found.sent_tick) == (message.sender, message.sent_tick)
+    for got, sent in zip(found.position, message.position, strict=True):
+        assert abs(got - sent) <= 0.5 / PER_METRE + 1e-9
+    for got, sent in zip(found.velocity, message.velocity, strict=True):
+        assert abs(got - sent) <= 0.5 / PER_MPS + 1e-12
+
+
+@given(states)
+def test_what_was_decoded_encodes_to_the_same_bytes(message: StateMessage) -> None:
+    """Quantising twice loses no more than once."""
+    data = encode(message, M)
+    assert encode(decode(data, message.sent_tick, M), M) == data
+
+
+def test_the_layout_is_the_one_in_the_table() -> None:
+    message = StateMessage(3, 10 * 8195, (0.05, -0.05, 1638.35), (0.01, -0.01, 2.55))
+    body = "0100000000110000000000011" + "0" * 17 + "1" + "1" * 18 + "0" + "1" * 15
+    body += "000000001111111111011111111"
+    expected = int(body, 2).to_bytes(13, "big")
+    assert encode(message, M) == expected + crc_hqx(expected, 0xFFFF).to_bytes(2, "big")
+
+
+def test_the_checksum_is_the_one_named() -> None:
+    """CRC-16/CCITT with first value 0xffff of "123456789" is 0x29b1, the check value of every catalogue."""
+    assert crc_hqx(b"123456789", 0xFFFF) == 0x29B1
+
+
+def test_every_one_or_two_flipped_bits_are_refused() -> None:
+    data = encode(StateMessage(3, 120, (1.0, 2.0, 3.0), (0.1, 0.2, 0.3)), M)
+    for first in range(8 * SIZE):
+        for second in range(first, 8 * SIZE):
+            flipped = bytearray(data)
+            for bit in {first, second}:
+                flipped[bit // 8] ^= 1 << bit % 8
+            with pytest.raises(PayloadError) as caught:
+                decode(bytes(flipped), 120, M)
+            assert caught.value.cause == "checksum"
+
+
+@pytest.mark.parametrize(
+    ("data", "cause"),
+    [(b"", "length"), (bytes(14), "length"), (bytes(63), "length"), (bytes(15), "checksum")],
+)
+def test_a_bad_payload_says_what_is_wrong(data: bytes, cause: str) -> None:
+    with pytest.raises(PayloadError) as caught:
+        decode(data, 0, M)
+    assert caught.value.cause == cause
+
+
+def test_an_unknown_version_is_refused() -> None:
+    body = (2 << 102).to_bytes(13, "big")
+    with pytest.raises(PayloadError) as caught:
+        decode(body + crc_hqx(body, 0xFFFF).to_bytes(2, "big"), 0, M)
+    assert caught.value.cause == "version"
+
+
+@pytest.mark.parametrize(
+    ("message", "words"),
+    [
+        (StateMessage(1, 0, (6553.6, 0.0, 0.0), (0.0, 0.0, 0.0)), "x is 6554, beyond 6553.55"),
+        (StateMessage(1, 0, (0.0, -1e308, 0.0), (0.0, 0.0, 0.0)), "y is"),
+        (StateMessage(1, 0, (0.0, 0.0, 1638.4), (0.0, 0.0, 0.0)), "z is 1638, beyond 1638.35"),
+        (StateMessage(1, 0, (0.0, 0.0, 0.0), (0.0, -2.6, 0.0)), "the velocity along y is -2.6, beyond 2.55"),
+        (StateMessage(1024, 0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)), "vehicle 1024"),
+    ],
+)
+def test_what_does_not_fit_is_not_said(message: StateMessage, words: str) -> None:
+    with pytest.raises(OutOfRange, match=words):
+        encode(message, M)
+
+
+def compact_agent(i: int) -> Agent:
+    return Agent(replace(agent_config(i, round_ticks=M), codec="compact"))
+
+
+def test_agents_speak_and_understand_it() -> None:
+    """The age of what was heard is that of the full message: the tick at which it was sampled."""
+    one, two = compact_agent(1), compact_agent(2)
+    nav = Nav(0, 0, (1.23, 4.56, 7.89, 0.0, 0.0), (0.7, 0.0, 0.0, 0.0, 0.0))
+    [payload] = one.transmit(nav)
+    assert len(payload) == SIZE
+    two.step(nav._replace(eta=(0.0,) * 5), ())
+    two.step(nav._replace(tick=7, eta=(0.0,) * 5), [Delivery(7, 0, 1, 0, 0, payload)])
+    [heard] = two._neighbours.heard(7)
+    assert (heard.id, heard.age) == (1, 0.07)
+    assert heard.velocity == (0.7, 0.0, 0.0)
+    assert two.counters()["accepted"] == 1
+    two.step(nav._replace(tick=8, eta=(0.0,) * 5), [Delivery(8, 0, 1, 1, 0, b"\0" * 63)])
+    assert two.counters()["length"] == 1
+
+
+def test_a_state_beyond_the_range_is_noted_once_and_not_sent() -> None:
+    one = compact_agent(1)
+    far = Nav(0, 0, (7000.0, 0.0, 0.0, 0.0, 0.0), (0.0,) * 5)
+    assert one.transmit(far) == ()
+    assert one.transmit(far._replace(tick=10)) == ()
+    [(tick, text)] = one.take_notes()
+    assert tick == 0
+    assert "x is 7000, beyond 6553.55" in text
+    assert len(one.transmit(far._replace(tick=20, eta=(0.0,) * 5))) == 1
+    again = compact_agent(1)
+    again.restore(one.state())
+    assert again.transmit(far._replace(tick=30)) == ()
+    assert again.take_notes() == []

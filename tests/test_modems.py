@@ -1,0 +1,284 @@
+"""Modem files, and the keys of a scenario's acoustic channel: what they compile to, and how mistakes are reported."""
+
+from __future__ import annotations
+
+import tomllib
+from dataclasses import replace
+from importlib import resources
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from fleet import acoustics, stability
+from fleet.datafiles import DataFileError
+from fleet.errors import ScenarioError
+from fleet.modems import NUMBERS, load_modem, parse_modem, shipped
+from fleet.scenario import Scenario, parse_scenario
+from fleet.schema import AcousticSection
+from netem.modem import AcousticConfig
+
+SMALL = """\
+title: Three vehicles
+vehicles: 3
+duration: 8 s
+reference: {start: 0 0 5 m, velocity: 0.5 0 0 m/s}
+formation: {shape: grid, spacing: 5 m}
+graph: {shape: path}
+initial: {scatter: 1 m}
+network: {period: 2 s, payload: compact, acoustic: {modem: fsk-80}}
+"""
+
+
+def small(*overrides: str, folder: Path | None = None) -> Scenario:
+    return parse_scenario(SMALL, "small.yaml", overrides, folder)
+
+
+def told(*overrides: str, folder: Path | None = None) -> AcousticConfig:
+    acoustic = small(*overrides, folder=folder).netem_config().acoustic
+    assert acoustic is not None
+    return acoustic
+
+
+# --- files -----------------------------------------------------------------
+
+
+def test_modems_ship() -> None:
+    assert shipped() == ["fsk-80", "mfsk-1066", "s2c"]
+    assert load_modem("fsk-80").modem.airtime_ns(15) == 2_500_000_000
+    assert load_modem("s2c").modem.airtime_ns(63) == 100_000_000 + 36_258_993
+    for name in shipped():
+        assert load_modem(name).name == name
+        assert load_modem(name).title
+
+
+@pytest.mark.parametrize("name", shipped())
+def test_every_number_says_where_it_comes_from(name: str) -> None:
+    """And whoever could not read a source says that it is an assumption."""
+    values = tomllib.loads((resources.files("netem.modems") / f"{name}.toml").read_text("utf-8"))
+    assert list(values["modem"]) == list(NUMBERS)
+    assert all(len(entry["source"]) > 10 for entry in values["modem"].values())
+
+
+@pytest.mark.parametrize("name", shipped())
+def test_modems_hear_each_other_within_their_range(name: str) -> None:
+    """At the largest range a compact payload gets through on a calm day: the numbers belong to each other."""
+    modem = load_modem(name).modem
+    calm = AcousticConfig(modem, shipping=0.0, wind=1.0)
+    assert calm.packet_error_rate(modem.max_range, 15) == 0.0
+    assert calm.packet_error_rate(100 * modem.max_range, 15) == 1.0
+
+
+def shipped_text(name: str = "s2c") -> str:
+    return (resources.files("netem.modems") / f"{name}.toml").read_text("utf-8")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("[modem]", "[modm]", "there is no [modem]"),
+        ("bit_rate =", "bitrate =", 'unknown modem.bitrate (did you mean "bit_rate"?); modem.bit_rate is missing'),
+        ('13.9, unit = "kbit/s"', '0, unit = "kbit/s"', "bit_rate must be between 0.1 and 1e+08 bit/s, is 0"),
+        ('13.9, unit = "kbit/s"', '13.9, unit = "kbps"', "unknown unit"),
+        ('13.9, unit = "kbit/s"', '13.9, unit = "kHz"', "got a frequency"),
+        ('64, unit = "bytes"', '0.5, unit = "bytes"', "mtu must be between 1 and 1e+06 bytes, is 0.5"),
+        ('0.1, unit = "s"', '-0.1, unit = "s"', "preamble must be between 0 and 3600 s, is -0.1"),
+        (
+            'value = 8, unit = "dB", source = "ns-3',
+            'value = 9, unit = "dB", source = "ns-3',
+            "is above clear_above 8 dB",
+        ),
+        ("the band in the modem's name, 18 to 34 kHz", "", "say where the number comes from"),
+        ('title = "', "nonsense", "not TOML"),
+    ],
+)
+def test_a_bad_modem_file_says_what_is_wrong(old: str, new: str, words: str) -> None:
+    text = shipped_text().replace(old, new, 1)
+    with pytest.raises(DataFileError) as caught:
+        parse_modem(text.encode(), "mine.toml")
+    assert words in str(caught.value)
+    assert str(caught.value).startswith("modem mine.toml: ")
+
+
+@given(st.binary(max_size=200))
+def test_any_bytes_are_a_modem_or_an_error(data: bytes) -> None:
+    with pytest.raises(DataFileError):
+        parse_modem(data, "x")
+
+
+# --- keys ------------------------------------------------------------------
+
+
+def test_defaults() -> None:
+    acoustic = told()
+    assert acoustic == AcousticConfig(load_modem("fsk-80").modem, backoff_ticks=acoustic.backoff_ticks)
+    # 2 T (2 n - 1) with T = 2.5 s and three vehicles.
+    assert acoustic.backoff_ticks == 2500
+    assert small().agent_config(1).codec == "compact"
+    assert small("network={}").netem_config().acoustic is None
+    assert small("network={}").agent_config(1).codec == "full"
+    everything = small("network=acoustic").netem_config().acoustic
+    assert everything is not None
+    assert everything.modem == load_modem("s2c").modem
+    assert small("network=acoustic") == small("network={acoustic: }") == small("network={acoustic: s2c}")
+
+
+def test_everything_that_can_be_said() -> None:
+    acoustic = told(
+        "network.acoustic={modem: mfsk-1066, mac: tdma, slot: 4 s, guard: 500 ms, buffer: 2, "
+        "water: {temperature: 25 degC, salinity: 35, depth: 1 km}, spreading: 2, shipping: 1, wind: 10 kn, "
+        "bit_rate: 0.14 kbit/s, preamble: 20 ms, carrier: 10 kHz, bandwidth: 900 Hz, source_level: 178 dB, "
+        "directivity: 3 dB, max_range: 2 km, interference_range: 3 km, mtu: 40 bytes, lost_below: 1 dB, "
+        "clear_above: 2 dB, capture: 6 dB}"
+    )
+    assert (acoustic.mac, acoustic.slot_ticks, acoustic.guard_ns, acoustic.buffer) == ("tdma", 400, 500_000_000, 2)
+    assert acoustic.sound_speed == pytest.approx(1550.744, abs=5e-4)
+    assert (acoustic.spreading, acoustic.shipping, acoustic.wind) == (2.0, 1.0, 18520 / 3600)
+    m = acoustic.modem
+    assert (m.bit_rate, m.preamble, m.carrier, m.bandwidth) == (140.0, 0.02, 10_000.0, 900.0)
+    assert (m.source_level, m.directivity, m.max_range, m.interference_range) == (178.0, 3.0, 2000.0, 3000.0)
+    assert (m.mtu, m.lost_below, m.clear_above, m.capture) == (40, 1.0, 2.0, 6.0)
+    assert told("network.acoustic.backoff=3 s").backoff_ticks == 300
+    assert told("network.acoustic.backoff=0 s").backoff_ticks == 0
+    assert told("network.acoustic.sound_speed=1480 m/s").sound_speed == 1480.0
+
+
+def test_a_modem_file_lies_beside_the_scenario_and_is_not_needed_afterwards(tmp_path: Path) -> None:
+    (tmp_path / "mine.toml").write_text(shipped_text("fsk-80").replace("value = 80", "value = 160"))
+    s = small("network.acoustic=mine.toml", folder=tmp_path)
+    assert s.acoustic is not None
+    assert s.acoustic.modem == replace(load_modem("fsk-80").modem, bit_rate=160.0)
+    again = parse_scenario(s.to_yaml(), "small.yaml")
+    assert again == s
+    with pytest.raises(ScenarioError, match="there is no such file"):
+        small("network.acoustic=other.toml", folder=tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("override", "words"),
+    [
+        ("network.acoustic.modem=fsk80", 'did you mean "fsk-80"?'),
+        ("network.acoustic.mac=csma", "expected aloha or tdma"),
+        ("network.acoustic.mac=tdma", '"slot" is missing in "network.acoustic", which mac tdma needs'),
+        ("network.acoustic.slot=4 s", "slot: has no effect on mac aloha: it belongs to tdma"),
+        ("network.acoustic.guard=4 s", "guard: has no effect on mac aloha: it belongs to tdma"),
+        ("network.acoustic={mac: tdma, slot: 4 s, backoff: 1 s}", "has no effect on mac tdma: it belongs to aloha"),
+        ("network.acoustic.backoff=5 ms", "5 ms is not a whole number of ticks of 10 ms"),
+        (
+            "network.acoustic={modem: fsk-80, mac: tdma, slot: 2 s}",
+            "2 s are too short: 15 bytes are 2.5 s on the air, and the guard is 100 ms",
+        ),
+        ("network.acoustic={modem: fsk-80, mac: tdma, slot: 2.59 s}", "at least 2.6 s"),
+        (
+            "network.acoustic={modem: fsk-80, mac: tdma, slot: 4 s, guard: 1 ms}",
+            "1 ms are too short: sound takes 0.004714 s over the 7.071 m of the formation",
+        ),
+        ("network.payload=full", "the full payload of 63 bytes is longer than its mtu, 32 bytes"),
+        ("network.payload=full", "network.payload: compact has 15 bytes"),
+        ("network.payload=small", "expected full or compact"),
+        ("network.acoustic.mtu=14 bytes", "the compact payload of 15 bytes is longer than its mtu, 14 bytes"),
+        ("network.acoustic.mtu=1.5 bytes", "is not a whole number of bytes"),
+        ("network.acoustic.lost_below=20 dB", "lost_below 20 dB is above clear_above 10 dB"),
+        ("network.acoustic.bit_rate=80", 'expected a bit rate such as "80 bit/s"'),
+        ("network.acoustic.bit_rate=80 Hz", "got a frequency"),
+        ("network.acoustic.buffer=0", "must be 1 or more"),
+        ("network.acoustic.spreading=3", "between 1 (cylindrical) and 2 (spherical)"),
+        ("network.acoustic.shipping=2", "must be between 0 and 1"),
+        ("network.acoustic.water={temperature: 40 degC, depth: 5 m}", "40 degC is outside 2 to 30 degC"),
+        ("network.acoustic.water={temperature: 10 degC, depth: 5 m, salinity: 3}", "3 ppt is outside 25 to 40 ppt"),
+        (
+            "network.acoustic={sound_speed: 1 m/s, water: {temperature: 9 degC, depth: 5 m}}",
+            "either a speed or the water",
+        ),
+        ("network.acoustic.wind=400 kn", "must be at most 100 m/s, is 205.778"),
+        ("network.acoustic.sound_speed=1 m/s", "must be between 100 and 10000 m/s"),
+        ("network.acoustic.carrier=1 Hz", "carrier must be between 100 and 1e+06 Hz, is 1"),
+        ("network.acoustic.wnd=3 m/s", 'did you mean "wind"?'),
+        ("network={ideal: true, acoustic: s2c}", 'write "network: ideal" for the network without latency'),
+        ("network=akustic", '"ideal", or "acoustic", got "akustic"'),
+    ],
+)
+def test_each_rule_speaks(override: str, words: str) -> None:
+    with pytest.raises(ScenarioError) as caught:
+        small(override)
+    assert words in str(caught.value)
+
+
+CHOICES: dict[str, st.SearchStrategy[str]] = {
+    "network.acoustic": st.sampled_from(["fsk-80", "s2c", "{mac: tdma, slot: 4 s}", "{modem: mfsk-1066, buffer: 3}"]),
+    "network.acoustic.modem": st.sampled_from(["fsk-80", "s2c", "mfsk-1066"]),
+    "network.acoustic.source_level": st.floats(0.0, 300.0).map(lambda v: f"{v!r} dB"),
+    "network.acoustic.carrier": st.floats(1.0, 1e7).map(lambda v: f"{v!r} Hz"),
+    "network.acoustic.bit_rate": st.floats(0.1, 100.0).map(lambda v: f"{v!r} kbit/s"),
+    "network.acoustic.preamble": st.integers(0, 10**9).map(lambda v: f"{v} ns"),
+    "network.acoustic.mtu": st.integers(15, 100).map(lambda v: f"{v} bytes"),
+    "network.acoustic.backoff": st.integers(0, 1000).map(lambda v: f"{v * 10} ms"),
+    "network.acoustic.guard": st.integers(0, 10**9).map(lambda v: f"{v} ns"),
+    "network.acoustic.shipping": st.floats(0.0, 1.0).map(repr),
+    "network.acoustic.wind": st.floats(0.0, 50.0).map(lambda v: f"{v!r} kn"),
+    "network.acoustic.water": st.floats(2.0, 30.0).map(lambda v: f"{{temperature: {v!r} degC, depth: 5 m}}"),
+    "network.acoustic.sound_speed": st.floats(1400.0, 1600.0).map(lambda v: f"{v!r} m/s"),
+    "network.links.*": st.just("loss 3%"),
+    "network.payload": st.sampled_from(["full", "compact"]),
+    "network": st.sampled_from(["ideal", "acoustic", "{payload: compact}"]),
+}
+
+
+@given(st.lists(st.sampled_from(sorted(CHOICES)).flatmap(lambda k: CHOICES[k].map(lambda v: f"{k}={v}")), max_size=6))
+@settings(max_examples=100, deadline=None)
+def test_every_valid_channel_round_trips(overrides: list[str]) -> None:
+    try:
+        s = small(*overrides)
+    except ScenarioError:
+        return
+    again = parse_scenario(s.to_yaml(), "small.yaml")
+    assert again == s
+    assert again.netem_config() == s.netem_config()
+    assert again.agent_config(1) == s.agent_config(1)
+    assert again.to_yaml() == s.to_yaml()
+
+
+WILD = st.text(max_size=12) | st.sampled_from(
+    ["3", "3 m", "[1]", "{}", "null", ".nan", "-1", "1e400", "true", "5 s", "1e300 dB", "1e-300 Hz", "s2c", "x.toml"]
+)
+KEYS = [f"network.acoustic.{key}" for key in (*AcousticSection.model_fields, "water.depth")]
+
+
+@given(st.lists(st.tuples(st.sampled_from([*KEYS, "network.acoustic", "network.payload"]), WILD), max_size=4))
+@settings(max_examples=150, deadline=None)
+def test_any_override_is_accepted_or_a_scenario_error(pairs: list[tuple[str, str]]) -> None:
+    """And what is accepted can be played: no number that passes overflows in the formulas."""
+    try:
+        s = small(*(f"{key}={value}" for key, value in pairs))
+    except ScenarioError as error:
+        assert str(error)  # noqa: PT017 - most are errors, all must be ours
+        return
+    assert parse_scenario(s.to_yaml(), "small.yaml") == s
+    if s.acoustic is not None:
+        for range_m in (0.0, 1.0, 1e3, 1e6):
+            assert 0.0 <= s.acoustic.packet_error_rate(range_m, 15) <= 1.0
+            assert s.acoustic.delay_ns(range_m) >= 0
+
+
+# --- what it means ---------------------------------------------------------
+
+
+def test_check_says_how_often_each_talks() -> None:
+    lines = "\n".join(stability.report(s := small(), stability.analyse(s)))
+    assert (
+        "acoustic fsk-80: the compact payload of 15 bytes is 2.5 s on the air; each vehicle talks every 15 s" in lines
+    )
+    s = small("network.acoustic={modem: fsk-80, mac: tdma, slot: 4 s}")
+    lines = "\n".join(stability.report(s, stability.analyse(s)))
+    assert "with slots of 4 s each vehicle talks every 12 s; what is heard is up to 16.5 s old without loss" in lines
+
+
+def test_the_default_back_off_is_the_best_load() -> None:
+    """G = n T / (T + B/2) = 1/2 for every number of vehicles, so two of three starts are spoiled by somebody."""
+    for vehicles in (1, 3, 20):
+        s = small(f"vehicles={vehicles}")
+        assert s.acoustic is not None
+        airtime = s.acoustic.modem.airtime_ns(15) / 1e9
+        mean, _ = acoustics.turn_s(s.spec.network, s.acoustic, vehicles, s.tick_ns)
+        assert vehicles * airtime / mean == pytest.approx(0.5)

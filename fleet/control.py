@@ -110,6 +110,8 @@ class Operator:
             raise RefusedError(f"a fault does exactly one thing, one of {', '.join(ACTIONS)}")
         if section.for_ is not None and section.for_ % self.scenario.tick_ns:
             raise RefusedError(f"the duration is not a whole number of ticks of {self.scenario.tick_ns / 1e6:g} ms")
+        if any(condition.seed is not None for condition in (section.link or {}).values()):
+            raise RefusedError("seed belongs in a scenario: a link that runs keeps its draws")
         self._injected += 1
         name = section.id or f"live-{self._injected}"
         if any(fault.id == name for fault in self.faults):

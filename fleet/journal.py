@@ -51,6 +51,7 @@ class Journal:
         self._events = deque(scenario.faults.events)
         self._told_deaths = {(absence.vehicle, absence.begin) for absence in scenario.faults.absences}
         self._died: dict[int, int] = {}  # vehicle -> how often its agent ended without being told to
+        self.active: list[str] = []  # faults that last, in the order in which they began
         self.deaths: dict[int, Event] = {}  # vehicle -> such a death that lasts
         self._frame_every = frame_every(scenario)
         self._round_ticks = scenario.round_ticks
@@ -151,6 +152,10 @@ class Journal:
             event = self._events.popleft()
             self.happened.append(event)
             self.log.event(event)
+            if event.action == "begins":
+                self.active.append(event.fault)
+            elif event.fault in self.active:
+                self.active.remove(event.fault)
 
     def _write_fates(self, until: int) -> None:
         while self._fates and self._fates[0].final_tick <= until:

@@ -14,10 +14,11 @@ from fleet.scenario import Scenario
 
 REFRESH_S = 0.1
 PLAIN_S = 5.0
+MOST_FAULTS = 4  # shown by name
 
 
 class ProgressLine:
-    """Sim time, speed, formation error and link counts; call it as often as you like."""
+    """Sim time, speed, formation error, link counts and what faults there are; call it as often as you like."""
 
     def __init__(
         self,
@@ -70,13 +71,16 @@ class ProgressLine:
         sim_s = max(0, self._journal.written) * self._tick_s
         clock = f"t = {sim_s:.1f} / {self._end_s:g} s"
         text = f"{sim_s / (now - self._began):.1f} x real time  {self._state()}"
+        if faults := self._journal.active:
+            more = f" and {len(faults) - MOST_FAULTS} more" if len(faults) > MOST_FAULTS else ""
+            text += f"  faults {', '.join(faults[:MOST_FAULTS])}{more}"
         if waiting := self._waiting():
             text += f"  {waiting}"
         if self._live:
             self._progress.update(self._task, completed=sim_s, text=text, time=clock)
             self._progress.refresh()
         else:
-            self._terminal.print(f"{clock}  {text}", highlight=False)
+            self._terminal.print(f"{clock}  {text}", highlight=False, soft_wrap=True)
 
     def _state(self) -> str:
         total = self._journal.ledger.total()

@@ -216,7 +216,9 @@ class LinkModel:
 
     @property
     def _seed_in_use(self) -> int:
-        return self._seed if self._used.seed is None else self._used.seed
+        # A condition that is put over the link's own must not seed it anew.
+        own = self._seed if self.condition.seed is None else self.condition.seed
+        return own if self._used.seed is None else self._used.seed
 
     def _draw(self, purpose: str, seq: int, copy: int) -> float:
         if copy:

@@ -295,3 +295,10 @@ def test_a_link_with_its_own_seed() -> None:
     own = Condition(loss=0.5, seed=7)
     assert losses(lossy, 200) != [v[0].cause == "loss" for v in send(link(own, 1), 200)]
     assert [v[0].cause for v in send(link(own, 1), 200)] == [v[0].cause for v in send(link(own, 2), 200)]
+
+
+def test_a_condition_put_over_a_link_does_not_seed_it_anew() -> None:
+    model = link(Condition(seed=7))
+    over = [bool(model.enter(k * 10**8, k, b"x", Condition(loss=0.5))[0].cause) for k in range(50)]
+    own = link(Condition(loss=0.5, seed=7))
+    assert over == [bool(own.enter(k * 10**8, k, b"x")[0].cause) for k in range(50)]

@@ -90,7 +90,7 @@ def test_every_live_action_is_a_script_line(tmp_path: Path) -> None:
     """Faults at moments that nobody chose, one healed early, a kill: the exported scenario gives the same digest."""
     out = tmp_path / "runs"
     rng = random.Random()  # arbitrary on purpose: it must hold whenever the faults come
-    with LiveRun(out, "paper", "--duration", "45 s", *SLOW, "--set", "profile=hardened") as live:
+    with LiveRun(out, "paper", "--duration", "45 s", *SLOW, "--speed", "0.5", "--set", "profile=hardened") as live:
         live.until_running()
         answers = []
         for arguments in (
@@ -139,6 +139,7 @@ def test_what_cannot_be_injected_is_refused_in_words(tmp_path: Path) -> None:
             (["inject", "link", "1->2"], "a link fault is: link SELECTOR CONDITION", 2),
             (["inject", "link", "1->3", "loss 3%"], "the graph has no such link", 3),
             (["inject", "link", "1->2", "lss 3%"], 'unknown link condition "lss"', 3),
+            (["inject", "link", "1->2", "loss 3% seed 7"], "seed belongs in a scenario", 3),
             (["inject", "mute", "9"], "there is no vehicle 9", 3),
             (["inject", "partition", "half"], "is no partition", 3),
             (["inject", "mute", "1", "--for", "5ms"], "not a whole number of ticks", 3),

@@ -124,6 +124,18 @@ def event_order(event: Event) -> tuple[int, bool, str]:
     return event.tick, begins, "" if begins else event.fault
 
 
+def intervals(events: Iterable[Event], tick_ns: int) -> list[tuple[float, float]]:
+    """From when to when each fault lasts [s], in the order in which they end."""
+    begun: dict[str, int] = {}
+    found = []
+    for event in events:
+        if event.action == "begins":
+            begun[event.fault] = event.tick
+        elif event.fault in begun:
+            found.append((begun.pop(event.fault) * tick_ns / 1e9, event.tick * tick_ns / 1e9))
+    return found
+
+
 def begin_and_end(of_this: Sequence[Part], section: FaultSection, last: int) -> tuple[Event, Event]:
     """What the log is told of a fault in a run of `last` ticks."""
     part, what = of_this[0], words(section)

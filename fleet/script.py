@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,24 +19,27 @@ class ScriptError(FleetError):
     """The log holds no scenario that could be run again."""
 
 
-def script(path: Path) -> Scenario:
-    """The scenario of a log, its faults taken from what happened.
+def script(path: Path, overrides: Sequence[str] = ()) -> Scenario:
+    """The scenario of a log, its faults taken from what happened, with overrides as for `fleet run --set`.
 
     Raises:
         LogReadError: there is no log to read.
         ScriptError: it holds no scenario of ours.
+        ScenarioError: an override is wrong.
     """
     path = log_path(path)
     reader = LogReader(path)
-    happened = [(record.log_ns, record.data) for record in reader if record.topic == "faults"]
+    decode = decoders(reader)
+    events = [(r.log_ns, decode(r.topic, r.data)) for r in reader if r.topic == "faults"]
     text = reader.attachments.get("scenario.yaml")
     if text is None:
         raise ScriptError(f"{path} holds no scenario: it was not written by fleet run")
     end_ns = int(reader.metadata.get("run", {}).get("ticks", 0)) * int(reader.metadata.get("run", {}).get("tick_ns", 0))
-    faults = _entries(_decoded(reader, happened), end_ns)
+    faults = _entries(events, end_ns)
     lines = text.decode("utf-8").splitlines()
     ended = {str(entry["id"]) for entry in faults if "for" in entry}
-    return parse_scenario(_without_faults(lines) + _faults_yaml(faults), str(path), _recoveries(text.decode(), ended))
+    more = [*_recoveries(text.decode(), ended), *overrides]
+    return parse_scenario(_without_faults(lines) + _faults_yaml(faults), str(path), more)
 
 
 def _recoveries(text: str, ended: set[str]) -> list[str]:
@@ -46,17 +49,20 @@ def _recoveries(text: str, ended: set[str]) -> list[str]:
     return [f"checks.recovery_time={json.dumps(kept)}"] if len(kept) < len(checks) else []
 
 
-def _decoded(reader: LogReader, happened: Iterable[tuple[int, bytes]]) -> list[tuple[int, Any]]:
-    channel = next((c for c in reader.channels.values() if c.topic == "faults"), None)
-    if channel is None:
-        return []
-    schema = reader.schemas[channel.schema_id]
-    files = descriptor_pb2.FileDescriptorSet.FromString(schema.data)
-    pool = descriptor_pool.DescriptorPool()
-    for file in files.file:
-        pool.Add(file)
-    message = message_factory.GetMessageClass(pool.FindMessageTypeByName(schema.name))
-    return [(at_ns, message.FromString(data)) for at_ns, data in happened]
+def decoders(reader: LogReader) -> Callable[[str, bytes], Any]:
+    """A function from (topic, data) to a message, by the schemas that the reader has come across."""
+    classes: dict[str, Any] = {}
+
+    def decode(topic: str, data: bytes) -> Any:
+        if topic not in classes:
+            schema = next(reader.schemas[c.schema_id] for c in reader.channels.values() if c.topic == topic)
+            pool = descriptor_pool.DescriptorPool()
+            for file in descriptor_pb2.FileDescriptorSet.FromString(schema.data).file:
+                pool.Add(file)
+            classes[topic] = message_factory.GetMessageClass(pool.FindMessageTypeByName(schema.name))
+        return classes[topic].FromString(data)
+
+    return decode
 
 
 def _entries(events: list[tuple[int, Any]], end_ns: int) -> list[dict[str, Any]]:

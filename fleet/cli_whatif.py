@@ -1,0 +1,109 @@
+"""`fleet whatif`: what a recorded vehicle would have commanded with another agent."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from fleet.errors import FleetError
+
+if TYPE_CHECKING:
+    from fleet.whatif import WhatIf
+
+
+@click.command(name="whatif")
+@click.argument("log", type=click.Path(path_type=Path))
+@click.option("--agent", type=click.IntRange(min=1), required=True, help="The number of the vehicle.")
+@click.option("--controller", metavar="LAW", help="Short for --set controller=LAW: a name, or package.module:Class.")
+@click.option("--set", "overrides", metavar="KEY=VALUE", multiple=True, help="Change one scenario key.")
+@click.option("--plot", type=click.Path(path_type=Path), help="Draw both commands into this file (png, svg, pdf).")
+@click.option("--json", "as_json", is_flag=True, help="Plain values instead of words.")
+def command(
+    log: Path, agent: int, controller: str | None, overrides: tuple[str, ...], plot: Path | None, as_json: bool
+) -> None:
+    """Give another agent the navigation and the messages that one had in LOG, and compare what they command.
+
+    Open loop: the vehicle went where the recorded commands sent it. With nothing changed the commands are identical.
+
+    \b
+    Examples:
+      fleet whatif runs/latest --agent 3
+      fleet whatif runs/latest --agent 3 --controller bsmc --plot 3.png
+      fleet whatif runs/latest --agent 1 --set tracking.k_u=2 --set profile=hardened
+      fleet whatif runs/latest --agent 2 --controller my_module:MyController
+    """
+    from rich.console import Console
+    from rich.status import Status
+
+    from fleet.whatif import whatif
+
+    changes = [*overrides, *([f"controller={controller}"] if controller is not None else [])]
+    terminal = Console(stderr=True)
+    try:
+        with Status("reading the log", console=terminal) as status:
+            found = whatif(log, agent, changes, lambda share: status.update(f"agent {agent}: {100 * share:.0f} %"))
+        if plot is not None:
+            from fleet.whatif_plot import draw
+
+            draw(found, plot)
+    except FleetError as error:
+        click.echo(f"fleet: {error}", err=True)
+        sys.exit(2)
+    if as_json:
+        click.echo(json.dumps(values(found), indent=2))
+        return
+    for note in found.notes:
+        click.echo(f"note  {note}", err=True)
+    click.echo("\n".join(describe(found)))
+
+
+def values(found: WhatIf) -> dict[str, Any]:
+    """The comparison as plain values, SI units."""
+    from fleet.whatif import COMPONENTS
+
+    away = abs(found.found - found.recorded)
+    return {
+        "agent": found.agent,
+        "samples": len(found.t),
+        "messages": found.heard,
+        "identical": found.identical,
+        "first_s": found.first_s,
+        "components": {
+            name: {
+                "unit": unit,
+                "max": float(away[:, k].max()),
+                "at_s": float(found.t[away[:, k].argmax()]),
+                "rms": float((away[:, k] ** 2).mean() ** 0.5),
+            }
+            for k, (name, unit) in enumerate(COMPONENTS)
+        }
+        if len(found.t)
+        else {},
+        "notes": found.notes,
+    }
+
+
+def describe(found: WhatIf) -> list[str]:
+    """The comparison in words."""
+    shown = values(found)
+    if not len(found.t):
+        return [f"agent {found.agent} commanded nothing in this log"]
+    lines = [
+        f"agent {found.agent}: {shown['samples']} samples from t = {found.t[0]:g} to {found.t[-1]:g} s, "
+        f"{found.heard} messages heard, {found.lives} {'life' if found.lives == 1 else 'lives'}"
+    ]
+    if found.identical:
+        return [*lines, "identical: every command is that of the log, to the last bit"]
+    lines.append(f"the commands differ from t = {found.first_s:g} s on")
+    lines += [
+        f"  {name:<13} at most {c['max']:.4g} {c['unit']} away (t = {c['at_s']:g} s), RMS {c['rms']:.4g} {c['unit']}"
+        for name, c in shown["components"].items()
+    ]
+    return lines
+
+
+COMMANDS = (command,)

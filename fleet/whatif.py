@@ -1,0 +1,158 @@
+"""`fleet whatif`: what one vehicle's agent would have commanded, had it been another.
+
+A fresh agent is given the navigation and the inbox that the recorded one had, sample by sample: open loop, since the
+vehicle went where the recorded commands sent it. With nothing changed it commands the same to the last bit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from agents.agent import Agent, PluggedAgent, make_agent
+from agents.errors import AgentError
+from fleet.errors import FleetError
+from fleet.reader import LogReader, log_path
+from fleet.scenario import Scenario
+from fleet.script import decoders, script
+from netem.lives import Lives
+from netem.messages import Delivery, Nav
+
+Array = np.ndarray[Any, np.dtype[np.float64]]
+COMPONENTS = (("surge force", "N"), ("pitch moment", "N m"), ("yaw moment", "N m"))
+
+
+class WhatIfError(FleetError):
+    """The log does not hold what an agent would need."""
+
+
+@dataclass(slots=True)
+class WhatIf:
+    """The commands of two agents with the same senses; shapes (samples,) and (samples, 3)."""
+
+    agent: int
+    scenario: Scenario  # with the changes
+    t: Array  # s
+    recorded: Array  # N, N m, N m, as commanded
+    found: Array
+    heard: int  # messages
+    lives: int  # how often the agent began
+    notes: list[str] = field(default_factory=list)
+
+    @property
+    def identical(self) -> bool:
+        """Whether every command is the same to the last bit."""
+        return bool(np.array_equal(self.recorded, self.found))
+
+    @property
+    def first_s(self) -> float | None:
+        """Time of the first command that differs [s]."""
+        different = np.flatnonzero((self.recorded != self.found).any(axis=1))
+        return float(self.t[different[0]]) if len(different) else None
+
+
+def whatif(
+    path: Path, agent: int, overrides: Sequence[str] = (), progress: Callable[[float], None] = lambda _: None
+) -> WhatIf:
+    """Give a fresh agent what a recorded one was given.
+
+    Args:
+        overrides: `key=value`, as for `fleet run --set`; they concern this agent alone.
+        progress: told the share that is done, now and then.
+
+    Raises:
+        LogReadError, ScriptError: there is no log of ours.
+        ScenarioError: an override is wrong.
+        WhatIfError: the agent is not there, its navigation was thinned, or its law failed.
+    """
+    path = log_path(path)
+    scenario = script(path, overrides)
+    recorded = script(path)
+    if scenario.vehicles != recorded.vehicles or scenario.tick_ns != recorded.tick_ns:
+        raise WhatIfError("another number of vehicles, or another tick, is another run: use fleet run")
+    if not 1 <= agent <= scenario.vehicles:
+        raise WhatIfError(f"there is no agent {agent}: they are 1 to {scenario.vehicles}")
+    for group in ("nav", "command"):
+        if (every := recorded.log_every[group]) > 1:
+            raise WhatIfError(f"{path} has every {every}th {group} only: an agent needs all (log.{group}: 1 tick)")
+    navs, commands, deliveries = _read(path, agent, scenario.tick_ns)
+    if not navs:
+        raise WhatIfError(f"{path} has no navigation of agent {agent}")
+    lives = Lives(recorded.faults.absences)
+    begins = [0, *(end for _, end in lives.gaps(agent) if end is not None)]
+    result = _Answers()
+    core: Agent | PluggedAgent | None = None
+    life, waiting = -1, 0
+    for done, (tick, measured) in enumerate(navs):
+        incarnation = lives.incarnation(agent, tick)
+        if core is None or incarnation != life:
+            core, life = make_agent(scenario.agent_config(agent)), incarnation
+            # What fell due before was for the agent before, or for nobody.
+            while begins[life] and waiting < len(deliveries) and deliveries[waiting].due_tick <= begins[life]:
+                waiting += 1
+        due = []
+        while waiting < len(deliveries) and deliveries[waiting].due_tick <= tick:
+            due.append(deliveries[waiting])
+            waiting += 1
+        try:
+            step = core.step(Nav(life, tick, measured[:5], measured[5:]), due)
+        except AgentError as error:
+            raise WhatIfError(str(error)) from None
+        result.notes += [f"t = {at * scenario.tick_ns / 1e9:.2f} s: {text}" for at, text in core.take_notes()]
+        if tick in commands:
+            result.ticks.append(tick)
+            result.recorded.append(commands[tick])
+            result.found.append(step.tau)
+            result.heard += len(due)
+        if done % 500 == 0:
+            progress(done / len(navs))
+    t = np.array(result.ticks) * (scenario.tick_ns / 1e9)
+    return WhatIf(
+        agent,
+        scenario,
+        t,
+        np.array(result.recorded).reshape(-1, 3),
+        np.array(result.found).reshape(-1, 3),
+        result.heard,
+        life + 1,
+        result.notes,
+    )
+
+
+@dataclass(slots=True)
+class _Answers:
+    ticks: list[int] = field(default_factory=list)
+    recorded: list[tuple[float, ...]] = field(default_factory=list)
+    found: list[tuple[float, ...]] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+    heard: int = 0
+
+
+def _read(
+    path: Path, agent: int, tick_ns: int
+) -> tuple[list[tuple[int, tuple[float, ...]]], dict[int, tuple[float, ...]], list[Delivery]]:
+    """(tick, measured eta and nu) of every sample; the commands by tick; what was delivered, in order."""
+    navs: list[tuple[int, tuple[float, ...]]] = []
+    commands: dict[int, tuple[float, ...]] = {}
+    deliveries: list[Delivery] = []
+    reader = LogReader(path)
+    decode = decoders(reader)
+    nav, command = f"uuv/{agent}/nav", f"uuv/{agent}/command"
+    for record in reader:
+        if record.topic == nav:
+            m = decode(record.topic, record.data)
+            values = (m.x, m.y, m.z, m.theta, m.psi, m.u, m.v, m.w, m.q, m.r)
+            navs.append((record.log_ns // tick_ns, values))
+        elif record.topic == command:
+            commands[record.log_ns // tick_ns] = tuple(decode(record.topic, record.data).tau)
+        elif record.topic.startswith("link/") and record.topic.endswith(f"-{agent}"):
+            m = decode(record.topic, record.data)
+            if m.fate == "delivered":
+                src = int(record.topic.removeprefix("link/").split("-")[0])
+                sent = record.publish_ns // tick_ns
+                deliveries.append(Delivery(record.log_ns // tick_ns, sent, src, m.seq, m.copy, m.payload))
+    return navs, commands, sorted(deliveries)

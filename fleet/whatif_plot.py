@@ -1,0 +1,41 @@
+"""The picture of a what-if: the recorded commands and the others, over time."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from fleet.faults import intervals
+from fleet.plotting import FORMATS, legend, limit, line, panels, save
+from fleet.whatif import COMPONENTS, WhatIf, WhatIfError
+
+
+def draw(found: WhatIf, path: Path) -> None:
+    """Write the picture.
+
+    Raises:
+        WhatIfError: the file cannot be written, or its suffix is none of a picture.
+    """
+    form = path.suffix.removeprefix(".")
+    if form not in FORMATS:
+        raise WhatIfError(f"{path}: a picture ends in one of {', '.join('.' + f for f in FORMATS)}")
+    figure, axes = panels(3, 1)
+    for k, (ax, (name, unit)) in enumerate(zip(axes, COMPONENTS, strict=True)):
+        line(ax, 0, found.t, found.recorded[:, k], "recorded")
+        line(ax, 1, found.t, found.found[:, k], "what if")
+        most = found.scenario.controls[found.agent - 1].tau_max[k]
+        if (
+            abs(found.recorded[:, k]).max(initial=0.0) > 0.5 * most
+            or abs(found.found[:, k]).max(initial=0.0) > 0.5 * most
+        ):
+            limit(ax, most, "limit" if k == 0 else None)
+            limit(ax, -most)
+        ax.set_ylabel(f"{name} [{unit}]")
+        for begin, end in intervals(found.scenario.faults.events, found.scenario.tick_ns):
+            ax.axvspan(begin, end, color="0.5", alpha=0.12, linewidth=0)
+    axes[-1].set_xlabel("t [s]")
+    axes[0].set_title(f"agent {found.agent} of {found.scenario.name}: open loop")
+    legend(figure, axes[0], 3)
+    try:
+        save(figure, path.with_suffix(""), (form,))
+    except OSError as error:
+        raise WhatIfError(f"cannot write {path}: {error.strerror}") from None

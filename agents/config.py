@@ -102,6 +102,7 @@ class AgentConfig:
     on_error: OnError = "abort"  # what follows when a law fails
     budget_s: float = 0.0  # wall time a law may take for a sample; 0: any
     codec: Codec = "full"  # of what it tells its neighbours: agents.payload or agents.compact
+    memory_ticks: int = 0  # how often it tells all that it remembers; 0: never
 
     def desired(self, t: float) -> Motion:
         """Where this vehicle should be at time t [s], and how it should move: pd_i = eta_1^d + p_i and its rate."""

@@ -6,10 +6,14 @@ ideal network the agent transmits first and decides once its inbox of the same t
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import Any, Protocol
+
+import msgpack
 
 from netem.errors import OutOfPlace
-from netem.messages import Command, Delivery, Inbox, Nav, Transmission
+from netem.messages import Command, Delivery, Inbox, Memory, Nav, Transmission
+
+Answer = Memory | Transmission | Command
 
 
 class Decision(Protocol):
@@ -44,6 +48,12 @@ class AgentCore(Protocol):
     def decide(self, nav: Nav, deliveries: list[Delivery], /) -> Decision:
         """The rest of a control sample (ideal network)."""
 
+    def state(self) -> dict[str, Any]:
+        """All that the next samples depend on, as MessagePack values."""
+
+    def restore(self, values: dict[str, Any], /) -> None:
+        """Continue from `state()`."""
+
     def take_notes(self) -> list[tuple[int, str]]:
         """(tick, text) of what a person should know, once."""
 
@@ -52,13 +62,23 @@ class AgentLoop:
     """Feeds an agent core with navs and inboxes in the right order."""
 
     def __init__(
-        self, core: AgentCore, round_ticks: int, *, incarnation: int = 0, begin: int = 0, ideal: bool = False
+        self,
+        core: AgentCore,
+        round_ticks: int,
+        *,
+        incarnation: int = 0,
+        begin: int = 0,
+        ideal: bool = False,
+        memory_ticks: int = 0,
     ) -> None:
         self.core = core
         self.round_ticks = round_ticks
         self.incarnation = incarnation
         self.ideal = ideal
-        self._known = -1 if ideal else begin  # the inbox is known up to this tick: nothing before was for this agent
+        self.memory_ticks = memory_ticks  # how often it tells what it remembers
+        self._known = (
+            begin - 1 if ideal else begin
+        )  # the inbox is known up to this tick: nothing before was for this agent
         self._tick = begin - 1  # last tick answered, or before the first
         self._nav: Nav | None = None
         self._transmitted = False
@@ -74,7 +94,18 @@ class AgentLoop:
         """Whether a nav is there that an inbox must come for."""
         return self._nav is not None
 
-    def nav(self, nav: Nav) -> list[Transmission | Command]:
+    def remember(self, memory: bytes, *, anew: bool = False) -> None:
+        """Go on at the first tick with what an agent told before it in another run.
+
+        Args:
+            anew: take only what had been handed out and was not due yet.
+        """
+        state, deliveries = msgpack.unpackb(memory)
+        if not anew:
+            self.core.restore(state)
+        self._deliveries = [Delivery(*delivery) for delivery in deliveries]
+
+    def nav(self, nav: Nav) -> list[Answer]:
         """Take the nav of the next tick, or of a later one when the agent was suspended in between.
 
         Raises:
@@ -87,7 +118,7 @@ class AgentLoop:
         self._nav = nav
         return self._advance()
 
-    def inbox(self, inbox: Inbox) -> list[Transmission | Command]:
+    def inbox(self, inbox: Inbox) -> list[Answer]:
         """Take the next round's deliveries.
 
         Raises:
@@ -104,17 +135,20 @@ class AgentLoop:
         self._known = inbox.until
         return self._advance()
 
-    def _advance(self) -> list[Transmission | Command]:
+    def _advance(self) -> list[Answer]:
         nav = self._nav
         if nav is None:
             return []
-        out: list[Transmission | Command] = []
+        out: list[Answer] = []
         sends = nav.tick % self.round_ticks == 0
         if self.ideal and sends and not self._transmitted:
             self._transmitted = True
+            out += self._memory(nav.tick)
             out.append(Transmission(self.incarnation, nav.tick, self.core.transmit(nav)))
         if self._known < nav.tick:
             return out
+        if not self.ideal:
+            out += self._memory(nav.tick)
         decision: Decision
         if self.ideal:
             decision = self.core.decide(nav, self._due(nav.tick))
@@ -125,6 +159,11 @@ class AgentLoop:
         out.append(Command(self.incarnation, nav.tick, decision.tau, decision.telemetry))
         self._nav, self._tick, self._transmitted = None, nav.tick, False
         return out
+
+    def _memory(self, tick: int) -> list[Answer]:
+        if not self.memory_ticks or tick % self.memory_ticks or tick == 0:
+            return []
+        return [Memory(self.incarnation, tick, msgpack.packb([self.core.state(), self._deliveries]))]
 
     def _due(self, tick: int) -> list[Delivery]:
         # Deliveries of one inbox come sorted, and every later inbox is due later: the list stays sorted.

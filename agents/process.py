@@ -12,12 +12,12 @@ from typing import NoReturn
 from agents.agent import make_agent
 from agents.config import AgentConfig
 from agents.errors import AgentError, ControllerError
-from agents.loop import AgentLoop
+from agents.loop import AgentLoop, Answer
 from netem.access import Credentials, agent_role
 from netem.bus import Bus
 from netem.errors import BusError, MalformedMessage, OutOfPlace
 from netem.keys import Keys
-from netem.messages import PROTOCOL_VERSION, Command, Hello, Inbox, Nav, Transmission, encode
+from netem.messages import PROTOCOL_VERSION, Hello, Inbox, Nav, Transmission, encode
 from netem.shell import Shell, expect, read_map
 
 log = logging.getLogger(__name__)
@@ -45,7 +45,8 @@ def run(
     except AgentError as error:
         role = agent_role(vehicle)
         _give_up(Shell(bus, role, keys.note(role)), vehicle, begin, error)
-    loop = AgentLoop(core, config.round_ticks, incarnation=incarnation, begin=begin)
+    ticks = config.memory_ticks
+    loop = AgentLoop(core, config.round_ticks, incarnation=incarnation, begin=begin, memory_ticks=ticks)
     process = AgentProcess(bus, keys, vehicle, loop)
     process.get_ready()
     process.serve()
@@ -107,9 +108,7 @@ class AgentProcess:
             for answer in out:
                 (self._tx if isinstance(answer, Transmission) else self._cmd)(encode(answer))
 
-    def _guarded(
-        self, handle: Callable[..., list[Transmission | Command]], message: Nav | Inbox
-    ) -> list[Transmission | Command]:
+    def _guarded(self, handle: Callable[..., list[Answer]], message: Nav | Inbox) -> list[Answer]:
         try:
             return handle(message)
         except OutOfPlace:

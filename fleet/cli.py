@@ -60,7 +60,8 @@ _overrides = click.option(
 
 
 @cli.command(epilog=EPILOG)
-@click.argument("scenario", shell_complete=scenarios)
+@click.argument("scenario", required=False, shell_complete=scenarios)
+@click.option("--from", "begin", metavar="LOG[@TIME]", help="Go on from a snapshot in a log, in one process.")
 @click.option(
     "--out",
     metavar="DIR",
@@ -79,7 +80,8 @@ _overrides = click.option(
 @click.option("--start-order", metavar="SEED", type=int, hidden=True)
 @click.option("-q", "--quiet", is_flag=True, help="No progress and no tables.")
 def run(
-    scenario: str,
+    scenario: str | None,
+    begin: str | None,
     out: Path,
     seed: int | None,
     duration: str | None,
@@ -99,6 +101,7 @@ def run(
       fleet run rough-sea --seed 3 --duration '30 s'
       fleet run paper --set vehicles=20 --set "network.links={'*': 'delay 200ms 50ms loss 30%'}"
       fleet run paper --in-process --out /tmp/runs --quiet
+      fleet run --from runs/latest@20s --set controller=bsmc
     """
     from fleet.scenario import load_scenario
 
@@ -109,7 +112,15 @@ def run(
         more.append(f"duration={duration}")
     terminal = Terminal(stderr=True)
     try:
-        loaded = load_scenario(scenario, more)
+        start = None
+        if begin is not None:
+            from fleet.resume import parse_from, prepare
+
+            loaded, start = prepare(*parse_from(begin), more, scenario)
+        elif scenario is None:
+            raise click.UsageError("run what? A scenario, or --from a log; see fleet list")
+        else:
+            loaded = load_scenario(scenario, more)
         if show_config:
             click.echo(loaded.to_yaml(), nl=False)
             return
@@ -121,7 +132,9 @@ def run(
 
             for warning in analyse(loaded).warnings:
                 terminal.print(f"warning: {warning}", highlight=False, markup=False, soft_wrap=True)
-        options = Options(out, in_process, speed, quiet, port, _shuffle(start_order))
+        options = Options(out, in_process, speed, quiet, port, start, _shuffle(start_order))
+        if start is not None and not quiet:
+            terminal.print("\n".join(start.notes), highlight=False, markup=False, soft_wrap=True)
         if loaded.ideal and not in_process and not quiet:
             terminal.print("network: ideal has no latency and so runs in one process", highlight=False)
         result = execute(loaded, options, terminal)

@@ -61,6 +61,10 @@ class Connectivity:
         self.ticks = 0  # windows that were not connected
         self.windows = 0
 
+    def resume(self, tick: int) -> None:
+        """Judge windows that begin at a tick or later."""
+        self._first = max(self._first, tick + self._window - 1)
+
     @property
     def trivial(self) -> bool:
         """Whether nobody needs to be reached."""

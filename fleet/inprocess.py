@@ -15,11 +15,12 @@ import msgpack
 from agents.agent import make_agent
 from agents.config import AgentConfig
 from agents.errors import ControllerError
-from agents.loop import AgentLoop
+from agents.loop import AgentLoop, Answer
 from fleet.clock import Clock
 from fleet.errors import RunBroken
 from fleet.faults import MOST_RESTARTS
 from fleet.journal import Journal, frame_every
+from fleet.resume import Start
 from fleet.scenario import Scenario
 from netem.errors import MalformedMessage, OutOfPlace
 from netem.lives import Absence
@@ -29,6 +30,7 @@ from netem.messages import (
     Frames,
     Inbox,
     LinkReport,
+    Memory,
     Message,
     Nav,
     Round,
@@ -45,8 +47,8 @@ WORLD, NETEM, CONSOLE = 0, -1, -2  # addresses; agents have their positive numbe
 class InProcess:
     """One run; `serve` returns when it is complete."""
 
-    def __init__(self, scenario: Scenario, journal: Journal) -> None:
-        self._scenario, self._journal = scenario, journal
+    def __init__(self, scenario: Scenario, journal: Journal, start: Start | None = None) -> None:
+        self._scenario, self._journal, self._begin = scenario, journal, start
         self._world = Lockstep(scenario.world_config(), frame_every=frame_every(scenario))
         self.rounds = Rounds(scenario.netem_config())
         self._loops: dict[int, AgentLoop] = {}
@@ -63,6 +65,8 @@ class InProcess:
         scenario = self._scenario
         for i in range(1, scenario.vehicles + 1):
             self._loops[i] = self._born(i, 0, 0)
+        if self._begin is not None:
+            self._resume(self._begin)
         while not self._world.finished:
             until = clock.until(self._journal.written, time.monotonic() - began)
             self._granted = max(self._granted, until)
@@ -84,10 +88,27 @@ class InProcess:
         self._journal.links(self.rounds.close(self._scenario.ticks))
         return {"entered": self.rounds.netem.entered, "rejected": {}}
 
+    def _resume(self, start: Start) -> None:
+        snapshot = start.snapshot
+        tick = snapshot.tick
+        self._world.resume(tick, snapshot.world)
+        self.rounds.resume(tick, snapshot.network)
+        self._journal.resume(snapshot)
+        for i, memory in snapshot.memories.items():
+            loop = self._loops[i] = self._born(i, self._world.lives.incarnation(i, tick), tick)
+            loop.remember(memory, anew=i in start.anew)
+
     def _born(self, i: int, incarnation: int, begin: int) -> AgentLoop:
         scenario = self._scenario
         core = make_agent(_over_the_wire(scenario.agent_config(i)))
-        return AgentLoop(core, scenario.round_ticks, incarnation=incarnation, begin=begin, ideal=scenario.ideal)
+        return AgentLoop(
+            core,
+            scenario.round_ticks,
+            incarnation=incarnation,
+            begin=begin,
+            ideal=scenario.ideal,
+            memory_ticks=scenario.memory_ticks,
+        )
 
     def _loop(self, i: int, incarnation: int) -> AgentLoop:
         """Agent i, another one when that is what it is asked for."""
@@ -132,6 +153,8 @@ class InProcess:
                 self._answer(receiver, self._loop(receiver, message.incarnation).nav(message))
             case Inbox():
                 self._answer(receiver, self._loop(receiver, message.incarnation).inbox(message))
+            case Memory():
+                self._world.remember(sender, message)
             case Command():
                 self._from_world(self._world.command(sender, message, data))
             case Transmission():
@@ -148,7 +171,7 @@ class InProcess:
             case _:
                 raise AssertionError(f"no route for {message!r}")
 
-    def _answer(self, i: int, messages: list[Transmission | Command]) -> None:
+    def _answer(self, i: int, messages: list[Answer]) -> None:
         for tick, text in self._loops[i].core.take_notes():
             self.notes.append(note_text(self._scenario, tick, f"agent {i}", text))
         for message in messages:

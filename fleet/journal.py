@@ -12,11 +12,14 @@ from dataclasses import replace
 from math import gcd
 from typing import Protocol
 
+import msgpack
+
 from fleet.connectivity import Connectivity
 from fleet.faults import Event, event_order
 from fleet.metrics import Metrics, VehicleError
 from fleet.scenario import Scenario
 from fleet.separation import Separation
+from fleet.snapshot import Snapshot
 from netem.ages import Ages
 from netem.errors import OutOfPlace
 from netem.ledger import Ledger
@@ -30,6 +33,7 @@ class Sink(Protocol):
     def frame(self, frame: Frame, commands: Mapping[int, Command], errors: Mapping[int, VehicleError]) -> None: ...
     def packet(self, fate: Fate) -> None: ...
     def event(self, event: Event) -> None: ...
+    def snapshot(self, snapshot: Snapshot) -> None: ...
 
 
 class Journal:
@@ -59,6 +63,20 @@ class Journal:
         self._rows: tuple[VehicleFrame, ...] = ()  # of a frame whose rest is still to come
         self._lives: tuple[Life, ...] = ()
         self._fates: deque[Fate] = deque()
+        self._memory = b""  # of a frame whose rest is still to come
+        self._network: dict[int, bytes] = {}  # what the network remembers before a round
+
+    def resume(self, snapshot: Snapshot) -> None:
+        """Begin at the moment of a snapshot: what was before counts in the ledger, and in nothing else."""
+        tick = snapshot.tick
+        self.written, self.framed, self.reported = tick - 1, tick - self._frame_every, tick - self._round_ticks
+        for src, dst, values in snapshot.network["ledger"]:
+            self.ledger.accounts[src, dst].restore(values | {"sent": 0, "duplicated": 0})  # they come at the end
+        self.ages.resume(tick, snapshot.heard)
+        if self.connectivity is not None:
+            self.connectivity.resume(tick)
+        while self._events and self._events[0].tick < tick:
+            self._happens(self._events.popleft())
 
     @property
     def complete(self) -> bool:
@@ -83,11 +101,12 @@ class Journal:
             raise OutOfPlace("frame", expected, frame.tick)
         self._rows += frame.vehicles
         self._lives += frame.lives
+        self._memory += frame.memory
         if frame.more:
             return
         self.framed = frame.tick
-        self._frames.append(frame._replace(vehicles=self._rows, lives=self._lives))
-        self._rows, self._lives = (), ()
+        self._frames.append(frame._replace(vehicles=self._rows, lives=self._lives, memory=self._memory))
+        self._rows, self._lives, self._memory = (), (), b""
         self._write()
 
     def links(self, report: LinkReport) -> None:
@@ -100,6 +119,8 @@ class Journal:
         if not report.closing and report.until != expected:
             raise OutOfPlace("link report", expected, report.until)
         self._fates.extend(report.fates)
+        if report.memory:
+            self._network[report.until] = self._network.get(report.until, b"") + report.memory
         if report.more:
             return
         self.reported = report.until
@@ -116,6 +137,10 @@ class Journal:
             self.log.frame(frame, commands, self.metrics.frame(frame, commands))
             if self.separation is not None:
                 self.separation.frame(frame)
+            network = self._network.pop(frame.tick, b"")
+            if frame.memory and network:
+                both = msgpack.unpackb(frame.memory), msgpack.unpackb(network)
+                self.log.snapshot(Snapshot(frame.tick, *both, self.ages.heard()))
         self._write_fates(limit)
         self.written = max(self.written, limit)
 
@@ -150,12 +175,15 @@ class Journal:
                 self.add_event(replace(death, tick=frame.tick, action="ends"))
         while self._events and self._events[0].tick <= frame.tick:
             event = self._events.popleft()
-            self.happened.append(event)
+            self._happens(event)
             self.log.event(event)
-            if event.action == "begins":
-                self.active.append(event.fault)
-            elif event.fault in self.active:
-                self.active.remove(event.fault)
+
+    def _happens(self, event: Event) -> None:
+        self.happened.append(event)
+        if event.action == "begins":
+            self.active.append(event.fault)
+        elif event.fault in self.active:
+            self.active.remove(event.fault)
 
     def _write_fates(self, until: int) -> None:
         while self._fates and self._fates[0].final_tick <= until:

@@ -21,7 +21,7 @@ from mcap.writer import CompressionType, Writer
 
 from agents.config import AgentConfig
 from agents.controllers import BUILT_IN, law_class, laws
-from agents.plugins import fingerprint, resumable
+from agents.plugins import fingerprint
 from agents.signals import Layout
 from fleet.errors import FleetError
 from fleet.faults import Event
@@ -30,6 +30,7 @@ from fleet.log_schemas import (
     ERROR,
     FAULT,
     PACKET,
+    SNAPSHOT,
     STATE,
     Column,
     DoublesEncoder,
@@ -41,7 +42,9 @@ from fleet.log_schemas import (
 )
 from fleet.metrics import VehicleError
 from fleet.reader import digest_part
+from fleet.resume import START, Start
 from fleet.scenario import Scenario
+from fleet.snapshot import TOPIC, Snapshot, forgetful
 from netem.messages import Command, Fate, Frame, VehicleFrame
 
 SECOND_NS = 1_000_000_000
@@ -60,7 +63,7 @@ class LogError(FleetError):
 class LogWriter:
     """Writes the journal of one run. `close` finishes the file; without it the file is cut but readable."""
 
-    def __init__(self, path: Path, scenario: Scenario) -> None:
+    def __init__(self, path: Path, scenario: Scenario, start: Start | None = None) -> None:
         self.path = path
         self._scenario = scenario
         self._tick_ns = scenario.tick_ns
@@ -70,7 +73,7 @@ class LogWriter:
         self._flushed_s = 0
         try:
             self._file: IO[bytes] = path.open("xb")
-            self._start()
+            self._start(start)
         except OSError as error:
             raise _log_error(path, error) from error
 
@@ -79,12 +82,17 @@ class LogWriter:
         """SHA-256 over (topic, log_time, publish_time, sequence, data) of every message so far."""
         return self._digest.hexdigest()
 
-    def _start(self) -> None:
+    def _start(self, start: Start | None) -> None:
         # Without `library` the mcap version would stand in the file, and bytes would differ between versions.
         self._writer = Writer(self._file, compression=CompressionType.ZSTD)
         self._writer.start(profile="", library="uuv-fleet")
         self._writer.add_attachment(0, 0, "scenario.yaml", "application/yaml", self._scenario.to_yaml().encode())
-        self._writer.add_metadata("run", run_metadata(self._scenario))
+        metadata = run_metadata(self._scenario)
+        if start is not None:
+            self._writer.add_attachment(0, 0, START, "application/msgpack", start.snapshot.to_bytes())
+            anew = " ".join(map(str, start.anew))
+            metadata |= {"from tick": str(start.snapshot.tick), "from": start.source, "without memory": anew}
+        self._writer.add_metadata("run", metadata)
         registered: dict[str, int] = {}
         self._by_vehicle: dict[str, dict[int, _Channel]] = {}
         self._encoders: dict[str, dict[int, DoublesEncoder]] = {}
@@ -97,6 +105,9 @@ class LogWriter:
         fault = flat_schema("Fault", FAULT)
         self._fault = fault.message
         self._faults = self._channel("faults", fault, registered)
+        snapshot = flat_schema("Snapshot", SNAPSHOT)
+        self._snapshot = snapshot.message
+        self._snapshots = self._channel(TOPIC, snapshot, registered)
         packet = flat_schema("Packet", PACKET)
         self._packet = packet.message
         self._by_link = {
@@ -184,6 +195,12 @@ class LogWriter:
         self._add(self._faults, at_ns, at_ns, event.tick, message.SerializeToString())
         self._flush(at_ns)
 
+    def snapshot(self, snapshot: Snapshot) -> None:
+        """Write all that determines the rest of the run."""
+        at_ns = snapshot.tick * self._tick_ns
+        message = self._snapshot(state=snapshot.to_bytes())
+        self._add(self._snapshots, at_ns, at_ns, snapshot.tick, message.SerializeToString())
+
     def close(self) -> None:
         """Write the index and close the file."""
         try:
@@ -264,16 +281,14 @@ def run_metadata(scenario: Scenario) -> dict[str, str]:
 def _plugin_metadata(scenario: Scenario) -> dict[str, str]:
     """Whether the run can be resumed, and what identifies the laws that are not ours."""
     sources: dict[str, str] = {}
-    forgetful: list[str] = []
     for i in range(1, scenario.vehicles + 1):
         for kind, law in laws(scenario.agent_config(i)).items():
             if law.name in BUILT_IN[kind]:
                 continue
             found = law_class(kind, law)
             sources[law.name] = fingerprint(found)
-            if not resumable(found) and law.name not in forgetful:
-                forgetful.append(law.name)
-    resume = {"resumable": "yes" if not forgetful else f"no: {', '.join(forgetful)} has no state() and restore()"}
+    without = forgetful(scenario.controls)
+    resume = {"resumable": "yes" if not without else f"no: {', '.join(without)} has no state() and restore()"}
     return resume | {f"law {name}": f"sha256 {digest}" for name, digest in sources.items()}
 
 

@@ -72,6 +72,7 @@ FAULT = (
     Column("action", "", "begins or ends", type=STRING),
     Column("what", "", "in the words of a scenario", type=STRING),
 )
+SNAPSHOT = (Column("state", "", "all that determines the rest of the run, as MessagePack", type=BYTES),)
 PACKET = (
     Column("seq", "1", "number of the payload on this directed link", type=UINT32),
     Column("copy", "1", "0 for the original, 1.. for duplicates", type=UINT32),

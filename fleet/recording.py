@@ -18,6 +18,7 @@ from fleet.inprocess import InProcess
 from fleet.journal import Journal
 from fleet.metrics import VehicleError
 from fleet.scenario import Scenario
+from fleet.snapshot import Snapshot
 from netem.messages import Command, Fate, Frame
 from world.errors import WorldError
 
@@ -68,6 +69,9 @@ class _Capture:
 
     def event(self, event: Event) -> None:
         """Nor are faults."""
+
+    def snapshot(self, snapshot: Snapshot) -> None:
+        """Nor are snapshots."""
 
     def recording(self, scenario: Scenario, broken: str) -> Recording:
         n, samples = len(self._ids), len(self.ticks)

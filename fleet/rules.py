@@ -32,6 +32,7 @@ from fleet.quantities import RATE, SPEED, QuantityError, Vec3, show, show_time, 
 from fleet.reference import build as build_reference
 from fleet.schema import FaultAction, FormationShape, GuidanceSection, ScenarioSpec, VehicleOverrides
 from fleet.shapes import FORMATION, GRAPH, REFERENCE, Keys
+from fleet.snapshot import snapshot_grid
 from fleet.tuning import given, law_names, merged, qp_period_ns, used, vehicle, wrong_model
 from fleet.vehicles import VehicleFileError, mass_problems
 from fleet.yaml_marks import Mapping, locate
@@ -173,6 +174,14 @@ def _policies(spec: ScenarioSpec, report: Report) -> None:
     if spec.network.ideal and spec.on_controller_error == "die":
         message = "the others of an ideal network wait for everybody, also for an agent that is gone"
         report.add(("on_controller_error",), message, "abort, coast, or give the network a period")
+
+
+def _snapshot(spec: ScenarioSpec, report: Report) -> None:
+    if spec.log.snapshot:
+        every = snapshot_grid(spec)
+        if spec.log.snapshot % (every * spec.tick):
+            message = f"{show_time(spec.log.snapshot)} is no multiple of {show_time(every * spec.tick)}"
+            report.add(("log", "snapshot"), message, "a snapshot is taken at a round whose frame is logged")
 
 
 def _whole(report: Report, path: tuple[str | int, ...], ns: int, tick: int) -> None:
@@ -758,6 +767,7 @@ RULES: tuple[Callable[[ScenarioSpec, Report], None], ...] = (
     _duration,
     _network_period,
     _policies,
+    _snapshot,
     _qp_period,
     _reference,
     _formation,

@@ -21,6 +21,7 @@ from fleet.inprocess import InProcess
 from fleet.journal import Journal, frame_every
 from fleet.log import LogError, LogWriter
 from fleet.progress import ProgressLine
+from fleet.resume import Start
 from fleet.rundir import RunDirectory
 from fleet.scenario import Scenario
 from netem.config import Link
@@ -59,6 +60,7 @@ class Options:
     speed: float | None = None
     quiet: bool = False
     port: int | None = None
+    start: Start | None = None  # where it goes on from another run; in-process only
     start_order: Callable[[list[str]], list[str]] | None = None
 
 
@@ -72,13 +74,13 @@ def execute(scenario: Scenario, options: Options, terminal: Terminal | None = No
     terminal = terminal or Terminal(stderr=True)
     directory = RunDirectory(options.out, scenario.name, scenario.seed)
     directory.write_scenario(scenario.to_yaml())
-    log = LogWriter(directory.log, scenario)
+    log = LogWriter(directory.log, scenario, options.start)
     journal = Journal(scenario, log)
     clock = Clock(scenario.ticks, scenario.tick_ns, scenario.round_ticks, frame_every(scenario), options.speed)
-    in_process = options.in_process or scenario.ideal
+    in_process = options.in_process or scenario.ideal or options.start is not None
     fleet: InProcess | Console
     if in_process:
-        fleet = InProcess(scenario, journal)
+        fleet = InProcess(scenario, journal, options.start)
     else:
         fleet = Console(scenario, directory, journal, port=options.port, start_order=options.start_order)
     result = Result(Status.PASS, directory.path, "")

@@ -22,6 +22,7 @@ from fleet.graph import Graph
 from fleet.modems import shipped as shipped_modems
 from fleet.overrides import apply, override_name
 from fleet.schema import CurrentSection, ScenarioSpec, VehicleSection
+from fleet.snapshot import LOG_GROUPS, memory_ticks
 from fleet.tuning import Control
 from fleet.validation import validate
 from fleet.vehicles import shipped as shipped_vehicles
@@ -34,8 +35,6 @@ from world.config import NavNoise, VehicleSetup, WorldConfig
 from world.vehicle import Vec3, Vec5
 
 _MAX_BYTES = 4_000_000  # more than yaml_marks takes, less than /dev/zero gives
-
-LOG_GROUPS = ("pose", "state", "nav", "command", "guidance", "control", "error")
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,6 +49,7 @@ class Scenario:
     conditions: dict[Link, Condition]  # of every link that is not perfect at the start
     controls: tuple[Control, ...]  # what each vehicle is and runs
     faults: faults.Plan
+    memory_ticks: int  # between two snapshots; 0: none
     acoustic: AcousticConfig | None  # None: no water between them
     source: str = field(default="", compare=False)  # the shipped name or the path it was loaded from
 
@@ -64,6 +64,7 @@ class Scenario:
         conditions: dict[Link, Condition] = {}
         for selector, condition in spec.network.links.items():
             conditions |= dict.fromkeys(select(parse_selector(selector), links.links), condition)
+        controls = tuple(tuning.control(spec, i, folder) for i in range(1, spec.vehicles + 1))
         return cls(
             spec=_standing_alone(spec, folder),
             reference=trajectory,
@@ -73,7 +74,8 @@ class Scenario:
             conditions={k: conditions[k] for k in links.links if conditions.get(k, Condition()) != Condition()},
             faults=faults.plan(spec, links.links),
             acoustic=acoustics.compile_acoustic(spec.network, spec.vehicles, spec.tick, folder),
-            controls=tuple(tuning.control(spec, i, folder) for i in range(1, spec.vehicles + 1)),
+            controls=controls,
+            memory_ticks=memory_ticks(spec, controls),
             source=source,
         )
 
@@ -152,6 +154,7 @@ class Scenario:
             drift=_drift(spec.sea.current),
             faults=self.faults.world,
             absences=self.faults.absences,
+            memory_ticks=self.memory_ticks,
             keep_going=spec.on_death != "abort" and not self.ideal,
             noise=NavNoise(
                 position_m=spec.sensors.position_noise,
@@ -193,6 +196,7 @@ class Scenario:
             agent=control.agent,
             on_error=spec.on_controller_error,
             budget_s=spec.controller_budget / 1e9,
+            memory_ticks=self.memory_ticks,
             codec=spec.network.payload,
         )
 
@@ -207,6 +211,7 @@ class Scenario:
             conditions=dict(self.conditions),
             faults=self.faults.network,
             absences=self.faults.absences,
+            memory_ticks=self.memory_ticks,
             ideal=self.ideal,
             acoustic=self.acoustic,
         )

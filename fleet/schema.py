@@ -560,6 +560,7 @@ class LogSection(Section):
     guidance: Ticks | None = None
     control: Ticks | None = None
     error: Ticks | None = None
+    snapshot: Time | None = None  # of all that determines the rest of the run; about 10 s; 0 s: none
 
 
 class Below(Section):

@@ -33,6 +33,7 @@ class Age:
     """
 
     heard: int = 0  # U
+    first: int = 0  # ticks before it are not counted
     counted: int = 0  # ticks below it are in what follows
     total: int = 0  # sum of their ages
     edges: Counter[int] = field(default_factory=Counter)  # age: by how many more ticks had it than the age below it
@@ -77,6 +78,15 @@ class Ages:
         if fate.cause == DELIVERED and not fate.corrupted:
             self.links[fate.src, fate.dst].hear(fate.sent_tick, fate.due_tick)
 
+    def heard(self) -> list[list[int]]:
+        """[src, dst, newest tick of sending that arrived] of each link."""
+        return [[*link, age.heard] for link, age in self.links.items()]
+
+    def resume(self, tick: int, heard: list[list[int]]) -> None:
+        """Count from a tick on, at which so much had been heard."""
+        for src, dst, sent in heard:
+            self.links[src, dst] = Age(sent, tick, tick)
+
     def count(self, until: int) -> None:
         """Count the ticks below `until`; every fate that was final before it has been taken."""
         for age in self.links.values():
@@ -93,14 +103,15 @@ class Ages:
 
     def summary(self, tick_ns: int) -> dict[str, dict[str, float]]:
         """Mean, 95th percentile and maximum [s] over the counted ticks, per link, and of all links as `*`."""
-        counted = {f"{src}->{dst}": age for (src, dst), age in self.links.items() if age.counted}
+        counted = {f"{src}->{dst}": age for (src, dst), age in self.links.items() if age.counted > age.first}
         if not counted:
             return {}
-        rows = {name: _row(age.total, age.counted, age.edges, tick_ns) for name, age in counted.items()}
+        rows = {name: _row(age.total, age.counted - age.first, age.edges, tick_ns) for name, age in counted.items()}
         edges: Counter[int] = Counter()
         for age in counted.values():
             edges.update(age.edges)
-        total, ticks = (sum(getattr(age, key) for age in counted.values()) for key in ("total", "counted"))
+        total = sum(age.total for age in counted.values())
+        ticks = sum(age.counted - age.first for age in counted.values())
         return {"*": _row(total, ticks, edges, tick_ns)} | rows
 
 

@@ -95,5 +95,6 @@ class NetemConfig:
     conditions: dict[Link, Condition] = field(default_factory=dict)
     faults: tuple[NetFault, ...] = ()  # in the order in which they begin
     absences: tuple[Absence, ...] = ()  # when a vehicle has no agent: restarts count incarnations
+    memory_ticks: int = 0  # how often it tells all that it remembers; 0: never
     ideal: bool = False  # zero latency: due in the sending tick itself (in-process only)
     acoustic: AcousticConfig | None = None  # in the water; None: links of their own

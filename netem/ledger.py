@@ -30,6 +30,12 @@ class Account:
         """Entries minus exits; zero in a balanced ledger."""
         return self.sent + self.duplicated - self.delivered - self.in_flight - sum(self.lost.values())
 
+    def restore(self, values: dict[str, Any]) -> None:
+        """The inverse of `to_values`."""
+        for name in ("sent", "duplicated", "delivered", "in_flight", "corrupted"):
+            setattr(self, name, values[name])
+        self.lost = dict(values["lost"])
+
     def to_values(self) -> dict[str, Any]:
         """Plain values, causes in their declared order."""
         return {

@@ -242,6 +242,15 @@ class Command(NamedTuple):
     telemetry: Annotated[Reals, real("", "controller signals in their declared order", None, finite=False)]
 
 
+@_declare("memory", "cmd/{i}", "agent i", "world")
+class Memory(NamedTuple):
+    """All that an agent's next samples depend on; before the Command of a tick at which the run is kept whole."""
+
+    incarnation: Annotated[int, uint("", "life of the sending agent")]
+    tick: Annotated[int, uint("tick", "of the Command that follows")]
+    state: Annotated[bytes, Field("", "its own affair, as MessagePack", "bin")]
+
+
 @_declare("tx", "tx/{i}", "agent i", "netem")
 class Transmission(NamedTuple):
     """What the agent sends at a round tick; an empty list is the null message and is required."""
@@ -297,6 +306,9 @@ class Frame(NamedTuple):
         tuple[VehicleFrame, ...],
         Field("", "ascending by id", "VehicleFrame[*]"),
     ]
+    memory: Annotated[
+        bytes, Field("", "of the world and all agents before this tick, as MessagePack; mostly empty", "bin")
+    ]
 
 
 @_declare("frames", "frame", "world", "console")
@@ -317,6 +329,7 @@ class LinkReport(NamedTuple):
         tuple[Fate, ...],
         Field("", "ordered by (final, src, dst, seq, copy)", "Fate[*]"),
     ]
+    memory: Annotated[bytes, Field("", "of the network before this round, as MessagePack; mostly empty", "bin")]
 
 
 @_declare("grant", "cmd/grant", "console", "world")
@@ -363,7 +376,7 @@ class Note(NamedTuple):
 
 
 Told = Grant | Death | Restart | Ailments  # by the console to the world
-Message = Hello | Nav | Command | Transmission | Inbox | Round | Frames | LinkReport | Told | Note
+Message = Hello | Nav | Command | Memory | Transmission | Inbox | Round | Frames | LinkReport | Told | Note
 
 
 def encode(message: Message) -> bytes:
@@ -425,6 +438,11 @@ def split(items: Sequence[_T], size: Callable[[_T], int], limit: int) -> Iterato
             yield items[begin:index], True
             begin, total = index, one
     yield items[begin:], False
+
+
+def pieces(data: bytes, limit: int) -> list[bytes]:
+    """The same bytes, at most `limit` at a time; none of no bytes."""
+    return [data[begin : begin + limit] for begin in range(0, len(data), limit)]
 
 
 def declared() -> dict[str, tuple[type, Route]]:

@@ -217,11 +217,7 @@ class Netem:
         self._announced = [Packet(*fields) for fields in values["announced"]]
         self._unheard = [Fate(*fields) for fields in values["unheard"]]
         for src, dst, account in values["ledger"]:
-            entry = self._ledger.accounts[(src, dst)]
-            entry.sent, entry.duplicated = account["sent"], account["duplicated"]
-            entry.delivered, entry.in_flight = account["delivered"], account["in_flight"]
-            entry.corrupted = account["corrupted"]
-            entry.lost = dict(account["lost"])
+            self._ledger.accounts[(src, dst)].restore(account)
 
 
 def fate_order(fate: Fate) -> tuple[int, int, int, int, int]:

@@ -14,7 +14,18 @@ from netem.errors import MalformedMessage, OutOfPlace
 from netem.faults import fault_from_values
 from netem.keys import Keys
 from netem.lives import Absence, Lives
-from netem.messages import PROTOCOL_VERSION, Delivery, Fate, Hello, LinkReport, Round, Transmission, encode, split
+from netem.messages import (
+    PROTOCOL_VERSION,
+    Delivery,
+    Fate,
+    Hello,
+    LinkReport,
+    Round,
+    Transmission,
+    encode,
+    pieces,
+    split,
+)
 from netem.rounds import Rounds
 from netem.shell import Shell, expect, read_map, vehicle_of
 
@@ -91,9 +102,12 @@ class NetemProcess:
             self._report(report)
 
     def _report(self, report: LinkReport) -> None:
-        for fates, more in split(report.fates, _bytes, PART_BYTES):
+        memory = pieces(report.memory, PART_BYTES)
+        parts = [report._replace(fates=tuple(part), memory=b"") for part, _ in split(report.fates, _bytes, PART_BYTES)]
+        parts += [report._replace(fates=(), memory=piece) for piece in memory]
+        for number, part in enumerate(parts, start=1):
             self._counts["sent"]["links"] += 1
-            self._links(encode(report._replace(more=more, fates=tuple(fates))))
+            self._links(encode(part._replace(more=number < len(parts))))
 
     def _control(self, data: bytes, respond: Respond) -> None:
         request = read_map(data)

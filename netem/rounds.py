@@ -7,12 +7,16 @@ whose commands of the same tick depend on the exchange.
 
 from __future__ import annotations
 
+from typing import Any
+
+import msgpack
+
 from netem.acoustic import AcousticNetem
 from netem.config import NetemConfig
 from netem.errors import OutOfPlace
 from netem.lives import Lives
 from netem.messages import Inbox, LinkReport, Round, Transmission
-from netem.network import Netem
+from netem.network import PERFECT, Netem
 
 
 class Rounds:
@@ -75,6 +79,7 @@ class Rounds:
         have = self._transmissions.get(tick, {})
         if speakers is None or any(i not in have for i in speakers):
             return None
+        memory = self._memory(tick)
         where = self._alive.pop(tick, None)
         self._transmissions.pop(tick, None)
         positions = None if where is None else dict(zip(where.alive, where.positions, strict=True))
@@ -84,7 +89,7 @@ class Rounds:
         out = [
             (i, Inbox(self.lives.incarnation(i, tick), until, False, deliveries)) for i, deliveries in inboxes.items()
         ]
-        return out, LinkReport(tick, False, False, fates)
+        return out, LinkReport(tick, False, False, fates, memory)
 
     def _speakers(self, tick: int) -> list[int] | None:
         """Those whose transmission of a round must come: the living but for the suspended."""
@@ -93,4 +98,21 @@ class Rounds:
 
     def close(self, end_tick: int) -> LinkReport:
         """The last report of a run that ended before tick `end_tick` was started."""
-        return LinkReport(end_tick, True, False, self.netem.close(end_tick))
+        return LinkReport(end_tick, True, False, self.netem.close(end_tick), b"")
+
+    def resume(self, tick: int, memory: dict[str, Any]) -> None:
+        """Go on at a round tick with what was remembered before it in another run of the same graph."""
+        faults = self.netem.faults
+        self.netem.restore(memory | {"faults": []})
+        self.netem.faults = faults
+        for link in self.config.links:
+            self.netem.set_condition(link, self.config.conditions.get(link, PERFECT))
+        self._next = tick
+
+    def _memory(self, tick: int) -> bytes:
+        """All that the network remembers before a round, but for the faults, which a log has anyway."""
+        every = self.config.memory_ticks
+        if not every or tick % every or tick == 0:
+            return b""
+        packed: bytes = msgpack.packb({key: value for key, value in self.netem.state().items() if key != "faults"})
+        return packed

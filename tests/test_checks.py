@@ -31,6 +31,7 @@ class Nowhere:
     def frame(self, *_: Any) -> None: ...
     def packet(self, _: Any) -> None: ...
     def event(self, _: Any) -> None: ...
+    def snapshot(self, _: Any) -> None: ...
 
 
 def verdict(
@@ -57,14 +58,15 @@ def verdict(
                 False,
                 (lives or {}).get(tick, ()),
                 tuple(_row(scenario, i, tick, error(i, tick)) for i in (1, 2, 3)),
+                b"",
             )
         )
     fates: list[Fate] = []
     for k in range(0, scenario.ticks, scenario.round_ticks):
-        journal.links(LinkReport(k, False, False, tuple(fates)))
+        journal.links(LinkReport(k, False, False, tuple(fates), b""))
         links = [link for link in sorted(scenario.graph.links) if heard(link, k)]
         fates = [Fate(k + 1, *link, k, 0, k, k + 1, 0, "delivered", False, b"") for link in links]
-    journal.links(LinkReport(scenario.ticks, True, False, tuple(fates)))
+    journal.links(LinkReport(scenario.ticks, True, False, tuple(fates), b""))
     assert journal.complete
     journal.finish()
     (found,) = judge(scenario, journal, 0)

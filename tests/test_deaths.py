@@ -493,7 +493,11 @@ def test_garbage_notes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 def test_forged_frames_and_reports_on_the_note_key(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The one key on which an agent reaches the console is for notes: what only world and netem may say is refused
     there, or an agent could write the log."""
-    forged = [encode(Frames(())), encode(LinkReport(0, False, False, ())), encode(LinkReport(400, True, False, ()))]
+    forged = [
+        encode(Frames(())),
+        encode(LinkReport(0, False, False, (), b"")),
+        encode(LinkReport(400, True, False, (), b"")),
+    ]
     result = Intruder(monkeypatch, lambda keys: [(keys.note("agent-3"), data) for data in forged]).run(tmp_path)
     assert_unaffected(result, tmp_path)
 

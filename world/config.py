@@ -64,4 +64,5 @@ class WorldConfig:
     noise: NavNoise = field(default_factory=NavNoise)
     faults: tuple[WorldFault, ...] = ()  # in the order in which they begin
     absences: tuple[Absence, ...] = ()  # when a vehicle has no agent
+    memory_ticks: int = 0  # how often it tells all that it, and the agents, remember; 0: never
     keep_going: bool = False  # a vehicle that cannot be integrated any more is lost, and the run goes on

@@ -7,11 +7,13 @@ agent back at the round's end until everyone has transmitted. A frame leaves onc
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
+
+import msgpack
 
 from netem.errors import OutOfPlace
 from netem.lives import Absence, Lives
-from netem.messages import Command, Frame, Life, Nav, Round, VehicleFrame, encode
+from netem.messages import Command, Frame, Life, Memory, Nav, Round, VehicleFrame, encode
 from world.config import WorldConfig
 from world.errors import IntegrationError
 from world.sea import World
@@ -51,6 +53,8 @@ class Lockstep:
         self._tau: dict[int, Vec3] = dict.fromkeys(self._ids, STILL)  # the last command that took effect
         self._late: dict[int, dict[int, Vec3]] = {i: {} for i in self._ids}  # commands of those that are slow
         self._lost: set[int] = set()  # vehicles that are not integrated any more
+        self._memory: dict[int, dict[int, list[Any]]] = {}  # by tick and vehicle, before that tick
+        self._agents: dict[int, bytes] = {}  # what an agent told that it remembers, before the command it owes
         self.notes: list[tuple[int, int, str]] = []  # (vehicle, tick, text) for a person; whoever reads empties it
         self._framed = 0  # next tick whose frame has not left
 
@@ -83,6 +87,8 @@ class Lockstep:
             return []
         nav = self._awaiting.pop(i, None)
         tick = self.tick_of(i) if nav is None else nav.tick
+        if i in self._memory.get(tick, {}):
+            self._memory[tick][i][-1] = b""
         if until is None:
             self.lives.end(i, tick)
         else:
@@ -118,12 +124,51 @@ class Lockstep:
             raise OutOfPlace("telemetry values", size, len(command.telemetry))
         del self._awaiting[i]
         world, k = self.world, nav.tick
+        if (told := self._agents.pop(i, None)) is not None and i in self._memory.get(k, {}):
+            self._memory[k][i][-1] = told
         eta, nu = world.state(i)
         tau = world.actuate(i, self._effective(i, k, command.tau))
         if k % self._frame_every == 0:
             row = VehicleFrame(i, eta, nu, nav.eta + nav.nu, tau, encode(command) if raw is None else raw)
             self._rows.setdefault(k, []).append(row)
         return self._pass(i, k, tau, eta[:3]) + self._start(i) + self._frames()
+
+    def remember(self, i: int, memory: Memory) -> None:
+        """Take what agent i remembers before the command that it owes.
+
+        Raises:
+            OutOfPlace: it owes none for that tick.
+        """
+        nav = self._awaiting.get(i)
+        if nav is None or (memory.incarnation, memory.tick) != (nav.incarnation, nav.tick):
+            raise OutOfPlace("memory of tick", "none" if nav is None else nav.tick, memory.tick)
+        self._agents[i] = memory.state
+
+    def resume(self, tick: int, memory: dict[str, Any]) -> None:
+        """Go on at a tick with what was remembered before it in another run of the same vehicles."""
+        for i, vehicle, tau, late, lost, _ in memory["vehicles"]:
+            self.world.remember(i, vehicle)
+            self._tau[i] = (tau[0], tau[1], tau[2])
+            self._late[i] = {k: (x, y, z) for k, (x, y, z) in late}
+            if lost:
+                self._lost.add(i)
+        self._absent = {i for i in self._ids if self.lives.without_agent(i, tick - 1)}
+        self._framed = tick
+
+    def _keep(self, i: int, k: int, *, asked: bool) -> None:
+        """Remember vehicle i as it is before tick k; its agent, if it is asked, has still to tell."""
+        every = self.config.memory_ticks
+        if every and k % every == 0 and k:
+            late = [[tick, list(tau)] for tick, tau in sorted(self._late[i].items())]
+            self._memory.setdefault(k, {})[i] = [
+                i, self.world.memory(i), list(self._tau[i]), late, i in self._lost, None if asked else b"",
+            ]  # fmt: skip
+
+    def _kept(self, k: int) -> bytes:
+        """All that is to be remembered before tick k; nothing if an agent has not told, or is suspended."""
+        kept = self._memory.pop(k, {})
+        whole = len(kept) == len(self._ids) and all(vehicle[-1] is not None for vehicle in kept.values())
+        return msgpack.packb({"vehicles": [kept[i] for i in self._ids]}) if whole else b""
 
     def _effective(self, i: int, k: int, tau: tuple[float, ...]) -> tuple[float, ...]:
         """The command that takes effect at tick k: that of some ticks ago when the agent is slow."""
@@ -182,6 +227,7 @@ class Lockstep:
         k = self.world.tick(i)
         while k < self._granted and i not in self._awaiting:
             dead = self._is_dead(i, k)
+            self._keep(i, k, asked=not dead)
             if not dead and not self.world.paused(i, k):
                 nav = Nav(self.lives.incarnation(i, k), k, *self.world.sense(i))
                 self._awaiting[i] = nav
@@ -212,7 +258,8 @@ class Lockstep:
         while (rows := self._rows.get(self._framed)) is not None and len(rows) == len(self._ids):
             del self._rows[self._framed]
             rows.sort()
-            out.append(Frame(self._framed, False, tuple(sorted(self._changes.pop(self._framed, ()))), tuple(rows)))
+            changes = tuple(sorted(self._changes.pop(self._framed, ())))
+            out.append(Frame(self._framed, False, changes, tuple(rows), self._kept(self._framed)))
             last = self.config.ticks
             self._framed = min(last, self._framed + self._frame_every) if self._framed < last else last + 1
         return out

@@ -22,11 +22,13 @@ from netem.messages import (
     Frames,
     Grant,
     Hello,
+    Memory,
     Message,
     Restart,
     Round,
     VehicleFrame,
     encode,
+    pieces,
     split,
 )
 from netem.shell import Shell, expect, read_map, vehicle_of
@@ -120,13 +122,15 @@ class WorldProcess:
 
     def _command(self, key: str, data: bytes) -> None:
         i = vehicle_of(key)
-        message = expect(data, Command, Hello)
+        message = expect(data, Command, Memory, Hello)
         if i not in self._nav:
             raise MalformedMessage("cmd", f"no vehicle {i} in this run")
         if isinstance(message, Command):
             out = self._lockstep.command(i, message, data)
             self._received["cmd"] += 1
             self._publish(out)
+        elif isinstance(message, Memory):
+            self._lockstep.remember(i, message)
         elif isinstance(message, Hello):
             if message.version != PROTOCOL_VERSION:
                 raise MalformedMessage("hello", f"protocol version {message.version}, ours is {PROTOCOL_VERSION}")
@@ -146,12 +150,16 @@ class WorldProcess:
                 self._nav[item.id](encode(item.nav))
             elif isinstance(item, Frame):
                 lives = item.lives
+                memory = pieces(item.memory, PART_BYTES // 2)
                 for rows, more in split(item.vehicles, _row_bytes, PART_BYTES):
-                    self._frames.append(Frame(item.tick, more, lives, tuple(rows)))
+                    self._frames.append(Frame(item.tick, more or bool(memory), lives, tuple(rows), b""))
                     lives = ()
                     self._frames_bytes += sum(map(_row_bytes, rows))
                     if len(self._frames) >= FRAMES_PER_MESSAGE or self._frames_bytes > PART_BYTES // 2:
                         self._flush_frames()
+                for number, piece in enumerate(memory, start=1):
+                    self._flush_frames()
+                    self._frames.append(Frame(item.tick, number < len(memory), (), (), piece))
             elif isinstance(item, Round):
                 self._sent["round"] += 1
                 self._round(encode(item))

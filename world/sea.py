@@ -205,6 +205,19 @@ class World:
             "held": [[fault, i, list(values)] for (fault, i), values in sorted(self._held.items())],
         }
 
+    def memory(self, i: int) -> list[Any]:
+        """What vehicle i's next ticks depend on besides faults, as MessagePack values; `remember` takes it back."""
+        held = [[fault, list(values)] for (fault, j), values in sorted(self._held.items()) if j == i]
+        return [self._ticks[i], list(self._states[i]), held]
+
+    def remember(self, i: int, values: list[Any]) -> None:
+        """Continue vehicle i from its `memory`."""
+        self._known(i)
+        tick, (x, y, z, theta, psi, u, v, w, q, r), held = values
+        self._ticks[i] = tick
+        self._states[i] = (x, y, z, theta, psi, u, v, w, q, r)
+        self._held |= {(fault, i): tuple(known) for fault, known in held}
+
     def restore(self, values: dict[str, Any]) -> None:
         """Continue from `state_values()` of a world with the same configuration.
 

@@ -1,0 +1,82 @@
+"""`fleet run --from LOG@TIME`: a whole fleet goes on from a recorded moment, closed loop, changed or not.
+
+Without changes the rest is that of the log to the last bit. With changes every agent keeps its memory as long as it
+runs the same laws and hears the same neighbours; otherwise it begins anew, as after a restart, and a note says so.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from agents.controllers import laws
+from fleet.quantities import QuantityError, show_time, time_ns
+from fleet.reader import digest, log_path
+from fleet.scenario import Scenario, load_scenario
+from fleet.script import script
+from fleet.snapshot import Snapshot, SnapshotError, find
+
+START = "start.msgpack"  # the attachment of a log that holds where its run began
+
+
+@dataclass(frozen=True, slots=True)
+class Start:
+    """Where a run begins that goes on from another."""
+
+    snapshot: Snapshot
+    source: str  # the log, and its digest
+    anew: tuple[int, ...] = ()  # vehicles whose agents begin without memory
+    notes: tuple[str, ...] = field(default=())
+
+
+def parse_from(text: str) -> tuple[Path, int | None]:
+    """`LOG@20s`, or `LOG` for its last snapshot.
+
+    Raises:
+        SnapshotError: the time is none.
+    """
+    path, at, time = text.rpartition("@")
+    if not at:
+        return Path(text), None
+    try:
+        return Path(path), time_ns(time.strip())
+    except QuantityError as error:
+        raise SnapshotError(f"--from {text}: {error}; write a log and a time, as in runs/latest@20s") from None
+
+
+def prepare(
+    path: Path, at_ns: int | None, overrides: Sequence[str] = (), name: str | None = None
+) -> tuple[Scenario, Start]:
+    """The scenario that goes on, and where.
+
+    Args:
+        name: of another scenario than the log's own.
+
+    Raises:
+        LogReadError, ScriptError, ScenarioError: there is no log of ours, or the scenario is wrong.
+        SnapshotError: the log has no such moment, or the changes are too great to go on from it.
+    """
+    recorded = script(path)
+    scenario = script(path, overrides) if name is None else load_scenario(name, overrides)
+    snapshot = find(path, at_ns)
+    at = show_time(snapshot.tick * recorded.tick_ns)
+    for what, ours, theirs in (
+        ("the number of vehicles", scenario.vehicles, recorded.vehicles),
+        ("the tick", scenario.tick_ns, recorded.tick_ns),
+        ("the round period", scenario.round_ticks, recorded.round_ticks),
+        ("the links of the graph", scenario.graph.links, recorded.graph.links),
+        ("the kind of network", scenario.acoustic is None, recorded.acoustic is None),
+    ):
+        if ours != theirs:
+            raise SnapshotError(f"{what} cannot change in a run that goes on from t = {at}")
+    if scenario.ticks <= snapshot.tick:
+        raise SnapshotError(f"the run would be over before t = {at}, from which it goes on")
+    notes = [f"goes on from t = {at} of {log_path(path)}"]
+    if at_ns is not None and at_ns != snapshot.tick * recorded.tick_ns:
+        notes[0] += f", its last snapshot before {show_time(at_ns)}"
+    configs = [(i, scenario.agent_config(i), recorded.agent_config(i)) for i in range(1, scenario.vehicles + 1)]
+    anew = [i for i, now, before in configs if laws(now) != laws(before)]
+    if anew:
+        notes.append(f"other laws: agents {', '.join(map(str, anew))} begin without memory")
+    return scenario, Start(snapshot, f"{log_path(path)}, digest {digest(log_path(path))}", tuple(anew), tuple(notes))

@@ -1,0 +1,136 @@
+"""Snapshots: all that determines the rest of a run, in its log at a stated interval, to go on from there.
+
+A snapshot is of a round tick S, before anybody measures: the vehicles as they are at S, every agent's memory after its
+sample S - 1 with what it was handed and is not due yet, and the network before the round of S. Faults are not in it:
+they are in the scenario, or in the log. It is plain values as MessagePack, never pickled objects.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from math import gcd, lcm
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import msgpack
+
+from agents.config import Law
+from agents.controllers import BUILT_IN, law_class
+from agents.plugins import resumable
+from fleet.errors import FleetError
+from fleet.quantities import show_time
+from fleet.reader import LogReader, log_path
+
+if TYPE_CHECKING:
+    from fleet.schema import ScenarioSpec
+    from fleet.tuning import Control
+
+SNAPSHOT_NS = 10_000_000_000
+TOPIC = "snapshot"
+LOG_GROUPS = ("pose", "state", "nav", "command", "guidance", "control", "error")
+_FORMAT = 1
+
+
+class SnapshotError(FleetError):
+    """A run cannot go on from this log."""
+
+
+@dataclass(frozen=True, slots=True)
+class Snapshot:
+    """One moment of a run."""
+
+    tick: int
+    world: dict[str, Any]  # of world.lockstep, the agents' memories in it
+    network: dict[str, Any]  # of netem.network
+    heard: list[list[int]]  # [src, dst, newest tick of sending that arrived] of each link
+
+    def to_bytes(self) -> bytes:
+        packed: bytes = msgpack.packb([_FORMAT, self.tick, self.world, self.network, self.heard])
+        return packed
+
+    @classmethod
+    def from_bytes(cls, data: bytes) -> Snapshot:
+        """The inverse of `to_bytes`.
+
+        Raises:
+            SnapshotError: it is of another format.
+        """
+        try:
+            form, *fields = msgpack.unpackb(data)
+            if form == _FORMAT:
+                return cls(*fields)
+        except (ValueError, TypeError, msgpack.UnpackException) as error:
+            raise SnapshotError(f"the snapshot cannot be read ({error or type(error).__name__})") from None
+        raise SnapshotError(f"the snapshot is of format {form}, this version reads {_FORMAT}")
+
+    @property
+    def memories(self) -> dict[int, bytes]:
+        """What each agent remembers; nothing of those that are not there."""
+        return {vehicle[0]: vehicle[-1] for vehicle in self.world["vehicles"] if vehicle[-1]}
+
+
+def snapshot_grid(spec: ScenarioSpec) -> int:
+    """Ticks between the moments at which there can be one: rounds whose frame the log needs."""
+    rounds = 1 if spec.network.ideal else spec.network.period // spec.tick
+    return lcm(max(1, rounds), gcd(*(getattr(spec.log, group) or spec.log.every for group in LOG_GROUPS)))
+
+
+def memory_ticks(spec: ScenarioSpec, controls: Iterable[Control]) -> int:
+    """Ticks between two snapshots; 0 for none, also where a law cannot tell what it remembers."""
+    wanted = SNAPSHOT_NS if spec.log.snapshot is None else spec.log.snapshot
+    if wanted == 0 or forgetful(controls):
+        return 0
+    grid = snapshot_grid(spec)
+    return max(1, -(-wanted // (grid * spec.tick))) * grid
+
+
+def forgetful(controls: Iterable[Control]) -> list[str]:
+    """The laws that cannot give and take back their state, by name."""
+    found: list[str] = []
+    for kind, law in (running for control in controls for running in _running(control)):
+        if law.name not in BUILT_IN[kind] and law.name not in found and not resumable(law_class(kind, law)):
+            found.append(law.name)
+    return found
+
+
+def _running(control: Control) -> list[tuple[str, Law]]:
+    if control.agent is not None:
+        return [("agent", control.agent)]
+    if control.controller is not None:
+        return [("controller", control.controller)]
+    return [("guidance", control.guidance_law), ("tracking", control.tracking_law)]
+
+
+def find(path: Path, at_ns: int | None = None) -> Snapshot:
+    """The last snapshot of a log up to a time; None: the last there is.
+
+    Raises:
+        LogReadError: there is no log to read.
+        SnapshotError: it has no such snapshot.
+    """
+    from fleet.script import decoders
+
+    path = log_path(path)
+    reader = LogReader(path)
+    decode = decoders(reader)
+    times: list[int] = []
+    found: bytes | None = None
+    for record in reader:
+        if record.topic == TOPIC:
+            times.append(record.log_ns)
+            if at_ns is None or record.log_ns <= at_ns:
+                found = decode(TOPIC, record.data).state
+    if found is None:
+        there = f"the first is at {show_time(times[0])}" if times else _none(reader)
+        raise SnapshotError(
+            f"{path} has no snapshot" + ("" if at_ns is None else f" up to {show_time(at_ns)}") + f": {there}"
+        )
+    return Snapshot.from_bytes(found)
+
+
+def _none(reader: LogReader) -> str:
+    run = reader.metadata.get("run", {})
+    if run.get("resumable", "yes") != "yes":
+        return run["resumable"].removeprefix("no: ")
+    return "it ended before the first, or has log.snapshot: 0 s"

@@ -141,8 +141,10 @@ def run(
     except FleetError as error:
         _fail(error)
     if quiet:
-        if result.reason:
-            click.echo("\n".join([f"fleet: {result.reason}", *result.lines]), err=True)
+        failed = [f"FAIL  {v.check}: {v.asked}; found {v.found}" for v in result.verdicts if not v.passed]
+        if result.reason or failed:
+            said = [f"fleet: {result.reason}", *result.lines] if result.reason else failed
+            click.echo("\n".join([*said, str(result.directory)]), err=True)
     else:
         show(result, Terminal(width=None if sys.stdout.isatty() else 120, soft_wrap=False))
     sys.exit(int(result.status))
@@ -179,6 +181,7 @@ def check(scenario: str, overrides: tuple[str, ...]) -> None:
         loaded = load_scenario(scenario, overrides)
     except ScenarioError as error:
         _fail(error)
+    from fleet.faults import timeline
     from fleet.stability import analyse, report
 
     links = loaded.graph.links
@@ -188,7 +191,7 @@ def check(scenario: str, overrides: tuple[str, ...]) -> None:
         + ("ideal network" if loaded.ideal else f"a round every {loaded.round_ticks} ticks")
     )
     found = analyse(loaded)
-    for line in report(loaded, found):
+    for line in [*report(loaded, found), *timeline(loaded)]:
         click.echo(line)
     for warning in found.warnings:
         click.echo(f"warning: {warning}", err=True)

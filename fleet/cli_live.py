@@ -16,7 +16,17 @@ from fleet.errors import FleetError, ScenarioError
 
 F = TypeVar("F", bound=Callable[..., Any])
 # Faults that are several values; a current may be.
-_KEYED = ("noise", "bias", "dropout", "slow", "gust", "efficiency", "saturate", "wrench")
+_EXAMPLES = {
+    "noise": "noise vehicles=2 position_noise='10 cm'",
+    "bias": "bias vehicles=2 position='1 0 0 m'",
+    "dropout": "dropout vehicles=2 probability='30 %'",
+    "slow": "slow vehicles=2 by='5 ticks'",
+    "gust": "gust velocity='0 0.5 0 m/s' over=10s",
+    "current": "current mean='0.2 0 0 m/s' sigma='5 5 0 cm/s' time_constant=20s",
+    "efficiency": "efficiency vehicles=2 surge='50 %'",
+    "saturate": "saturate vehicles=2 yaw_moment='2 N m'",
+    "wrench": "wrench vehicles=2 force='1 0 0 N'",
+}
 
 
 def which(command: F) -> F:
@@ -56,7 +66,10 @@ def ps(out: Path) -> None:
     """List the live runs: directory, scenario, process, endpoint and simulated time."""
     from fleet.remote import RemoteError, ask, live_runs
 
-    for found in live_runs(out):
+    runs = live_runs(out)
+    if not runs:
+        click.echo(f"no live run under {out}", err=True)
+    for found in runs:
         try:
             values = ask(found, "status")
             where = f"t = {values['at_s']:.1f} of {values['end_s']:g} s, {values['clock']}"
@@ -76,18 +89,37 @@ def status(run: Path | None, out: Path, watch: bool) -> None:
       fleet status
       fleet status -w --run runs/paper-1-20261121-120000
     """
+    from fleet.remote import RemoteError, find, is_live
+    from fleet.remote import ask as ask_run
+
+    shown = 0
+    try:
+        found = find(run, out)
+    except RemoteError as error:
+        click.echo(f"fleet: {error}", err=True)
+        sys.exit(3)
     while True:
-        values = _ask(run, out, "status")
+        try:
+            values = ask_run(found, "status")
+        except RemoteError as error:
+            if shown and not is_live(found):
+                click.echo(f"the run is over: {found.directory}")
+                return
+            click.echo(f"fleet: {error}", err=True)
+            sys.exit(3)
         lines = [
             f"{values['scenario']}: t = {values['at_s']:.2f} of {values['end_s']:g} s, {values['clock']}"
             + (f", {values['waiting']}" if values["waiting"] not in ("", values["clock"]) else ""),
             f"formation error {values['formation_error_m']:.3f} m, packets {values['delivered']} delivered, "
             f"{values['lost']} lost",
         ]
-        lines += [f"fault {f['id']}: {f['kind']}, until {f['to_s']:g} s" for f in values["faults"]]
+        lines += [f"fault {f['id']}: {f['what']}, until {f['to_s']:g} s" for f in values["faults"]]
         if values["dead"]:
             lines.append(f"without an agent: {', '.join(map(str, values['dead']))}")
+        if shown and sys.stdout.isatty():
+            click.echo(f"\x1b[{shown}A\x1b[J", nl=False)  # in place of what was said before
         click.echo("\n".join(lines))
+        shown = len(lines)
         if not watch:
             return
         time.sleep(1.0)
@@ -128,10 +160,10 @@ def inject(what: tuple[str, ...], run: Path | None, out: Path, lasts: str | None
         if len(rest) < 2:
             raise click.UsageError("a link fault is: link SELECTOR CONDITION, as in link '1->2' 'loss 30%'")
         fault = {"link": {rest[0]: " ".join(rest[1:])}}
-    elif kind in _KEYED or (rest and "=" in rest[0]):
+    elif (kind in _EXAMPLES and kind != "current") or (rest and "=" in rest[0]):
         pairs = [word.partition("=") for word in rest]
         if not pairs or not all(equals for _, equals, _ in pairs):
-            raise click.UsageError(f"a {kind} fault is: {kind} KEY=VALUE ..., as in efficiency vehicles=2 surge='50 %'")
+            raise click.UsageError(f"a {kind} fault is: {kind} KEY=VALUE ..., as in {_EXAMPLES[kind]}")
         fault = {kind: {key: value for key, _, value in pairs}}
     elif len(rest) < 1:
         raise click.UsageError(f"{kind} of what? See --help")
@@ -150,10 +182,8 @@ def inject(what: tuple[str, ...], run: Path | None, out: Path, lasts: str | None
 def faults(run: Path | None, out: Path) -> None:
     """List the faults of a live run, with their ids."""
     for fault in _ask(run, out, "faults")["faults"]:
-        mark = "active" if fault["active"] else ""
-        click.echo(
-            f"{fault['id']:10} {fault['kind']:10} {fault['from_s']:8.2f} to {fault['to_s']:.2f} s  {mark}".rstrip()
-        )
+        times = f"{fault['from_s']:.2f} to {fault['to_s']:.2f} s"
+        click.echo(f"{fault['id']:10}  {times:20}  {fault['state']:7}  {fault['what']}")
 
 
 @click.command()

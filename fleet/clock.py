@@ -58,6 +58,12 @@ class LiveClock:
         return self._speed
 
     @property
+    def held(self) -> int:
+        """The grant at which it is paused."""
+        assert self._held is not None
+        return self._held
+
+    @property
     def paused(self) -> bool:
         return self._held is not None
 

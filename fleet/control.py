@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import count
 from typing import Any
 
 from pydantic import TypeAdapter, ValidationError
@@ -52,10 +53,11 @@ class Operator:
     stopping: bool = False
     tell_world: Callable[[tuple[WorldFault, ...]], None] = lambda _: None
     faults: list[Part] = field(default_factory=list)
-    _injected: int = 0
+    _words: dict[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         self.faults = list(self.scenario.faults.parts)
+        self._words = {event.fault: event.what for event in self.scenario.faults.events}
 
     def handle(self, request: dict[str, Any]) -> dict[str, Any]:
         """The answer to one request; a refusal is an answer, too."""
@@ -105,16 +107,17 @@ class Operator:
             section = _ENTRY.validate_python(entry | {"at": f"{tick * self.scenario.tick_ns} ns"})
         except ValidationError as error:
             first = error.errors(include_url=False)[0]
-            raise RefusedError(str(first.get("ctx", {}).get("message", first["msg"]))) from None
+            said = str(first.get("ctx", {}).get("message", first["msg"]))
+            where = ".".join(str(step) for step in first["loc"] if step != "[key]")
+            raise RefusedError(f"{where}: {said[:1].lower()}{said[1:]}") from None
         if len([name for name in ACTIONS if getattr(section, name) is not None]) != 1:
             raise RefusedError(f"a fault does exactly one thing, one of {', '.join(ACTIONS)}")
         if section.for_ is not None and section.for_ % self.scenario.tick_ns:
             raise RefusedError(f"the duration is not a whole number of ticks of {self.scenario.tick_ns / 1e6:g} ms")
         if any(condition.seed is not None for condition in (section.link or {}).values()):
             raise RefusedError("seed belongs in a scenario: a link that runs keeps its draws")
-        self._injected += 1
-        name = section.id or f"live-{self._injected}"
-        if any(fault.id == name for fault in self.faults):
+        name = section.id or next(n for n in map("live-{}".format, count(1)) if n not in self._words)
+        if name in self._words:
             raise RefusedError(f"there is a fault {name} already")
         self._check_vehicles(section)
         self._add(section, name)
@@ -127,12 +130,15 @@ class Operator:
         except FaultError as error:
             raise RefusedError(f"{error.message}; {error.hint}" if error.hint else error.message) from None
         if not any(not isinstance(part, NetFault) or part.links or part.vehicles for part in found):
-            raise RefusedError("the graph has no such link")
+            shown = ", ".join(f"{src}->{dst}" for src, dst in scenario.graph.links[:12])
+            more = " and more" if len(scenario.graph.links) > 12 else ""
+            raise RefusedError(f"the graph has no such link; it has {shown}{more}")
         self._replace([*self.faults, *found])
         for part in found:
             if isinstance(part, Kill):
                 self.journal.tell_deaths(part.absences)
                 self.end_agents(part)
+        self._words[name] = words(section)
         for event in begin_and_end(found, section, scenario.ticks):
             self.journal.add_event(event)
 
@@ -181,6 +187,7 @@ class Operator:
                 self.clock.resume()
             case "step", int(count) if count > 0:
                 self.clock.step(self.granted(), count)
+                return {"clock": self.clock.describe(), "at_s": self._seconds(self.clock.held)}
             case "speed", (int() | float() | None) as speed if speed is None or speed > 0:
                 self.clock.set_speed(self.granted(), None if speed is None else float(speed))
             case other:
@@ -193,20 +200,19 @@ class Operator:
                 raise RefusedError(f"there is no vehicle {i}: they are 1 to {self.scenario.vehicles}")
 
     def _listed(self) -> list[dict[str, Any]]:
-        now = max(0, self.journal.framed)
+        """Every fault there is, was or will be, as things stand at the tick that comes next."""
+        now, last = min(self.granted(), self.scenario.ticks - 1), self.scenario.ticks
         found: dict[str, dict[str, Any]] = {}
         for fault in self.faults:
-            found[fault.id] = {
-                "id": fault.id,
-                "kind": fault.kind,
-                "from_s": self._seconds(fault.begin),
-                "to_s": self._seconds(self.scenario.ticks if fault.end is None else fault.end),
-                "active": fault.active(now),
-            }
-        for i, death in self.journal.deaths.items():
-            where = {"from_s": self._seconds(death.tick), "to_s": self._seconds(self.scenario.ticks), "active": True}
-            found[death.fault] = {"id": death.fault, "kind": f"death of {i}", **where}
+            state = "active" if fault.active(now) else "over" if fault.begin < now else "to come"
+            found[fault.id] = self._row(fault.id, self._words[fault.id], fault.begin, fault.end or last, state)
+        for event in (*self.journal.deaths.values(), *self.journal.lost.values()):
+            found[event.fault] = self._row(event.fault, event.what, event.tick, last, "active")
         return list(found.values())
+
+    def _row(self, name: str, what: str, begin: int, end: int, state: str) -> dict[str, Any]:
+        times = {"from_s": self._seconds(begin), "to_s": self._seconds(min(end, self.scenario.ticks))}
+        return {"id": name, "what": what, **times, "state": state, "active": state == "active"}
 
     def _seconds(self, tick: int) -> float:
         return tick * self.scenario.tick_ns / 1e9

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from fleet.fields import vehicle_numbers
 from fleet.schema import FaultAction, FaultSection, ScenarioSpec
@@ -27,6 +28,9 @@ from netem.grammar import parse_selector, print_condition, select
 from netem.lives import Absence
 from world.faults import WorldFault
 
+if TYPE_CHECKING:
+    from fleet.scenario import Scenario
+
 NAMED_PARTITIONS = ("halves", "one", "majority", "ring", "bridge", "isolate:N")
 OF_THE_NETWORK = ("link", "down", "up", "partition", "mute", "deaf", "slow")
 OF_AGENTS = ("kill", "pause")
@@ -34,6 +38,7 @@ OF_THE_WORLD = (
     *("noise", "bias", "freeze", "dropout", "efficiency", "saturate", "off", "stuck"),
     *("current", "gust", "wrench"),
 )
+LOST = "lost"  # in the log: a vehicle that cannot be integrated any more, which no scenario says
 MOST_RESTARTS = 3  # of one agent that nobody killed on purpose: its next life would end the same way
 ACTIONS = (*OF_THE_NETWORK, *OF_AGENTS, *OF_THE_WORLD)
 
@@ -122,6 +127,17 @@ def event_order(event: Event) -> tuple[int, bool, str]:
     """In the log, ends stand before what begins at the same tick; what begins keeps the scenario's order."""
     begins = event.action == "begins"
     return event.tick, begins, "" if begins else event.fault
+
+
+def timeline(scenario: Scenario) -> list[str]:
+    """The faults of a scenario in order of time, a line each."""
+    tick_s = scenario.tick_ns / 1e9
+    ends = {event.fault: event.tick for event in scenario.faults.events if event.action == "ends"}
+    return [
+        f"fault {e.fault}: {e.what}, {e.tick * tick_s:g} to {ends[e.fault] * tick_s:g} s"
+        for e in scenario.faults.events
+        if e.action == "begins"
+    ]
 
 
 def intervals(events: Iterable[Event], tick_ns: int) -> list[tuple[float, float]]:

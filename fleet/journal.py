@@ -15,7 +15,7 @@ from typing import Protocol
 import msgpack
 
 from fleet.connectivity import Connectivity
-from fleet.faults import Event, event_order
+from fleet.faults import LOST, Event, event_order
 from fleet.metrics import Metrics, VehicleError
 from fleet.scenario import Scenario
 from fleet.separation import Separation
@@ -57,6 +57,7 @@ class Journal:
         self._died: dict[int, int] = {}  # vehicle -> how often its agent ended without being told to
         self.active: list[str] = []  # faults that last, in the order in which they began
         self.deaths: dict[int, Event] = {}  # vehicle -> such a death that lasts
+        self.lost: dict[int, Event] = {}  # vehicle -> that it was lost
         self._frame_every = frame_every(scenario)
         self._round_ticks = scenario.round_ticks
         self._frames: deque[Frame] = deque()
@@ -166,12 +167,17 @@ class Journal:
             if life.begins and i in self.deaths:
                 self.add_event(replace(self.deaths.pop(i), tick=life.tick, action="ends"))
             elif not life.begins and life.tick < self._last and (i, life.tick) not in self._told_deaths:
+                if life.lost:
+                    # Whoever runs the scenario again loses it again: nobody did it.
+                    self.lost[i] = Event(life.tick, f"lost-{i}", "begins", f"{LOST} {i}")
+                    self.add_event(self.lost[i])
+                    continue
                 count = self._died[i] = self._died.get(i, 0) + 1
                 name = f"death-{i}" if count == 1 else f"death-{i}-{count}"
                 self.deaths[i] = Event(life.tick, name, "begins", f"kill {i}")
                 self.add_event(self.deaths[i])
         if frame.tick == self._last:
-            for death in self.deaths.values():
+            for death in (*self.deaths.values(), *self.lost.values()):
                 self.add_event(replace(death, tick=frame.tick, action="ends"))
         while self._events and self._events[0].tick <= frame.tick:
             event = self._events.popleft()

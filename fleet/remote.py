@@ -71,6 +71,11 @@ def find(run: Path | None, out: Path) -> Found:
     return one
 
 
+def is_live(found: Found) -> bool:
+    """Whether the console of a run lives and has not finished."""
+    return _read(found.directory / "connection.json") is not None
+
+
 def ask(found: Found, op: str, **fields: Any) -> dict[str, Any]:
     """The console's answer.
 

@@ -156,6 +156,15 @@ def _values(scenario: Scenario, journal: Journal, log: LogWriter, result: Result
         "ledger": {_name(link): account.to_values() for link, account in journal.ledger.accounts.items()},
         "ages": journal.ages.summary(scenario.tick_ns),
         "middleware_lost": lost,
+        "faults": [
+            {
+                "at_s": event.tick * scenario.tick_ns / 1e9,
+                "fault": event.fault,
+                "action": event.action,
+                "what": event.what,
+            }
+            for event in journal.happened
+        ],
         "messages": log.messages,
         "digest": log.digest,
         "python": sys.version.split()[0],

@@ -10,6 +10,7 @@ from typing import Any
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 
 from fleet.errors import FleetError
+from fleet.faults import LOST
 from fleet.quantities import show_time
 from fleet.reader import LogReader, log_path
 from fleet.scenario import Scenario, parse_scenario
@@ -30,7 +31,11 @@ def script(path: Path, overrides: Sequence[str] = ()) -> Scenario:
     path = log_path(path)
     reader = LogReader(path)
     decode = decoders(reader)
-    events = [(r.log_ns, decode(r.topic, r.data)) for r in reader if r.topic == "faults"]
+    events, last_ns = [], 0
+    for record in reader:
+        last_ns = max(last_ns, record.log_ns)
+        if record.topic == "faults":
+            events.append((record.log_ns, decode(record.topic, record.data)))
     text = reader.attachments.get("scenario.yaml")
     if "from tick" in reader.metadata.get("run", {}) and text is not None:
         # Gone on from another run, in one process: nothing was injected, and what was before is not in this log.
@@ -39,6 +44,8 @@ def script(path: Path, overrides: Sequence[str] = ()) -> Scenario:
         raise ScriptError(f"{path} holds no scenario: it was not written by fleet run")
     end_ns = int(reader.metadata.get("run", {}).get("ticks", 0)) * int(reader.metadata.get("run", {}).get("tick_ns", 0))
     faults = _entries(events, end_ns)
+    if last_ns < end_ns:
+        faults = _with_plans(faults, parse_scenario(text.decode("utf-8"), str(path)))
     lines = text.decode("utf-8").splitlines()
     ended = {str(entry["id"]) for entry in faults if "for" in entry}
     more = [*_recoveries(text.decode(), ended), *overrides]
@@ -72,11 +79,29 @@ def _entries(events: list[tuple[int, Any]], end_ns: int) -> list[dict[str, Any]]
     """One entry per fault, in the order in which they began."""
     entries: dict[str, dict[str, Any]] = {}
     for at_ns, event in events:
+        if event.what.startswith(LOST):
+            continue  # it is lost again
         if event.action == "begins":
             entries[event.fault] = {"id": event.fault, "at": show_time(at_ns), **_action(event.what), "_at": at_ns}
         elif event.fault in entries and at_ns < end_ns:
             entries[event.fault]["for"] = show_time(at_ns - entries[event.fault]["_at"])
     return [{key: value for key, value in entry.items() if key != "_at"} for entry in entries.values()]
+
+
+def _with_plans(faults: list[dict[str, Any]], scenario: Scenario) -> list[dict[str, Any]]:
+    """The same for a run that was stopped: what has not begun, or not ended, stays as it was planned."""
+    planned = {
+        section.id or f"f{number}": section.model_dump(exclude_none=True, exclude_defaults=True, by_alias=True)
+        for number, section in enumerate(scenario.spec.faults, start=1)
+    }
+    found = [
+        entry | {"for": planned[entry["id"]]["for"]}
+        if "for" not in entry and "for" in planned.get(entry["id"], {})
+        else entry
+        for entry in faults
+    ]
+    begun = {entry["id"] for entry in faults}
+    return found + [{**plan, "id": name} for name, plan in planned.items() if name not in begun]
 
 
 def _action(what: str) -> dict[str, Any]:

@@ -293,6 +293,7 @@ class Life(NamedTuple):
     tick: Annotated[int, uint("tick", "first tick without, or with")]
     vehicle: Annotated[int, uint("", "vehicle number")]
     begins: Annotated[bool, Field("", "true when another agent takes over", "bool")]
+    lost: Annotated[bool, Field("", "true when the vehicle itself is lost, and is not integrated any more", "bool")]
 
 
 @_record

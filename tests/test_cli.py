@@ -110,9 +110,9 @@ VERTICAL = ["--set", "initial.1.pitch=89.99 deg", "--set", "on_death=abort"]
     [
         (["run", "paper", *QUICK, *NO_CHECKS], 0, ""),
         (["check", "paper"], 0, ""),
-        (["run", "paper", *QUICK, "--set", "checks.formation_error={below: 1 mm}"], 1, ""),
-        (["run", "paper", *QUICK], 1, ""),  # it ends before its check begins: nothing shows that the limit is kept
-        (["run"], 2, "Missing argument 'SCENARIO'"),
+        (["run", "paper", *QUICK, "--set", "checks.formation_error={below: 1 mm}"], 1, "FAIL  formation_error: below 0.001 m"),
+        (["run", "paper", *QUICK], 1, "the run ended at 0.5 s, before the check begins"),
+        (["run"], 2, "run what? A scenario, or --from a log"),
         (["swim"], 2, "No such command 'swim'"),
         (["run", "paper", "--speeed", "2"], 2, "No such option '--speeed'"),
         (["run", "papre"], 2, "paper"),
@@ -248,7 +248,7 @@ def test_result_file(tmp_path: Path) -> None:
     values = json.loads((directory / "result.json").read_text())
     assert list(values) == [
         "scenario", "seed", "status", "exit", "reason", "lines", "sim_s", "checks", "vehicles", "ledger",
-        "ages", "middleware_lost", "messages", "digest", "python", "wall", "rejected", "deaths", "notes",
+        "ages", "middleware_lost", "faults", "messages", "digest", "python", "wall", "rejected", "deaths", "notes",
     ]  # fmt: skip
     assert (values["scenario"], values["seed"], values["sim_s"]) == ("rough-sea", 1, 2.0)
     assert (values["status"], values["exit"], values["reason"], values["lines"]) == ("pass", 0, "", [])

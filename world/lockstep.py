@@ -247,7 +247,7 @@ class Lockstep:
             self._absent ^= {i}
             every = self._frame_every
             frame = min(-(-k // every) * every, self.config.ticks)
-            self._changes.setdefault(frame, []).append(Life(k, i, not dead))
+            self._changes.setdefault(frame, []).append(Life(k, i, not dead, dead and i in self._lost))
             if not dead:
                 self._tau[i] = STILL
                 self._late[i].clear()

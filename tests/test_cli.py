@@ -110,7 +110,11 @@ VERTICAL = ["--set", "initial.1.pitch=89.99 deg", "--set", "on_death=abort"]
     [
         (["run", "paper", *QUICK, *NO_CHECKS], 0, ""),
         (["check", "paper"], 0, ""),
-        (["run", "paper", *QUICK, "--set", "checks.formation_error={below: 1 mm}"], 1, "FAIL  formation_error: below 0.001 m"),
+        (
+            ["run", "paper", *QUICK, "--set", "checks.formation_error={below: 1 mm}"],
+            1,
+            "FAIL  formation_error: below 0.0",
+        ),
         (["run", "paper", *QUICK], 1, "the run ended at 0.5 s, before the check begins"),
         (["run"], 2, "run what? A scenario, or --from a log"),
         (["swim"], 2, "No such command 'swim'"),

@@ -69,8 +69,9 @@ class LogWriter:
         self.messages = 0
         self._flushed_s = 0
         try:
-            self._file: IO[bytes] = path.open("xb")
+            self._file: IO[bytes] = self._open()
             self._start()
+            self._file.flush()  # killed within the first second, a run leaves its scenario at least
         except OSError as error:
             raise _log_error(path, error) from error
 
@@ -78,6 +79,9 @@ class LogWriter:
     def digest(self) -> str:
         """SHA-256 over (topic, log_time, publish_time, sequence, data) of every message so far."""
         return self._digest.hexdigest()
+
+    def _open(self) -> IO[bytes]:
+        return self.path.open("xb")
 
     def _start(self) -> None:
         # Without `library` the mcap version would stand in the file, and bytes would differ between versions.

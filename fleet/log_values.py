@@ -38,7 +38,9 @@ class Decoder:
     def message(self, record: Record) -> Any:
         """The protobuf message of a record; None if it is none."""
         if record.topic not in self._known:
-            channel = next(c for c in self._reader.channels.values() if c.topic == record.topic)
+            channel = next((c for c in self._reader.channels.values() if c.topic == record.topic), None)
+            if channel is None:
+                return None
             self._known[record.topic] = _class(self._reader.schemas.get(channel.schema_id)), _units(channel)
         cls = self._known[record.topic][0]
         try:

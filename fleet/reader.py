@@ -16,6 +16,9 @@ from mcap.records import Attachment, Channel, Metadata, Schema
 from fleet.errors import FleetError
 from fleet.salvage import MAGIC, Damage, Item, Message, Salvage
 
+RECOVERY = "recovery"  # metadata of a file that `fleet recover` wrote
+LOST = "lost"  # in it: what is gone, in words
+GAPS = "gaps"  # in it: numbers of the messages before which something is gone
 _TIMES = struct.Struct("<QQII").pack
 
 
@@ -63,13 +66,17 @@ class LogReader:
                 if isinstance(item, Message):
                     topic = topics.get(item.channel)
                     if topic is None:
-                        salvage.damage.append(Damage(file.tell(), f"a message on the undeclared channel {item.channel}"))
+                        salvage.damage.append(
+                            Damage(file.tell(), f"a message on the undeclared channel {item.channel}")
+                        )
                         break
                     yield Record(topic, item.log_ns, item.publish_ns, item.sequence, item.data)
                 else:
                     self._keep(item, topics)
             self.cut, self.damage = salvage.cut, salvage.damage
             self.missing = missing(salvage)
+            if not self.missing and (gone := self.metadata.get(RECOVERY, {}).get(LOST)):
+                self.missing = f"it was recovered from a damaged file, of which this is lost: {gone}"
 
     def _keep(self, item: Item, topics: dict[int, str]) -> None:
         match item:
@@ -133,12 +140,7 @@ def open_file(path: Path) -> IO[bytes]:
     Raises:
         LogReadError: it cannot be opened or does not begin as an MCAP file does.
     """
-    try:
-        if not stat.S_ISREG(path.stat().st_mode):  # a pipe would be waited for
-            raise LogReadError(f"cannot read {path}: it is no file")
-        file = path.open("rb")
-    except OSError as error:
-        raise LogReadError(f"cannot read {path}: {error.strerror}") from error
+    file = open_any(path)
     start = file.read(len(MAGIC))
     if start != MAGIC:
         file.close()
@@ -146,3 +148,17 @@ def open_file(path: Path) -> IO[bytes]:
         raise LogReadError(f"{path} is no MCAP log: {what}")
     file.seek(0, io.SEEK_SET)
     return file
+
+
+def open_any(path: Path) -> IO[bytes]:
+    """Any file, for reading.
+
+    Raises:
+        LogReadError: it cannot be opened.
+    """
+    try:
+        if not stat.S_ISREG(path.stat().st_mode):  # a pipe would be waited for
+            raise LogReadError(f"cannot read {path}: it is no file")
+        return path.open("rb")
+    except OSError as error:
+        raise LogReadError(f"cannot read {path}: {error.strerror}") from error

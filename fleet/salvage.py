@@ -17,7 +17,7 @@ from typing import IO, NamedTuple
 
 import zstandard
 from mcap.opcode import Opcode
-from mcap.records import Attachment, Channel, DataEnd, Footer, Header, Metadata, Schema
+from mcap.records import Attachment, Channel, DataEnd, Header, Metadata, Schema
 
 MAGIC = b"\x89MCAP0\r\n"
 MOST_BYTES = 64 << 20  # of one record, packed or not; our own chunks hold 1 MiB and one message
@@ -177,11 +177,11 @@ class Salvage:
                 if at > size:
                     raise ValueError
                 if opcode == Opcode.MESSAGE:
-                    fields = _MESSAGE.unpack_from(data, begin)
                     if length < _MESSAGE.size:
                         raise ValueError
                     self.messages += 1
-                    item: Item = Message(*fields, data[begin + _MESSAGE.size : at])
+                    channel, sequence, log_ns, publish_ns = _MESSAGE.unpack_from(data, begin)
+                    item: Item = Message(channel, sequence, log_ns, publish_ns, data[begin + _MESSAGE.size : at])
                 elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
                     item = _parse(opcode, data[begin:at])
                 else:
@@ -205,7 +205,7 @@ class Salvage:
         """Where to go on behind a damaged record."""
         head = self._read(at, _HEAD.size)
         if len(head) == _HEAD.size:
-            _, length = _HEAD.unpack(head)
+            length: int = _HEAD.unpack(head)[1]
             behind = at + _HEAD.size + length
             if self._sound(behind, size):
                 return behind
@@ -303,11 +303,10 @@ def _parse(opcode: int, body: bytes) -> Item:
             topic, at = _string(body, 4)
             encoding, at = _string(body, at)
             number, schema = _U16.unpack_from(body)[0], _U16.unpack_from(body, 2)[0]
-            return Channel(
-                id=number, topic=topic, message_encoding=encoding, metadata=_map(body, at), schema_id=schema
-            )
+            return Channel(id=number, topic=topic, message_encoding=encoding, metadata=_map(body, at), schema_id=schema)
         case Opcode.MESSAGE:
-            return Message(*_MESSAGE.unpack_from(body), body[_MESSAGE.size :])
+            channel, sequence, log_ns, publish_ns = _MESSAGE.unpack_from(body)
+            return Message(channel, sequence, log_ns, publish_ns, body[_MESSAGE.size :])
         case Opcode.METADATA:
             name, at = _string(body, 0)
             return Metadata(name=name, metadata=_map(body, at))
@@ -320,9 +319,7 @@ def _parse(opcode: int, body: bytes) -> Item:
             if len(data) != length or (crc and zlib.crc32(body[:-4]) != crc):
                 raise ValueError
             log_time, create_time = _U64.unpack_from(body)[0], _U64.unpack_from(body, 8)[0]
-            return Attachment(
-                create_time=create_time, log_time=log_time, name=name, media_type=media_type, data=data
-            )
+            return Attachment(create_time=create_time, log_time=log_time, name=name, media_type=media_type, data=data)
         case Opcode.DATA_END:
             return DataEnd(_U32.unpack(body)[0])
     raise ValueError

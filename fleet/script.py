@@ -7,11 +7,10 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
-
 from fleet.errors import FleetError
+from fleet.log_values import Decoder
 from fleet.quantities import show_time
-from fleet.reader import LogReader, log_path
+from fleet.reader import LogReader, Record, log_path
 from fleet.scenario import Scenario, parse_scenario
 
 
@@ -29,34 +28,51 @@ def script(path: Path) -> Scenario:
     path = log_path(path)
     reader = LogReader(path)
     happened = [(record.log_ns, record.data) for record in reader if record.topic == "faults"]
-    text = reader.attachments.get("scenario.yaml")
-    if text is None:
-        raise ScriptError(f"{path} holds no scenario: it was not written by fleet run")
-    end_ns = int(reader.metadata.get("run", {}).get("ticks", 0)) * int(reader.metadata.get("run", {}).get("tick_ns", 0))
-    faults = _entries(_decoded(reader, happened), end_ns)
-    lines = text.decode("utf-8").splitlines()
+    return rerun(path, attached(path, reader), decoded(reader, happened))
+
+
+def attached(path: Path, reader: LogReader) -> str:
+    """The scenario that stands in a log which was read.
+
+    Raises:
+        ScriptError: it holds none.
+    """
+    data = reader.attachments.get("scenario.yaml")
+    if data is None:
+        because = f" ({reader.missing})" if reader.missing else ": it was not written by fleet run"
+        raise ScriptError(f"{path} holds no scenario{because}")
+    try:
+        return data.decode("utf-8")
+    except UnicodeDecodeError:
+        raise ScriptError(f"{path} holds a scenario that is no text") from None
+
+
+def rerun(path: Path, text: str, happened: list[tuple[int, Any]]) -> Scenario:
+    """The scenario that gives what happened; `text` is what the log calls its scenario.
+
+    Raises:
+        ScenarioError: it is no scenario, or none for this version.
+    """
+    planned = parse_scenario(text, str(path))
+    end_ns = planned.ticks * planned.tick_ns
+    faults = _entries(happened, end_ns)
     ended = {str(entry["id"]) for entry in faults if "for" in entry}
-    return parse_scenario(_without_faults(lines) + _faults_yaml(faults), str(path), _recoveries(text.decode(), ended))
+    lines = text.splitlines()
+    return parse_scenario(_without_faults(lines) + _faults_yaml(faults), str(path), _recoveries(planned, ended))
 
 
-def _recoveries(text: str, ended: set[str]) -> list[str]:
+def _recoveries(planned: Scenario, ended: set[str]) -> list[str]:
     """The checks of recovery without those from a fault that the run did not see end, which a scenario must not ask."""
-    checks = parse_scenario(text, "scenario.yaml").spec.checks.recovery_time or []
+    checks = planned.spec.checks.recovery_time or []
     kept = [check.model_dump(exclude_none=True) for check in checks if check.fault in ended]
     return [f"checks.recovery_time={json.dumps(kept)}"] if len(kept) < len(checks) else []
 
 
-def _decoded(reader: LogReader, happened: Iterable[tuple[int, bytes]]) -> list[tuple[int, Any]]:
-    channel = next((c for c in reader.channels.values() if c.topic == "faults"), None)
-    if channel is None:
-        return []
-    schema = reader.schemas[channel.schema_id]
-    files = descriptor_pb2.FileDescriptorSet.FromString(schema.data)
-    pool = descriptor_pool.DescriptorPool()
-    for file in files.file:
-        pool.Add(file)
-    message = message_factory.GetMessageClass(pool.FindMessageTypeByName(schema.name))
-    return [(at_ns, message.FromString(data)) for at_ns, data in happened]
+def decoded(reader: LogReader, happened: Iterable[tuple[int, bytes]]) -> list[tuple[int, Any]]:
+    """The messages of the topic `faults` of a log which was read, with their times."""
+    decode = Decoder(reader)
+    found = [(at_ns, decode.message(Record("faults", at_ns, at_ns, 0, data))) for at_ns, data in happened]
+    return [(at_ns, event) for at_ns, event in found if event is not None]
 
 
 def _entries(events: list[tuple[int, Any]], end_ns: int) -> list[dict[str, Any]]:

@@ -56,7 +56,8 @@ def verify(log: Path, quiet: bool) -> None:
 @click.option("--tolerance", metavar="X", type=click.FloatRange(min=0.0), default=0.0, show_default=True,
               help="The most that two numbers may be apart, each in its own unit.")  # fmt: skip
 @click.option("--all", "everything", is_flag=True, help="Every signal that differs, not only the first twenty.")
-def diff(a: Path, b: Path, tolerance: float, everything: bool) -> None:
+@click.option("-q", "--quiet", is_flag=True, help="No progress.")
+def diff(a: Path, b: Path, tolerance: float, everything: bool, quiet: bool) -> None:
     """Say whether logs A and B hold the same messages, where they part, and how far apart each signal gets.
 
     \b
@@ -66,11 +67,13 @@ def diff(a: Path, b: Path, tolerance: float, everything: bool) -> None:
     """
     from fleet.deviation import compare, table
     from fleet.difference import besides_messages
+    from fleet.progress import Counting
     from fleet.reader import LogReader, log_path
 
     left, right = LogReader(log_path(a)), LogReader(log_path(b))
     try:
-        found = compare(left, right)
+        with Counting(Terminal(stderr=True), "compared", quiet=quiet) as tell:
+            found = compare(left, right, tell=tell)
     except FleetError as error:
         _fail(error)
     for name, reader in (("a", left), ("b", right)):

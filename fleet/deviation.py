@@ -7,8 +7,9 @@ what still waits for its other half is all that is held.
 
 from __future__ import annotations
 
+import re
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from itertools import islice
 from math import inf, isnan
@@ -19,6 +20,7 @@ from fleet.log_values import Decoder, Value
 from fleet.reader import LogReader, Record
 
 MOST_WAITING = 50_000  # messages of one log without their other half; beyond that the oldest count as missing
+_NUMBERS = re.compile(r"(?<=/)\d+(-\d+)?")
 Key = tuple[str, int, int]
 Waiting = dict[Key, list[Record]]  # of a key more than one: faults of one tick
 
@@ -53,8 +55,10 @@ class Comparison:
         return all(deviation.value <= tolerance for deviation in self.signals.values())
 
 
-def compare(a: LogReader, b: LogReader, names: tuple[str, str] = ("a", "b")) -> Comparison:
-    """Compare two logs to their ends.
+def compare(
+    a: LogReader, b: LogReader, names: tuple[str, str] = ("a", "b"), tell: Callable[[float], None] = lambda at_s: None
+) -> Comparison:
+    """Compare two logs to their ends; `tell` hears how far in sim time [s].
 
     Raises:
         LogReadError: one of them is no log.
@@ -84,6 +88,8 @@ def compare(a: LogReader, b: LogReader, names: tuple[str, str] = ("a", "b")) -> 
         for k in turn:
             heads[k] = next(streams[k], None)
         number += 1
+        if not number % 1000:
+            tell(max(head.log_ns if head is not None else 0 for head in heads) / 1e9)
     for k, only in enumerate((found.only_a, found.only_b)):
         only.update(record.topic for records in waiting[k].values() for record in records)
     return found
@@ -166,13 +172,21 @@ def rows(found: Comparison, most: int | None = None) -> Iterator[tuple[str, str,
         yield name, f"{deviation.value:.3g}", deviation.unit, f"{deviation.at_ns / 1e9:g} s", str(deviation.differing)
 
 
+def _alike(counts: Counter[str]) -> list[tuple[str, int]]:
+    """The same with all vehicles, and all links, in one."""
+    total: Counter[str] = Counter()
+    for name, count in counts.items():
+        total[_NUMBERS.sub("*", name)] += count
+    return sorted(total.items())
+
+
 def table(found: Comparison, most: int | None) -> Iterator[str]:
     """What is not the same, in words and as a table of signals."""
     yield f"{found.same} messages are the same, {found.paired} differ"
     for name, only in (("a", found.only_a), ("b", found.only_b)):
-        for topic, count in sorted(only.items()):
+        for topic, count in _alike(only):
             yield f"only in {name}: {count} of {topic}"
-    for path, count in sorted(found.others.items()):
+    for path, count in _alike(found.others):
         yield f"not the same, and no number: {path} in {count} messages"
     cells = [("signal", "max |a - b|", "unit", "at t", "messages"), *rows(found, most)]
     if len(cells) > 1:

@@ -109,10 +109,11 @@ class Counting:
         if self._live and not self._quiet:
             self._terminal.print(" " * 60, end="\r")
 
-    def __call__(self, at_s: float, end_s: float) -> None:
+    def __call__(self, at_s: float, end_s: float | None = None) -> None:
         """Say so if it is time to."""
         if self._quiet or (now := time.monotonic()) < self._next:
             return
         self._next = now + self._every
         end = "\r" if self._live else "\n"
-        self._terminal.print(f"{self._doing} t = {at_s:.1f} / {end_s:g} s", end=end, highlight=False)
+        whole = "" if end_s is None else f" / {end_s:g}"
+        self._terminal.print(f"{self._doing} t = {at_s:.1f}{whole} s", end=end, highlight=False)

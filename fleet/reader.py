@@ -107,8 +107,9 @@ def lost(salvage: Salvage) -> str:
     places = [str(damage) for damage in salvage.damage]
     if salvage.cut or not salvage.ended:
         places.append("the end: the file is cut")
-    elif salvage.indexed and salvage.stated is not None and salvage.stated > salvage.messages:
-        places.append(f"{salvage.stated - salvage.messages} of {salvage.stated} messages in all")
+    elif salvage.indexed and salvage.stated is not None:
+        more = salvage.stated - salvage.messages - sum(damage.messages for damage in salvage.damage)
+        places += [f"{more} more of {salvage.stated} messages"] if more > 0 else []
     return "; ".join(places)
 
 

@@ -76,7 +76,7 @@ def _remove(part: Path) -> None:
 
 def _copy(path: Path, out: Path, salvage: Salvage, target: IO[bytes], magic: bool) -> Recovered:
     found = Recovered(path, out)
-    copy = _Copy(target, found)
+    copy = Copy(target, found)
     gaps: list[int] = []
     damaged = 0
     for item in salvage:
@@ -99,7 +99,7 @@ def _copy(path: Path, out: Path, salvage: Salvage, target: IO[bytes], magic: boo
     return found
 
 
-class _Copy:
+class Copy:
     """Writes items as they come."""
 
     def __init__(self, target: IO[bytes], found: Recovered) -> None:

@@ -22,7 +22,7 @@ from fleet.journal import Journal, frame_every
 from fleet.log import LogWriter
 from fleet.scenario import Scenario, load_scenario
 
-OVERRIDES = ["duration=4 s", "checks={}", "network.links={'*': 'delay 200ms 50ms loss 30%'}"]
+OVERRIDES = ["vehicles=3", "duration=4 s", "checks={}", "network.links={'*': 'delay 200ms 50ms loss 30%'}"]
 
 
 class Can:

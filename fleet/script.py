@@ -72,7 +72,7 @@ def decoded(reader: LogReader, happened: Iterable[tuple[int, bytes]]) -> list[tu
     """The messages of the topic `faults` of a log which was read, with their times."""
     decode = Decoder(reader)
     found = [(at_ns, decode.message(Record("faults", at_ns, at_ns, 0, data))) for at_ns, data in happened]
-    return [(at_ns, event) for at_ns, event in found if event is not None]
+    return [(at_ns, event) for at_ns, event in found if event is not None and event.DESCRIPTOR.name == "Fault"]
 
 
 def _entries(events: list[tuple[int, Any]], end_ns: int) -> list[dict[str, Any]]:

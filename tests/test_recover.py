@@ -316,7 +316,7 @@ def test_an_mcap_that_is_not_ours(tmp_path: Path) -> None:
 
 
 def test_a_log_of_which_only_the_head_is_left(log: Path, tmp_path: Path) -> None:
-    """Killed within its first second a run leaves its scenario: it can be run again, but there is nothing to compare."""
+    """Killed within its first second a run leaves its scenario: it can be run again, but not compared."""
     path = tmp_path / "a"
     path.write_bytes(head(log))
     assert tool("script", path).exit_code == 0

@@ -31,7 +31,8 @@ ROUGH = "network.links={'*': 'delay 200ms 50ms loss 30%'}"
 FAULTS = (
     "faults=[{at: 300 ms, for: 400 ms, link 1<->2: delay 50ms 20ms loss gemodel 10% 30% duplicate 20% corrupt 10%}, "
     "{at: 500 ms, for: 500 ms, partition: halves}, {at: 800 ms, kill: 3, for: 500 ms}, {at: 1 s, kill: 4}, "
-    "{at: 1 s, gust: {velocity: 0.2 0 0 m/s, over: 800 ms}}, {at: 1.2 s, slow: {vehicles: 2, by: 3 ticks}, for: 500 ms}]"
+    "{at: 1 s, gust: {velocity: 0.2 0 0 m/s, over: 800 ms}}, "
+    "{at: 1.2 s, slow: {vehicles: 2, by: 3 ticks}, for: 500 ms}]"
 )
 CASES: dict[str, tuple[str, list[str]]] = {
     "paper": ("paper", ["duration=2 s"]),
@@ -105,7 +106,7 @@ def test_a_log_is_reproduced(case: str, tmp_path: Path) -> None:
 
 
 def test_everything_that_happened_to_a_live_run(tmp_path: Path) -> None:
-    """Injected, healed, killed from outside, and ended with Ctrl-C: a distributed run is reproduced as far as it went."""
+    """Injected, healed, killed from outside, and ended with Ctrl-C: a distributed run comes again as far as it went."""
     with LiveRun(tmp_path / "runs", "rough-sea", "--duration", "600 s", "--speed", "4") as run:
         run.until_running(1.0)
         assert op(run.out, "inject", "link", "1<->2", "delay 300ms loss 20%", "--for", "1s").returncode == 0

@@ -21,7 +21,9 @@ class _Timed:
 
     def __init__(self, log: LogWriter) -> None:
         self.s = 0.0
-        self.frame, self.packet, self.event = map(self._timed, (log.frame, log.packet, log.event))
+        self.frame = self._timed(log.frame)
+        self.packet = self._timed(log.packet)
+        self.event = self._timed(log.event)
         self.close = self._timed(log.close)
 
     def _timed(self, call: Callable[..., None]) -> Callable[..., None]:

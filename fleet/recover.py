@@ -15,7 +15,7 @@ from mcap.writer import CompressionType, Writer
 
 from fleet.errors import FleetError
 from fleet.reader import GAPS, LOST, RECOVERY, log_path, lost, open_any
-from fleet.salvage import MAGIC, ChunkEnd, Item, Message, Salvage
+from fleet.salvage import MAGIC, ChunkEnd, Item, Message, Salvage, declarations
 
 
 class RecoverError(FleetError):
@@ -77,12 +77,17 @@ def _remove(part: Path) -> None:
 def _copy(path: Path, out: Path, salvage: Salvage, target: IO[bytes], magic: bool) -> Recovered:
     found = Recovered(path, out)
     copy = Copy(target, found)
+    known = False
     gaps: list[int] = []
     damaged = 0
     for item in salvage:
         if len(salvage.damage) > damaged and isinstance(item, Message):
             gaps.append(found.messages)
             damaged = len(salvage.damage)
+        if isinstance(item, Message) and not known and not copy.declared(item):
+            known = True  # the chunk that declared it is damaged: the index repeats it
+            for declaration in declarations(salvage.file):
+                copy.take(declaration)
         copy.take(item)
     found.places = [str(damage) for damage in salvage.damage]
     gone = [*(["the first bytes"] if not magic else []), lost(salvage)]
@@ -131,6 +136,10 @@ class Copy:
                 self._writer.add_metadata(item.name, dict(item.metadata))
             case _:
                 pass
+
+    def declared(self, message: Message) -> bool:
+        """Whether its channel is known."""
+        return message.channel in self._channels
 
     def finish(self, recovery: dict[str, str]) -> None:
         """Write the index."""

@@ -24,6 +24,7 @@ MOST_BYTES = 64 << 20  # of one record, packed or not; our own chunks hold 1 MiB
 _HEAD = Struct("<BQ")
 _CHUNK = Struct("<QQQI")  # first and last time [ns], unpacked size, CRC
 _MESSAGE = Struct("<HIQQ")
+_FOOTER = _HEAD.size + 20  # [bytes]
 _U16, _U32, _U64 = Struct("<H"), Struct("<I"), Struct("<Q")
 _ZSTD = b"\x04\x00\x00\x00zstd"  # in a chunk, behind its lengths: what it is recognised by when the framing is lost
 _WINDOW = 1 << 20
@@ -169,19 +170,20 @@ class Salvage:
 
     def _inside(self, data: bytes) -> Iterator[Item]:
         at, size = 0, len(data)
+        message, head, fields = int(Opcode.MESSAGE), _HEAD.size, _MESSAGE.size  # looked up once, not per message
         while at < size:
             try:
                 opcode, length = _HEAD.unpack_from(data, at)
-                begin = at + _HEAD.size
+                begin = at + head
                 at = begin + length
                 if at > size:
                     raise ValueError
-                if opcode == Opcode.MESSAGE:
-                    if length < _MESSAGE.size:
+                if opcode == message:
+                    if length < fields:
                         raise ValueError
                     self.messages += 1
                     channel, sequence, log_ns, publish_ns = _MESSAGE.unpack_from(data, begin)
-                    item: Item = Message(channel, sequence, log_ns, publish_ns, data[begin + _MESSAGE.size : at])
+                    item: Item = Message(channel, sequence, log_ns, publish_ns, data[begin + fields : at])
                 elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
                     item = _parse(opcode, data[begin:at])
                 else:
@@ -267,6 +269,32 @@ class Salvage:
                 total = zlib.crc32(head + body, total)
         except struct_error:
             return
+
+
+def declarations(file: IO[bytes]) -> list[Schema | Channel]:
+    """Schemas and channels as the summary repeats them; none if the file has no summary that can be read."""
+    found: list[Schema | Channel] = []
+    try:
+        end = os.fstat(file.fileno()).st_size - len(MAGIC) - _FOOTER
+        file.seek(end)
+        opcode, length = _HEAD.unpack(file.read(_HEAD.size))
+        (at,) = _U64.unpack(file.read(8))
+        if opcode != Opcode.FOOTER or length != _FOOTER - _HEAD.size or not 0 < at <= end:
+            return []
+        file.seek(at)
+        while at < end:
+            opcode, length = _HEAD.unpack(file.read(_HEAD.size))
+            at += _HEAD.size + length
+            if at > end or length > MOST_BYTES:
+                return []
+            body = file.read(length)
+            if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+                item = _parse(opcode, body)
+                assert isinstance(item, Schema | Channel)
+                found.append(item)
+    except (OSError, struct_error, ValueError):
+        return []
+    return found
 
 
 def _unpacked(compression: str, packed: bytes, size: int) -> bytes:

@@ -228,6 +228,19 @@ def test_recovery_goes_on_behind_a_damaged_chunk(log: Path, tmp_path: Path) -> N
     assert tool("recover", tmp_path / "a", "-o", tmp_path / "b").exit_code == 3
 
 
+def test_a_damaged_first_chunk(log: Path, tmp_path: Path) -> None:
+    """It declares the topics: the index repeats that; without an index nobody can say what the rest is."""
+    data = bytearray(log.read_bytes())
+    whole = list(LogReader(log))
+    data[chunks(bytes(data))[0][0] + 300] ^= 4
+    found, messages, reader = mended(tmp_path / "a", bytes(data))
+    assert messages == whole[-len(messages) :]
+    assert (found.undeclared, reader.metadata[RECOVERY][GAPS]) == (0, "0")
+    found, messages, _ = mended(tmp_path / "a", bytes(data[:-200]))
+    assert found.nothing and found.undeclared > 0
+    assert "messages on channels whose declaration is gone" in found.lost
+
+
 def test_the_framing_is_found_again(log: Path, tmp_path: Path) -> None:
     """A length that is wrong leads astray: the next chunk is found by what it looks like."""
     data = bytearray(log.read_bytes())

@@ -277,21 +277,27 @@ def declarations(file: IO[bytes]) -> list[Schema | Channel]:
     try:
         end = os.fstat(file.fileno()).st_size - len(MAGIC) - _FOOTER
         file.seek(end)
-        opcode, length = _HEAD.unpack(file.read(_HEAD.size))
-        (at,) = _U64.unpack(file.read(8))
+        footer = file.read(_FOOTER)
+        opcode, length = _HEAD.unpack_from(footer)
+        (at,), (crc,) = _U64.unpack_from(footer, _HEAD.size), _U32.unpack_from(footer, _FOOTER - _U32.size)
         if opcode != Opcode.FOOTER or length != _FOOTER - _HEAD.size or not 0 < at <= end:
             return []
         file.seek(at)
+        total = 0
         while at < end:
-            opcode, length = _HEAD.unpack(file.read(_HEAD.size))
+            head = file.read(_HEAD.size)
+            opcode, length = _HEAD.unpack(head)
             at += _HEAD.size + length
             if at > end or length > MOST_BYTES:
                 return []
             body = file.read(length)
+            total = zlib.crc32(head + body, total)
             if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
                 item = _parse(opcode, body)
                 assert isinstance(item, Schema | Channel)
                 found.append(item)
+        if crc and zlib.crc32(footer[: -_U32.size], total) != crc:
+            return []
     except (OSError, struct_error, ValueError):
         return []
     return found

@@ -222,5 +222,5 @@ def describe(found: Verification) -> list[str]:
         if found.reason and found.difference.right.record is not None:
             lines.append(f"the re-run ended: {found.reason}")
         lines += [f"likely why: {text}" for text in found.versions]
-    lines += [f"NOT reproduced: {text}" for text in found.contradictions]
+    lines += [f"contradiction: {text}" for text in found.contradictions]
     return lines

@@ -199,7 +199,7 @@ def test_metadata_that_contradict_the_scenario(log: Path, tmp_path: Path) -> Non
 
     result = tool("verify", altered(log, tmp_path / "a", change))
     assert result.exit_code == 1
-    assert "NOT reproduced: metadata seed: 7, but its scenario says 1" in result.stdout
+    assert "contradiction: metadata seed: 7, but its scenario says 1" in result.stdout
 
 
 def test_another_seed_in_the_scenario(log: Path, tmp_path: Path) -> None:

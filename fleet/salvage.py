@@ -89,6 +89,7 @@ class Salvage:
     damage: list[Damage] = field(default_factory=list)
     messages: int = 0
     stated: int | None = None  # messages, as the summary counts them
+    _chunked: bool = field(default=False, init=False)
     _lost_at: int = field(default=-1, init=False)  # where the chunk is damaged whose index is being read
 
     def __iter__(self) -> Iterator[Item]:
@@ -98,7 +99,11 @@ class Salvage:
             try:
                 opcode, body, behind = self._record(at, size)
                 if opcode == Opcode.CHUNK:
+                    self._chunked = True
                     yield from self._chunk(body)
+                elif opcode == Opcode.MESSAGE and self._chunked:
+                    # One bit turns an index into a message, which has no CRC of its own.
+                    raise _DamagedError("a message outside the chunks")
                 elif opcode == Opcode.MESSAGE_INDEX:
                     count = _index_entries(body)
                     if self.damage and self.damage[-1].offset == self._lost_at:

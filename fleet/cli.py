@@ -13,6 +13,7 @@ from rich.console import Console as Terminal
 
 from fleet import cli_whatif
 from fleet.cli_live import COMMANDS
+from fleet.cli_verify import COMMANDS as VERIFY
 from fleet.completion import scenarios
 from fleet.errors import FleetError, ScenarioError
 
@@ -379,7 +380,7 @@ def bench(agents: str, json_path: Path | None, quick: bool) -> None:
         json_path.write_text(json.dumps(figures, indent=2) + "\n", "utf-8")
 
 
-for _command in (*COMMANDS, *cli_whatif.COMMANDS):
+for _command in (*COMMANDS, *cli_whatif.COMMANDS, *VERIFY):
     cli.add_command(_command)
 
 

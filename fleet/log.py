@@ -42,9 +42,9 @@ from fleet.log_schemas import (
 )
 from fleet.metrics import VehicleError
 from fleet.reader import digest_part
-from fleet.resume import START, Start
+from fleet.resume import Start
 from fleet.scenario import Scenario
-from fleet.snapshot import TOPIC, Snapshot, forgetful
+from fleet.snapshot import START, TOPIC, Snapshot, forgetful
 from netem.messages import Command, Fate, Frame, VehicleFrame
 
 SECOND_NS = 1_000_000_000
@@ -72,8 +72,9 @@ class LogWriter:
         self.messages = 0
         self._flushed_s = 0
         try:
-            self._file: IO[bytes] = path.open("xb")
+            self._file: IO[bytes] = self._open()
             self._start(start)
+            self._file.flush()  # killed within the first second, a run leaves its scenario at least
         except OSError as error:
             raise _log_error(path, error) from error
 
@@ -82,17 +83,17 @@ class LogWriter:
         """SHA-256 over (topic, log_time, publish_time, sequence, data) of every message so far."""
         return self._digest.hexdigest()
 
+    def _open(self) -> IO[bytes]:
+        return self.path.open("xb")
+
     def _start(self, start: Start | None) -> None:
         # Without `library` the mcap version would stand in the file, and bytes would differ between versions.
         self._writer = Writer(self._file, compression=CompressionType.ZSTD)
         self._writer.start(profile="", library="uuv-fleet")
         self._writer.add_attachment(0, 0, "scenario.yaml", "application/yaml", self._scenario.to_yaml().encode())
-        metadata = run_metadata(self._scenario)
         if start is not None:
             self._writer.add_attachment(0, 0, START, "application/msgpack", start.snapshot.to_bytes())
-            anew = " ".join(map(str, start.anew))
-            metadata |= {"from tick": str(start.snapshot.tick), "from": start.source, "without memory": anew}
-        self._writer.add_metadata("run", metadata)
+        self._writer.add_metadata("run", run_metadata(self._scenario, start))
         registered: dict[str, int] = {}
         self._by_vehicle: dict[str, dict[int, _Channel]] = {}
         self._encoders: dict[str, dict[int, DoublesEncoder]] = {}
@@ -262,7 +263,7 @@ class LogWriter:
                 raise _log_error(self.path, error) from error
 
 
-def run_metadata(scenario: Scenario) -> dict[str, str]:
+def run_metadata(scenario: Scenario, start: Start | None = None) -> dict[str, str]:
     """What determines a run's result besides the scenario attachment."""
     return {
         "scenario": scenario.name,
@@ -275,7 +276,13 @@ def run_metadata(scenario: Scenario) -> dict[str, str]:
         "piqp": version("piqp"),
         "python": ".".join(platform.python_version_tuple()[:2]),
         **_plugin_metadata(scenario),
+        **({} if start is None else _start_metadata(start)),
     }
+
+
+def _start_metadata(start: Start) -> dict[str, str]:
+    anew = " ".join(map(str, start.anew))
+    return {"from tick": str(start.snapshot.tick), "from": start.source, "without memory": anew}
 
 
 def _plugin_metadata(scenario: Scenario) -> dict[str, str]:

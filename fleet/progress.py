@@ -89,3 +89,31 @@ class ProgressLine:
             f"formation error {self._journal.metrics.formation_error:.3f} m  "
             f"packets {total.delivered} delivered, {lost} lost"
         )
+
+
+class Counting:
+    """Progress of something that goes through sim time; call it with where it is and where it ends [s]."""
+
+    def __init__(self, terminal: Terminal, doing: str, *, quiet: bool = False) -> None:
+        self._terminal, self._doing, self._quiet = terminal, doing, quiet
+        self._live = terminal.is_terminal
+        self._every = REFRESH_S if self._live else PLAIN_S
+        self._next = time.monotonic() + self._every
+
+    def __enter__(self) -> Counting:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._live and not self._quiet:
+            self._terminal.print(" " * 60, end="\r")
+
+    def __call__(self, at_s: float, end_s: float | None = None) -> None:
+        """Say so if it is time to."""
+        if self._quiet or (now := time.monotonic()) < self._next:
+            return
+        self._next = now + self._every
+        end = "\r" if self._live else "\n"
+        whole = "" if end_s is None else f" / {end_s:g}"
+        self._terminal.print(f"{self._doing} t = {at_s:.1f}{whole} s", end=end, highlight=False)

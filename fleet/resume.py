@@ -12,12 +12,10 @@ from pathlib import Path
 
 from agents.controllers import laws
 from fleet.quantities import QuantityError, show_time, time_ns
-from fleet.reader import digest, log_path
+from fleet.reader import LogReader, digest, log_path
 from fleet.scenario import Scenario, load_scenario
 from fleet.script import script
-from fleet.snapshot import Snapshot, SnapshotError, find
-
-START = "start.msgpack"  # the attachment of a log that holds where its run began
+from fleet.snapshot import START, Snapshot, SnapshotError, find
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,3 +78,17 @@ def prepare(
     if anew:
         notes.append(f"other laws: agents {', '.join(map(str, anew))} begin without memory")
     return scenario, Start(snapshot, f"{log_path(path)}, digest {digest(log_path(path))}", tuple(anew), tuple(notes))
+
+
+def begun(reader: LogReader) -> Start | None:
+    """Where the run of a log that was read began, if it went on from another.
+
+    Raises:
+        SnapshotError: the log does not hold it whole.
+    """
+    data = reader.attachments.get(START)
+    if data is None:
+        return None
+    run = reader.metadata.get("run", {})
+    anew = tuple(int(i) for i in run.get("without memory", "").split() if i.isdecimal())
+    return Start(Snapshot.from_bytes(data), run.get("from", ""), anew)

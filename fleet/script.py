@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
-from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
-
 from fleet.errors import FleetError
 from fleet.faults import LOST
+from fleet.log_values import Decoder
 from fleet.quantities import show_time
-from fleet.reader import LogReader, log_path
+from fleet.reader import LogReader, Record, log_path
 from fleet.scenario import Scenario, parse_scenario
+from fleet.snapshot import START
 
 
 class ScriptError(FleetError):
@@ -30,49 +30,64 @@ def script(path: Path, overrides: Sequence[str] = ()) -> Scenario:
     """
     path = log_path(path)
     reader = LogReader(path)
-    decode = decoders(reader)
-    events, last_ns = [], 0
+    happened, last_ns = [], 0
     for record in reader:
         last_ns = max(last_ns, record.log_ns)
         if record.topic == "faults":
-            events.append((record.log_ns, decode(record.topic, record.data)))
-    text = reader.attachments.get("scenario.yaml")
-    if "from tick" in reader.metadata.get("run", {}) and text is not None:
+            happened.append((record.log_ns, record.data))
+    text = attached(path, reader)
+    if START in reader.attachments:
         # Gone on from another run, in one process: nothing was injected, and what was before is not in this log.
-        return parse_scenario(text.decode("utf-8"), str(path), overrides)
-    if text is None:
-        raise ScriptError(f"{path} holds no scenario: it was not written by fleet run")
-    end_ns = int(reader.metadata.get("run", {}).get("ticks", 0)) * int(reader.metadata.get("run", {}).get("tick_ns", 0))
-    faults = _entries(events, end_ns)
+        return parse_scenario(text, str(path), overrides)
+    return rerun(path, text, decoded(reader, happened), last_ns, overrides)
+
+
+def attached(path: Path, reader: LogReader) -> str:
+    """The scenario that stands in a log which was read.
+
+    Raises:
+        ScriptError: it holds none.
+    """
+    data = reader.attachments.get("scenario.yaml")
+    if data is None:
+        because = f" ({reader.missing})" if reader.missing else ": it was not written by fleet run"
+        raise ScriptError(f"{path} holds no scenario{because}")
+    try:
+        return data.decode("utf-8")
+    except UnicodeDecodeError:
+        raise ScriptError(f"{path} holds a scenario that is no text") from None
+
+
+def rerun(
+    path: Path, text: str, happened: list[tuple[int, Any]], last_ns: int, overrides: Sequence[str] = ()
+) -> Scenario:
+    """The scenario that gives what happened up to a time; `text` is what the log calls its scenario.
+
+    Raises:
+        ScenarioError: it is no scenario, or none for this version; or an override is wrong.
+    """
+    planned = parse_scenario(text, str(path))
+    end_ns = planned.ticks * planned.tick_ns
+    faults = _entries(happened, end_ns)
     if last_ns < end_ns:
-        faults = _with_plans(faults, parse_scenario(text.decode("utf-8"), str(path)))
-    lines = text.decode("utf-8").splitlines()
+        faults = _with_plans(faults, planned)
     ended = {str(entry["id"]) for entry in faults if "for" in entry}
-    more = [*_recoveries(text.decode(), ended), *overrides]
-    return parse_scenario(_without_faults(lines) + _faults_yaml(faults), str(path), more)
+    more = [*_recoveries(planned, ended), *overrides]
+    return parse_scenario(_without_faults(text.splitlines()) + _faults_yaml(faults), str(path), more)
 
 
-def _recoveries(text: str, ended: set[str]) -> list[str]:
+def _recoveries(planned: Scenario, ended: set[str]) -> list[str]:
     """The checks of recovery without those from a fault that the run did not see end, which a scenario must not ask."""
-    checks = parse_scenario(text, "scenario.yaml").spec.checks.recovery_time or []
+    checks = planned.spec.checks.recovery_time or []
     kept = [check.model_dump(exclude_none=True) for check in checks if check.fault in ended]
     return [f"checks.recovery_time={json.dumps(kept)}"] if len(kept) < len(checks) else []
 
 
-def decoders(reader: LogReader) -> Callable[[str, bytes], Any]:
-    """A function from (topic, data) to a message, by the schemas that the reader has come across."""
-    classes: dict[str, Any] = {}
-
-    def decode(topic: str, data: bytes) -> Any:
-        if topic not in classes:
-            schema = next(reader.schemas[c.schema_id] for c in reader.channels.values() if c.topic == topic)
-            pool = descriptor_pool.DescriptorPool()
-            for file in descriptor_pb2.FileDescriptorSet.FromString(schema.data).file:
-                pool.Add(file)
-            classes[topic] = message_factory.GetMessageClass(pool.FindMessageTypeByName(schema.name))
-        return classes[topic].FromString(data)
-
-    return decode
+def decoded(reader: LogReader, happened: Iterable[tuple[int, bytes]]) -> list[tuple[int, Any]]:
+    """The messages of the topic `faults` of a log which was read, with their times."""
+    decode = Decoder(reader)
+    found = [(at_ns, decode.message(Record("faults", at_ns, at_ns, 0, data))) for at_ns, data in happened]
+    return [(at_ns, event) for at_ns, event in found if event is not None and event.DESCRIPTOR.name == "Fault"]
 
 
 def _entries(events: list[tuple[int, Any]], end_ns: int) -> list[dict[str, Any]]:

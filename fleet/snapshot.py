@@ -19,6 +19,7 @@ from agents.config import Law
 from agents.controllers import BUILT_IN, law_class
 from agents.plugins import resumable
 from fleet.errors import FleetError
+from fleet.log_values import Decoder
 from fleet.quantities import show_time
 from fleet.reader import LogReader, log_path
 
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
 
 SNAPSHOT_NS = 10_000_000_000
 TOPIC = "snapshot"
+START = "start.msgpack"  # the attachment of a log that holds where its run began
 LOG_GROUPS = ("pose", "state", "nav", "command", "guidance", "control", "error")
 _FORMAT = 1
 
@@ -109,18 +111,16 @@ def find(path: Path, at_ns: int | None = None) -> Snapshot:
         LogReadError: there is no log to read.
         SnapshotError: it has no such snapshot.
     """
-    from fleet.script import decoders
-
     path = log_path(path)
     reader = LogReader(path)
-    decode = decoders(reader)
+    decode = Decoder(reader)
     times: list[int] = []
     found: bytes | None = None
     for record in reader:
         if record.topic == TOPIC:
             times.append(record.log_ns)
             if at_ns is None or record.log_ns <= at_ns:
-                found = decode(TOPIC, record.data).state
+                found = decode.message(record).state
     if found is None:
         there = f"the first is at {show_time(times[0])}" if times else _none(reader)
         raise SnapshotError(

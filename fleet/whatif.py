@@ -16,9 +16,10 @@ import numpy as np
 from agents.agent import Agent, PluggedAgent, make_agent
 from agents.errors import AgentError
 from fleet.errors import FleetError
+from fleet.log_values import Decoder
 from fleet.reader import LogReader, log_path
 from fleet.scenario import Scenario
-from fleet.script import decoders, script
+from fleet.script import script
 from netem.lives import Lives
 from netem.messages import Delivery, Nav
 
@@ -140,17 +141,17 @@ def _read(
     commands: dict[int, tuple[float, ...]] = {}
     deliveries: list[Delivery] = []
     reader = LogReader(path)
-    decode = decoders(reader)
+    decode = Decoder(reader).message
     nav, command = f"uuv/{agent}/nav", f"uuv/{agent}/command"
     for record in reader:
         if record.topic == nav:
-            m = decode(record.topic, record.data)
+            m = decode(record)
             values = (m.x, m.y, m.z, m.theta, m.psi, m.u, m.v, m.w, m.q, m.r)
             navs.append((record.log_ns // tick_ns, values))
         elif record.topic == command:
-            commands[record.log_ns // tick_ns] = tuple(decode(record.topic, record.data).tau)
+            commands[record.log_ns // tick_ns] = tuple(decode(record).tau)
         elif record.topic.startswith("link/") and record.topic.endswith(f"-{agent}"):
-            m = decode(record.topic, record.data)
+            m = decode(record)
             if m.fate == "delivered":
                 src = int(record.topic.removeprefix("link/").split("-")[0])
                 sent = record.publish_ns // tick_ns

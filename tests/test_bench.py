@@ -20,6 +20,9 @@ def test_quick_bench_reports_every_figure() -> None:
     network = figures["netem"]
     assert 0 < network["full grammar, packets/s"] < network["perfect, packets/s"]
     assert 0 < network[SHARE] < 1
+    (log,) = figures["logs"]
+    assert 0 < log["recorder, messages/s"] < log["reader, messages/s"]
+    assert log["MB/min"] == 2 * log["MB per vehicle-minute"] > 0
     assert heard[-1] == "single steps"
 
 

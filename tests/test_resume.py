@@ -20,6 +20,7 @@ from fleet.run import Options, Result, Status, execute
 from fleet.scenario import Scenario, load_scenario
 from fleet.script import script
 from fleet.snapshot import Snapshot, SnapshotError, find
+from fleet.verify import describe, verify
 
 LINKS = 'network.links={"*": delay 60ms 30ms 20% loss gemodel 10% 30% duplicate 20% corrupt 20% rate 20kbit}'
 NEMESIS = (
@@ -66,6 +67,9 @@ def test_the_rest_is_the_same_to_the_last_bit(name: str, overrides: list[str], t
         assert again.values["ledger"] == first.values["ledger"]
         # A log of the rest is a log like any other.
         assert script(again.directory) == scenario
+        verified = verify(again.directory)
+        assert verified.reproduced, describe(verified)
+        assert verified.messages == again.values["messages"]
         if at != snapshots[-1]:
             later, further = prepare(again.directory, snapshots[-1])
             assert since(run(later, tmp_path, further).directory, snapshots[-1]) == since(

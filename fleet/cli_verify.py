@@ -1,0 +1,119 @@
+"""The commands that hold a log to account: verify, diff, recover."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import click
+from rich.console import Console as Terminal
+
+from fleet.errors import FleetError, ScenarioError
+
+_VERIFY = "Exit status: 0 reproduced, 1 not, 2 no log of ours or it cannot be run here, 3 no message is left in it."
+_DIFF = "Exit status: 0 the same (or within the tolerance), 1 different, 2 one of them is no log."
+_RECOVER = "Exit status: 0 whole, 1 nothing can be recovered, 2 usage, 3 something is lost."
+_log = click.Path(path_type=Path)
+
+
+def _fail(error: FleetError | ScenarioError, status: int = 2) -> Any:
+    click.echo(f"fleet: {error}", err=True)
+    sys.exit(status)
+
+
+@click.command(epilog=_VERIFY)
+@click.argument("log", type=_log)
+@click.option("-q", "--quiet", is_flag=True, help="No progress.")
+def verify(log: Path, quiet: bool) -> None:
+    """Run LOG again and compare: every message, bit for bit.
+
+    Its scenario and seed, and what was injected and who died while it was recorded, in this process, up to where
+    the recording ends; a log that was cut is verified as far as it goes.
+
+    \b
+    Examples:
+      fleet verify runs/latest
+    """
+    from fleet.progress import Counting
+    from fleet.verify import NothingToVerify, describe
+    from fleet.verify import verify as check
+
+    try:
+        with Counting(Terminal(stderr=True), "verified", quiet=quiet) as tell:
+            found = check(log, tell)
+    except NothingToVerify as error:
+        _fail(error, 3)
+    except FleetError as error:
+        _fail(error)
+    click.echo("\n".join(describe(found)))
+    sys.exit(0 if found.reproduced else 1)
+
+
+@click.command(epilog=_DIFF)
+@click.argument("a", type=_log)
+@click.argument("b", type=_log)
+@click.option("--tolerance", metavar="X", type=click.FloatRange(min=0.0), default=0.0, show_default=True,
+              help="The most that two numbers may be apart, each in its own unit.")  # fmt: skip
+@click.option("--all", "everything", is_flag=True, help="Every signal that differs, not only the first twenty.")
+@click.option("-q", "--quiet", is_flag=True, help="No progress.")
+def diff(a: Path, b: Path, tolerance: float, everything: bool, quiet: bool) -> None:
+    """Say whether logs A and B hold the same messages, where they part, and how far apart each signal gets.
+
+    \b
+    Examples:
+      fleet diff runs/paper-1-20261121-120000 runs/latest
+      fleet diff a.mcap b.mcap --tolerance 1e-9
+    """
+    from fleet.deviation import compare, table
+    from fleet.difference import besides_messages
+    from fleet.progress import Counting
+    from fleet.reader import LogReader, log_path
+
+    left, right = LogReader(log_path(a)), LogReader(log_path(b))
+    try:
+        with Counting(Terminal(stderr=True), "compared", quiet=quiet) as tell:
+            found = compare(left, right, tell=tell)
+    except FleetError as error:
+        _fail(error)
+    for name, reader in (("a", left), ("b", right)):
+        if reader.missing:
+            click.echo(f"{name} is NOT WHOLE: {reader.missing}")
+    if found.first is None:
+        click.echo(f"the same bit for bit ({found.same} messages)")
+    else:
+        click.echo(f"they part at {found.first}")
+        for line in table(found, None if everything else 20):
+            click.echo(line)
+    for other in besides_messages(left, right):
+        click.echo(f"besides, not the same: {other}")
+    if found.first is not None and tolerance:
+        click.echo(f"{'within' if found.within(tolerance) else 'NOT within'} the tolerance of {tolerance:g}")
+    sys.exit(0 if found.first is None or (tolerance and found.within(tolerance)) else 1)
+
+
+@click.command(epilog=_RECOVER)
+@click.argument("log", type=_log)
+@click.option("-o", "--out", metavar="OUT", type=_log, help="Where to write; by default LOG.recovered.mcap beside it.")
+def recover(log: Path, out: Path | None) -> None:
+    """Write what is left of a cut or damaged LOG as a clean file with an index.
+
+    What is missing is said in its metadata record `recovery`. A damaged place is passed over, and counted.
+
+    \b
+    Examples:
+      fleet recover runs/latest
+      fleet recover cut.mcap -o clean.mcap
+    """
+    from fleet.recover import describe
+    from fleet.recover import recover as write
+
+    try:
+        found = write(log, out)
+    except FleetError as error:
+        _fail(error)
+    click.echo(describe(found), err=found.nothing)
+    sys.exit(1 if found.nothing else 3 if found.lost else 0)
+
+
+COMMANDS = (verify, diff, recover)

@@ -1,0 +1,169 @@
+"""Where two logs part: the first message that is not the same in both, told field by field."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import zip_longest
+from math import isfinite
+from pathlib import Path
+from typing import Any
+
+from fleet.log_values import Decoder, Value
+from fleet.reader import LogReader, Record
+
+_MOST_BYTES = 24  # of a payload, shown
+
+
+@dataclass(frozen=True, slots=True)
+class Side:
+    """What one side has at the place where they part."""
+
+    name: str
+    record: Record | None  # None: nothing any more
+    values: list[Value]
+    tick_ns: int
+    why: str = ""  # there is nothing any more
+
+    def __str__(self) -> str:
+        if self.record is None:
+            return f"the log ends here{f' ({self.why})' if self.why else ''}"
+        return f"{self.record.topic}, {self._when}, sent {self.record.publish_ns} ns, seq {self.record.sequence}"
+
+    @property
+    def _when(self) -> str:
+        assert self.record is not None
+        at = self.record.log_ns
+        return f"tick {at / self.tick_ns:g}, t = {at / 1e9:g} s" if self.tick_ns else f"t = {at / 1e9:g} s"
+
+
+@dataclass(frozen=True, slots=True)
+class Difference:
+    """The first message that differs; `number` counts from 0."""
+
+    number: int
+    left: Side
+    right: Side
+
+    def __str__(self) -> str:
+        a, b = self.left, self.right
+        if a.record is None or b.record is None or a.record[:4] != b.record[:4]:
+            return "\n".join([f"message {self.number}", *self._apart(a), *self._apart(b)])
+        lines: list[tuple[str, ...]] = [("field", a.name, b.name, "|a - b|", "unit")]
+        same = 0
+        for one, other in zip_longest(a.values, b.values):
+            if one is not None and other is not None and _same(one.value, other.value):
+                same += 1
+                continue
+            path, _, unit = one or other
+            lines.append((path, _shown(one), _shown(other), _gap(one, other), unit))
+        head = f"message {self.number}: {a}"
+        tail = [f"  ({same} other field{'s' * (same != 1)} the same)"] if same else []
+        if len(lines) == 1:  # the same values, written in another way
+            return f"{head}\n  {a.name}: {_bytes(a.record.data)}\n  {b.name}: {_bytes(b.record.data)}"
+        return "\n".join([head, *_table(lines), *tail])
+
+    @staticmethod
+    def _apart(side: Side) -> Iterator[str]:
+        yield f"  {side.name}: {side}"
+        for value in side.values:
+            yield f"    {value.path} = {_shown(value)} {value.unit}".rstrip()
+
+
+def first_difference(a: LogReader, b: LogReader, names: tuple[str, str] = ("a", "b")) -> Difference | None:
+    """The first message that is not the same in both logs; reads no further. Gaps and ends count as differences.
+
+    Raises:
+        LogReadError: one of them is no log.
+    """
+    for number, (left, right) in enumerate(zip_longest(a, b)):
+        if left != right:
+            return Difference(number, side(names[0], a, left), side(names[1], b, right))
+    return None
+
+
+def side(name: str, reader: LogReader, record: Record | None) -> Side:
+    """One side of a difference, decoded by the schema of its log."""
+    tick_ns = tick_length(reader)
+    if record is None:
+        return Side(name, None, [], tick_ns, reader.missing)
+    return Side(name, record, Decoder(reader)(record), tick_ns)
+
+
+def besides_messages(a: LogReader, b: LogReader) -> list[str]:
+    """What else two logs do not have in common: attachments, metadata and how topics are declared."""
+    names = sorted(a.attachments.keys() | b.attachments.keys())
+    found = [f"attachment {name}" for name in names if a.attachments.get(name) != b.attachments.get(name)]
+    for name in sorted(a.metadata.keys() | b.metadata.keys()):
+        left, right = a.metadata.get(name, {}), b.metadata.get(name, {})
+        keys = [key for key in sorted(left.keys() | right.keys()) if left.get(key) != right.get(key)]
+        found += [f"metadata {name}: {key} {left.get(key)} and {right.get(key)}" for key in keys]
+    topics = {topic for topic, _ in _declared(a).items() ^ _declared(b).items()}
+    return [*found, *(f"the declaration of {topic}" for topic in sorted(topics))]
+
+
+def framing(a: Path, b: Path) -> str:
+    """From which byte on two files differ; "" if they do not."""
+    if a.stat().st_size == b.stat().st_size == 0:
+        return ""
+    offset = 0
+    with a.open("rb") as left, b.open("rb") as right:
+        while True:
+            one, other = left.read(1 << 20), right.read(1 << 20)
+            if one != other:
+                place = next((n for n, (x, y) in enumerate(zip(one, other, strict=False)) if x != y), None)
+                return "one file is longer" if place is None else f"the bytes from {offset + place} on"
+            if not one:
+                return ""
+            offset += len(one)
+
+
+def tick_length(reader: LogReader) -> int:
+    """Ts [ns] of a log as far as it was read; 0 if it does not say."""
+    text = reader.metadata.get("run", {}).get("tick_ns", "0")
+    return int(text) if text.isascii() and text.isdigit() else 0
+
+
+def _declared(reader: LogReader) -> dict[str, tuple[Any, ...]]:
+    found: dict[str, tuple[Any, ...]] = {}
+    for channel in reader.channels.values():
+        schema = reader.schemas.get(channel.schema_id)
+        known = (schema.name, schema.encoding, schema.data) if schema is not None else ()
+        found[channel.topic] = (*known, channel.message_encoding, tuple(sorted(channel.metadata.items())))
+    return found
+
+
+def _same(a: Any, b: Any) -> bool:
+    return bool(a == b or (a != a and b != b))
+
+
+def _shown(value: Value | None) -> str:
+    if value is None:
+        return "-"
+    return _bytes(value.value) if isinstance(value.value, bytes) else repr(value.value)
+
+
+def _bytes(data: bytes) -> str:
+    more = f".. ({len(data)} bytes)" if len(data) > _MOST_BYTES else ""
+    return data[:_MOST_BYTES].hex() + more
+
+
+def _gap(a: Value | None, b: Value | None) -> str:
+    if a is None or b is None:
+        return ""
+    if isinstance(a.value, bytes) and isinstance(b.value, bytes):
+        place = next((n for n, (x, y) in enumerate(zip(a.value, b.value, strict=False)) if x != y), None)
+        return "length" if place is None else f"byte {place}"
+    if (
+        isinstance(a.value, int | float)
+        and isinstance(b.value, int | float)
+        and isfinite(a.value)
+        and isfinite(b.value)
+    ):
+        return f"{abs(a.value - b.value):.3g}"
+    return ""
+
+
+def _table(rows: list[tuple[str, ...]]) -> list[str]:
+    widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
+    return ["  " + "  ".join(f"{cell:<{w}}" for cell, w in zip(row, widths, strict=True)).rstrip() for row in rows]

@@ -1,0 +1,101 @@
+"""The messages of any log as flat (field, value) pairs with units, decoded by the schema that stands in the log."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
+from google.protobuf.message import DecodeError, Message
+from mcap.records import Channel, Schema
+
+from fleet.reader import LogReader, Record
+
+
+class Value(NamedTuple):
+    """One field of a message; `path` as in `pose.position.x` or `tau[0]`."""
+
+    path: str
+    value: Any
+    unit: str
+
+
+class Decoder:
+    """Decodes what a reader yields. What is not protobuf, or not readable as such, is one field of bytes."""
+
+    def __init__(self, reader: LogReader) -> None:
+        self._reader = reader
+        self._known: dict[str, tuple[Any, dict[str, str]]] = {}
+
+    def __call__(self, record: Record) -> list[Value]:
+        message = self.message(record)
+        if message is None:
+            return [Value("bytes", record.data, "")]
+        units = self._known[record.topic][1]
+        return [Value(path, value, _unit(units, path)) for path, value in _flat(message)]
+
+    def message(self, record: Record) -> Any:
+        """The protobuf message of a record; None if it is none."""
+        if record.topic not in self._known:
+            channel = next((c for c in self._reader.channels.values() if c.topic == record.topic), None)
+            if channel is None:
+                return None
+            self._known[record.topic] = _class(self._reader.schemas.get(channel.schema_id)), _units(channel)
+        cls = self._known[record.topic][0]
+        try:
+            return cls.FromString(record.data) if cls is not None else None
+        except DecodeError:
+            return None
+
+    def unit(self, topic: str, path: str) -> str:
+        """The unit of a field of a topic that was decoded before."""
+        return _unit(self._known[topic][1], path)
+
+
+def _class(schema: Schema | None) -> Any:
+    if schema is None or schema.encoding != "protobuf":
+        return None
+    try:
+        pool = descriptor_pool.DescriptorPool()
+        for file in descriptor_pb2.FileDescriptorSet.FromString(schema.data).file:
+            pool.Add(file)
+        return message_factory.GetMessageClass(pool.FindMessageTypeByName(schema.name))
+    except (DecodeError, TypeError, KeyError):  # whatever somebody else put there
+        return None
+
+
+def _units(channel: Channel) -> dict[str, str]:
+    try:
+        return {name: str(unit) for name, (unit, _) in json.loads(channel.metadata.get("units", "{}")).items()}
+    except (ValueError, TypeError, AttributeError):
+        return {}
+
+
+def _unit(units: dict[str, str], path: str) -> str:
+    """Of a field, or of the message or the array that it stands in."""
+    name, _, index = path.partition("[")
+    while name not in units and "." in name:
+        name = name.rpartition(".")[0]
+    unit = units.get(name, "")
+    if index and "," in unit:
+        each = unit.split(", ")
+        number = int(index.rstrip("]"))
+        return each[number] if number < len(each) else unit
+    return unit
+
+
+def _flat(message: Message, prefix: str = "") -> Iterator[tuple[str, Any]]:
+    for field in message.DESCRIPTOR.fields:
+        value = getattr(message, field.name)
+        path = prefix + field.name
+        if field.is_repeated:
+            for number, element in enumerate(value):
+                if isinstance(element, Message):
+                    yield from _flat(element, f"{path}[{number}].")
+                else:
+                    yield f"{path}[{number}]", element
+        elif isinstance(value, Message):
+            yield from _flat(value, f"{path}.")
+        else:
+            yield path, value

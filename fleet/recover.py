@@ -1,0 +1,177 @@
+"""`fleet recover`: what is left of a cut or damaged log, as a clean file with an index.
+
+Chunk by chunk, so that a whole log comes out as the same bytes. What was missing is said in the metadata record
+`recovery`; its `gaps` are the numbers of the messages, from 0, before which something is gone.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import IO
+
+from mcap.records import Attachment, Channel, Header, Metadata, Schema
+from mcap.writer import CompressionType, Writer
+
+from fleet.errors import FleetError
+from fleet.reader import GAPS, LOST, RECOVERY, log_path, lost, open_any
+from fleet.salvage import MAGIC, ChunkEnd, Item, Message, Salvage, declarations
+
+
+class RecoverError(FleetError):
+    """The recovered file cannot be written."""
+
+
+@dataclass(slots=True)
+class Recovered:
+    """What came of it."""
+
+    path: Path
+    out: Path
+    messages: int = 0
+    until_s: float = 0.0
+    undeclared: int = 0  # messages on channels of which nothing is known any more
+    lost: str = ""  # what is gone, in words; "" if no message is
+    rebuilt: bool = False  # the index was missing
+    places: list[str] = field(default_factory=list)
+
+    @property
+    def nothing(self) -> bool:
+        return not self.messages
+
+
+def recover(path: Path, out: Path | None = None) -> Recovered:
+    """Write what can be read of a log to `out`, by default `<log>.recovered.mcap` beside it; nothing if nothing can.
+
+    Raises:
+        LogReadError: the file cannot be opened.
+        RecoverError: `out` exists or cannot be written.
+    """
+    path = log_path(path)
+    out = out or path.with_name(f"{path.stem}.recovered.mcap")
+    if out.exists():
+        raise RecoverError(f"{out} exists already: choose another place with -o OUT")
+    part = out.with_name(f"{out.name}.part")
+    with open_any(path) as source:
+        magic = source.read(len(MAGIC)) == MAGIC
+        try:
+            with part.open("wb") as target:
+                found = _copy(path, out, Salvage(source, beyond=True), target, magic)
+            if found.nothing:
+                part.unlink()
+            else:
+                part.replace(out)
+        except OSError as error:
+            _remove(part)
+            raise RecoverError(f"cannot write {out}: {error.strerror or error}") from error
+    return found
+
+
+def _remove(part: Path) -> None:
+    try:
+        part.unlink(missing_ok=True)
+    except OSError:
+        return  # the error that led here is on its way to the user
+
+
+def _copy(path: Path, out: Path, salvage: Salvage, target: IO[bytes], magic: bool) -> Recovered:
+    found = Recovered(path, out)
+    copy = Copy(target, found)
+    known = False
+    gaps: list[int] = []
+    damaged = 0
+    for item in salvage:
+        if len(salvage.damage) > damaged and isinstance(item, Message):
+            gaps.append(found.messages)
+            damaged = len(salvage.damage)
+        if isinstance(item, Message) and not known and not copy.declared(item):
+            known = True  # the chunk that declared it is damaged: the index repeats it
+            for declaration in declarations(salvage.file):
+                copy.take(declaration)
+        copy.take(item)
+    found.places = [str(damage) for damage in salvage.damage]
+    gone = [*(["the first bytes"] if not magic else []), lost(salvage)]
+    if found.undeclared:
+        gone.append(f"{found.undeclared} messages on channels whose declaration is gone")
+    found.lost = "; ".join(part for part in gone if part)
+    found.rebuilt = not salvage.indexed
+    copy.finish({
+        LOST: found.lost,
+        "messages": str(found.messages),
+        "until_ns": str(copy.last_ns),
+        GAPS: " ".join(str(number) for number in gaps),
+    } if found.lost else {})  # fmt: skip
+    return found
+
+
+class Copy:
+    """Writes items as they come."""
+
+    def __init__(self, target: IO[bytes], found: Recovered) -> None:
+        self._writer = Writer(target, compression=CompressionType.ZSTD)
+        self._started = False
+        self._found = found
+        self._schemas: dict[int, int] = {0: 0}
+        self._channels: dict[int, int] = {}
+        self.last_ns = 0
+
+    def take(self, item: Item) -> None:
+        """Write one item; what refers to something that is gone is counted."""
+        if isinstance(item, Header) or not self._started:
+            self._start(item)
+        match item:
+            case Message():
+                self._message(item)
+            case ChunkEnd():
+                self._writer.flush()  # type: ignore[no-untyped-call]
+            case Schema() if item.id not in self._schemas:
+                self._schemas[item.id] = self._writer.register_schema(item.name, item.encoding, item.data)
+            case Channel() if item.id not in self._channels and item.schema_id in self._schemas:
+                self._channels[item.id] = self._writer.register_channel(
+                    item.topic, item.message_encoding, self._schemas[item.schema_id], dict(item.metadata)
+                )
+            case Attachment():
+                self._writer.add_attachment(item.create_time, item.log_time, item.name, item.media_type, item.data)
+            case Metadata():
+                self._writer.add_metadata(item.name, dict(item.metadata))
+            case _:
+                pass
+
+    def declared(self, message: Message) -> bool:
+        """Whether its channel is known."""
+        return message.channel in self._channels
+
+    def finish(self, recovery: dict[str, str]) -> None:
+        """Write the index."""
+        if not self._started:
+            return
+        if recovery:
+            self._writer.add_metadata(RECOVERY, recovery)
+        self._writer.finish()  # type: ignore[no-untyped-call]
+
+    def _start(self, item: Item) -> None:
+        if self._started:
+            return
+        self._started = True
+        header = item if isinstance(item, Header) else Header("", "uuv-fleet")
+        self._writer.start(header.profile, header.library)
+
+    def _message(self, item: Message) -> None:
+        channel = self._channels.get(item.channel)
+        if channel is None:
+            self._found.undeclared += 1
+            return
+        self._writer.add_message(channel, item.log_ns, item.data, item.publish_ns, item.sequence)
+        self._found.messages += 1
+        self.last_ns = max(self.last_ns, item.log_ns)
+        self._found.until_s = self.last_ns / 1e9
+
+
+def describe(found: Recovered) -> str:
+    """What came of it, in words."""
+    if found.nothing:
+        return f"{found.path}: nothing can be recovered{f': {found.lost}' if found.lost else ', it holds no message'}"
+    text = f"{found.out}: {found.messages} messages up to t = {found.until_s:g} s"
+    if found.lost:
+        return f"{text}; LOST: {found.lost}"
+    return f"{text}; nothing is lost{', the index was rebuilt' if found.rebuilt else ''}"

@@ -1,0 +1,240 @@
+"""`fleet verify`: run a log again, in this process, and compare message by message while it runs.
+
+A log is written in one order, so a run that was stopped, broke or was killed has left the beginning of what it would
+have become: everything recorded must come again, in this order, up to the last recorded message. Nothing is held but
+the message at hand.
+"""
+
+from __future__ import annotations
+
+import io
+from collections import deque
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import IO, Any
+
+from agents.errors import AgentError
+from fleet.clock import Clock
+from fleet.difference import Difference, Side, side
+from fleet.errors import FleetError, RunBroken
+from fleet.inprocess import InProcess
+from fleet.journal import Journal, frame_every
+from fleet.log import LogWriter, run_metadata
+from fleet.log_values import Decoder
+from fleet.reader import GAPS, RECOVERY, LogReader, Record, log_path
+from fleet.resume import Start, begun
+from fleet.scenario import Scenario, parse_scenario
+from fleet.script import attached, decoded, rerun
+from world.errors import WorldError
+
+_VERSIONS = ("uuv-fleet", "python", "piqp")  # that may change a bit without anybody's mistake
+
+
+class NothingToVerify(FleetError):
+    """The log is one of ours but holds no message."""
+
+
+@dataclass(slots=True)
+class Verification:
+    """How far a log was reproduced."""
+
+    path: Path
+    until_s: float  # of sim time, recorded
+    end_s: float  # of the run as planned
+    messages: int = 0  # reproduced bit for bit
+    missing: str = ""  # of the file
+    skipped: int = 0  # messages that the re-run gave where the file has gaps
+    difference: Difference | None = None
+    reason: str = ""  # why the re-run ended early, if it did
+    contradictions: list[str] = field(default_factory=list)  # between the log's metadata and its scenario
+    versions: list[str] = field(default_factory=list)  # that are not those of the recording
+
+    @property
+    def reproduced(self) -> bool:
+        return self.difference is None and not self.contradictions
+
+
+Tell = Callable[[float, float], None]  # sim time that is verified, and up to which there is something to verify [s]
+
+
+def verify(path: Path, tell: Tell = lambda at_s, end_s: None) -> Verification:
+    """Run a log again and compare.
+
+    Raises:
+        LogReadError: there is no log to read.
+        ScriptError: it holds no scenario of ours.
+        ScenarioError: its scenario does not run here: another version wrote it, or a law is not installed.
+        NothingToVerify: no message of it is left.
+    """
+    path = log_path(path)
+    reader = LogReader(path)
+    happened: list[tuple[int, bytes]] = []
+    last_ns = -1
+    for record in reader:
+        last_ns = max(last_ns, record.log_ns)
+        if record.topic == "faults":
+            happened.append((record.log_ns, record.data))
+    text = attached(path, reader)
+    if last_ns < 0:
+        raise NothingToVerify(f"{path} holds no message{f': {reader.missing}' if reader.missing else ''}")
+    start = begun(reader)
+    if start is None:
+        scenario = _scenario(path, text, reader, happened, last_ns)
+    else:
+        scenario = parse_scenario(text, str(path))  # gone on in one process: nothing was injected
+    found = Verification(path, last_ns / 1e9, scenario.ticks * scenario.tick_ns / 1e9, missing=reader.missing)
+    _compare_metadata(found, reader.metadata.get("run", {}), run_metadata(scenario, start))
+    _Rerun(found, scenario, reader, last_ns, tell, start).run()
+    return found
+
+
+def _scenario(path: Path, text: str, reader: LogReader, happened: list[tuple[int, bytes]], last_ns: int) -> Scenario:
+    """What to run: the log's scenario if everything went as it says, else one of what happened."""
+    scenario = parse_scenario(text, str(path))
+    events = decoded(reader, happened)
+    recorded = [(at_ns, e.fault, e.action, e.what) for at_ns, e in events]
+    planned = [(e.tick * scenario.tick_ns, e.fault, e.action, e.what) for e in scenario.faults.events]
+    kept = set(recorded)
+    # Of a file with gaps some of it may be missing, and of a cut one what belongs to its last tick.
+    gone = [event for event in planned if event[0] < last_ns and event not in kept]
+    if kept <= set(planned) and (not gone or _gaps(reader)):
+        return scenario
+    return rerun(path, text, events, last_ns)
+
+
+def _gaps(reader: LogReader) -> list[int]:
+    numbers = reader.metadata.get(RECOVERY, {}).get(GAPS, "").split()
+    return [int(number) for number in numbers if number.isdecimal()]
+
+
+def _compare_metadata(found: Verification, recorded: dict[str, str], here: dict[str, str]) -> None:
+    for key in [*here, *(key for key in recorded if key not in here)]:
+        left, right = recorded.get(key), here.get(key)
+        if left == right:
+            continue
+        if key in _VERSIONS or key == "resumable" or key.startswith("law "):
+            short = [value[:20] if value else "unknown" for value in (left, right)]
+            found.versions.append(f"{key}: recorded with {short[0]}, here is {short[1]}")
+        else:
+            found.contradictions.append(f"metadata {key}: {left}, but its scenario says {right}")
+
+
+class _Over(Exception):
+    """Everything that was recorded has been compared, or they part."""
+
+
+class _Rerun(LogWriter):
+    """A log writer that compares instead of writing."""
+
+    def __init__(
+        self,
+        found: Verification,
+        scenario: Scenario,
+        reader: LogReader,
+        last_ns: int,
+        tell: Tell,
+        start: Start | None,
+    ) -> None:
+        super().__init__(found.path, scenario, start)
+        self._begin = start
+        self._found, self._tell = found, tell
+        self._first, self._last_ns = reader, last_ns  # read to its end before
+        self._again = LogReader(found.path)
+        self._recorded: Iterator[Record] = iter(self._again)
+        self._expected = next(self._recorded, None)
+        self._gaps = deque(_gaps(reader))
+        self._number = 0  # of the recorded message at hand
+        self._said_ns = 0
+
+    def run(self) -> None:
+        """Run until everything is compared."""
+        scenario, tick = self._scenario, self._last_ns // self._tick_ns
+        journal = Journal(scenario, self)
+        # No further than the recording went: it may have ended because the next tick cannot be computed.
+        every, m = frame_every(scenario), scenario.round_ticks
+        until = min(scenario.ticks, max(-(-tick // every) * every, -(-tick // m) * m) + 1)
+        clock = Clock(until, scenario.tick_ns, m, every)
+        seen = -2
+
+        def moved() -> None:
+            nonlocal seen
+            if until < scenario.ticks and journal.written == seen:  # every grant is used up
+                raise _Over
+            seen = journal.written
+
+        try:
+            InProcess(scenario, journal, self._begin).serve(clock, moved)
+        except _Over:
+            pass
+        except RunBroken as error:
+            self._found.reason = error.reason
+        except (AgentError, WorldError) as error:
+            self._found.reason = str(error)
+        if self._found.difference is None and self._expected is not None:
+            self._part(None)
+
+    def _open(self) -> IO[bytes]:
+        return io.BytesIO()  # for the declarations, which nobody reads
+
+    def _flush(self, at_ns: int) -> None:
+        if at_ns > self._said_ns:
+            self._said_ns = at_ns
+            self._tell(at_ns / 1e9, self._last_ns / 1e9)
+
+    def _add(self, channel: Any, log_ns: int, publish_ns: int, sequence: int, data: bytes) -> None:
+        topic = channel.topic.decode()
+        here = Record(topic, log_ns, publish_ns, sequence, data)
+        expected = self._expected
+        if expected is None and not self._to_the_end:
+            raise _Over
+        if expected != here:
+            if self._gaps and self._number >= self._gaps[0] and expected is not None and expected[:4] != here[:4]:
+                self._found.skipped += 1
+                return
+            self._part(here)
+            raise _Over
+        while self._gaps and self._gaps[0] <= self._number:
+            self._gaps.popleft()
+        self._found.messages += 1
+        self._number += 1
+        self._expected = next(self._recorded, None)
+        if self._expected is None and not self._to_the_end:
+            raise _Over
+
+    @property
+    def _to_the_end(self) -> bool:
+        """Whether the recording says that nothing came after its last message."""
+        return not self._first.missing and self._last_ns == self._scenario.ticks * self._tick_ns
+
+    def _part(self, here: Record | None) -> None:
+        recorded = side("recorded", self._again, self._expected)
+        if here is not None:
+            # By the log's own declarations, which it has of every topic that it shares with the re-run.
+            right = Side("re-run", here, Decoder(self._first)(here), self._tick_ns)
+        else:
+            right = Side("re-run", None, [], self._tick_ns, self._found.reason)
+        self._found.difference = Difference(self._number, recorded, right)
+
+
+def describe(found: Verification) -> list[str]:
+    """A verification in words."""
+    lines = []
+    how_far = f"up to t = {found.until_s:g} s"
+    if found.missing:
+        how_far += f" of {found.end_s:g} s, as far as the file goes: {found.missing}"
+    elif found.until_s < found.end_s:
+        how_far += f" of {found.end_s:g} s, where the run was ended"
+    if found.difference is None:
+        if found.messages:
+            lines.append(f"reproduced bit for bit ({found.messages} messages), {how_far}")
+        if found.skipped:
+            lines.append(f"{found.skipped} messages are missing in the file and were not compared")
+    else:
+        lines.append(f"NOT reproduced: {found.messages} messages are the same, then")
+        lines += str(found.difference).splitlines()
+        if found.reason and found.difference.right.record is not None:
+            lines.append(f"the re-run ended: {found.reason}")
+        lines += [f"likely why: {text}" for text in found.versions]
+    lines += [f"contradiction: {text}" for text in found.contradictions]
+    return lines

@@ -1,0 +1,85 @@
+"""A recorder alone, fed canned ticks and killed with SIGKILL at random moments: `bare_recorder.py DIR KILLS SEED`.
+
+Prints one line of JSON for each: the log, and the last tick that the recorder had taken when it died. Forked from one
+process that has everything imported and computed, so that fifty take a few seconds.
+"""
+
+from __future__ import annotations
+
+import json
+import mmap
+import os
+import random
+import signal
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+from fleet.clock import Clock
+from fleet.inprocess import InProcess
+from fleet.journal import Journal, frame_every
+from fleet.log import LogWriter
+from fleet.scenario import Scenario, load_scenario
+
+OVERRIDES = ["vehicles=3", "duration=4 s", "checks={}", "network.links={'*': 'delay 200ms 50ms loss 30%'}"]
+
+
+class Can:
+    """A sink that keeps what the journal writes."""
+
+    def __init__(self) -> None:
+        self.calls: list[tuple[str, tuple[Any, ...]]] = []
+
+    def frame(self, *arguments: Any) -> None:
+        self.calls.append(("frame", arguments))
+
+    def packet(self, *arguments: Any) -> None:
+        self.calls.append(("packet", arguments))
+
+    def event(self, *arguments: Any) -> None:
+        self.calls.append(("event", arguments))
+
+
+def canned(scenario: Scenario) -> Can:
+    """Everything that a recorder is told in one run."""
+    can = Can()
+    clock = Clock(scenario.ticks, scenario.tick_ns, scenario.round_ticks, frame_every(scenario))
+    InProcess(scenario, Journal(scenario, can)).serve(clock, lambda: None)
+    return can
+
+
+def record(path: Path, scenario: Scenario, can: Can, taken: mmap.mmap) -> None:
+    """Write it all; `taken` says the last tick that is."""
+    log = LogWriter(path, scenario)
+    for kind, arguments in can.calls:
+        getattr(log, kind)(*arguments)
+        if kind == "frame":
+            taken[:8] = int(arguments[0].tick).to_bytes(8, "little")
+    log.close()
+
+
+def main(folder: Path, kills: int, seed: int) -> None:
+    scenario = load_scenario("paper", OVERRIDES)
+    can = canned(scenario)
+    draw = random.Random(seed)
+    taken = mmap.mmap(-1, 8)
+    began = time.perf_counter()
+    record(folder / "whole.mcap", scenario, can, taken)
+    whole_s = time.perf_counter() - began
+    for number in range(kills):
+        path = folder / f"{number}.mcap"
+        taken[:8] = bytes(8)
+        child = os.fork()
+        if child == 0:
+            record(path, scenario, can, taken)
+            os._exit(0)
+        time.sleep(draw.uniform(0.0, whole_s))
+        os.kill(child, signal.SIGKILL)
+        os.waitpid(child, 0)
+        tick = int.from_bytes(taken[:8], "little")
+        print(json.dumps({"log": str(path), "taken_s": tick * scenario.tick_ns / 1e9}), flush=True)
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3]))

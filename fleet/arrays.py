@@ -202,7 +202,7 @@ class Log:
         self.run = reader.metadata.get("run", {})  # what determined the result: scenario, seed, versions
         self.missing = reader.missing  # why the log is not whole; "" if it is
         self._topics = topics
-        self._scenario_text = reader.attachments.get("scenario.yaml")
+        self.scenario_text = reader.attachments.get("scenario.yaml", b"").decode("utf-8", "replace")  # "" if none
 
     def __getitem__(self, topic: str) -> Topic:
         if topic not in self._topics:
@@ -259,9 +259,9 @@ class Log:
         """
         from fleet.scenario import parse_scenario
 
-        if self._scenario_text is None:
+        if not self.scenario_text:
             raise LogReadError(f"{self.path} holds no scenario: it was not written by fleet run, or cut at its start")
-        return parse_scenario(self._scenario_text.decode("utf-8"), str(self.path))
+        return parse_scenario(self.scenario_text, str(self.path))
 
     @cached_property
     def faults(self) -> list[FaultInterval]:

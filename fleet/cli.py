@@ -11,7 +11,7 @@ from typing import Any
 import click
 from rich.console import Console as Terminal
 
-from fleet.cli_live import COMMANDS
+from fleet import cli_live, cli_log
 from fleet.completion import scenarios
 from fleet.errors import FleetError, ScenarioError
 
@@ -362,7 +362,7 @@ def bench(agents: str, json_path: Path | None, quick: bool) -> None:
         json_path.write_text(json.dumps(figures, indent=2) + "\n", "utf-8")
 
 
-for _command in COMMANDS:
+for _command in (*cli_live.COMMANDS, *cli_log.COMMANDS):
     cli.add_command(_command)
 
 

@@ -201,7 +201,7 @@ def test_logs_that_are_not_ours(tmp_path: Path) -> None:
 
 def test_a_scenario_that_cannot_be_used_here(run: Path) -> None:
     log = fleet.open_log(run)
-    log._scenario_text = b"name: x\ncontroller: gone:Law\n"
+    log.scenario_text = "name: x\ncontroller: gone:Law\n"
     with pytest.raises(ScenarioError):
         _ = log.scenario
 

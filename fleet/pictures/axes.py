@@ -121,6 +121,7 @@ def marks_legend(figure: Figure, handles: Sequence[Line2D]) -> None:
         return sum(max(widths[k : k + rows]) for k in range(0, len(widths), rows))
 
     fitting = next((n for n in range(len(widths), 1, -1) if needed(n) <= 72.0 * COLUMN_IN), 1)
+    fitting = -(-len(widths) // -(-len(widths) // fitting))  # rows of about the same length
     figure.legend(
         handles=list(handles), loc="outside upper center", ncols=fitting,
         columnspacing=1.0, handlelength=1.8, handletextpad=0.5,
@@ -145,23 +146,28 @@ def bounds(ax: Axes, values: Sequence[tuple[float, float]], what: str, unit: str
     """Limits as thin dashed lines where the lines come near them; where not, a word on them."""
     low, high = ax.get_ylim()
     reach = max(abs(low), abs(high))
-    far: list[str] = []
-    for lo, hi in sorted(set(values)):
-        if max(abs(lo), abs(hi)) > 2.5 * reach:
-            far.append(f"{lo:g} and {hi:g} {unit}")
-            continue
-        for value in (lo, hi):
-            ax.axhline(value, color="0.35", linewidth=0.7, linestyle=(0, (4, 3)), gid="bound")
-    if values and not far:
-        # Half a line of room, so that a bound is not the frame.
-        low, high = ax.get_ylim()
-        room = 0.06 * (high - low)
-        ax.set_ylim(min(low, min(lo for lo, _ in values) - room), max(high, max(hi for _, hi in values) + room))
-    return f"{what} far off: {'; '.join(far)}" if far else ""
+    limits = sorted({value for pair in values for value in pair})
+    near = [value for value in limits if abs(value) <= 2.5 * reach]
+    for value in near:
+        ax.axhline(value, color="0.35", linewidth=0.7, linestyle=(0, (4, 3)), gid="bound")
+    if near:
+        room = 0.06 * (max(high, *near) - min(low, *near))  # so that a bound is not the frame
+        ax.set_ylim(min(low, near[0] - room), max(high, near[-1] + room))
+    far = ", ".join(f"{value:g}" for value in limits if value not in near)
+    return f"outside: {what}, {far} {unit}" if far else ""
 
 
 def _shade(axes: Sequence[Axes], runs: Sequence[Run], look: Look) -> None:
-    faults = sorted({fault for run in runs for fault in run.log.faults}, key=lambda f: (f.begin, f.end, f.id))
+    whose: dict[FaultInterval, list[str]] = {}
+    for run in runs:
+        for fault in run.log.faults:
+            whose.setdefault(fault, []).append(run.label)
+    # A fault that not every run had is named with those that had it.
+    called = [
+        fault if len(labels) == len(runs) else fault._replace(id=f"{fault.id} ({', '.join(labels)})")
+        for fault, labels in whose.items()
+    ]
+    faults = sorted(called, key=lambda f: (f.begin, f.end, f.id))
     first, last = axes[0].get_xlim()
     faults = [f for f in faults if f.begin < last and f.end > first]
     for ax in axes:
@@ -175,7 +181,7 @@ def _name(ax: Axes, faults: Sequence[FaultInterval], first: float, last: float) 
     per_character = 0.62 * LABEL_PT / 72.0 / SPAN_IN * (last - first)
     rows: list[float] = []  # until where each is taken
     for fault in faults:
-        text = fault.id if len(fault.id) <= 18 else f"{fault.id[:17]}…"
+        text = fault.id if len(fault.id) <= 32 else f"{fault.id[:31]}…"
         width = (len(text) + 1) * per_character
         begin = max(min(max(fault.begin, first), last - width), first)
         row = next((k for k, taken in enumerate(rows) if taken <= begin), len(rows))

@@ -44,7 +44,7 @@ FATES: dict[str, tuple[str, str]] = {
     "dead receiver": ("H", "#E69F00"),
 }
 _RASTER = 4000  # marks; more are drawn as an image within a vector file
-_BINS = 300  # of the time axis of the ages
+_BINS = 300  # of the time axis of the ages, at most; twice as many where every tooth can be seen
 _ROUNDS = 12  # shown by the space-time diagram unless a window is given
 _MOST_NAMED = 36  # rows
 _ROW_IN = 0.11  # height of a link's row among the ages, enough for its name
@@ -103,7 +103,7 @@ def timeline(runs: Sequence[Run], look: Look) -> Figure:
         thin = name == DELIVERED
         ax.plot(
             x, y, linestyle="", marker=mark, color=colour, markersize=tall if thin else size,
-            markeredgewidth=0.4 if thin else 0.7, zorder=2 if thin else 3, rasterized=total > _RASTER,
+            markeredgewidth=float(np.clip(0.3 * size, 0.4, 1.2)) if thin else 0.7, zorder=2 if thin else 3, rasterized=total > _RASTER,
             gid=f"fate-{name}",
         )  # fmt: skip
         handles.append(
@@ -230,7 +230,7 @@ def ages(runs: Sequence[Run], look: Look) -> Figure:
     heights = [1.3, *(float(np.clip(_ROW_IN * len(links), 0.5, 4.0)) for _, links in tables)]
     figure, axes = over_time(1 + len(runs), runs, look, sum(heights) + 1.2 + 0.2 * len(runs), heights)
     first, last = axes[0].get_xlim()
-    edges = np.linspace(first, last, _BINS + 1)
+    edges = np.linspace(first, last, _bins(tables, last - first) + 1)
     peaks = [np.array([_peaks(age(run, link), run.tick_s, edges) for link in links]) for run, links in tables]
     finite = np.concatenate([table[np.isfinite(table)] for table in peaks])
     if not len(finite):
@@ -239,18 +239,17 @@ def ages(runs: Sequence[Run], look: Look) -> Figure:
     low = low if np.isfinite(low) else 1e-3
     norm = LogNorm(low, max(float(finite.max()), 2.0 * low))
     middle = (edges[1:] + edges[:-1]) / 2
-    entries: list[tuple[str, Any, Any]] = []
-    for r, ((run, _), table) in enumerate(zip(tables, peaks, strict=True)):
+    for r, table in enumerate(peaks):
         known = np.isfinite(table).any(axis=0)
-        name = f"{run.label}: " if len(runs) > 1 else ""
-        for kind, values in (
-            ("oldest link", table[:, known].max(axis=0)),
-            ("median link", np.median(table[:, known], axis=0)),
-        ):
-            k = r if len(runs) > 1 else len(entries)
-            style = "-" if kind == "oldest link" else ":"
-            entries.append((f"{name}{kind}", COLOURS[k % len(COLOURS)], style))
-            axes[0].plot(middle[known], values, color=entries[-1][1], linestyle=style, linewidth=0.8, gid=kind)
+        middling = np.median(table[:, known], axis=0)
+        for kind, values, style in (("oldest", table[:, known].max(axis=0), "-"), ("median", middling, ":")):
+            axes[0].plot(
+                middle[known], values, color=COLOURS[r % len(COLOURS)], linestyle=style, linewidth=0.8, gid=kind
+            )
+    solid = ["oldest link"] if len(runs) == 1 else [f"{run.label}: oldest" for run in runs]
+    legend_of(
+        figure, [*((name, COLOURS[r % len(COLOURS)], "-") for r, name in enumerate(solid)), ("median link", "0.3", ":")]
+    )
     axes[0].set_ylabel("age [s]")
     if look.log_scale:
         axes[0].set_yscale("log")
@@ -265,9 +264,22 @@ def ages(runs: Sequence[Run], look: Look) -> Figure:
         ax.grid(False)
     bar = figure.colorbar(mesh, ax=axes[1:], location="right", aspect=18, pad=0.02)
     bar.set_label("age [s]")
-    legend_of(figure, entries)
     finish(figure, axes, runs, look)
     return figure
+
+
+def _bins(tables: Sequence[tuple[Run, Sequence[Link]]], span: float) -> int:
+    """How many intervals: each holds a whole tooth of the usual length, or each tooth many of them."""
+    gaps = []
+    for run, links in tables:
+        for link in links:
+            _, due, fate, _ = _fates(run, link)
+            gaps.append(np.diff(np.unique(due[fate == DELIVERED])))
+    together = np.concatenate(gaps) if gaps else np.empty(0)
+    tooth = float(np.median(together)) if len(together) else 0.0
+    if tooth > 8.0 * span / _BINS:
+        return 2 * _BINS
+    return max(1, min(_BINS, int(span / (2.0 * tooth)))) if tooth else _BINS
 
 
 def _peaks(ticks: Array, tick_s: float, edges: Array) -> Array:

@@ -163,7 +163,7 @@ def gains(runs: Sequence[Run], look: Look) -> Figure:
     for k, ax in enumerate(axes):
         ax.set_ylabel(f"$K$ {NED[k]} [1/s]")
         limits = [(c.guidance.k_min, c.guidance.k_max) for c in _optimal(runs, look)]
-        if far := draw_bounds(ax, limits, "bounds of K", "1/s"):
+        if far := draw_bounds(ax, limits, f"bounds of K {NED[k]}", "1/s"):
             notes.append(far)
     finish(figure, axes, runs, look, notes)
     return figure

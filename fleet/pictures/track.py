@@ -43,8 +43,9 @@ def top(runs: Sequence[Run], look: Look) -> Figure:
         ax.plot(p[0, 1], p[0, 0], "o", color=colour, markersize=3.5, markerfacecolor="white", zorder=3)
         ax.plot(p[-1, 1], p[-1, 0], "o", color=colour, markersize=3.5, zorder=3)
     ax.set_aspect("equal", adjustable="datalim")
-    ax.set_xlabel(_below("east [m]", runs))
+    ax.set_xlabel("east [m]")
     ax.set_ylabel("north [m]")
+    _words(figure, runs)
     _legend(figure, [ax], runs, look, tracks)
     return figure
 
@@ -70,14 +71,15 @@ def space(runs: Sequence[Run], look: Look) -> Figure:
     if high - low < 0.5:  # m: otherwise a flat course looks rough
         low, high = (low + high) / 2 - 0.25, (low + high) / 2 + 0.25
     ax.set_zlim(high, low)  # down is down
-    ax.set_xlabel(_below("east [m]", runs), labelpad=-2)
+    ax.set_xlabel("east [m]", labelpad=-2)
     ax.set_ylabel("north [m]", labelpad=-2)
-    ax.set_zlabel("depth [m]", labelpad=-3)
+    ax.set_zlabel("depth [m]", labelpad=1)
     ax.tick_params(pad=-2)
     for axis in (ax.xaxis, ax.yaxis, ax.zaxis):
         axis.set_major_locator(MaxNLocator(4))
     ax.view_init(elev=28, azim=-60)
     ax.set_box_aspect((1, 1.2, 0.7), zoom=0.9)
+    _words(figure, runs)
     _legend(figure, [ax], runs, look, tracks)
     return figure
 
@@ -160,6 +162,8 @@ def _height(ratio: float) -> float:
     return float(np.clip((COLUMN_IN - 0.6) * ratio, 1.4, 4.2)) + 0.8
 
 
-def _below(label: str, runs: Sequence[Run]) -> str:
-    words = [f"{run.label}: the log is not whole, it ends at {run.log.end:g} s" for run in runs if run.log.missing]
-    return "\n".join([label, *words])
+def _words(figure: Figure, runs: Sequence[Run]) -> None:
+    """What the marks mean, below everything."""
+    cut = [f"{run.label}: the log is not whole, it ends at {run.log.end:g} s" for run in runs if run.log.missing]
+    words = ["open circle: start, filled: end; grey: links of the graph", *cut]
+    figure.supxlabel("\n".join(words), fontsize=7)

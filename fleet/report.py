@@ -149,10 +149,10 @@ def _verdicts(verdict: Verdict) -> Iterator[str]:
     values = verdict.values
     status = str(values.get("status", ""))
     yield f"<p>Status: {_mark(status == 'pass', status.replace('_', ' '))} {escape(str(values.get('reason', '')))}</p>"
-    rows = [
-        (c.get("check", ""), _mark(bool(c.get("passed")), "pass" if c.get("passed") else "FAIL"), c.get("asked", ""), c.get("found", ""))
-        for c in values.get("checks", [])
-    ]  # fmt: skip
+    rows = []
+    for check in values.get("checks", []):
+        good = bool(check.get("passed"))
+        rows.append((check.get("check", ""), _mark(good, "pass" if good else "FAIL"), check["asked"], check["found"]))
     if rows:
         yield _table(("check", "verdict", "asked", "found"), rows, "words")
     else:
@@ -213,19 +213,15 @@ def _from_log(run: Run) -> tuple[dict[str, Any], dict[str, Any]]:
             rows = zip(packets["seq"], packets["copy"], packets["sent"], packets["due"], packets["fate"],
                        packets["corrupted"], packets.t, strict=True)  # fmt: skip
             for seq, copy, sent, due, fate, corrupted, final in rows:
-                in_ticks = (round(at / tick_s) for at in (sent, due, final))
-                ages.settle(_fate(src, dst, int(seq), int(copy), *in_ticks, cause=fate, corrupted=bool(corrupted)))
+                ages.settle(
+                    Fate(
+                        src=src, dst=dst, seq=int(seq), copy=int(copy), sent_tick=round(sent / tick_s),
+                        due_tick=round(due / tick_s), final_tick=round(final / tick_s), delay_ns=0, cause=fate,
+                        payload=b"", corrupted=bool(corrupted),
+                    )
+                )  # fmt: skip
     ages.count(min(ticks, int(run.log.run.get("ticks", ticks))))
     return ledger, ages.summary(round(tick_s * 1e9)) if tick_s else {}
-
-
-def _fate(
-    src: int, dst: int, seq: int, copy: int, sent: int, due: int, final: int, *, cause: str, corrupted: bool
-) -> Fate:
-    return Fate(
-        src=src, dst=dst, seq=seq, copy=copy, sent_tick=sent, due_tick=due, final_tick=final, delay_ns=0, cause=cause,
-        payload=b"", corrupted=corrupted,
-    )  # fmt: skip
 
 
 def _links(ledger: Mapping[str, Any], ages: Mapping[str, Any]) -> str:

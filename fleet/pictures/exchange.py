@@ -101,10 +101,10 @@ def timeline(runs: Sequence[Run], look: Look) -> Figure:
         mark, colour = _style(name)
         x, y = (np.concatenate(part) for part in zip(*by_fate[name], strict=True))
         thin = name == DELIVERED
+        width = float(np.clip(0.3 * size, 0.4, 1.2)) if thin else 0.7
         ax.plot(
-            x, y, linestyle="", marker=mark, color=colour, markersize=tall if thin else size,
-            markeredgewidth=float(np.clip(0.3 * size, 0.4, 1.2)) if thin else 0.7, zorder=2 if thin else 3, rasterized=total > _RASTER,
-            gid=f"fate-{name}",
+            x, y, linestyle="", marker=mark, color=colour, markersize=tall if thin else size, markeredgewidth=width,
+            zorder=2 if thin else 3, rasterized=total > _RASTER, gid=f"fate-{name}",
         )  # fmt: skip
         handles.append(
             Line2D([], [], linestyle="", marker=mark, color=colour, markersize=5, label=f"{name} ({len(x)})")

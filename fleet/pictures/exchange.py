@@ -251,8 +251,8 @@ def ages(runs: Sequence[Run], look: Look) -> Figure:
         figure, [*((name, COLOURS[r % len(COLOURS)], "-") for r, name in enumerate(solid)), ("median link", "0.3", ":")]
     )
     axes[0].set_ylabel("age [s]")
-    if look.log_scale:
-        axes[0].set_yscale("log")
+    if look.log_scale and finite.max() > 0.0:  # without latency, every age is 0
+        axes[0].set_yscale("log", nonpositive="mask")
     else:
         axes[0].set_ylim(0.0, None)
     for ax, (run, links), table in zip(axes[1:], tables, peaks, strict=True):

@@ -56,7 +56,9 @@ def _norm(runs: Sequence[Run], look: Look, name: str, label: str) -> Figure:
 def _logarithmic(ax: Axes) -> None:
     """A logarithmic axis from a micrometre: below it is arithmetic, not control."""
     low = min((v[np.isfinite(v) & (v > 0)].min(initial=np.inf) for v in _values(ax)), default=np.inf)
-    ax.set_yscale("log")
+    if low == np.inf:
+        return
+    ax.set_yscale("log", nonpositive="mask")
     if low < 1e-6:
         ax.set_ylim(1e-6, None)
 

@@ -59,9 +59,9 @@ def write(path: Path, runs: Sequence[Run], look: Look) -> None:
         ReportError: the place cannot be written.
         LogReadError: a log has gone meanwhile.
     """
-    text = page(runs, look)
     try:
-        path.write_text(text, "utf-8")
+        path.open("a").close()  # before the pictures, which take a while
+        path.write_text(page(runs, look), "utf-8")
     except OSError as error:
         raise ReportError(f"cannot write {path}: {error.strerror}; choose another place with -o FILE") from error
 

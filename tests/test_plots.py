@@ -93,7 +93,8 @@ def test_every_picture_of_every_run(name: str, runs: dict[str, Run]) -> None:
         if isinstance(figure, str):
             assert name == "one" and picture in ("links", "messages", "ages"), (picture, figure)
             continue
-        figure.draw_without_rendering()
+        if name in ("faulty", "one", "twenty"):  # the others only differ in what is on the axes
+            figure.draw_without_rendering()
         for label in labels(figure):
             assert re.search(r"\[[^]]+\]|^link|^vehicle|^UUV", label), (picture, label)
         if picture != "track-3d" and name in ("faulty", "twenty"):

@@ -55,8 +55,13 @@ def colours(number: int) -> list[Any]:
     return [colormaps["viridis"](k / (number - 1) * 0.92) for k in range(number)]
 
 
-def draw_lines(figure: Figure, panel: Sequence[tuple[Axes, Get]], runs: Sequence[Run], look: Look) -> list[str]:
+def draw_lines(
+    figure: Figure, panel: Sequence[tuple[Axes, Get]], runs: Sequence[Run], look: Look, whose: str = ""
+) -> list[str]:
     """One line per vehicle and panel, its colour the vehicle's; of several runs, the run's.
+
+    Args:
+        whose: who reports such a signal, for the case that nobody does.
 
     Returns:
         words on vehicles that have no such signal.
@@ -96,7 +101,9 @@ def draw_lines(figure: Figure, panel: Sequence[tuple[Axes, Get]], runs: Sequence
             else:
                 silent.setdefault(run.label, []).append(i)
     if not drawn:
-        raise NothingToDraw("no vehicle reports it" if shown else "the log has no such vehicle")
+        if not shown:
+            raise NothingToDraw("the log has no such vehicle" if look.vehicles else "the log has no vehicles")
+        raise NothingToDraw(f"no vehicle reports it{f': {whose}' if whose else ''}")
     if by_run:
         legend_of(figure, [(run.label, palette[r], STYLES[r % len(STYLES)]) for r, run in enumerate(runs)])
     elif len(shown) <= MOST_NAMED:

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from fleet.arrays import Array
 from fleet.pictures.axes import Get, draw_lines, finish, over_time
 from fleet.pictures.axes import bounds as draw_bounds
-from fleet.pictures.runs import Look, NothingToDraw, Run
+from fleet.pictures.runs import Look, Run
 from fleet.tuning import Control
 
 FORCES = (("surge force", "N"), ("pitch moment", "N m"), ("yaw moment", "N m"))
@@ -77,10 +77,7 @@ def velocity(runs: Sequence[Run], look: Look) -> Figure:
     figure, axes = over_time(3, runs, look)
     change: Callable[[Array], Array] = np.abs if look.log_scale else lambda v: v
     panel = [(ax, component("control", name, change=change)) for ax, (name, _, _) in zip(axes, rows, strict=True)]
-    try:
-        notes = draw_lines(figure, panel, runs, look)
-    except NothingToDraw as reason:
-        raise NothingToDraw(f"{reason}: u_err, q_err and r_err are signals of the tracking laws that ship") from None
+    notes = draw_lines(figure, panel, runs, look, "u_err, q_err and r_err are signals of the tracking laws that ship")
     for ax, (_, label, unit) in zip(axes, rows, strict=True):
         ax.set_ylabel(f"{label} [{unit}]" if not look.log_scale else f"|{label}| [{unit}]")
         if look.log_scale:
@@ -140,10 +137,7 @@ def commands(runs: Sequence[Run], look: Look) -> Figure:
     figure, axes = over_time(4, runs, look)
     panel = [(ax, component("guidance", "rho", k)) for k, ax in enumerate(axes[:3])]
     panel.append((axes[3], component("guidance", "u_cmd")))
-    try:
-        notes = draw_lines(figure, panel, runs, look)
-    except NothingToDraw as reason:
-        raise NothingToDraw(f"{reason}: rho and u_cmd are signals of the guidance laws that ship") from None
+    notes = draw_lines(figure, panel, runs, look, "rho and u_cmd are signals of the guidance laws that ship")
     for k, ax in enumerate(axes[:3]):
         limits = [(c.guidance.rho_lo[k], c.guidance.rho_hi[k]) for c in _optimal(runs, look)]
         ax.set_ylabel(f"$\\rho$ {NED[k]} [m/s]")
@@ -158,10 +152,7 @@ def gains(runs: Sequence[Run], look: Look) -> Figure:
     """The diagonal of K and its bounds."""
     figure, axes = over_time(3, runs, look)
     panel = [(ax, component("guidance", "K", k)) for k, ax in enumerate(axes)]
-    try:
-        notes = draw_lines(figure, panel, runs, look)
-    except NothingToDraw as reason:
-        raise NothingToDraw(f"{reason}: K is a signal of the guidance laws that ship") from None
+    notes = draw_lines(figure, panel, runs, look, "K is a signal of the guidance laws that ship")
     for k, ax in enumerate(axes):
         ax.set_ylabel(f"$K$ {NED[k]} [1/s]")
         limits = [(c.guidance.k_min, c.guidance.k_max) for c in _optimal(runs, look)]

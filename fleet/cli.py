@@ -11,9 +11,7 @@ from typing import Any
 import click
 from rich.console import Console as Terminal
 
-from fleet import cli_whatif
-from fleet.cli_live import COMMANDS
-from fleet.cli_verify import COMMANDS as VERIFY
+from fleet import cli_live, cli_log, cli_verify, cli_whatif
 from fleet.completion import scenarios
 from fleet.errors import FleetError, ScenarioError
 
@@ -380,7 +378,7 @@ def bench(agents: str, json_path: Path | None, quick: bool) -> None:
         json_path.write_text(json.dumps(figures, indent=2) + "\n", "utf-8")
 
 
-for _command in (*COMMANDS, *cli_whatif.COMMANDS, *VERIFY):
+for _command in (*cli_live.COMMANDS, *cli_log.COMMANDS, *cli_verify.COMMANDS, *cli_whatif.COMMANDS):
     cli.add_command(_command)
 
 

@@ -135,12 +135,10 @@ class DoublesEncoder:
         begin = start
         for number, column in enumerate(columns, start=1):
             width = column.width or 1
-            # Wire type 1 is a single double, 2 a packed array, which has its length in bytes behind the tag.
-            head = _varint(number << 3 | (2 if column.width else 1))
-            head += _varint(8 * width) if column.width else b""
-            layout += f"{len(head)}s{width}d"
+            before = head(number, column.width or None)
+            layout += f"{len(before)}s{width}d"
             order.append(len(constants))
-            constants.append(head)
+            constants.append(before)
             order += [-(begin + k) - 1 for k in range(width)]
             begin += width
         self._constants = tuple(constants)
@@ -179,6 +177,12 @@ class PoseEncoder:
                 self._orientation(orientation),
             )
         )
+
+
+def head(number: int, width: int | None) -> bytes:
+    """What stands before the doubles of a field: its tag, and of a packed array of `width` the length in bytes."""
+    # Wire type 1 is a single double, 2 whatever has a length.
+    return _varint(number << 3 | 1) if width is None else _varint(number << 3 | 2) + _varint(8 * width)
 
 
 def _varint(value: int) -> bytes:

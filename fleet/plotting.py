@@ -38,11 +38,17 @@ matplotlib.rcParams.update(
 )
 
 
-def panels(rows: int, columns: int, width: float = PAGE_IN, height: float | None = None) -> tuple[Figure, list[Axes]]:
-    """A figure with a grid of axes, row by row, that share the horizontal axis."""
+def panels(
+    rows: int,
+    columns: int,
+    width: float = PAGE_IN,
+    height: float | None = None,
+    ratios: Sequence[float] | None = None,
+) -> tuple[Figure, list[Axes]]:
+    """A figure with a grid of axes, row by row, that share the horizontal axis; `ratios`: of the heights of rows."""
     figure = Figure(figsize=(width, height or 1.6 * rows + 0.5), layout="constrained")
     FigureCanvasAgg(figure)
-    axes = figure.subplots(rows, columns, sharex=True, squeeze=False)
+    axes = figure.subplots(rows, columns, sharex=True, squeeze=False, height_ratios=ratios)
     return figure, [ax for row in axes for ax in row]
 
 

@@ -1,0 +1,265 @@
+"""The commands that make something of a log: plot, export, report."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, NoReturn
+
+import click
+from rich.console import Console as Terminal
+
+from fleet.errors import FleetError
+
+KINDS = ("track", "error", "velocity", "inputs", "commands", "gains", "links", "messages", "ages")
+FORMATS = ("png", "svg", "pdf")
+
+
+class Words(click.ParamType[tuple[str, ...]]):
+    """Some of a few words, with commas between them; `all` is every one, where it is allowed."""
+
+    name = "list"
+
+    def __init__(self, words: Sequence[str], everything: str = "") -> None:
+        self._words, self._everything = tuple(words), everything
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[str, ...]:
+        if isinstance(value, tuple):
+            return value
+        asked = [word.strip() for word in str(value).split(",")]
+        if self._everything and self._everything in asked:
+            return self._words
+        for word in asked:
+            if word not in self._words:
+                from netem.grammar import nearest
+
+                known = [*self._words, *filter(None, [self._everything])]
+                hint = nearest(word, known) or f"there are {', '.join(known)}"
+                self.fail(f"{word!r} is none of them; {hint}", param, ctx)
+        return tuple(dict.fromkeys(asked))
+
+
+class Window(click.ParamType[tuple[float, float]]):
+    """Two times of the run, as in 20s..40s; in s."""
+
+    name = "a..b"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[float, float]:
+        if isinstance(value, tuple):
+            return value
+        from fleet.quantities import QuantityError, time_ns
+
+        first, dots, last = str(value).partition("..")
+        try:
+            begin, end = time_ns(first), time_ns(last)
+        except QuantityError as error:
+            self.fail(f"expected two times such as 20s..40s, got {value!r}: {error}", param, ctx)
+        if not dots or not 0 <= begin < end:
+            self.fail(f"expected two times such as 20s..40s, the earlier first, got {value!r}", param, ctx)
+        return begin / 1e9, end / 1e9
+
+
+class Vehicles(click.ParamType[tuple[int, ...]]):
+    """Numbers of vehicles, as in 1,3-5."""
+
+    name = "i,j-k"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[int, ...]:
+        if isinstance(value, tuple):
+            return value
+        from fleet.fields import vehicle_numbers
+
+        try:
+            return tuple(vehicle_numbers(str(value)))
+        except ValueError as error:
+            self.fail(str(error), param, ctx)
+
+
+_log = click.argument("log", type=click.Path(path_type=Path))
+_vehicles = click.option("--vehicles", metavar="LIST", type=Vehicles(), help="Only these, e.g. 1,3-5.")
+_log_scale = click.option("--log-scale", is_flag=True, help="Errors and ages on a logarithmic axis.")
+_window = click.option(
+    "--window",
+    metavar="A..B",
+    type=Window(),
+    help="Only this time, e.g. 20s..40s; without it `messages` shows some rounds, the others the whole run.",
+)
+
+
+@click.command()
+@_log
+@click.option(
+    "-o", "--out", metavar="DIR", type=click.Path(path_type=Path, file_okay=False),
+    help="Where the pictures go; by default `plots` beside the log.",
+)  # fmt: skip
+@click.option(
+    "--what", metavar="LIST", type=Words(KINDS, "all"), default="all", show_default=True,
+    help=f"Some of {', '.join(KINDS)}; or all.",
+)  # fmt: skip
+@click.option(
+    "--format", "formats", metavar="LIST", type=Words(FORMATS), default="png", show_default=True,
+    help="Some of png, svg, pdf.",
+)  # fmt: skip
+@click.option(
+    "--compare", metavar="LOG2", type=click.Path(path_type=Path), multiple=True,
+    help="Another run on the same axes; repeatable.",
+)  # fmt: skip
+@_vehicles
+@_log_scale
+@_window
+def plot(
+    log: Path,
+    out: Path | None,
+    what: tuple[str, ...],
+    formats: tuple[str, ...],
+    compare: tuple[Path, ...],
+    vehicles: tuple[int, ...] | None,
+    log_scale: bool,
+    window: tuple[float, float] | None,
+) -> None:
+    """Draw pictures of LOG (an MCAP file, or a run directory), as wide as a column of a journal.
+
+    Tracks, consensus and formation errors, velocity errors, inputs, commands and gains with their limits, every
+    packet by its fate, messages in space and time, ages of information; faults are shaded. Prints the files.
+
+    \b
+    Examples:
+      fleet plot runs/latest
+      fleet plot runs/latest --what error,inputs --format svg,pdf --log-scale
+      fleet plot runs/latest --what messages --window 20s..22s
+      fleet plot runs/a --compare runs/b --what error -o compared
+    """
+    from fleet.pictures import Look, load, write
+    from fleet.reader import log_path
+
+    said: list[str] = []
+    try:
+        with _reading() as tell:
+            runs = load([log, *compare], tell)
+        look = Look(vehicles, log_scale, window)
+        paths = write(what, runs, look, out or log_path(log).parent / "plots", formats, said.append)
+    except FleetError as error:
+        _fail(error)
+    for note in dict.fromkeys([*(f"{r.label}: {r.log.missing}" for r in runs if r.log.missing), *_notes(runs), *said]):
+        click.echo(f"fleet: {note}", err=True)
+    for path in paths:
+        click.echo(path)
+    if not paths:
+        sys.exit(1)
+
+
+def _notes(runs: Sequence[Any]) -> Iterator[str]:
+    for run in runs:
+        yield from run.notes
+
+
+@click.command()
+@_log
+@click.option("--csv", "csv", metavar="DIR", type=click.Path(path_type=Path, file_okay=False), help="Write CSV here.")
+@click.option(
+    "--parquet", metavar="DIR", type=click.Path(path_type=Path, file_okay=False),
+    help="Write Parquet here; needs uuv-fleet[parquet].",
+)  # fmt: skip
+@click.option("--topics", metavar="PATTERN", multiple=True, help="Only topics such as 'uuv/*/state'; repeatable.")
+@click.option("--force", is_flag=True, help="Replace what is there.")
+def export(log: Path, csv: Path | None, parquet: Path | None, topics: tuple[str, ...], force: bool) -> None:
+    """Write LOG (an MCAP file, or a run directory) as tables, one file per topic.
+
+    Times in s, units in CSV's header and in Parquet's metadata; export.json says what each table holds. Numbers read
+    back exactly; bytes are hexadecimal in CSV. Prints the files.
+
+    \b
+    Examples:
+      fleet export runs/latest --csv tables
+      fleet export runs/latest --parquet tables --topics 'uuv/*/error' --topics 'link/*'
+    """
+    from fleet.arrays import open_log
+    from fleet.export import export as write
+
+    if csv is None and parquet is None:
+        raise click.UsageError("say where the tables go: --csv DIR, --parquet DIR, or both")
+    try:
+        with _reading() as tell:
+            found = open_log(log, topics or None, tell)
+        if topics and not len(found):
+            raise click.BadParameter(f"no topic of {log} is like {', '.join(topics)}", param_hint="--topics")
+        if found.missing:
+            click.echo(f"fleet: {found.path}: {found.missing}", err=True)
+        for form, folder in (("csv", csv), ("parquet", parquet)):
+            if folder is not None:
+                with _writing(sum(bool(len(found[name])) for name in found)) as next_one:
+                    paths = write(found, folder, form, force=force, tell=next_one)
+                for path in paths:
+                    click.echo(path)
+    except FleetError as error:
+        _fail(error)
+
+
+@click.command()
+@click.argument("logs", metavar="LOG...", type=click.Path(path_type=Path), nargs=-1, required=True)
+@click.option(
+    "-o", "--out", metavar="FILE", type=click.Path(path_type=Path, dir_okay=False), default=Path("report.html"),
+    show_default=True, help="The page.",
+)  # fmt: skip
+@_vehicles
+@_log_scale
+@_window
+def report(
+    logs: tuple[Path, ...],
+    out: Path,
+    vehicles: tuple[int, ...] | None,
+    log_scale: bool,
+    window: tuple[float, float] | None,
+) -> None:
+    """Write one self-contained HTML page about each LOG and, of several, what they have in common.
+
+    Scenario, verdicts, vehicles, ledger and ages from result.json beside the log, pictures, and how to repeat the run.
+    The page needs no network and no other file.
+
+    \b
+    Examples:
+      fleet report runs/latest
+      fleet report runs/a runs/b -o compared.html --log-scale
+    """
+    from fleet.pictures import Look, load
+    from fleet.report import write
+
+    try:
+        with _reading() as tell:
+            runs = load(logs, tell)
+        write(out, runs, Look(vehicles, log_scale, window))
+    except FleetError as error:
+        _fail(error)
+    click.echo(out)
+
+
+COMMANDS = (plot, export, report)
+
+
+@contextmanager
+def _reading() -> Iterator[Callable[[float], None]]:
+    """A line while a log is read, on a terminal; it stands on stderr, and goes away."""
+    terminal = Terminal(stderr=True)
+    with terminal.status("reading") as status:
+        yield lambda t: status.update(f"reading, t = {t:.1f} s")
+
+
+@contextmanager
+def _writing(count: int) -> Iterator[Callable[[str], None]]:
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+
+    terminal = Terminal(stderr=True)
+    shown = Progress(
+        BarColumn(24), MofNCompleteColumn(), TextColumn("{task.description}", markup=False),
+        console=terminal, transient=True, disable=not terminal.is_terminal,
+    )  # fmt: skip
+    with shown as progress:
+        task = progress.add_task("", total=count)
+        yield lambda name: progress.update(task, advance=1, description=name)
+
+
+def _fail(error: FleetError) -> NoReturn:
+    click.echo(f"fleet: {error}", err=True)
+    sys.exit(2)

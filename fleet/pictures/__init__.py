@@ -1,0 +1,87 @@
+"""Pictures of logs: what there is to draw, and how to draw it into files."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+
+from matplotlib.figure import Figure
+
+from fleet.errors import FleetError
+from fleet.pictures import exchange, signals, track
+from fleet.pictures.runs import Look, NothingToDraw, Run, load
+from fleet.plotting import save
+
+Draw = Callable[[Sequence[Run], Look], Figure]
+
+# What one can ask for -> the pictures that answer: (name of the file, what it shows, how).
+WHAT: dict[str, tuple[tuple[str, str, Draw], ...]] = {
+    "track": (
+        ("track", "The vehicles' ways from above, in north and east", track.top),
+        ("track-3d", "The same in three dimensions", track.space),
+    ),
+    "error": (
+        ("error", "Consensus error of each vehicle, from true positions", signals.consensus),
+        ("formation", "Distance of each vehicle from its place in the formation", signals.formation),
+    ),
+    "velocity": (("velocity", "Velocity tracking errors z", signals.velocity),),
+    "inputs": (("inputs", "Force and moments as applied, limits, and where a limit was met", signals.inputs),),
+    "commands": (("commands", "Velocity commands and the bounds that the optimisation keeps", signals.commands),),
+    "gains": (("gains", "Gains that the optimisation chooses, and their bounds", signals.gains),),
+    "links": (("links", "Every packet at its sending time, by fate", exchange.timeline),),
+    "messages": (("messages", "Messages between the agents in space and time", exchange.spacetime),),
+    "ages": (("ages", "Age of what was last heard on each link", exchange.ages),),
+}
+PER_RUN = frozenset({"links", "messages"})  # those that show one run only: of several, each has its own
+
+
+def draw(what: Sequence[str], runs: Sequence[Run], look: Look) -> Iterator[tuple[str, str, Figure | str]]:
+    """(file name, what it shows, the figure or why there is none) of everything that is asked for."""
+    for kind in what:
+        for name, title, make in WHAT[kind]:
+            each = [[run] for run in runs] if kind in PER_RUN else [list(runs)]
+            for some in each:
+                called = name if len(each) == 1 else f"{name}-{some[0].slug}"
+                shown = title if len(each) == 1 else f"{title}: {some[0].label}"
+                try:
+                    yield called, shown, make(some, look)
+                except NothingToDraw as reason:
+                    yield called, shown, str(reason)
+
+
+def write(
+    what: Sequence[str],
+    runs: Sequence[Run],
+    look: Look,
+    folder: Path,
+    formats: Sequence[str],
+    tell: Callable[[str], None],
+) -> list[Path]:
+    """Draw into a folder, which is made if need be; returns the files.
+
+    Args:
+        tell: told in a sentence what could not be drawn.
+
+    Raises:
+        PictureError: the folder cannot be written.
+    """
+    paths: list[Path] = []
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for name, _, figure in draw(what, runs, look):
+            if isinstance(figure, str):
+                tell(f"{name}: not drawn: {figure}")
+            else:
+                paths += save(figure, folder / name, formats)
+    except OSError as error:
+        raise PictureError(
+            f"cannot write pictures to {folder}: {error.strerror}; choose another place with -o DIR"
+        ) from error
+    return paths
+
+
+class PictureError(FleetError):
+    """The pictures cannot be written."""
+
+
+__all__ = ["WHAT", "Look", "NothingToDraw", "PictureError", "Run", "draw", "load", "write"]

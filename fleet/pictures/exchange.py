@@ -1,0 +1,292 @@
+"""What went over the links: every packet by its fate, messages in space and time, ages of information."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
+from matplotlib.colors import LogNorm
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from fleet.arrays import Array
+from fleet.fields import vehicle_numbers
+from fleet.pictures.axes import SPAN_IN, finish, legend_of, marks_legend, over_time
+from fleet.pictures.runs import Look, NothingToDraw, Run
+from fleet.plotting import COLOURS
+from netem.config import Link
+from netem.impairment import DELIVERED, IN_FLIGHT
+
+CORRUPTED = "corrupted"
+# Fate -> (mark, colour). Every one has a mark of its own, so that colour is never the only difference; what tends to
+# happen together differs in both.
+FATES: dict[str, tuple[str, str]] = {
+    DELIVERED: ("|", "#56B4E9"),
+    CORRUPTED: ("2", "#E69F00"),
+    IN_FLIGHT: (".", "#777777"),
+    "loss": ("x", "#D55E00"),
+    "down": ("v", "#000000"),
+    "partition": ("s", "#0072B2"),
+    "mute": ("^", "#CC79A7"),
+    "queue": ("D", "#009E73"),
+    "replaced": ("P", "#CC79A7"),
+    "mtu": ("<", "#000000"),
+    "range": (">", "#0072B2"),
+    "half duplex": ("h", "#009E73"),
+    "collision": ("*", "#D55E00"),
+    "snr": ("X", "#000000"),
+    "dead sender": ("8", "#0072B2"),
+    "deaf": ("d", "#009E73"),
+    "dead receiver": ("H", "#E69F00"),
+}
+_RASTER = 4000  # marks; more are drawn as an image within a vector file
+_BINS = 300  # of the time axis of the ages, at most; twice as many where every tooth can be seen
+_ROUNDS = 12  # shown by the space-time diagram unless a window is given
+_MOST_NAMED = 36  # rows
+_ROW_IN = 0.11  # height of a link's row among the ages, enough for its name
+
+
+def _links(run: Run, look: Look) -> list[Link]:
+    run.tick_s  # noqa: B018  (a log of somebody else's has no packets of ours)
+    found = [(a, b) for a, b in run.log.links if look.vehicles is None or (a in look.vehicles and b in look.vehicles)]
+    if not found:
+        raise NothingToDraw("no links between these vehicles" if run.log.links else "the log has no links")
+    return found
+
+
+def _fates(run: Run, link: Link) -> tuple[Array, Array, Array, Array]:
+    """(sent [s], due [s], fate, sequence) of every packet of a link; a corrupted one's fate is `corrupted`."""
+    packets = run.log[f"link/{link[0]}-{link[1]}"]
+    if not len(packets):
+        return np.empty(0), np.empty(0), np.empty(0, object), np.empty(0, np.int64)
+    fate = np.where(packets["corrupted"] & (packets["fate"] == DELIVERED), CORRUPTED, packets["fate"])
+    return packets["sent"], packets["due"], fate.astype(object), packets["seq"]
+
+
+def _style(fate: str) -> tuple[str, str]:
+    return FATES.get(fate, ("p", "#777777"))
+
+
+def _rank(fate: str) -> tuple[int, str]:
+    return (list(FATES).index(fate) if fate in FATES else len(FATES)), fate
+
+
+def timeline(runs: Sequence[Run], look: Look) -> Figure:
+    """A row per link, a mark per packet at its sending time."""
+    (run,) = runs
+    links = _links(run, look)
+    height = float(np.clip(0.16 * len(links), 1.0, 7.0))
+    figure, (ax,) = over_time(1, runs, look, height + 1.1)
+    first, last = ax.get_xlim()
+    tall = float(np.clip(72.0 * height / len(links) * 0.6, 1.6, 6.0))
+    rows = {link: k for k, link in enumerate(links)}
+    by_fate: dict[str, list[tuple[Array, Array]]] = {}
+    total = 0
+    for link in links:
+        sent, _, fate, _ = _fates(run, link)
+        inside = (sent >= first) & (sent <= last)
+        for name in set(fate[inside]):
+            at = sent[inside & (fate == name)]
+            by_fate.setdefault(name, []).append((at, np.full(len(at), rows[link])))
+            total += len(at)
+    if not by_fate:
+        raise NothingToDraw("no packet was sent in that time")
+    size = float(np.clip(72.0 * SPAN_IN * len(links) / total, 0.35 * tall, 0.75 * tall))  # wider where there is room
+    handles = []
+    for name in sorted(by_fate, key=_rank):
+        mark, colour = _style(name)
+        x, y = (np.concatenate(part) for part in zip(*by_fate[name], strict=True))
+        thin = name == DELIVERED
+        width = float(np.clip(0.3 * size, 0.4, 1.2)) if thin else 0.7
+        ax.plot(
+            x, y, linestyle="", marker=mark, color=colour, markersize=tall if thin else size, markeredgewidth=width,
+            zorder=2 if thin else 3, rasterized=total > _RASTER, gid=f"fate-{name}",
+        )  # fmt: skip
+        handles.append(
+            Line2D([], [], linestyle="", marker=mark, color=colour, markersize=5, label=f"{name} ({len(x)})")
+        )
+    ax.set_ylim(len(links) - 0.4, -0.6)
+    _name_rows(ax, links)
+    ax.set_ylabel("link")
+    ax.grid(False)
+    marks_legend(figure, handles)
+    finish(figure, [ax], runs, look)
+    return figure
+
+
+def _name_rows(ax: Axes, links: Sequence[Link], size: float = 6.0) -> None:
+    every = -(-len(links) // _MOST_NAMED)
+    ax.set_yticks(range(0, len(links), every), [f"{a}→{b}" for a, b in links[::every]])
+    ax.tick_params(axis="y", length=0, labelsize=size)
+
+
+def spacetime(runs: Sequence[Run], look: Look) -> Figure:
+    """Vehicles over time, a line from each sending to the arrival; a lost message ends on its way with its mark."""
+    (run,) = runs
+    links = _links(run, look)
+    packets = {link: _fates(run, link) for link in links}
+    look = look if look.window else Look(look.vehicles, look.log_scale, _moment(run, packets))
+    assert look.window is not None
+    first, last = look.window
+    vehicles = sorted({i for link in links for i in link})
+    figure, (ax,) = over_time(1, runs, look, float(np.clip(0.42 * len(vehicles), 1.2, 6.0)) + 1.2)
+    place = {i: k for k, i in enumerate(vehicles)}
+    for i in vehicles:
+        _life(ax, run, i, place[i])
+    lines: dict[str, list[Any]] = {}
+    ends: dict[str, list[tuple[float, float]]] = {}
+    for (a, b), (sent, due, fate, _) in packets.items():
+        for s, d, name in zip(sent, due, fate, strict=True):
+            if s > last or max(s, d) < first:
+                continue
+            # A lost one turns off before it arrives; one whose due time is its sending time has a slope all the same.
+            lost = name not in (DELIVERED, CORRUPTED, IN_FLIGHT)
+            share = 0.45 if lost else 1.0
+            until = max(d, s + 0.01 * (last - first)) if lost else d
+            end = s + share * (until - s), place[a] + share * (place[b] - place[a])
+            lines.setdefault(name, []).append([(s, place[a]), end])
+            ends.setdefault(name, []).append(end)
+    if not lines:
+        raise NothingToDraw(f"no message was under way from {first:g} to {last:g} s")
+    handles = []
+    for name in sorted(lines, key=_rank):
+        mark, colour = _style(name)
+        if name == DELIVERED:
+            colour, mark = COLOURS[0], "."
+        ax.add_collection(
+            LineCollection(lines[name], colors=colour, linewidths=0.6, gid=f"fate-{name}",
+                           linestyles="-" if name in (DELIVERED, CORRUPTED) else (0, (3, 1.5)), zorder=2)
+        )  # fmt: skip
+        x, y = zip(*ends[name], strict=True)
+        ax.plot(x, y, linestyle="", marker=mark, color=colour, markersize=2.5 if name == DELIVERED else 3.5, zorder=3)
+        handles.append(Line2D([], [], marker=mark, color=colour, linewidth=0.6, markersize=4, label=name))
+    ax.set_ylim(len(vehicles) - 0.5, -0.5)
+    ax.set_yticks(range(len(vehicles)), [f"UUV {i}" for i in vehicles])
+    ax.tick_params(axis="y", length=0)
+    ax.grid(axis="y", visible=False)
+    ax.set_ylabel("vehicle")
+    marks_legend(figure, handles)
+    finish(figure, [ax], runs, look)
+    return figure
+
+
+def _moment(run: Run, packets: dict[Link, tuple[Array, Array, Array, Array]]) -> tuple[float, float]:
+    """A window of some rounds: around the first fault, or the first loss, or in the middle."""
+    sent = np.unique(np.concatenate([sent for sent, _, _, _ in packets.values()]))
+    due = np.concatenate([due - sent for sent, due, _, _ in packets.values()])
+    if not len(sent):
+        raise NothingToDraw("no packet was sent")
+    period = float(np.median(np.diff(sent))) if len(sent) > 1 else 1.0
+    width = max(_ROUNDS * period, 4.0 * float(np.percentile(due, 95)), 10 * run.tick_s)
+    lost = [s[f != DELIVERED] for s, _, f, _ in packets.values()]
+    first_lost = min((float(times.min()) for times in lost if len(times)), default=run.log.end / 2)
+    begin = (run.log.faults[0].begin if run.log.faults else first_lost) - width / 3
+    begin = max(0.0, min(begin, run.log.end - width))
+    return begin, min(begin + width, run.log.end)
+
+
+def _life(ax: Axes, run: Run, i: int, row: int) -> None:
+    """A vehicle's line in time, dotted while its agent is dead or suspended."""
+    absent = [
+        (fault.begin, fault.end)
+        for fault in run.log.faults
+        if (kind := fault.what.split(" ", 1))[0] in ("kill", "pause") and i in _numbers(kind[-1])
+    ]
+    at = 0.0
+    for begin, end in sorted(absent):
+        ax.plot([at, begin], [row, row], color="0.55", linewidth=0.8, zorder=1)
+        ax.plot([begin, end], [row, row], color="0.55", linewidth=0.8, linestyle=":", zorder=1, gid=f"absent-{i}")
+        at = end
+    ax.plot([at, run.log.end], [row, row], color="0.55", linewidth=0.8, zorder=1)
+
+
+def _numbers(text: str) -> Sequence[int]:
+    try:
+        return vehicle_numbers(text)
+    except ValueError:
+        return ()
+
+
+def age(run: Run, link: Link) -> Array:
+    """The age of information on a link at every tick that was started, in ticks: see `netem.ages`."""
+    ticks = int(run.log.run.get("ticks", 0))
+    count = min(round(run.log.end / run.tick_s) + 1, ticks) if ticks else round(run.log.end / run.tick_s) + 1
+    sent, due, fate, _ = _fates(run, link)
+    good = fate == DELIVERED
+    heard = np.zeros(count, np.int64)
+    arrived = np.rint(due[good] / run.tick_s).astype(np.int64)
+    inside = arrived < count
+    np.maximum.at(heard, arrived[inside], np.rint(sent[good] / run.tick_s).astype(np.int64)[inside])
+    return np.arange(count) - np.maximum.accumulate(heard)
+
+
+def ages(runs: Sequence[Run], look: Look) -> Figure:
+    """The oldest and the median link over time, and a row per link coloured by its age; peaks of short intervals."""
+    tables = [(run, _links(run, look)) for run in runs]
+    heights = [1.3, *(float(np.clip(_ROW_IN * len(links), 0.5, 4.0)) for _, links in tables)]
+    figure, axes = over_time(1 + len(runs), runs, look, sum(heights) + 1.2 + 0.2 * len(runs), heights)
+    first, last = axes[0].get_xlim()
+    edges = np.linspace(first, last, _bins(tables, last - first) + 1)
+    peaks = [np.array([_peaks(age(run, link), run.tick_s, edges) for link in links]) for run, links in tables]
+    finite = np.concatenate([table[np.isfinite(table)] for table in peaks])
+    if not len(finite):
+        raise NothingToDraw("the log holds no tick of that time")
+    low = max(float(finite[finite > 0].min(initial=np.inf)), 1e-3)
+    low = low if np.isfinite(low) else 1e-3
+    norm = LogNorm(low, max(float(finite.max()), 2.0 * low))
+    middle = (edges[1:] + edges[:-1]) / 2
+    for r, table in enumerate(peaks):
+        known = np.isfinite(table).any(axis=0)
+        middling = np.median(table[:, known], axis=0)
+        for kind, values, style in (("oldest", table[:, known].max(axis=0), "-"), ("median", middling, ":")):
+            axes[0].plot(
+                middle[known], values, color=COLOURS[r % len(COLOURS)], linestyle=style, linewidth=0.8, gid=kind
+            )
+    solid = ["oldest link"] if len(runs) == 1 else [f"{run.label}: oldest" for run in runs]
+    legend_of(
+        figure, [*((name, COLOURS[r % len(COLOURS)], "-") for r, name in enumerate(solid)), ("median link", "0.3", ":")]
+    )
+    axes[0].set_ylabel("age [s]")
+    if look.log_scale and finite.max() > 0.0:  # without latency, every age is 0
+        axes[0].set_yscale("log", nonpositive="mask")
+    else:
+        axes[0].set_ylim(0.0, None)
+    for ax, (run, links), table in zip(axes[1:], tables, peaks, strict=True):
+        mesh = ax.pcolormesh(edges, np.arange(len(links) + 1) - 0.5, np.ma.masked_invalid(table), norm=norm,
+                             cmap="cividis", rasterized=True)  # fmt: skip
+        ax.set_ylim(len(links) - 0.5, -0.5)
+        _name_rows(ax, links, 5.5)
+        ax.set_ylabel("link" if len(runs) == 1 else f"link\n{run.label}")
+        ax.grid(False)
+    bar = figure.colorbar(mesh, ax=axes[1:], location="right", aspect=18, pad=0.02)
+    bar.set_label("age [s]")
+    finish(figure, axes, runs, look)
+    return figure
+
+
+def _bins(tables: Sequence[tuple[Run, Sequence[Link]]], span: float) -> int:
+    """How many intervals: each holds a whole tooth of the usual length, or each tooth many of them."""
+    gaps = []
+    for run, links in tables:
+        for link in links:
+            _, due, fate, _ = _fates(run, link)
+            gaps.append(np.diff(np.unique(due[fate == DELIVERED])))
+    together = np.concatenate(gaps) if gaps else np.empty(0)
+    tooth = float(np.median(together)) if len(together) else 0.0
+    if tooth > 8.0 * span / _BINS:
+        return 2 * _BINS
+    return max(1, min(_BINS, int(span / (2.0 * tooth)))) if tooth else _BINS
+
+
+def _peaks(ticks: Array, tick_s: float, edges: Array) -> Array:
+    """The largest age [s] in each interval between two edges [s]; NaN where there is no tick."""
+    begins = np.clip(np.searchsorted(np.arange(len(ticks)) * tick_s, edges), 0, len(ticks))
+    found = np.full(len(edges) - 1, np.nan)
+    for k, (a, b) in enumerate(pairwise(begins)):
+        if b > a:
+            found[k] = ticks[a:b].max() * tick_s
+    return found

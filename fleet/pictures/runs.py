@@ -1,0 +1,127 @@
+"""What a picture is drawn from: one or more logs with names, signals by vehicle, what was asked for."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fleet.arrays import Array, Log, open_log
+from fleet.errors import FleetError
+from fleet.scenario import Scenario
+
+GAP = 1.5  # times the usual distance of two samples: more, and the line is broken
+
+
+class NothingToDraw(Exception):
+    """The log does not hold what the picture shows; says what is missing."""
+
+
+@dataclass(frozen=True, slots=True)
+class Look:
+    """How to draw, as far as a user may choose."""
+
+    vehicles: tuple[int, ...] | None = None  # None: all
+    log_scale: bool = False
+    window: tuple[float, float] | None = None  # s
+
+
+@dataclass
+class Run:
+    """One log, and what it is called in a legend."""
+
+    log: Log
+    label: str
+    notes: list[str] = field(default_factory=list)
+
+    @property
+    def slug(self) -> str:
+        """The name as part of a file name."""
+        return re.sub(r"[^\w.-]+", "-", self.label)
+
+    @cached_property
+    def scenario(self) -> Scenario | None:
+        """None if the log has none that could be used here; then there are no limits and bounds."""
+        try:
+            return self.log.scenario
+        except FleetError as error:
+            self.notes.append(f"{self.label}: no limits and bounds, {str(error).splitlines()[0]}")
+            return None
+
+    @cached_property
+    def tick_s(self) -> float:
+        """The tick [s].
+
+        Raises:
+            NothingToDraw: the log is not one of ours.
+        """
+        try:
+            return int(self.log.run["tick_ns"]) / 1e9
+        except (KeyError, ValueError):
+            raise NothingToDraw(f"{self.label} is not a log of uuv-fleet: it says nothing of a run") from None
+
+    def vehicles(self, look: Look) -> list[int]:
+        """The vehicles to show."""
+        return [i for i in self.log.vehicles if look.vehicles is None or i in look.vehicles]
+
+    def series(self, i: int, group: str, name: str) -> tuple[Array, Array] | None:
+        """Times [s] and values (samples, width) of a vehicle's signal, NaN in gaps; None if it is not reported."""
+        topic = f"uuv/{i}/{group}"
+        if topic not in self.log or not len(self.log[topic]) or name not in self.log[topic]:
+            return None
+        t, values = self.log[topic].t, self.log[topic][name]
+        return with_gaps(t, values.reshape(len(t), -1))
+
+
+def load(paths: Sequence[Path], progress: Callable[[float], None] = lambda _: None) -> list[Run]:
+    """Read logs; each is called after its scenario, or its directory where that would not tell them apart.
+
+    Raises:
+        LogReadError: one of them cannot be read.
+    """
+    # Poses are states in another form.
+    logs = [open_log(path, _WANTED, progress) for path in paths]
+    names = [_name(log) for log in logs]
+    often = Counter(names)
+    labels = [name if often[name] == 1 else _place(log) for name, log in zip(names, logs, strict=True)]
+    seen: Counter[str] = Counter()
+    runs = []
+    for label, log in zip(labels, logs, strict=True):
+        seen[label] += 1
+        runs.append(Run(log, label if seen[label] == 1 else f"{label} ({seen[label]})"))
+    return runs
+
+
+_WANTED = ["uuv/*/state", "uuv/*/command", "uuv/*/guidance", "uuv/*/control", "uuv/*/error", "faults", "link/*"]
+
+
+def _name(log: Log) -> str:
+    return log.run.get("scenario", "") or log.path.stem
+
+
+def _place(log: Log) -> str:
+    path = log.path.resolve()
+    return path.parent.name if path.name == "run.mcap" else path.stem
+
+
+def with_gaps(t: Array, values: Array) -> tuple[Array, Array]:
+    """The same with a NaN wherever samples are missing, so that no line is drawn across: an agent was dead."""
+    if len(t) < 3:
+        return t, values
+    steps = np.diff(t)
+    holes = np.flatnonzero(steps > GAP * np.median(steps))
+    if not len(holes):
+        return t, values
+    return np.insert(t, holes + 1, np.nan), np.insert(values, holes + 1, np.nan, axis=0)
+
+
+def first_words(names: Sequence[Any], most: int = 6) -> str:
+    """Some names in a sentence."""
+    shown = ", ".join(map(str, names[:most]))
+    return shown if len(names) <= most else f"{shown} and {len(names) - most} more"

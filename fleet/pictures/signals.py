@@ -1,0 +1,174 @@
+"""Signals of the vehicles over time: errors, inputs and commands with their limits, gains."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from fleet.arrays import Array
+from fleet.pictures.axes import Get, draw_lines, finish, over_time
+from fleet.pictures.axes import bounds as draw_bounds
+from fleet.pictures.runs import Look, Run
+from fleet.tuning import Control
+
+FORCES = (("surge force", "N"), ("pitch moment", "N m"), ("yaw moment", "N m"))
+NED = ("north", "east", "down")
+_AT_LIMIT = 1.0 - 1e-6
+
+
+def component(group: str, name: str, k: int = 0, change: Callable[[Array], Array] = lambda v: v) -> Get:
+    """One component of a signal."""
+
+    def get(run: Run, i: int) -> tuple[Array, Array] | None:
+        found = run.series(i, group, name)
+        if found is None or found[1].shape[1] <= k:
+            return None
+        return found[0], change(found[1][:, k])
+
+    return get
+
+
+def consensus(runs: Sequence[Run], look: Look) -> Figure:
+    """|e_i| of each vehicle."""
+    return _norm(runs, look, "e_norm", "consensus error $|e|$ [m]")
+
+
+def formation(runs: Sequence[Run], look: Look) -> Figure:
+    """Distance of each vehicle from its desired position."""
+    return _norm(runs, look, "formation_norm", "formation error [m]")
+
+
+def _norm(runs: Sequence[Run], look: Look, name: str, label: str) -> Figure:
+    figure, (ax,) = over_time(1, runs, look, 2.3)
+    notes = draw_lines(figure, [(ax, component("error", name))], runs, look)
+    ax.set_ylabel(label)
+    if look.log_scale:
+        _logarithmic(ax)
+    else:
+        ax.set_ylim(0.0, None)
+    finish(figure, [ax], runs, look, notes)
+    return figure
+
+
+def _logarithmic(ax: Axes) -> None:
+    """A logarithmic axis from a micrometre: below it is arithmetic, not control."""
+    low = min((v[np.isfinite(v) & (v > 0)].min(initial=np.inf) for v in _values(ax)), default=np.inf)
+    if low == np.inf:
+        return
+    ax.set_yscale("log", nonpositive="mask")
+    if low < 1e-6:
+        ax.set_ylim(1e-6, None)
+
+
+def _values(ax: Axes) -> list[Array]:
+    return [np.asarray(line.get_ydata(), float) for line in ax.get_lines()]
+
+
+def velocity(runs: Sequence[Run], look: Look) -> Figure:
+    """z_i = (speed, pitch rate, yaw rate) minus what is commanded."""
+    rows = (
+        ("u_err", "speed $z_u$", "m/s"),
+        ("q_err", "pitch rate $z_q$", "rad/s"),
+        ("r_err", "yaw rate $z_r$", "rad/s"),
+    )
+    figure, axes = over_time(3, runs, look)
+    change: Callable[[Array], Array] = np.abs if look.log_scale else lambda v: v
+    panel = [(ax, component("control", name, change=change)) for ax, (name, _, _) in zip(axes, rows, strict=True)]
+    notes = draw_lines(figure, panel, runs, look, "u_err, q_err and r_err are signals of the tracking laws that ship")
+    for ax, (_, label, unit) in zip(axes, rows, strict=True):
+        ax.set_ylabel(f"{label} [{unit}]" if not look.log_scale else f"|{label}| [{unit}]")
+        if look.log_scale:
+            _logarithmic(ax)
+    finish(figure, axes, runs, look, notes)
+    return figure
+
+
+def inputs(runs: Sequence[Run], look: Look) -> Figure:
+    """Force and moments as applied; heavy where the commanded ones are at their limit."""
+    figure, axes = over_time(3, runs, look)
+    panel = [(ax, component("command", "applied", k)) for k, ax in enumerate(axes)]
+    notes = draw_lines(figure, panel, runs, look)
+    saturated = False
+    for k, ax in enumerate(axes):
+        limits = []
+        for run in runs:
+            for i, control in _controls(run, look):
+                limits.append((-control.tau_max[k], control.tau_max[k]))
+                saturated |= _heavy(ax, run, i, k, control.tau_max[k])
+        name, unit = FORCES[k]
+        ax.set_ylabel(f"{name} [{unit}]")
+        if far := draw_bounds(ax, limits, f"limits of the {name}", unit):
+            notes.append(far)
+    if saturated:
+        notes.append("heavy: the command is at a limit")
+    finish(figure, axes, runs, look, notes)
+    return figure
+
+
+def _heavy(ax: Axes, run: Run, i: int, k: int, limit: float) -> bool:
+    found, commanded = run.series(i, "command", "applied"), run.series(i, "command", "tau")
+    if found is None or commanded is None or not limit > 0.0:
+        return False
+    t, values = found[0], found[1][:, k].copy()
+    at_limit = np.abs(commanded[1][:, k]) >= _AT_LIMIT * limit
+    if not at_limit.any():
+        return False
+    values[~at_limit] = np.nan
+    colour = next(line.get_color() for line in ax.get_lines() if line.get_gid() == f"{run.slug}-vehicle-{i}")
+    ax.plot(
+        t,
+        values,
+        color=colour,
+        linewidth=3.0,
+        alpha=0.6,
+        solid_capstyle="butt",
+        marker="|",
+        markersize=4,
+        gid="saturated",
+    )
+    return True
+
+
+def commands(runs: Sequence[Run], look: Look) -> Figure:
+    """rho in north, east and down with its bounds, and the commanded speed."""
+    figure, axes = over_time(4, runs, look)
+    panel = [(ax, component("guidance", "rho", k)) for k, ax in enumerate(axes[:3])]
+    panel.append((axes[3], component("guidance", "u_cmd")))
+    notes = draw_lines(figure, panel, runs, look, "rho and u_cmd are signals of the guidance laws that ship")
+    for k, ax in enumerate(axes[:3]):
+        limits = [(c.guidance.rho_lo[k], c.guidance.rho_hi[k]) for c in _optimal(runs, look)]
+        ax.set_ylabel(f"$\\rho$ {NED[k]} [m/s]")
+        if far := draw_bounds(ax, limits, f"bounds of rho {NED[k]}", "m/s"):
+            notes.append(far)
+    axes[3].set_ylabel("speed $u_c$ [m/s]")
+    finish(figure, axes, runs, look, notes)
+    return figure
+
+
+def gains(runs: Sequence[Run], look: Look) -> Figure:
+    """The diagonal of K and its bounds."""
+    figure, axes = over_time(3, runs, look)
+    panel = [(ax, component("guidance", "K", k)) for k, ax in enumerate(axes)]
+    notes = draw_lines(figure, panel, runs, look, "K is a signal of the guidance laws that ship")
+    for k, ax in enumerate(axes):
+        ax.set_ylabel(f"$K$ {NED[k]} [1/s]")
+        limits = [(c.guidance.k_min, c.guidance.k_max) for c in _optimal(runs, look)]
+        if far := draw_bounds(ax, limits, f"bounds of K {NED[k]}", "1/s"):
+            notes.append(far)
+    finish(figure, axes, runs, look, notes)
+    return figure
+
+
+def _controls(run: Run, look: Look) -> list[tuple[int, Control]]:
+    if run.scenario is None:
+        return []
+    return [(i, run.scenario.controls[i - 1]) for i in run.vehicles(look) if i <= run.scenario.vehicles]
+
+
+def _optimal(runs: Sequence[Run], look: Look) -> list[Control]:
+    """Of the vehicles whose guidance keeps bounds."""
+    found = [control for run in runs for _, control in _controls(run, look)]
+    return [control for control in found if control.cascade and control.guidance_law.name == "optimal"]

@@ -52,7 +52,7 @@ class LogReader:
         Raises:
             LogReadError: the file cannot be opened or is no MCAP file.
         """
-        with _open(self.path) as file:
+        with open_log(self.path) as file:
             yield from self._records(file)
 
     def _records(self, file: IO[bytes]) -> Iterator[Record]:
@@ -108,7 +108,12 @@ def log_path(path: Path) -> Path:
     return path / "run.mcap" if path.is_dir() else path
 
 
-def _open(path: Path) -> IO[bytes]:
+def open_log(path: Path) -> IO[bytes]:
+    """The file, at its beginning.
+
+    Raises:
+        LogReadError: it cannot be opened or is no MCAP file.
+    """
     try:
         file = path.open("rb")
     except OSError as error:

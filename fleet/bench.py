@@ -25,7 +25,7 @@ from fleet.bench_echo import echo_bus, echo_pipe
 from fleet.bench_netem import SHARE, SHARE_GOAL, netem_figures
 from fleet.bench_steps import steps
 from fleet.children import Children
-from fleet.console import free_port
+from fleet.ports import free_port
 from fleet.run import Options, Status, execute
 from fleet.scenario import Scenario, load_scenario
 from netem.access import agent_role, generate

@@ -11,6 +11,7 @@ from typing import Any
 import click
 from rich.console import Console as Terminal
 
+from fleet import cli_replay
 from fleet.cli_live import COMMANDS
 from fleet.completion import scenarios
 from fleet.errors import FleetError, ScenarioError
@@ -75,6 +76,9 @@ _overrides = click.option(
 @_overrides
 @click.option("--show-config", is_flag=True, help="Print the merged scenario and stop.")
 @click.option("--port", type=click.IntRange(1, 65535), help="Loopback port of the router; by default a free one.")
+@click.option(
+    "--publish", is_flag=True, help="Publish the journal on zenoh meanwhile; nobody who listens slows the run."
+)
 @click.option("--start-order", metavar="SEED", type=int, hidden=True)
 @click.option("-q", "--quiet", is_flag=True, help="No progress and no tables.")
 def run(
@@ -87,6 +91,7 @@ def run(
     overrides: tuple[str, ...],
     show_config: bool,
     port: int | None,
+    publish: bool,
     start_order: int | None,
     quiet: bool,
 ) -> None:
@@ -120,7 +125,7 @@ def run(
 
             for warning in analyse(loaded).warnings:
                 terminal.print(f"warning: {warning}", highlight=False, markup=False, soft_wrap=True)
-        options = Options(out, in_process, speed, quiet, port, _shuffle(start_order))
+        options = Options(out, in_process, speed, quiet, publish, port, _shuffle(start_order))
         if loaded.ideal and not in_process and not quiet:
             terminal.print("network: ideal has no latency and so runs in one process", highlight=False)
         result = execute(loaded, options, terminal)
@@ -362,7 +367,7 @@ def bench(agents: str, json_path: Path | None, quick: bool) -> None:
         json_path.write_text(json.dumps(figures, indent=2) + "\n", "utf-8")
 
 
-for _command in COMMANDS:
+for _command in (*COMMANDS, *cli_replay.COMMANDS):
     cli.add_command(_command)
 
 

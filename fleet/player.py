@@ -7,12 +7,19 @@ seek) sets (p0, t0) anew. Rate 0 means as fast as possible. All times are intege
 from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
-from collections.abc import Sequence
+from typing import Protocol
 
 LATE_NS = 5_000_000  # a message that is handed out so long after it was due has missed its deadline
 SEEK_NS = 5_000_000_000  # log time that a key press seeks
 RATE_STEP = 1.1
 SLOWEST, FASTEST = 0.001, 1e6
+
+
+class Times(Protocol):
+    """A sequence of integers that never decreases: a list, or an array."""
+
+    def __len__(self) -> int: ...
+    def __getitem__(self, index: int, /) -> int: ...
 
 
 class Player:
@@ -24,7 +31,7 @@ class Player:
 
     def __init__(
         self,
-        times: Sequence[int],
+        times: Times,
         begin_ns: int,
         end_ns: int,
         *,

@@ -247,7 +247,8 @@ class Publication:
     @property
     def matched(self) -> bool:
         """Whether anybody subscribes to the key."""
-        return bool(self._publisher.matching_status.matching)
+        status: Any = self._publisher.matching_status  # the stub says bool, and the object is always true
+        return bool(getattr(status, "matching", status))
 
     def put(self, payload: bytes, attachment: bytes | None) -> None:
         self._publisher.put(payload, attachment=attachment)

@@ -177,7 +177,6 @@ def replay(
         finally:
             line.say(played.summary(time.monotonic() - began))
             bus.close()
-            tape.close()
 
 
 @click.command(epilog=EPILOG)
@@ -286,12 +285,13 @@ def _ending() -> Iterator[None]:
     def terminate(number: int, frame: FrameType | None) -> None:
         sys.exit(128 + number)
 
-    # A shell starts background jobs with SIGINT ignored; then it stays so.
-    signal.signal(signal.SIGTERM, terminate)
+    before = signal.signal(signal.SIGTERM, terminate)
     try:
         yield
     except KeyboardInterrupt:
         sys.exit(130)
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 def _broken(error: Exception, status: int = 3) -> None:

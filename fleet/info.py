@@ -43,9 +43,12 @@ def read_info(path: Path) -> Info:
         first = record.log_ns if first is None else min(first, record.log_ns)
         last = max(last, record.log_ns)
     topics = {
-        channel.topic: (reader.schemas[channel.schema_id].name, counts[channel.topic])
+        channel.topic: (
+            # Traffic of others has no schema, but an encoding.
+            reader.schemas[channel.schema_id].name if channel.schema_id in reader.schemas else channel.message_encoding,
+            counts[channel.topic],
+        )
         for channel in reader.channels.values()
-        if channel.schema_id in reader.schemas
     }
     return Info(
         path=str(path),

@@ -30,7 +30,7 @@ LENGTH = Struct("<I")  # of a batch
 PIPE_BYTES = 1 << 20  # the most that Linux gives an ordinary user
 BATCH_BYTES = 1 << 16
 READY_S = 20.0
-CLOSE_S = 5.0
+CLOSE_S = 2.0  # for what is still on the way when the run ends
 
 
 class PublishError(FleetError):
@@ -149,7 +149,7 @@ class LivePublisher:
             _pipe(process.stdin).close()
         self.published = self._answer(CLOSE_S).get("published", 0)
         try:
-            process.wait(1.0)
+            process.wait(CLOSE_S)
         except subprocess.TimeoutExpired:
             process.kill()
             process.wait()

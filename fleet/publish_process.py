@@ -61,9 +61,8 @@ def main() -> None:
             puts[channel].put(batch[at : at + length], pack(Stamp(log_ns, publish_ns, sequence, number)))
             at += length
             published += 1
-    bus.close()
     _say({"published": published})
-    sys.stdout.flush()
+    bus.close()  # sends what is queued, and waits for a subscriber that takes nothing; we are killed then
     os._exit(0)
 
 

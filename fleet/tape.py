@@ -14,7 +14,7 @@ from bisect import bisect_right
 from collections import OrderedDict
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import IO, Any, NamedTuple
 
 import numpy as np
 from mcap.data_stream import ReadDataStream
@@ -74,9 +74,9 @@ class Tape:
         self._of = array("H")
         self._loose = bytearray()
         self._decoded: OrderedDict[int, tuple[bytes, list[tuple[int, int]]]] = OrderedDict()
-        self._file = open_log(path)
         try:
-            self._scan()
+            with open_log(path) as file:
+                self._scan(file)
         except (CRCValidationError, ZstdError):
             self.missing = "a chunk is damaged (a flipped bit, for instance); the tape ends before it"
         # A cut or damaged file is any of these to mcap's parser.
@@ -84,7 +84,6 @@ class Tape:
             self.missing = _CUT
         self._end_loose()
         if not self._times:
-            self._file.close()
             raise LogReadError(f"{path} holds no message{f': {self.missing}' if self.missing else ''}")
         # A message earlier than the one before it is due together with it: the order of the file is kept.
         self.times: Times = np.maximum.accumulate(np.frombuffer(self._times, dtype=np.int64))
@@ -101,11 +100,7 @@ class Tape:
         channel, sequence, log_ns, publish_ns = _MESSAGE.unpack_from(data, at)
         return Entry(self.channels[channel], sequence, log_ns, publish_ns, data[at + _MESSAGE.size : end])
 
-    def close(self) -> None:
-        self._file.close()
-
-    def _scan(self) -> None:
-        file = self._file
+    def _scan(self, file: IO[bytes]) -> None:
         size = self.path.stat().st_size
         offset = len(MAGIC)
         file.seek(offset)
@@ -118,7 +113,7 @@ class Tape:
                 return
             if opcode == Opcode.CHUNK:
                 self._end_loose()
-                content = self._chunk(offset, length)
+                content = _chunk(file, offset, length)
                 self._note(content, _Block(offset, length, None))
             elif opcode in (Opcode.HEADER, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.METADATA, Opcode.MESSAGE):
                 record = file.read(length)
@@ -134,12 +129,6 @@ class Tape:
             content = bytes(self._loose)
             self._loose.clear()
             self._note(content, _Block(0, 0, content))
-
-    def _chunk(self, offset: int, length: int) -> bytes:
-        self._file.seek(offset)
-        chunk = Chunk.read(ReadDataStream(io.BytesIO(self._file.read(length))))
-        stream, size = get_chunk_data_stream(chunk, validate_crc=True)
-        return bytes(stream.read(size))
 
     def _note(self, content: bytes, block: _Block) -> None:
         """Enter a block's messages, all or none."""
@@ -174,12 +163,23 @@ class Tape:
             self._decoded.move_to_end(number)
             return self._decoded[number]
         block = self._blocks[number]
-        content = self._chunk(block.offset, block.length) if block.loose is None else block.loose
+        content = block.loose
+        if content is None:
+            with open_log(self.path) as file:
+                content = _chunk(file, block.offset, block.length)
         found = content, list(_messages(content, lambda opcode, record: None))
         self._decoded[number] = found
         if len(self._decoded) > _DECODED:
             self._decoded.popitem(last=False)
         return found
+
+
+def _chunk(file: IO[bytes], offset: int, length: int) -> bytes:
+    """What a chunk holds, decompressed and checked."""
+    file.seek(offset)
+    chunk = Chunk.read(ReadDataStream(io.BytesIO(file.read(length))))
+    stream, size = get_chunk_data_stream(chunk, validate_crc=True)
+    return bytes(stream.read(size))
 
 
 def _messages(content: bytes, other: Any) -> Iterator[tuple[int, int]]:

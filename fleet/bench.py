@@ -23,6 +23,7 @@ from typing import Any
 from fleet.bench_agent import GOALS_US
 from fleet.bench_echo import echo_bus, echo_pipe
 from fleet.bench_netem import SHARE, SHARE_GOAL, netem_figures
+from fleet.bench_replay import measure_recorder
 from fleet.bench_steps import steps
 from fleet.children import Children
 from fleet.ports import free_port
@@ -95,6 +96,7 @@ def measure(sizes: list[int], *, quick: bool, say: Callable[[str], None]) -> dic
                 pss_mb=pss[0],
             )
         )
+    journals = [measure_recorder(_scenario(n, quick), say) for n in sizes]
     say("the network core")
     network = netem_figures(quick=quick)
     say("single steps")
@@ -102,6 +104,7 @@ def measure(sizes: list[int], *, quick: bool, say: Callable[[str], None]) -> dic
         "machine": {"cpus": os.cpu_count(), "system": platform.platform(), "python": platform.python_version()},
         "versions": {name: version(name) for name in ("uuv-fleet", "eclipse-zenoh", "piqp", "numpy", "mcap")},
         "fleets": [row.to_values() for row in rows],
+        "journals": journals,
         "netem": network,
         "steps_us": steps(50 if quick else 2000),
     }

@@ -8,6 +8,7 @@ from rich.console import Console as Terminal
 from rich.table import Table
 
 from fleet.bench import netem_targets, step_targets, targets
+from fleet.bench_replay import show_rows
 
 
 def show(figures: dict[str, Any], terminal: Terminal) -> None:
@@ -35,5 +36,6 @@ def show(figures: dict[str, Any], terminal: Terminal) -> None:
     for name, value in figures["netem"].items():
         network.add_row(name, f"{value:.3f}" if value < 1 else f"{value:.0f}")
     terminal.print(network)
+    terminal.print(show_rows(figures["journals"]))
     for line in [*targets(figures["fleets"]), *step_targets(figures["steps_us"]), *netem_targets(figures["netem"])]:
         terminal.print(line, highlight=False)

@@ -44,7 +44,7 @@ class LivePublisher:
         """`observe`: the file that says, while the run lives, where and as whom to listen."""
         self.run = run
         self.dropped = 0  # messages that the pipe had no room for
-        self.published = 0  # as the process says when it ends
+        self.published = 0  # while anybody listened, as the process says when it ends
         self.endpoint = ""
         self._observe = observe
         self._channels: list[tuple[int, str, str]] = []

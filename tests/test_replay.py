@@ -728,3 +728,33 @@ def test_full_disk(tmp_path: Path) -> None:
             wait_for(put_until_it_ends, LIMIT_S, "the end of the recording")
         assert recorder.status() == 3
         assert "File too large" in recorder.printed and "Traceback" not in recorder.printed
+
+
+# --- the page --------------------------------------------------------------
+
+PAGE = (ROOT / "docs" / "replay.md").read_text("utf-8")
+
+
+@pytest.mark.parametrize(("number", "shows"), [(0, "application/protobuf;uuv_fleet.State"), (1, "depth = ")])
+def test_subscriber_of_the_page(number: int, shows: str, log: Path, tmp_path: Path) -> None:
+    """The examples run as they stand, but for the port."""
+    program = re.findall(r"^```python\n(.*?)^```", PAGE, re.MULTILINE | re.DOTALL)[number]
+    where = endpoint()
+    path = tmp_path / "listen.py"
+    path.write_text(program.replace("tcp/127.0.0.1:7447", where))
+    options = ["--listen", where, "--topics", "uuv/*/state", "--wait-for-subscribers", "--loop"]
+    with Command("replay", log, *options) as player:
+        player.until("playing")
+        with subprocess.Popen([sys.executable, str(path)], stdout=subprocess.PIPE, text=True) as listener:
+            assert listener.stdout is not None
+            lines = [listener.stdout.readline() for _ in range(8)]
+            listener.kill()
+    assert all(shows in line for line in lines), lines
+    assert {n for line in lines for n in re.findall(r"uuv/(\d)", line)} == set("1234")
+
+
+def test_page_names_every_option() -> None:
+    for name in ("replay", "record"):
+        for option in cli.commands[name].params:
+            long = [text for text in option.opts if text.startswith("--")]
+            assert not long or long[0] in PAGE or long[0] == "--quiet" or long[0] == "--output", long

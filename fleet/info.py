@@ -64,10 +64,8 @@ def read_info(path: Path) -> Info:
 
 def describe(info: Info) -> str:
     """The same in words, one fact a line."""
-    lines = [
-        f"{info.path}: {info.messages} messages, {info.bytes / 1e6:.2f} MB, "
-        f"sim time {info.start_s:g} to {info.end_s:g} s"
-    ]
+    times = f"sim time {info.start_s:g} to {info.end_s:g} s" if info.run else f"{info.end_s - info.start_s:g} s"
+    lines = [f"{info.path}: {info.messages} messages, {info.bytes / 1e6:.2f} MB, {times}"]
     if info.missing:
         lines.append(f"NOT WHOLE: {info.missing}")
     if info.run:

@@ -71,8 +71,7 @@ class Keyboard:
         self._typed = b""
 
     def __enter__(self) -> Keyboard:
-        # A job in the background must not touch the terminal: the system would stop it.
-        if sys.stdin is not None and sys.stdin.isatty() and os.getpgrp() == os.tcgetpgrp(sys.stdin.fileno()):
+        if sys.stdin is not None and sys.stdin.isatty() and not _in_background(sys.stdin.fileno()):
             self._descriptor = sys.stdin.fileno()
             self._before = termios.tcgetattr(self._descriptor)
             signal.signal(signal.SIGTSTP, self._suspend)
@@ -115,3 +114,11 @@ class Keyboard:
         os.kill(os.getpid(), signal.SIGSTOP)
         if self._descriptor is not None:
             tty.setcbreak(self._descriptor)
+
+
+def _in_background(terminal: int) -> bool:
+    """Whether we are a background job, which must not touch the terminal: the system would stop it."""
+    try:
+        return os.getpgrp() != os.tcgetpgrp(terminal)
+    except OSError:  # a terminal, but not the one that controls us
+        return False

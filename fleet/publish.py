@@ -30,6 +30,8 @@ LENGTH = Struct("<I")  # of a batch
 PIPE_BYTES = 1 << 20  # the most that Linux gives an ordinary user
 BATCH_BYTES = 1 << 16
 READY_S = 20.0
+# With `-m` a file in the current directory could take the place of a module, a user's `signal.py` for instance.
+_MAIN = "import sys; sys.path.append(sys.argv[1]); from fleet.publish_process import main; main()"
 CLOSE_S = 2.0  # for what is still on the way when the run ends
 
 
@@ -77,7 +79,7 @@ class LivePublisher:
         }
         # A group of its own: Ctrl-C is the console's business. It ends with the pipe, also when we are killed.
         self._process = process = subprocess.Popen(
-            [sys.executable, "-m", "fleet.publish_process"],
+            [sys.executable, "-P", "-c", _MAIN, str(Path(__file__).parent.parent)],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             process_group=0,

@@ -1,6 +1,6 @@
 """The process that publishes a live run's journal: from a pipe to zenoh, dropping what subscribers cannot take.
 
-Run as `python -m fleet.publish_process`. Stdin: one line of JSON, then batches as `fleet.publish` packs them; stdout:
+Started by `fleet.publish`. Stdin: one line of JSON, then batches as `fleet.publish` packs them; stdout:
 one line of JSON when it listens, one when it ends.
 """
 
@@ -12,6 +12,7 @@ import os
 import signal
 import sys
 import tempfile
+import traceback
 from pathlib import Path
 from typing import IO, Any
 
@@ -32,6 +33,20 @@ NICE = 5  # the run comes first where there are fewer cores than processes
 
 def main() -> None:
     """Publish until stdin ends."""
+    code = 1
+    try:
+        _publish()
+        code = 0
+    except BrokenPipeError:
+        code = 0  # the console was killed: nobody is left to tell
+    except BaseException:
+        traceback.print_exc()
+    finally:
+        # At once: the interpreter's own way out joins zenoh's threads, and those wait for subscribers.
+        os._exit(code)
+
+
+def _publish() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     quiet_zenoh()
     source = sys.stdin.buffer
@@ -67,7 +82,6 @@ def main() -> None:
             published += 1
     _say({"published": published})
     bus.close()  # sends what is queued, and waits for a subscriber that takes nothing; we are killed then
-    os._exit(0)
 
 
 def _batch(source: IO[bytes]) -> bytes | None:
@@ -82,7 +96,3 @@ def _batch(source: IO[bytes]) -> bytes | None:
 
 def _say(values: dict[str, Any]) -> None:
     print(json.dumps(values), flush=True)
-
-
-if __name__ == "__main__":
-    main()

@@ -122,13 +122,14 @@ class Recorder:
     def __init__(self, bus: OpenBus, keys: Sequence[str]) -> None:
         """Begin to listen. Raises BusError: a key expression is none."""
         self._queue: SimpleQueue[tuple[int, Any]] = SimpleQueue()
+        self._finished = False
         # Wall time that a correction of the system's clock cannot turn back.
         self._zero_ns = time.time_ns() - time.monotonic_ns()
         for key in keys:
             bus.subscribe(key, self._receive)
 
     def _receive(self, received: Any) -> None:
-        while self._queue.qsize() >= MOST_QUEUED:
+        while self._queue.qsize() >= MOST_QUEUED and not self._finished:
             time.sleep(0.01)
         self._queue.put((self._zero_ns + time.monotonic_ns(), received))
 
@@ -161,6 +162,7 @@ class Recorder:
         try:
             self._drain(writer, self._queue.qsize())
         finally:
+            self._finished = True  # a thread of zenoh that waits for room would keep the session from closing
             writer.close()
 
     def _drain(self, writer: TrafficWriter, most: int) -> None:

@@ -59,7 +59,7 @@ class Replay:
         """
         self._tape, self._wishes = tape, wishes
         self.keys = Keys(wishes.run)
-        self.ours = "run" in tape.metadata  # a journal, with sim time and a prefix of its own
+        self.ours = "uuv-fleet" in tape.metadata.get("run", {})  # a journal, with sim time and a prefix of its own
         kinds = {n: channel.metadata.get(KIND, "") for n, channel in tape.channels.items()}
         played = {n: c for n, c in tape.channels.items() if kinds[n] != ATTACHMENT}
         names = chosen((c.topic for c in played.values()), wishes.topics, wishes.regex)
@@ -84,7 +84,7 @@ class Replay:
             raise ReplayError(
                 f"nothing to play: the log ends at {last:g} s, and no chosen message is in what was asked for"
             )
-        self.messages = int(stop - first)
+        self._first, self.messages = int(first), int(stop - first)
         self._times, self._begin, self._end = times, begin, end
         self._publications: dict[int, Publication] = {}
         self.published = 0
@@ -127,6 +127,7 @@ class Replay:
     def play(self, keyboard: Keyboard, line: StatusLine) -> None:
         """Publish to the end, as the keyboard says."""
         self._wait(line)
+        self._tape[int(self._numbers[self._first])]  # decompressed before the clock starts
         self.player = player = self._player(time.monotonic_ns())
         pace = Pace()
         hz = self._wishes.clock_hz

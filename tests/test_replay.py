@@ -458,6 +458,18 @@ def test_a_subscriber_that_sleeps_does_not_hold_the_run(tmp_path: Path) -> None:
         assert (plain.directory / "run.mcap").read_bytes() == published.read_bytes()
 
 
+@pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGKILL, 137)])
+def test_the_publisher_ends_with_the_run(number: signal.Signals, status: int, tmp_path: Path) -> None:
+    """On Ctrl-C and on kill -9."""
+    with LiveRun(tmp_path / "runs", "paper", "--speed", "1", "--publish") as run:
+        run.until_running(0.5)
+        assert any("fleet publisher" in " ".join(process.cmdline()) for process in run.alive())
+        run.send(number)
+        assert run.status() == status
+        run.until_nobody_is_left()
+        assert (run.directory / "observe.json").exists() is (status == 137)
+
+
 # --- traffic of others -----------------------------------------------------
 
 
@@ -520,7 +532,7 @@ def test_killed_recorder_loses_a_second(tmp_path: Path) -> None:
             out = bus.publication("a/b", "zenoh/bytes", drop=False)
             wait_for(lambda: out.matched, LIMIT_S, "the recorder's subscription")
             sent: list[float] = []
-            end = time.monotonic() + 1.6
+            end = time.monotonic() + 2.2
 
             def put_until_the_end() -> bool:
                 out.put(b"%d" % len(sent), None)
@@ -534,7 +546,7 @@ def test_killed_recorder_loses_a_second(tmp_path: Path) -> None:
     tape = Tape(path)
     assert "cut" in tape.missing
     assert [tape[n].data for n in range(len(tape))] == [b"%d" % n for n in range(len(tape))]
-    old = sum(at < killed - 1.25 for at in sent)  # and a quarter, for a busy machine
+    old = sum(at < killed - 1.5 for at in sent)  # and a half, for a busy machine
     assert len(tape) >= old > 0
 
 

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import json
-import signal
+import os
 import sys
+import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from datetime import UTC, datetime
 from fractions import Fraction
 from pathlib import Path
-from types import FrameType
 from typing import Any
 
 import click
@@ -20,6 +20,7 @@ from rich.console import Console as Terminal
 from fleet.errors import FleetError
 from fleet.quantities import Dimension, QuantityError, parse, time_ns
 
+CLOSE_S = 2.0  # for what is still on the way to others
 EPILOG = "Exit status: 0 done, 2 usage or a bad file, 3 no connection or a full disk, 130 Ctrl-C."
 FILE_SIZE = Dimension("a size", "100 MB", {
     "MB": Fraction(10**6), "GB": Fraction(10**9), "kB": Fraction(1000), "B": Fraction(1),
@@ -159,10 +160,11 @@ def replay(
         played = Replay(tape, wishes)
     except FleetError as error:
         _fail(error, 2)
-    with _ending(), StatusLine(terminal, quiet=quiet) as line:
+    with _ending() as sessions, StatusLine(terminal, quiet=quiet) as line:
         if tape.missing:
             line.say(f"warning: {log}: {tape.missing}")
         bus = _session(connect, listen, None)
+        sessions.append(bus)
         began = time.monotonic()
         try:
             played.open(bus)
@@ -176,7 +178,6 @@ def replay(
             _broken(error)
         finally:
             line.say(played.summary(time.monotonic() - began))
-            bus.close()
 
 
 @click.command(epilog=EPILOG)
@@ -223,13 +224,13 @@ def record(
     if not keys:
         raise click.UsageError("record what? Give --key 'robot/**', or --key '**' for everything")
     path = output or Path(f"record-{datetime.now(UTC):%Y%m%d-%H%M%S}.mcap")
-    with _ending(), StatusLine(Terminal(stderr=True), quiet=quiet) as line:
+    with _ending() as sessions, StatusLine(Terminal(stderr=True), quiet=quiet) as line:
         bus = _session(connect, listen, credentials)
+        sessions.append(bus)
         try:
             recorder = Recorder(bus, keys)
             writer = TrafficWriter(path, keys)
         except Exception as error:
-            bus.close()
             _broken(error, 2)
             raise
         line.say(f"recording {', '.join(keys)} at {bus.endpoint} to {path}")
@@ -243,8 +244,6 @@ def record(
                 line.say(f"recorded {writer.samples} messages, {writer.size / 1e6:.2f} MB, to {path}")
             except FleetError as error:
                 _fail(error, 3)
-            finally:
-                bus.close()
 
 
 def _session(connect: str | None, listen: str | None, credentials: Any) -> Any:
@@ -279,19 +278,23 @@ def _observer(directory: Path) -> tuple[str, Any, str]:
 
 
 @contextmanager
-def _ending() -> Iterator[None]:
-    """Ctrl-C and SIGTERM end the command in an orderly way: 130 and 143."""
-
-    def terminate(number: int, frame: FrameType | None) -> None:
-        sys.exit(128 + number)
-
-    before = signal.signal(signal.SIGTERM, terminate)
+def _ending() -> Iterator[list[Any]]:
+    """Ctrl-C, and SIGTERM in its place, end the command with 130. Sessions in the list are closed, whatever ends it."""
+    sessions: list[Any] = []
     try:
-        yield
+        yield sessions
     except KeyboardInterrupt:
         sys.exit(130)
     finally:
-        signal.signal(signal.SIGTERM, before)
+        error = sys.exc_info()[1]
+        for bus in sessions:
+            # Zenoh waits 10 s for a peer that is suspended, and so would the interpreter's own way out.
+            closing = threading.Thread(target=bus.close, daemon=True)
+            closing.start()
+            closing.join(CLOSE_S)
+            if closing.is_alive():
+                sys.stderr.flush()
+                os._exit(error.code if isinstance(error, SystemExit) and isinstance(error.code, int) else bool(error))
 
 
 def _broken(error: Exception, status: int = 3) -> None:

@@ -22,11 +22,11 @@ from typing import Any
 
 from fleet.bench_agent import GOALS_US
 from fleet.bench_echo import echo_bus, echo_pipe
-from fleet.bench_log import log_figures
 from fleet.bench_netem import SHARE, SHARE_GOAL, netem_figures
+from fleet.bench_replay import measure_recorder
 from fleet.bench_steps import steps
 from fleet.children import Children
-from fleet.console import free_port
+from fleet.ports import free_port
 from fleet.run import Options, Status, execute
 from fleet.scenario import Scenario, load_scenario
 from netem.access import agent_role, generate
@@ -96,17 +96,16 @@ def measure(sizes: list[int], *, quick: bool, say: Callable[[str], None]) -> dic
                 pss_mb=pss[0],
             )
         )
+    journals = [measure_recorder(_scenario(n, quick), say) for n in sizes]
     say("the network core")
     network = netem_figures(quick=quick)
-    say("the log")
-    logs = log_figures(sizes, quick=quick)
     say("single steps")
     return {
         "machine": {"cpus": os.cpu_count(), "system": platform.platform(), "python": platform.python_version()},
         "versions": {name: version(name) for name in ("uuv-fleet", "eclipse-zenoh", "piqp", "numpy", "mcap")},
         "fleets": [row.to_values() for row in rows],
+        "journals": journals,
         "netem": network,
-        "logs": logs,
         "steps_us": steps(50 if quick else 2000),
     }
 

@@ -8,6 +8,7 @@ from rich.console import Console as Terminal
 from rich.table import Table
 
 from fleet.bench import netem_targets, step_targets, targets
+from fleet.bench_replay import show_rows
 
 
 def show(figures: dict[str, Any], terminal: Terminal) -> None:
@@ -35,13 +36,6 @@ def show(figures: dict[str, Any], terminal: Terminal) -> None:
     for name, value in figures["netem"].items():
         network.add_row(name, f"{value:.3f}" if value < 1 else f"{value:.0f}")
     terminal.print(network)
-    logs = Table(title="the log, every tick", title_justify="left", box=None, pad_edge=False)
-    for heading in figures["logs"][0]:
-        logs.add_column(heading, justify="right")
-    for row in figures["logs"]:
-        logs.add_row(
-            *(f"{value:.0f}" if value >= 100 or value == int(value) else f"{value:.2f}" for value in row.values())
-        )
-    terminal.print(logs)
+    terminal.print(show_rows(figures["journals"]))
     for line in [*targets(figures["fleets"]), *step_targets(figures["steps_us"]), *netem_targets(figures["netem"])]:
         terminal.print(line, highlight=False)

@@ -11,7 +11,7 @@ from typing import Any
 import click
 from rich.console import Console as Terminal
 
-from fleet import cli_live, cli_log, cli_verify, cli_whatif
+from fleet import cli_live, cli_log, cli_replay, cli_verify, cli_whatif
 from fleet.completion import scenarios
 from fleet.errors import FleetError, ScenarioError
 
@@ -76,6 +76,9 @@ _overrides = click.option(
 @_overrides
 @click.option("--show-config", is_flag=True, help="Print the merged scenario and stop.")
 @click.option("--port", type=click.IntRange(1, 65535), help="Loopback port of the router; by default a free one.")
+@click.option(
+    "--publish", is_flag=True, help="Publish the journal on zenoh meanwhile; nobody who listens slows the run."
+)
 @click.option("--start-order", metavar="SEED", type=int, hidden=True)
 @click.option("-q", "--quiet", is_flag=True, help="No progress and no tables.")
 def run(
@@ -89,6 +92,7 @@ def run(
     overrides: tuple[str, ...],
     show_config: bool,
     port: int | None,
+    publish: bool,
     start_order: int | None,
     quiet: bool,
 ) -> None:
@@ -131,7 +135,7 @@ def run(
 
             for warning in analyse(loaded).warnings:
                 terminal.print(f"warning: {warning}", highlight=False, markup=False, soft_wrap=True)
-        options = Options(out, in_process, speed, quiet, port, start, _shuffle(start_order))
+        options = Options(out, in_process, speed, quiet, publish, port, start, _shuffle(start_order))
         if start is not None and not quiet:
             terminal.print("\n".join(start.notes), highlight=False, markup=False, soft_wrap=True)
         if loaded.ideal and not in_process and not quiet:
@@ -378,7 +382,8 @@ def bench(agents: str, json_path: Path | None, quick: bool) -> None:
         json_path.write_text(json.dumps(figures, indent=2) + "\n", "utf-8")
 
 
-for _command in (*cli_live.COMMANDS, *cli_log.COMMANDS, *cli_verify.COMMANDS, *cli_whatif.COMMANDS):
+_GROUPS = (cli_live, cli_log, cli_replay, cli_verify, cli_whatif)
+for _command in (command for group in _GROUPS for command in group.COMMANDS):
     cli.add_command(_command)
 
 

@@ -10,7 +10,6 @@ import contextlib
 import os
 import secrets
 import signal
-import socket
 import tempfile
 import time
 from collections.abc import Callable
@@ -29,6 +28,7 @@ from fleet.control import Operator
 from fleet.errors import RunBroken, StoppedError
 from fleet.faults import MOST_RESTARTS, Kill
 from fleet.journal import Journal, frame_every
+from fleet.ports import free_port
 from fleet.rundir import RunDirectory
 from fleet.scenario import Scenario
 from netem.access import CONSOLE, NETEM, OPERATOR, Credentials, agent_role, generate
@@ -66,12 +66,13 @@ class Console:
         directory: RunDirectory,
         journal: Journal,
         *,
+        run: str | None = None,
         port: int | None = None,
         start_order: Callable[[list[str]], list[str]] | None = None,
     ) -> None:
         self._scenario, self._directory, self._journal = scenario, directory, journal
         self._vehicles = tuple(range(1, scenario.vehicles + 1))
-        self._keys = Keys(secrets.token_hex(4))
+        self._keys = Keys(run or secrets.token_hex(4))
         self._port = port
         self._start_order = start_order
         self._events: SimpleQueue[tuple[str, Any]] = SimpleQueue()
@@ -537,29 +538,6 @@ def lost_messages(counts: dict[str, Any]) -> int:
 
 def _flat(target: tuple[Callable[..., None], tuple[Any, ...]]) -> tuple[Any, ...]:
     return (target[0], *target[1])
-
-
-def free_port(wanted: int | None) -> int:
-    """A loopback port that is free now: the wanted one, or any.
-
-    Somebody may take it before the world does; then the world's end says so. To make that rare, ports are tried
-    below the range from which the system gives outgoing connections theirs.
-
-    Raises:
-        RunBroken: the wanted port is taken.
-    """
-    problem = ""
-    for port in [wanted] if wanted else [secrets.randbelow(22_000) + 10_000 for _ in range(100)]:
-        with socket.socket() as probe:
-            # As zenoh's listener does: a port whose last connections are still winding down is free.
-            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            try:
-                probe.bind(("127.0.0.1", port))
-            except OSError as error:
-                problem = f"port {port} on 127.0.0.1 cannot be used ({error.strerror})"
-            else:
-                return port
-    raise RunBroken(f"{problem}; choose another with --port, or leave it out for a free one")
 
 
 def _suspended(child: Child) -> str:

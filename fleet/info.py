@@ -43,9 +43,12 @@ def read_info(path: Path) -> Info:
         first = record.log_ns if first is None else min(first, record.log_ns)
         last = max(last, record.log_ns)
     topics = {
-        channel.topic: (reader.schemas[channel.schema_id].name, counts[channel.topic])
+        channel.topic: (
+            # Traffic of others has no schema, but an encoding.
+            reader.schemas[channel.schema_id].name if channel.schema_id in reader.schemas else channel.message_encoding,
+            counts[channel.topic],
+        )
         for channel in reader.channels.values()
-        if channel.schema_id in reader.schemas
     }
     return Info(
         path=str(path),
@@ -61,10 +64,8 @@ def read_info(path: Path) -> Info:
 
 def describe(info: Info) -> str:
     """The same in words, one fact a line."""
-    lines = [
-        f"{info.path}: {info.messages} messages, {info.bytes / 1e6:.2f} MB, "
-        f"sim time {info.start_s:g} to {info.end_s:g} s"
-    ]
+    times = f"sim time {info.start_s:g} to {info.end_s:g} s" if info.run else f"{info.end_s - info.start_s:g} s"
+    lines = [f"{info.path}: {info.messages} messages, {info.bytes / 1e6:.2f} MB, {times}"]
     if info.missing:
         lines.append(f"NOT WHOLE: {info.missing}")
     if info.run:

@@ -14,7 +14,7 @@ from collections.abc import Mapping
 from importlib.metadata import version
 from math import cos, sin
 from pathlib import Path
-from typing import IO, NamedTuple
+from typing import IO, NamedTuple, Protocol
 
 from google.protobuf.timestamp_pb2 import Timestamp
 from mcap.writer import CompressionType, Writer
@@ -60,11 +60,20 @@ class LogError(FleetError):
     """The log cannot be written: the disk is full, or the place is not writable."""
 
 
+class Tap(Protocol):
+    """Who else is told of what is written; it must neither wait nor raise."""
+
+    def channel(self, number: int, topic: str, schema: Schema) -> None: ...
+    def message(self, channel: int, log_ns: int, publish_ns: int, sequence: int, data: bytes) -> None: ...
+    def flush(self) -> None: ...
+
+
 class LogWriter:
     """Writes the journal of one run. `close` finishes the file; without it the file is cut but readable."""
 
-    def __init__(self, path: Path, scenario: Scenario, start: Start | None = None) -> None:
+    def __init__(self, path: Path, scenario: Scenario, start: Start | None = None, tap: Tap | None = None) -> None:
         self.path = path
+        self._tap = tap
         self._scenario = scenario
         self._tick_ns = scenario.tick_ns
         self._every = scenario.log_every
@@ -155,6 +164,8 @@ class LogWriter:
         if schema.name not in registered:
             registered[schema.name] = self._writer.register_schema(schema.name, "protobuf", schema.descriptor_set)
         number = self._writer.register_channel(topic, "protobuf", registered[schema.name], {"units": schema.units})
+        if self._tap is not None:
+            self._tap.channel(number, topic, schema)
         return _Channel(number, topic.encode())
 
     def frame(self, frame: Frame, commands: Mapping[int, Command], errors: Mapping[int, VehicleError]) -> None:
@@ -170,6 +181,8 @@ class LogWriter:
             for i, data in self._encode(group, rows, commands, errors, at_ns):
                 self._add(channels[i], at_ns, at_ns, tick, data)
         self._flush(at_ns)
+        if self._tap is not None:
+            self._tap.flush()
 
     def packet(self, fate: Fate) -> None:
         """Write one packet's final fate."""
@@ -251,6 +264,8 @@ class LogWriter:
             raise _log_error(self.path, error) from error
         self._digest.update(digest_part(channel.topic, log_ns, publish_ns, sequence, data))
         self.messages += 1
+        if self._tap is not None:
+            self._tap.message(channel.number, log_ns, publish_ns, sequence, data)
 
     def _flush(self, at_ns: int) -> None:
         # On sim time, not on the wall clock: chunk borders are part of the bytes.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import secrets
 import sys
 import time
 from collections.abc import Callable
@@ -21,6 +22,7 @@ from fleet.inprocess import InProcess
 from fleet.journal import Journal, frame_every
 from fleet.log import LogError, LogWriter
 from fleet.progress import ProgressLine
+from fleet.publish import LivePublisher
 from fleet.resume import Start
 from fleet.rundir import RunDirectory
 from fleet.scenario import Scenario
@@ -59,6 +61,7 @@ class Options:
     in_process: bool = False
     speed: float | None = None
     quiet: bool = False
+    publish: bool = False
     port: int | None = None
     start: Start | None = None  # where it goes on from another run; in-process only
     start_order: Callable[[list[str]], list[str]] | None = None
@@ -70,11 +73,19 @@ def execute(scenario: Scenario, options: Options, terminal: Terminal | None = No
     Raises:
         RunDirectoryError: the output directory cannot be made.
         LogError: the log cannot be created.
+        PublishError: the journal was to be published and cannot be.
     """
     terminal = terminal or Terminal(stderr=True)
     directory = RunDirectory(options.out, scenario.name, scenario.seed)
     directory.write_scenario(scenario.to_yaml())
-    log = LogWriter(directory.log, scenario, options.start)
+    run = secrets.token_hex(4)
+    publisher = LivePublisher(run, directory.observe) if options.publish else None
+    log = LogWriter(directory.log, scenario, options.start, publisher)
+    if publisher is not None:
+        publisher.open()
+        if not options.quiet:
+            where = f"publishing fleet/{run}/log/** at {publisher.endpoint}; how to join: {directory.observe}"
+            terminal.print(where, highlight=False, markup=False, soft_wrap=True)
     journal = Journal(scenario, log)
     clock = Clock(scenario.ticks, scenario.tick_ns, scenario.round_ticks, frame_every(scenario), options.speed)
     in_process = options.in_process or scenario.ideal or options.start is not None
@@ -82,7 +93,7 @@ def execute(scenario: Scenario, options: Options, terminal: Terminal | None = No
     if in_process:
         fleet = InProcess(scenario, journal, options.start)
     else:
-        fleet = Console(scenario, directory, journal, port=options.port, start_order=options.start_order)
+        fleet = Console(scenario, directory, journal, run=run, port=options.port, start_order=options.start_order)
     result = Result(Status.PASS, directory.path, "")
     closing: dict[str, Any] = {"entered": {}, "rejected": {}}
     began = time.monotonic()
@@ -101,7 +112,10 @@ def execute(scenario: Scenario, options: Options, terminal: Terminal | None = No
         result.status, result.reason = Status.INTERRUPTED, "interrupted"
     except StoppedError:
         result.status, result.reason = Status.INTERRUPTED, "stopped by the operator"
-    wall_s = time.monotonic() - began
+    finally:
+        wall_s = time.monotonic() - began
+        if publisher is not None:
+            publisher.close()
     _close_log(log, result)
     for link, (sent, duplicated) in closing["entered"].items():
         journal.ledger.enter(link, sent=sent, duplicated=duplicated)
@@ -122,6 +136,8 @@ def execute(scenario: Scenario, options: Options, terminal: Terminal | None = No
         "run_s": wall_s - started_s,
         "x_real_time": max(0, journal.written) * scenario.tick_ns / 1e9 / max(1e-9, wall_s - started_s),
     }
+    if publisher is not None:
+        result.values["published"] = {"messages": publisher.published, "dropped": publisher.dropped}
     result.values["rejected"] = closing["rejected"]
     result.values["deaths"] = {str(i): how for i, how in fleet.deaths.items()}
     result.values["notes"] = list(getattr(fleet, "notes", ()))

@@ -48,6 +48,11 @@ class RunDirectory:
         """Mode 0600; there only while the run lives."""
         return self.path / "connection.json"
 
+    @property
+    def observe(self) -> Path:
+        """Mode 0600; there only while a run lives that is published: where and as whom to listen."""
+        return self.path / "observe.json"
+
     def process_log(self, role: str) -> Path:
         return self.path / "log" / f"{role}.log"
 

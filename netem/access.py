@@ -14,6 +14,7 @@ from typing import Any
 from netem.keys import Keys
 
 CONSOLE, NETEM, OPERATOR = "console", "netem", "operator"
+OBSERVER = "observer"  # of a published run: it has a router of its own, and may read the journal there
 
 
 def agent_role(i: int) -> str:
@@ -115,4 +116,27 @@ def access_control(keys: Keys, vehicles: tuple[int, ...]) -> dict[str, Any]:
         "rules": rules,
         "subjects": subjects,
         "policies": policies,
+    }
+
+
+def observer_control(keys: Keys) -> dict[str, Any]:
+    """The list for the router of a published run: the observer may listen to the journal and ask for schemas, and
+    put nothing."""
+    log, schemas = keys.log("**"), keys.schema("**")
+    grants = [
+        ("ingress", ["declare_subscriber"], log),
+        ("egress", ["put"], log),
+        ("ingress", ["query"], schemas),
+        ("egress", ["reply", "declare_queryable"], schemas),
+    ]
+    rules = [
+        {"id": f"{OBSERVER}:{n}", "permission": "allow", "flows": [flow], "messages": messages, "key_exprs": [key]}
+        for n, (flow, messages, key) in enumerate(grants)
+    ]
+    return {
+        "enabled": True,
+        "default_permission": "deny",
+        "rules": rules,
+        "subjects": [{"id": OBSERVER, "usernames": [OBSERVER]}],
+        "policies": [{"rules": [rule["id"] for rule in rules], "subjects": [OBSERVER]}],
     }

@@ -71,3 +71,16 @@ class Keys:
     def op(self) -> str:
         """Operator tools to console (query)."""
         return f"fleet/{self.run}/op"
+
+    def log(self, topic: str) -> str:
+        """The journal, topic for topic what the log holds."""
+        return f"fleet/{self.run}/log/{topic}"
+
+    def schema(self, name: str) -> str:
+        """The protobuf descriptor set of a log message (query)."""
+        return f"fleet/{self.run}/schema/{name}"
+
+    @property
+    def clock(self) -> str:
+        """The time of a replay, as a source of time for others."""
+        return f"fleet/{self.run}/clock"

@@ -1,0 +1,142 @@
+"""How fast a journal is written, read and played, and how large it is: part of `fleet bench`."""
+
+from __future__ import annotations
+
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+from rich.console import Console as Terminal
+from rich.table import Table
+
+from fleet.clock import Clock
+from fleet.faults import Event
+from fleet.inprocess import InProcess
+from fleet.journal import Journal, frame_every
+from fleet.keyboard import Keyboard
+from fleet.log import LogWriter
+from fleet.metrics import VehicleError
+from fleet.ports import free_port
+from fleet.reader import LogReader
+from fleet.record import Limits, Recorder, TrafficWriter
+from fleet.replay import Replay, Wishes
+from fleet.scenario import Scenario
+from fleet.snapshot import Snapshot
+from fleet.status_line import StatusLine
+from fleet.tape import Tape
+from netem.bus import OpenBus
+from netem.messages import Command, Fate, Frame
+
+PATIENCE_S = 60.0
+
+
+class _Timed:
+    """A log writer with a stopwatch."""
+
+    def __init__(self, log: LogWriter) -> None:
+        self._log = log
+        self.s = 0.0
+
+    def frame(self, frame: Frame, commands: Mapping[int, Command], errors: Mapping[int, VehicleError]) -> None:
+        began = time.perf_counter()
+        self._log.frame(frame, commands, errors)
+        self.s += time.perf_counter() - began
+
+    def packet(self, fate: Fate) -> None:
+        began = time.perf_counter()
+        self._log.packet(fate)
+        self.s += time.perf_counter() - began
+
+    def event(self, event: Event) -> None:
+        self._log.event(event)
+
+    def snapshot(self, snapshot: Snapshot) -> None:
+        self._log.snapshot(snapshot)
+
+
+def measure_recorder(scenario: Scenario, say: Callable[[str], None]) -> dict[str, float]:
+    """Figures of the journal of one scenario; messages per wall second, sizes per simulated minute.
+
+    `record` is what reaches a file over zenoh, player and recorder sharing this process; the others are one core's.
+
+    Raises:
+        RuntimeError: the recorder did not get everything.
+    """
+    with tempfile.TemporaryDirectory(prefix="uuv-fleet-bench-") as folder:
+        path, copy = Path(folder) / "run.mcap", Path(folder) / "copy.mcap"
+        say(f"N = {scenario.vehicles}: journal, written and read")
+        log = LogWriter(path, scenario)
+        timed = _Timed(log)
+        clock = Clock(scenario.ticks, scenario.tick_ns, scenario.round_ticks, frame_every(scenario))
+        InProcess(scenario, Journal(scenario, timed)).serve(clock, lambda: None)
+        log.close()
+        began = time.perf_counter()
+        count = sum(1 for _ in LogReader(path))
+        read_s = time.perf_counter() - began
+        began = time.perf_counter()
+        tape = Tape(path)
+        scan_s = time.perf_counter() - began
+        say(f"N = {scenario.vehicles}: journal, played and recorded")
+        play_s = _play(tape, Wishes(rate=0.0), None)
+        record_s = _play(tape, Wishes(rate=0.0, wait=True), copy)
+        minutes = scenario.duration_ns / 60e9
+        return {
+            "vehicles": scenario.vehicles,
+            "messages": count,
+            "written": count / timed.s,
+            "read": count / read_s,
+            "scanned": count / scan_s,
+            "replayed": count / play_s,
+            "record": count / record_s,
+            "mb_per_minute": path.stat().st_size / 1e6 / minutes,
+            "mb_per_vehicle_minute": path.stat().st_size / 1e6 / minutes / scenario.vehicles,
+        }
+
+
+def _play(tape: Tape, wishes: Wishes, copy: Path | None) -> float:
+    """Wall seconds until everything is published, and in the file if there is one."""
+    replay, line = Replay(tape, wishes), StatusLine(Terminal(stderr=True), quiet=True)
+    bus = OpenBus.listen(f"tcp/127.0.0.1:{free_port(None)}")
+    other = None
+    try:
+        replay.open(bus)
+        if copy is None:
+            began = time.perf_counter()
+            replay.play(Keyboard(), line)
+            return time.perf_counter() - began
+        other = OpenBus.connect(bus.endpoint)
+        recorder, writer = Recorder(other, ["fleet/**"]), TrafficWriter(copy, ["fleet/**"])
+        while replay.unmatched():
+            time.sleep(0.01)
+        player = threading.Thread(target=replay.play, args=(Keyboard(), line))
+        began = time.perf_counter()
+        player.start()
+        while writer.samples < replay.messages:
+            recorder.record(writer, Limits(duration_ns=50_000_000), line)
+            if time.perf_counter() - began > PATIENCE_S:
+                raise RuntimeError(f"{replay.messages - writer.samples} messages did not reach the recorder")
+        took = time.perf_counter() - began
+        player.join()
+        recorder.finish(writer)
+        return took
+    finally:
+        if other is not None:
+            other.close()
+        bus.close()
+
+
+def show_rows(rows: list[dict[str, float]]) -> Table:
+    """The figures as a table."""
+    table = Table(title="the journal, messages per second", title_justify="left", box=None, pad_edge=False)
+    names = {
+        "vehicles": "N", "messages": "messages", "written": "written", "read": "read", "scanned": "opened to play",
+        "replayed": "played, rate 0", "record": "played and recorded", "mb_per_minute": "MB/min",
+        "mb_per_vehicle_minute": "MB/vehicle-min",
+    }  # fmt: skip
+    for heading in names.values():
+        table.add_column(heading, justify="right")
+    for row in rows:
+        table.add_row(*(f"{row[key]:.2f}" if key.startswith("mb") else f"{row[key]:.0f}" for key in names))
+    return table

@@ -1,0 +1,314 @@
+"""The commands `fleet replay` and `fleet record`."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from datetime import UTC, datetime
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import click
+from rich.console import Console as Terminal
+
+from fleet.errors import FleetError
+from fleet.quantities import Dimension, QuantityError, parse, time_ns
+
+CLOSE_S = 2.0  # for what is still on the way to others
+EPILOG = "Exit status: 0 done, 2 usage or a bad file, 3 no connection or a full disk, 130 Ctrl-C."
+FILE_SIZE = Dimension("a size", "100 MB", {
+    "MB": Fraction(10**6), "GB": Fraction(10**9), "kB": Fraction(1000), "B": Fraction(1),
+    "MiB": Fraction(2**20), "GiB": Fraction(2**30), "kiB": Fraction(1024),
+})  # fmt: skip
+
+
+class Duration(click.ParamType[int]):
+    """A time with a unit, as whole ns, not negative."""
+
+    name = "time"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> int:
+        try:
+            ns = value if isinstance(value, int) else time_ns(value)
+        except QuantityError as error:
+            self.fail(f"{error.message}{f': {error.hint}' if error.hint else ''}", param, ctx)
+        if ns < 0:
+            self.fail(f"a time that is not negative is needed, got {value!r}", param, ctx)
+        return ns
+
+
+class FileSize(click.ParamType[int]):
+    """A size with a unit, as whole bytes."""
+
+    name = "size"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> int:
+        try:
+            size = value if isinstance(value, int) else int(parse(value, FILE_SIZE)[0])
+        except QuantityError as error:
+            self.fail(f"{error.message}{f': {error.hint}' if error.hint else ''}", param, ctx)
+        if size <= 0:
+            self.fail(f"a positive size is needed, got {value!r}", param, ctx)
+        return size
+
+
+class Endpoint(click.ParamType[str]):
+    """A zenoh endpoint."""
+
+    name = "endpoint"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
+        protocol, slash, address = str(value).partition("/")
+        if not slash or not protocol or not address:
+            self.fail(f"expected an endpoint such as tcp/127.0.0.1:7447, got {value!r}", param, ctx)
+        return str(value)
+
+
+def _rate(ctx: click.Context, param: click.Parameter, value: float) -> float:
+    from fleet.player import FASTEST, SLOWEST
+
+    if value and not SLOWEST <= value <= FASTEST:
+        raise click.BadParameter(f"expected 0 or {SLOWEST:g} to {FASTEST:g}, got {value:g}")
+    return value
+
+
+_connect = click.option(
+    "--connect", metavar="ENDPOINT", type=Endpoint(), help="Join the router or peer there, e.g. tcp/10.0.0.5:7447."
+)
+_listen = click.option(
+    "--listen", metavar="ENDPOINT", type=Endpoint(), help="Be a router there; by default a free loopback port, printed."
+)
+
+
+@click.command(epilog=EPILOG)
+@click.argument("log", type=click.Path(path_type=Path))
+@click.option("-r", "--rate", metavar="X", type=float, default=1.0, show_default=True, callback=_rate,
+              help="Times the log's own pace; 0: as fast as possible.")  # fmt: skip
+@click.option("-l", "--loop", is_flag=True, help="Begin again at the end, until Ctrl-C.")
+@click.option("-s", "--start-offset", metavar="TIME", type=Duration(), default=0, help="Skip so much, e.g. '20 s'.")
+@click.option("--duration", metavar="TIME", type=Duration(), help="Play so much of the log.")
+@click.option("--until", metavar="TIME", type=Duration(), help="Play up to this time of the log, from its beginning.")
+@click.option("-p", "--start-paused", is_flag=True, help="Begin with a pause; space goes on, right arrow steps.")
+@click.option("-d", "--delay", metavar="TIME", type=Duration(), default=0, help="Wait so long before the beginning.")
+@click.option("--topics", metavar="TOPIC", multiple=True,
+              help="Only this topic, or those that fit: uuv/*/state, link/**; repeatable.")  # fmt: skip
+@click.option(
+    "-e", "--regex", metavar="RE", help="Only topics in which this regular expression is found; adds to --topics."
+)
+@click.option("-m", "--remap", metavar="OLD:=NEW", multiple=True,
+              help="Rename a topic, or the first parts of many: uuv/1:=twin; repeatable.")  # fmt: skip
+@click.option("--clock", metavar="HZ", type=click.FloatRange(0.001, 1000.0),
+              help="Publish the time of the log so often, on fleet/{run}/clock.")  # fmt: skip
+@click.option("--wait-for-subscribers", is_flag=True, help="Begin when every key that is played has a subscriber.")
+@click.option("--run", "run_id", metavar="ID", default="replay", show_default=True,
+              help="Publish under fleet/ID/log/**; a recording of other traffic keeps its keys.")  # fmt: skip
+@_connect
+@_listen
+@click.option("-q", "--quiet", is_flag=True, help="No progress and no summary.")
+def replay(
+    log: Path,
+    rate: float,
+    loop: bool,
+    start_offset: int,
+    duration: int | None,
+    until: int | None,
+    start_paused: bool,
+    delay: int,
+    topics: tuple[str, ...],
+    regex: str | None,
+    remap: tuple[str, ...],
+    clock: float | None,
+    wait_for_subscribers: bool,
+    run_id: str,
+    connect: str | None,
+    listen: str | None,
+    quiet: bool,
+) -> None:
+    """Publish LOG (an MCAP file, or a run directory) on zenoh again, at its own pace.
+
+    On a terminal: space pauses, right arrow plays one tick, up and down change the rate by 10 %, ] and [ (or shift
+    with right and left arrow) seek 5 s.
+
+    \b
+    Examples:
+      fleet replay runs/latest --listen tcp/127.0.0.1:7447
+      fleet replay runs/latest -r 0 --wait-for-subscribers --topics 'uuv/*/pose'
+      fleet replay robot.mcap --loop --remap robot:=twin --connect tcp/127.0.0.1:7447
+    """
+    from fleet.keyboard import Keyboard
+    from fleet.reader import log_path
+    from fleet.replay import Replay, Wishes
+    from fleet.status_line import StatusLine
+    from fleet.tape import Tape
+
+    if not run_id or set(run_id) & set("/*$?#"):
+        raise click.BadParameter(f"expected one part of a key, without / * $ ? #, got {run_id!r}", param_hint="--run")
+    wishes = Wishes(
+        run=run_id, rate=rate, loop=loop, start_ns=start_offset, duration_ns=duration, until_ns=until,
+        paused=start_paused, delay_ns=delay, topics=topics, regex=regex, remap=remap, clock_hz=clock,
+        wait=wait_for_subscribers,
+    )  # fmt: skip
+    terminal = Terminal(stderr=True)
+    try:
+        tape = Tape(log_path(log))
+        played = Replay(tape, wishes)
+    except FleetError as error:
+        _fail(error, 2)
+    with _ending() as sessions, StatusLine(terminal, quiet=quiet) as line:
+        if tape.missing:
+            line.say(f"warning: {log}: {tape.missing}")
+        bus = _session(connect, listen, None)
+        sessions.append(bus)
+        began = time.monotonic()
+        try:
+            played.open(bus)
+            keys = f"fleet/{run_id}/log/**" if played.ours else "its own keys"
+            line.say(f"playing {played.messages} messages on {keys} at {bus.endpoint}")
+            with Keyboard() as keyboard:
+                if start_paused and not keyboard.there:
+                    raise click.UsageError("--start-paused needs a terminal: nobody could go on")
+                played.play(keyboard, line)
+        except Exception as error:
+            _broken(error)
+        finally:
+            line.say(played.summary(time.monotonic() - began))
+
+
+@click.command(epilog=EPILOG)
+@click.option("-k", "--key", "keys", metavar="KEY", multiple=True,
+              help="Key expression to record, e.g. 'robot/**'; repeatable.")  # fmt: skip
+@click.option("-o", "--output", metavar="FILE", type=click.Path(path_type=Path, dir_okay=False),
+              help="Where to; by default record-<UTC time>.mcap.")  # fmt: skip
+@click.option("--duration", metavar="TIME", type=Duration(), help="Stop after so long, e.g. '1 min'.")
+@click.option("--max-size", metavar="SIZE", type=FileSize(), help="Stop when the file is so large, e.g. '100 MB'.")
+@_connect
+@_listen
+@click.option("--run", metavar="DIR", type=click.Path(path_type=Path),
+              help="Record the journal of this live run, which was started with --publish.")  # fmt: skip
+@click.option("-q", "--quiet", is_flag=True, help="No progress and no summary.")
+def record(
+    keys: tuple[str, ...],
+    output: Path | None,
+    duration: int | None,
+    max_size: int | None,
+    connect: str | None,
+    listen: str | None,
+    run: Path | None,
+    quiet: bool,
+) -> None:
+    """Record zenoh traffic of any kind to an MCAP file, until Ctrl-C.
+
+    Payloads stay as they are, with their encoding, attachment and timestamp; `fleet replay` publishes them again.
+
+    \b
+    Examples:
+      fleet record --key 'robot/**' -o robot.mcap --connect tcp/127.0.0.1:7447
+      fleet record --key 'robot/**' --key 'base/*/status' --listen tcp/0.0.0.0:7447 --duration '10 min'
+      fleet record --run runs/latest -o journal.mcap
+    """
+    from fleet.record import Limits, Recorder, TrafficWriter
+    from fleet.status_line import StatusLine
+
+    credentials = None
+    if run is not None:
+        if connect or listen:
+            raise click.UsageError("--run says already where to connect")
+        connect, credentials, prefix = _observer(run)
+        keys = keys or (f"{prefix}/log/**",)
+    if not keys:
+        raise click.UsageError("record what? Give --key 'robot/**', or --key '**' for everything")
+    path = output or Path(f"record-{datetime.now(UTC):%Y%m%d-%H%M%S}.mcap")
+    with _ending() as sessions, StatusLine(Terminal(stderr=True), quiet=quiet) as line:
+        bus = _session(connect, listen, credentials)
+        sessions.append(bus)
+        try:
+            recorder = Recorder(bus, keys)
+            writer = TrafficWriter(path, keys)
+        except Exception as error:
+            _broken(error, 2)
+            raise
+        line.say(f"recording {', '.join(keys)} at {bus.endpoint} to {path}")
+        try:
+            recorder.record(writer, Limits(duration, max_size), line)
+        except Exception as error:
+            _broken(error)
+        finally:
+            try:
+                recorder.finish(writer)
+                line.say(f"recorded {writer.samples} messages, {writer.size / 1e6:.2f} MB, to {path}")
+            except FleetError as error:
+                _fail(error, 3)
+
+
+def _session(connect: str | None, listen: str | None, credentials: Any) -> Any:
+    from fleet.ports import free_port
+    from netem.bus import OpenBus, quiet_zenoh
+    from netem.errors import BusError
+
+    if connect and listen:
+        raise click.UsageError("either --connect or --listen")
+    quiet_zenoh()
+    try:
+        if connect:
+            return OpenBus.connect(connect, credentials)
+        return OpenBus.listen(listen or f"tcp/127.0.0.1:{free_port(None)}")
+    except (BusError, FleetError) as error:
+        _fail(error, 3)
+
+
+def _observer(directory: Path) -> tuple[str, Any, str]:
+    """Endpoint, credentials and prefix of a run that is published."""
+    from netem.access import Credentials
+    from netem.keys import Keys
+
+    path = directory / "observe.json"
+    try:
+        values = json.loads(path.read_text("utf-8"))
+        return values["endpoint"], Credentials(values["user"], values["password"]), Keys(values["run"]).prefix
+    except (OSError, ValueError, KeyError, TypeError):
+        raise click.BadParameter(
+            f"{directory} is no live run that is published: there is no usable {path.name}", param_hint="--run"
+        ) from None
+
+
+@contextmanager
+def _ending() -> Iterator[list[Any]]:
+    """Ctrl-C, and SIGTERM in its place, end the command with 130. Sessions in the list are closed, whatever ends it."""
+    sessions: list[Any] = []
+    try:
+        yield sessions
+    except KeyboardInterrupt:
+        sys.exit(130)
+    finally:
+        error = sys.exc_info()[1]
+        for bus in sessions:
+            # Zenoh waits 10 s for a peer that is suspended, and so would the interpreter's own way out.
+            closing = threading.Thread(target=bus.close, daemon=True)
+            closing.start()
+            closing.join(CLOSE_S)
+            if closing.is_alive():
+                sys.stderr.flush()
+                os._exit(error.code if isinstance(error, SystemExit) and isinstance(error.code, int) else bool(error))
+
+
+def _broken(error: Exception, status: int = 3) -> None:
+    """End with a word on an error of ours; anything else goes on as it is."""
+    from netem.errors import NetemError
+
+    if not isinstance(error, (FleetError, NetemError)):
+        raise error
+    _fail(error, status)
+
+
+def _fail(error: Exception, status: int) -> Any:
+    click.echo(f"fleet: {error}", err=True)
+    sys.exit(status)
+
+
+COMMANDS = (replay, record)

@@ -1,0 +1,204 @@
+"""When what is played: a pure state machine over the due times of messages and a wall clock that is told to it.
+
+Log time p and wall time t are related by p = p0 + rate (t - t0) while the player runs; every change (pause, rate,
+seek) sets (p0, t0) anew. Rate 0 means as fast as possible. All times are integer ns.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_left, bisect_right
+from typing import Protocol
+
+LATE_NS = 5_000_000  # a message that is handed out so long after it was due has missed its deadline
+SEEK_NS = 5_000_000_000  # log time that a key press seeks
+RATE_STEP = 1.1
+SLOWEST, FASTEST = 0.001, 1e6
+
+
+class Times(Protocol):
+    """A sequence of integers that never decreases: a list, or an array."""
+
+    def __len__(self) -> int: ...
+    def __getitem__(self, index: int, /) -> int: ...
+
+
+class Player:
+    """Says which messages are due at a wall time; publishing them is somebody else's.
+
+    `times` never decreases. Messages are named by their index in it; those from `begin_ns` to `end_ns`, both
+    included, are played, each once a lap and in order.
+    """
+
+    def __init__(
+        self,
+        times: Times,
+        begin_ns: int,
+        end_ns: int,
+        *,
+        rate: float = 1.0,
+        loop: bool = False,
+        paused: bool = False,
+        now: int = 0,
+    ) -> None:
+        self._times = times
+        self.begin_ns, self.end_ns = begin_ns, max(begin_ns, end_ns)
+        self._first = bisect_left(times, begin_ns)
+        self._stop = bisect_right(times, self.end_ns)
+        self._next = self._first
+        self._rate, self._loop, self._paused = rate, loop, paused
+        self._origin = now, begin_ns
+        self.missed = 0  # deadlines
+        self.laps = 0  # completed ones
+
+    @property
+    def rate(self) -> float:
+        """Log seconds per wall second; 0: as fast as possible."""
+        return self._rate
+
+    @property
+    def paused(self) -> bool:
+        return self._paused
+
+    @property
+    def over(self) -> bool:
+        """Whether nothing is left to play."""
+        return self._next >= self._stop and (not self._loop or self._first >= self._stop)
+
+    @property
+    def left(self) -> int:
+        """Messages left in this lap."""
+        return self._stop - self._next
+
+    def position(self, now: int) -> int:
+        """The log time that is played at wall time `now`; it waits for a message that is not handed out yet."""
+        wall, log = self._origin
+        if self._paused or not self._rate:
+            return log
+        reached = min(log + int((now - wall) * self._rate), self.end_ns)
+        return min(reached, int(self._times[self._next])) if self._next < self._stop else reached
+
+    def due(self, now: int, most: int) -> range:
+        """The next messages that are due, at most so many; they count as played."""
+        if self._paused:
+            return range(0)
+        if self._next >= self._stop:
+            if self.over or self._wait_for(self.end_ns, now) > 0:
+                return range(0)
+            self._lap(now)
+        if not self._rate:
+            ready = self._stop
+        else:
+            wall, log = self._origin
+            ready = bisect_right(self._times, log + int((now - wall) * self._rate), self._next, self._stop)
+        found = range(self._next, min(ready, self._next + most))
+        if found:
+            self._count_missed(found, now)
+            self._next = found.stop
+            if not self._rate:
+                self._origin = now, int(self._times[found[-1]])
+        return found
+
+    def wait_ns(self, now: int) -> int | None:
+        """Wall time until something is due; None when nothing will be unless something changes."""
+        if self._paused or self.over:
+            return None
+        return self._wait_for(int(self._times[self._next]) if self._next < self._stop else self.end_ns, now)
+
+    def pause(self, now: int) -> None:
+        """Hold the position."""
+        if not self._paused:
+            self._origin = now, self.position(now)
+            self._paused = True
+
+    def resume(self, now: int) -> None:
+        """Go on from the position."""
+        if self._paused:
+            self._origin = now, self._origin[1]
+            self._paused = False
+
+    def toggle(self, now: int) -> None:
+        """Pause or resume."""
+        if self._paused:
+            self.resume(now)
+        else:
+            self.pause(now)
+
+    def step(self, now: int) -> range:
+        """Pause, and hand out the next message with all that have its time: a tick of a run."""
+        self.pause(now)
+        if self._next >= self._stop:
+            if self.over:
+                return range(0)
+            self._lap(now)
+        at = int(self._times[self._next])
+        found = range(self._next, bisect_right(self._times, at, self._next, self._stop))
+        self._next = found.stop
+        self._origin = now, at
+        return found
+
+    def seek(self, now: int, log_ns: int) -> None:
+        """Go to a log time, or to the nearer end; a pause remains one. What is skipped is not handed out."""
+        at = min(max(log_ns, self.begin_ns), self.end_ns)
+        self._next = bisect_left(self._times, at, self._first, self._stop)
+        self._origin = now, at
+
+    def set_rate(self, now: int, rate: float) -> None:
+        """Go on at another rate from the position."""
+        self._origin = now, self.position(now)
+        self._rate = min(max(rate, SLOWEST), FASTEST) if rate else 0.0
+
+    def _lap(self, now: int) -> None:
+        self.laps += 1
+        self._next = self._first
+        self._origin = now, self.begin_ns
+
+    def _wait_for(self, log_ns: int, now: int) -> int:
+        if not self._rate:
+            return 0
+        wall, log = self._origin
+        # Rounded up: a moment too early nothing would be due, and the caller would come again at once.
+        return max(0, wall - now + int((log_ns - log) / self._rate) + 1)
+
+    def _count_missed(self, found: range, now: int) -> None:
+        if self._rate:
+            wall, log = self._origin
+            before = log + int((now - LATE_NS - wall) * self._rate)
+            self.missed += bisect_left(self._times, before, found.start, found.stop) - found.start
+
+
+class Metronome:
+    """Beats at a frequency of wall time; beats that were slept through are left out."""
+
+    def __init__(self, hz: float, now: int) -> None:
+        self._period = int(1e9 / hz)
+        self._next = now
+
+    def beats(self, now: int) -> bool:
+        """Whether it is time for a beat."""
+        if now < self._next:
+            return False
+        self._next += ((now - self._next) // self._period + 1) * self._period
+        return True
+
+    def wait_ns(self, now: int) -> int:
+        """Wall time until the next beat."""
+        return max(0, self._next - now)
+
+
+class Pace:
+    """Log time per wall time over about the last second."""
+
+    WINDOW_NS = 1_000_000_000
+
+    def __init__(self) -> None:
+        self._since: tuple[int, int] | None = None
+        self.value = 0.0
+
+    def tell(self, now: int, position: int) -> float:
+        """The pace, given where the player is."""
+        if self._since is None or position < self._since[1]:
+            self._since = now, position
+        elif now - self._since[0] >= self.WINDOW_NS:
+            self.value = (position - self._since[1]) / (now - self._since[0])
+            self._since = now, position
+        return self.value

@@ -1,0 +1,176 @@
+"""A live run's journal on zenoh: the recorder's messages go to a process of their own, which publishes them.
+
+The run pays for a copy into a pipe and no more: the pipe is never waited for. When it is full, because the publisher
+cannot keep up, whole ticks are left out and counted; the numbers in the stamps show subscribers what is missing. The
+publisher's router is not the run's, so a subscriber cannot hold up, or even see, what moves the run.
+"""
+
+from __future__ import annotations
+
+import base64
+import contextlib
+import fcntl
+import json
+import os
+import secrets
+import select
+import subprocess
+import sys
+import time
+from pathlib import Path
+from struct import Struct
+from typing import IO, Any
+
+from fleet.errors import FleetError
+from fleet.log_schemas import Schema
+from netem.access import OBSERVER, Credentials
+
+ENTRY = Struct("<HIQQQI")  # channel, sequence, log time, publish time, number in the log, bytes that follow
+LENGTH = Struct("<I")  # of a batch
+PIPE_BYTES = 1 << 20  # the most that Linux gives an ordinary user
+BATCH_BYTES = 1 << 16
+READY_S = 20.0
+# With `-m` a file in the current directory could take the place of a module, a user's `signal.py` for instance.
+_MAIN = "import sys; sys.path.append(sys.argv[1]); from fleet.publish_process import main; main()"
+CLOSE_S = 2.0  # for what is still on the way when the run ends
+
+
+class PublishError(FleetError):
+    """The publisher's process did not start."""
+
+
+class LivePublisher:
+    """What the log writer tells of each message; see `fleet.log.Tap`. `open` starts the process."""
+
+    def __init__(self, run: str, observe: Path) -> None:
+        """`observe`: the file that says, while the run lives, where and as whom to listen."""
+        self.run = run
+        self.dropped = 0  # messages that the pipe had no room for
+        self.published = 0  # while anybody listened, as the process says when it ends
+        self.endpoint = ""
+        self._observe = observe
+        self._channels: list[tuple[int, str, str]] = []
+        self._schemas: dict[str, str] = {}
+        self._batch: list[bytes] = []
+        self._size = 0
+        self._number = 0
+        self._rest = b""  # of a batch that is partly written
+        self._gone = False
+        self._process: subprocess.Popen[bytes] | None = None
+
+    def channel(self, number: int, topic: str, schema: Schema) -> None:
+        """There will be messages on this channel."""
+        self._channels.append((number, topic, schema.name))
+        self._schemas[schema.name] = base64.b64encode(schema.descriptor_set).decode()
+
+    def open(self) -> None:
+        """Start the process and wait until it listens.
+
+        Raises:
+            PublishError: it ended, or did not listen in time.
+        """
+        observer = Credentials(OBSERVER, secrets.token_urlsafe(24))
+        values = {
+            "run": self.run,
+            "user": observer.user,
+            "password": observer.password,
+            "channels": self._channels,
+            "schemas": self._schemas,
+        }
+        # A group of its own: Ctrl-C is the console's business. It ends with the pipe, also when we are killed.
+        self._process = process = subprocess.Popen(
+            [sys.executable, "-P", "-c", _MAIN, str(Path(__file__).parent.parent)],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            process_group=0,
+        )
+        try:
+            _pipe(process.stdin).write(json.dumps(values).encode() + b"\n")
+            _pipe(process.stdin).flush()
+            answer = self._answer(READY_S)
+        except OSError:
+            answer = {}
+        if "endpoint" not in answer:
+            process.kill()
+            process.wait()
+            raise PublishError(f"the journal cannot be published: {answer.get('error', 'the publisher did not start')}")
+        self.endpoint = answer["endpoint"]
+        descriptor = _pipe(process.stdin).fileno()
+        os.set_blocking(descriptor, False)
+        with contextlib.suppress(OSError):  # where it may not be larger, it stays as it is
+            fcntl.fcntl(descriptor, fcntl.F_SETPIPE_SZ, PIPE_BYTES)
+        del values["channels"], values["schemas"]
+        with os.fdopen(os.open(self._observe, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w") as file:
+            json.dump({"endpoint": self.endpoint, **values}, file)
+
+    def message(self, channel: int, log_ns: int, publish_ns: int, sequence: int, data: bytes) -> None:
+        """A message was written to the log."""
+        self._batch.append(ENTRY.pack(channel, sequence, log_ns, publish_ns, self._number, len(data)))
+        self._batch.append(data)
+        self._number += 1
+        self._size += ENTRY.size + len(data)
+        if self._size >= BATCH_BYTES:
+            self.flush()
+
+    def flush(self) -> None:
+        """Hand over what there is, or leave it out."""
+        if not self._batch or self._process is None:
+            return
+        if self._rest and not self._write_rest():
+            self.dropped += len(self._batch) // 2
+        else:
+            self._rest = LENGTH.pack(self._size) + b"".join(self._batch)
+            self._write_rest()
+        self._batch.clear()
+        self._size = 0
+
+    def _write_rest(self) -> bool:
+        """Write as much as there is room for; whether that was all."""
+        assert self._process is not None
+        try:
+            count = os.write(_pipe(self._process.stdin).fileno(), self._rest)
+        except BlockingIOError:
+            return False
+        except OSError:  # the publisher is gone; the run goes on without it
+            self._gone = True
+            return False
+        self._rest = self._rest[count:]
+        return not self._rest
+
+    def close(self) -> None:
+        """End the process, once it has published what it was given."""
+        process = self._process
+        self._observe.unlink(missing_ok=True)
+        if process is None:
+            return
+        self.flush()
+        deadline = time.monotonic() + CLOSE_S
+        while self._rest and not self._gone and not self._write_rest() and time.monotonic() < deadline:
+            select.select([], [_pipe(process.stdin)], [], 0.1)
+        with contextlib.suppress(OSError):
+            _pipe(process.stdin).close()
+        self.published = self._answer(CLOSE_S).get("published", 0)
+        try:
+            process.wait(CLOSE_S)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+        _pipe(process.stdout).close()
+        self._process = None
+
+    def _answer(self, limit_s: float) -> dict[str, Any]:
+        """The next line that the process prints."""
+        assert self._process is not None
+        stdout = _pipe(self._process.stdout)
+        if not select.select([stdout], [], [], limit_s)[0]:
+            return {}
+        try:
+            values = json.loads(stdout.readline())
+        except ValueError:
+            return {}
+        return values if isinstance(values, dict) else {}
+
+
+def _pipe(end: IO[bytes] | None) -> IO[bytes]:
+    assert end is not None  # asked for as a pipe
+    return end

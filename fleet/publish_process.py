@@ -1,0 +1,98 @@
+"""The process that publishes a live run's journal: from a pipe to zenoh, dropping what subscribers cannot take.
+
+Started by `fleet.publish`. Stdin: one line of JSON, then batches as `fleet.publish` packs them; stdout:
+one line of JSON when it listens, one when it ends.
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+import os
+import signal
+import sys
+import tempfile
+import traceback
+from pathlib import Path
+from typing import IO, Any
+
+import setproctitle
+
+from fleet.errors import RunBroken
+from fleet.ports import free_port
+from fleet.publish import ENTRY, LENGTH
+from fleet.stamp import Stamp, pack
+from fleet.traffic import zenoh_encoding
+from netem.access import Credentials
+from netem.bus import OpenBus, quiet_zenoh
+from netem.errors import BusError
+from netem.keys import Keys
+
+NICE = 5  # the run comes first where there are fewer cores than processes
+
+
+def main() -> None:
+    """Publish until stdin ends."""
+    code = 1
+    try:
+        _publish()
+        code = 0
+    except BrokenPipeError:
+        code = 0  # the console was killed: nobody is left to tell
+    except BaseException:
+        traceback.print_exc()
+    finally:
+        # At once: the interpreter's own way out joins zenoh's threads, and those wait for subscribers.
+        os._exit(code)
+
+
+def _publish() -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    quiet_zenoh()
+    source = sys.stdin.buffer
+    values = json.loads(source.readline())
+    setproctitle.setproctitle(f"fleet publisher [{values['run']}]")
+    private = Path(tempfile.mkdtemp(prefix="uuv-fleet-"))
+    try:
+        endpoint = f"tcp/127.0.0.1:{free_port(None)}"
+        bus = OpenBus.host(endpoint, Keys(values["run"]), Credentials(values["user"], values["password"]), private)
+    except (BusError, RunBroken) as error:
+        _say({"error": str(error)})
+        return
+    finally:
+        private.rmdir()
+    keys = Keys(values["run"])
+    answers = {keys.schema(name): base64.b64decode(data) for name, data in values["schemas"].items()}
+    bus.answer(keys.schema("*"), answers)
+    puts = {
+        number: bus.publication(keys.log(topic), zenoh_encoding("protobuf", schema), drop=True)
+        for number, topic, schema in values["channels"]
+    }
+    anybody = bus.publication(keys.log("**"), "zenoh/bytes", drop=True)
+    os.nice(NICE)
+    _say({"endpoint": endpoint})
+    published = 0
+    while (batch := _batch(source)) is not None:
+        at = 0 if anybody.matched else len(batch)
+        while at < len(batch):
+            channel, sequence, log_ns, publish_ns, number, length = ENTRY.unpack_from(batch, at)
+            at += ENTRY.size
+            puts[channel].put(batch[at : at + length], pack(Stamp(log_ns, publish_ns, sequence, number)))
+            at += length
+            published += 1
+    _say({"published": published})
+    bus.close()  # sends what is queued, and waits for a subscriber that takes nothing; we are killed then
+
+
+def _batch(source: IO[bytes]) -> bytes | None:
+    """The next batch; None at the end, also when that comes in the middle of one."""
+    head = source.read(LENGTH.size)
+    if len(head) < LENGTH.size:
+        return None
+    (size,) = LENGTH.unpack(head)
+    batch = source.read(size)
+    return batch if len(batch) == size else None
+
+
+def _say(values: dict[str, Any]) -> None:
+    print(json.dumps(values), flush=True)

@@ -1,0 +1,173 @@
+"""`fleet record`: zenoh traffic of any kind into an MCAP file, as it comes; `fleet.traffic` says how it is laid out."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from queue import Empty, SimpleQueue
+from typing import IO, Any
+
+from mcap.writer import CompressionType, Writer
+
+from fleet.errors import FleetError
+from fleet.status_line import StatusLine
+from fleet.traffic import ATTACHMENT, DELETE, ENCODING, KIND, PROFILE, PUT, message_encoding
+from netem.bus import OpenBus, Sample, sample_of
+
+FLUSH_NS = 1_000_000_000  # a recorder that is killed loses so much at most
+POLL_S = 0.1
+MOST_QUEUED = 100_000  # samples; beyond that zenoh's thread waits, and with it whoever sends
+MOST_CHANNELS = 65_535  # MCAP numbers them with 16 bits
+MOST_BATCH = 1000
+
+
+class RecordError(FleetError):
+    """The file cannot be made or written."""
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """When a recording ends by itself; None: never."""
+
+    duration_ns: int | None = None
+    size: int | None = None
+
+
+class TrafficWriter:
+    """An MCAP file of samples. `close` writes the index; without it the file is cut but readable."""
+
+    def __init__(self, path: Path, keys: Sequence[str]) -> None:
+        """Raises RecordError: the file exists, or cannot be made."""
+        self.path = path
+        self.samples = 0
+        self._channels: dict[tuple[str, str, str], int] = {}
+        self._flushed_ns = 0
+        try:
+            self._file: IO[bytes] = path.open("xb")
+        except FileExistsError:
+            raise RecordError(f"{path} exists already; choose another name with -o") from None
+        except OSError as error:
+            raise RecordError(f"cannot write {path}: {error.strerror}") from None
+        self._writer = Writer(self._file, compression=CompressionType.ZSTD)
+        self._guard(lambda: self._writer.start(profile=PROFILE, library="uuv-fleet"))
+        self._guard(lambda: self._writer.add_metadata("zenoh", {"keys": " ".join(keys)}))
+
+    @property
+    def size(self) -> int:
+        """How much is written out; what is not flushed yet does not count."""
+        return self._file.tell() if not self._file.closed else self.path.stat().st_size
+
+    def add(self, sample: Sample, at_ns: int) -> None:
+        """Append a sample that was received at `at_ns` [ns since 1970].
+
+        Raises:
+            RecordError: the disk is full, or there are more keys than a file can hold.
+        """
+        publish_ns = at_ns if sample.stamp_ns is None else sample.stamp_ns
+        number = self.samples & 0xFFFFFFFF
+        if sample.attachment is not None:
+            channel = self._channel(sample.key, "", ATTACHMENT)
+            self._put(channel, at_ns, sample.attachment, publish_ns, number)
+        channel = self._channel(sample.key, sample.encoding, DELETE if sample.delete else PUT)
+        self._put(channel, at_ns, sample.payload, publish_ns, number)
+        self.samples += 1
+        self.flush(at_ns)
+
+    def flush(self, now_ns: int) -> None:
+        """Write out what there is if a second has passed since the last time. Raises RecordError."""
+        if now_ns - self._flushed_ns >= FLUSH_NS:
+            self._flushed_ns = now_ns
+            self._guard(self._writer.flush)
+
+    def close(self) -> None:
+        """Write the index. Raises RecordError: the disk is full; what was flushed stays readable."""
+        if self._file.closed:
+            return
+        try:
+            self._guard(self._writer.finish)
+        finally:
+            try:
+                self._file.close()
+            except OSError as error:
+                raise RecordError(f"cannot write {self.path}: {error.strerror}") from None
+
+    def _channel(self, key: str, encoding: str, kind: str) -> int:
+        found = self._channels.get((key, encoding, kind))
+        if found is None:
+            if len(self._channels) >= MOST_CHANNELS:
+                raise RecordError(f"more than {MOST_CHANNELS} keys and encodings: one file holds no more of them")
+            metadata = {KIND: kind} | ({ENCODING: encoding} if kind != ATTACHMENT else {})
+            found = self._writer.register_channel(key, message_encoding(encoding), 0, metadata)
+            self._channels[key, encoding, kind] = found
+        return found
+
+    def _put(self, channel: int, at_ns: int, data: bytes, publish_ns: int, number: int) -> None:
+        try:
+            self._writer.add_message(channel, at_ns, data, publish_ns, number)
+        except OSError as error:
+            raise RecordError(f"cannot write {self.path}: {error.strerror}") from None
+
+    def _guard(self, write: Callable[[], Any]) -> None:
+        try:
+            write()
+        except OSError as error:
+            raise RecordError(f"cannot write {self.path}: {error.strerror}") from None
+
+
+class Recorder:
+    """Takes what a session hears into a file, in the order in which it was received."""
+
+    def __init__(self, bus: OpenBus, keys: Sequence[str]) -> None:
+        """Begin to listen. Raises BusError: a key expression is none."""
+        self._queue: SimpleQueue[tuple[int, Any]] = SimpleQueue()
+        self._finished = False
+        # Wall time that a correction of the system's clock cannot turn back.
+        self._zero_ns = time.time_ns() - time.monotonic_ns()
+        for key in keys:
+            bus.subscribe(key, self._receive)
+
+    def _receive(self, received: Any) -> None:
+        while self._queue.qsize() >= MOST_QUEUED and not self._finished:
+            time.sleep(0.01)
+        self._queue.put((self._zero_ns + time.monotonic_ns(), received))
+
+    def record(self, writer: TrafficWriter, limits: Limits, line: StatusLine) -> None:
+        """Record until a limit is reached, or an exception ends it.
+
+        Raises:
+            RecordError: the file cannot be written any more.
+        """
+        began = seen_ns = time.monotonic_ns()
+        seen, rate = 0, 0.0
+        end = None if limits.duration_ns is None else began + limits.duration_ns
+        while True:
+            now = time.monotonic_ns()
+            if (end is not None and now >= end) or (limits.size is not None and writer.size >= limits.size):
+                return
+            if now - seen_ns >= FLUSH_NS:
+                rate, seen, seen_ns = (writer.samples - seen) * 1e9 / (now - seen_ns), writer.samples, now
+            if line.due():
+                took = f"{(now - began) / 1e9:.0f} s  {writer.samples} messages, {rate:.0f} messages/s"
+                line.show(f"{took}, {writer.size / 1e6:.2f} MB")
+            try:
+                self._add(writer, *self._queue.get(timeout=POLL_S if end is None else min(POLL_S, (end - now) / 1e9)))
+            except Empty:
+                writer.flush(self._zero_ns + time.monotonic_ns())
+            self._drain(writer, MOST_BATCH)
+
+    def finish(self, writer: TrafficWriter) -> None:
+        """Write what was received before now, and close the file. Raises RecordError."""
+        try:
+            self._drain(writer, self._queue.qsize())
+        finally:
+            self._finished = True  # a thread of zenoh that waits for room would keep the session from closing
+            writer.close()
+
+    def _drain(self, writer: TrafficWriter, most: int) -> None:
+        for _ in range(min(most, self._queue.qsize())):
+            self._add(writer, *self._queue.get_nowait())
+
+    def _add(self, writer: TrafficWriter, at_ns: int, received: Any) -> None:
+        writer.add(sample_of(received), at_ns)

@@ -1,0 +1,227 @@
+"""`fleet replay`: a log on zenoh again, topic for topic, at its own times. The shell around `Player`."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+
+import numpy as np
+from google.protobuf.timestamp_pb2 import Timestamp
+
+from fleet.errors import FleetError
+from fleet.keyboard import Key, Keyboard
+from fleet.player import RATE_STEP, SEEK_NS, Metronome, Pace, Player
+from fleet.selection import Renaming, chosen
+from fleet.stamp import Stamp, pack
+from fleet.status_line import StatusLine
+from fleet.tape import Numbers, Tape
+from fleet.traffic import ATTACHMENT, DELETE, ENCODING, KIND, zenoh_encoding
+from netem.bus import OpenBus, Publication
+from netem.keys import Keys
+
+MOST = 256  # messages between two looks at the keyboard
+NAP_S = 0.05  # the longest wait without a look at the clock
+CLOCK_ENCODING = "application/protobuf;google.protobuf.Timestamp"
+
+
+class ReplayError(FleetError):
+    """What was asked for leaves nothing to play."""
+
+
+@dataclass(frozen=True, slots=True)
+class Wishes:
+    """What to play of a log, and how; times in ns from the log's first message."""
+
+    run: str = "replay"
+    rate: float = 1.0
+    loop: bool = False
+    start_ns: int = 0
+    duration_ns: int | None = None
+    until_ns: int | None = None
+    paused: bool = False
+    delay_ns: int = 0
+    topics: tuple[str, ...] = ()
+    regex: str | None = None
+    remap: tuple[str, ...] = ()
+    clock_hz: float | None = None
+    wait: bool = False
+
+
+class Replay:
+    """One log, selected and bound to keys. Nothing is published before `play`."""
+
+    def __init__(self, tape: Tape, wishes: Wishes) -> None:
+        """Choose what to play.
+
+        Raises:
+            SelectionError: a topic, expression or renaming names nothing.
+            ReplayError: nothing is left.
+        """
+        self._tape, self._wishes = tape, wishes
+        self.keys = Keys(wishes.run)
+        self.ours = "uuv-fleet" in tape.metadata.get("run", {})  # a journal, with sim time and a prefix of its own
+        kinds = {n: channel.metadata.get(KIND, "") for n, channel in tape.channels.items()}
+        played = {n: c for n, c in tape.channels.items() if kinds[n] != ATTACHMENT}
+        names = chosen((c.topic for c in played.values()), wishes.topics, wishes.regex)
+        rename = Renaming(wishes.remap)
+        self.key_of = {n: self._key(rename(c.topic)) for n, c in played.items() if c.topic in names}
+        rename.check()
+        self._deletes = {n for n in self.key_of if kinds[n] == DELETE}
+        wanted = np.isin(tape.channel_of, np.array(list(self.key_of), dtype=np.uint16))
+        self._numbers: Numbers = np.nonzero(wanted)[0]
+        # Simulated time begins at 0, whatever is logged first; any other time with the first message.
+        self.zero_ns = 0 if self.ours else int(tape.times[0])
+        times = tape.times[self._numbers]
+        begin = self.zero_ns + wishes.start_ns
+        end = int(times[-1]) if len(times) else begin
+        if wishes.duration_ns is not None:
+            end = min(end, begin + wishes.duration_ns)
+        if wishes.until_ns is not None:
+            end = min(end, self.zero_ns + wishes.until_ns)
+        first, stop = np.searchsorted(times, begin), np.searchsorted(times, end, "right")
+        if first >= stop:
+            last = (int(tape.times[-1]) - self.zero_ns) / 1e9
+            raise ReplayError(
+                f"nothing to play: the log ends at {last:g} s, and no chosen message is in what was asked for"
+            )
+        self._first, self.messages = int(first), int(stop - first)
+        self._times, self._begin, self._end = times, begin, end
+        self._publications: dict[int, Publication] = {}
+        self.published = 0
+        self.player = self._player(0)
+
+    def _key(self, topic: str) -> str:
+        return self.keys.log(topic) if self.ours else topic
+
+    def _player(self, now: int) -> Player:
+        w = self._wishes
+        return Player(
+            self._times, self._begin, self._end, rate=w.rate, loop=w.loop, paused=w.paused, now=now
+        )  # fmt: skip
+
+    def open(self, bus: OpenBus) -> None:
+        """Declare the keys.
+
+        Raises:
+            BusError: a topic is no key for zenoh.
+        """
+        tape = self._tape
+        for n, key in self.key_of.items():
+            channel = tape.channels[n]
+            schema = tape.schemas.get(channel.schema_id)
+            encoding = channel.metadata.get(ENCODING) or zenoh_encoding(
+                channel.message_encoding, schema.name if schema else ""
+            )
+            self._publications[n] = bus.publication(key, encoding, drop=False)
+        if self.ours:
+            answers = {self.keys.schema(schema.name): schema.data for schema in tape.schemas.values()}
+            bus.answer(self.keys.schema("*"), answers)
+        if self._wishes.clock_hz is not None:
+            key = self.keys.clock if self.ours else "clock"
+            self._clock = bus.publication(key, CLOCK_ENCODING, drop=True)
+
+    def unmatched(self) -> list[str]:
+        """The keys that nobody listens to, yet."""
+        return [self.key_of[n] for n, publication in self._publications.items() if not publication.matched]
+
+    def play(self, keyboard: Keyboard, line: StatusLine) -> None:
+        """Publish to the end, as the keyboard says."""
+        self._wait(line)
+        self._tape[int(self._numbers[self._first])]  # decompressed before the clock starts
+        self.player = player = self._player(time.monotonic_ns())
+        pace = Pace()
+        hz = self._wishes.clock_hz
+        beat = None if hz is None else Metronome(hz, time.monotonic_ns())
+        while not player.over:
+            now = time.monotonic_ns()
+            for index in player.due(now, MOST):
+                self._publish(index)
+            if beat is not None and beat.beats(now):
+                self._tell_time(player.position(now))
+            if line.due():
+                line.show(self._describe(now, pace))
+            now = time.monotonic_ns()
+            naps = [NAP_S]
+            if (nap := player.wait_ns(now)) is not None:
+                naps.append(nap / 1e9)
+            if beat is not None:
+                naps.append(beat.wait_ns(now) / 1e9)
+            for key in keyboard.read(min(naps) if not player.over else 0.0):
+                self._obey(key)
+                line.show(self._describe(time.monotonic_ns(), pace))
+        if beat is not None:
+            self._tell_time(player.position(time.monotonic_ns()))
+
+    def _wait(self, line: StatusLine) -> None:
+        while self._wishes.wait and (missing := self.unmatched()):
+            more = f" and {len(missing) - 1} more" if len(missing) > 1 else ""
+            if line.due():
+                line.show(f"waiting for a subscriber on {missing[0]}{more}")
+            time.sleep(0.02)
+        until = time.monotonic_ns() + self._wishes.delay_ns
+        while (left := until - time.monotonic_ns()) > 0:
+            if line.due():
+                line.show(f"begins in {left / 1e9:.1f} s")
+            time.sleep(min(NAP_S, left / 1e9))
+
+    def _obey(self, key: Key) -> None:
+        player, now = self.player, time.monotonic_ns()
+        match key:
+            case Key.PAUSE:
+                player.toggle(now)
+            case Key.STEP:
+                for index in player.step(now):
+                    self._publish(index)
+            case Key.FASTER:
+                player.set_rate(now, player.rate * RATE_STEP)
+            case Key.SLOWER:
+                player.set_rate(now, player.rate / RATE_STEP)
+            case Key.FORWARD:
+                player.seek(now, player.position(now) + SEEK_NS)
+            case Key.BACK:
+                player.seek(now, player.position(now) - SEEK_NS)
+
+    def _publish(self, index: int) -> None:
+        number = int(self._numbers[index])
+        entry = self._tape[number]
+        publication = self._publications[entry.channel.id]
+        if self.ours:
+            attachment: bytes | None = pack(Stamp(entry.log_ns, entry.publish_ns, entry.sequence, number))
+        else:
+            attachment = self._attachment(number, entry.sequence)
+        if entry.channel.id in self._deletes:
+            publication.delete(attachment)
+        else:
+            publication.put(entry.data, attachment)
+        self.published += 1
+
+    def _attachment(self, number: int, sequence: int) -> bytes | None:
+        """What was attached to a sample of other traffic: the message before it says so."""
+        before = int(self._tape.channel_of[number - 1]) if number else None
+        if before is None or self._tape.channels[before].metadata.get(KIND) != ATTACHMENT:
+            return None
+        entry = self._tape[number - 1]
+        return entry.data if entry.sequence == sequence else None
+
+    def _tell_time(self, log_ns: int) -> None:
+        stamp = Timestamp(seconds=log_ns // 10**9, nanos=log_ns % 10**9)
+        self._clock.put(stamp.SerializeToString(), None)
+
+    def _describe(self, now: int, pace: Pace) -> str:
+        player = self.player
+        at = player.position(now)
+        reached = pace.tell(now, at)
+        state = "paused" if player.paused else f"{reached:.2f} x real time"
+        wanted = f" of {player.rate:.3g}" if player.rate and not player.paused else ""
+        lap = f"  lap {player.laps + 1}" if self._wishes.loop else ""
+        return (
+            f"t = {(at - self.zero_ns) / 1e9:.2f} / {(self._end - self.zero_ns) / 1e9:.2f} s  {state}{wanted}  "
+            f"{self.published} messages, {player.missed} late{lap}"
+        )
+
+    def summary(self, wall_s: float) -> str:
+        """What was played, in words."""
+        return (
+            f"played {self.published} messages in {wall_s:.2f} s "
+            f"({self.published / max(wall_s, 1e-9):.0f} messages/s), {self.player.missed} late"
+        )

@@ -1,0 +1,59 @@
+"""One line that says how it goes: rewritten in place on a terminal, a plain line now and then elsewhere."""
+
+from __future__ import annotations
+
+import time
+from types import TracebackType
+
+from rich.console import Console as Terminal
+
+REFRESH_S = 0.1
+PLAIN_S = 5.0
+
+
+class StatusLine:
+    """Ask `due` as often as you like, and `show` something when it is."""
+
+    def __init__(self, terminal: Terminal, *, quiet: bool) -> None:
+        self._terminal, self._quiet = terminal, quiet
+        self._live = terminal.is_terminal
+        self._next = 0.0 if self._live else time.monotonic() + PLAIN_S
+        self._shown = False
+
+    def __enter__(self) -> StatusLine:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._clear()
+
+    def due(self) -> bool:
+        """Whether it is time to show how it goes."""
+        return not self._quiet and time.monotonic() >= self._next
+
+    def show(self, text: str) -> None:
+        """Show how it goes, on a terminal in place of what was shown before."""
+        at = time.monotonic()
+        if self._quiet:
+            return
+        if self._live:
+            self._next = at + REFRESH_S
+            self._terminal.file.write(f"\r{text[: self._terminal.width - 1]}\x1b[K")
+            self._terminal.file.flush()
+            self._shown = True
+        elif at >= self._next:
+            self._next = at + PLAIN_S
+            self._terminal.print(text, highlight=False, markup=False, soft_wrap=True)
+
+    def say(self, text: str) -> None:
+        """A line that stays."""
+        if not self._quiet:
+            self._clear()
+            self._terminal.print(text, highlight=False, markup=False, soft_wrap=True)
+
+    def _clear(self) -> None:
+        if self._shown:
+            self._terminal.file.write("\r\x1b[K")
+            self._terminal.file.flush()
+            self._shown = False

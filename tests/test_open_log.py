@@ -107,7 +107,7 @@ def test_what_the_log_says_of_itself(run: Path) -> None:
     assert log.end == 2.0
     assert log.faults == [FaultInterval("crash", 1.0, 1.5, "kill 2"), FaultInterval("f2", 1.2, 2.0, "down 3->4")]
     assert len(log) == len(log.topics) == len(list(log))
-    assert f"{log.messages} messages in 35 topics, 2 s" in repr(log)
+    assert f"{log.messages} messages in 36 topics, 2 s" in repr(log)
 
 
 def test_only_the_topics_that_are_asked_for(run: Path) -> None:

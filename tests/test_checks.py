@@ -196,7 +196,7 @@ def test_recovery_from_what_ends_by_itself(fault: str, overrides: list[str], fou
 def test_the_death_of_an_agent_is_a_beginning() -> None:
     check = "recovery_time: {fault: f1, below: 9 s, within: 10 cm}"
     faults = "faults=[{at: 1 s, for: 500 ms, mute: 2}]"
-    result = verdict(check, faults, error=back_at(260), lives={200: (Life(200, 3, False),)})
+    result = verdict(check, faults, error=back_at(260), lives={200: (Life(200, 3, False, False),)})
     assert (result.passed, result.found) == (False, "1 m (vehicle 3) when fault death-3 begins at 2 s")
 
 

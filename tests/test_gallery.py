@@ -9,16 +9,25 @@ import pytest
 from fleet.run import Options, Status, execute
 from fleet.scenario import list_scenarios, load_scenario
 
-GALLERY = [
-    "lossy", "burst", "partition-heal", "kill", "kill-restart", "gauss-markov-current", "nemesis", "acoustic-80bps",
-    "acoustic-s2c",
-]  # fmt: skip
+# name: how long the distributed run is [s]; what happens to a fleet there has happened by then
+GALLERY = {
+    "lossy": 25, "burst": 25, "partition-heal": 35, "kill": 30, "kill-restart": 40, "gauss-markov-current": 25,
+    "nemesis": 45, "acoustic-80bps": 40, "acoustic-s2c": 40,
+}  # fmt: skip
 README = Path(__file__).parents[1] / "README.md"
 
 
 @pytest.mark.parametrize("name", GALLERY)
-def test_distributed_is_in_process(name: str, tmp_path: Path) -> None:
-    scenario = load_scenario(name)
+def test_a_scenario_keeps_its_promise(name: str, tmp_path: Path) -> None:
+    result = execute(load_scenario(name), Options(tmp_path, in_process=True, quiet=True))
+    assert result.status is Status.PASS, (result.reason, result.lines, result.verdicts)
+
+
+@pytest.mark.parametrize(("name", "seconds"), GALLERY.items())
+def test_distributed_is_in_process(name: str, seconds: int, tmp_path: Path) -> None:
+    scenario = load_scenario(
+        name, [f"duration={seconds} s", "checks={ledger: balanced, middleware_loss: {at_most: 0}}"]
+    )
     alone, fleet = (execute(scenario, Options(tmp_path, in_process=flag, quiet=True)) for flag in (True, False))
     for result in (alone, fleet):
         assert result.status is Status.PASS, (result.reason, result.lines, result.verdicts)

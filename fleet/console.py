@@ -428,7 +428,8 @@ class Console:
                 self._told_to_end.add(pid)
                 with contextlib.suppress(ProcessLookupError):
                     os.kill(pid, signal.SIGKILL)
-            elif pid in self._gone and end is not None:
+            elif pid in self._gone and end is not None and end <= self._granted:
+                # Not before: until the clock waits there, an operator may still move that tick, and it is told which.
                 self._incarnation[i] += 1
                 self._starting[i] = end
                 self._start_agent(i, self._incarnation[i], end)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import count
 from typing import Any
 
 from pydantic import TypeAdapter, ValidationError
@@ -27,8 +28,10 @@ from fleet.journal import Journal
 from fleet.scenario import Scenario
 from fleet.schema import FaultEntry, FaultSection
 from netem.faults import NetFault
+from netem.lives import WHENEVER
 from world.faults import WorldFault
 
+MOST_SPEED = 1e6  # times real time; more than any machine makes, and finite
 _ENTRY: TypeAdapter[FaultSection] = TypeAdapter(FaultEntry)
 
 
@@ -52,7 +55,6 @@ class Operator:
     stopping: bool = False
     tell_world: Callable[[tuple[WorldFault, ...]], None] = lambda _: None
     faults: list[Part] = field(default_factory=list)
-    _injected: int = 0
 
     def __post_init__(self) -> None:
         self.faults = list(self.scenario.faults.parts)
@@ -110,9 +112,9 @@ class Operator:
             raise RefusedError(f"a fault does exactly one thing, one of {', '.join(ACTIONS)}")
         if section.for_ is not None and section.for_ % self.scenario.tick_ns:
             raise RefusedError(f"the duration is not a whole number of ticks of {self.scenario.tick_ns / 1e6:g} ms")
-        self._injected += 1
-        name = section.id or f"live-{self._injected}"
-        if any(fault.id == name for fault in self.faults):
+        taken = {fault.id for fault in self.faults}
+        name = section.id or next(n for k in count(1) if (n := f"live-{k}") not in taken)
+        if name in taken:
             raise RefusedError(f"there is a fault {name} already")
         self._check_vehicles(section)
         self._add(section, name)
@@ -139,7 +141,12 @@ class Operator:
         m = self.scenario.round_ticks
         round_tick = -(-tick // m) * m  # of a restart
         lasting = [part for part in self.faults if part.active(tick)]
-        dead = {death.fault: i for i, death in self.journal.deaths.items()}
+        without = self.dead()
+        # A vehicle that tumbled is lost whatever its agent does: nothing to heal.
+        dead = {death.fault: i for i, death in self.journal.deaths.items() if i in without}
+        lost = {death.fault: i for i, death in self.journal.deaths.items() if i not in without}
+        if name in lost:
+            raise RefusedError(f"vehicle {lost[name]} is lost: no agent brings it back")
         ill = {part.id for part in lasting} | dead.keys()
         if name is not None and name not in ill:
             known = f"active: {', '.join(sorted(ill))}" if ill else "none is active"
@@ -147,6 +154,8 @@ class Operator:
         healed = ill if name is None else {name}
         kills = [part for part in lasting if isinstance(part, Kill) and part.id in healed]
         restarted = [dead[fault] for fault in healed & dead.keys()]
+        if any(kill.begin >= round_tick for kill in kills):
+            round_tick += m  # a process may have been ended already
         for part in lasting:
             if isinstance(part, Kill) and part.id not in healed and (both := set(part.vehicles) & set(restarted)):
                 raise RefusedError(f"agent {min(both)} was killed by {part.id}, too: heal that one first")
@@ -156,7 +165,7 @@ class Operator:
         ends = {part: round_tick if isinstance(part, Kill) else tick for part in lasting if part.id in healed}
         self._replace([replace(part, end=ends[part]) if part in ends else part for part in self.faults])
         for i in restarted:
-            self.restart_agent(i, 0, round_tick)
+            self.restart_agent(i, WHENEVER, round_tick)
         for kill in kills:
             for i in kill.vehicles:
                 self.restart_agent(i, kill.begin, round_tick)
@@ -177,9 +186,9 @@ class Operator:
                 self.clock.pause(self.granted())
             case "resume", _:
                 self.clock.resume()
-            case "step", int(count) if count > 0:
-                self.clock.step(self.granted(), count)
-            case "speed", (int() | float() | None) as speed if speed is None or speed > 0:
+            case "step", int(ticks) if ticks > 0:
+                self.clock.step(self.granted(), ticks)
+            case "speed", (int() | float() | None) as speed if speed is None or 0 < speed <= MOST_SPEED:
                 self.clock.set_speed(self.granted(), None if speed is None else float(speed))
             case other:
                 raise RefusedError(f"the clock knows pause, resume, step N and speed X, not {other!r}")

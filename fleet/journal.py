@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
+from itertools import count
 from math import gcd
 from typing import Protocol
 
@@ -50,7 +51,7 @@ class Journal:
         self._last = scenario.ticks
         self._events = deque(scenario.faults.events)
         self._told_deaths = {(absence.vehicle, absence.begin) for absence in scenario.faults.absences}
-        self._died: dict[int, int] = {}  # vehicle -> how often its agent ended without being told to
+        self._names = {event.fault for event in self._events}  # ids of faults that are taken
         self.deaths: dict[int, Event] = {}  # vehicle -> such a death that lasts
         self._frame_every = frame_every(scenario)
         self._round_ticks = scenario.round_ticks
@@ -120,11 +121,15 @@ class Journal:
 
     def add_event(self, event: Event) -> None:
         """Take a fault that was injected, behind those of the same tick."""
+        self._names.add(event.fault)
         place = sum(event_order(other) <= event_order(event) for other in self._events)
         self._events.insert(place, event)
 
     def end_event(self, fault: str, tick: int) -> None:
-        """A fault ends earlier than was said."""
+        """A fault ends earlier than was said; one that never acted is forgotten."""
+        if any(e.fault == fault and e.action == "begins" and e.tick >= tick for e in self._events):
+            self._events = deque(e for e in self._events if e.fault != fault)
+            return
         for event in [e for e in self._events if e.fault == fault and e.action == "ends"]:
             self._events.remove(event)
             self.add_event(replace(event, tick=tick))
@@ -140,8 +145,8 @@ class Journal:
             if life.begins and i in self.deaths:
                 self.add_event(replace(self.deaths.pop(i), tick=life.tick, action="ends"))
             elif not life.begins and life.tick < self._last and (i, life.tick) not in self._told_deaths:
-                count = self._died[i] = self._died.get(i, 0) + 1
-                name = f"death-{i}" if count == 1 else f"death-{i}-{count}"
+                names = (f"death-{i}" if n == 1 else f"death-{i}-{n}" for n in count(1))
+                name = next(name for name in names if name not in self._names)
                 self.deaths[i] = Event(life.tick, name, "begins", f"kill {i}")
                 self.add_event(self.deaths[i])
         if frame.tick == self._last:

@@ -286,6 +286,7 @@ class Console:
             restart_agent,
             lambda: self._granted,
             lambda: [i for i in self._vehicles if self._lives.without_agent(i, max(0, self._journal.framed))],
+            self._lives.without_agent,
             lambda: self.waiting,
             tell_world=tell_world,
         )

@@ -51,6 +51,7 @@ class Operator:
     restart_agent: Callable[[int, int, int], None]  # vehicle, without one since, tick
     granted: Callable[[], int]
     dead: Callable[[], list[int]]
+    ended: Callable[[int, int], bool]  # an agent by a tick; otherwise a death is a vehicle that tumbled, lost for good
     waiting: Callable[[], str]
     stopping: bool = False
     tell_world: Callable[[tuple[WorldFault, ...]], None] = lambda _: None
@@ -141,10 +142,9 @@ class Operator:
         m = self.scenario.round_ticks
         round_tick = -(-tick // m) * m  # of a restart
         lasting = [part for part in self.faults if part.active(tick)]
-        without = self.dead()
-        # A vehicle that tumbled is lost whatever its agent does: nothing to heal.
-        dead = {death.fault: i for i, death in self.journal.deaths.items() if i in without}
-        lost = {death.fault: i for i, death in self.journal.deaths.items() if i not in without}
+        deaths = self.journal.deaths.items()
+        lost = {death.fault: i for i, death in deaths if not self.ended(i, death.tick)}
+        dead = {death.fault: i for i, death in deaths if death.fault not in lost}
         if name in lost:
             raise RefusedError(f"vehicle {lost[name]} is lost: no agent brings it back")
         ill = {part.id for part in lasting} | dead.keys()

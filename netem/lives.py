@@ -10,7 +10,6 @@ from collections.abc import Iterable
 from math import inf
 from typing import NamedTuple
 
-
 WHENEVER = 2**63 - 1  # in place of a tick at which an absence began
 
 

@@ -14,7 +14,11 @@ from waiting import wait_for
 from fleet.reader import digest
 from fleet.remote import RemoteError, ask, find
 from fleet.run import Options, execute
+from fleet.scenario import load_scenario
 from fleet.script import script
+from netem.lives import Absence
+from netem.messages import Command, Frame
+from world.lockstep import Lockstep, NavTo
 
 CALM = ["--speed", "1", "--duration", "8 s", "--set", "profile=hardened", "--set", "checks={ledger: balanced}"]
 
@@ -120,3 +124,43 @@ def test_no_speed_breaks_the_console(tmp_path: Path) -> None:
         Hand(tmp_path).clock("speed", 1e6)
         runs_again(run, tmp_path)
         assert json.loads((run.directory / "result.json").read_text("utf-8"))["exit"] == 0
+
+
+def lives_told(vehicle: int, absences: list[tuple[int, int | None]], late: bool) -> list[tuple[int, bool]]:
+    """(tick, begins) of all that a world of silent agents tells of one vehicle; `late`: told when it is there."""
+    scenario = load_scenario("paper", ["duration=1 s"])
+    world = Lockstep(scenario.world_config())
+    told: list[tuple[int, bool]] = []
+
+    def go_on(until: int) -> None:
+        waiting = list(world.grant(until))
+        while waiting:
+            out = waiting.pop(0)
+            if isinstance(out, NavTo):
+                tau, size = (0.0, 0.0, 0.0), scenario.layout(out.id).size
+                waiting += world.command(out.id, Command(out.nav.incarnation, out.nav.tick, tau, (0.0,) * size))
+            elif isinstance(out, Frame):
+                told.extend((life.tick, life.begins) for life in out.lives if life.vehicle == vehicle)
+
+    for begin, end in absences:
+        if late:
+            go_on(begin)
+        world.lives.add(Absence(vehicle, begin, end))
+    go_on(100)
+    return told
+
+
+@pytest.mark.parametrize("late", [False, True])
+def test_an_agent_that_ended_before_it_began_is_told(late: bool) -> None:
+    """Otherwise nothing would say that its vehicle went on without one."""
+    told = lives_told(2, [(20, 30), (30, 40)], late)
+    assert told == [(20, False), (30, True), (30, False), (40, True)]
+
+
+def test_an_agent_that_ended_at_its_first_tick_is_told_in_this_order() -> None:
+    world = Lockstep(load_scenario("paper", ["duration=1 s", "vehicles=1"]).world_config())
+    world.lives.add(Absence(1, 0, 10))
+    lives = [life for out in world.grant(11) if isinstance(out, Frame) for life in out.lives]
+    lives += [life for out in world.end(1, 1, 20) if isinstance(out, Frame) for life in out.lives]
+    lives += [life for out in world.grant(30) if isinstance(out, Frame) for life in out.lives]
+    assert [(life.tick, life.begins) for life in lives] == [(0, False), (10, True), (10, False)]

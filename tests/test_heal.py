@@ -1,4 +1,4 @@
-"""Heals at awkward moments: of what has just begun, of agents that are being started again, of what cannot be healed."""
+"""Heals at awkward moments: of what has just begun, of agents that are to start again, of what is beyond healing."""
 
 from __future__ import annotations
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import count
 from typing import Any
 
 from pydantic import TypeAdapter, ValidationError
@@ -56,6 +55,7 @@ class Operator:
     stopping: bool = False
     tell_world: Callable[[tuple[WorldFault, ...]], None] = lambda _: None
     faults: list[Part] = field(default_factory=list)
+    _injected: int = 0
 
     def __post_init__(self) -> None:
         self.faults = list(self.scenario.faults.parts)
@@ -114,7 +114,10 @@ class Operator:
         if section.for_ is not None and section.for_ % self.scenario.tick_ns:
             raise RefusedError(f"the duration is not a whole number of ticks of {self.scenario.tick_ns / 1e6:g} ms")
         taken = {fault.id for fault in self.faults}
-        name = section.id or next(n for k in count(1) if (n := f"live-{k}") not in taken)
+        self._injected += 1
+        while f"live-{self._injected}" in taken:
+            self._injected += 1
+        name = section.id or f"live-{self._injected}"
         if name in taken:
             raise RefusedError(f"there is a fault {name} already")
         self._check_vehicles(section)
@@ -186,8 +189,8 @@ class Operator:
                 self.clock.pause(self.granted())
             case "resume", _:
                 self.clock.resume()
-            case "step", int(ticks) if ticks > 0:
-                self.clock.step(self.granted(), ticks)
+            case "step", int(count) if count > 0:
+                self.clock.step(self.granted(), count)
             case "speed", (int() | float() | None) as speed if speed is None or 0 < speed <= MOST_SPEED:
                 self.clock.set_speed(self.granted(), None if speed is None else float(speed))
             case other:

@@ -216,8 +216,10 @@ def clock(do: str, value: str | None, run: Path | None, out: Path) -> None:
             number = int(value or 1)
         elif do == "speed" and value not in (None, "max"):
             number = float(str(value).removesuffix("x"))
+        if number is not None and not 0 < number < 2**63:
+            raise ValueError
     except ValueError:
-        raise click.BadParameter(f"expected a number, got {value!r}", param_hint="VALUE") from None
+        raise click.BadParameter(f"expected a number above 0, got {value!r}", param_hint="VALUE") from None
     values = _ask(run, out, "clock", do=do, value=number)
     click.echo(f"{values['clock']}, t = {values['at_s']:.2f} s")
 

@@ -375,7 +375,8 @@ class Console:
         begin = self._starting.pop(i, None)
         until = 0
         if gap is None or gap[0] > self._granted:
-            if self._scenario.spec.on_death == "restart" and self._restarted.get(i, 0) < MOST_RESTARTS:
+            again = self._scenario.spec.on_death == "restart" and i not in self._journal.lost
+            if again and self._restarted.get(i, 0) < MOST_RESTARTS:
                 self._restarted[i] = self._restarted.get(i, 0) + 1
                 until = self._scenario.next_round(self._granted)
             # The world will say when it was; here it matters only when another one takes over.
@@ -392,7 +393,8 @@ class Console:
         last = f"; last line of {child.log_path}: {line}" if (line := "".join(child.tail()[-1:])) else ""
         at = self._seconds(self._journal.framed)
         then = f", another one takes over at {self._seconds(until)}" if until else ""
-        self.notes.append(f"{at} agent {i} (pid {child.pid}) {how}: its vehicle drifts without thrust{then}{last}")
+        fate = "is lost already" if i in self._journal.lost else f"drifts without thrust{then}"
+        self.notes.append(f"{at} agent {i} (pid {child.pid}) {how}: its vehicle {fate}{last}")
 
     def _gap(self, i: int) -> tuple[int, int | None] | None:
         """How the life of agent i that was started last ends, if it does: (begin, end) of the gap after it."""
@@ -430,7 +432,7 @@ class Console:
                 with contextlib.suppress(ProcessLookupError):
                     os.kill(pid, signal.SIGKILL)
             elif pid in self._gone and end is not None and end <= self._granted:
-                # Not before everybody waits for it: until then a heal may bring its beginning forward.
+                # Not before: until the clock waits there, an operator may still move that tick, and it is told which.
                 self._incarnation[i] += 1
                 self._starting[i] = end
                 self._start_agent(i, self._incarnation[i], end)
@@ -443,7 +445,7 @@ class Console:
         if len(self.notes) >= MOST_NOTES:
             self._rejected_notes += 1
             return
-        who = f"agent {note.subject}" if note.subject else note.role
+        who = f"{'vehicle' if note.role == WORLD else 'agent'} {note.subject}" if note.subject else note.role
         self.notes.append(f"{self._seconds(note.tick)} {who}: {note.text}")
 
     def _who_waits(self, bus: Bus) -> str:

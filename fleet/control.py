@@ -28,8 +28,10 @@ from fleet.journal import Journal
 from fleet.scenario import Scenario
 from fleet.schema import FaultEntry, FaultSection
 from netem.faults import NetFault
+from netem.lives import WHENEVER
 from world.faults import WorldFault
 
+MOST_SPEED = 1e6  # times real time; more than any machine makes, and finite
 _ENTRY: TypeAdapter[FaultSection] = TypeAdapter(FaultEntry)
 
 
@@ -148,13 +150,20 @@ class Operator:
         round_tick = -(-tick // m) * m  # of a restart
         lasting = [part for part in self.faults if part.active(tick)]
         dead = {death.fault: i for i, death in self.journal.deaths.items()}
+        lost = {loss.fault: i for i, loss in self.journal.lost.items()}
+        if name in lost:
+            raise RefusedError(f"vehicle {lost[name]} is lost: no agent brings it back")
         ill = {part.id for part in lasting} | dead.keys()
         if name is not None and name not in ill:
             known = f"active: {', '.join(sorted(ill))}" if ill else "none is active"
             raise RefusedError(f"there is no active fault {name!r}; {known}")
         healed = ill if name is None else {name}
+        if name is None and round_tick >= self.scenario.ticks:  # too late for agents, not for the rest
+            healed -= {part.id for part in lasting if isinstance(part, Kill)} | dead.keys()
         kills = [part for part in lasting if isinstance(part, Kill) and part.id in healed]
         restarted = [dead[fault] for fault in healed & dead.keys()]
+        if any(kill.begin >= round_tick for kill in kills):
+            round_tick += m  # a process may have been ended already
         for part in lasting:
             if isinstance(part, Kill) and part.id not in healed and (both := set(part.vehicles) & set(restarted)):
                 raise RefusedError(f"agent {min(both)} was killed by {part.id}, too: heal that one first")
@@ -164,7 +173,7 @@ class Operator:
         ends = {part: round_tick if isinstance(part, Kill) else tick for part in lasting if part.id in healed}
         self._replace([replace(part, end=ends[part]) if part in ends else part for part in self.faults])
         for i in restarted:
-            self.restart_agent(i, 0, round_tick)
+            self.restart_agent(i, WHENEVER, round_tick)
         for kill in kills:
             for i in kill.vehicles:
                 self.restart_agent(i, kill.begin, round_tick)
@@ -188,7 +197,7 @@ class Operator:
             case "step", int(count) if count > 0:
                 self.clock.step(self.granted(), count)
                 return {"clock": self.clock.describe(), "at_s": self._seconds(self.clock.held)}
-            case "speed", (int() | float() | None) as speed if speed is None or speed > 0:
+            case "speed", (int() | float() | None) as speed if speed is None or 0 < speed <= MOST_SPEED:
                 self.clock.set_speed(self.granted(), None if speed is None else float(speed))
             case other:
                 raise RefusedError(f"the clock knows pause, resume, step N and speed X, not {other!r}")

@@ -263,10 +263,10 @@ def partition(text: str, vehicles: int, seed: int, name: str) -> set[Link]:
     if "/" in text:
         groups = _groups(text, vehicles)
         return _between([*groups, *([i] for i in everyone if not any(i in group for group in groups))])
-    name, _, who = text.strip().partition(":")
-    drawn = sorted(everyone, key=lambda i: (uniform(seed, f"partition {name}", i), i))
+    which, _, who = text.strip().partition(":")
+    drawn = sorted(everyone, key=lambda i: (uniform(seed, f"partition {which} {name}", i), i))
     half = (vehicles + 1) // 2
-    match name:
+    match which:
         case "halves":
             return _between([everyone[:half], everyone[half:]])
         case "one":

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
+from itertools import count
 from math import gcd
 from typing import Protocol
 
@@ -54,8 +55,8 @@ class Journal:
         self._last = scenario.ticks
         self._events = deque(scenario.faults.events)
         self._told_deaths = {(absence.vehicle, absence.begin) for absence in scenario.faults.absences}
-        self._died: dict[int, int] = {}  # vehicle -> how often its agent ended without being told to
         self.active: list[str] = []  # faults that last, in the order in which they began
+        self._names = {event.fault for event in self._events}  # ids of faults that are taken
         self.deaths: dict[int, Event] = {}  # vehicle -> such a death that lasts
         self.lost: dict[int, Event] = {}  # vehicle -> that it was lost
         self._frame_every = frame_every(scenario)
@@ -147,11 +148,15 @@ class Journal:
 
     def add_event(self, event: Event) -> None:
         """Take a fault that was injected, behind those of the same tick."""
+        self._names.add(event.fault)
         place = sum(event_order(other) <= event_order(event) for other in self._events)
         self._events.insert(place, event)
 
     def end_event(self, fault: str, tick: int) -> None:
-        """A fault ends earlier than was said."""
+        """A fault ends earlier than was said; one that never acted is forgotten."""
+        if any(e.fault == fault and e.action == "begins" and e.tick >= tick for e in self._events):
+            self._events = deque(e for e in self._events if e.fault != fault)
+            return
         for event in [e for e in self._events if e.fault == fault and e.action == "ends"]:
             self._events.remove(event)
             self.add_event(replace(event, tick=tick))
@@ -172,8 +177,8 @@ class Journal:
                     self.lost[i] = Event(life.tick, f"lost-{i}", "begins", f"{LOST} {i}")
                     self.add_event(self.lost[i])
                     continue
-                count = self._died[i] = self._died.get(i, 0) + 1
-                name = f"death-{i}" if count == 1 else f"death-{i}-{count}"
+                names = (f"death-{i}" if n == 1 else f"death-{i}-{n}" for n in count(1))
+                name = next(name for name in names if name not in self._names)
                 self.deaths[i] = Event(life.tick, name, "begins", f"kill {i}")
                 self.add_event(self.deaths[i])
         if frame.tick == self._last:

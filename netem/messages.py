@@ -355,7 +355,7 @@ class Restart(NamedTuple):
     """Another agent takes a vehicle over earlier than was said; that tick is not granted before it is ready."""
 
     vehicle: Annotated[int, uint("", "vehicle number")]
-    begin: Annotated[int, uint("tick", "since when it has none; 0: whenever")]
+    begin: Annotated[int, uint("tick", "since when it has none; 2^63 - 1: whenever")]
     tick: Annotated[int, uint("tick", "round tick, its first sample")]
 
 

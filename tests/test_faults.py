@@ -376,3 +376,8 @@ def test_a_killed_agent_does_not_end_the_run(tmp_path: Path) -> None:
         assert "agent 3 (pid " in live.said
         assert "was killed by SIGKILL: its vehicle drifts without thrust" in live.said
         assert [event[1:] for event in told(live.directory)] == [("death-3", "begins"), ("death-3", "ends")]
+
+
+@pytest.mark.parametrize("name", ["one", "majority", "ring", "bridge"])
+def test_two_partitions_of_a_kind_are_drawn_apart(name: str) -> None:
+    assert len({frozenset(partition(name, 7, 1, f"f{n}")) for n in range(8)}) > 3

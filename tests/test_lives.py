@@ -21,7 +21,7 @@ from fleet.reader import digest
 from fleet.run import Options, Result, Status, execute
 from fleet.scenario import load_scenario, parse_scenario
 from fleet.script import script
-from netem.lives import Absence, Lives
+from netem.lives import WHENEVER, Absence, Lives
 from world.faults import WorldFault
 from world.lockstep import Lockstep, NavTo
 
@@ -54,7 +54,7 @@ def test_an_agent_that_dies_before_it_was_to_be_killed_comes_back_when_that_woul
     assert lives.gaps(1) == [(10, 30), (50, None)]
     lives.end(1, 40)
     assert lives.gaps(1) == [(10, 30), (40, None)]
-    lives.restart(1, 0, 60)
+    lives.restart(1, WHENEVER, 60)
     assert lives.gaps(1) == [(10, 30), (40, 60)]
     lives.restart(1, 7, 25)  # nothing began there
     assert lives.gaps(1) == [(10, 30), (40, 60)]

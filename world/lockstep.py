@@ -44,6 +44,7 @@ class Lockstep:
         self._granted = 0
         self.lives = Lives(config.absences)
         self._absent: set[int] = set()  # vehicles without an agent at the tick they have reached
+        self._life = dict.fromkeys(self._ids, 0)  # which life of its agent each vehicle was in at the tick before
         self._changes: dict[int, list[Life]] = {}  # what happened to agents, by the frame that tells it
         self._awaiting: dict[int, Nav] = {}
         self._rows: dict[int, list[VehicleFrame]] = {}  # frames being assembled, by tick
@@ -97,7 +98,7 @@ class Lockstep:
 
     def dead(self, i: int) -> bool:
         """Whether vehicle i has no agent at the tick it has reached."""
-        return self.lives.without_agent(i, self.tick_of(i))
+        return i in self._lost or self.lives.without_agent(i, self.tick_of(i))
 
     def incarnation(self, i: int) -> int:
         """Which life of its agent vehicle i is in at the tick it has reached."""
@@ -152,7 +153,8 @@ class Lockstep:
             self._late[i] = {k: (x, y, z) for k, (x, y, z) in late}
             if lost:
                 self._lost.add(i)
-        self._absent = {i for i in self._ids if self.lives.without_agent(i, tick - 1)}
+        self._absent = self._lost | {i for i in self._ids if self.lives.without_agent(i, tick - 1)}
+        self._life = {i: self.lives.incarnation(i, tick - 1) for i in self._ids}
         self._framed = tick
 
     def _keep(self, i: int, k: int, *, asked: bool) -> None:
@@ -213,7 +215,6 @@ class Lockstep:
                 if not self.config.keep_going:
                     raise
                 self._lost.add(i)
-                self.lives.end(i, k + 1)
                 self.notes.append((i, k, f"{error.reason}: the vehicle is lost and stays where it is"))
                 self.world.hold(i)
         if k + 1 == self.config.ticks:
@@ -242,12 +243,19 @@ class Lockstep:
 
     def _is_dead(self, i: int, k: int) -> bool:
         """Whether vehicle i has no agent at tick k; the frame that follows tells when that changes."""
-        dead = self.lives.without_agent(i, k)
-        if dead != (i in self._absent):
-            self._absent ^= {i}
+        # A vehicle that is lost has none for good: lives stay those that the console and netem know of.
+        lost = i in self._lost
+        dead = lost or self.lives.without_agent(i, k)
+        life = self.lives.incarnation(i, k)
+        stillborn = dead and i in self._absent - self._lost and life > self._life[i]  # it ended before it began
+        self._life[i] = life
+        if stillborn or dead != (i in self._absent):
             every = self._frame_every
             frame = min(-(-k // every) * every, self.config.ticks)
-            self._changes.setdefault(frame, []).append(Life(k, i, not dead, dead and i in self._lost))
+            told = self._changes.setdefault(frame, [])
+            told += [Life(k, i, True, False), Life(k, i, False, False)] if stillborn else [Life(k, i, not dead, lost)]
+        if dead != (i in self._absent):
+            self._absent ^= {i}
             if not dead:
                 self._tau[i] = STILL
                 self._late[i].clear()
@@ -258,8 +266,13 @@ class Lockstep:
         while (rows := self._rows.get(self._framed)) is not None and len(rows) == len(self._ids):
             del self._rows[self._framed]
             rows.sort()
-            changes = tuple(sorted(self._changes.pop(self._framed, ())))
+            changes = _in_order(self._changes.pop(self._framed, []))
             out.append(Frame(self._framed, False, changes, tuple(rows), self._kept(self._framed)))
             last = self.config.ticks
             self._framed = min(last, self._framed + self._frame_every) if self._framed < last else last + 1
         return out
+
+
+def _in_order(changes: list[Life]) -> tuple[Life, ...]:
+    """By tick and vehicle; what happened to one at one tick stays in its order: it began, and ended at once."""
+    return tuple(sorted(changes, key=lambda life: (life.tick, life.vehicle)))

@@ -1,0 +1,166 @@
+"""Heals at awkward moments: of what has just begun, of agents that are to start again, of what is beyond healing."""
+
+from __future__ import annotations
+
+import json
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+from live import LiveRun
+from waiting import wait_for
+
+from fleet.reader import digest
+from fleet.remote import RemoteError, ask, find
+from fleet.run import Options, execute
+from fleet.scenario import load_scenario
+from fleet.script import script
+from netem.lives import Absence
+from netem.messages import Command, Frame
+from world.lockstep import Lockstep, NavTo
+
+CALM = ["--speed", "1", "--duration", "8 s", "--set", "profile=hardened", "--set", "checks={ledger: balanced}"]
+
+
+class Hand:
+    """An operator who is faster than a shell."""
+
+    def __init__(self, out: Path) -> None:
+        self.run = find(None, out)
+
+    def inject(self, **fault: Any) -> dict[str, Any]:
+        return ask(self.run, "inject", fault=fault)
+
+    def heal(self, name: str | None = None) -> list[str]:
+        return list(ask(self.run, "heal", id=name)["healed"])
+
+    def clock(self, do: str, value: float | None = None) -> None:
+        ask(self.run, "clock", do=do, value=value)
+
+    def now(self) -> float:
+        return float(ask(self.run, "status")["at_s"])
+
+    def until(self, sim_s: float) -> None:
+        wait_for(lambda: self.now() >= sim_s, 60.0, f"{sim_s:g} s")
+
+    def pause_at_round(self) -> None:
+        """Hold the clock with the grant at a round tick."""
+        self.clock("pause")
+        while True:
+            granted = round(float(ask(self.run, "clock", do="pause", value=None)["at_s"]) / 0.01)
+            wait_for(lambda: round(self.now() / 0.01) == granted - 1, 10.0, "the clock to hold")  # noqa: B023
+            if granted % 10 == 0:
+                return
+            self.clock("step", 10 - granted % 10)
+            time.sleep(0.1)
+
+
+def runs_again(run: LiveRun, out: Path) -> None:
+    assert run.status(90.0) == 0, run.printed
+    again = execute(script(run.log), Options(out=out / "again", in_process=True, quiet=True))
+    assert digest(run.log) == again.digest
+
+
+def test_what_is_healed_at_the_tick_at_which_it_began_never_was(tmp_path: Path) -> None:
+    with LiveRun(tmp_path, "paper", *CALM).until_running() as run:
+        hand = Hand(tmp_path)
+        hand.pause_at_round()
+        hand.inject(mute="3")
+        assert hand.heal() == ["live-1"]
+        hand.inject(kill="2")  # its process is ended at once, so it must come back
+        time.sleep(0.5)
+        assert hand.heal() == ["live-2"]
+        hand.clock("resume")
+        runs_again(run, tmp_path)
+
+
+@pytest.mark.parametrize("then", ["heal", "longer"])
+def test_the_end_of_a_kill_moves_while_it_lasts(then: str, tmp_path: Path) -> None:
+    """The process that takes over is told its first tick, so it must not be there before that is certain."""
+    with LiveRun(tmp_path, "paper", *CALM).until_running() as run:
+        hand = Hand(tmp_path)
+        hand.inject(kill="3", **{"for": "3 s"})
+        hand.until(hand.now() + 1.0)
+        if then == "heal":
+            hand.heal()
+        else:
+            hand.inject(kill="3", **{"for": "4 s"})
+        runs_again(run, tmp_path)
+
+
+def test_a_kill_that_began_at_zero_is_healed_alone(tmp_path: Path) -> None:
+    kills = '[{at: 0 s, id: a, kill: "1"}, {at: 500 ms, id: b, kill: "1"}]'
+    with LiveRun(tmp_path, "paper", *CALM, "--set", f"faults={kills}").until_running() as run:
+        Hand(tmp_path).heal("a")
+        runs_again(run, tmp_path)
+
+
+def test_a_lost_vehicle_is_not_healed(tmp_path: Path) -> None:
+    wrench = '[{at: 500 ms, for: 4 s, wrench: {vehicles: "2", pitch_moment: 300 N m}}]'
+    with LiveRun(tmp_path, "paper", *CALM, "--set", f"faults={wrench}").until_running() as run:
+        hand = Hand(tmp_path)
+        wait_for(lambda: any(f["id"] == "lost-2" for f in ask(hand.run, "faults")["faults"]), 30.0, "a tumble")
+        with pytest.raises(RemoteError, match="vehicle 2 is lost"):
+            hand.heal("lost-2")
+        assert "lost-2" not in hand.heal()
+        runs_again(run, tmp_path)
+
+
+def test_ids_of_a_script_are_not_given_again(tmp_path: Path) -> None:
+    faults = '[{at: 0 s, for: 1 s, id: live-1, mute: "1"}, {at: 0 s, for: 1 s, id: death-3, mute: "1"}]'
+    with LiveRun(tmp_path, "paper", *CALM, "--set", f"faults={faults}").until_running() as run:
+        assert Hand(tmp_path).inject(mute="2")["id"] == "live-2"
+        run.role("agent 3").kill()
+        runs_again(run, tmp_path)
+        assert "death-3-2" in [fault.id for fault in script(run.log).spec.faults]
+
+
+def test_no_speed_breaks_the_console(tmp_path: Path) -> None:
+    with LiveRun(tmp_path, "paper", *CALM).until_running() as run:
+        for speed in (float("inf"), float("nan"), 0.0, -1.0):
+            with pytest.raises(RemoteError, match="the clock knows"):
+                Hand(tmp_path).clock("speed", speed)
+        Hand(tmp_path).clock("speed", 1e6)
+        runs_again(run, tmp_path)
+        assert json.loads((run.directory / "result.json").read_text("utf-8"))["exit"] == 0
+
+
+def lives_told(vehicle: int, absences: list[tuple[int, int | None]], late: bool) -> list[tuple[int, bool]]:
+    """(tick, begins) of all that a world of silent agents tells of one vehicle; `late`: told when it is there."""
+    scenario = load_scenario("paper", ["duration=1 s"])
+    world = Lockstep(scenario.world_config())
+    told: list[tuple[int, bool]] = []
+
+    def go_on(until: int) -> None:
+        waiting = list(world.grant(until))
+        while waiting:
+            out = waiting.pop(0)
+            if isinstance(out, NavTo):
+                tau, size = (0.0, 0.0, 0.0), scenario.layout(out.id).size
+                waiting += world.command(out.id, Command(out.nav.incarnation, out.nav.tick, tau, (0.0,) * size))
+            elif isinstance(out, Frame):
+                told.extend((life.tick, life.begins) for life in out.lives if life.vehicle == vehicle)
+
+    for begin, end in absences:
+        if late:
+            go_on(begin)
+        world.lives.add(Absence(vehicle, begin, end))
+    go_on(100)
+    return told
+
+
+@pytest.mark.parametrize("late", [False, True])
+def test_an_agent_that_ended_before_it_began_is_told(late: bool) -> None:
+    """Otherwise nothing would say that its vehicle went on without one."""
+    told = lives_told(2, [(20, 30), (30, 40)], late)
+    assert told == [(20, False), (30, True), (30, False), (40, True)]
+
+
+def test_an_agent_that_ended_at_its_first_tick_is_told_in_this_order() -> None:
+    world = Lockstep(load_scenario("paper", ["duration=1 s", "vehicles=1"]).world_config())
+    world.lives.add(Absence(1, 0, 10))
+    lives = [life for out in world.grant(11) if isinstance(out, Frame) for life in out.lives]
+    lives += [life for out in world.end(1, 1, 20) if isinstance(out, Frame) for life in out.lives]
+    lives += [life for out in world.grant(30) if isinstance(out, Frame) for life in out.lives]
+    assert [(life.tick, life.begins) for life in lives] == [(0, False), (10, True), (10, False)]

@@ -210,6 +210,8 @@ def clock(do: str, value: str | None, run: Path | None, out: Path) -> None:
       fleet clock speed 2       twice real time; max: as fast as it goes
       fleet clock resume
     """
+    if do == "speed" and value is None:
+        raise click.UsageError("which speed? A number of times real time, or max")
     number: Any = None
     try:
         if do == "step":

@@ -19,7 +19,9 @@ from fleet.faults import (
     FaultError,
     Kill,
     Part,
+    action,
     begin_and_end,
+    does_nothing,
     parts,
     vehicles_of,
     words,
@@ -116,6 +118,8 @@ class Operator:
             raise RefusedError(f"a fault does exactly one thing, one of {', '.join(ACTIONS)}")
         if section.for_ is not None and section.for_ % self.scenario.tick_ns:
             raise RefusedError(f"the duration is not a whole number of ticks of {self.scenario.tick_ns / 1e6:g} ms")
+        if does_nothing(section):
+            raise RefusedError(f"this {action(section)} changes nothing: give it a value")
         if any(condition.seed is not None for condition in (section.link or {}).values()):
             raise RefusedError("seed belongs in a scenario: a link that runs keeps its draws")
         name = section.id or next(n for n in map("live-{}".format, count(1)) if n not in self._words)

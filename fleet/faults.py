@@ -227,6 +227,23 @@ def _numbers_of(section: FaultAction) -> tuple[float, ...]:
 _ANY = 1e300  # N, N m: no limit of a fault's own
 
 
+def does_nothing(section: FaultAction) -> bool:
+    """Whether the values of a fault are those of none."""
+    numbers = _numbers_of(section)
+    match action(section):
+        case "efficiency":
+            return all(number == 1.0 for number in numbers)
+        case "saturate":
+            return all(number == _ANY for number in numbers)
+        case "current":
+            return not any(numbers[:6])  # but for the time constant
+        case "gust":
+            return not any(numbers[:3])
+        case "noise" | "bias" | "wrench" | "dropout":
+            return not any(numbers)
+    return False
+
+
 def vehicles_of(section: FaultAction) -> tuple[int, ...]:
     """The vehicles that a fault names; none where it concerns all."""
     value = getattr(section, action(section))

@@ -45,7 +45,9 @@ def live_runs(out: Path) -> list[Found]:
         if path.parent.is_symlink():
             continue
         one = _read(path)
-        if one is not None:
+        if one is None:
+            _forget(path)
+        else:
             found.append((path.stat().st_mtime, one))
     return [one for _, one in sorted(found, key=lambda pair: -pair[0])]
 
@@ -96,6 +98,16 @@ def ask(found: Found, op: str, **fields: Any) -> dict[str, Any]:
     if "error" in values:
         raise RemoteError(f"refused: {values['error']}")
     return values
+
+
+def _forget(path: Path) -> None:
+    """Remove what a console that was killed has left: it holds a password, and nobody answers any more."""
+    try:
+        pid = int(json.loads(path.read_text("utf-8"))["pid"])
+        if not Path(f"/proc/{pid}").exists():
+            path.unlink()
+    except (OSError, ValueError, KeyError, TypeError):
+        return  # not one of ours
 
 
 def _read(path: Path) -> Found | None:

@@ -22,7 +22,7 @@ from agents.trajectory import Path as Path_
 from fleet import acoustics
 from fleet.datafiles import DataFileError
 from fleet.errors import Problem
-from fleet.faults import ACTIONS, OF_THE_WORLD, FaultError, action, partition, vehicles_of
+from fleet.faults import ACTIONS, OF_THE_WORLD, FaultError, action, does_nothing, partition, vehicles_of
 from fleet.faults import plan as fault_plan
 from fleet.fields import vehicle_numbers
 from fleet.formation import plans
@@ -564,6 +564,9 @@ def _fault_targets(
     kind = action(fault)
     if spec.network.ideal and kind not in OF_THE_WORLD:
         report.add(path, f"{kind} needs a network, and this one is ideal", "give the network a period")
+        return
+    if does_nothing(fault):
+        report.add((*path, kind), "changes nothing: give it a value", key=True)
         return
     if kind == "partition":
         try:

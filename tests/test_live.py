@@ -74,11 +74,12 @@ def test_runs_are_found_by_their_connection_files(tmp_path: Path) -> None:
         (tmp_path / name).mkdir()
         values = {"endpoint": "tcp/127.0.0.1:1", "run": "a", "scenario": "s", "pid": pid, "user": "u", "password": "p"}
         (tmp_path / name / "connection.json").write_text(json.dumps(values))
-    assert live_runs(tmp_path) == []
-    with pytest.raises(RemoteError, match="no live run under"):
-        find(None, tmp_path)
     with pytest.raises(RemoteError, match="its console is gone"):
         find(tmp_path / "dead-1", tmp_path)
+    assert live_runs(tmp_path) == []
+    assert not (tmp_path / "dead-1" / "connection.json").exists()  # there was a password in it
+    with pytest.raises(RemoteError, match="no live run under"):
+        find(None, tmp_path)
     with pytest.raises(RemoteError, match="is no live run"):
         find(tmp_path / "nowhere", tmp_path)
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import signal
+import threading
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -123,6 +125,8 @@ class Recorder:
         """Begin to listen. Raises BusError: a key expression is none."""
         self._queue: SimpleQueue[tuple[int, Any]] = SimpleQueue()
         self._finished = False
+        self._interrupted = False
+        self._handlers: dict[signal.Signals, Any] = {}
         # Wall time that a correction of the system's clock cannot turn back.
         self._zero_ns = time.time_ns() - time.monotonic_ns()
         for key in keys:
@@ -138,11 +142,17 @@ class Recorder:
 
         Raises:
             RecordError: the file cannot be written any more.
+            KeyboardInterrupt: Ctrl-C, or SIGTERM; between two messages.
         """
+        if threading.current_thread() is threading.main_thread():
+            # An exception in the middle of a write would leave half a chunk in the file.
+            self._handlers = {s: signal.signal(s, self._interrupt) for s in (signal.SIGINT, signal.SIGTERM)}
         began = seen_ns = time.monotonic_ns()
         seen, rate = 0, 0.0
         end = None if limits.duration_ns is None else began + limits.duration_ns
         while True:
+            if self._interrupted:
+                raise KeyboardInterrupt
             now = time.monotonic_ns()
             if (end is not None and now >= end) or (limits.size is not None and writer.size >= limits.size):
                 return
@@ -164,6 +174,11 @@ class Recorder:
         finally:
             self._finished = True  # a thread of zenoh that waits for room would keep the session from closing
             writer.close()
+            for number, handler in self._handlers.items():
+                signal.signal(number, handler)
+
+    def _interrupt(self, *_: object) -> None:
+        self._interrupted = True
 
     def _drain(self, writer: TrafficWriter, most: int) -> None:
         for _ in range(min(most, self._queue.qsize())):

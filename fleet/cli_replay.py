@@ -212,7 +212,7 @@ def record(
       fleet record --key 'robot/**' --key 'base/*/status' --listen tcp/0.0.0.0:7447 --duration '10 min'
       fleet record --run runs/latest -o journal.mcap
     """
-    from fleet.record import Limits, Recorder, TrafficWriter
+    from fleet.record import Limits, Recorder, TrafficWriter, holding_interrupts
     from fleet.status_line import StatusLine
 
     credentials = None
@@ -234,16 +234,17 @@ def record(
             _broken(error, 2)
             raise
         line.say(f"recording {', '.join(keys)} at {bus.endpoint} to {path}")
-        try:
-            recorder.record(writer, Limits(duration, max_size), line)
-        except Exception as error:
-            _broken(error)
-        finally:
+        with holding_interrupts() as interrupted:
             try:
-                recorder.finish(writer)
-                line.say(f"recorded {writer.samples} messages, {writer.size / 1e6:.2f} MB, to {path}")
-            except FleetError as error:
-                _fail(error, 3)
+                recorder.record(writer, Limits(duration, max_size), line, interrupted)
+            except Exception as error:
+                _broken(error)
+            finally:
+                try:
+                    recorder.finish(writer)
+                    line.say(f"recorded {writer.samples} messages, {writer.size / 1e6:.2f} MB, to {path}")
+                except FleetError as error:
+                    _fail(error, 3)
 
 
 def _session(connect: str | None, listen: str | None, credentials: Any) -> Any:

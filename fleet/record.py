@@ -5,7 +5,8 @@ from __future__ import annotations
 import signal
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from queue import Empty, SimpleQueue
@@ -118,6 +119,21 @@ class TrafficWriter:
             raise RecordError(f"cannot write {self.path}: {error.strerror}") from None
 
 
+@contextmanager
+def holding_interrupts() -> Iterator[Callable[[], bool]]:
+    """Ctrl-C and SIGTERM raise nothing within; asked, the function that is given says whether one of them came.
+
+    An exception in the middle of a write would leave half a chunk in the file.
+    """
+    came = threading.Event()
+    before = {number: signal.signal(number, lambda *_: came.set()) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield came.is_set
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
 class Recorder:
     """Takes what a session hears into a file, in the order in which it was received."""
 
@@ -125,8 +141,6 @@ class Recorder:
         """Begin to listen. Raises BusError: a key expression is none."""
         self._queue: SimpleQueue[tuple[int, Any]] = SimpleQueue()
         self._finished = False
-        self._interrupted = False
-        self._handlers: dict[signal.Signals, Any] = {}
         # Wall time that a correction of the system's clock cannot turn back.
         self._zero_ns = time.time_ns() - time.monotonic_ns()
         for key in keys:
@@ -137,21 +151,24 @@ class Recorder:
             time.sleep(0.01)
         self._queue.put((self._zero_ns + time.monotonic_ns(), received))
 
-    def record(self, writer: TrafficWriter, limits: Limits, line: StatusLine) -> None:
+    def record(
+        self,
+        writer: TrafficWriter,
+        limits: Limits,
+        line: StatusLine,
+        interrupted: Callable[[], bool] = lambda: False,
+    ) -> None:
         """Record until a limit is reached, or an exception ends it.
 
         Raises:
             RecordError: the file cannot be written any more.
-            KeyboardInterrupt: Ctrl-C, or SIGTERM; between two messages.
+            KeyboardInterrupt: `interrupted` said so; between two messages.
         """
-        if threading.current_thread() is threading.main_thread():
-            # An exception in the middle of a write would leave half a chunk in the file.
-            self._handlers = {s: signal.signal(s, self._interrupt) for s in (signal.SIGINT, signal.SIGTERM)}
         began = seen_ns = time.monotonic_ns()
         seen, rate = 0, 0.0
         end = None if limits.duration_ns is None else began + limits.duration_ns
         while True:
-            if self._interrupted:
+            if interrupted():
                 raise KeyboardInterrupt
             now = time.monotonic_ns()
             if (end is not None and now >= end) or (limits.size is not None and writer.size >= limits.size):
@@ -174,11 +191,6 @@ class Recorder:
         finally:
             self._finished = True  # a thread of zenoh that waits for room would keep the session from closing
             writer.close()
-            for number, handler in self._handlers.items():
-                signal.signal(number, handler)
-
-    def _interrupt(self, *_: object) -> None:
-        self._interrupted = True
 
     def _drain(self, writer: TrafficWriter, most: int) -> None:
         for _ in range(min(most, self._queue.qsize())):

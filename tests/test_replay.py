@@ -32,7 +32,7 @@ from fleet.cli import cli
 from fleet.info import describe, read_info
 from fleet.ports import free_port
 from fleet.reader import LogReader, LogReadError, Record
-from fleet.record import TrafficWriter
+from fleet.record import TrafficWriter, holding_interrupts
 from fleet.replay import Replay, Wishes
 from fleet.run import Options, Status, execute
 from fleet.scenario import load_scenario
@@ -147,6 +147,18 @@ SAMPLES = [
     Sample("robot/1/odom", b"\x02", False, "application/cdr;nav_msgs/msg/Odometry", None, None),
     Sample("robot/1/status", b"text", False, "text/plain", None, None),
 ]
+
+
+def put_until(where: str, size: int, recorder: Command, said: str) -> None:
+    """Put samples of so many bytes until the recorder says something."""
+    with session(OpenBus.connect(where)) as bus:
+        out = bus.publication("x", "zenoh/bytes", drop=False)
+
+        def it_says() -> bool:
+            out.put(os.urandom(size), None)
+            return said in recorder.printed
+
+        wait_for(it_says, LIMIT_S, "the end of the recording")
 
 
 def content(samples: list[Sample]) -> list[tuple[Any, ...]]:
@@ -561,14 +573,7 @@ def test_recording_ends_by_itself(tmp_path: Path) -> None:
     where = endpoint()
     with Command("record", "-k", "x", "-o", tmp_path / "b.mcap", "--listen", where, "--max-size", "50 kB") as recorder:
         recorder.until("recording")
-        with session(OpenBus.connect(where)) as bus:
-            out = bus.publication("x", "zenoh/bytes", drop=False)
-
-            def put_until_it_ends() -> bool:
-                out.put(os.urandom(10_000), None)
-                return "recorded" in recorder.printed
-
-            wait_for(put_until_it_ends, LIMIT_S, "the end of the recording")
+        put_until(where, 10_000, recorder, "recorded")
         assert recorder.status() == 0
     assert Tape(tmp_path / "b.mcap").missing == ""
 
@@ -725,19 +730,23 @@ def test_nobody_there(log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     assert list(tmp_path.iterdir()) == []
 
 
+def test_an_interrupt_is_held_until_it_is_asked_for() -> None:
+    """And what was before is back afterwards, however often it was recorded."""
+    before = signal.getsignal(signal.SIGINT)
+    for _ in range(2):
+        with holding_interrupts() as interrupted:
+            assert not interrupted()
+            signal.raise_signal(signal.SIGINT)
+            assert interrupted()
+        assert signal.getsignal(signal.SIGINT) is before
+
+
 def test_full_disk(tmp_path: Path) -> None:
     """A file that may not grow ends the recording with status 3; what was flushed is there."""
     where, path = endpoint(), tmp_path / "x.mcap"
     with Command("record", "-k", "x", "-o", path, "--listen", where, most_kib=64) as recorder:
         recorder.until("recording")
-        with session(OpenBus.connect(where)) as bus:
-            out = bus.publication("x", "zenoh/bytes", drop=False)
-
-            def put_until_it_ends() -> bool:
-                out.put(os.urandom(20_000), None)
-                return "fleet: cannot write" in recorder.printed
-
-            wait_for(put_until_it_ends, LIMIT_S, "the end of the recording")
+        put_until(where, 20_000, recorder, "fleet: cannot write")
         assert recorder.status() == 3
         assert "File too large" in recorder.printed and "Traceback" not in recorder.printed
 

@@ -14,7 +14,7 @@ from agents.controllers import laws
 from fleet.quantities import QuantityError, show_time, time_ns
 from fleet.reader import LogReader, digest, log_path
 from fleet.scenario import Scenario, load_scenario
-from fleet.script import script
+from fleet.script import recorded as read
 from fleet.snapshot import START, Snapshot, SnapshotError, find
 
 
@@ -55,8 +55,9 @@ def prepare(
         LogReadError, ScriptError, ScenarioError: there is no log of ours, or the scenario is wrong.
         SnapshotError: the log has no such moment, or the changes are too great to go on from it.
     """
-    recorded = script(path)
-    scenario = script(path, overrides) if name is None else load_scenario(name, overrides)
+    source = read(path)
+    recorded = source.script()
+    scenario = source.script(overrides) if name is None else load_scenario(name, overrides)
     snapshot = find(path, at_ns)
     at = show_time(snapshot.tick * recorded.tick_ns)
     for what, ours, theirs in (

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -20,34 +21,60 @@ class ScriptError(FleetError):
     """The log holds no scenario that could be run again."""
 
 
-def script(path: Path, overrides: Sequence[str] = ()) -> Scenario:
-    """The scenario of a log, its faults taken from what happened, with overrides as for `fleet run --set`.
+@dataclass(frozen=True, slots=True)
+class Recorded:
+    """What a log says of its run: the scenario, what happened to it, and when it ended."""
+
+    path: Path
+    reader: LogReader  # which has read all of it
+    text: str  # the scenario that stands in it
+    events: list[tuple[int, Any]]  # (time [ns], message) of the topic `faults`
+    last_ns: int  # time of the last message; -1 without any
+
+    def script(self, overrides: Sequence[str] = ()) -> Scenario:
+        """The scenario, its faults taken from what happened, with overrides as for `fleet run --set`.
+
+        Raises:
+            ScenarioError: it is none for this version, or an override is wrong.
+        """
+        if START in self.reader.attachments:
+            # Gone on from another run, in one process: nothing was injected, and what was before is not in this log.
+            return parse_scenario(self.text, str(self.path), overrides)
+        return rerun(self.path, self.text, self.events, self.last_ns, overrides)
+
+
+def recorded(path: Path) -> Recorded:
+    """Read a log.
 
     Raises:
         LogReadError: there is no log to read.
         ScriptError: it holds no scenario of ours.
-        ScenarioError: an override is wrong.
     """
     path = log_path(path)
     reader = LogReader(path)
-    happened, last_ns = [], 0
+    happened: list[Record] = []
+    last_ns = -1
     for record in reader:
         last_ns = max(last_ns, record.log_ns)
         if record.topic == "faults":
-            happened.append((record.log_ns, record.data))
-    text = attached(path, reader)
-    if START in reader.attachments:
-        # Gone on from another run, in one process: nothing was injected, and what was before is not in this log.
-        return parse_scenario(text, str(path), overrides)
-    return rerun(path, text, decoded(reader, happened), last_ns, overrides)
+            happened.append(record)
+    decode = Decoder(reader)
+    events = [(record.log_ns, decode.message(record)) for record in happened]
+    ours = [(at_ns, event) for at_ns, event in events if event is not None and event.DESCRIPTOR.name == "Fault"]
+    return Recorded(path, reader, _attached(path, reader), ours, last_ns)
 
 
-def attached(path: Path, reader: LogReader) -> str:
-    """The scenario that stands in a log which was read.
+def script(path: Path) -> Scenario:
+    """The scenario of a log, its faults taken from what happened.
 
     Raises:
-        ScriptError: it holds none.
+        LogReadError: there is no log to read.
+        ScriptError: it holds no scenario of ours.
     """
+    return recorded(path).script()
+
+
+def _attached(path: Path, reader: LogReader) -> str:
     data = reader.attachments.get("scenario.yaml")
     if data is None:
         because = f" ({reader.missing})" if reader.missing else ": it was not written by fleet run"
@@ -81,13 +108,6 @@ def _recoveries(planned: Scenario, ended: set[str]) -> list[str]:
     checks = planned.spec.checks.recovery_time or []
     kept = [check.model_dump(exclude_none=True) for check in checks if check.fault in ended]
     return [f"checks.recovery_time={json.dumps(kept)}"] if len(kept) < len(checks) else []
-
-
-def decoded(reader: LogReader, happened: Iterable[tuple[int, bytes]]) -> list[tuple[int, Any]]:
-    """The messages of the topic `faults` of a log which was read, with their times."""
-    decode = Decoder(reader)
-    found = [(at_ns, decode.message(Record("faults", at_ns, at_ns, 0, data))) for at_ns, data in happened]
-    return [(at_ns, event) for at_ns, event in found if event is not None and event.DESCRIPTOR.name == "Fault"]
 
 
 def _entries(events: list[tuple[int, Any]], end_ns: int) -> list[dict[str, Any]]:

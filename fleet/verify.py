@@ -22,10 +22,10 @@ from fleet.inprocess import InProcess
 from fleet.journal import Journal, frame_every
 from fleet.log import LogWriter, run_metadata
 from fleet.log_values import Decoder
-from fleet.reader import GAPS, RECOVERY, LogReader, Record, log_path
+from fleet.reader import GAPS, RECOVERY, LogReader, Record
 from fleet.resume import Start, begun
 from fleet.scenario import Scenario, parse_scenario
-from fleet.script import attached, decoded, rerun
+from fleet.script import Recorded, recorded
 from world.errors import WorldError
 
 _VERSIONS = ("uuv-fleet", "python", "piqp")  # that may change a bit without anybody's mistake
@@ -67,40 +67,29 @@ def verify(path: Path, tell: Tell = lambda at_s, end_s: None) -> Verification:
         ScenarioError: its scenario does not run here: another version wrote it, or a law is not installed.
         NothingToVerify: no message of it is left.
     """
-    path = log_path(path)
-    reader = LogReader(path)
-    happened: list[tuple[int, bytes]] = []
-    last_ns = -1
-    for record in reader:
-        last_ns = max(last_ns, record.log_ns)
-        if record.topic == "faults":
-            happened.append((record.log_ns, record.data))
-    text = attached(path, reader)
+    source = recorded(path)
+    path, reader, last_ns = source.path, source.reader, source.last_ns
     if last_ns < 0:
         raise NothingToVerify(f"{path} holds no message{f': {reader.missing}' if reader.missing else ''}")
     start = begun(reader)
-    if start is None:
-        scenario = _scenario(path, text, reader, happened, last_ns)
-    else:
-        scenario = parse_scenario(text, str(path))  # gone on in one process: nothing was injected
+    scenario = source.script() if start is not None else _scenario(source)
     found = Verification(path, last_ns / 1e9, scenario.ticks * scenario.tick_ns / 1e9, missing=reader.missing)
     _compare_metadata(found, reader.metadata.get("run", {}), run_metadata(scenario, start))
     _Rerun(found, scenario, reader, last_ns, tell, start).run()
     return found
 
 
-def _scenario(path: Path, text: str, reader: LogReader, happened: list[tuple[int, bytes]], last_ns: int) -> Scenario:
+def _scenario(source: Recorded) -> Scenario:
     """What to run: the log's scenario if everything went as it says, else one of what happened."""
-    scenario = parse_scenario(text, str(path))
-    events = decoded(reader, happened)
-    recorded = [(at_ns, e.fault, e.action, e.what) for at_ns, e in events]
+    scenario = parse_scenario(source.text, str(source.path))
+    happened = [(at_ns, e.fault, e.action, e.what) for at_ns, e in source.events]
     planned = [(e.tick * scenario.tick_ns, e.fault, e.action, e.what) for e in scenario.faults.events]
-    kept = set(recorded)
+    kept = set(happened)
     # Of a file with gaps some of it may be missing, and of a cut one what belongs to its last tick.
-    gone = [event for event in planned if event[0] < last_ns and event not in kept]
-    if kept <= set(planned) and (not gone or _gaps(reader)):
+    gone = [event for event in planned if event[0] < source.last_ns and event not in kept]
+    if kept <= set(planned) and (not gone or _gaps(source.reader)):
         return scenario
-    return rerun(path, text, events, last_ns)
+    return source.script()
 
 
 def _gaps(reader: LogReader) -> list[int]:

@@ -19,7 +19,7 @@ from fleet.errors import FleetError
 from fleet.log_values import Decoder
 from fleet.reader import LogReader, log_path
 from fleet.scenario import Scenario
-from fleet.script import script
+from fleet.script import recorded as read
 from netem.lives import Lives
 from netem.messages import Delivery, Nav
 
@@ -71,8 +71,8 @@ def whatif(
         WhatIfError: the agent is not there, its navigation was thinned, or its law failed.
     """
     path = log_path(path)
-    scenario = script(path, overrides)
-    recorded = script(path)
+    source = read(path)
+    scenario, recorded = source.script(overrides), source.script()
     if scenario.vehicles != recorded.vehicles or scenario.tick_ns != recorded.tick_ns:
         raise WhatIfError("another number of vehicles, or another tick, is another run: use fleet run")
     if not 1 <= agent <= scenario.vehicles:

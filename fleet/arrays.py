@@ -18,12 +18,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 from google.protobuf.descriptor import Descriptor, FieldDescriptor
 from google.protobuf.message import DecodeError
 from mcap.records import Channel, Schema
 
 from fleet.log_schemas import head
+from fleet.log_values import message_class
 from fleet.reader import LogReader, LogReadError, log_path
 from netem.grammar import nearest
 
@@ -157,7 +157,7 @@ class Topic:
         if self._declared is None:
             return {"data": _objects(self._messages())}
         try:
-            make = _message_class(self._declared)
+            make = message_class(self._declared)
         except (DecodeError, TypeError, KeyError) as error:
             raise LogReadError(f"{self.name}: the log's schema {self.schema} cannot be used ({error})") from error
         try:
@@ -325,13 +325,6 @@ def _units(metadata: Mapping[str, str]) -> dict[str, tuple[str, str]]:
         return {name: (str(unit), str(meaning)) for name, (unit, meaning) in json.loads(metadata["units"]).items()}
     except (KeyError, ValueError, TypeError, AttributeError):
         return {}  # a channel that is not ours
-
-
-def _message_class(schema: Schema) -> Callable[[], Any]:
-    pool = descriptor_pool.DescriptorPool()
-    for file in descriptor_pb2.FileDescriptorSet.FromString(schema.data).file:
-        pool.Add(file)
-    return message_factory.GetMessageClass(pool.FindMessageTypeByName(schema.name))
 
 
 def _doubles(rows: Array, start: int, width: int, *, vector: bool) -> Array:

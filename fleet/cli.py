@@ -194,8 +194,10 @@ def check(scenario: str, overrides: tuple[str, ...]) -> None:
         + ("ideal network" if loaded.ideal else f"a round every {loaded.round_ticks} ticks")
     )
     found = analyse(loaded)
-    for line in [*report(loaded, found), *timeline(loaded)]:
+    for line in report(loaded, found):
         click.echo(line)
+    for name, begin_s, end_s, what in timeline(loaded):
+        click.echo(f"fault {name}: {what}, {begin_s:g} to {end_s:g} s")
     for warning in found.warnings:
         click.echo(f"warning: {warning}", err=True)
 

@@ -129,27 +129,12 @@ def event_order(event: Event) -> tuple[int, bool, str]:
     return event.tick, begins, "" if begins else event.fault
 
 
-def timeline(scenario: Scenario) -> list[str]:
-    """The faults of a scenario in order of time, a line each."""
+def timeline(scenario: Scenario) -> list[tuple[str, float, float, str]]:
+    """(id, begin [s], end [s], what in the scenario's words) of each fault, in the order in which they begin."""
     tick_s = scenario.tick_ns / 1e9
     ends = {event.fault: event.tick for event in scenario.faults.events if event.action == "ends"}
-    return [
-        f"fault {e.fault}: {e.what}, {e.tick * tick_s:g} to {ends[e.fault] * tick_s:g} s"
-        for e in scenario.faults.events
-        if e.action == "begins"
-    ]
-
-
-def intervals(events: Iterable[Event], tick_ns: int) -> list[tuple[float, float]]:
-    """From when to when each fault lasts [s], in the order in which they end."""
-    begun: dict[str, int] = {}
-    found = []
-    for event in events:
-        if event.action == "begins":
-            begun[event.fault] = event.tick
-        elif event.fault in begun:
-            found.append((begun.pop(event.fault) * tick_ns / 1e9, event.tick * tick_ns / 1e9))
-    return found
+    begun = (event for event in scenario.faults.events if event.action == "begins")
+    return [(e.fault, e.tick * tick_s, ends[e.fault] * tick_s, e.what) for e in begun]
 
 
 def begin_and_end(of_this: Sequence[Part], section: FaultSection, last: int) -> tuple[Event, Event]:

@@ -53,14 +53,19 @@ class Decoder:
         return _unit(self._known[topic][1], path)
 
 
+def message_class(schema: Schema) -> Any:
+    """The class of the messages that a protobuf schema in a log describes. What it raises, protobuf raises."""
+    pool = descriptor_pool.DescriptorPool()
+    for file in descriptor_pb2.FileDescriptorSet.FromString(schema.data).file:
+        pool.Add(file)
+    return message_factory.GetMessageClass(pool.FindMessageTypeByName(schema.name))
+
+
 def _class(schema: Schema | None) -> Any:
     if schema is None or schema.encoding != "protobuf":
         return None
     try:
-        pool = descriptor_pool.DescriptorPool()
-        for file in descriptor_pb2.FileDescriptorSet.FromString(schema.data).file:
-            pool.Add(file)
-        return message_factory.GetMessageClass(pool.FindMessageTypeByName(schema.name))
+        return message_class(schema)
     except (DecodeError, TypeError, KeyError):  # whatever somebody else put there
         return None
 

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from fleet.faults import intervals
+from fleet.arrays import FaultInterval
+from fleet.faults import timeline
+from fleet.pictures.axes import shade
 from fleet.plotting import FORMATS, legend, limit, line, panels, save
 from fleet.whatif import COMPONENTS, WhatIf, WhatIfError
 
@@ -30,8 +32,7 @@ def draw(found: WhatIf, path: Path) -> None:
             limit(ax, most, "limit" if k == 0 else None)
             limit(ax, -most)
         ax.set_ylabel(f"{name} [{unit}]")
-        for begin, end in intervals(found.scenario.faults.events, found.scenario.tick_ns):
-            ax.axvspan(begin, end, color="0.5", alpha=0.12, linewidth=0)
+    shade(axes, [FaultInterval(*fault) for fault in timeline(found.scenario)])
     axes[-1].set_xlabel("t [s]")
     axes[0].set_title(f"agent {found.agent} of {found.scenario.name}: open loop")
     legend(figure, axes[0], 3)

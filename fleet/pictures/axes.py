@@ -174,7 +174,12 @@ def _shade(axes: Sequence[Axes], runs: Sequence[Run], look: Look) -> None:
         fault if len(labels) == len(runs) else fault._replace(id=f"{fault.id} ({', '.join(labels)})")
         for fault, labels in whose.items()
     ]
-    faults = sorted(called, key=lambda f: (f.begin, f.end, f.id))
+    shade(axes, called)
+
+
+def shade(axes: Sequence[Axes], intervals: Sequence[FaultInterval]) -> None:
+    """Grey where a fault lasts, with its name above the first axis."""
+    faults = sorted(intervals, key=lambda f: (f.begin, f.end, f.id))
     first, last = axes[0].get_xlim()
     faults = [f for f in faults if f.begin < last and f.end > first]
     for ax in axes:

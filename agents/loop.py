@@ -76,9 +76,8 @@ class AgentLoop:
         self.incarnation = incarnation
         self.ideal = ideal
         self.memory_ticks = memory_ticks  # how often it tells what it remembers
-        self._known = (
-            begin - 1 if ideal else begin
-        )  # the inbox is known up to this tick: nothing before was for this agent
+        # The inbox is known up to this tick: nothing before was for this agent.
+        self._known = begin - 1 if ideal else begin
         self._tick = begin - 1  # last tick answered, or before the first
         self._nav: Nav | None = None
         self._transmitted = False

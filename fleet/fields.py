@@ -72,25 +72,21 @@ def _condition(value: Any) -> Condition:
     raise q.QuantityError(f'expected a link condition such as "delay 200ms 50ms loss 30%", got {q.describe(value)}')
 
 
-def _probability(value: Any) -> float:
-    probability = q.scalar(value, q.RATIO)
-    if not 0.0 <= probability <= 1.0:
-        raise q.QuantityError(f"must be between 0 and 100 %, got {q.describe(value)}")
-    return probability
+def _within(dimension: q.Dimension, low: float, high: float, said: str) -> Callable[[Any], float]:
+    """A reader of numbers between two, which are `said` in its error."""
+
+    def read(value: Any) -> float:
+        number = q.scalar(value, dimension)
+        if not low <= number <= high:
+            raise q.QuantityError(f"must be between {said}, got {q.describe(value)}")
+        return number
+
+    return read
 
 
-def _fraction(value: Any) -> float:
-    number = q.scalar(value, q.NUMBER)
-    if not 0.0 <= number <= 1.0:
-        raise q.QuantityError(f"must be between 0 and 1, got {q.describe(value)}")
-    return number
-
-
-def _spreading(value: Any) -> float:
-    number = q.scalar(value, q.NUMBER)
-    if not 1.0 <= number <= 2.0:
-        raise q.QuantityError(f"must be between 1 (cylindrical) and 2 (spherical), got {q.describe(value)}")
-    return number
+_probability = _within(q.RATIO, 0.0, 1.0, "0 and 100 %")
+_fraction = _within(q.NUMBER, 0.0, 1.0, "0 and 1")
+_spreading = _within(q.NUMBER, 1.0, 2.0, "1 (cylindrical) and 2 (spherical)")
 
 
 def _bytes(value: Any) -> int:

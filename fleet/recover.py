@@ -6,7 +6,7 @@ Chunk by chunk, so that a whole log comes out as the same bytes. What was missin
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import IO
 
@@ -154,7 +154,7 @@ class Copy:
             return
         self._started = True
         header = item if isinstance(item, Header) else Header("", "uuv-fleet")
-        self._writer.start(header.profile, header.library)
+        self._writer.start(**asdict(header))
 
     def _message(self, item: Message) -> None:
         channel = self._channels.get(item.channel)

@@ -22,7 +22,7 @@ from fleet.graph import Graph
 from fleet.modems import shipped as shipped_modems
 from fleet.overrides import apply, override_name
 from fleet.schema import CurrentSection, ScenarioSpec, VehicleSection
-from fleet.snapshot import LOG_GROUPS, memory_ticks
+from fleet.snapshot import log_every, memory_ticks
 from fleet.tuning import Control
 from fleet.validation import validate
 from fleet.vehicles import shipped as shipped_vehicles
@@ -133,8 +133,7 @@ class Scenario:
     @property
     def log_every(self) -> dict[str, int]:
         """Ticks between two records of each topic group."""
-        log = self.spec.log
-        return {group: getattr(log, group) or log.every for group in LOG_GROUPS}
+        return log_every(self.spec)
 
     def world_config(self) -> WorldConfig:
         """The world's part."""

@@ -75,7 +75,12 @@ class Snapshot:
 def snapshot_grid(spec: ScenarioSpec) -> int:
     """Ticks between the moments at which there can be one: rounds whose frame the log needs."""
     rounds = 1 if spec.network.ideal else spec.network.period // spec.tick
-    return lcm(max(1, rounds), gcd(*(getattr(spec.log, group) or spec.log.every for group in LOG_GROUPS)))
+    return lcm(max(1, rounds), gcd(*log_every(spec).values()))
+
+
+def log_every(spec: ScenarioSpec) -> dict[str, int]:
+    """Ticks between two records of each topic group."""
+    return {group: getattr(spec.log, group) or spec.log.every for group in LOG_GROUPS}
 
 
 def memory_ticks(spec: ScenarioSpec, controls: Iterable[Control]) -> int:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import time
 from pathlib import Path
 from typing import Any
 
@@ -53,7 +52,6 @@ class Hand:
             if granted % 10 == 0:
                 return
             self.clock("step", 10 - granted % 10)
-            time.sleep(0.1)
 
 
 def runs_again(run: LiveRun, out: Path) -> None:
@@ -68,8 +66,9 @@ def test_what_is_healed_at_the_tick_at_which_it_began_never_was(tmp_path: Path) 
         hand.pause_at_round()
         hand.inject(mute="3")
         assert hand.heal() == ["live-1"]
+        agent = run.role("agent 2")
         hand.inject(kill="2")  # its process is ended at once, so it must come back
-        time.sleep(0.5)
+        wait_for(lambda: not agent.is_running(), 10.0, "the end of agent 2")
         assert hand.heal() == ["live-2"]
         hand.clock("resume")
         runs_again(run, tmp_path)

@@ -18,8 +18,9 @@ from agents.profiles import PROFILES, profile
 from agents.trajectory import Line, Offset
 from fleet.errors import FleetError, ScenarioError
 from fleet.formation import grid
-from fleet.scenario import LOG_GROUPS, Scenario, list_scenarios, load_scenario, parse_scenario
+from fleet.scenario import Scenario, list_scenarios, load_scenario, parse_scenario
 from fleet.schema import GuidanceSection, ScenarioSpec, Section, TrackingSection
+from fleet.snapshot import LOG_GROUPS
 from fleet.yaml_marks import Mapping, Source, plain, read, resolve
 from netem.config import Condition
 

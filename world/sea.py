@@ -200,9 +200,8 @@ class World:
     def state_values(self) -> dict[str, Any]:
         """Everything that changes, as plain MessagePack values; `restore` takes it back."""
         return {
-            "vehicles": [[i, self._ticks[i], *self._states[i]] for i in self.ids],
+            "vehicles": [[i, self.memory(i)] for i in self.ids],
             "faults": [fault.to_values() for fault in self.faults],
-            "held": [[fault, i, list(values)] for (fault, i), values in sorted(self._held.items())],
         }
 
     def memory(self, i: int) -> list[Any]:
@@ -224,12 +223,10 @@ class World:
         Raises:
             UnknownVehicleError: a vehicle that this world was not set up with.
         """
-        for i, tick, x, y, z, theta, psi, u, v, w, q, r in values["vehicles"]:
-            self._known(i)
-            self._ticks[i] = tick
-            self._states[i] = (x, y, z, theta, psi, u, v, w, q, r)
+        self._held = {}
+        for i, memory in values["vehicles"]:
+            self.remember(i, memory)
         self.faults = tuple(WorldFault.from_values(fault) for fault in values["faults"])
-        self._held = {(fault, i): tuple(held) for fault, i, held in values["held"]}
 
     def _known(self, i: int) -> None:
         if i not in self._fixed:

@@ -22,8 +22,8 @@ def draw(found: WhatIf, path: Path) -> None:
         raise WhatIfError(f"{path}: a picture ends in one of {', '.join('.' + f for f in FORMATS)}")
     figure, axes = panels(3, 1)
     for k, (ax, (name, unit)) in enumerate(zip(axes, COMPONENTS, strict=True)):
-        line(ax, 0, found.t, found.recorded[:, k], "recorded")
-        line(ax, 1, found.t, found.found[:, k], "what if")
+        line(ax, 0, found.t, found.recorded[:, k], f"agent {found.agent} of {found.scenario.name}, recorded")
+        line(ax, 1, found.t, found.found[:, k], "what if, open loop")
         most = found.scenario.controls[found.agent - 1].tau_max[k]
         if (
             abs(found.recorded[:, k]).max(initial=0.0) > 0.5 * most
@@ -34,7 +34,6 @@ def draw(found: WhatIf, path: Path) -> None:
         ax.set_ylabel(f"{name} [{unit}]")
     shade(axes, [FaultInterval(*fault) for fault in timeline(found.scenario)])
     axes[-1].set_xlabel("t [s]")
-    axes[0].set_title(f"agent {found.agent} of {found.scenario.name}: open loop")
     legend(figure, axes[0], 3)
     try:
         save(figure, path.with_suffix(""), (form,))

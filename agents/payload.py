@@ -15,7 +15,6 @@ double decodes to another plausible double.
 
 from __future__ import annotations
 
-from math import isfinite
 from struct import Struct
 from typing import NamedTuple
 from zlib import crc32
@@ -24,6 +23,7 @@ from agents.errors import PayloadError
 from world.vehicle import Vec3
 
 VERSION = 1
+MOST = 1e9  # m and m/s, added up; with more the squares in a law of the receiver may overflow
 CAUSES = ("length", "checksum", "version", "not_finite")
 
 _BODY = Struct("<BHQ6d")
@@ -50,7 +50,7 @@ def decode(data: bytes) -> StateMessage:
     """The state message in `data`.
 
     Raises:
-        PayloadError: wrong length, bad checksum, unknown version, or a number that is not finite.
+        PayloadError: wrong length, bad checksum, unknown version, or a number that is not finite or beyond any sea.
     """
     if len(data) != SIZE:
         raise PayloadError("length", f"expected {SIZE} bytes, got {len(data)}")
@@ -59,6 +59,7 @@ def decode(data: bytes) -> StateMessage:
         raise PayloadError("checksum", f"the CRC-32 of the content is not {checksum:#010x}")
     if version != VERSION:
         raise PayloadError("version", f"expected version {VERSION}, got {version}")
-    if not isfinite(x + y + z + vx + vy + vz) and not all(map(isfinite, (x, y, z, vx, vy, vz))):
+    # False for NaN, too.
+    if not abs(x) + abs(y) + abs(z) + abs(vx) + abs(vy) + abs(vz) <= MOST:
         raise PayloadError("not_finite", f"position {(x, y, z)}, velocity {(vx, vy, vz)}")
     return StateMessage(sender, sent_tick, (x, y, z), (vx, vy, vz))

@@ -14,7 +14,7 @@ from agents.config import AgentConfig
 from agents.errors import AgentError, ControllerError
 from agents.loop import AgentLoop, Answer
 from netem.access import Credentials, agent_role
-from netem.bus import Bus
+from netem.bus import Bus, quiet_zenoh
 from netem.errors import BusError, MalformedMessage, OutOfPlace
 from netem.keys import Keys
 from netem.messages import PROTOCOL_VERSION, Hello, Inbox, Nav, Transmission, encode
@@ -37,6 +37,7 @@ def run(
         BusError: the run cannot be joined.
         Exception: whatever the controller raised; the console has been told by then.
     """
+    quiet_zenoh()
     keys = Keys(run_id)
     bus = Bus.connect(endpoint, credentials)
     config = _ask_config(bus, keys, vehicle)

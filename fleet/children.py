@@ -177,7 +177,6 @@ def _without_interrupt() -> Iterator[None]:
 def _child(title: str, log_path: str, target: Callable[..., None], args: tuple[Any, ...]) -> None:
     from fleet.deathsig import die_with_parent
     from fleet.preload import FORKSERVER_PID
-    from netem.bus import quiet_zenoh
 
     die_with_parent(FORKSERVER_PID)
     setproctitle.setproctitle(title)
@@ -192,7 +191,6 @@ def _child(title: str, log_path: str, target: Callable[..., None], args: tuple[A
     os.close(null)
     sys.stdout.reconfigure(line_buffering=True)  # type: ignore[union-attr]
     logging.basicConfig(level=logging.INFO, format="%(levelname)s %(name)s: %(message)s", stream=sys.stderr)
-    quiet_zenoh()
     threading.Thread(target=_end_with_console, name="console-watch", daemon=True).start()
     code = 1
     try:

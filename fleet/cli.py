@@ -79,6 +79,7 @@ _overrides = click.option(
 @click.option(
     "--publish", is_flag=True, help="Publish the journal on zenoh meanwhile; nobody who listens slows the run."
 )
+@click.option("--audit", is_flag=True, help="Say also which messages the router refuses, a tenth slower.")
 @click.option("--start-order", metavar="SEED", type=int, hidden=True)
 @click.option("-q", "--quiet", is_flag=True, help="No progress and no tables.")
 def run(
@@ -93,6 +94,7 @@ def run(
     show_config: bool,
     port: int | None,
     publish: bool,
+    audit: bool,
     start_order: int | None,
     quiet: bool,
 ) -> None:
@@ -135,7 +137,7 @@ def run(
 
             for warning in analyse(loaded).warnings:
                 terminal.print(f"warning: {warning}", highlight=False, markup=False, soft_wrap=True)
-        options = Options(out, in_process, speed, quiet, publish, port, start, _shuffle(start_order))
+        options = Options(out, in_process, speed, quiet, publish, port, start, _shuffle(start_order), audit)
         if start is not None and not quiet:
             terminal.print("\n".join(start.notes), highlight=False, markup=False, soft_wrap=True)
         if loaded.ideal and not in_process and not quiet:

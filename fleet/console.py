@@ -12,6 +12,7 @@ import secrets
 import signal
 import tempfile
 import time
+from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 from queue import Empty, SimpleQueue
@@ -38,7 +39,7 @@ from netem.faults import NetFault, fault_values
 from netem.keys import Keys
 from netem.lives import Absence, Lives
 from netem.messages import PROTOCOL_VERSION, Ailments, Death, Frames, Grant, Hello, LinkReport, Note, Restart, encode
-from netem.shell import expect, read_map, request
+from netem.shell import expect, read_map, request, vehicle_of
 from world.faults import WorldFault
 
 WORLD = world.process.WORLD
@@ -54,7 +55,7 @@ SETTLE_S = 0.2  # after a death, how long to collect what else happened
 MOST_NOTES = 1000
 
 FRAME, LINKS, NOTE, EXIT, OPERATION = "frame", "links", "note", "exit", "operation"
-_EXPECTED = {FRAME: (Frames, Hello), LINKS: (LinkReport, Hello), NOTE: (Note,)}
+_EXPECTED = {FRAME: (Frames, Hello), LINKS: (LinkReport, Hello)}
 
 
 class Console:
@@ -68,12 +69,14 @@ class Console:
         *,
         run: str | None = None,
         port: int | None = None,
+        audit: bool = False,
         start_order: Callable[[list[str]], list[str]] | None = None,
     ) -> None:
         self._scenario, self._directory, self._journal = scenario, directory, journal
         self._vehicles = tuple(range(1, scenario.vehicles + 1))
         self._keys = Keys(run or secrets.token_hex(4))
         self._port = port
+        self._audit = audit
         self._start_order = start_order
         self._events: SimpleQueue[tuple[str, Any]] = SimpleQueue()
         self._children = Children(lambda ended: self._events.put((EXIT, ended)))
@@ -81,7 +84,7 @@ class Console:
         self._grant: Callable[[bytes], None] = _unconnected
         self._hello: set[str] = set()
         self.notes: list[str] = []
-        self._rejected_notes = 0
+        self._rejected_notes: Counter[str] = Counter()  # by role: malformed, or too many
         self._received = {FRAME: 0, LINKS: 0}
         self.middleware_lost = 0  # messages that zenoh lost; any makes the run invalid
         self._running = False  # between the first grant and the last frame
@@ -134,7 +137,7 @@ class Console:
         targets: dict[str, tuple[Callable[..., None], tuple[Any, ...]]] = {
             WORLD: (
                 world.process.run,
-                (endpoint, keys.run, clients, private, scenario.world_config(), every),
+                (endpoint, keys.run, clients, private, scenario.world_config(), every, self._audit),
             ),
             NETEM: (netem.process.run, (endpoint, keys.run, credentials[NETEM], scenario.netem_config())),
         }
@@ -185,7 +188,7 @@ class Console:
         put = self._events.put
         bus.subscribe(keys.frame, lambda _, data: put((FRAME, data)))
         bus.subscribe(keys.links, lambda _, data: put((LINKS, data)))
-        bus.subscribe(keys.note("*"), lambda _, data: put((NOTE, data)))
+        bus.subscribe(keys.note("*"), lambda key, data: put((NOTE, (key.rsplit("/", 1)[-1], data))))
         slices = {keys.cfg(i): msgpack.packb({"agent": scenario.agent_config(i).to_values()}) for i in self._vehicles}
 
         def configure(key: str, _: bytes, respond: Respond) -> None:
@@ -301,7 +304,8 @@ class Console:
         sea = self._control(bus, WORLD, "close")
         counts = {"world": sea.get("counts", {}), "netem": answer.get("counts", {}), "console": self._received}
         self.middleware_lost = lost_messages(counts)
-        rejected = {**sea.get("rejected", {}), **answer.get("rejected", {})}
+        notes = {f"note/{role}": count for role, count in sorted(self._rejected_notes.items())}
+        rejected = {**sea.get("rejected", {}), **answer.get("rejected", {}), **notes}
         return {
             "entered": {(src, dst): (sent, copies) for src, dst, sent, copies in answer.get("entered", ())},
             "rejected": rejected,
@@ -331,8 +335,10 @@ class Console:
                 self._bury(data)
                 return
             self._explain([data])
+        if kind == NOTE:
+            self._hear_note(*data)
+            return
         try:
-            # Agents may put notes and nothing else, so each key takes its own kinds only.
             message = expect(data, *_EXPECTED[kind])
             match message:
                 case Frames():
@@ -342,17 +348,13 @@ class Console:
                 case LinkReport():
                     self._received[LINKS] += 1
                     self._journal.links(message)
-                case Note():
-                    self._note(message)
                 case Hello():
                     self._hello.add(kind)
         except OutOfPlace as error:
             self.middleware_lost += 1
             raise RunBroken(f"the middleware lost a message on {kind}: {error}") from error
         except MalformedMessage as error:
-            if kind != NOTE:
-                raise RunBroken(f"a damaged message on {kind}: {error}") from error
-            self._rejected_notes += 1
+            raise RunBroken(f"a damaged message on {kind}: {error}") from error
 
     def _survivable(self, ended: Exit) -> bool:
         """Whether the run goes on without this process."""
@@ -441,12 +443,29 @@ class Console:
         role = agent_role(i)
         self._start_process(role, agents.process.run, *self._agent_arguments[i], incarnation, begin)
 
+    def _hear_note(self, role: str, data: bytes) -> None:
+        """A note, from whom the router let onto the key of `role`: nobody speaks for another."""
+        try:
+            note = expect(data, Note)
+            assert isinstance(note, Note)
+            own = {0, vehicle_of(role.replace("agent-", "/"))} if role.startswith("agent-") else {note.subject}
+            if note.role != role or note.subject not in own:
+                raise MalformedMessage("note", f"{role} speaks as {note.role!r:.40} about {note.subject}")
+        except MalformedMessage as error:
+            self._rejected_notes[role] += 1
+            if self._rejected_notes[role] == 1:
+                self.notes.append(
+                    f"{self._seconds(self._journal.framed)} rejected from {role}: {printable(str(error))}"
+                )
+            return
+        self._note(note)
+
     def _note(self, note: Note) -> None:
         if len(self.notes) >= MOST_NOTES:
-            self._rejected_notes += 1
+            self._rejected_notes[note.role] += 1
             return
         who = f"{'vehicle' if note.role == WORLD else 'agent'} {note.subject}" if note.subject else note.role
-        self.notes.append(f"{self._seconds(note.tick)} {who}: {note.text}")
+        self.notes.append(f"{self._seconds(note.tick)} {who}: {printable(note.text)}")
 
     def _who_waits(self, bus: Bus) -> str:
         """Who has not answered, in words."""
@@ -509,6 +528,11 @@ class Console:
 
     def _seconds(self, tick: int) -> str:
         return f"t = {max(0, tick) * self._scenario.tick_ns / 1e9:.2f} s (tick {max(0, tick)})"
+
+
+def printable(text: str) -> str:
+    """The same on one line, and with nothing that a terminal would obey: notes are the word of others."""
+    return "".join(c if c.isprintable() else "\ufffd" for c in text)
 
 
 def _unconnected(_: bytes) -> None:

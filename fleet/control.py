@@ -81,7 +81,7 @@ class Operator:
                     self.stopping = True
                     return {"at_s": self._seconds(self.journal.framed)}
                 case other:
-                    raise RefusedError(f"there is no operation {other!r}")
+                    raise RefusedError(f"there is no operation {other!r:.40}")
         except RefusedError as error:
             return {"error": str(error)}
 
@@ -154,10 +154,12 @@ class Operator:
         round_tick = -(-tick // m) * m  # of a restart
         lasting = [part for part in self.faults if part.active(tick)]
         dead = {death.fault: i for i, death in self.journal.deaths.items()}
-        lost = {loss.fault: i for i, loss in self.journal.lost.items()}
+        lost: dict[str | None, int] = {loss.fault: i for i, loss in self.journal.lost.items()}
+        ill = {part.id for part in lasting} | dead.keys()
+        if name is not None and not isinstance(name, str):
+            raise RefusedError("expected the id of a fault, or none for all of them")
         if name in lost:
             raise RefusedError(f"vehicle {lost[name]} is lost: no agent brings it back")
-        ill = {part.id for part in lasting} | dead.keys()
         if name is not None and name not in ill:
             known = f"active: {', '.join(sorted(ill))}" if ill else "none is active"
             raise RefusedError(f"there is no active fault {name!r}; {known}")

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-import json
+import contextlib
 import os
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
+
+import msgspec
 
 from fleet.errors import FleetError
 from netem.access import Credentials
@@ -16,6 +18,7 @@ from netem.keys import Keys
 from netem.shell import read_map, request
 
 ASK_S = 5.0
+MOST_BYTES = 10_000  # of a connection file
 
 
 class RemoteError(FleetError):
@@ -102,29 +105,39 @@ def ask(found: Found, op: str, **fields: Any) -> dict[str, Any]:
 
 def _forget(path: Path) -> None:
     """Remove what a console that was killed has left: it holds a password, and nobody answers any more."""
-    try:
-        pid = int(json.loads(path.read_text("utf-8"))["pid"])
-        if not Path(f"/proc/{pid}").exists():
+    values = _values(path)
+    if values is not None and not Path(f"/proc/{values.pid}").exists():
+        with contextlib.suppress(OSError):
             path.unlink()
-    except (OSError, ValueError, KeyError, TypeError):
-        return  # not one of ours
 
 
 def _read(path: Path) -> Found | None:
+    values = _values(path)
+    if values is None:
+        return None
     try:
-        values = json.loads(path.read_text("utf-8"))
-        one = Found(
-            path.parent,
-            values["scenario"],
-            int(values["pid"]),
-            values["endpoint"],
-            values["run"],
-            values["user"],
-            values["password"],
-        )
-        os.kill(one.pid, 0)  # raises when there is no such process
-    except PermissionError:
+        os.kill(values.pid, 0)  # raises when there is no such process
+    except (OSError, OverflowError):
         return None
-    except (OSError, ValueError, KeyError, TypeError):
+    return Found(path.parent, **msgspec.structs.asdict(values))
+
+
+class _Connection(msgspec.Struct):
+    """What a connection file says; one that says anything else is not ours."""
+
+    scenario: str
+    pid: Annotated[int, msgspec.Meta(gt=0)]
+    endpoint: str
+    run: Annotated[str, msgspec.Meta(pattern=r"^[\w-]+$")]
+    user: str
+    password: str
+
+
+def _values(path: Path) -> _Connection | None:
+    try:
+        if not path.is_file():  # a pipe would be waited for
+            return None
+        with path.open("rb") as file:
+            return msgspec.json.decode(file.read(MOST_BYTES), type=_Connection)
+    except (OSError, RecursionError, ValueError, msgspec.MsgspecError):
         return None
-    return one

@@ -65,6 +65,7 @@ class Options:
     port: int | None = None
     start: Start | None = None  # where it goes on from another run; in-process only
     start_order: Callable[[list[str]], list[str]] | None = None
+    audit: bool = False  # tell also which messages the router refuses
 
 
 def execute(scenario: Scenario, options: Options, terminal: Terminal | None = None) -> Result:
@@ -93,7 +94,15 @@ def execute(scenario: Scenario, options: Options, terminal: Terminal | None = No
     if in_process:
         fleet = InProcess(scenario, journal, options.start)
     else:
-        fleet = Console(scenario, directory, journal, run=run, port=options.port, start_order=options.start_order)
+        fleet = Console(
+            scenario,
+            directory,
+            journal,
+            run=run,
+            port=options.port,
+            audit=options.audit,
+            start_order=options.start_order,
+        )
     result = Result(Status.PASS, directory.path, "")
     closing: dict[str, Any] = {"entered": {}, "rejected": {}}
     began = time.monotonic()

@@ -221,6 +221,16 @@ class Bus:
 
         self._held.append(self._session.liveliness().declare_subscriber(key, receive, history=True))
 
+    def watch_ends(self, handler: Callable[[str], None]) -> None:
+        """Call `handler(zenoh id)` when somebody's session has ended."""
+
+        def receive(event: Any) -> None:
+            if event.kind == zenoh.SampleKind.DELETE:
+                handler(str(event.transport.zid))
+
+        # Without a history, which zenoh 1.10 panics over when a low-latency session is open already.
+        self._held.append(self._session.info.declare_transport_events_listener(receive, history=False))
+
     def close(self) -> None:
         """Close the session; everything declared through it is gone."""
         self._held.clear()
@@ -396,9 +406,14 @@ def sample_of(received: Any) -> Sample:
     )
 
 
+def log_zenoh(levels: str) -> None:
+    """Zenoh's own log to stdout, with these levels unless RUST_LOG says otherwise; once per process."""
+    zenoh.init_log_from_env_or(levels)
+
+
 def quiet_zenoh() -> None:
-    """Zenoh's own log to stderr, errors only unless ZENOH_LOG or RUST_LOG says otherwise."""
-    zenoh.init_log_from_env_or("error")
+    """Zenoh's own log to stdout, errors only unless RUST_LOG says otherwise."""
+    log_zenoh("error")
 
 
 def _first_line(error: Exception) -> str:

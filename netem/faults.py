@@ -9,7 +9,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple
 
+import msgspec
+
 from netem.config import Condition, Link, condition_from_values, condition_values
+from netem.errors import MalformedMessage
 
 FaultKind = Literal["link", "down", "up", "partition", "mute", "deaf", "slow"]
 
@@ -52,6 +55,27 @@ def fault_from_values(values: list[Any]) -> NetFault:
         None if condition is None else condition_from_values(condition),
         ticks,
     )
+
+
+_FAULT = tuple[str, int, int | None, FaultKind, list[tuple[int, int]], list[int], dict[str, Any] | None, int]
+
+
+def read_faults(values: Any) -> tuple[NetFault, ...]:
+    """Faults from the plain values that somebody sent.
+
+    Raises:
+        MalformedMessage: they are no such values.
+    """
+    try:
+        faults = [fault_from_values(list(fault)) for fault in msgspec.convert(values, list[_FAULT])]
+        for fault in faults:
+            if fault.condition is not None:
+                msgspec.convert(condition_values(fault.condition) | {"loss_model": None}, Condition)
+            elif fault.kind == "link":
+                raise MalformedMessage("control", f"the fault {fault.id!r:.40} of a link has no condition")
+    except (msgspec.ValidationError, KeyError, TypeError) as error:
+        raise MalformedMessage("control", f"expected faults: {error!s:.150}") from None
+    return tuple(faults)
 
 
 class Weather(NamedTuple):

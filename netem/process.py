@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable
+from typing import Any
 
 import msgpack
+import msgspec
 
 from netem.access import NETEM, Credentials
-from netem.bus import PART_BYTES, Bus, Respond
+from netem.bus import PART_BYTES, Bus, Respond, quiet_zenoh
 from netem.config import NetemConfig
 from netem.errors import MalformedMessage, OutOfPlace
-from netem.faults import fault_from_values
+from netem.faults import read_faults
 from netem.keys import Keys
 from netem.lives import Absence, Lives
 from netem.messages import (
@@ -38,6 +40,7 @@ _ECHO = encode(Hello(NETEM, 0, 0, PROTOCOL_VERSION, True))
 
 def run(endpoint: str, run_id: str, credentials: Credentials, config: NetemConfig) -> None:
     """Serve the network of a run until the process is ended."""
+    quiet_zenoh()
     keys = Keys(run_id)
     bus = Bus.connect(endpoint, credentials)
     NetemProcess(bus, keys, config).serve()
@@ -73,6 +76,8 @@ class NetemProcess:
                     self._transmission(vehicle_of(item.key), item.data)
             except (MalformedMessage, OutOfPlace) as error:
                 self._shell.reject(item.key, self._rounds.tick, error)
+                if item.respond is not None:
+                    item.respond(msgpack.packb({"error": str(error)}))
 
     def _transmission(self, i: int, data: bytes) -> None:
         message = expect(data, Transmission, Hello)
@@ -81,6 +86,8 @@ class NetemProcess:
         if isinstance(message, Hello):
             self._inbox[i](_ECHO)
         elif isinstance(message, Transmission):
+            if (longest := max(map(len, message.payloads), default=0)) > PART_BYTES:
+                raise MalformedMessage("tx", f"a payload of {longest} bytes; at most {PART_BYTES} are carried")
             self._rounds.transmission(i, message)
             self._exchange()
 
@@ -118,19 +125,28 @@ class NetemProcess:
             case "waiting":
                 respond(msgpack.packb({"tick": self._rounds.tick, "missing": self._rounds.missing}))
             case "faults":
-                self._rounds.netem.faults = tuple(fault_from_values(values) for values in request["faults"])
+                self._rounds.netem.faults = read_faults(request.get("faults"))
                 respond(msgpack.packb({"tick": self._rounds.tick}))
             case "absences":
                 # Of them, only when another agent takes over matters here: messages of the one before are refused.
-                self._rounds.lives = Lives(Absence(*absence) for absence in request["absences"])
+                self._rounds.lives = Lives(_absences(request.get("absences")))
                 respond(msgpack.packb({"tick": self._rounds.tick}))
             case "close":
-                self._report(self._rounds.close(int(request["tick"])))
+                if not isinstance(tick := request.get("tick"), int) or tick < 0:
+                    raise MalformedMessage("control", f"expected the last tick, got {tick!r:.40}")
+                self._report(self._rounds.close(tick))
                 entered = [[*link, *counts] for link, counts in self._rounds.netem.entered.items()]
                 values = {"entered": entered, "rejected": dict(self._shell.rejected), "counts": self._counts}
                 respond(msgpack.packb(values))
             case other:
-                respond(msgpack.packb({"error": f"no operation {other!r}"}))
+                raise MalformedMessage("control", f"no operation {other!r:.40}")
+
+
+def _absences(values: Any) -> list[Absence]:
+    try:
+        return msgspec.convert(values, list[Absence])
+    except msgspec.ValidationError as error:
+        raise MalformedMessage("control", f"expected absences: {error!s:.150}") from None
 
 
 def _bytes(record: Fate | Delivery) -> int:

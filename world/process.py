@@ -9,6 +9,7 @@ from pathlib import Path
 import msgpack
 
 from netem.access import Credentials, agent_role
+from netem.audit import Refusals, listen
 from netem.bus import PART_BYTES, Bus, Respond
 from netem.errors import MalformedMessage, OutOfPlace
 from netem.keys import Keys
@@ -51,18 +52,29 @@ def run(
     private: Path,
     config: WorldConfig,
     frame_every: int,
+    audit: bool = False,
 ) -> None:
-    """Host the router and serve the sea of a run until the process is ended."""
+    """Host the router and serve the sea of a run until the process is ended.
+
+    Args:
+        audit: tell also which messages the router refuses, not only which logins.
+    """
+    refusals = Refusals()
+    listen(refusals, decisions=audit)
     keys = Keys(run_id)
     vehicles = tuple(setup.id for setup in config.vehicles)
     bus = Bus.host(endpoint, keys, vehicles, credentials, private)
-    WorldProcess(bus, keys, config, frame_every).serve()
+    if audit:
+        bus.watch_ends(refusals.end)
+    WorldProcess(bus, keys, config, frame_every, refusals).serve()
 
 
 class WorldProcess:
     """Dispatches what comes in to `Lockstep` and publishes what comes out."""
 
-    def __init__(self, bus: Bus, keys: Keys, config: WorldConfig, frame_every: int) -> None:
+    def __init__(
+        self, bus: Bus, keys: Keys, config: WorldConfig, frame_every: int, refusals: Refusals | None = None
+    ) -> None:
         self._keys = keys
         self._lockstep = Lockstep(config, frame_every=frame_every)
         self._ids = self._lockstep.world.ids
@@ -81,6 +93,8 @@ class WorldProcess:
         self._token_roles = {keys.alive(agent_role(i)): i for i in self._ids}
         bus.watch_tokens(keys.alive("*"), self._token)
         bus.token(keys.alive(WORLD))
+        self._refusals = refusals or Refusals()
+        self._refusals.tell(lambda text: self._shell.note(0, min(map(self._lockstep.tick_of, self._ids)), text))
 
     def serve(self) -> None:
         """Handle one message after the other, until the process is ended."""
@@ -126,6 +140,8 @@ class WorldProcess:
         if i not in self._nav:
             raise MalformedMessage("cmd", f"no vehicle {i} in this run")
         if isinstance(message, Command):
+            if len(data) > PART_BYTES:
+                raise MalformedMessage("cmd", f"{len(data)} bytes; at most {PART_BYTES} fit into a frame")
             out = self._lockstep.command(i, message, data)
             self._received["cmd"] += 1
             self._publish(out)
@@ -198,9 +214,9 @@ class WorldProcess:
                 respond(msgpack.packb({"ticks": [[i, self._lockstep.tick_of(i)] for i in self._ids]}))
             case "close":
                 counts = {"sent": self._sent, "received": self._received}
-                respond(msgpack.packb({"rejected": dict(self._shell.rejected), "counts": counts}))
+                respond(msgpack.packb({"rejected": self._shell.rejected | self._refusals.counts, "counts": counts}))
             case other:
-                respond(msgpack.packb({"error": f"no operation {other!r}"}))
+                respond(msgpack.packb({"error": f"no operation {other!r:.40}"}))
 
 
 def _row_bytes(row: VehicleFrame) -> int:

@@ -1,0 +1,351 @@
+"""A run with its default settings under attack by those who hold a login, and by those who hold none.
+
+`test_access` tries every key with every role on a router of its own. Here the whole fleet runs: what is tried is
+refused, what is refused is told in log/world.log and in the result, and the log is the same bytes as without.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import socket
+import stat
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import psutil
+import pytest
+from test_access import free_port
+from waiting import wait_for
+
+import fleet.console
+from fleet.reader import LogReader
+from fleet.run import Options, Result, Status, execute
+from fleet.rundir import RunDirectory
+from fleet.scenario import load_scenario
+from netem.access import OBSERVER, OPERATOR, Credentials, generate
+from netem.audit import MOST_KINDS, Refusals
+from netem.bus import Bus, OpenBus
+from netem.errors import BusError
+from netem.keys import Keys
+from netem.messages import Command, Hello, Note, encode
+from netem.shell import request
+
+SCENARIO = ["duration=1 s", "checks={}"]
+
+
+class Attack:
+    """What a run is exposed to from the moment when its connection file is written; runs in the console's process, as a
+    client of the world's router like any other."""
+
+    def __init__(self) -> None:
+        self.credentials: dict[str, Credentials] = {}
+        self.old = generate((1, 2, 3, 4))  # of another run
+        self.stolen: list[str] = []  # what came of it
+        self.exposed: list[str] = []
+        self.modes: dict[str, int] = {}
+        self._sessions: list[Bus] = []
+
+    def generate(self, vehicles: tuple[int, ...]) -> dict[str, Credentials]:
+        self.credentials.update(generate(vehicles))
+        return self.credentials
+
+    def __call__(self, directory: Path, values: dict[str, Any]) -> None:
+        keys, endpoint = Keys(values["run"]), values["endpoint"]
+        self._log_in(endpoint)
+        self._as_agent(keys, self._join(endpoint, "agent-3"), self._join(endpoint, "agent-3"))
+        self._as_operator(keys, self._join(endpoint, OPERATOR))
+        self._look_round(directory)
+
+    def _join(self, endpoint: str, role: str) -> Bus:
+        self._sessions.append(Bus.connect(endpoint, self.credentials[role]))
+        return self._sessions[-1]
+
+    def _log_in(self, endpoint: str) -> None:
+        good = self.credentials
+        for credentials in (
+            Credentials("agent-3", "guess"),
+            Credentials("agent-2", good["agent-3"].password),
+            Credentials(OPERATOR, good["agent-3"].password),
+            Credentials("agent-5", good["agent-3"].password),
+            self.old["agent-3"],
+            self.old[OPERATOR],
+        ):
+            with pytest.raises(BusError):
+                Bus.connect(endpoint, credentials, timeout_ms=60)
+
+    def _as_agent(self, keys: Keys, bus: Bus, ear: Bus) -> None:
+        """With agent 3's own login, as one who has stolen it; agent 3 itself is there, too. A session hears itself
+        whatever the router says, so another one listens."""
+        session = bus._session
+        hear = lambda sample: self.stolen.append(str(sample.key_expr))  # noqa: E731
+        for key in ("**", f"{keys.prefix}/**", keys.rx(2), keys.nav("*"), keys.frame):
+            ear._held.append(ear._session.declare_subscriber(key, hear))
+        lie = lambda query: self.stolen.append(str(query.key_expr))  # noqa: E731
+        for key in (keys.cfg(2), keys.ctl("world"), f"{keys.op}/**"):
+            ear._held.append(ear._session.declare_queryable(key, lie))
+        bus.token(keys.alive("agent-2"))
+        ear._held.append(ear._session.liveliness().declare_subscriber(keys.alive("*"), hear))
+        forged = encode(Command(0, 0, (1.0, 1.0, 1.0), ()))
+        for key in (keys.cmd(2), keys.cmd("*"), keys.frame, keys.links, keys.round, keys.grant, keys.nav(2), "**"):
+            session.put(key, forged)
+        session.delete(keys.cmd(2))
+        bus.publisher(keys.cmd(4))(forged)
+        for key in (keys.cfg(2), keys.ctl("world"), keys.ctl("netem"), f"{keys.op}/inject", "@/*/router/**"):
+            self.stolen += [key for reply in session.get(key, timeout=0.2) if reply.ok is not None]
+        session.put("@/router/config/access_control", b"{}")
+        # On its own keys, where the router lets it: what it says there must be about itself, and in place.
+        session.put(keys.cmd(3), forged)
+        session.put(keys.cmd(3), b"\xc1")
+        session.put(keys.tx(3), encode(Hello("agent", 2, 7, 0, False))[:-1])
+        session.put(keys.note("agent-3"), encode(Note("agent-2", 2, 0, "I am agent 2")))
+        session.put(keys.note("agent-3"), encode(Note("agent-3", 2, 0, "agent 2 has failed")))
+        session.put(keys.note("agent-3"), encode(Note("agent-3", 3, 0, "\x1b[2Jnothing\nhappened")))
+
+    def _as_operator(self, keys: Keys, bus: Bus) -> None:
+        """The operator may ask the console, and nobody else."""
+        assert bus.ask(keys.ctl("world"), request("close"), timeout_s=0.2) is None
+        bus._session.put(keys.grant, b"x")
+
+    def _look_round(self, directory: Path) -> None:
+        run = psutil.Process(os.getpid())
+        for process in [run, *run.children(recursive=True)]:
+            for what in ("cmdline", "environ"):
+                with suppress(OSError):
+                    text = Path(f"/proc/{process.pid}/{what}").read_bytes()
+                    self.exposed += [f"{process.pid} {what}" for secret in self.secrets if secret in text]
+            if process.pid != run.pid:
+                for connection in process.net_connections("inet"):
+                    if connection.laddr.ip != "127.0.0.1" or connection.type != socket.SOCK_STREAM:
+                        self.exposed.append(f"{process.cmdline()}: {connection}")
+        for path in directory.rglob("*"):
+            self.modes[path.name] = stat.S_IMODE(path.lstat().st_mode)
+
+    @property
+    def secrets(self) -> list[bytes]:
+        return [c.password.encode() for c in self.credentials.values()]
+
+    def close(self) -> None:
+        for session in self._sessions:
+            session.close()
+
+
+@pytest.fixture(scope="module")
+def attacked(tmp_path_factory: pytest.TempPathFactory) -> tuple[Attack, Result]:
+    """One audited run, attacked, of a user whose files anybody may read unless they are made otherwise."""
+    attack = Attack()
+    write = RunDirectory.write_connection
+
+    def write_and_attack(directory: RunDirectory, values: dict[str, Any]) -> None:
+        write(directory, values)
+        attack(directory.path, values)
+
+    before = os.umask(0)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(fleet.console, "generate", attack.generate)
+        patch.setattr(RunDirectory, "write_connection", write_and_attack)
+        try:
+            options = Options(tmp_path_factory.mktemp("attacked"), quiet=True, audit=True)
+            result = execute(load_scenario("paper", SCENARIO), options)
+        finally:
+            os.umask(before)
+            attack.close()
+    return attack, result
+
+
+def test_the_run_goes_on_as_if_nothing_had_happened(attacked: tuple[Attack, Result], tmp_path: Path) -> None:
+    """The log of the attacked run has the bytes of one in a single process, which nobody can reach."""
+    attack, result = attacked
+    assert (result.status, result.reason, result.lines) == (Status.PASS, "", [])
+    assert attack.stolen == []
+    alone = execute(load_scenario("paper", SCENARIO), Options(tmp_path, quiet=True, in_process=True))
+    assert result.digest == alone.digest
+    assert (result.directory / "run.mcap").read_bytes() == (alone.directory / "run.mcap").read_bytes()
+
+
+def test_every_refusal_is_told(attacked: tuple[Attack, Result]) -> None:
+    """In log/world.log and among the notes once, in result.json with how often; and nothing that was allowed."""
+    _, result = attacked
+    values = json.loads((result.directory / "result.json").read_text())
+    told = {what.replace(run_of(values), "RUN"): count for what, count in values["rejected"].items()}
+    assert {
+        "refused a login with a wrong password",
+        "refused a login of an unknown user",
+        "agent-3: logged in twice",
+        *(f"refused agent-3: put on RUN/{key}" for key in ("cmd/2", "cmd/*", "frame", "links", "round", "cmd/grant")),
+        *(
+            f"refused agent-3: put on {key}"
+            for key in ("RUN/nav/2", "RUN/cmd/4", "**", "@/router/config/access_control")
+        ),
+        "refused agent-3: delete on RUN/cmd/2",
+        *(f"refused agent-3: query on RUN/{key}" for key in ("cfg/2", "ctl/world", "ctl/netem", "op/inject")),
+        "refused agent-3: query on @/*/router/**",
+        *(
+            f"refused agent-3: declare subscriber on {key}"
+            for key in ("**", "RUN/**", "RUN/rx/2", "RUN/nav/*", "RUN/frame")
+        ),
+        *(f"refused agent-3: declare queryable on RUN/{key}" for key in ("cfg/2", "ctl/world", "op/**")),
+        "refused agent-3: liveliness token on RUN/alive/agent-2",
+        "refused agent-3: declare liveliness subscriber on RUN/alive/*",
+        "refused operator: query on RUN/ctl/world",
+        "refused operator: put on RUN/cmd/grant",
+    } == {what for what in told if what.startswith("refused") or "logged in" in what}
+    # What the router lets through is judged by who takes it.
+    assert {"cmd/3: OutOfPlace", "cmd/3: MalformedMessage", "tx/3: MalformedMessage"} <= told.keys()
+    assert told["note/agent-3"] == 2
+    world_log = (result.directory / "log" / "world.log").read_text()
+    assert all(what in world_log for what in values["rejected"] if what.startswith("refused"))
+    assert len(world_log.splitlines()) == len([what for what in told if not what.startswith(("tx", "note"))])
+    notes = "\n".join(values["notes"])
+    assert "rejected from agent-3: malformed note message: agent-3 speaks as 'agent-2' about 2" in notes
+    assert "agent 3: \ufffd[2Jnothing\ufffdhappened" in notes
+    assert "I am agent 2" not in notes
+
+
+def run_of(values: dict[str, Any]) -> str:
+    """The prefix of a run's keys, from what was refused on one of them."""
+    return (
+        next(what for what in values["rejected"] if what.endswith("/cmd/grant"))
+        .rsplit(" ", 1)[1]
+        .removesuffix("/cmd/grant")
+    )
+
+
+def test_no_secret_is_anywhere(attacked: tuple[Attack, Result]) -> None:
+    """Not in arguments or environment, no file of the run but the connection file, which was ours alone and is gone;
+    and every socket of every process is TCP on loopback: nothing is scouted for, nobody else can come."""
+    attack, result = attacked
+    assert len(attack.secrets) == 7
+    assert attack.exposed == []
+    assert attack.modes["connection.json"] == 0o600
+    assert not (result.directory / "connection.json").exists()
+    for path in result.directory.rglob("*"):
+        if path.is_file():
+            assert not [secret for secret in attack.secrets if secret in path.read_bytes()], path
+    reader = LogReader(result.directory / "run.mcap")
+    everything = b"".join(r.data for r in reader) + repr((reader.metadata, reader.attachments)).encode()
+    assert not [secret for secret in attack.secrets if secret in everything]
+
+
+def test_the_observer_of_a_published_run_only_listens(tmp_path: Path) -> None:
+    """It can put, delete, answer or ask nothing, and hears the journal and nothing else."""
+    keys, private = Keys("0b5e"), tmp_path
+    observer = generate(())[OPERATOR].password
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    router = OpenBus.host(endpoint, keys, Credentials(OBSERVER, observer), private)
+    one, other = (OpenBus.connect(endpoint, Credentials(OBSERVER, observer)) for _ in range(2))
+    heard: list[tuple[str, bytes]] = []
+    try:
+        overheard: list[tuple[str, bytes]] = []  # by another observer
+        for bus, into in ((router, heard), (other, overheard)):
+            bus.subscribe(
+                "**", lambda sample, into=into: into.append((str(sample.key_expr), sample.payload.to_bytes()))
+            )
+            bus.subscribe(
+                keys.log("**"), lambda sample, into=into: into.append((keys.log("x"), sample.payload.to_bytes()))
+            )
+        router.answer(keys.schema("*"), {keys.schema("X"): b"schema", keys.cfg(1): b"slice"})
+        router.answer(keys.cfg("*"), {keys.cfg(1): b"slice"})
+        other.answer(keys.schema("*"), {keys.schema("X"): b"a lie"})
+        session = one._session
+        for key in (keys.log("uuv/1/state"), keys.frame, keys.cmd(1), keys.grant, "**"):
+            session.put(key, b"forged")
+            session.delete(key)
+        asked = {key: [reply.ok.payload.to_bytes() for reply in session.get(key, timeout=1.0) if reply.ok is not None]
+                 for key in (keys.schema("X"), keys.cfg(1), f"{keys.op}/status")}  # fmt: skip
+        assert asked == {keys.schema("X"): [b"schema"], keys.cfg(1): [], f"{keys.op}/status": []}
+        journal = router.publication(keys.log("x"), "zenoh/bytes", drop=True)
+        secret = router.publication(keys.cfg(1), "zenoh/bytes", drop=True)
+
+        def journal_heard() -> bool:
+            secret.put(b"secret", None)
+            journal.put(b"said", None)
+            return (keys.log("x"), b"said") in overheard
+
+        wait_for(journal_heard, 10.0, "the journal")
+        assert {what for _, what in heard} == {b"said", b"secret"}  # nothing of what the first one put
+        assert {what for _, what in overheard} == {b"said"}
+    finally:
+        for bus in (one, other, router):
+            bus.close()
+
+
+# --- zenoh's log, as it is written ------------------------------------------
+
+Z = "4bfa"  # a zenoh id, shortened
+STAMP = "\x1b[2m2026-11-21T11:00:00.000000Z\x1b[0m \x1b[35mTRACE\x1b[0m app-0 ThreadId(02) \x1b[1mdemux\x1b[0m: "
+ACL = STAMP + "\x1b[2mzenoh::net::routing::interceptor::access_control\x1b[0m\x1b[2m:\x1b[0m "
+WHO = f"{Z} on Interface(lo)+Username(agent-1)+Transport(Tcp)+{Z}"
+ACCEPT = STAMP + "zenoh_transport::unicast::establishment::accept: "
+ACTIONS = ["Query", "Reply", "Put", "Delete", "Declare/Undeclare Subscriber", "Declare/Undeclare Queryable",
+           "Declare/Undeclare Liveliness Token", "Liveliness Query", "Declare Liveliness Subscriber"]  # fmt: skip
+
+
+def refusals(*lines: str) -> dict[str, int]:
+    found = Refusals()
+    for line in lines:
+        found.line(line)
+    return dict(found.counts)
+
+
+def test_what_zenoh_decides_in_advance_was_not_tried() -> None:
+    """For a declared key it works out all nine actions at once; only a put that uses the result was tried."""
+    ahead = [f"{ACL}ACL (ingress): caching permissions for `fleet/x/cmd/2` ..."]
+    ahead += [f"{ACL}{WHO} is unauthorized to {action} (ingress) on fleet/x/cmd/2" for action in ACTIONS]
+    assert refusals(*ahead) == {}
+    put = f"{ACL}Using cached result: {Z} is unauthorized to Put (ingress) on fleet/x/cmd/2"
+    assert refusals(*ahead, put, put) == {"refused agent-1: put on fleet/x/cmd/2": 2}
+    plain = f"{ACL}{WHO} is unauthorized to Query (ingress) on fleet/x/cfg/2"
+    assert refusals(*ahead, plain) == {"refused agent-1: query on fleet/x/cfg/2": 1}
+
+
+def test_what_is_allowed_or_withheld_is_no_refusal() -> None:
+    assert refusals(
+        f"{ACL}{WHO} is authorized to Put (ingress) on fleet/x/cmd/1",
+        f"{ACL}{WHO} is unauthorized to Declare Subscriber (egress) on fleet/x/cmd/1",
+        f"{ACL}Using cached result: {Z} is authorized to Put (ingress) on fleet/x/cmd/1",
+        f"{ACCEPT}New transport link accepted from {Z} to 8706",
+    ) == {}  # fmt: skip
+
+
+def test_logins_are_told_in_words() -> None:
+    where = "at /root/.cargo/git/usrpwd.rs:424."
+    assert refusals(
+        f"{ACCEPT}UsrPwd extension - Recv OpenSyn. Invalid password. {where}",
+        f"{ACCEPT}UsrPwd extension - Recv OpenSyn. Invalid user. {where}",
+        f"{ACCEPT}UsrPwd extension - Recv InitSyn. Expected extension. {where}",
+        f"{ACCEPT}UsrPwd extension - Recv InitSyn. Whatever comes next. {where}",
+    ) == {
+        "refused a login with a wrong password": 1,
+        "refused a login of an unknown user": 1,
+        "refused a login without credentials": 1,
+        "refused a login (Whatever comes next)": 1,
+    }  # fmt: skip
+
+
+def test_a_successor_is_no_thief() -> None:
+    """An agent that is started again logs in again; while the session before it lasts, that is somebody else."""
+    first, second = (f"{ACL}{z} on Username(agent-1) is authorized to Put (ingress) on k" for z in ("aa", "bb"))
+    assert refusals(first, second) == {"agent-1: logged in twice": 1}
+    found = Refusals()
+    found.line(first)
+    found.end("aa")
+    found.line(second)
+    assert found.counts == {}
+
+
+def test_a_flood_of_refusals_fills_nothing() -> None:
+    """Ever new keys are told apart up to a limit, and counted beyond; each kind is told once, also to who came late."""
+    found, told = Refusals(), []
+    for n in range(2 * MOST_KINDS):
+        found.line(f"{ACL}{WHO} is unauthorized to Put (ingress) on fleet/x/{n}")
+        if n == 3:
+            found.tell(told.append)
+    assert len(found.counts) == MOST_KINDS + 1
+    assert found.counts["refused more kinds of messages"] == MOST_KINDS
+    assert told == list(found.counts)
+
+
+def test_other_lines_are_kept() -> None:
+    assert not Refusals().line(STAMP + "zenoh::net::runtime: ERROR something else")

@@ -84,6 +84,7 @@ class Console:
         self._grant: Callable[[bytes], None] = _unconnected
         self._hello: set[str] = set()
         self.notes: list[str] = []
+        self._queued_notes: Counter[str] = Counter()  # by role
         self._rejected_notes: Counter[str] = Counter()  # by role: malformed, or too many
         self._received = {FRAME: 0, LINKS: 0}
         self.middleware_lost = 0  # messages that zenoh lost; any makes the run invalid
@@ -188,7 +189,16 @@ class Console:
         put = self._events.put
         bus.subscribe(keys.frame, lambda _, data: put((FRAME, data)))
         bus.subscribe(keys.links, lambda _, data: put((LINKS, data)))
-        bus.subscribe(keys.note("*"), lambda key, data: put((NOTE, (key.rsplit("/", 1)[-1], data))))
+
+        def note(key: str, data: bytes) -> None:
+            role = key.rsplit("/", 1)[-1]
+            if self._queued_notes[role] < MOST_NOTES:
+                self._queued_notes[role] += 1
+                put((NOTE, (role, data)))
+            else:
+                self._rejected_notes[role] += 1
+
+        bus.subscribe(keys.note("*"), note)
         slices = {keys.cfg(i): msgpack.packb({"agent": scenario.agent_config(i).to_values()}) for i in self._vehicles}
 
         def configure(key: str, _: bytes, respond: Respond) -> None:
@@ -445,6 +455,7 @@ class Console:
 
     def _hear_note(self, role: str, data: bytes) -> None:
         """A note, from whom the router let onto the key of `role`: nobody speaks for another."""
+        self._queued_notes[role] -= 1
         try:
             note = expect(data, Note)
             assert isinstance(note, Note)

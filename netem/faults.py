@@ -6,8 +6,8 @@ fault heals by ending, and faults that overlap need no order of ending.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any, Literal, NamedTuple
+from dataclasses import asdict, dataclass
+from typing import Any, Literal, NamedTuple, get_type_hints
 
 import msgspec
 
@@ -70,12 +70,25 @@ def read_faults(values: Any) -> tuple[NetFault, ...]:
         faults = [fault_from_values(list(fault)) for fault in msgspec.convert(values, list[_FAULT])]
         for fault in faults:
             if fault.condition is not None:
-                msgspec.convert(condition_values(fault.condition) | {"loss_model": None}, Condition)
+                _check(fault.condition)
             elif fault.kind == "link":
                 raise MalformedMessage("control", f"the fault {fault.id!r:.40} of a link has no condition")
-    except (msgspec.ValidationError, KeyError, TypeError) as error:
+    except (msgspec.ValidationError, LookupError, TypeError) as error:
         raise MalformedMessage("control", f"expected faults: {error!s:.150}") from None
     return tuple(faults)
+
+
+# Without the loss model: msgspec cannot tell two data classes apart.
+_CONDITION = msgspec.defstruct(
+    "Condition", [(name, kind) for name, kind in get_type_hints(Condition).items() if name != "loss_model"]
+)
+
+
+def _check(condition: Condition) -> None:
+    """Raise msgspec's ValidationError unless every value has the type that is declared for it."""
+    msgspec.convert({k: v for k, v in condition_values(condition).items() if k != "loss_model"}, _CONDITION)
+    if (model := condition.loss_model) is not None:
+        msgspec.convert(asdict(model), type(model))
 
 
 class Weather(NamedTuple):

@@ -64,7 +64,7 @@ class NetemProcess:
 
     def serve(self) -> None:
         """Handle one item after the other, until the process is ended."""
-        take, round_key = self._shell.queue.get, self._keys.round
+        take, round_key = self._shell.take, self._keys.round
         while True:
             item = take()
             try:

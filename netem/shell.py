@@ -19,6 +19,8 @@ from netem.messages import Message, Note, decode, encode
 
 log = logging.getLogger(__name__)
 
+MOST_QUEUED = 1000  # puts on one key that wait to be handled; a fleet that works has a few
+
 
 class Item(NamedTuple):
     """Something that came in: a put (`respond` is None) or a query."""
@@ -36,12 +38,28 @@ class Shell:
         self.role = role
         self.queue: SimpleQueue[Item] = SimpleQueue()
         self.rejected: Counter[str] = Counter()
+        self._queued: Counter[str] = Counter()  # puts by key
         self._note = bus.publisher(note_key)
 
     def subscribe(self, key: str) -> None:
-        """Queue every put on `key`."""
-        put = self.queue.put
-        self.bus.subscribe(key, lambda k, data: put(Item(k, data, None)))
+        """Queue every put on `key`, but for those of a flood, which would fill the memory: they are counted."""
+        put, queued = self.queue.put, self._queued
+
+        def receive(k: str, data: bytes) -> None:
+            if queued[k] < MOST_QUEUED:
+                queued[k] += 1
+                put(Item(k, data, None))
+            else:
+                self.rejected[f"{_tail(k)}: flood"] += 1
+
+        self.bus.subscribe(key, receive)
+
+    def take(self) -> Item:
+        """The next item; waits for it."""
+        item = self.queue.get()
+        if item.respond is None:
+            self._queued[item.key] -= 1
+        return item
 
     def answer(self, key: str) -> None:
         """Queue every query on `key`."""
@@ -51,7 +69,7 @@ class Shell:
     def reject(self, key: str, tick: int, error: MalformedMessage | OutOfPlace) -> None:
         """Count and drop a message; the first of its kind from a key is also told to the console."""
         subject = vehicle_of(key)
-        kind = f"{key.rsplit('/', 2)[-2]}/{key.rsplit('/', 1)[-1]}: {type(error).__name__}"
+        kind = f"{_tail(key)}: {type(error).__name__}"
         self.rejected[kind] += 1
         if self.rejected[kind] == 1:
             log.warning("rejected on %s: %s", key, error)
@@ -60,6 +78,11 @@ class Shell:
     def note(self, subject: int, tick: int, text: str) -> None:
         """Tell the console something a person should know."""
         self._note(encode(Note(self.role, subject, tick, text[:2000])))
+
+
+def _tail(key: str) -> str:
+    """The key without the run: `tx/3`."""
+    return "/".join(key.rsplit("/", 2)[-2:])
 
 
 def vehicle_of(key: str) -> int:

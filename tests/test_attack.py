@@ -10,7 +10,9 @@ import json
 import os
 import socket
 import stat
+import threading
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -24,15 +26,16 @@ from fleet.reader import LogReader
 from fleet.run import Options, Result, Status, execute
 from fleet.rundir import RunDirectory
 from fleet.scenario import load_scenario
-from netem.access import OBSERVER, OPERATOR, Credentials, generate
+from netem.access import CONSOLE, OBSERVER, OPERATOR, Credentials, generate
 from netem.audit import MOST_KINDS, Refusals
 from netem.bus import Bus, OpenBus
 from netem.errors import BusError
 from netem.keys import Keys
 from netem.messages import Command, Hello, Note, encode
-from netem.shell import request
+from netem.shell import MOST_QUEUED, Shell, request
 
 SCENARIO = ["duration=1 s", "checks={}"]
+SHORT = ["duration=400 ms", "checks={}"]
 
 
 class Attack:
@@ -53,10 +56,18 @@ class Attack:
 
     def __call__(self, directory: Path, values: dict[str, Any]) -> None:
         keys, endpoint = Keys(values["run"]), values["endpoint"]
+        self.wait_until_up(keys, endpoint)
         self._log_in(endpoint)
         self._as_agent(keys, self._join(endpoint, "agent-3"), self._join(endpoint, "agent-3"))
         self._as_operator(keys, self._join(endpoint, OPERATOR))
         self._look_round(directory)
+
+    def wait_until_up(self, keys: Keys, endpoint: str) -> None:
+        """Return when world and netem listen: what is said before nobody hears."""
+        bus = self._join(endpoint, CONSOLE)
+        for key in (keys.ctl("world"), keys.ctl("netem")):
+            ask = partial(bus.ask, key, request("waiting"), timeout_s=0.5)
+            wait_for(ask, 20.0, f"an answer on {key}")
 
     def _join(self, endpoint: str, role: str) -> Bus:
         self._sessions.append(Bus.connect(endpoint, self.credentials[role]))
@@ -226,6 +237,71 @@ def test_no_secret_is_anywhere(attacked: tuple[Attack, Result]) -> None:
     reader = LogReader(result.directory / "run.mcap")
     everything = b"".join(r.data for r in reader) + repr((reader.metadata, reader.attachments)).encode()
     assert not [secret for secret in attack.secrets if secret in everything]
+
+
+def test_a_flood_changes_nothing(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Agent 3's login puts garbage on all its keys, as fast as it can, while a run goes on: that is slower, and
+    its log the same."""
+    attack, over = Attack(), threading.Event()
+    threads: list[threading.Thread] = []
+    write = RunDirectory.write_connection
+
+    def write_and_flood(directory: RunDirectory, values: dict[str, Any]) -> None:
+        write(directory, values)
+        keys, bus = Keys(values["run"]), Bus.connect(values["endpoint"], attack.credentials["agent-3"])
+        attack.wait_until_up(keys, values["endpoint"])
+        garbage = [b"\xc1", b"", b"\x91" * 40_000, encode(Hello("agent", 3, 0, 0, True))]
+        note = encode(Note("agent-3", 3, 0, "!"))
+
+        def flood() -> None:
+            for n in range(3000):
+                if over.is_set():
+                    break
+                with suppress(Exception):  # the router goes first
+                    for key in (keys.cmd(3), keys.tx(3), keys.note("agent-3")):
+                        bus._session.put(key, garbage[n % len(garbage)])
+                    bus._session.put(keys.note("agent-3"), note)
+            bus.close()
+
+        threads.append(threading.Thread(target=flood, daemon=True))
+        threads[0].start()
+
+    monkeypatch.setattr(fleet.console, "generate", attack.generate)
+    monkeypatch.setattr(RunDirectory, "write_connection", write_and_flood)
+    try:
+        flooded = execute(load_scenario("paper", SHORT), Options(tmp_path / "a", quiet=True))
+    finally:
+        over.set()
+        threads[0].join(20)
+        attack.close()
+    alone = execute(load_scenario("paper", SHORT), Options(tmp_path / "b", quiet=True, in_process=True))
+    assert (flooded.status, flooded.reason, flooded.lines) == (Status.PASS, "", [])
+    assert flooded.digest == alone.digest
+    rejected = flooded.values["rejected"]
+    assert {"cmd/3: MalformedMessage", "tx/3: MalformedMessage", "note/agent-3"} <= rejected.keys()
+    assert min(rejected.values()) > 0
+    assert len(flooded.values["notes"]) <= 1000
+
+
+def test_a_flood_fills_no_queue() -> None:
+    """What waits on one key is limited, so that nobody's puts fill the memory or displace another's."""
+
+    class Wire:
+        def publisher(self, key: str) -> None: ...
+        def subscribe(self, key: str, handler: Any) -> None:
+            self.say = handler
+
+    wire = Wire()
+    shell = Shell(wire, "netem", "note/netem")  # type: ignore[arg-type]
+    shell.subscribe("run/tx/*")
+    for _ in range(MOST_QUEUED + 5):
+        wire.say("run/tx/3", b"x")
+    wire.say("run/tx/2", b"y")
+    assert shell.rejected == {"tx/3: flood": 5}
+    assert [shell.take().key for _ in range(MOST_QUEUED + 1)][-1] == "run/tx/2"
+    wire.say("run/tx/3", b"z")
+    assert shell.take().data == b"z"
+    assert shell.queue.empty()
 
 
 def test_the_observer_of_a_published_run_only_listens(tmp_path: Path) -> None:

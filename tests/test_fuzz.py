@@ -41,7 +41,9 @@ from fleet.recover import recover
 from fleet.run import Options, execute
 from fleet.scenario import load_scenario, parse_scenario, shipped
 from netem.bus import MAX_BYTES, PART_BYTES
-from netem.errors import BusError
+from netem.errors import BusError, MalformedMessage
+from netem.faults import NetFault, fault_values, read_faults
+from netem.grammar import parse_condition
 from netem.keys import Keys
 from netem.messages import (
     Command,
@@ -379,6 +381,21 @@ def test_control_requests_are_answered(requests: list[bytes]) -> None:
     serve(network)
     assert len(answers) == 2 * len(requests)
     assert all(isinstance(msgpack.unpackb(answer), dict) for answer in answers)
+
+
+@pytest.mark.parametrize(
+    "text", ["delay 60ms 20ms loss gemodel 10% 40%", "loss state 1% 30%", "down", "rate 10kbit limit 3"]
+)
+def test_faults_that_are_meant_are_taken(text: str) -> None:
+    """What the console sends of a fault is taken as it was; with one value of another type it is refused."""
+    fault = NetFault("live-1", 3, None, "link", ((1, 2), (2, 1)), (), parse_condition(text))
+    wire = msgpack.unpackb(msgpack.packb([fault_values(fault)]))
+    assert read_faults(wire) == (fault,)
+    for key in wire[0][6]:
+        for stranger in ("x", []):
+            spoilt = [*wire[0][:6], wire[0][6] | {key: stranger}, 0]
+            with pytest.raises(MalformedMessage):
+                read_faults([spoilt])
 
 
 # --- the operator ------------------------------------------------------------

@@ -29,6 +29,7 @@ from fleet.control import Operator
 from fleet.errors import RunBroken, StoppedError
 from fleet.guardian import Guardian
 from fleet.journal import Journal, frame_every
+from fleet.limits import allow_open_files
 from fleet.ports import free_port
 from fleet.rundir import RunDirectory
 from fleet.scenario import Scenario
@@ -126,6 +127,7 @@ class Console:
 
     def _start(self) -> Bus:
         scenario, keys = self._scenario, self._keys
+        allow_open_files(scenario.vehicles)
         credentials = generate(self._vehicles)
         endpoint = f"tcp/127.0.0.1:{free_port(self._port)}"
         clients = {role: c for role, c in credentials.items() if role != WORLD}

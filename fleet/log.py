@@ -45,7 +45,7 @@ from fleet.log_schemas import (
     signal_columns,
 )
 from fleet.metrics import VehicleError
-from fleet.reader import digest_part
+from fleet.reader import CLOCK, REAL, digest_part
 from fleet.resume import Start
 from fleet.scenario import Scenario
 from fleet.scene import SCENE_UNITS, Scene
@@ -76,8 +76,17 @@ class Tap(Protocol):
 class LogWriter:
     """Writes the journal of one run. `close` finishes the file; without it the file is cut but readable."""
 
-    def __init__(self, path: Path, scenario: Scenario, start: Start | None = None, tap: Tap | None = None) -> None:
+    def __init__(
+        self,
+        path: Path,
+        scenario: Scenario,
+        start: Start | None = None,
+        tap: Tap | None = None,
+        *,
+        lockstep: bool = True,
+    ) -> None:
         self.path = path
+        self._lockstep = lockstep
         self._tap = tap
         self._scenario = scenario
         self._tick_ns = scenario.tick_ns
@@ -107,7 +116,8 @@ class LogWriter:
         self._writer.add_attachment(0, 0, "scenario.yaml", "application/yaml", self._scenario.to_yaml().encode())
         if start is not None:
             self._writer.add_attachment(0, 0, START, "application/msgpack", start.snapshot.to_bytes())
-        self._writer.add_metadata("run", run_metadata(self._scenario, start))
+        clock = {} if self._lockstep else {CLOCK: REAL}
+        self._writer.add_metadata("run", run_metadata(self._scenario, start) | clock)
         registered: dict[str, int] = {}
         self._by_vehicle: dict[str, dict[int, _Channel]] = {}
         self._encoders: dict[str, dict[int, DoublesEncoder]] = {}

@@ -28,7 +28,7 @@ from netem.impairment import CAUSES, DELIVERED, IN_FLIGHT
 from netem.messages import Fate
 
 ROOT = Path(__file__).parent.parent
-FAULTS = "faults=[{at: 1.5 s, for: 1 s, partition: '1,2 / 3,4'}, {at: 2 s, for: 600 ms, kill: 4}, {at: 2.2 s, pause: 1}]"
+FAULTS = "faults=[{at: 1.5 s, for: 1 s, partition: halves}, {at: 2 s, for: 600 ms, kill: 4}, {at: 2.2 s, pause: 1}]"
 LOSSY = "network.links={'*': 'delay 30ms', '1->2': 'delay 30ms loss 40%'}"
 
 

@@ -11,7 +11,7 @@ from typing import Any
 import click
 from rich.console import Console as Terminal
 
-from fleet import cli_live, cli_log, cli_replay, cli_verify, cli_whatif
+from fleet import cli_bench, cli_live, cli_log, cli_replay, cli_verify, cli_whatif
 from fleet.completion import scenarios
 from fleet.errors import FleetError, ScenarioError
 
@@ -393,38 +393,7 @@ def protocol() -> None:
     click.echo(page(), nl=False)
 
 
-@cli.command()
-@click.option("--agents", metavar="N,N,...", default="4,20,100", show_default=True, help="Fleet sizes.")
-@click.option(
-    "--json", "json_path", type=click.Path(path_type=Path, dir_okay=False), help="Also write all figures here."
-)
-@click.option("--quick", is_flag=True, help="A few ticks each: shows that it works, measures little.")
-def bench(agents: str, json_path: Path | None, quick: bool) -> None:
-    """Measure this machine: the fleet against a bare zenoh barrier and OS pipes.
-
-    \b
-    Examples:
-      fleet bench
-      fleet bench --agents 4 --json bench.json
-    """
-    from fleet.bench import measure
-    from fleet.bench_table import show
-
-    try:
-        sizes = [int(part) for part in agents.split(",")]
-        if not sizes or not all(1 <= n <= 1000 for n in sizes):
-            raise ValueError
-    except ValueError:
-        raise click.BadParameter(
-            f"expected fleet sizes from 1 to 1000 such as 4,20,100, got {agents!r}", param_hint="--agents"
-        ) from None
-    figures = measure(sizes, quick=quick, say=lambda text: click.echo(text, err=True))
-    show(figures, Terminal(width=None if sys.stdout.isatty() else 120))
-    if json_path is not None:
-        json_path.write_text(json.dumps(figures, indent=2) + "\n", "utf-8")
-
-
-_GROUPS = (cli_live, cli_log, cli_replay, cli_verify, cli_whatif)
+_GROUPS = (cli_bench, cli_live, cli_log, cli_replay, cli_verify, cli_whatif)
 for _command in (command for group in _GROUPS for command in group.COMMANDS):
     cli.add_command(_command)
 

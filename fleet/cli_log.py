@@ -13,7 +13,7 @@ from rich.console import Console as Terminal
 
 from fleet.errors import FleetError
 
-KINDS = ("track", "error", "velocity", "inputs", "commands", "gains", "links", "messages", "ages")
+KINDS = ("track", "error", "velocity", "inputs", "commands", "gains", "links", "messages", "ages", "timing")
 FORMATS = ("png", "svg", "pdf")
 
 

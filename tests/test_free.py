@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Callable
+from itertools import pairwise
 from pathlib import Path
 from textwrap import dedent
 from typing import Any
@@ -27,6 +28,8 @@ from fleet.clock import Clock
 from fleet.inprocess import InProcess
 from fleet.journal import Journal, frame_every
 from fleet.log import LogWriter
+from fleet.pictures import Look, NothingToDraw, load
+from fleet.pictures.timing import punctuality
 from fleet.run import Options, Status, execute
 from fleet.scenario import Scenario, load_scenario
 from fleet.script import ScriptError
@@ -414,6 +417,15 @@ def test_a_real_run_is_on_time_and_lockstep_or_says_why_not(tmp_path: Path) -> N
     assert all(row["asked"] == 200 for row in measured["vehicles"].values())
     assert measured["netem"]["hop"]["count"] + measured["netem"]["unread"] == 120
     assert measured["netem"]["links"]["1->2"]["injected"]["p50_ms"] == 10.0
+    (run,) = load([found.directory])
+    figure = punctuality([run], Look())
+    assert [text.get_text() for text in figure.legends[0].get_texts()] == ["UUV 1", "UUV 2", "UUV 3", "UUV 4"]
+    shares = figure.axes[0].lines[0].get_ydata()
+    assert shares[0] == 1.0
+    assert all(a >= b > 0 for a, b in pairwise(shares))
+    (run,) = load([same.directory])
+    with pytest.raises(NothingToDraw, match="lockstep"):
+        punctuality([run], Look())
     for refused in (verify, lambda log: whatif(log, 3)):
         with pytest.raises(ScriptError, match="--clock real"):
             refused(found.directory)

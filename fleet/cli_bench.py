@@ -1,4 +1,4 @@
-"""The commands that measure this machine: `fleet bench`, `fleet bench real`."""
+"""The commands that measure this machine: `fleet bench`, `fleet bench real`, `fleet bench soak`."""
 
 from __future__ import annotations
 
@@ -95,6 +95,36 @@ def real(agents: list[int], speeds: list[float], json_path: Path | None, quick: 
         sys.exit(3)
     _terminal().print(table(rows))
     _write(json_path, [row.to_values() for row in rows])
+
+
+@bench.command()
+@click.option("--vehicles", type=click.IntRange(2, 1000), default=20, show_default=True, help="Fleet size.")
+@click.option(
+    "--duration", metavar="SECONDS", type=click.FloatRange(30.0, 1e6), default=3600.0, show_default=True,
+    help="Simulated, in one process.",
+)  # fmt: skip
+@click.option(
+    "--distributed", metavar="SECONDS", type=click.FloatRange(30.0, 1e6), default=300.0, show_default=True,
+    help="Simulated, distributed.",
+)  # fmt: skip
+@_json
+def soak(vehicles: int, duration: float, distributed: float, json_path: Path | None) -> None:
+    """Run for long under random faults: is memory flat, the ledger balanced, the digest the same, nobody left?
+
+    \b
+    Examples:
+      fleet bench soak
+      fleet bench soak --vehicles 6 --duration 120 --distributed 60
+    """
+    from fleet.bench_soak import measure, table, verdicts
+
+    rows = measure(vehicles, duration, distributed, _say)
+    _terminal().print(table(rows))
+    _write(json_path, [row.to_values() for row in rows])
+    wrong = verdicts(rows)
+    for line in wrong:
+        click.echo(f"FAIL  {line}")
+    sys.exit(1 if wrong else 0)
 
 
 def _say(text: str) -> None:

@@ -12,9 +12,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from fleet.colours import COLOURS
 from fleet.pictures.axes import MOST_NAMED, legend_of
 from fleet.pictures.runs import Look, NothingToDraw, Run
-from fleet.plotting import COLOURS, COLUMN_IN, STYLES, panels
+from fleet.plotting import COLUMN_IN, STYLES, panels
 from fleet.reader import CLOCK, REAL
 
 GREY = "#999999"

@@ -54,9 +54,13 @@ class Shell:
 
         self.bus.subscribe(key, receive)
 
-    def take(self) -> Item:
-        """The next item; waits for it."""
-        item = self.queue.get()
+    def take(self, timeout_s: float | None = None) -> Item:
+        """The next item; waits for it.
+
+        Raises:
+            queue.Empty: there was none in time.
+        """
+        item = self.queue.get(timeout=timeout_s)
         if item.respond is None:
             self._queued[item.key] -= 1
         return item

@@ -43,6 +43,8 @@ from fleet.scenario import load_scenario, parse_scenario, shipped
 from netem.bus import MAX_BYTES, PART_BYTES
 from netem.errors import BusError, MalformedMessage
 from netem.faults import NetFault, fault_values, read_faults
+from netem.freeprocess import FreeNetemProcess
+from netem.freerun import FreeRounds
 from netem.grammar import parse_condition
 from netem.keys import Keys
 from netem.messages import (
@@ -54,13 +56,20 @@ from netem.messages import (
     Memory,
     Nav,
     Note,
+    Receipt,
     Round,
     Transmission,
     decode,
     encode,
 )
+from netem.messages import Pace as Begins
 from netem.process import NetemProcess
+from netem.rounds import Rounds
 from netem.shell import Item
+from world.freeprocess import FreeWorldProcess
+from world.freerun import FreeRun
+from world.lockstep import Lockstep
+from world.pace import Pace
 from world.process import WorldProcess
 
 EXAMPLES = int(os.environ.get("FUZZ_EXAMPLES", "40"))
@@ -147,7 +156,10 @@ class Nowhere:
     def channel(self, key: str) -> Nowhere:
         return self
 
-    def get(self) -> Any:
+    def stamped(self, key: str) -> Nowhere:
+        return self
+
+    def get(self, timeout: float | None = None) -> Any:
         if not self.queue:
             raise OverError
         return self.queue.popleft()
@@ -191,7 +203,9 @@ TRANSMISSIONS = st.builds(
 HELLOS = messages(Hello)
 FROM_AGENTS = st.tuples(
     st.integers(1, N) | st.sampled_from([0, 77]),
-    st.one_of(WIRE, ANY_MESSAGE.map(encode), (COMMANDS | MEMORIES | TRANSMISSIONS | HELLOS).map(encode)),
+    st.one_of(
+        WIRE, ANY_MESSAGE.map(encode), (COMMANDS | MEMORIES | TRANSMISSIONS | HELLOS | messages(Receipt)).map(encode)
+    ),
 )
 
 
@@ -200,7 +214,7 @@ FROM_AGENTS = st.tuples(
 def test_no_agent_crashes_the_world(put: list[tuple[int, bytes]], until: int) -> None:
     """Whatever comes on cmd/<i> is taken, or counted and named once; what the world says of it all is well formed."""
     bus = Nowhere()
-    world = WorldProcess(bus, KEYS, SCENARIO.world_config(), 1)  # type: ignore[arg-type]
+    world = WorldProcess(bus, KEYS, Lockstep(SCENARIO.world_config(), frame_every=1))  # type: ignore[arg-type]
     bus.queue.append((KEYS.grant, encode(Grant(until))))
     bus.queue.extend((KEYS.cmd(i), data) for i, data in put)
     serve(world)
@@ -223,7 +237,7 @@ def test_a_hostile_agent_does_not_disturb_the_rest(put: list[tuple[int, bytes]],
 def run_world(also: list[int], between: dict[int, bytes]) -> list[bytes]:
     """What the vehicles 2 to 4 are told when each is answered with a constant command for five ticks."""
     bus = Nowhere()
-    world = WorldProcess(bus, KEYS, SCENARIO.world_config(), 1)  # type: ignore[arg-type]
+    world = WorldProcess(bus, KEYS, Lockstep(SCENARIO.world_config(), frame_every=1))  # type: ignore[arg-type]
     bus.queue.append((KEYS.grant, encode(Grant(5))))
     serve(world)
     told, seen = [], 0
@@ -251,7 +265,7 @@ def run_world(also: list[int], between: dict[int, bytes]) -> list[bytes]:
 def test_no_agent_crashes_netem(put: list[tuple[tuple[int, bytes], bool]]) -> None:
     """Whatever comes on tx/<i>, rounds go on among them: taken or refused, and everything that goes out fits."""
     bus = Nowhere()
-    network = NetemProcess(bus, KEYS, SCENARIO.netem_config())  # type: ignore[arg-type]
+    network = NetemProcess(bus, KEYS, SCENARIO.netem_config(), Rounds(SCENARIO.netem_config()))  # type: ignore[arg-type]
     items = [(KEYS.tx(i), data) for (i, data), _ in put]
     tick = 0
     for number, (_, round_follows) in enumerate(put):
@@ -269,11 +283,33 @@ def test_no_agent_crashes_netem(put: list[tuple[tuple[int, bytes], bool]]) -> No
         decode(data)
 
 
+@given(st.lists(st.tuples(FROM_AGENTS, st.sampled_from(["world", "netem"])), max_size=25))
+@fuzz
+def test_no_agent_crashes_a_run_on_a_wall_clock(put: list[tuple[tuple[int, bytes], str]]) -> None:
+    """The same for the processes that wait for nobody, while ticks come and go."""
+    bus, config = Nowhere(), SCENARIO.world_config()
+    free = FreeRun(config, frame_every=1)
+    world = FreeWorldProcess(bus, KEYS, free, Pace(config.tick_ns))  # type: ignore[arg-type]
+    rounds = FreeRounds(SCENARIO.netem_config())
+    network = FreeNetemProcess(bus, KEYS, SCENARIO.netem_config(), rounds)  # type: ignore[arg-type]
+    world._handle(KEYS.grant, encode(Grant(SCENARIO.ticks)))
+    network._handle(Item(KEYS.round, encode(Begins(0, 0, config.tick_ns)), None))
+    for (i, data), to in put:
+        if to == "world":
+            world._publish(free.begin())
+            world._handle(KEYS.cmd(i), data)
+            world._publish(free.finish())
+        else:
+            network._handle(Item(KEYS.tx(i), data, None))
+    for _, data in bus.put:
+        decode(data)
+
+
 @pytest.mark.parametrize("size", [30_000, 47_980])
 def test_a_huge_payload_is_no_end_of_netem(size: int) -> None:
     """With its header, a payload that an agent could just send no longer fits into an inbox: refused, not forwarded."""
     bus = Nowhere()
-    network = NetemProcess(bus, KEYS, SCENARIO.netem_config())  # type: ignore[arg-type]
+    network = NetemProcess(bus, KEYS, SCENARIO.netem_config(), Rounds(SCENARIO.netem_config()))  # type: ignore[arg-type]
     items = Nowhere()
     network._shell.queue = items  # type: ignore[assignment]
     everybody = tuple(range(1, N + 1))
@@ -370,8 +406,8 @@ REQUESTS = st.one_of(
 def test_control_requests_are_answered(requests: list[bytes]) -> None:
     """World and netem answer whatever is asked on ctl/*; a round afterwards is exchanged as ever."""
     bus = Nowhere()
-    WorldProcess(bus, KEYS, SCENARIO.world_config(), 1)  # type: ignore[arg-type]
-    network = NetemProcess(bus, KEYS, SCENARIO.netem_config())  # type: ignore[arg-type]
+    WorldProcess(bus, KEYS, Lockstep(SCENARIO.world_config(), frame_every=1))  # type: ignore[arg-type]
+    network = NetemProcess(bus, KEYS, SCENARIO.netem_config(), Rounds(SCENARIO.netem_config()))  # type: ignore[arg-type]
     items = Nowhere()
     network._shell.queue = items  # type: ignore[assignment]
     answers: list[bytes] = []

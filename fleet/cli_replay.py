@@ -223,7 +223,7 @@ def record(
         keys = keys or (f"{prefix}/log/**",)
     if not keys:
         raise click.UsageError("record what? Give --key 'robot/**', or --key '**' for everything")
-    path = output or Path(f"record-{datetime.now(UTC):%Y%m%d-%H%M%S}.mcap")
+    path = output or Path(f"record-{datetime.now(UTC):%Y%m%d-%H%M%S}.mcap")  # noqa: TID251 (a name)
     with _ending() as sessions, StatusLine(Terminal(stderr=True), quiet=quiet) as line:
         bus = _session(connect, listen, credentials)
         sessions.append(bus)

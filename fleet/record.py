@@ -142,7 +142,7 @@ class Recorder:
         self._queue: SimpleQueue[tuple[int, Any]] = SimpleQueue()
         self._finished = False
         # Wall time that a correction of the system's clock cannot turn back.
-        self._zero_ns = time.time_ns() - time.monotonic_ns()
+        self._zero_ns = time.time_ns() - time.monotonic_ns()  # noqa: TID251 (the log of others is in wall time)
         for key in keys:
             bus.subscribe(key, self._receive)
 

@@ -495,7 +495,7 @@ def test_other_traffic_comes_back_as_it_was(tmp_path: Path) -> None:
                 (s.key, s.encoding): robot.publication(s.key, s.encoding, drop=False) for s in SAMPLES if not s.delete
             }
             wait_for(lambda: all(out.matched for out in outs.values()), LIMIT_S, "the recorder's subscription")
-            before = time.time_ns()
+            before = time.time_ns()  # noqa: TID251
             for s in SAMPLES:
                 if s.delete:
                     robot._session.delete(s.key, attachment=s.attachment)

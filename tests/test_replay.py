@@ -502,7 +502,7 @@ def test_other_traffic_comes_back_as_it_was(tmp_path: Path) -> None:
                 else:
                     outs[s.key, s.encoding].put(s.payload, s.attachment)
             wait_for(lambda: len_of(path) >= len(SAMPLES), LIMIT_S, "the samples in the file")
-            after = time.time_ns()
+            after = time.time_ns()  # noqa: TID251
         recorder.send(signal.SIGTERM)
         assert recorder.status() == 130, recorder.printed
     tape = Tape(path)

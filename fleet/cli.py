@@ -79,6 +79,7 @@ _overrides = click.option(
 @click.option(
     "--publish", is_flag=True, help="Publish the journal on zenoh meanwhile; nobody who listens slows the run."
 )
+@click.option("--wait-for-subscribers", is_flag=True, help="With --publish: begin when somebody listens.")
 @click.option("--start-order", metavar="SEED", type=int, hidden=True)
 @click.option("-q", "--quiet", is_flag=True, help="No progress and no tables.")
 def run(
@@ -93,6 +94,7 @@ def run(
     show_config: bool,
     port: int | None,
     publish: bool,
+    wait_for_subscribers: bool,
     start_order: int | None,
     quiet: bool,
 ) -> None:
@@ -108,6 +110,8 @@ def run(
     """
     from fleet.scenario import load_scenario
 
+    if wait_for_subscribers and not publish:
+        raise click.UsageError("--wait-for-subscribers needs --publish: nobody could subscribe")
     more = list(overrides)
     if seed is not None:
         more.append(f"seed={seed}")
@@ -135,7 +139,9 @@ def run(
 
             for warning in analyse(loaded).warnings:
                 terminal.print(f"warning: {warning}", highlight=False, markup=False, soft_wrap=True)
-        options = Options(out, in_process, speed, quiet, publish, port, start, _shuffle(start_order))
+        options = Options(
+            out, in_process, speed, quiet, publish, wait_for_subscribers, port, start, _shuffle(start_order)
+        )
         if start is not None and not quiet:
             terminal.print("\n".join(start.notes), highlight=False, markup=False, soft_wrap=True)
         if loaded.ideal and not in_process and not quiet:
@@ -391,4 +397,4 @@ for _command in (command for group in _GROUPS for command in group.COMMANDS):
 
 def _fail(error: FleetError) -> Any:
     click.echo(f"fleet: {error}", err=True)
-    sys.exit(2)
+    sys.exit(error.status)

@@ -65,13 +65,18 @@ def decode(typed: bytes) -> tuple[list[Key], bytes]:
 class Keyboard:
     """Key presses from stdin while the `with` block lasts; without a terminal there are none."""
 
+    @staticmethod
+    def possible() -> bool:
+        """Whether somebody could press a key."""
+        return sys.stdin is not None and sys.stdin.isatty() and not _in_background(sys.stdin.fileno())
+
     def __init__(self) -> None:
         self._descriptor: int | None = None
         self._before: list[Any] = []
         self._typed = b""
 
     def __enter__(self) -> Keyboard:
-        if sys.stdin is not None and sys.stdin.isatty() and not _in_background(sys.stdin.fileno()):
+        if self.possible():
             self._descriptor = sys.stdin.fileno()
             self._before = termios.tcgetattr(self._descriptor)
             signal.signal(signal.SIGTSTP, self._suspend)

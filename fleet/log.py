@@ -59,6 +59,8 @@ class _Channel(NamedTuple):
 class LogError(FleetError):
     """The log cannot be written: the disk is full, or the place is not writable."""
 
+    status = 3
+
 
 class Tap(Protocol):
     """Who else is told of what is written; it must neither wait nor raise."""

@@ -22,7 +22,7 @@ from fleet.inprocess import InProcess
 from fleet.journal import Journal, frame_every
 from fleet.log import LogError, LogWriter
 from fleet.progress import ProgressLine
-from fleet.publish import LivePublisher
+from fleet.publish import LivePublisher, PublishError
 from fleet.resume import Start
 from fleet.rundir import RunDirectory
 from fleet.scenario import Scenario
@@ -62,6 +62,7 @@ class Options:
     speed: float | None = None
     quiet: bool = False
     publish: bool = False
+    wait: bool = False  # with `publish`: begin when somebody listens
     port: int | None = None
     start: Start | None = None  # where it goes on from another run; in-process only
     start_order: Callable[[list[str]], list[str]] | None = None
@@ -71,7 +72,7 @@ def execute(scenario: Scenario, options: Options, terminal: Terminal | None = No
     """Run a scenario to its verdict. Only a caller's mistake raises; a run that breaks is a result.
 
     Raises:
-        RunDirectoryError: the output directory cannot be made.
+        RunDirectoryError: the run directory cannot be made or written.
         LogError: the log cannot be created.
         PublishError: the journal was to be published and cannot be.
     """
@@ -79,7 +80,7 @@ def execute(scenario: Scenario, options: Options, terminal: Terminal | None = No
     directory = RunDirectory(options.out, scenario.name, scenario.seed)
     directory.write_scenario(scenario.to_yaml())
     run = secrets.token_hex(4)
-    publisher = LivePublisher(run, directory.observe) if options.publish else None
+    publisher = LivePublisher(run, directory.observe, wait=options.wait) if options.publish else None
     log = LogWriter(directory.log, scenario, options.start, publisher)
     if publisher is not None:
         publisher.open()
@@ -98,13 +99,16 @@ def execute(scenario: Scenario, options: Options, terminal: Terminal | None = No
     closing: dict[str, Any] = {"entered": {}, "rejected": {}}
     began = time.monotonic()
     try:
+        if publisher is not None and options.wait:
+            _wait(publisher, None if options.quiet else terminal)
+            began = time.monotonic()
         with ProgressLine(
             scenario, journal, terminal, quiet=options.quiet, waiting=lambda: getattr(fleet, "waiting", "")
         ) as progress:
             closing = fleet.serve(clock, progress)
     except RunBroken as error:
         result.status, result.reason, result.lines = Status.BROKEN, error.reason, error.lines
-    except (AgentError, WorldError) as error:
+    except (AgentError, WorldError, PublishError) as error:
         result.status, result.reason = Status.BROKEN, str(error)
     except LogError as error:
         result.status, result.reason = Status.BROKEN, str(error)
@@ -147,6 +151,12 @@ def execute(scenario: Scenario, options: Options, terminal: Terminal | None = No
         result.lines.append(f"result.json could not be written: {error.strerror}")
         directory.remove_result()
     return result
+
+
+def _wait(publisher: LivePublisher, terminal: Terminal | None) -> None:
+    if terminal is not None:
+        terminal.print("waiting for a subscriber", highlight=False)
+    publisher.heard()
 
 
 def _close_log(log: LogWriter, result: Result) -> None:

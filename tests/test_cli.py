@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import re
@@ -18,6 +19,8 @@ from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
 from fleet.cli import cli
+from fleet.log import LogError
+from fleet.publish import PublishError
 from fleet.reader import digest
 from fleet.scenario import list_scenarios, load_scenario
 
@@ -338,3 +341,29 @@ def test_ideal_network_says_that_it_runs_in_one_process(tmp_path: Path) -> None:
 def test_quiet_is_quiet(tmp_path: Path) -> None:
     done = shell("run", "ideal", "--duration", "500 ms", "--out", tmp_path, *NO_CHECKS, "--quiet")
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+
+
+@pytest.mark.parametrize(
+    ("where", "error", "words"),
+    [
+        ("fleet.run.LivePublisher.open", PublishError("no port is free"), "no port is free"),
+        ("fleet.run.LogWriter", LogError("cannot write the log: No space left on device"), "cannot write the log"),
+        ("pathlib.Path.write_text", OSError(errno.ENOSPC, "No space left on device"), "scenario.yaml: No space left"),
+    ],
+)
+def test_what_the_machine_refuses_is_no_usage_error(
+    where: str, error: Exception, words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Before the run begins, too: status 3 and a sentence."""
+
+    def refuse(*_: object, **__: object) -> None:
+        raise error
+
+    monkeypatch.setattr(where, refuse)
+    result = invoke("run", "paper", "--in-process", "--publish", "--out", tmp_path)
+    assert result.exit_code == 3 and words in result.stderr
+
+
+def test_waiting_for_nobody() -> None:
+    result = invoke("run", "paper", "--wait-for-subscribers")
+    assert result.exit_code == 2 and "needs --publish" in result.stderr

@@ -135,9 +135,10 @@ def run(
         from fleet.table import show
 
         if not quiet:
+            from fleet.prospects import doubts
             from fleet.stability import analyse
 
-            for warning in analyse(loaded).warnings:
+            for warning in [*analyse(loaded).warnings, *doubts(loaded)]:
                 terminal.print(f"warning: {warning}", highlight=False, markup=False, soft_wrap=True)
         options = Options(
             out, in_process, speed, quiet, publish, wait_for_subscribers, port, start, _shuffle(start_order)
@@ -191,6 +192,7 @@ def check(scenario: str, overrides: tuple[str, ...]) -> None:
     except ScenarioError as error:
         _fail(error)
     from fleet.faults import timeline
+    from fleet.prospects import doubts
     from fleet.stability import analyse, report
 
     links = loaded.graph.links
@@ -204,7 +206,7 @@ def check(scenario: str, overrides: tuple[str, ...]) -> None:
         click.echo(line)
     for name, begin_s, end_s, what in timeline(loaded):
         click.echo(f"fault {name}: {what}, {begin_s:g} to {end_s:g} s")
-    for warning in found.warnings:
+    for warning in [*found.warnings, *doubts(loaded)]:
         click.echo(f"warning: {warning}", err=True)
 
 

@@ -204,7 +204,8 @@ def record(
 ) -> None:
     """Record zenoh traffic of any kind to an MCAP file, until Ctrl-C.
 
-    With --run it ends with the run. Payloads stay as they are, with their encoding, attachment and timestamp; `fleet replay` publishes them again.
+    With --run it ends with the run. Payloads stay as they are, with their encoding, attachment and timestamp;
+    `fleet replay` publishes them again.
 
     \b
     Examples:

@@ -94,6 +94,14 @@ class LogWriter:
         """SHA-256 over (topic, log_time, publish_time, sequence, data) of every message so far."""
         return self._digest.hexdigest()
 
+    @property
+    def size(self) -> int:
+        """Bytes of the file as it is now; 0 if it has gone."""
+        try:
+            return self.path.stat().st_size
+        except OSError:
+            return 0
+
     def _open(self) -> IO[bytes]:
         return self.path.open("xb")
 

@@ -192,6 +192,7 @@ def _values(scenario: Scenario, journal: Journal, log: LogWriter, result: Result
             for event in journal.happened
         ],
         "messages": log.messages,
+        "log_bytes": log.size,
         "digest": log.digest,
         "python": sys.version.split()[0],
     }

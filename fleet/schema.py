@@ -583,13 +583,16 @@ class MaxAge(Section):
     links: LinkSelector = "*"
 
 
+EVERY = "every"  # in place of a fault's id: each that ends before the run does
+
+
 class Recovery(Section):
     """After a fault has ended, an error comes below `within` in less than `below`, and stays there.
 
     It stays until the next fault begins, or to the end.
     """
 
-    fault: str  # its id: as given, or f1, f2, ...
+    fault: str  # its id: as given, or f1, f2, ...; or EVERY
     below: Period
     within: PositiveLength
     error: Literal["formation", "consensus"] = "formation"

@@ -194,6 +194,10 @@ class Pace:
         self._since: tuple[int, int] | None = None
         self.value = 0.0
 
+    def restart(self) -> None:
+        """The position has jumped, or stands: what was told before says nothing of what follows."""
+        self._since = None
+
     def tell(self, now: int, position: int) -> float:
         """The pace, given where the player is."""
         if self._since is None or position < self._since[1]:

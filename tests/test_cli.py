@@ -367,3 +367,16 @@ def test_what_the_machine_refuses_is_no_usage_error(
 def test_waiting_for_nobody() -> None:
     result = invoke("run", "paper", "--wait-for-subscribers")
     assert result.exit_code == 2 and "needs --publish" in result.stderr
+
+
+def test_a_run_is_no_scenario(tmp_path: Path) -> None:
+    """Whoever names a run's directory, or its log, is told what would have been meant."""
+    result = invoke("run", "ideal", *QUICK, *NO_CHECKS, "--out", tmp_path, "-q")
+    assert result.exit_code == 0
+    for path, words in (
+        ("latest", "did you mean"),
+        ("latest/run.mcap", "fleet run --from"),
+        ("latest/log", "is a dir"),
+    ):
+        result = invoke("check", tmp_path / path)
+        assert result.exit_code == 2 and words in result.stderr

@@ -276,6 +276,14 @@ def test_renaming() -> None:
         Renaming(["a:=b", "/a:=c"])
 
 
+def test_topics_that_a_renaming_puts_on_one_key(log: Path) -> None:
+    """They are played, with a warning; two that change places are no such thing."""
+    tape = Tape(log)
+    assert Replay(tape, Wishes(remap=("uuv/1:=uuv/2", "uuv/2:=uuv/1"))).note == ""
+    note = Replay(tape, Wishes(remap=("uuv/1:=uuv/2",))).note
+    assert note == "uuv/1/pose and uuv/2/pose are played on one key, fleet/replay/log/uuv/2/pose, and 6 more so"
+
+
 @given(st.tuples(*[st.integers(0, 2**64 - 1)] * 4))
 def test_stamp_round_trip(values: tuple[int, int, int, int]) -> None:
     assert unpack(pack(Stamp(*values))) == values

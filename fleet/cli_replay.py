@@ -235,19 +235,22 @@ def record(
             _broken(error, 2)
             raise
         line.say(f"recording {', '.join(keys)} at {bus.endpoint} to {path}")
+        failed: Exception | None = None
         with holding_interrupts() as interrupted:
             try:
                 limits, over = Limits(duration, max_size), None if run is None else Gone(lambda: bus.connected)
                 if recorder.record(writer, limits, line, interrupted, over):
                     line.say("the run is over: nobody publishes it any more")
             except Exception as error:
-                _broken(error)
+                failed = error
             finally:
                 try:
                     recorder.finish(writer)
                     line.say(f"recorded {writer.samples} messages, {writer.size / 1e6:.2f} MB, to {path}")
                 except FleetError as error:
-                    _fail(error, 3)
+                    failed = failed or error  # a full disk has been told once
+                if failed is not None:
+                    _broken(failed)
 
 
 def _session(connect: str | None, listen: str | None, credentials: Any) -> Any:

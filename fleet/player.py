@@ -147,6 +147,11 @@ class Player:
         self._origin = now, self.position(now)
         self._rate = min(max(rate, SLOWEST), FASTEST) if rate else 0.0
 
+    def stood_still(self, ns: int) -> None:
+        """Nobody was there for so long: what was due meanwhile is due so much later, and not late."""
+        wall, log = self._origin
+        self._origin = wall + ns, log
+
     def _lap(self, now: int) -> None:
         self.laps += 1
         self._next = self._first

@@ -136,6 +136,9 @@ class Replay:
         hz = self._wishes.clock_hz
         beat = None if hz is None else Metronome(hz, time.monotonic_ns())
         while not player.over:
+            if away := keyboard.absence_ns():
+                player.stood_still(away)
+                pace.restart()
             now = time.monotonic_ns()
             for index in player.due(now, MOST):
                 self._publish(index)

@@ -6,13 +6,12 @@ from the watcher's. The main thread takes them one by one.
 
 from __future__ import annotations
 
-import contextlib
 import os
 import secrets
-import signal
 import tempfile
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import Any
@@ -20,14 +19,17 @@ from typing import Any
 import msgpack
 
 import agents.process
+import netem.freeprocess
 import netem.process
+import world.freeprocess
 import world.process
 from fleet.children import FORKSERVER_LOST, Child, Children, Exit, describe_exit, forkserver_death
 from fleet.clock import Clock, LiveClock
 from fleet.control import Operator
 from fleet.errors import RunBroken, StoppedError
-from fleet.faults import MOST_RESTARTS, Kill
+from fleet.guardian import Guardian
 from fleet.journal import Journal, frame_every
+from fleet.limits import allow_open_files
 from fleet.ports import free_port
 from fleet.rundir import RunDirectory
 from fleet.scenario import Scenario
@@ -36,13 +38,11 @@ from netem.bus import Bus, Respond
 from netem.errors import BusError, MalformedMessage, OutOfPlace
 from netem.faults import NetFault, fault_values
 from netem.keys import Keys
-from netem.lives import Absence, Lives
-from netem.messages import PROTOCOL_VERSION, Ailments, Death, Frames, Grant, Hello, LinkReport, Note, Restart, encode
+from netem.messages import PROTOCOL_VERSION, Ailments, Frames, Grant, Hello, LinkReport, Note, encode
 from netem.shell import expect, read_map, request
 from world.faults import WorldFault
 
 WORLD = world.process.WORLD
-CONTROLLER_FAILED = agents.process.CONTROLLER_FAILED
 JOIN_S = 10.0
 JOIN_TRY_MS = 500
 READY_S = 20.0
@@ -69,7 +69,10 @@ class Console:
         run: str | None = None,
         port: int | None = None,
         start_order: Callable[[list[str]], list[str]] | None = None,
+        pace: float | None = None,
     ) -> None:
+        """`pace`: ticks begin by the wall clock, so many times as fast as real; None: in lockstep."""
+        self._pace = pace
         self._scenario, self._directory, self._journal = scenario, directory, journal
         self._vehicles = tuple(range(1, scenario.vehicles + 1))
         self._keys = Keys(run or secrets.token_hex(4))
@@ -84,18 +87,12 @@ class Console:
         self._rejected_notes = 0
         self._received = {FRAME: 0, LINKS: 0}
         self.middleware_lost = 0  # messages that zenoh lost; any makes the run invalid
-        self._running = False  # between the first grant and the last frame
-        self._lives = Lives(scenario.faults.absences)
         self._agent_arguments: dict[int, tuple[Any, ...]] = {}
-        self._incarnation = dict.fromkeys(self._vehicles, 0)  # of the process that was started last
-        self._starting: dict[int, int] = {}  # vehicle -> tick of the agent that was started again and is not ready
-        self._looked = 0.0
-        self._told_to_end: set[int] = set()  # processes
-        self._gone: set[int] = set()  # processes
         self._granted = 0
+        self._guardian = Guardian(
+            scenario, journal, self._children, self.notes, lambda: self._granted, self._start_agent
+        )
         self.operator: Operator | None = None
-        self._restarted: dict[int, int] = {}  # vehicle -> how often because of on_death
-        self.deaths: dict[int, list[str]] = {}  # how agents ended that nobody told to
         self.waiting = ""  # who is being waited for, when nothing moves
         self.started_s = 0.0  # wall time until everyone was ready
 
@@ -103,6 +100,11 @@ class Console:
     def children(self) -> dict[str, Child]:
         """The running processes by role."""
         return self._children.by_role
+
+    @property
+    def deaths(self) -> dict[int, list[str]]:
+        """By vehicle, how agents ended that nobody told to."""
+        return self._guardian.deaths
 
     def serve(self, clock: Clock, progress: Callable[[], None]) -> dict[str, Any]:
         """Run to the end; returns what the processes reported when they closed.
@@ -125,19 +127,23 @@ class Console:
 
     def _start(self) -> Bus:
         scenario, keys = self._scenario, self._keys
+        allow_open_files(scenario.vehicles)
         credentials = generate(self._vehicles)
         endpoint = f"tcp/127.0.0.1:{free_port(self._port)}"
         clients = {role: c for role, c in credentials.items() if role != WORLD}
         # mkdtemp makes it for this user alone; zenoh reads the users from a file there, once.
         private = Path(tempfile.mkdtemp(prefix="uuv-fleet-"))
         every = frame_every(scenario)
-        targets: dict[str, tuple[Callable[..., None], tuple[Any, ...]]] = {
-            WORLD: (
-                world.process.run,
-                (endpoint, keys.run, clients, private, scenario.world_config(), every),
-            ),
-            NETEM: (netem.process.run, (endpoint, keys.run, credentials[NETEM], scenario.netem_config())),
-        }
+        sea = endpoint, keys.run, clients, private, scenario.world_config(), every
+        network = endpoint, keys.run, credentials[NETEM], scenario.netem_config()
+        targets: dict[str, tuple[Callable[..., None], tuple[Any, ...]]]
+        if self._pace is None:
+            targets = {WORLD: (world.process.run, sea), NETEM: (netem.process.run, network)}
+        else:
+            targets = {
+                WORLD: (world.freeprocess.run, (*sea, self._pace)),
+                NETEM: (netem.freeprocess.run, network),
+            }
         for i in self._vehicles:
             role = agent_role(i)
             self._agent_arguments[i] = (endpoint, keys.run, i, credentials[role])
@@ -186,7 +192,10 @@ class Console:
         bus.subscribe(keys.frame, lambda _, data: put((FRAME, data)))
         bus.subscribe(keys.links, lambda _, data: put((LINKS, data)))
         bus.subscribe(keys.note("*"), lambda _, data: put((NOTE, data)))
-        slices = {keys.cfg(i): msgpack.packb({"agent": scenario.agent_config(i).to_values()}) for i in self._vehicles}
+        clock = {} if self._pace is None else {"clock": "real"}
+        slices = {
+            keys.cfg(i): msgpack.packb({"agent": scenario.agent_config(i).to_values()} | clock) for i in self._vehicles
+        }
 
         def configure(key: str, _: bytes, respond: Respond) -> None:
             respond(slices[key])
@@ -233,11 +242,11 @@ class Console:
         moved = asked = time.monotonic()
         live = LiveClock(clock, moved)
         self.operator = self._operator(bus, live)
-        self._running = True
+        self._guardian.connect(self._grant, partial(self._control, bus))
         while journal.framed < clock.ticks:
-            self._tend_agents(bus)
+            self._guardian.tend()
             now = time.monotonic()
-            until = min(live.until(journal.written, now), hold := self._next_restart())
+            until = min(live.until(journal.written, now), hold := self._guardian.next_restart())
             if until > self._granted:
                 self._granted = until
                 self._grant(encode(Grant(until)))
@@ -267,26 +276,15 @@ class Console:
             # On the key of the grants, so that it is there before any tick that is granted later.
             self._grant(encode(Ailments(msgpack.packb([fault.to_values() for fault in faults]))))
 
-        def end_agents(kill: Kill) -> None:
-            for absence in kill.absences:
-                self._lives.add(absence)
-                self._grant(encode(Death(absence.vehicle, kill.begin, 0, kill.end or 0)))
-            self._tell_lives(bus)
-
-        def restart_agent(i: int, begin: int, tick: int) -> None:
-            self._lives.restart(i, begin, tick)
-            self._grant(encode(Restart(i, begin, tick)))
-            self._tell_lives(bus)
-
         return Operator(
             self._scenario,
             self._journal,
             clock,
             tell_netem,
-            end_agents,
-            restart_agent,
+            self._guardian.end_agents,
+            self._guardian.restart_agent,
             lambda: self._granted,
-            lambda: [i for i in self._vehicles if self._lives.without_agent(i, max(0, self._journal.framed))],
+            self._guardian.without_agent,
             lambda: self.waiting,
             tell_world=tell_world,
         )
@@ -300,11 +298,12 @@ class Console:
                 raise RunBroken("netem did not close its books")
         sea = self._control(bus, WORLD, "close")
         counts = {"world": sea.get("counts", {}), "netem": answer.get("counts", {}), "console": self._received}
-        self.middleware_lost = lost_messages(counts)
+        self.middleware_lost = lost_messages(counts, barrier=self._pace is None)
         rejected = {**sea.get("rejected", {}), **answer.get("rejected", {})}
         return {
             "entered": {(src, dst): (sent, copies) for src, dst, sent, copies in answer.get("entered", ())},
             "rejected": rejected,
+            "timing": {**sea.get("timing", {}), "netem": answer.get("timing", {})},
         }
 
     def _take(self, timeout_s: float) -> None:
@@ -327,8 +326,7 @@ class Console:
             respond(msgpack.packb(answer))
             return
         if kind == EXIT:
-            if self._survivable(data):
-                self._bury(data)
+            if self._guardian.bury(data):
                 return
             self._explain([data])
         try:
@@ -354,89 +352,6 @@ class Console:
                 raise RunBroken(f"a damaged message on {kind}: {error}") from error
             self._rejected_notes += 1
 
-    def _survivable(self, ended: Exit) -> bool:
-        """Whether the run goes on without this process."""
-        return ended.pid in self._told_to_end or (
-            self._running
-            and self._scenario.spec.on_death != "abort"
-            and ended.role.startswith("agent-")
-            and ended.code != FORKSERVER_LOST
-            and (ended.code != CONTROLLER_FAILED or self._scenario.spec.on_controller_error == "die")
-        )
-
-    def _bury(self, ended: Exit) -> None:
-        """An agent's process is gone: if nobody told it to go, tell the world, which decides at which tick it ended."""
-        i = int(ended.role.removeprefix("agent-"))
-        self._gone.add(ended.pid)
-        if ended.pid in self._told_to_end:
-            return
-        life = self._incarnation[i]
-        gap = self._gap(i)
-        begin = self._starting.pop(i, None)
-        until = 0
-        if gap is None or gap[0] > self._granted:
-            again = self._scenario.spec.on_death == "restart" and i not in self._journal.lost
-            if again and self._restarted.get(i, 0) < MOST_RESTARTS:
-                self._restarted[i] = self._restarted.get(i, 0) + 1
-                until = self._scenario.next_round(self._granted)
-            # The world will say when it was; here it matters only when another one takes over.
-            since = max(self._journal.framed, 0 if life == 0 else self._lives.gaps(i)[life - 1][1] or 0)
-            self._lives.add(Absence(i, since, until or (gap and gap[1])))
-        # One that has not been ready never got a nav: its life ends where it would have begun.
-        self._grant(encode(Death(i, begin or 0, life, until)))
-        if until:
-            assert self._bus is not None
-            self._tell_lives(self._bus)
-        child = self._children.by_role[ended.role]
-        how = describe_exit(ended.code)
-        self.deaths.setdefault(i, []).append(how)
-        last = f"; last line of {child.log_path}: {line}" if (line := "".join(child.tail()[-1:])) else ""
-        at = self._seconds(self._journal.framed)
-        then = f", another one takes over at {self._seconds(until)}" if until else ""
-        fate = "is lost already" if i in self._journal.lost else f"drifts without thrust{then}"
-        self.notes.append(f"{at} agent {i} (pid {child.pid}) {how}: its vehicle {fate}{last}")
-
-    def _gap(self, i: int) -> tuple[int, int | None] | None:
-        """How the life of agent i that was started last ends, if it does: (begin, end) of the gap after it."""
-        gaps = self._lives.gaps(i)
-        life = self._incarnation[i]
-        return gaps[life] if life < len(gaps) else None
-
-    def _next_restart(self) -> int:
-        """No tick from here on may start: somebody who begins there is not ready yet."""
-        planned = [gap[1] for i in self._vehicles if (gap := self._gap(i)) is not None and gap[1] is not None]
-        return min([*planned, *self._starting.values()], default=self._scenario.ticks)
-
-    def _tell_lives(self, bus: Bus) -> None:
-        """Netem must know which life of an agent it talks to."""
-        if "tick" not in self._control(bus, NETEM, "absences", absences=[list(a) for a in self._lives.absences]):
-            raise RunBroken("netem did not answer")
-
-    def _tend_agents(self, bus: Bus) -> None:
-        """End the agents whose time has come, and start those that follow them."""
-        if not self._lives.absences or time.monotonic() < self._looked + POLL_S:
-            return
-        self._looked = time.monotonic()
-        if self._starting:
-            ready = {(i, life) for i, life in self._control(bus, WORLD, "ready").get("ready", ())}
-            for i in [i for i in self._starting if (i, self._incarnation[i]) in ready]:
-                del self._starting[i]
-        due = {i: gap for i in self._vehicles if (gap := self._gap(i)) is not None and gap[0] <= self._granted}
-        alive = [i for i in due if self._children.by_role[agent_role(i)].pid not in self._told_to_end | self._gone]
-        # The world asks nobody for a command from the gap's first tick on: once it is there, nothing is lost.
-        reached = dict(self._control(bus, WORLD, "ticks").get("ticks", ())) if alive else {}
-        for i, (begin, end) in due.items():
-            pid = self._children.by_role[agent_role(i)].pid
-            if i in alive and i not in self._starting and reached.get(i, -1) >= begin:
-                self._told_to_end.add(pid)
-                with contextlib.suppress(ProcessLookupError):
-                    os.kill(pid, signal.SIGKILL)
-            elif pid in self._gone and end is not None and end <= self._granted:
-                # Not before: until the clock waits there, an operator may still move that tick, and it is told which.
-                self._incarnation[i] += 1
-                self._starting[i] = end
-                self._start_agent(i, self._incarnation[i], end)
-
     def _start_agent(self, i: int, incarnation: int, begin: int) -> None:
         role = agent_role(i)
         self._start_process(role, agents.process.run, *self._agent_arguments[i], incarnation, begin)
@@ -450,8 +365,8 @@ class Console:
 
     def _who_waits(self, bus: Bus) -> str:
         """Who has not answered, in words."""
-        if self._starting:
-            return "waiting for agents to start again: " + ", ".join(map(str, sorted(self._starting)))
+        if starting := self._guardian.starting:
+            return "waiting for agents to start again: " + ", ".join(map(str, sorted(starting)))
         waiting = self._control(bus, WORLD, "waiting")
         network = self._control(bus, NETEM, "waiting")
         late = sorted({i for i, _ in waiting.get("waiting", ())})
@@ -515,10 +430,10 @@ def _unconnected(_: bytes) -> None:
     raise AssertionError("the console has not joined the run yet")
 
 
-def lost_messages(counts: dict[str, Any]) -> int:
+def lost_messages(counts: dict[str, Any], *, barrier: bool = True) -> int:
     """How many messages left one process of a completed run and never arrived at the other.
 
-    Every nav is answered by one command; agents' own counts are not needed.
+    Every nav is answered by one command; agents' own counts are not needed. Without a barrier an agent may skip navs.
 
     Raises:
         RunBroken: a process did not say what it sent and received.
@@ -528,7 +443,7 @@ def lost_messages(counts: dict[str, Any]) -> int:
         netem_sent, netem_received = counts["netem"]["sent"], counts["netem"]["received"]
         console = counts["console"]
         pairs = [
-            (world_sent["nav"], world_received["cmd"]),
+            *([(world_sent["nav"], world_received["cmd"])] if barrier else []),
             (world_sent["round"], netem_received["round"]),
             (world_sent["frame"], console[FRAME]),
             (netem_sent["links"], console[LINKS]),

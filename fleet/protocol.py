@@ -5,7 +5,7 @@ from __future__ import annotations
 from inspect import getdoc
 
 from agents import compact, payload
-from netem.messages import PROTOCOL_VERSION, Delivery, Fate, Frame, VehicleFrame, declared, fields_of
+from netem.messages import PROTOCOL_VERSION, Arrival, Delivery, Fate, Frame, VehicleFrame, declared, fields_of
 
 _HEAD = f"""# Wire protocol, version {PROTOCOL_VERSION}
 
@@ -21,6 +21,9 @@ An agent i joins with its credentials, asks `cfg/<i>` (a query) for its slice of
 on `nav/<i>` and `rx/<i>`. Then it puts `hello` with `echo` set on `cmd/<i>`, declares the liveliness token
 `alive/agent-<i>`, and answers every `nav`: wait until an `rx` covers the tick; on round ticks put `tx` (the empty one
 too); put `cmd`.
+
+Where the answer on `cfg/<i>` says `clock: real`, nobody waits for anybody: answer the newest `nav` at once with the
+deliveries that have come and are due. An `rx` comes when there is something in it, and its `until` means nothing.
 """
 
 
@@ -32,7 +35,9 @@ def page() -> str:
             f"## `{kind}`\n\nKey `{route.key}`, {route.sender} to {route.receiver}. {getdoc(cls)}\n\n{_table(cls)}"
         )
     parts.append("## Records\n")
-    parts += [f"### `{r.__name__}`\n\n{getdoc(r)}\n\n{_table(r)}" for r in (Delivery, Fate, Frame, VehicleFrame)]
+    parts += [
+        f"### `{r.__name__}`\n\n{getdoc(r)}\n\n{_table(r)}" for r in (Arrival, Delivery, Fate, Frame, VehicleFrame)
+    ]
     parts.append(f"## The payload of our own agents\n\nOpaque to the network.\n\n{getdoc(payload)}\n")
     parts.append(f"### The compact payload\n\n{getdoc(compact)}\n")
     return "\n".join(parts)

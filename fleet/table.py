@@ -10,6 +10,7 @@ from rich.table import Table
 
 from fleet.prospects import large_log_hint
 from fleet.run import Result, Status
+from fleet.timing import summary
 from netem.impairment import REPLACED
 
 MOST_ROWS = 20
@@ -29,6 +30,8 @@ def show(result: Result, terminal: Terminal) -> None:
         )
     for note in values["notes"]:
         terminal.print(f"note  {note}", markup=False, highlight=False, soft_wrap=True)
+    if "timing" in values:
+        terminal.print(summary(values["timing"], values["timing"]["speed"]), highlight=False, soft_wrap=True)
     wall = values["wall"]
     how = "in-process" if wall["in_process"] else f"distributed, ready in {wall['startup_s']:.2f} s"
     terminal.print(

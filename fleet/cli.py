@@ -110,6 +110,7 @@ _overrides = click.option(
 @click.option(
     "--publish", is_flag=True, help="Publish the journal on zenoh meanwhile; nobody who listens slows the run."
 )
+@click.option("--wait-for-subscribers", is_flag=True, help="With --publish: begin when somebody listens.")
 @click.option("--start-order", metavar="SEED", type=int, hidden=True)
 @click.option("-q", "--quiet", is_flag=True, help="No progress and no tables.")
 def run(
@@ -126,6 +127,7 @@ def run(
     show_config: bool,
     port: int | None,
     publish: bool,
+    wait_for_subscribers: bool,
     start_order: int | None,
     quiet: bool,
 ) -> None:
@@ -142,6 +144,8 @@ def run(
     """
     from fleet.scenario import load_scenario
 
+    if wait_for_subscribers and not publish:
+        raise click.UsageError("--wait-for-subscribers needs --publish: nobody could subscribe")
     more = list(overrides)
     if seed is not None:
         more.append(f"seed={seed}")
@@ -165,9 +169,10 @@ def run(
         from fleet.table import show
 
         if not quiet:
+            from fleet.prospects import doubts
             from fleet.stability import analyse
 
-            for warning in analyse(loaded).warnings:
+            for warning in [*analyse(loaded).warnings, *doubts(loaded)]:
                 terminal.print(f"warning: {warning}", highlight=False, markup=False, soft_wrap=True)
         pace = None
         if clock == "real":
@@ -175,7 +180,10 @@ def run(
             if in_process or start is not None or loaded.ideal:
                 why = "--in-process" if in_process else "--from" if start is not None else "network: ideal"
                 raise click.UsageError(f"--clock real is of processes that answer as they can; not with {why}")
-        options = Options(out, in_process, speed, quiet, publish, port, start, pace, max_missed, _shuffle(start_order))
+        options = Options(
+            out, in_process, speed, quiet, publish, wait_for_subscribers, port, start, pace, max_missed,
+            _shuffle(start_order),
+        )  # fmt: skip
         if start is not None and not quiet:
             terminal.print("\n".join(start.notes), highlight=False, markup=False, soft_wrap=True)
         if loaded.ideal and not in_process and not quiet:
@@ -225,6 +233,7 @@ def check(scenario: str, overrides: tuple[str, ...]) -> None:
     except ScenarioError as error:
         _fail(error)
     from fleet.faults import timeline
+    from fleet.prospects import doubts
     from fleet.stability import analyse, report
 
     links = loaded.graph.links
@@ -238,7 +247,7 @@ def check(scenario: str, overrides: tuple[str, ...]) -> None:
         click.echo(line)
     for name, begin_s, end_s, what in timeline(loaded):
         click.echo(f"fault {name}: {what}, {begin_s:g} to {end_s:g} s")
-    for warning in found.warnings:
+    for warning in [*found.warnings, *doubts(loaded)]:
         click.echo(f"warning: {warning}", err=True)
 
 
@@ -400,4 +409,4 @@ for _command in (command for group in _GROUPS for command in group.COMMANDS):
 
 def _fail(error: FleetError) -> Any:
     click.echo(f"fleet: {error}", err=True)
-    sys.exit(2)
+    sys.exit(error.status)

@@ -64,6 +64,8 @@ class _Channel(NamedTuple):
 class LogError(FleetError):
     """The log cannot be written: the disk is full, or the place is not writable."""
 
+    status = 3
+
 
 class Tap(Protocol):
     """Who else is told of what is written; it must neither wait nor raise."""
@@ -105,6 +107,14 @@ class LogWriter:
     def digest(self) -> str:
         """SHA-256 over (topic, log_time, publish_time, sequence, data) of every message so far."""
         return self._digest.hexdigest()
+
+    @property
+    def size(self) -> int:
+        """Bytes of the file as it is now; 0 if it has gone."""
+        try:
+            return self.path.stat().st_size
+        except OSError:
+            return 0
 
     def _open(self) -> IO[bytes]:
         return self.path.open("xb")

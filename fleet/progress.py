@@ -84,10 +84,11 @@ class ProgressLine:
 
     def _state(self) -> str:
         total = self._journal.ledger.total()
-        lost = sum(total.lost.values())
+        lost = sum(total.lost.values()) - total.replaced
+        never_sent = f", {total.replaced} replaced" if total.replaced else ""
         return (
             f"formation error {self._journal.metrics.formation_error:.3f} m  "
-            f"packets {total.delivered} delivered, {lost} lost"
+            f"packets {total.delivered} delivered, {lost} lost{never_sent}"
         )
 
 

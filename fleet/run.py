@@ -23,7 +23,7 @@ from fleet.inprocess import InProcess
 from fleet.journal import Journal, frame_every
 from fleet.log import LogError, LogWriter
 from fleet.progress import ProgressLine
-from fleet.publish import LivePublisher
+from fleet.publish import LivePublisher, PublishError
 from fleet.resume import Start
 from fleet.rundir import RunDirectory
 from fleet.scenario import Scenario
@@ -64,6 +64,7 @@ class Options:
     speed: float | None = None
     quiet: bool = False
     publish: bool = False
+    wait: bool = False  # with `publish`: begin when somebody listens
     port: int | None = None
     start: Start | None = None  # where it goes on from another run; in-process only
     pace: float | None = None  # on a wall clock, so many times as fast as real; None: in lockstep
@@ -75,7 +76,7 @@ def execute(scenario: Scenario, options: Options, terminal: Terminal | None = No
     """Run a scenario to its verdict. Only a caller's mistake raises; a run that breaks is a result.
 
     Raises:
-        RunDirectoryError: the output directory cannot be made.
+        RunDirectoryError: the run directory cannot be made or written.
         LogError: the log cannot be created.
         PublishError: the journal was to be published and cannot be.
     """
@@ -83,7 +84,7 @@ def execute(scenario: Scenario, options: Options, terminal: Terminal | None = No
     directory = RunDirectory(options.out, scenario.name, scenario.seed)
     directory.write_scenario(scenario.to_yaml())
     run = secrets.token_hex(4)
-    publisher = LivePublisher(run, directory.observe) if options.publish else None
+    publisher = LivePublisher(run, directory.observe, wait=options.wait) if options.publish else None
     log = LogWriter(directory.log, scenario, options.start, publisher, lockstep=options.pace is None)
     if publisher is not None:
         publisher.open()
@@ -110,13 +111,16 @@ def execute(scenario: Scenario, options: Options, terminal: Terminal | None = No
     closing: dict[str, Any] = {"entered": {}, "rejected": {}}
     began = time.monotonic()
     try:
+        if publisher is not None and options.wait:
+            _wait(publisher, None if options.quiet else terminal)
+            began = time.monotonic()
         with ProgressLine(
             scenario, journal, terminal, quiet=options.quiet, waiting=lambda: getattr(fleet, "waiting", "")
         ) as progress:
             closing = fleet.serve(clock, progress)
     except RunBroken as error:
         result.status, result.reason, result.lines = Status.BROKEN, error.reason, error.lines
-    except (AgentError, WorldError) as error:
+    except (AgentError, WorldError, PublishError) as error:
         result.status, result.reason = Status.BROKEN, str(error)
     except LogError as error:
         result.status, result.reason = Status.BROKEN, str(error)
@@ -167,6 +171,12 @@ def execute(scenario: Scenario, options: Options, terminal: Terminal | None = No
     return result
 
 
+def _wait(publisher: LivePublisher, terminal: Terminal | None) -> None:
+    if terminal is not None:
+        terminal.print("waiting for a subscriber", highlight=False)
+    publisher.heard()
+
+
 def _clock(scenario: Scenario, options: Options) -> Clock:
     speed, lead_ns = (options.speed, 0) if options.pace is None else (options.pace, WINDOW_NS)
     return Clock(scenario.ticks, scenario.tick_ns, scenario.round_ticks, frame_every(scenario), speed, lead_ns)
@@ -205,6 +215,7 @@ def _values(scenario: Scenario, journal: Journal, log: LogWriter, result: Result
             for event in journal.happened
         ],
         "messages": log.messages,
+        "log_bytes": log.size,
         "digest": log.digest,
         "python": sys.version.split()[0],
     }

@@ -320,7 +320,12 @@ def _text(name_or_path: str) -> tuple[str, str, Path | None]:
             with path.open("rb") as file:
                 return name_or_path, file.read(_MAX_BYTES).decode("utf-8-sig"), path.parent
     except UnicodeDecodeError as error:
-        raise _unreadable(name_or_path, f"not UTF-8 text (byte {error.start})") from None
+        hint = "a log? fleet run --from goes on from one, fleet script makes a scenario of one"
+        raise _unreadable(name_or_path, f"not UTF-8 text (byte {error.start})", hint) from None
+    except IsADirectoryError:
+        inside = path / "scenario.yaml"
+        hint = f"did you mean {inside}, the scenario of that run?" if inside.exists() else ""
+        raise _unreadable(name_or_path, "is a directory, not a scenario file", hint) from None
     except (OSError, ValueError) as error:
         raise _unreadable(name_or_path, getattr(error, "strerror", None) or str(error)) from None
     hint = nearest(name_or_path, shipped()) or "a file needs its suffix, as in my-scenario.yaml"

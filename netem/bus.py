@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 from collections.abc import Callable
 from pathlib import Path
 from queue import Empty, SimpleQueue
@@ -400,7 +401,8 @@ class OpenBus:
         try:
             self._held.append(self._session.declare_subscriber(key, handler))
         except zenoh.ZError:
-            raise BusError(f"{key!r} is no key expression of zenoh") from None
+            what = "is no key expression of zenoh: parts such as robot/*/odom or robot/**, none of them empty"
+            raise BusError(f"{key!r} {what}") from None
 
     def answer(self, key: str, answers: dict[str, bytes]) -> None:
         """Answer queries on `key` with those of the values whose key they ask for."""
@@ -412,6 +414,12 @@ class OpenBus:
                         query.reply(name, data)
 
         self._held.append(self._session.declare_queryable(key, receive))
+
+    @property
+    def connected(self) -> bool:
+        """Whether there is a router or peer on the other side; of a client, whether it still reaches its router."""
+        info = self._session.info
+        return bool(info.routers_zid() or info.peers_zid())
 
     def close(self) -> None:
         """Send what is queued and close the session."""
@@ -438,4 +446,6 @@ def quiet_zenoh() -> None:
 
 
 def _first_line(error: Exception) -> str:
-    return str(error).splitlines()[0] if str(error) else type(error).__name__
+    """What zenoh says, without the places in its source where it says so."""
+    text = str(error).splitlines()[0] if str(error) else type(error).__name__
+    return re.sub(r" at /\S+\.rs:\d+\.", "", text)

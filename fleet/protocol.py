@@ -7,7 +7,7 @@ from inspect import getdoc
 from agents import compact, payload
 from fleet import slice_fields
 from netem.bus import LEASE_MS, MAX_BYTES
-from netem.messages import PROTOCOL_VERSION, Delivery, Fate, Frame, VehicleFrame, declared, fields_of
+from netem.messages import PROTOCOL_VERSION, Arrival, Delivery, Fate, Frame, VehicleFrame, declared, fields_of
 
 _HEAD = f"""# Wire protocol, version {PROTOCOL_VERSION}
 
@@ -39,9 +39,8 @@ with `f = cos theta u + sin theta w`.
    `transport/auth/usrpwd/user` and `password`, with `transport/unicast/lowlatency: true` and
    `transport/unicast/qos/enabled: false` as the router has them, and with `transport/link/tx/lease: {LEASE_MS}` ms, so
    that a process that is suspended for a while stays in the run. (Measured: a session with zenoh's defaults for all
-   three does not stay up.) If
-   there is a `ca`, the endpoint is `tls/...`, and it is the certificate to trust. A wrong password is refused like a
-   router that is not there.
+   three does not stay up.) If there is a `ca`, the endpoint is `tls/...`, and it is the certificate to trust. A wrong
+   password is refused like a router that is not there.
 3. Query `cfg/<i>` without a payload. The answer is a MessagePack map: `agent` (the slice of the scenario, below),
    `incarnation` (which life of the agent you are; 0 for the first), `begin` (the tick of your first nav, a round tick)
    and `version`. If it has the key `error` instead, it says why you cannot join.
@@ -81,6 +80,9 @@ There is no limit of wall time for an answer, as simulated time waits; but when 
 `stall_timeout` (30 s) the run ends, and names for whom it waited. For a log that repeats, answer from your slice, your
 navs and deliveries alone: no wall clock, and no randomness but from `seed`.
 
+Where the answer on `cfg/<i>` says `clock: real`, nobody waits for anybody: answer the newest `nav` at once with the
+deliveries that have come and are due. An `rx` comes when there is something in it, and its `until` means nothing.
+
 ## Lives and the end
 
 Messages with a lower incarnation than yours are for a life that is over: ignore them. Malformed messages are dropped,
@@ -114,7 +116,9 @@ def page() -> str:
             f"## `{kind}`\n\nKey `{route.key}`, {route.sender} to {route.receiver}. {getdoc(cls)}\n\n{_table(cls)}"
         )
     parts.append("## Records\n")
-    parts += [f"### `{r.__name__}`\n\n{getdoc(r)}\n\n{_table(r)}" for r in (Delivery, Fate, Frame, VehicleFrame)]
+    parts += [
+        f"### `{r.__name__}`\n\n{getdoc(r)}\n\n{_table(r)}" for r in (Arrival, Delivery, Fate, Frame, VehicleFrame)
+    ]
     parts.append(f"## The payload of our own agents\n\nOpaque to the network.\n\n{getdoc(payload)}\n")
     parts.append(f"### The compact payload\n\n{getdoc(compact)}\n")
     return "\n".join(parts)

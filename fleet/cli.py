@@ -11,7 +11,7 @@ from typing import Any
 import click
 from rich.console import Console as Terminal
 
-from fleet import cli_bench, cli_live, cli_log, cli_replay, cli_verify, cli_whatif
+from fleet import cli_bench, cli_join, cli_live, cli_log, cli_protocol, cli_replay, cli_verify, cli_whatif
 from fleet.completion import scenarios
 from fleet.errors import FleetError, ScenarioError
 
@@ -111,6 +111,8 @@ _overrides = click.option(
     "--publish", is_flag=True, help="Publish the journal on zenoh meanwhile; nobody who listens slows the run."
 )
 @click.option("--wait-for-subscribers", is_flag=True, help="With --publish: begin when somebody listens.")
+@click.option("--join-timeout", type=cli_join.Wait(), default="300 s", show_default=True,
+              help="How long to wait for each agent that somebody else starts.")  # fmt: skip
 @click.option("--start-order", metavar="SEED", type=int, hidden=True)
 @click.option("-q", "--quiet", is_flag=True, help="No progress and no tables.")
 def run(
@@ -128,6 +130,7 @@ def run(
     port: int | None,
     publish: bool,
     wait_for_subscribers: bool,
+    join_timeout: float,
     start_order: int | None,
     quiet: bool,
 ) -> None:
@@ -181,9 +184,19 @@ def run(
                 why = "--in-process" if in_process else "--from" if start is not None else "network: ideal"
                 raise click.UsageError(f"--clock real is of processes that answer as they can; not with {why}")
         options = Options(
-            out, in_process, speed, quiet, publish, wait_for_subscribers, port, start, pace, max_missed,
-            _shuffle(start_order),
-        )  # fmt: skip
+            out,
+            in_process=in_process,
+            speed=speed,
+            quiet=quiet,
+            publish=publish,
+            wait=wait_for_subscribers,
+            port=port,
+            start=start,
+            pace=pace,
+            most_missed=max_missed,
+            start_order=_shuffle(start_order),
+            join_timeout_s=join_timeout,
+        )
         if start is not None and not quiet:
             terminal.print("\n".join(start.notes), highlight=False, markup=False, soft_wrap=True)
         if loaded.ideal and not in_process and not quiet:
@@ -394,15 +407,7 @@ def info(log: Path, as_json: bool) -> None:
     click.echo(json.dumps(found.to_values(), indent=2) if as_json else describe(found))
 
 
-@cli.command()
-def protocol() -> None:
-    """Print the wire protocol page (Markdown), for whoever writes an agent in another language."""
-    from fleet.protocol import page
-
-    click.echo(page(), nl=False)
-
-
-_GROUPS = (cli_bench, cli_live, cli_log, cli_replay, cli_verify, cli_whatif)
+_GROUPS = (cli_bench, cli_join, cli_live, cli_log, cli_protocol, cli_replay, cli_verify, cli_whatif)
 for _command in (command for group in _GROUPS for command in group.COMMANDS):
     cli.add_command(_command)
 

@@ -294,7 +294,8 @@ class LogWriter:
                 flat = [(row.id, errors[row.id]) for row in rows]
                 return [(i, encode[i]((*e.e, e.e_norm, *e.formation, e.formation_norm))) for i, e in flat]
             case _:
-                return [(row.id, encode[row.id](commands[row.id].telemetry)) for row in rows if row.id in commands]
+                told = [(row.id, commands[row.id].telemetry) for row in rows if row.id in commands]
+                return [(i, encode[i](telemetry)) for i, telemetry in told if telemetry]
 
     def _add(self, channel: _Channel, log_ns: int, publish_ns: int, sequence: int, data: bytes) -> None:
         try:
@@ -348,9 +349,14 @@ def _plugin_metadata(scenario: Scenario) -> dict[str, str]:
                 continue
             found = law_class(kind, law)
             sources[law.name] = fingerprint(found)
+    return {"resumable": _resumable(scenario)} | {f"law {name}": f"sha256 {digest}" for name, digest in sources.items()}
+
+
+def _resumable(scenario: Scenario) -> str:
+    if scenario.external:
+        return f"no: {', '.join(map(str, scenario.external))} external, whose agents keep what they remember"
     without = forgetful(scenario.controls)
-    resume = {"resumable": "yes" if not without else f"no: {', '.join(without)} has no state() and restore()"}
-    return resume | {f"law {name}": f"sha256 {digest}" for name, digest in sources.items()}
+    return "yes" if not without else f"no: {', '.join(without)} has no state() and restore()"
 
 
 def schema_name(config: AgentConfig, group: str) -> str:

@@ -17,8 +17,9 @@ from agents.errors import AgentError
 from fleet import timing
 from fleet.checks import Verdict, judge
 from fleet.clock import WINDOW_NS, Clock
-from fleet.console import Console
+from fleet.console import JOIN_TIMEOUT_S, Console
 from fleet.errors import RunBroken, StoppedError
+from fleet.external import ExternalError, refuse
 from fleet.inprocess import InProcess
 from fleet.journal import Journal, frame_every
 from fleet.log import LogError, LogWriter
@@ -70,6 +71,7 @@ class Options:
     pace: float | None = None  # on a wall clock, so many times as fast as real; None: in lockstep
     most_missed: float = MOST_MISSED  # share of its ticks that an agent may miss on a wall clock
     start_order: Callable[[list[str]], list[str]] | None = None
+    join_timeout_s: float = JOIN_TIMEOUT_S  # how long to wait for an agent that somebody else starts
 
 
 def execute(scenario: Scenario, options: Options, terminal: Terminal | None = None) -> Result:
@@ -79,8 +81,17 @@ def execute(scenario: Scenario, options: Options, terminal: Terminal | None = No
         RunDirectoryError: the run directory cannot be made or written.
         LogError: the log cannot be created.
         PublishError: the journal was to be published and cannot be.
+        ExternalError: somebody else is to start an agent, and the run is to be one process.
     """
     terminal = terminal or Terminal(stderr=True)
+    in_process = options.in_process or scenario.ideal or options.start is not None
+    if in_process:
+        refuse(scenario, "a run in one process")
+
+    def say(text: str) -> None:
+        if not options.quiet:
+            terminal.print(text, highlight=False, markup=False, soft_wrap=True)
+
     directory = RunDirectory(options.out, scenario.name, scenario.seed)
     directory.write_scenario(scenario.to_yaml())
     run = secrets.token_hex(4)
@@ -88,12 +99,9 @@ def execute(scenario: Scenario, options: Options, terminal: Terminal | None = No
     log = LogWriter(directory.log, scenario, options.start, publisher, lockstep=options.pace is None)
     if publisher is not None:
         publisher.open()
-        if not options.quiet:
-            where = f"publishing fleet/{run}/log/** at {publisher.endpoint}; how to join: {directory.observe}"
-            terminal.print(where, highlight=False, markup=False, soft_wrap=True)
+        say(f"publishing fleet/{run}/log/** at {publisher.endpoint}; how to join: {directory.observe}")
     journal = Journal(scenario, log)
     clock = _clock(scenario, options)
-    in_process = options.in_process or scenario.ideal or options.start is not None
     fleet: InProcess | Console
     if in_process:
         fleet = InProcess(scenario, journal, options.start)
@@ -105,6 +113,8 @@ def execute(scenario: Scenario, options: Options, terminal: Terminal | None = No
             run=run,
             port=options.port,
             start_order=options.start_order,
+            join_timeout_s=options.join_timeout_s,
+            say=say,
             pace=options.pace,
         )
     result = Result(Status.PASS, directory.path, "")
@@ -120,7 +130,7 @@ def execute(scenario: Scenario, options: Options, terminal: Terminal | None = No
             closing = fleet.serve(clock, progress)
     except RunBroken as error:
         result.status, result.reason, result.lines = Status.BROKEN, error.reason, error.lines
-    except (AgentError, WorldError, PublishError) as error:
+    except (AgentError, WorldError, PublishError, ExternalError) as error:
         result.status, result.reason = Status.BROKEN, str(error)
     except LogError as error:
         result.status, result.reason = Status.BROKEN, str(error)

@@ -246,6 +246,11 @@ class Bus:
                 return bytes(reply.ok.payload.to_bytes())
         return None
 
+    @property
+    def connected(self) -> bool:
+        """Whether a router is there; a client that lost it tries to come back, for ever."""
+        return bool(self._session.info.routers_zid())
+
     def token(self, key: str) -> None:
         """Hold a liveliness token until the session closes."""
         self._held.append(self._session.liveliness().declare_token(key))

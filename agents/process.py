@@ -18,7 +18,7 @@ from netem.bus import Bus
 from netem.errors import BusError, MalformedMessage, OutOfPlace
 from netem.keys import Keys
 from netem.messages import PROTOCOL_VERSION, Hello, Inbox, Nav, Transmission, encode
-from netem.shell import Shell, expect, read_map
+from netem.shell import Shell, end_with_link, expect, read_map
 
 log = logging.getLogger(__name__)
 
@@ -39,6 +39,7 @@ def run(
     """
     keys = Keys(run_id)
     bus = Bus.connect(endpoint, credentials)
+    end_with_link(bus, credentials)
     config = _ask_config(bus, keys, vehicle)
     try:
         core = make_agent(config)

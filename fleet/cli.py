@@ -11,7 +11,7 @@ from typing import Any
 import click
 from rich.console import Console as Terminal
 
-from fleet import cli_live, cli_log, cli_replay, cli_verify, cli_whatif
+from fleet import cli_hosts, cli_live, cli_log, cli_replay, cli_verify, cli_whatif
 from fleet.completion import scenarios
 from fleet.errors import FleetError, ScenarioError
 
@@ -79,6 +79,7 @@ _overrides = click.option(
 @click.option(
     "--publish", is_flag=True, help="Publish the journal on zenoh meanwhile; nobody who listens slows the run."
 )
+@cli_hosts.hosts_options
 @click.option("--start-order", metavar="SEED", type=int, hidden=True)
 @click.option("-q", "--quiet", is_flag=True, help="No progress and no tables.")
 def run(
@@ -95,6 +96,7 @@ def run(
     publish: bool,
     start_order: int | None,
     quiet: bool,
+    **hosts: Any,
 ) -> None:
     """Run SCENARIO (a shipped name or a YAML file) and judge it.
 
@@ -135,7 +137,10 @@ def run(
 
             for warning in analyse(loaded).warnings:
                 terminal.print(f"warning: {warning}", highlight=False, markup=False, soft_wrap=True)
-        options = Options(out, in_process, speed, quiet, publish, port, start, _shuffle(start_order))
+        meeting = cli_hosts.meeting(loaded, hosts, in_process=in_process or loaded.ideal or start is not None)
+        for warning in meeting.warnings if meeting else ():
+            terminal.print(f"warning: {warning}", style="bold red", highlight=False, markup=False, soft_wrap=True)
+        options = Options(out, in_process, speed, quiet, publish, port, start, _shuffle(start_order), meeting)
         if start is not None and not quiet:
             terminal.print("\n".join(start.notes), highlight=False, markup=False, soft_wrap=True)
         if loaded.ideal and not in_process and not quiet:
@@ -384,7 +389,7 @@ def bench(agents: str, json_path: Path | None, quick: bool) -> None:
         json_path.write_text(json.dumps(figures, indent=2) + "\n", "utf-8")
 
 
-_GROUPS = (cli_live, cli_log, cli_replay, cli_verify, cli_whatif)
+_GROUPS = (cli_hosts, cli_live, cli_log, cli_replay, cli_verify, cli_whatif)
 for _command in (command for group in _GROUPS for command in group.COMMANDS):
     cli.add_command(_command)
 

@@ -26,6 +26,7 @@ from fleet.clock import Clock, LiveClock
 from fleet.control import Operator
 from fleet.errors import RunBroken, StoppedError
 from fleet.guardian import Guardian
+from fleet.hosts import Meeting
 from fleet.journal import Journal, frame_every
 from fleet.ports import free_port
 from fleet.rundir import RunDirectory
@@ -50,7 +51,7 @@ SETTLE_S = 0.2  # after a death, how long to collect what else happened
 
 MOST_NOTES = 1000
 
-FRAME, LINKS, NOTE, EXIT, OPERATION = "frame", "links", "note", "exit", "operation"
+FRAME, LINKS, NOTE, EXIT, OPERATION, LOST = "frame", "links", "note", "exit", "operation", "lost"
 _EXPECTED = {FRAME: (Frames, Hello), LINKS: (LinkReport, Hello), NOTE: (Note,)}
 
 
@@ -66,12 +67,14 @@ class Console:
         run: str | None = None,
         port: int | None = None,
         start_order: Callable[[list[str]], list[str]] | None = None,
+        meeting: Meeting | None = None,
     ) -> None:
         self._scenario, self._directory, self._journal = scenario, directory, journal
         self._vehicles = tuple(range(1, scenario.vehicles + 1))
         self._keys = Keys(run or secrets.token_hex(4))
         self._port = port
         self._start_order = start_order
+        self._meeting = meeting or Meeting()
         self._events: SimpleQueue[tuple[str, Any]] = SimpleQueue()
         self._children = Children(lambda ended: self._events.put((EXIT, ended)))
         self._bus: Bus | None = None
@@ -121,8 +124,11 @@ class Console:
 
     def _start(self) -> Bus:
         scenario, keys = self._scenario, self._keys
-        credentials = generate(self._vehicles)
-        endpoint = f"tcp/127.0.0.1:{free_port(self._port)}"
+        meeting = self._meeting
+        credentials = meeting.credentials or generate(self._vehicles)
+        endpoint = meeting.router or f"tcp/127.0.0.1:{free_port(self._port)}"
+        if meeting.router:
+            self._listen(self._visit(endpoint, credentials[CONSOLE]))
         clients = {role: c for role, c in credentials.items() if role != WORLD}
         # mkdtemp makes it for this user alone; zenoh reads the users from a file there, once.
         private = Path(tempfile.mkdtemp(prefix="uuv-fleet-"))
@@ -130,10 +136,15 @@ class Console:
         targets: dict[str, tuple[Callable[..., None], tuple[Any, ...]]] = {
             WORLD: (
                 world.process.run,
-                (endpoint, keys.run, clients, private, scenario.world_config(), every),
+                (endpoint, keys.run, clients, private, scenario.world_config(), every, meeting.door),
             ),
             NETEM: (netem.process.run, (endpoint, keys.run, credentials[NETEM], scenario.netem_config())),
         }
+        if meeting.router:
+            targets[WORLD] = (
+                world.process.join,
+                (endpoint, keys.run, credentials[WORLD], scenario.world_config(), every),
+            )
         for i in self._vehicles:
             role = agent_role(i)
             self._agent_arguments[i] = (endpoint, keys.run, i, credentials[role])
@@ -146,7 +157,7 @@ class Console:
                 self._start_process(role, *_flat(targets[role]))
                 if role == order[0]:
                     self._children.watch()
-                if role == WORLD:
+                if role == WORLD and not meeting.router:
                     # Now, because an agent that finds nobody to ask for its configuration keeps asking.
                     bus = self._bus = self._join(endpoint, credentials[CONSOLE])
                     self._listen(bus)
@@ -160,8 +171,7 @@ class Console:
                 "run": keys.run,
                 "scenario": scenario.name,
                 "pid": os.getpid(),
-                "user": OPERATOR,
-                "password": credentials[OPERATOR].password,
+                **credentials[OPERATOR].to_values(),
             }
         )
         assert self._bus is not None  # the world is among the roles
@@ -199,6 +209,21 @@ class Console:
                 self._take(POLL_S)  # the world may have died: that is the better explanation
                 if time.monotonic() > deadline:
                     raise RunBroken(str(error)) from None
+
+    def _visit(self, endpoint: str, credentials: Credentials) -> Bus:
+        """Join a router that is there already; nobody else may use this run's keys there."""
+        try:
+            bus = self._bus = Bus.connect(endpoint, credentials)
+        except BusError as error:
+            raise RunBroken(str(error)) from None
+        if tokens := bus.tokens(self._keys.alive("*")):
+            who = ", ".join(token.rsplit("/", 1)[-1] for token in tokens)
+            raise RunBroken(
+                f"run {self._keys.run} is going on at {endpoint} already ({who}): end it, or make credentials for "
+                "another with fleet acl"
+            )
+        bus.on_lost(lambda: self._events.put((LOST, endpoint)))
+        return bus
 
     def _get_ready(self, bus: Bus) -> None:
         """A hello and its echo on every key; liveliness alone would not show that messages pass."""
@@ -311,6 +336,9 @@ class Console:
                 answer = {"error": str(error)}
             respond(msgpack.packb(answer))
             return
+        if kind == LOST:
+            at = self._seconds(self._journal.framed)
+            raise RunBroken(f"the link to the router at {data} has ended at {at}: closed, or silent for the lease")
         if kind == EXIT:
             if self._guardian.bury(data):
                 return

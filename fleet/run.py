@@ -18,6 +18,7 @@ from fleet.checks import Verdict, judge
 from fleet.clock import Clock
 from fleet.console import Console
 from fleet.errors import RunBroken, StoppedError
+from fleet.hosts import Meeting
 from fleet.inprocess import InProcess
 from fleet.journal import Journal, frame_every
 from fleet.log import LogError, LogWriter
@@ -65,6 +66,7 @@ class Options:
     port: int | None = None
     start: Start | None = None  # where it goes on from another run; in-process only
     start_order: Callable[[list[str]], list[str]] | None = None
+    meeting: Meeting | None = None  # how processes on several hosts meet; None: all on this one
 
 
 def execute(scenario: Scenario, options: Options, terminal: Terminal | None = None) -> Result:
@@ -78,7 +80,7 @@ def execute(scenario: Scenario, options: Options, terminal: Terminal | None = No
     terminal = terminal or Terminal(stderr=True)
     directory = RunDirectory(options.out, scenario.name, scenario.seed)
     directory.write_scenario(scenario.to_yaml())
-    run = secrets.token_hex(4)
+    run = (options.meeting and options.meeting.run) or secrets.token_hex(4)
     publisher = LivePublisher(run, directory.observe) if options.publish else None
     log = LogWriter(directory.log, scenario, options.start, publisher)
     if publisher is not None:
@@ -93,7 +95,15 @@ def execute(scenario: Scenario, options: Options, terminal: Terminal | None = No
     if in_process:
         fleet = InProcess(scenario, journal, options.start)
     else:
-        fleet = Console(scenario, directory, journal, run=run, port=options.port, start_order=options.start_order)
+        fleet = Console(
+            scenario,
+            directory,
+            journal,
+            run=run,
+            port=options.port,
+            start_order=options.start_order,
+            meeting=options.meeting,
+        )
     result = Result(Status.PASS, directory.path, "")
     closing: dict[str, Any] = {"entered": {}, "rejected": {}}
     began = time.monotonic()

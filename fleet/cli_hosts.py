@@ -75,12 +75,15 @@ def meeting(scenario: Scenario, options: dict[str, Any], *, in_process: bool) ->
     if in_process:
         raise HostsError(f"{spelt}: a run in one process has no router that others could join")
     if bool(listen) == bool(router):
-        raise HostsError(
-            "--listen and --router exclude each other" if listen else f"{spelt} needs --listen or --router"
-        )
+        raise HostsError("either --listen or --router, not both" if listen else f"{spelt} needs --listen or --router")
     common = {name: options[name] for name in ("certs",)} | {
         "external": getattr(scenario, "external", ()), "mutual": options["mutual_tls"], "lease_ms": options["lease"]
     }  # fmt: skip
+    if options["lease"] >= scenario.spec.stall_timeout / 1e6:
+        raise HostsError(
+            f"--lease {options['lease'] / 1000:g} s is no shorter than stall_timeout {scenario.stall_timeout_s:g} s: "
+            f"the run would break before a silent link ends: --set stall_timeout='{options['lease'] / 500:g} s'"
+        )
     if listen:
         if options["credentials"]:
             raise HostsError("--credentials is for --router: a router of its own makes fresh ones")

@@ -17,7 +17,7 @@ from netem.access import Credentials, agent_role
 from netem.bus import Bus
 from netem.errors import BusError, MalformedMessage, OutOfPlace
 from netem.keys import Keys
-from netem.messages import PROTOCOL_VERSION, Hello, Inbox, Nav, Transmission, encode
+from netem.messages import PROTOCOL_VERSION, End, Hello, Inbox, Nav, Transmission, encode
 from netem.shell import Shell, end_with_link, expect, read_map
 
 log = logging.getLogger(__name__)
@@ -40,7 +40,17 @@ def run(
     keys = Keys(run_id)
     bus = Bus.connect(endpoint, credentials)
     end_with_link(bus, credentials)
-    config = _ask_config(bus, keys, vehicle)
+    begin_life(bus, keys, _ask_config(bus, keys, vehicle), incarnation, begin).serve()
+
+
+def begin_life(bus: Bus, keys: Keys, config: AgentConfig, incarnation: int, begin: int) -> AgentProcess:
+    """An agent that is made, and known to world and netem.
+
+    Raises:
+        BusError: world or netem does not answer.
+        SystemExit: a law cannot be made; the console has been told by then.
+    """
+    vehicle = config.id
     try:
         core = make_agent(config)
     except AgentError as error:
@@ -50,7 +60,7 @@ def run(
     loop = AgentLoop(core, config.round_ticks, incarnation=incarnation, begin=begin, memory_ticks=ticks)
     process = AgentProcess(bus, keys, vehicle, loop)
     process.get_ready()
-    process.serve()
+    return process
 
 
 class AgentProcess:
@@ -87,20 +97,23 @@ class AgentProcess:
         self._cmd(encode(Hello("agent", self._vehicle, self._loop.incarnation, PROTOCOL_VERSION, True)))
         self._bus.token(self._keys.alive(agent_role(self._vehicle)))
 
-    def serve(self) -> None:
-        """Answer navs, one after the other, until the process ends."""
+    def serve(self) -> End:
+        """Answer navs, one after the other, until the world says that no more will come; our own processes are
+        ended instead."""
         loop = self._loop
         while True:
             # A nav that cannot be answered yet waits for an inbox; inboxes that come early wait in their channel.
             key, data = (self._inboxes if loop.waits_for_inbox else self._navs).get()
             try:
-                message = expect(data, Nav, Inbox, Hello)
+                message = expect(data, Nav, Inbox, End, Hello)
                 if isinstance(message, Nav):
                     out = self._guarded(loop.nav, message)
                 elif isinstance(message, Inbox):
                     out = self._guarded(loop.inbox, message)
+                elif isinstance(message, End) and message.incarnation >= loop.incarnation:
+                    return message
                 else:
-                    continue  # a late echo of a repeated probe
+                    continue  # a late echo of a repeated probe, or the end of the life before
             except (MalformedMessage, OutOfPlace) as error:
                 self._shell.reject(key, loop.tick, error)
                 continue

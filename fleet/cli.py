@@ -11,7 +11,7 @@ from typing import Any
 import click
 from rich.console import Console as Terminal
 
-from fleet import cli_hosts, cli_live, cli_log, cli_replay, cli_verify, cli_whatif
+from fleet import cli_hosts, cli_join, cli_live, cli_log, cli_replay, cli_verify, cli_whatif
 from fleet.completion import scenarios
 from fleet.errors import FleetError, ScenarioError
 
@@ -33,6 +33,22 @@ class Speed(click.ParamType[float | None]):
         if not 0.0 < speed < float("inf"):
             self.fail(f"expected a positive factor of real time such as 1 or 2.5, or max, got {value!r}", param, ctx)
         return speed
+
+
+class Wait(click.ParamType[float]):
+    """A positive time, in seconds."""
+
+    name = "time"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        from fleet.quantities import QuantityError, time_ns
+
+        if isinstance(value, float):
+            return value
+        try:
+            return time_ns(str(value)) / 1e9
+        except QuantityError as error:
+            self.fail(f"{error}; write it as in '300 s'", param, ctx)
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100}, epilog=EPILOG)
@@ -80,6 +96,8 @@ _overrides = click.option(
     "--publish", is_flag=True, help="Publish the journal on zenoh meanwhile; nobody who listens slows the run."
 )
 @cli_hosts.hosts_options
+@click.option("--join-timeout", type=Wait(), default="300 s", show_default=True,
+              help="How long to wait for each agent that somebody else starts.")  # fmt: skip
 @click.option("--start-order", metavar="SEED", type=int, hidden=True)
 @click.option("-q", "--quiet", is_flag=True, help="No progress and no tables.")
 def run(
@@ -94,6 +112,7 @@ def run(
     show_config: bool,
     port: int | None,
     publish: bool,
+    join_timeout: float,
     start_order: int | None,
     quiet: bool,
     **hosts: Any,
@@ -140,7 +159,8 @@ def run(
         meeting = cli_hosts.meeting(loaded, hosts, in_process=in_process or loaded.ideal or start is not None)
         for warning in meeting.warnings if meeting else ():
             terminal.print(f"warning: {warning}", style="bold red", highlight=False, markup=False, soft_wrap=True)
-        options = Options(out, in_process, speed, quiet, publish, port, start, _shuffle(start_order), meeting)
+        order = _shuffle(start_order)
+        options = Options(out, in_process, speed, quiet, publish, port, start, order, join_timeout, meeting)
         if start is not None and not quiet:
             terminal.print("\n".join(start.notes), highlight=False, markup=False, soft_wrap=True)
         if loaded.ideal and not in_process and not quiet:
@@ -389,7 +409,7 @@ def bench(agents: str, json_path: Path | None, quick: bool) -> None:
         json_path.write_text(json.dumps(figures, indent=2) + "\n", "utf-8")
 
 
-_GROUPS = (cli_hosts, cli_live, cli_log, cli_replay, cli_verify, cli_whatif)
+_GROUPS = (cli_hosts, cli_join, cli_live, cli_log, cli_replay, cli_verify, cli_whatif)
 for _command in (command for group in _GROUPS for command in group.COMMANDS):
     cli.add_command(_command)
 

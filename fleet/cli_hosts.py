@@ -77,7 +77,7 @@ def meeting(scenario: Scenario, options: dict[str, Any], *, in_process: bool) ->
     if bool(listen) == bool(router):
         raise HostsError("either --listen or --router, not both" if listen else f"{spelt} needs --listen or --router")
     common = {name: options[name] for name in ("certs",)} | {
-        "external": getattr(scenario, "external", ()), "mutual": options["mutual_tls"], "lease_ms": options["lease"]
+        "external": scenario.external, "mutual": options["mutual_tls"], "lease_ms": options["lease"]
     }  # fmt: skip
     if options["lease"] >= scenario.spec.stall_timeout / 1e6:
         raise HostsError(

@@ -67,6 +67,12 @@ class Meeting:
     lease_ms: int | None = None  # between hosts; None on one host
     warnings: tuple[str, ...] = ()
 
+    def joining(self, role: str, known: Credentials) -> Credentials:
+        """What an external agent joins with, given what one on this host would."""
+        own = self.certificates.get(role, Pair("", ""))
+        lease_ms = known.lease_ms if self.lease_ms is None else self.lease_ms
+        return Credentials(known.user, known.password, self.ca, own.certificate, own.key, lease_ms)
+
 
 def parse_endpoint(text: str, option: str) -> Endpoint:
     """An endpoint as zenoh writes it.

@@ -255,7 +255,8 @@ class LogWriter:
                 flat = [(row.id, errors[row.id]) for row in rows]
                 return [(i, encode[i]((*e.e, e.e_norm, *e.formation, e.formation_norm))) for i, e in flat]
             case _:
-                return [(row.id, encode[row.id](commands[row.id].telemetry)) for row in rows if row.id in commands]
+                told = [(row.id, commands[row.id].telemetry) for row in rows if row.id in commands]
+                return [(i, encode[i](telemetry)) for i, telemetry in told if telemetry]
 
     def _add(self, channel: _Channel, log_ns: int, publish_ns: int, sequence: int, data: bytes) -> None:
         try:

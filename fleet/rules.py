@@ -174,6 +174,10 @@ def _policies(spec: ScenarioSpec, report: Report) -> None:
     if spec.network.ideal and spec.on_controller_error == "die":
         message = "the others of an ideal network wait for everybody, also for an agent that is gone"
         report.add(("on_controller_error",), message, "abort, coast, or give the network a period")
+    for path, external in _layers(spec, "external"):
+        if external and spec.network.ideal:
+            message = "nobody can join an ideal network, which runs in one process"
+            report.add((*path, "external"), message, "give the network a period")
 
 
 def _snapshot(spec: ScenarioSpec, report: Report) -> None:

@@ -16,8 +16,9 @@ from rich.console import Console as Terminal
 from agents.errors import AgentError
 from fleet.checks import Verdict, judge
 from fleet.clock import Clock
-from fleet.console import Console
+from fleet.console import JOIN_TIMEOUT_S, Console
 from fleet.errors import RunBroken, StoppedError
+from fleet.external import ExternalError, refuse
 from fleet.hosts import Meeting
 from fleet.inprocess import InProcess
 from fleet.journal import Journal, frame_every
@@ -66,6 +67,7 @@ class Options:
     port: int | None = None
     start: Start | None = None  # where it goes on from another run; in-process only
     start_order: Callable[[list[str]], list[str]] | None = None
+    join_timeout_s: float = JOIN_TIMEOUT_S  # how long to wait for an agent that somebody else starts
     meeting: Meeting | None = None  # how processes on several hosts meet; None: all on this one
 
 
@@ -76,8 +78,17 @@ def execute(scenario: Scenario, options: Options, terminal: Terminal | None = No
         RunDirectoryError: the output directory cannot be made.
         LogError: the log cannot be created.
         PublishError: the journal was to be published and cannot be.
+        ExternalError: somebody else is to start an agent, and the run is to be one process.
     """
     terminal = terminal or Terminal(stderr=True)
+    in_process = options.in_process or scenario.ideal or options.start is not None
+    if in_process:
+        refuse(scenario, "a run in one process")
+
+    def say(text: str) -> None:
+        if not options.quiet:
+            terminal.print(text, highlight=False, markup=False, soft_wrap=True)
+
     directory = RunDirectory(options.out, scenario.name, scenario.seed)
     directory.write_scenario(scenario.to_yaml())
     run = (options.meeting and options.meeting.run) or secrets.token_hex(4)
@@ -85,12 +96,9 @@ def execute(scenario: Scenario, options: Options, terminal: Terminal | None = No
     log = LogWriter(directory.log, scenario, options.start, publisher)
     if publisher is not None:
         publisher.open()
-        if not options.quiet:
-            where = f"publishing fleet/{run}/log/** at {publisher.endpoint}; how to join: {directory.observe}"
-            terminal.print(where, highlight=False, markup=False, soft_wrap=True)
+        say(f"publishing fleet/{run}/log/** at {publisher.endpoint}; how to join: {directory.observe}")
     journal = Journal(scenario, log)
     clock = Clock(scenario.ticks, scenario.tick_ns, scenario.round_ticks, frame_every(scenario), options.speed)
-    in_process = options.in_process or scenario.ideal or options.start is not None
     fleet: InProcess | Console
     if in_process:
         fleet = InProcess(scenario, journal, options.start)
@@ -103,6 +111,8 @@ def execute(scenario: Scenario, options: Options, terminal: Terminal | None = No
             port=options.port,
             start_order=options.start_order,
             meeting=options.meeting,
+            join_timeout_s=options.join_timeout_s,
+            say=say,
         )
     result = Result(Status.PASS, directory.path, "")
     closing: dict[str, Any] = {"entered": {}, "rejected": {}}
@@ -114,7 +124,7 @@ def execute(scenario: Scenario, options: Options, terminal: Terminal | None = No
             closing = fleet.serve(clock, progress)
     except RunBroken as error:
         result.status, result.reason, result.lines = Status.BROKEN, error.reason, error.lines
-    except (AgentError, WorldError) as error:
+    except (AgentError, WorldError, ExternalError) as error:
         result.status, result.reason = Status.BROKEN, str(error)
     except LogError as error:
         result.status, result.reason = Status.BROKEN, str(error)

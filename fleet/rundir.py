@@ -53,6 +53,10 @@ class RunDirectory:
         """Mode 0600; there only while a run lives that is published: where and as whom to listen."""
         return self.path / "observe.json"
 
+    def join(self, i: int) -> Path:
+        """Mode 0600; there only while the run lives, if vehicle i is external: what its agent needs to join."""
+        return self.path / f"join-{i}.json"
+
     def process_log(self, role: str) -> Path:
         return self.path / "log" / f"{role}.log"
 

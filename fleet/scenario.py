@@ -123,6 +123,11 @@ class Scenario:
         return self.spec.network.ideal
 
     @property
+    def external(self) -> tuple[int, ...]:
+        """The vehicles whose agents somebody else starts, ascending."""
+        return tuple(i for i, control in enumerate(self.controls, start=1) if control.external)
+
+    @property
     def stall_timeout_s(self) -> float:
         return self.spec.stall_timeout / 1e9
 

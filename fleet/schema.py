@@ -351,6 +351,7 @@ class VehicleOverrides(Section):
     neighbours: NeighboursSection | None = None
     vehicle: VehicleSection | None = None
     model_error: ModelErrorSection | None = None
+    external: bool | None = None  # somebody else starts its agent, `fleet agent --join` or one of another make
 
 
 class WaterSection(Section):
@@ -720,6 +721,7 @@ class ScenarioSpec(Section):
     sea: SeaSection = SeaSection()
     sensors: SensorsSection = SensorsSection()
     model_error: ModelErrorSection = ModelErrorSection()
+    external: bool | None = None  # true: every agent is started by somebody else
     agent: LawChoice | None = None  # in place of controller, guidance and tracking
     controller: LawChoice = LawSection(law="nboc")
     profile: Profile = "paper"

@@ -121,7 +121,7 @@ class Lockstep:
         if command.tick != nav.tick:
             raise OutOfPlace("tick", nav.tick, command.tick)
         size = self._telemetry_size[i]
-        if size not in (None, len(command.telemetry)):
+        if command.telemetry and size not in (None, len(command.telemetry)):
             raise OutOfPlace("telemetry values", size, len(command.telemetry))
         del self._awaiting[i]
         world, k = self.world, nav.tick

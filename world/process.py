@@ -19,6 +19,7 @@ from netem.messages import (
     Ailments,
     Command,
     Death,
+    End,
     Frame,
     Frames,
     Grant,
@@ -194,11 +195,11 @@ class WorldProcess:
     def _control(self, key: str, data: bytes, respond: Respond) -> None:
         """Answer the console, on a zenoh thread: it only reads, and must be heard while the main thread waits."""
         try:
-            op = read_map(data).get("op")
+            request = read_map(data)
         except MalformedMessage as error:
             respond(msgpack.packb({"error": str(error)}))
             return
-        match op:
+        match request.get("op"):
             case "ready":
                 self._round(_PROBE)
                 self._frame(_ECHO)
@@ -208,6 +209,10 @@ class WorldProcess:
                 respond(msgpack.packb({"waiting": waiting}))
             case "ticks":
                 respond(msgpack.packb({"ticks": [[i, self._lockstep.tick_of(i)] for i in self._ids]}))
+            case "dismiss":
+                for i, incarnation, tick in request["agents"]:
+                    self._nav[i](encode(End(incarnation, tick, request["reason"])))
+                respond(msgpack.packb({}))
             case "close":
                 counts = {"sent": self._sent, "received": self._received}
                 respond(msgpack.packb({"rejected": dict(self._shell.rejected), "counts": counts}))

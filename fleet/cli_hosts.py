@@ -68,7 +68,7 @@ def meeting(scenario: Scenario, options: dict[str, Any], *, in_process: bool) ->
     given = [name for name in ("listen", "router", "certs", "advertise", "mutual_tls", "credentials") if options[name]]
     if not given:
         return None
-    from fleet.hosts import HostsError, listening, through_router
+    from fleet.hosts import HostsError, check_free, listening, through_router
 
     listen, router = options["listen"], options["router"]
     spelt = "--" + given[0].replace("_", "-")
@@ -87,7 +87,9 @@ def meeting(scenario: Scenario, options: dict[str, Any], *, in_process: bool) ->
     if listen:
         if options["credentials"]:
             raise HostsError("--credentials is for --router: a router of its own makes fresh ones")
-        return listening(listen, advertise=options["advertise"], **common)
+        found = listening(listen, advertise=options["advertise"], **common)
+        check_free(listen)
+        return found
     if options["advertise"]:
         raise HostsError("--advertise is for --listen: agents are told the endpoint of --router")
     if not options["credentials"]:

@@ -17,7 +17,8 @@ from fleet.errors import FleetError
 from netem.access import Credentials, Door, agent_role, generate
 from netem.keys import Keys
 
-# Between hosts. A pull of up to half of it is carried by TCP, whose next attempt comes after as long again.
+# Between hosts. A pull of up to a third of it is carried: the last sign of life may be a quarter of the lease old when
+# it begins, and TCP's next attempt may come as late again as the pull was long.
 LEASE_MS = 20_000
 IN_CLEAR = (
     "{endpoint} is not encrypted and is for other hosts: whoever sees the traffic reads every state and can take over "
@@ -145,6 +146,27 @@ def listening(
         certificates={role: read_client(certs, role) for role in roles},
         lease_ms=lease_ms,
     )
+
+
+def check_free(listen: str) -> None:
+    """See whether the world will be able to listen there.
+
+    Raises:
+        HostsError: the port is taken or not for us, or the address is not of this host.
+    """
+    endpoint = parse_endpoint(listen, "--listen")
+    try:
+        family, kind, protocol, _, address = socket.getaddrinfo(endpoint.host, endpoint.port, type=socket.SOCK_STREAM)[
+            0
+        ]
+        with socket.socket(family, kind, protocol) as probe:
+            # As zenoh's listener does: a port whose last connections are still winding down is free.
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            probe.bind(address)
+    except OSError as error:
+        raise HostsError(
+            f"--listen: {listen} cannot be used ({error.strerror}); choose another address or port"
+        ) from None
 
 
 def through_router(

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import json
+import re
+import shutil
 import socket
 import stat
 import subprocess
@@ -31,6 +33,7 @@ from netem.errors import BusError
 from netem.keys import Keys
 
 x509 = pytest.importorskip("cryptography.x509", reason="cryptography is not installed: pip install 'uuv-fleet[hosts]'")
+ROOT = Path(__file__).parents[1]
 KEYS = Keys("5ea")
 LIMIT_S = 20.0
 
@@ -173,6 +176,7 @@ def test_mutual_tls_takes_the_external_agents_certificates(made: Path) -> None:
         (["--router", "tcp/127.0.0.1:2", "--credentials", "f"], "f cannot be read: No such file"),
         (["--router", "tcp/0.0.0.0:2", "--credentials", "f"], "is where one listens"),
         (["--router", "tcp/a:2", "--credentials", "f", "--advertise", "x"], "--advertise is for --listen"),
+        (["--listen", "tcp/192.0.2.7:7447"], "cannot be used (Cannot assign requested address)"),
         (["--listen", "tcp/127.0.0.1:1", "--in-process"], "a run in one process has no router"),
         (["--listen", "tcp/127.0.0.1:1", "--lease", "1 s"], "expected 2 s to 3600 s"),
         (["--listen", "tcp/127.0.0.1:1", "--lease", "60 s"], "--set stall_timeout"),
@@ -292,10 +296,10 @@ def test_a_router_serves_one_run_of_an_id_at_a_time(tmp_path: Path) -> None:
 class Relay:
     """A cable with an eavesdropper: passes on what comes to a port, and keeps it."""
 
-    def __init__(self, to: int) -> None:
+    def __init__(self, to: int, address: str = "127.0.0.1") -> None:
         self.seen = bytearray()
         self._to = to
-        self._server = socket.create_server(("127.0.0.1", 0))
+        self._server = socket.create_server((address, 0))
         self.port = self._server.getsockname()[1]
         threading.Thread(target=self._accept, daemon=True).start()
 
@@ -328,14 +332,14 @@ class Port:
     """A run's router that also listens for other hosts, behind an eavesdropper."""
 
     def __init__(self, protocol: str, made: Path, private: Path, certified: tuple[str, ...] = ()) -> None:
-        port, server = free_port(), certs.read_server(made)
+        self.port, server = free_port(), certs.read_server(made)
         self.credentials = generate((1, 2))
-        door = Door((f"{protocol}/127.0.0.1:{port}",), 20_000)
+        door = Door((f"{protocol}/127.0.0.1:{self.port}",), 20_000)
         if protocol == "tls":
             pem = (server.ca, server.pair.certificate, server.pair.key)
             door = Door(door.endpoints, 20_000, *pem, certified=frozenset(certified))
         self.local = f"tcp/127.0.0.1:{free_port()}"
-        self.relay = Relay(port)
+        self.relay = Relay(self.port)
         self.remote = f"{protocol}/127.0.0.1:{self.relay.port}"
         self.bus = Bus.host(self.local, KEYS, (1, 2), self.credentials, private, door)
         self.bus.answer(KEYS.cfg("*"), lambda key, _, respond: respond(b"the slice for " + key.encode()))
@@ -399,6 +403,16 @@ def test_over_tls_only_who_has_the_certificates_is_let_in(made: Path, tmp_path: 
             with pytest.raises(BusError) as caught:
                 port.asks(refused)
             assert not [s for s in (refused.password, refused.key) if s and s in str(caught.value)]
+        # A router that is reached under a name which its certificate does not hold is refused by the client.
+        elsewhere = Relay(port.port, "127.0.0.2")
+        with pytest.raises(BusError):
+            Bus.connect(
+                f"tls/127.0.0.2:{elsewhere.port}",
+                port.user("agent-1", ca=ca, **shows(made, "agent-1")),
+                timeout_ms=1500,
+            )
+        assert elsewhere.seen
+        elsewhere.close()
         # The run's own processes come over loopback and need no certificate, and cannot be agent 1 there.
         local = Bus.connect(port.local, port.credentials["agent-2"])
         assert local.ask(KEYS.cfg(2)) == b"the slice for fleet/5ea/cfg/2"
@@ -406,6 +420,32 @@ def test_over_tls_only_who_has_the_certificates_is_let_in(made: Path, tmp_path: 
         local = Bus.connect(port.local, port.credentials["agent-1"])
         assert local.ask(KEYS.cfg(1), timeout_s=1.0) is None
         local.close()
+
+
+# The page
+
+
+def test_the_page_names_options_that_there_are() -> None:
+    page = (ROOT / "docs" / "hosts.md").read_text()
+    named = {command: set() for command in ("run", "certs", "acl", "agent")}
+    for command, rest in re.findall(r"\bfleet (run|certs|acl|agent) ([^`#\n]*)", page):
+        named[command] |= set(re.findall(r"--[a-z-]+", rest))
+    assert {"--listen", "--router", "--certs"} <= named["run"] and named["agent"] == {"--join"}
+    for command, options in named.items():
+        known = {option for parameter in cli.commands[command].params for option in parameter.opts}
+        assert options <= known, command
+
+
+def test_the_pages_service_is_one(tmp_path: Path) -> None:
+    if shutil.which("systemd-analyze") is None:
+        pytest.skip("systemd-analyze is not installed")
+    unit = re.findall(r"```ini\n(.*?)```", (ROOT / "docs" / "hosts.md").read_text(), re.DOTALL)
+    assert len(unit) == 1 and unit[0].count("/opt/fleet/bin/fleet") == 1
+    file = tmp_path / "fleet-agent@.service"
+    file.write_text(unit[0].replace("/opt/fleet/bin/fleet", sys.executable))  # it must exist
+    verify = ["systemd-analyze", "verify", "--man=no", str(file)]
+    done = subprocess.run(verify, capture_output=True, text=True, timeout=60, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
 
 
 def test_nothing_that_holds_secrets_shows_them() -> None:

@@ -11,7 +11,7 @@ from typing import Any
 import click
 from rich.console import Console as Terminal
 
-from fleet import cli_hosts, cli_join, cli_live, cli_log, cli_replay, cli_verify, cli_whatif
+from fleet import cli_hosts, cli_join, cli_live, cli_log, cli_protocol, cli_replay, cli_verify, cli_whatif
 from fleet.completion import scenarios
 from fleet.errors import FleetError, ScenarioError
 
@@ -33,22 +33,6 @@ class Speed(click.ParamType[float | None]):
         if not 0.0 < speed < float("inf"):
             self.fail(f"expected a positive factor of real time such as 1 or 2.5, or max, got {value!r}", param, ctx)
         return speed
-
-
-class Wait(click.ParamType[float]):
-    """A positive time, in seconds."""
-
-    name = "time"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
-        from fleet.quantities import QuantityError, time_ns
-
-        if isinstance(value, float):
-            return value
-        try:
-            return time_ns(str(value)) / 1e9
-        except QuantityError as error:
-            self.fail(f"{error}; write it as in '300 s'", param, ctx)
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100}, epilog=EPILOG)
@@ -96,7 +80,7 @@ _overrides = click.option(
     "--publish", is_flag=True, help="Publish the journal on zenoh meanwhile; nobody who listens slows the run."
 )
 @cli_hosts.hosts_options
-@click.option("--join-timeout", type=Wait(), default="300 s", show_default=True,
+@click.option("--join-timeout", type=cli_join.Wait(), default="300 s", show_default=True,
               help="How long to wait for each agent that somebody else starts.")  # fmt: skip
 @click.option("--start-order", metavar="SEED", type=int, hidden=True)
 @click.option("-q", "--quiet", is_flag=True, help="No progress and no tables.")
@@ -371,14 +355,6 @@ def info(log: Path, as_json: bool) -> None:
 
 
 @cli.command()
-def protocol() -> None:
-    """Print the wire protocol page (Markdown), for whoever writes an agent in another language."""
-    from fleet.protocol import page
-
-    click.echo(page(), nl=False)
-
-
-@cli.command()
 @click.option("--agents", metavar="N,N,...", default="4,20,100", show_default=True, help="Fleet sizes.")
 @click.option(
     "--json", "json_path", type=click.Path(path_type=Path, dir_okay=False), help="Also write all figures here."
@@ -409,7 +385,7 @@ def bench(agents: str, json_path: Path | None, quick: bool) -> None:
         json_path.write_text(json.dumps(figures, indent=2) + "\n", "utf-8")
 
 
-_GROUPS = (cli_hosts, cli_join, cli_live, cli_log, cli_replay, cli_verify, cli_whatif)
+_GROUPS = (cli_hosts, cli_join, cli_live, cli_log, cli_protocol, cli_replay, cli_verify, cli_whatif)
 for _command in (command for group in _GROUPS for command in group.COMMANDS):
     cli.add_command(_command)
 

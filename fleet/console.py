@@ -392,6 +392,8 @@ class Console:
             i, alive = data
             was_here = self._joins.here(i)
             self._joins.token(i, alive)
+            if alive:
+                self._guardian.came(i)
             if was_here and not alive and not self.started_s:
                 self._joins.expect(i, 0, 0)  # it left before the run began: another one may come
             elif was_here and not alive and not self._guardian.left(i):

@@ -6,6 +6,7 @@ import contextlib
 import json
 import re
 import shutil
+import signal
 import socket
 import stat
 import subprocess
@@ -21,16 +22,20 @@ import pytest
 from click.testing import CliRunner
 from hypothesis import given
 from hypothesis import strategies as st
+from live import LiveRun
 from waiting import wait_for
 
+from agents.join import Joining
 from fleet import acl, certs
 from fleet.certs import CertsError
 from fleet.cli import cli
 from fleet.hosts import HostsError, Meeting, listening, parse_endpoint, read_credentials, run_id, through_router
+from fleet.remote import ask, find
 from netem.access import Credentials, Door, agent_role, generate
 from netem.bus import Bus
 from netem.errors import BusError
 from netem.keys import Keys
+from netem.messages import End, decode
 
 x509 = pytest.importorskip("cryptography.x509", reason="cryptography is not installed: pip install 'uuv-fleet[hosts]'")
 ROOT = Path(__file__).parents[1]
@@ -288,6 +293,44 @@ def test_a_router_serves_one_run_of_an_id_at_a_time(tmp_path: Path) -> None:
         assert done.returncode == 3 and b"run twice is going on" in done.stderr, done.stderr
         world.close()
         console.close()
+
+
+# What a cut link leaves behind
+
+
+def test_who_comes_back_after_his_death_is_sent_away(tmp_path: Path) -> None:
+    """A session of zenoh links again by itself, with its token: it must not hold the place of the next agent."""
+    arguments = [
+        "--duration",
+        "4 s",
+        "--speed",
+        "2",
+        "--set",
+        "checks={}",
+        "--set",
+        "per_vehicle={1: {external: true}}",
+    ]
+    with LiveRun(tmp_path, "paper", *arguments) as run:
+        file = tmp_path / "latest" / "join-1.json"
+        wait_for(file.exists, LIMIT_S, "the join file")
+        joining, keys = Joining.read(file), Keys(Joining.read(file).run)
+        agent = subprocess.Popen(
+            [sys.executable, "-m", "fleet", "agent", "--join", str(file)], stderr=subprocess.DEVNULL
+        )
+        run.until_running(1.0)
+        agent.send_signal(signal.SIGKILL)
+        agent.wait(LIMIT_S)
+        found = find(run.directory, tmp_path)
+        wait_for(lambda: "death-1" in str(ask(found, "faults")), LIMIT_S, "its death")
+        heard: list[bytes] = []
+        ghost = Bus.connect(joining.endpoint, joining.credentials)
+        ghost.subscribe(keys.nav(1), lambda _, data: heard.append(data))
+        ghost.token(keys.alive("agent-1"))
+        wait_for(lambda: heard, LIMIT_S, "the end")
+        end = decode(heard[0])
+        assert isinstance(end, End) and end.incarnation == 0 and "its link had ended" in end.reason
+        ghost.close()
+        assert run.status() == 0, run.printed
 
 
 # What goes over the wire

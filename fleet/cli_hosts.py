@@ -5,6 +5,7 @@ from __future__ import annotations
 import secrets
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -89,6 +90,11 @@ def meeting(scenario: Scenario, options: dict[str, Any], *, in_process: bool) ->
             raise HostsError("--credentials is for --router: a router of its own makes fresh ones")
         found = listening(listen, advertise=options["advertise"], **common)
         check_free(listen)
+        if not scenario.external:
+            nobody = (
+                "--listen: no vehicle is external, so nobody can join; say who: --set external=true for all of them"
+            )
+            found = replace(found, warnings=(*found.warnings, nobody))
         return found
     if options["advertise"]:
         raise HostsError("--advertise is for --listen: agents are told the endpoint of --router")

@@ -29,8 +29,10 @@ from agents.join import Joining
 from fleet import acl, certs
 from fleet.certs import CertsError
 from fleet.cli import cli
+from fleet.cli_hosts import meeting
 from fleet.hosts import HostsError, Meeting, listening, parse_endpoint, read_credentials, run_id, through_router
 from fleet.remote import ask, find
+from fleet.scenario import load_scenario
 from netem.access import Credentials, Door, agent_role, generate
 from netem.bus import Bus
 from netem.errors import BusError
@@ -160,10 +162,25 @@ def test_clear_text_is_warned_of_beyond_this_host() -> None:
     assert listening("tcp/0.0.0.0:1", advertise=["sea", "192.0.2.7"]).reached == "tcp/sea:1,tcp/192.0.2.7:1"
 
 
+def test_listening_for_nobody_is_warned_of(made: Path) -> None:
+    for overrides, warned in (([], True), (["external=true"], False)):
+        options = {
+            "listen": f"tls/127.0.0.1:{free_port()}",
+            "certs": made,
+            "advertise": (),
+            "mutual_tls": False,
+            "lease": 2000,
+        }
+        found = meeting(
+            load_scenario("paper", overrides), options | {"router": None, "credentials": None}, in_process=False
+        )
+        assert found and ["no vehicle is external" in warning for warning in found.warnings] == [True] * warned
+
+
 def test_mutual_tls_takes_the_external_agents_certificates(made: Path) -> None:
-    meeting = listening("tls/0.0.0.0:1", made, external=[2], mutual=True)
-    assert meeting.door and meeting.door.certified == {"agent-2"}
-    assert meeting.certificates["agent-2"].certificate == (made / "agent-2.pem").read_text()
+    found = listening("tls/0.0.0.0:1", made, external=[2], mutual=True)
+    assert found.door and found.door.certified == {"agent-2"}
+    assert found.certificates["agent-2"].certificate == (made / "agent-2.pem").read_text()
     with pytest.raises(CertsError, match=r"agent-3\.pem is missing; make it: fleet certs .* --agents 3"):
         listening("tls/0.0.0.0:1", made, external=[3], mutual=True)
 
@@ -281,10 +298,10 @@ def test_a_router_serves_one_run_of_an_id_at_a_time(tmp_path: Path) -> None:
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     text = acl.config("twice", 1, endpoint, str(tmp_path / acl.USERS), None, mutual=False, lease_ms=20_000)
     acl.write(tmp_path, "twice", 1, text)
-    meeting = through_router(endpoint, tmp_path / acl.CREDENTIALS, 1)
-    assert meeting.credentials
+    found = through_router(endpoint, tmp_path / acl.CREDENTIALS, 1)
+    assert found.credentials
     with router(tmp_path / acl.CONFIG):
-        world, console = (Bus.connect(endpoint, meeting.credentials[role]) for role in ("world", "console"))
+        world, console = (Bus.connect(endpoint, found.credentials[role]) for role in ("world", "console"))
         world.token(Keys("twice").alive("world"))
         wait_for(lambda: console.tokens(Keys("twice").alive("*")), LIMIT_S, "the world's token")
         out = ["--set", "vehicles=1", "--out", str(tmp_path / "runs"), "--quiet"]

@@ -153,6 +153,8 @@ def test_three_hosts_and_a_pulled_cable_change_no_byte(hosts: Hosts, pki: Path, 
     run, agents = started(hosts, pki, tmp_path / "runs", "--speed", "2", "--mutual-tls")
     with run:
         run.until_running(1.0)
+        for process in run.family():
+            assert "PRIVATE KEY" not in f"{process.cmdline()} {process.environ()}"
         hosts.pull("west")
         until_said(hosts, run, "waiting for agent 3 (external), agent 4 (external)")
         hosts.plug("west")

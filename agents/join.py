@@ -149,12 +149,12 @@ def serve(joining: Joining, tell: Callable[[str], None]) -> End:
     lost = Event()
     bus.on_lost(lost.set)
     try:
-        config, incarnation, begin = _ask(bus, keys, joining.vehicle)
+        config, clock, incarnation, begin = _ask(bus, keys, joining.vehicle)
         ended: SimpleQueue[End | BaseException] = SimpleQueue()
 
         def live() -> None:
             try:
-                process = begin_life(bus, keys, config, incarnation, begin)
+                process = begin_life(bus, keys, config, clock, incarnation, begin)
                 tell(f"agent {config.id} has joined run {joining.run} at {joining.endpoint}")
                 ended.put(process.serve())
             except BaseException as error:  # a law may raise anything, and ends with SystemExit
@@ -215,8 +215,8 @@ def _reached(endpoint: str) -> bool:
     return True
 
 
-def _ask(bus: Bus, keys: Keys, vehicle: int) -> tuple[AgentConfig, int, int]:
-    """The agent's own slice, which life of it this is, and the tick of its first nav."""
+def _ask(bus: Bus, keys: Keys, vehicle: int) -> tuple[AgentConfig, str, int, int]:
+    """The agent's own slice, the kind of clock, which life of it this is, and the tick of its first nav."""
     answer = bus.ask(keys.cfg(vehicle), timeout_s=ASK_S)
     if answer is None:
         raise JoinError(f"the console did not answer on {keys.cfg(vehicle)} within {ASK_S:g} s")
@@ -224,6 +224,7 @@ def _ask(bus: Bus, keys: Keys, vehicle: int) -> tuple[AgentConfig, int, int]:
         values = read_map(answer)
         if "error" in values:
             raise JoinError(str(values["error"]))
-        return AgentConfig.from_values(values["agent"]), int(values["incarnation"]), int(values["begin"])
+        clock = str(values.get("clock", "lockstep"))
+        return AgentConfig.from_values(values["agent"]), clock, int(values["incarnation"]), int(values["begin"])
     except (MalformedMessage, KeyError, TypeError, ValueError) as error:
         raise JoinError(f"the answer on {keys.cfg(vehicle)} is none that this version understands: {error}") from None

@@ -11,9 +11,9 @@ from typing import Any, Protocol
 import msgpack
 
 from netem.errors import OutOfPlace
-from netem.messages import Command, Delivery, Inbox, Memory, Nav, Transmission
+from netem.messages import Command, Delivery, Inbox, Memory, Nav, Receipt, Transmission
 
-Answer = Memory | Transmission | Command
+Answer = Memory | Transmission | Command | Receipt  # a receipt only on a wall clock
 
 
 class Decision(Protocol):

@@ -7,17 +7,18 @@ import sys
 import traceback
 from collections.abc import Callable
 from time import monotonic, sleep
-from typing import NoReturn
+from typing import NoReturn, TypeGuard
 
 from agents.agent import make_agent
 from agents.config import AgentConfig
 from agents.errors import AgentError, ControllerError
-from agents.loop import AgentLoop, Answer
+from agents.freeloop import FreeLoop
+from agents.loop import AgentCore, AgentLoop, Answer
 from netem.access import Credentials, agent_role
-from netem.bus import Bus
+from netem.bus import Bus, Channel, Stamped
 from netem.errors import BusError, MalformedMessage, OutOfPlace
 from netem.keys import Keys
-from netem.messages import PROTOCOL_VERSION, End, Hello, Inbox, Nav, Transmission, encode
+from netem.messages import PROTOCOL_VERSION, End, Hello, Inbox, Message, Nav, Receipt, Transmission, encode
 from netem.shell import Shell, end_with_link, expect, read_map
 
 log = logging.getLogger(__name__)
@@ -40,11 +41,15 @@ def run(
     keys = Keys(run_id)
     bus = Bus.connect(endpoint, credentials)
     end_with_link(bus, credentials)
-    begin_life(bus, keys, _ask_config(bus, keys, vehicle), incarnation, begin).serve()
+    config, clock = _ask_config(bus, keys, vehicle)
+    begin_life(bus, keys, config, clock, incarnation, begin).serve()
 
 
-def begin_life(bus: Bus, keys: Keys, config: AgentConfig, incarnation: int, begin: int) -> AgentProcess:
+def begin_life(bus: Bus, keys: Keys, config: AgentConfig, clock: str, incarnation: int, begin: int) -> AgentProcess:
     """An agent that is made, and known to world and netem.
+
+    Args:
+        clock: lockstep or real.
 
     Raises:
         BusError: world or netem does not answer.
@@ -56,9 +61,7 @@ def begin_life(bus: Bus, keys: Keys, config: AgentConfig, incarnation: int, begi
     except AgentError as error:
         role = agent_role(vehicle)
         _give_up(Shell(bus, role, keys.note(role)), vehicle, begin, error)
-    ticks = config.memory_ticks
-    loop = AgentLoop(core, config.round_ticks, incarnation=incarnation, begin=begin, memory_ticks=ticks)
-    process = AgentProcess(bus, keys, vehicle, loop)
+    process = _process(bus, keys, vehicle, core, config, clock, incarnation, begin)
     process.get_ready()
     return process
 
@@ -73,7 +76,10 @@ class AgentProcess:
         self._tx: Callable[[bytes], None] = bus.publisher(keys.tx(vehicle))
         self._cmd: Callable[[bytes], None] = bus.publisher(keys.cmd(vehicle))
         self._navs = bus.channel(keys.nav(vehicle))
-        self._inboxes = bus.channel(keys.rx(vehicle))
+        self._rx: Channel | Stamped = self._listen(bus, keys.rx(vehicle))
+
+    def _listen(self, bus: Bus, key: str) -> Channel | Stamped:
+        return bus.channel(key)
 
     def get_ready(self) -> None:
         """Probe until world and netem have both answered on this agent's own keys, then say so.
@@ -82,7 +88,7 @@ class AgentProcess:
             BusError: one of them does not answer.
         """
         probe = encode(Hello("agent", self._vehicle, self._loop.incarnation, PROTOCOL_VERSION, False))
-        unheard = {self._navs: self._cmd, self._inboxes: self._tx}
+        unheard: dict[Channel | Stamped, Callable[[bytes], None]] = {self._navs: self._cmd, self._rx: self._tx}
         deadline = monotonic() + READY_TIMEOUT_S
         while unheard:
             for put in unheard.values():
@@ -100,27 +106,41 @@ class AgentProcess:
     def serve(self) -> End:
         """Answer navs, one after the other, until the world says that no more will come; our own processes are
         ended instead."""
-        loop = self._loop
+        loop, inboxes = self._loop, self._rx
+        assert isinstance(inboxes, Channel)
         while True:
             # A nav that cannot be answered yet waits for an inbox; inboxes that come early wait in their channel.
-            key, data = (self._inboxes if loop.waits_for_inbox else self._navs).get()
+            key, data = (inboxes if loop.waits_for_inbox else self._navs).get()
             try:
                 message = expect(data, Nav, Inbox, End, Hello)
-                if isinstance(message, Nav):
-                    out = self._guarded(loop.nav, message)
-                elif isinstance(message, Inbox):
-                    out = self._guarded(loop.inbox, message)
-                elif isinstance(message, End) and message.incarnation >= loop.incarnation:
-                    return message
-                else:
-                    continue  # a late echo of a repeated probe, or the end of the life before
-            except (MalformedMessage, OutOfPlace) as error:
+            except MalformedMessage as error:
                 self._shell.reject(key, loop.tick, error)
                 continue
-            for tick, text in loop.core.take_notes():
-                self._shell.note(self._vehicle, tick, text)
-            for answer in out:
-                (self._tx if isinstance(answer, Transmission) else self._cmd)(encode(answer))
+            if self.is_end(message):
+                return message
+            if isinstance(message, (Nav, Inbox)):  # not a late echo of a repeated probe, or the end of the life before
+                self._answer(key, message)
+
+    def is_end(self, message: Message) -> TypeGuard[End]:
+        """Whether no nav follows for this life."""
+        return isinstance(message, End) and message.incarnation >= self._loop.incarnation
+
+    def _answer(self, key: str, message: Message) -> None:
+        """Do what a nav or an inbox asks for."""
+        loop = self._loop
+        try:
+            if isinstance(message, Nav):
+                out = self._guarded(loop.nav, message)
+            else:
+                assert isinstance(message, Inbox)
+                out = self._guarded(loop.inbox, message)
+        except OutOfPlace as error:
+            self._shell.reject(key, loop.tick, error)
+            return
+        for tick, text in loop.core.take_notes():
+            self._shell.note(self._vehicle, tick, text)
+        for answer in out:
+            (self._tx if isinstance(answer, (Transmission, Receipt)) else self._cmd)(encode(answer))
 
     def _guarded(self, handle: Callable[..., list[Answer]], message: Nav | Inbox) -> list[Answer]:
         try:
@@ -145,11 +165,25 @@ def _give_up(shell: Shell, vehicle: int, tick: int, error: AgentError) -> NoRetu
     sys.exit(CONTROLLER_FAILED)
 
 
-def _ask_config(bus: Bus, keys: Keys, vehicle: int) -> AgentConfig:
+def _process(
+    bus: Bus, keys: Keys, vehicle: int, core: AgentCore, config: AgentConfig, clock: str, incarnation: int, begin: int
+) -> AgentProcess:
+    m = config.round_ticks
+    if clock == "real":
+        from agents.freeprocess import FreeAgentProcess
+
+        return FreeAgentProcess(bus, keys, vehicle, FreeLoop(core, m, incarnation=incarnation, begin=begin))
+    ticks = config.memory_ticks
+    loop = AgentLoop(core, m, incarnation=incarnation, begin=begin, memory_ticks=ticks)
+    return AgentProcess(bus, keys, vehicle, loop)
+
+
+def _ask_config(bus: Bus, keys: Keys, vehicle: int) -> tuple[AgentConfig, str]:
     deadline = monotonic() + READY_TIMEOUT_S
     while monotonic() < deadline:
         answer = bus.ask(keys.cfg(vehicle))
         if answer is not None:
-            return AgentConfig.from_values(read_map(answer)["agent"])
+            values = read_map(answer)
+            return AgentConfig.from_values(values["agent"]), str(values.get("clock", "lockstep"))
         sleep(RETRY_S)  # nobody to ask yet: zenoh says so at once
     raise BusError(f"the console did not answer on {keys.cfg(vehicle)} within {READY_TIMEOUT_S:.0f} s")

@@ -141,6 +141,15 @@ class Topic:
         return {name: self._told.get(name, ("", ""))[1] for name in self.fields}
 
     @property
+    def nested(self) -> bool:
+        """Whether a message holds lists of messages, which `fields` has as lists and no table has a place for."""
+        return any(
+            values.dtype == object and isinstance(value, list)
+            for values in self._decoded.values()
+            for value in values[:1]
+        )
+
+    @property
     def _decoded(self) -> dict[str, Array]:
         if self._columns is None:
             self._columns = self._decode()

@@ -11,7 +11,7 @@ from typing import Any
 import click
 from rich.console import Console as Terminal
 
-from fleet import cli_hosts, cli_join, cli_live, cli_log, cli_protocol, cli_replay, cli_verify, cli_whatif
+from fleet import cli_bench, cli_hosts, cli_join, cli_live, cli_log, cli_protocol, cli_replay, cli_verify, cli_whatif
 from fleet.completion import scenarios
 from fleet.errors import FleetError, ScenarioError
 
@@ -33,6 +33,22 @@ class Speed(click.ParamType[float | None]):
         if not 0.0 < speed < float("inf"):
             self.fail(f"expected a positive factor of real time such as 1 or 2.5, or max, got {value!r}", param, ctx)
         return speed
+
+
+class Share(click.ParamType[float]):
+    """A share from 0 to 1, or in percent."""
+
+    name = "share"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        text = str(value)
+        try:
+            share = float(text[:-1]) / 100 if text.endswith("%") else float(text)
+        except ValueError:
+            share = -1.0
+        if not 0.0 <= share <= 1.0:
+            self.fail(f"expected a share such as 1% or 0.01, got {value!r}", param, ctx)
+        return share
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100}, epilog=EPILOG)
@@ -72,6 +88,21 @@ _overrides = click.option(
 @click.option("--seed", type=click.IntRange(0, 2**63 - 1), help="Override the scenario's seed.")
 @click.option("--duration", metavar="TIME", help="Override the scenario's duration, e.g. '20 s'.")
 @click.option("--speed", type=Speed(), default="max", show_default=True, help="Times real time, or as fast as it goes.")
+@click.option(
+    "--clock",
+    type=click.Choice(["lockstep", "real"]),
+    default="lockstep",
+    show_default=True,
+    help="real: ticks begin by the wall clock and wait for nobody; the result says who was late.",
+)
+@click.option(
+    "--max-missed",
+    metavar="SHARE",
+    type=Share(),
+    default="1%",
+    show_default=True,
+    help="Of its ticks that an agent may miss with --clock real before the run fails.",
+)
 @click.option("--in-process", is_flag=True, help="One process, no zenoh; the same log, byte for byte.")
 @_overrides
 @click.option("--show-config", is_flag=True, help="Print the merged scenario and stop.")
@@ -91,6 +122,8 @@ def run(
     seed: int | None,
     duration: str | None,
     speed: float | None,
+    clock: str,
+    max_missed: float,
     in_process: bool,
     overrides: tuple[str, ...],
     show_config: bool,
@@ -109,6 +142,7 @@ def run(
       fleet run rough-sea --seed 3 --duration '30 s'
       fleet run paper --set vehicles=20 --set "network.links={'*': 'delay 200ms 50ms loss 30%'}"
       fleet run paper --in-process --out /tmp/runs --quiet
+      fleet run paper --clock real --speed 2
       fleet run --from runs/latest@20s --set controller=bsmc
     """
     from fleet.scenario import load_scenario
@@ -143,8 +177,16 @@ def run(
         meeting = cli_hosts.meeting(loaded, hosts, in_process=in_process or loaded.ideal or start is not None)
         for warning in meeting.warnings if meeting else ():
             terminal.print(f"warning: {warning}", style="bold red", highlight=False, markup=False, soft_wrap=True)
+        pace = None
+        if clock == "real":
+            pace = speed or 1.0
+            if in_process or start is not None or loaded.ideal:
+                why = "--in-process" if in_process else "--from" if start is not None else "network: ideal"
+                raise click.UsageError(f"--clock real is of processes that answer as they can; not with {why}")
         order = _shuffle(start_order)
-        options = Options(out, in_process, speed, quiet, publish, port, start, order, join_timeout, meeting)
+        options = Options(
+            out, in_process, speed, quiet, publish, port, start, pace, max_missed, order, join_timeout, meeting
+        )
         if start is not None and not quiet:
             terminal.print("\n".join(start.notes), highlight=False, markup=False, soft_wrap=True)
         if loaded.ideal and not in_process and not quiet:
@@ -354,38 +396,7 @@ def info(log: Path, as_json: bool) -> None:
     click.echo(json.dumps(found.to_values(), indent=2) if as_json else describe(found))
 
 
-@cli.command()
-@click.option("--agents", metavar="N,N,...", default="4,20,100", show_default=True, help="Fleet sizes.")
-@click.option(
-    "--json", "json_path", type=click.Path(path_type=Path, dir_okay=False), help="Also write all figures here."
-)
-@click.option("--quick", is_flag=True, help="A few ticks each: shows that it works, measures little.")
-def bench(agents: str, json_path: Path | None, quick: bool) -> None:
-    """Measure this machine: the fleet against a bare zenoh barrier and OS pipes.
-
-    \b
-    Examples:
-      fleet bench
-      fleet bench --agents 4 --json bench.json
-    """
-    from fleet.bench import measure
-    from fleet.bench_table import show
-
-    try:
-        sizes = [int(part) for part in agents.split(",")]
-        if not sizes or not all(1 <= n <= 1000 for n in sizes):
-            raise ValueError
-    except ValueError:
-        raise click.BadParameter(
-            f"expected fleet sizes from 1 to 1000 such as 4,20,100, got {agents!r}", param_hint="--agents"
-        ) from None
-    figures = measure(sizes, quick=quick, say=lambda text: click.echo(text, err=True))
-    show(figures, Terminal(width=None if sys.stdout.isatty() else 120))
-    if json_path is not None:
-        json_path.write_text(json.dumps(figures, indent=2) + "\n", "utf-8")
-
-
-_GROUPS = (cli_hosts, cli_join, cli_live, cli_log, cli_protocol, cli_replay, cli_verify, cli_whatif)
+_GROUPS = (cli_bench, cli_hosts, cli_join, cli_live, cli_log, cli_protocol, cli_replay, cli_verify, cli_whatif)
 for _command in (command for group in _GROUPS for command in group.COMMANDS):
     cli.add_command(_command)
 

@@ -13,7 +13,7 @@ from rich.console import Console as Terminal
 
 from fleet.errors import FleetError
 
-KINDS = ("track", "error", "velocity", "inputs", "commands", "gains", "links", "messages", "ages")
+KINDS = ("track", "error", "velocity", "inputs", "commands", "gains", "links", "messages", "ages", "timing")
 FORMATS = ("png", "svg", "pdf")
 
 
@@ -168,7 +168,8 @@ def export(log: Path, csv: Path | None, parquet: Path | None, topics: tuple[str,
     """Write LOG (an MCAP file, or a run directory) as tables, one file per topic.
 
     Times in s, units in CSV's header and in Parquet's metadata; export.json says what each table holds. Numbers read
-    back exactly; bytes are hexadecimal in CSV. Prints the files.
+    back exactly; bytes are hexadecimal in CSV. What only 3D viewers need (transforms, scene) is no table and is left
+    out. Prints the files.
 
     \b
     Examples:
@@ -177,6 +178,7 @@ def export(log: Path, csv: Path | None, parquet: Path | None, topics: tuple[str,
     """
     from fleet.arrays import open_log
     from fleet.export import export as write
+    from fleet.export import fits
 
     if csv is None and parquet is None:
         raise click.UsageError("say where the tables go: --csv DIR, --parquet DIR, or both")
@@ -187,9 +189,11 @@ def export(log: Path, csv: Path | None, parquet: Path | None, topics: tuple[str,
             raise click.BadParameter(f"no topic of {log} is like {', '.join(topics)}", param_hint="--topics")
         if found.missing:
             click.echo(f"fleet: {found.path}: {found.missing}", err=True)
+        if left := [name for name in found if len(found[name]) and not fits(found[name])]:
+            click.echo(f"fleet: left out, being lists of messages and no tables: {', '.join(left)}", err=True)
         for form, folder in (("csv", csv), ("parquet", parquet)):
             if folder is not None:
-                with _writing(sum(bool(len(found[name])) for name in found)) as next_one:
+                with _writing(sum(fits(found[name]) for name in found)) as next_one:
                     paths = write(found, folder, form, force=force, tell=next_one)
                 for path in paths:
                     click.echo(path)

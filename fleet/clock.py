@@ -23,20 +23,21 @@ class Clock:
     round_ticks: int
     frame_every: int
     speed: float | None = None  # sim seconds per wall second; None: as fast as it goes
+    lead_ns: int = 0  # sim time by which grants go ahead of that speed: a world on a wall clock waits for its own time
 
     @property
     def window(self) -> int:
         """Ticks ahead of the log. A tick is written once netem has reported the round after it, so the window
         spans at least two rounds and two frames, or nothing would ever move."""
         least = 2 * max(self.round_ticks, self.frame_every) + 1
-        return max(WINDOW_NS // self.tick_ns, least)
+        return max((WINDOW_NS + 2 * self.lead_ns) // self.tick_ns, least)
 
     def until(self, written: int, wall_s: float) -> int:
         """The grant when ticks up to `written` are in the log and `wall_s` has passed since the start."""
         limit = min(written + 1 + self.window, self.ticks)
         if self.speed is None:
             return limit
-        return min(limit, int(wall_s * self.speed * 1e9) // self.tick_ns + 1)
+        return min(limit, (int(wall_s * self.speed * 1e9) + self.lead_ns) // self.tick_ns + 1)
 
 
 class LiveClock:
@@ -76,7 +77,8 @@ class LiveClock:
         if self._speed is None:
             return limit
         since, tick = self._origin
-        return min(limit, tick + int((now - since) * self._speed * 1e9) // self._clock.tick_ns + 1)
+        passed = int((now - since) * self._speed * 1e9) + self._clock.lead_ns
+        return min(limit, tick + passed // self._clock.tick_ns + 1)
 
     def pause(self, granted: int) -> None:
         """Grant nothing more."""

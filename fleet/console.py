@@ -20,7 +20,9 @@ from typing import Any
 import msgpack
 
 import agents.process
+import netem.freeprocess
 import netem.process
+import world.freeprocess
 import world.process
 from fleet.children import FORKSERVER_LOST, Child, Children, Exit, describe_exit, forkserver_death
 from fleet.clock import Clock, LiveClock
@@ -30,6 +32,7 @@ from fleet.external import Joins
 from fleet.guardian import Guardian
 from fleet.hosts import Meeting
 from fleet.journal import Journal, frame_every
+from fleet.limits import allow_open_files
 from fleet.ports import free_port
 from fleet.rundir import RunDirectory
 from fleet.scenario import Scenario
@@ -74,7 +77,10 @@ class Console:
         meeting: Meeting | None = None,
         join_timeout_s: float = JOIN_TIMEOUT_S,
         say: Callable[[str], None] = lambda _: None,
+        pace: float | None = None,
     ) -> None:
+        """`pace`: ticks begin by the wall clock, so many times as fast as real; None: in lockstep."""
+        self._pace = pace
         self._scenario, self._directory, self._journal = scenario, directory, journal
         self._vehicles = tuple(range(1, scenario.vehicles + 1))
         self._keys = Keys(run or secrets.token_hex(4))
@@ -134,6 +140,7 @@ class Console:
 
     def _start(self) -> Bus:
         scenario, keys = self._scenario, self._keys
+        allow_open_files(scenario.vehicles)
         meeting = self._meeting
         credentials = meeting.credentials or generate(self._vehicles)
         endpoint = meeting.router or f"tcp/127.0.0.1:{free_port(self._port)}"
@@ -143,18 +150,17 @@ class Console:
         # mkdtemp makes it for this user alone; zenoh reads the users from a file there, once.
         private = Path(tempfile.mkdtemp(prefix="uuv-fleet-"))
         every = frame_every(scenario)
+        pace = () if self._pace is None else (self._pace,)
+        sea = world.process if self._pace is None else world.freeprocess
+        host = endpoint, keys.run, clients, private, scenario.world_config(), every, *pace, meeting.door
+        network = endpoint, keys.run, credentials[NETEM], scenario.netem_config()
         targets: dict[str, tuple[Callable[..., None], tuple[Any, ...]]] = {
-            WORLD: (
-                world.process.run,
-                (endpoint, keys.run, clients, private, scenario.world_config(), every, meeting.door),
-            ),
-            NETEM: (netem.process.run, (endpoint, keys.run, credentials[NETEM], scenario.netem_config())),
+            WORLD: (sea.run, host),
+            NETEM: (netem.process.run if self._pace is None else netem.freeprocess.run, network),
         }
         if meeting.router:
-            targets[WORLD] = (
-                world.process.join,
-                (endpoint, keys.run, credentials[WORLD], scenario.world_config(), every),
-            )
+            guest = endpoint, keys.run, credentials[WORLD], scenario.world_config(), every, *pace
+            targets[WORLD] = (sea.join, guest)
         for i in self._vehicles:
             role = agent_role(i)
             if i in self._joins.vehicles:
@@ -206,7 +212,8 @@ class Console:
         bus.subscribe(keys.frame, lambda _, data: put((FRAME, data)))
         bus.subscribe(keys.links, lambda _, data: put((LINKS, data)))
         bus.subscribe(keys.note("*"), lambda _, data: put((NOTE, data)))
-        slices = {keys.cfg(i): {"agent": scenario.agent_config(i).to_values()} for i in self._vehicles}
+        clock = {} if self._pace is None else {"clock": "real"}
+        slices = {keys.cfg(i): {"agent": scenario.agent_config(i).to_values()} | clock for i in self._vehicles}
         strangers = {keys.cfg(i): i for i in self._joins.vehicles}
 
         def configure(key: str, _: bytes, respond: Respond) -> None:
@@ -359,11 +366,12 @@ class Console:
                 raise RunBroken("netem did not close its books")
         sea = self._control(bus, WORLD, "close")
         counts = {"world": sea.get("counts", {}), "netem": answer.get("counts", {}), "console": self._received}
-        self.middleware_lost = lost_messages(counts)
+        self.middleware_lost = lost_messages(counts, barrier=self._pace is None)
         rejected = {**sea.get("rejected", {}), **answer.get("rejected", {})}
         return {
             "entered": {(src, dst): (sent, copies) for src, dst, sent, copies in answer.get("entered", ())},
             "rejected": rejected,
+            "timing": {**sea.get("timing", {}), "netem": answer.get("timing", {})},
         }
 
     def _take(self, timeout_s: float) -> None:
@@ -519,10 +527,10 @@ def _unconnected(_: bytes) -> None:
     raise AssertionError("the console has not joined the run yet")
 
 
-def lost_messages(counts: dict[str, Any]) -> int:
+def lost_messages(counts: dict[str, Any], *, barrier: bool = True) -> int:
     """How many messages left one process of a completed run and never arrived at the other.
 
-    Every nav is answered by one command; agents' own counts are not needed.
+    Every nav is answered by one command; agents' own counts are not needed. Without a barrier an agent may skip navs.
 
     Raises:
         RunBroken: a process did not say what it sent and received.
@@ -532,7 +540,7 @@ def lost_messages(counts: dict[str, Any]) -> int:
         netem_sent, netem_received = counts["netem"]["sent"], counts["netem"]["received"]
         console = counts["console"]
         pairs = [
-            (world_sent["nav"], world_received["cmd"]),
+            *([(world_sent["nav"], world_received["cmd"])] if barrier else []),
             (world_sent["round"], netem_received["round"]),
             (world_sent["frame"], console[FRAME]),
             (netem_sent["links"], console[LINKS]),

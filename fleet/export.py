@@ -3,7 +3,8 @@
 A table's first column is `t [s]`, the time at which the message was logged; every other one is a field of the log, a
 vector's components each with their index: `tau_0 [N]`. In CSV the units stand in the header, so that a table explains
 itself wherever it is copied to; in Parquet the names are bare, and unit and meaning are metadata of the column.
-`export.json` beside the tables says what each holds, where it came from and what was missing.
+`export.json` beside the tables says what each holds, where it came from and what was missing. A topic whose messages
+hold lists of messages (`transforms`, `scene`) is no table: it is left out, and `export.json` says so.
 """
 
 from __future__ import annotations
@@ -59,10 +60,15 @@ def columns(topic: Topic) -> list[Column]:
     return found
 
 
+def fits(topic: Topic) -> bool:
+    """Whether a topic has a message and each is a row of values."""
+    return bool(len(topic)) and not topic.nested
+
+
 def export(
     log: Log, folder: Path, form: str, *, force: bool = False, tell: Callable[[str], None] = lambda _: None
 ) -> list[Path]:
-    """Write every topic that holds a message into a folder, which is made if need be; returns the files.
+    """Write every topic that holds a message and fits a table into a folder, made if need be; returns the files.
 
     Args:
         form: `csv` or `parquet`.
@@ -78,7 +84,8 @@ def export(
         raise ExportError(
             "Parquet needs pyarrow, which is not installed: pip install 'uuv-fleet[parquet]', or use --csv"
         )
-    topics = [name for name in log if len(log[name])]
+    topics = [name for name in log if fits(log[name])]
+    left_out = [name for name in log if len(log[name]) and name not in topics]
     paths = {name: folder / f"{_file_name(name)}.{form}" for name in topics}
     if len(set(paths.values())) < len(paths):
         raise ExportError(f"topics of {log.path} differ only in characters that a file name cannot have")
@@ -98,7 +105,13 @@ def export(
                 "rows": len(log[name]),
                 "columns": {column.name: [column.unit, column.meaning] for column in table},
             }
-        index = {"log": str(log.path), "run": log.run, "missing": log.missing, "tables": tables}
+        index = {
+            "log": str(log.path),
+            "run": log.run,
+            "missing": log.missing,
+            "left_out": {name: f"a {log[name].schema} holds lists of messages" for name in left_out},
+            "tables": tables,
+        }
         (folder / INDEX).write_text(json.dumps(index, indent=2) + "\n", "utf-8")
     except OSError as error:
         raise ExportError(f"cannot write to {folder}: {error.strerror}") from error

@@ -10,12 +10,15 @@ from __future__ import annotations
 import hashlib
 import platform
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from functools import partial
 from importlib.metadata import version
-from math import cos, sin
 from pathlib import Path
 from typing import IO, NamedTuple, Protocol
 
+from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
+from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from google.protobuf.timestamp_pb2 import Timestamp
 from mcap.writer import CompressionType, Writer
 
@@ -37,18 +40,20 @@ from fleet.log_schemas import (
     PoseEncoder,
     Schema,
     flat_schema,
+    foxglove_schema,
     pose_schema,
     signal_columns,
 )
 from fleet.metrics import VehicleError
-from fleet.reader import digest_part
+from fleet.reader import CLOCK, REAL, digest_part
 from fleet.resume import Start
 from fleet.scenario import Scenario
+from fleet.scene import SCENE_UNITS, Scene
 from fleet.snapshot import START, TOPIC, Snapshot, forgetful
+from fleet.transforms import NED, TRANSFORMS_UNITS, quaternion, transforms
 from netem.messages import Command, Fate, Frame, VehicleFrame
 
 SECOND_NS = 1_000_000_000
-FRAME_ID = "ned"
 
 
 class _Channel(NamedTuple):
@@ -71,8 +76,17 @@ class Tap(Protocol):
 class LogWriter:
     """Writes the journal of one run. `close` finishes the file; without it the file is cut but readable."""
 
-    def __init__(self, path: Path, scenario: Scenario, start: Start | None = None, tap: Tap | None = None) -> None:
+    def __init__(
+        self,
+        path: Path,
+        scenario: Scenario,
+        start: Start | None = None,
+        tap: Tap | None = None,
+        *,
+        lockstep: bool = True,
+    ) -> None:
         self.path = path
+        self._lockstep = lockstep
         self._tap = tap
         self._scenario = scenario
         self._tick_ns = scenario.tick_ns
@@ -102,7 +116,8 @@ class LogWriter:
         self._writer.add_attachment(0, 0, "scenario.yaml", "application/yaml", self._scenario.to_yaml().encode())
         if start is not None:
             self._writer.add_attachment(0, 0, START, "application/msgpack", start.snapshot.to_bytes())
-        self._writer.add_metadata("run", run_metadata(self._scenario, start))
+        clock = {} if self._lockstep else {CLOCK: REAL}
+        self._writer.add_metadata("run", run_metadata(self._scenario, start) | clock)
         registered: dict[str, int] = {}
         self._by_vehicle: dict[str, dict[int, _Channel]] = {}
         self._encoders: dict[str, dict[int, DoublesEncoder]] = {}
@@ -111,7 +126,15 @@ class LogWriter:
                 i: self._channel(f"uuv/{i}/{group}", schema, registered) for i, (schema, _) in schemas.items()
             }
             self._encoders[group] = {i: encoder for i, (_, encoder) in schemas.items() if encoder is not None}
-        self._pose = PoseEncoder(FRAME_ID)
+        self._pose = PoseEncoder(NED)
+        self._scene = Scene(self._scenario, None if start is None else start.snapshot)
+        self._drawn: dict[str, tuple[_Channel, Callable[[Frame], bytes]]] = {}
+        for group, drawn, draw in (
+            ("transforms", foxglove_schema(FrameTransforms, TRANSFORMS_UNITS), partial(transforms, self._scenario)),
+            ("scene", foxglove_schema(SceneUpdate, SCENE_UNITS), self._scene.message),
+        ):
+            if self._every[group]:
+                self._drawn[group] = self._channel(group, drawn, registered), draw
         fault = flat_schema("Fault", FAULT)
         self._fault = fault.message
         self._faults = self._channel("faults", fault, registered)
@@ -169,12 +192,16 @@ class LogWriter:
         return _Channel(number, topic.encode())
 
     def frame(self, frame: Frame, commands: Mapping[int, Command], errors: Mapping[int, VehicleError]) -> None:
-        """Write all topics of one tick, topic group by topic group, vehicles in ascending order."""
+        """Write all topics of one tick, topic group by topic group, vehicles in ascending order; then what is drawn."""
         tick = frame.tick
         at_ns = tick * self._tick_ns
         last = tick == self._scenario.ticks  # the state at the end is always logged, whatever the rate
-        for group, every in self._every.items():
-            if tick % every and not last:
+        due = [group for group, every in self._every.items() if every and (last or tick % every == 0)]
+        self._scene.see(frame)
+        for group in due:
+            if group in self._drawn:
+                channel, draw = self._drawn[group]
+                self._add(channel, at_ns, at_ns, tick, draw(frame))
                 continue
             channels = self._by_vehicle[group]
             rows = [row for row in frame.vehicles if row.id in channels]
@@ -186,6 +213,7 @@ class LogWriter:
 
     def packet(self, fate: Fate) -> None:
         """Write one packet's final fate."""
+        self._scene.settle(fate)
         tick_ns = self._tick_ns
         message = self._packet(
             seq=fate.seq,
@@ -212,6 +240,7 @@ class LogWriter:
     def snapshot(self, snapshot: Snapshot) -> None:
         """Write all that determines the rest of the run."""
         at_ns = snapshot.tick * self._tick_ns
+        snapshot = replace(snapshot, drawn=self._scene.links.values())
         message = self._snapshot(state=snapshot.to_bytes())
         self._add(self._snapshots, at_ns, at_ns, snapshot.tick, message.SerializeToString())
 
@@ -242,7 +271,7 @@ class LogWriter:
         """(vehicle, message) of every vehicle that has something to say in this group."""
         if group == "pose":
             stamp = Timestamp(seconds=at_ns // SECOND_NS, nanos=at_ns % SECOND_NS).SerializeToString()
-            return [(row.id, self._pose(stamp, row.eta[:3], _quaternion(*row.eta[3:]))) for row in rows]
+            return [(row.id, self._pose(stamp, row.eta[:3], quaternion(*row.eta[3:]))) for row in rows]
         encode = self._encoders[group]
         match group:
             case "state":
@@ -323,12 +352,6 @@ def schema_name(config: AgentConfig, group: str) -> str:
         return f"{law.name.replace(':', '.')}{group.capitalize()}"
     words = re.findall(r"[A-Za-z0-9]+", law.name)
     return "".join(word[0].upper() + word[1:] for word in words) + group.capitalize()
-
-
-def _quaternion(theta: float, psi: float) -> tuple[float, float, float, float]:
-    """(x, y, z, w) of R = Rz(psi) Ry(theta), body to NED; roll is not modelled."""
-    ct, st, cp, sp = cos(theta / 2), sin(theta / 2), cos(psi / 2), sin(psi / 2)
-    return -sp * st, cp * st, sp * ct, cp * ct
 
 
 def _log_error(path: Path, error: OSError) -> LogError:

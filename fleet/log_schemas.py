@@ -7,7 +7,7 @@ group. Units and meanings travel as channel metadata, because a protobuf field h
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from operator import itemgetter
 from struct import Struct
@@ -199,7 +199,13 @@ def pose_schema() -> Schema:
         "pose.position": ["m", "north, east, down"],
         "pose.orientation": ["1", "unit quaternion, body to NED"],
     }
-    return Schema("foxglove.PoseInFrame", _descriptor_set(PoseInFrame.DESCRIPTOR.file), PoseInFrame, json.dumps(units))
+    return foxglove_schema(PoseInFrame, units)
+
+
+def foxglove_schema(message: Any, units: Mapping[str, Sequence[str]]) -> Schema:
+    """One of Foxglove's own schemas, by its message class; `units`: field -> (unit, meaning)."""
+    descriptor = message.DESCRIPTOR
+    return Schema(descriptor.full_name, _descriptor_set(descriptor.file), message, json.dumps(units))
 
 
 def _descriptor_set(file: FileDescriptor) -> bytes:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
@@ -79,13 +80,15 @@ def _units(channel: Channel) -> dict[str, str]:
 
 def _unit(units: dict[str, str], path: str) -> str:
     """Of a field, or of the message or the array that it stands in."""
-    name, _, index = path.partition("[")
-    while name not in units and "." in name:
-        name = name.rpartition(".")[0]
-    unit = units.get(name, "")
-    if index and "," in unit:
+    name, *indices = re.split(r"\[(\d+)\]", path)
+    name += "".join(indices[1::2])  # within the messages of a list all units are the same
+    found = name
+    while found not in units and "." in found:
+        found = found.rpartition(".")[0]
+    unit = units.get(found, "")
+    if path.endswith("]") and found == name and "," in unit:
         each = unit.split(", ")
-        number = int(index.rstrip("]"))
+        number = int(indices[-2])
         return each[number] if number < len(each) else unit
     return unit
 

@@ -8,7 +8,7 @@ from agents import compact, payload
 from fleet import slice_fields
 from netem.access import LEASE_MS
 from netem.bus import MAX_BYTES
-from netem.messages import PROTOCOL_VERSION, Delivery, Fate, Frame, VehicleFrame, declared, fields_of
+from netem.messages import PROTOCOL_VERSION, Arrival, Delivery, Fate, Frame, VehicleFrame, declared, fields_of
 
 _HEAD = f"""# Wire protocol, version {PROTOCOL_VERSION}
 
@@ -84,6 +84,9 @@ There is no limit of wall time for an answer, as simulated time waits; but when 
 `stall_timeout` (30 s) the run ends, and names for whom it waited. For a log that repeats, answer from your slice, your
 navs and deliveries alone: no wall clock, and no randomness but from `seed`.
 
+Where the answer on `cfg/<i>` says `clock: real`, nobody waits for anybody: answer the newest `nav` at once with the
+deliveries that have come and are due. An `rx` comes when there is something in it, and its `until` means nothing.
+
 ## Lives and the end
 
 Messages with a lower incarnation than yours are for a life that is over: ignore them. Malformed messages are dropped,
@@ -117,7 +120,9 @@ def page() -> str:
             f"## `{kind}`\n\nKey `{route.key}`, {route.sender} to {route.receiver}. {getdoc(cls)}\n\n{_table(cls)}"
         )
     parts.append("## Records\n")
-    parts += [f"### `{r.__name__}`\n\n{getdoc(r)}\n\n{_table(r)}" for r in (Delivery, Fate, Frame, VehicleFrame)]
+    parts += [
+        f"### `{r.__name__}`\n\n{getdoc(r)}\n\n{_table(r)}" for r in (Arrival, Delivery, Fate, Frame, VehicleFrame)
+    ]
     parts.append(f"## The payload of our own agents\n\nOpaque to the network.\n\n{getdoc(payload)}\n")
     parts.append(f"### The compact payload\n\n{getdoc(compact)}\n")
     return "\n".join(parts)

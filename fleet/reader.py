@@ -16,6 +16,7 @@ from mcap.records import Attachment, Channel, Metadata, Schema
 from fleet.errors import FleetError
 from fleet.salvage import MAGIC, Damage, Item, Message, Salvage
 
+CLOCK, REAL = "clock", "real"  # metadata of a run without lockstep: it would not come out the same again
 RECOVERY = "recovery"  # metadata of a file that `fleet recover` wrote
 LOST = "lost"  # in it: what is gone, in words
 GAPS = "gaps"  # in it: numbers of the messages before which something is gone

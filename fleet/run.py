@@ -14,8 +14,9 @@ from typing import Any
 from rich.console import Console as Terminal
 
 from agents.errors import AgentError
+from fleet import timing
 from fleet.checks import Verdict, judge
-from fleet.clock import Clock
+from fleet.clock import WINDOW_NS, Clock
 from fleet.console import JOIN_TIMEOUT_S, Console
 from fleet.errors import RunBroken, StoppedError
 from fleet.external import ExternalError, refuse
@@ -28,6 +29,7 @@ from fleet.publish import LivePublisher
 from fleet.resume import Start
 from fleet.rundir import RunDirectory
 from fleet.scenario import Scenario
+from fleet.timing import MOST_MISSED
 from netem.config import Link
 from world.errors import WorldError
 
@@ -66,6 +68,8 @@ class Options:
     publish: bool = False
     port: int | None = None
     start: Start | None = None  # where it goes on from another run; in-process only
+    pace: float | None = None  # on a wall clock, so many times as fast as real; None: in lockstep
+    most_missed: float = MOST_MISSED  # share of its ticks that an agent may miss on a wall clock
     start_order: Callable[[list[str]], list[str]] | None = None
     join_timeout_s: float = JOIN_TIMEOUT_S  # how long to wait for an agent that somebody else starts
     meeting: Meeting | None = None  # how processes on several hosts meet; None: all on this one
@@ -93,12 +97,12 @@ def execute(scenario: Scenario, options: Options, terminal: Terminal | None = No
     directory.write_scenario(scenario.to_yaml())
     run = (options.meeting and options.meeting.run) or secrets.token_hex(4)
     publisher = LivePublisher(run, directory.observe) if options.publish else None
-    log = LogWriter(directory.log, scenario, options.start, publisher)
+    log = LogWriter(directory.log, scenario, options.start, publisher, lockstep=options.pace is None)
     if publisher is not None:
         publisher.open()
         say(f"publishing fleet/{run}/log/** at {publisher.endpoint}; how to join: {directory.observe}")
     journal = Journal(scenario, log)
-    clock = Clock(scenario.ticks, scenario.tick_ns, scenario.round_ticks, frame_every(scenario), options.speed)
+    clock = _clock(scenario, options)
     fleet: InProcess | Console
     if in_process:
         fleet = InProcess(scenario, journal, options.start)
@@ -110,6 +114,7 @@ def execute(scenario: Scenario, options: Options, terminal: Terminal | None = No
             run=run,
             port=options.port,
             start_order=options.start_order,
+            pace=options.pace,
             meeting=options.meeting,
             join_timeout_s=options.join_timeout_s,
             say=say,
@@ -142,6 +147,8 @@ def execute(scenario: Scenario, options: Options, terminal: Terminal | None = No
     journal.finish()
     if result.status is Status.PASS:
         result.verdicts = judge(scenario, journal, middleware_lost=fleet.middleware_lost)
+        if options.pace is not None:
+            result.verdicts.append(timing.verdict(closing["timing"], options.most_missed))
         if not all(verdict.passed for verdict in result.verdicts):
             result.status = Status.CHECK_FAILED
         if fleet.middleware_lost:
@@ -158,6 +165,10 @@ def execute(scenario: Scenario, options: Options, terminal: Terminal | None = No
     }
     if publisher is not None:
         result.values["published"] = {"messages": publisher.published, "dropped": publisher.dropped}
+    if options.pace is not None and "timing" in closing:
+        name, reasons = timing.label(closing["timing"])
+        result.values["timing"] = {"clock": "real", "speed": options.pace, "label": name, "reasons": reasons}
+        result.values["timing"] |= closing["timing"]
     result.values["rejected"] = closing["rejected"]
     result.values["deaths"] = {str(i): how for i, how in fleet.deaths.items()}
     result.values["notes"] = list(getattr(fleet, "notes", ()))
@@ -167,6 +178,11 @@ def execute(scenario: Scenario, options: Options, terminal: Terminal | None = No
         result.lines.append(f"result.json could not be written: {error.strerror}")
         directory.remove_result()
     return result
+
+
+def _clock(scenario: Scenario, options: Options) -> Clock:
+    speed, lead_ns = (options.speed, 0) if options.pace is None else (options.pace, WINDOW_NS)
+    return Clock(scenario.ticks, scenario.tick_ns, scenario.round_ticks, frame_every(scenario), speed, lead_ns)
 
 
 def _close_log(log: LogWriter, result: Result) -> None:

@@ -62,6 +62,7 @@ from fleet.fields import (
     Spreading,
     Temperature,
     Ticks,
+    TicksOrNever,
     Time,
     VehicleNumbers,
     Velocity,
@@ -561,6 +562,8 @@ class LogSection(Section):
     guidance: Ticks | None = None
     control: Ticks | None = None
     error: Ticks | None = None
+    transforms: TicksOrNever | None = None  # of all vehicles, about 10 Hz; 0 ticks: never
+    scene: TicksOrNever | None = None  # hulls, links, places for 3D viewers, about 2 Hz; 0 ticks: never
     snapshot: Time | None = None  # of all that determines the rest of the run; about 10 s; 0 s: none
 
 

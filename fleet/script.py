@@ -12,7 +12,7 @@ from fleet.errors import FleetError
 from fleet.faults import LOST
 from fleet.log_values import Decoder
 from fleet.quantities import show_time
-from fleet.reader import LogReader, Record, log_path
+from fleet.reader import CLOCK, REAL, LogReader, Record, log_path
 from fleet.scenario import Scenario, parse_scenario
 from fleet.snapshot import START
 
@@ -30,6 +30,18 @@ class Recorded:
     text: str  # the scenario that stands in it
     events: list[tuple[int, Any]]  # (time [ns], message) of the topic `faults`
     last_ns: int  # time of the last message; -1 without any
+
+    def insist_on_lockstep(self, what: str) -> None:
+        """Refuse a log of a run on a wall clock.
+
+        Raises:
+            ScriptError: it is one.
+        """
+        if self.reader.metadata.get("run", {}).get(CLOCK) == REAL:
+            raise ScriptError(
+                f"{self.path} was recorded with --clock real: when each agent answered was the machine's affair, so "
+                f"{what}; the same scenario in lockstep can be repeated: fleet script {self.path} > again.yaml"
+            )
 
     def script(self, overrides: Sequence[str] = ()) -> Scenario:
         """The scenario, its faults taken from what happened, with overrides as for `fleet run --set`.

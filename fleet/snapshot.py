@@ -8,7 +8,7 @@ they are in the scenario, or in the log. It is plain values as MessagePack, neve
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from math import gcd, lcm
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -31,6 +31,7 @@ SNAPSHOT_NS = 10_000_000_000
 TOPIC = "snapshot"
 START = "start.msgpack"  # the attachment of a log that holds where its run began
 LOG_GROUPS = ("pose", "state", "nav", "command", "guidance", "control", "error")
+DRAWN_GROUPS = {"transforms": 100_000_000, "scene": 500_000_000}  # of the whole fleet: about how often [ns]
 _FORMAT = 1
 
 
@@ -46,9 +47,10 @@ class Snapshot:
     world: dict[str, Any]  # of world.lockstep, the agents' memories in it
     network: dict[str, Any]  # of netem.network
     heard: list[list[int]]  # [src, dst, newest tick of sending that arrived] of each link
+    drawn: list[list[Any]] = field(default_factory=list)  # what became of the last packets; see `fleet.scene`
 
     def to_bytes(self) -> bytes:
-        packed: bytes = msgpack.packb([_FORMAT, self.tick, self.world, self.network, self.heard])
+        packed: bytes = msgpack.packb([_FORMAT, self.tick, self.world, self.network, self.heard, self.drawn])
         return packed
 
     @classmethod
@@ -79,8 +81,13 @@ def snapshot_grid(spec: ScenarioSpec) -> int:
 
 
 def log_every(spec: ScenarioSpec) -> dict[str, int]:
-    """Ticks between two records of each topic group."""
-    return {group: getattr(spec.log, group) or spec.log.every for group in LOG_GROUPS}
+    """Ticks between two records of each topic group; 0 for never."""
+    every = {group: getattr(spec.log, group) or spec.log.every for group in LOG_GROUPS}
+    step = gcd(*every.values())  # what is drawn shall need no frame of its own
+    for group, about_ns in DRAWN_GROUPS.items():
+        wanted = getattr(spec.log, group)
+        every[group] = max(1, -(-about_ns // (step * spec.tick))) * step if wanted is None else wanted
+    return every
 
 
 def memory_ticks(spec: ScenarioSpec, controls: Iterable[Control]) -> int:

@@ -9,6 +9,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from fleet.run import Result, Status
+from fleet.timing import summary
 
 MOST_ROWS = 20
 
@@ -27,6 +28,8 @@ def show(result: Result, terminal: Terminal) -> None:
         )
     for note in values["notes"]:
         terminal.print(f"note  {note}", markup=False, highlight=False, soft_wrap=True)
+    if "timing" in values:
+        terminal.print(summary(values["timing"], values["timing"]["speed"]), highlight=False, soft_wrap=True)
     wall = values["wall"]
     how = "in-process" if wall["in_process"] else f"distributed, ready in {wall['startup_s']:.2f} s"
     terminal.print(

@@ -69,6 +69,7 @@ def verify(path: Path, tell: Tell = lambda at_s, end_s: None) -> Verification:
     """
     source = recorded(path)
     path, reader, last_ns = source.path, source.reader, source.last_ns
+    source.insist_on_lockstep("it does not come out the same again")
     if last_ns < 0:
         raise NothingToVerify(f"{path} holds no message{f': {reader.missing}' if reader.missing else ''}")
     start = begun(reader)

@@ -72,6 +72,7 @@ def whatif(
     """
     path = log_path(path)
     source = read(path)
+    source.insist_on_lockstep("what an agent had heard when is not in it")
     scenario, recorded = source.script(overrides), source.script()
     if scenario.vehicles != recorded.vehicles or scenario.tick_ns != recorded.tick_ns:
         raise WhatIfError("another number of vehicles, or another tick, is another run: use fleet run")

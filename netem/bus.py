@@ -21,6 +21,8 @@ import json
 import os
 from collections.abc import Callable
 from pathlib import Path
+from queue import Empty, SimpleQueue
+from time import monotonic_ns
 from typing import Any, NamedTuple
 
 # Read by zenoh when its first session opens.
@@ -87,6 +89,34 @@ class Channel:
         """The next (key, bytes), or None when there is none yet."""
         sample = self._subscriber.try_recv()
         return None if sample is None else (str(sample.key_expr), sample.payload.to_bytes())
+
+
+class Stamped:
+    """What came in on a key expression, in order, each with the time at which it did [ns, CLOCK_MONOTONIC]."""
+
+    def __init__(self) -> None:
+        self._queue: SimpleQueue[tuple[str, bytes, int]] = SimpleQueue()
+
+    def put(self, key: str, data: bytes) -> None:
+        """Called on a zenoh thread."""
+        self._queue.put((key, data, monotonic_ns()))
+
+    def get(self, timeout_s: float | None = None) -> tuple[str, bytes, int] | None:
+        """The next (key, bytes, time); waits for it, or None when none came in time."""
+        try:
+            return self._queue.get(timeout=timeout_s)
+        except Empty:
+            return None
+
+    def poll(self) -> tuple[str, bytes, int] | None:
+        """The next (key, bytes, time), or None when there is none yet."""
+        try:
+            return self._queue.get_nowait()
+        except Empty:
+            return None
+
+    def __len__(self) -> int:
+        return self._queue.qsize()
 
 
 class Bus:
@@ -223,6 +253,12 @@ class Bus:
         sender's own link waits.
         """
         return Channel(self._session.declare_subscriber(key, zenoh.handlers.FifoChannel(capacity)))
+
+    def stamped(self, key: str) -> Stamped:
+        """A queue of every put on `key` with the time at which it came in, at the cost of a Python callback each."""
+        stamped = Stamped()
+        self.subscribe(key, stamped.put)
+        return stamped
 
     def answer(self, key: str, handler: QueryHandler) -> None:
         """Call `handler(key, request, respond)` on a zenoh thread for every query on `key`.

@@ -208,6 +208,16 @@ class VehicleFrame(NamedTuple):
     command: Annotated[bytes, Field("", "the agent's Command message; empty when none", "bin")]
 
 
+@_record
+class Arrival(NamedTuple):
+    """One delivery as its receiver saw it."""
+
+    src: Annotated[int, uint("", "sending vehicle")]
+    seq: Annotated[int, uint("", "number of the payload on its directed link")]
+    copy: Annotated[int, uint("", "0 for the original, 1.. for duplicates")]
+    at_ns: Annotated[int, uint("ns", "when it came in, by CLOCK_MONOTONIC of the agent's host")]
+
+
 # ------------------------------------------------------------------------------------------ messages
 
 
@@ -271,6 +281,15 @@ class Transmission(NamedTuple):
     payloads: Annotated[tuple[bytes, ...], Field("", "each goes to every graph neighbour", "bin[*]")]
 
 
+@_declare("receipt", "tx/{i}", "agent i", "netem")
+class Receipt(NamedTuple):
+    """With a real clock: the deliveries that an agent took at a tick, and when they had come. Optional."""
+
+    incarnation: Annotated[int, uint("", "life of the sending agent")]
+    tick: Annotated[int, uint("tick", "of the Nav at which it first used them")]
+    arrivals: Annotated[tuple[Arrival, ...], Field("", "in the order in which they were used", "Arrival[*]")]
+
+
 @_declare("rx", "rx/{i}", "netem", "agent i")
 class Inbox(NamedTuple):
     """All that will be delivered to the agent after its previous inbox's `until`, up to this one's."""
@@ -295,6 +314,15 @@ class Round(NamedTuple):
         Field("m", "true x, y, z (NED) of each alive vehicle", "real[3][*]"),
     ]
     paused: Annotated[tuple[int, ...], Field("", "those of them that are suspended: no transmission comes", "uint[*]")]
+
+
+@_declare("pace", "round", "world", "netem")
+class Pace(NamedTuple):
+    """With a real clock: when ticks begin, before the Round of the same tick."""
+
+    tick: Annotated[int, uint("tick", "round tick")]
+    at_ns: Annotated[int, uint("ns", "when it begins, by CLOCK_MONOTONIC of the world's host")]
+    period_ns: Annotated[int, uint("ns", "of wall time per tick, until told otherwise")]
 
 
 @_record
@@ -388,7 +416,10 @@ class Note(NamedTuple):
 
 
 Told = Grant | Death | Restart | Ailments  # by the console to the world
-Message = Hello | Nav | End | Command | Memory | Transmission | Inbox | Round | Frames | LinkReport | Told | Note
+Timed = Pace | Receipt  # only with a real clock
+Message = (
+    Hello | Nav | End | Command | Memory | Transmission | Inbox | Round | Frames | LinkReport | Told | Timed | Note
+)
 
 
 def encode(message: Message) -> bytes:

@@ -12,6 +12,7 @@ from netem.bus import PART_BYTES, Bus, Respond
 from netem.config import NetemConfig
 from netem.errors import MalformedMessage, OutOfPlace
 from netem.faults import fault_from_values
+from netem.freerun import FreeRounds
 from netem.keys import Keys
 from netem.lives import Absence, Lives
 from netem.messages import (
@@ -19,7 +20,11 @@ from netem.messages import (
     Delivery,
     Fate,
     Hello,
+    Inbox,
     LinkReport,
+    Message,
+    Pace,
+    Receipt,
     Round,
     Transmission,
     encode,
@@ -27,7 +32,7 @@ from netem.messages import (
     split,
 )
 from netem.rounds import Rounds
-from netem.shell import Shell, end_with_link, expect, read_map, vehicle_of
+from netem.shell import Item, Shell, end_with_link, expect, read_map, vehicle_of
 
 log = logging.getLogger(__name__)
 
@@ -41,15 +46,15 @@ def run(endpoint: str, run_id: str, credentials: Credentials, config: NetemConfi
     keys = Keys(run_id)
     bus = Bus.connect(endpoint, credentials)
     end_with_link(bus, credentials)
-    NetemProcess(bus, keys, config).serve()
+    NetemProcess(bus, keys, config, Rounds(config)).serve()
 
 
 class NetemProcess:
     """Dispatches what comes in to `Rounds` and publishes what comes out."""
 
-    def __init__(self, bus: Bus, keys: Keys, config: NetemConfig) -> None:
+    def __init__(self, bus: Bus, keys: Keys, config: NetemConfig, rounds: Rounds | FreeRounds) -> None:
         self._keys = keys
-        self._rounds = Rounds(config)
+        self._rounds = rounds
         self._shell = Shell(bus, NETEM, keys.note(NETEM))
         self._inbox: dict[int, Callable[[bytes], None]] = {i: bus.publisher(keys.rx(i)) for i in config.vehicles}
         self._links = bus.publisher(keys.links)
@@ -62,45 +67,63 @@ class NetemProcess:
 
     def serve(self) -> None:
         """Handle one item after the other, until the process is ended."""
-        take, round_key = self._shell.queue.get, self._keys.round
+        take = self._shell.queue.get
         while True:
-            item = take()
-            try:
-                if item.respond is not None:
-                    self._control(item.data, item.respond)
-                elif item.key == round_key:
-                    self._round(item.data)
-                else:
-                    self._transmission(vehicle_of(item.key), item.data)
-            except (MalformedMessage, OutOfPlace) as error:
-                self._shell.reject(item.key, self._rounds.tick, error)
+            self._handle(take())
 
-    def _transmission(self, i: int, data: bytes) -> None:
-        message = expect(data, Transmission, Hello)
+    def _handle(self, item: Item) -> None:
+        try:
+            if item.respond is not None:
+                self._control(item.data, item.respond)
+            elif item.key == self._keys.round:
+                self._told(item.data)
+            else:
+                self._heard(vehicle_of(item.key), item.data)
+        except (MalformedMessage, OutOfPlace) as error:
+            self._shell.reject(item.key, self._rounds.tick, error)
+
+    def _heard(self, i: int, data: bytes) -> None:
+        """What an agent says."""
+        message = expect(data, Transmission, Hello, Receipt)
         if i not in self._inbox:
             raise MalformedMessage("tx", f"no vehicle {i} in this run")
         if isinstance(message, Hello):
             self._inbox[i](_ECHO)
-        elif isinstance(message, Transmission):
-            self._rounds.transmission(i, message)
-            self._exchange()
-
-    def _round(self, data: bytes) -> None:
-        message = expect(data, Round, Hello)
-        if isinstance(message, Round):
-            self._rounds.round(message)
-            self._counts["received"]["round"] += 1
-            self._exchange()
         else:
+            self._from_agent(i, message)
+
+    def _from_agent(self, i: int, message: Message) -> None:
+        if not isinstance(message, Transmission):
+            raise MalformedMessage("receipt", "nobody asks for receipts in lockstep")
+        self._rounds.transmission(i, message)
+        self._exchange()
+
+    def _told(self, data: bytes) -> None:
+        """What the world says."""
+        message = expect(data, Round, Hello, Pace)
+        if isinstance(message, Hello):
             self._round_heard = True
+            return
+        self._counts["received"]["round"] += isinstance(message, Round)
+        self._from_world(message)
+
+    def _from_world(self, message: Message) -> None:
+        if not isinstance(message, Round):
+            raise MalformedMessage("pace", "there is no pace in lockstep")
+        self._rounds.round(message)
+        self._exchange()
 
     def _exchange(self) -> None:
+        assert isinstance(self._rounds, Rounds)
         while (outcome := self._rounds.exchange()) is not None:
             inboxes, report = outcome
-            for i, inbox in inboxes:
-                for deliveries, more in split(inbox.deliveries, _bytes, PART_BYTES):
-                    self._inbox[i](encode(inbox._replace(more=more, deliveries=tuple(deliveries))))
+            self._hand_out(inboxes)
             self._report(report)
+
+    def _hand_out(self, inboxes: list[tuple[int, Inbox]]) -> None:
+        for i, inbox in inboxes:
+            for deliveries, more in split(inbox.deliveries, _bytes, PART_BYTES):
+                self._inbox[i](encode(inbox._replace(more=more, deliveries=tuple(deliveries))))
 
     def _report(self, report: LinkReport) -> None:
         memory = pieces(report.memory, PART_BYTES)
@@ -129,7 +152,7 @@ class NetemProcess:
                 self._report(self._rounds.close(int(request["tick"])))
                 entered = [[*link, *counts] for link, counts in self._rounds.netem.entered.items()]
                 values = {"entered": entered, "rejected": dict(self._shell.rejected), "counts": self._counts}
-                respond(msgpack.packb(values))
+                respond(msgpack.packb(values | {"timing": self._rounds.timing()}))
             case other:
                 respond(msgpack.packb({"error": f"no operation {other!r}"}))
 

@@ -2,8 +2,14 @@
 
 from __future__ import annotations
 
+from io import StringIO
+
+from rich.console import Console as Terminal
+
 from fleet.bench import measure, netem_targets, step_targets, targets
 from fleet.bench_netem import SHARE
+from fleet.bench_real import measure as measure_real
+from fleet.bench_real import table
 
 
 def test_quick_bench_reports_every_figure() -> None:
@@ -40,3 +46,13 @@ def test_goals_of_single_steps_say_met_or_missed() -> None:
 def test_the_goal_of_the_network_core() -> None:
     assert netem_targets({SHARE: 0.12}) == ["MISSED netem: share of a run, N = 20 0.120, below 0.1"]
     assert netem_targets({SHARE: 0.05}) == ["met    netem: share of a run, N = 20 0.050, below 0.1"]
+
+
+def test_a_fleet_that_is_asked_too_much_does_not_fit() -> None:
+    """A thousand times real time, 100,000 ticks/s, is more than any machine makes."""
+    (row,) = measure_real([2], [1000.0], 0.5, lambda text: None)
+    assert (row.vehicles, row.label, row.fit, row.same_bytes) == (2, "degraded", False, False)
+    assert row.lockstep_x > 0
+    rendered = Terminal(width=200, record=True, file=StringIO())
+    rendered.print(table([row]))
+    assert "degraded (fails)" in rendered.export_text()

@@ -19,6 +19,7 @@ from hypothesis.strategies import SearchStrategy
 
 from netem.errors import MalformedMessage
 from netem.messages import (
+    Arrival,
     Command,
     Delivery,
     Fate,
@@ -35,7 +36,7 @@ from netem.messages import (
 )
 from netem.shell import expect, read_map
 
-RECORDS = {record.__name__: record for record in (Delivery, Fate, Frame, Life, VehicleFrame)}
+RECORDS = {record.__name__: record for record in (Arrival, Delivery, Fate, Frame, Life, VehicleFrame)}
 KINDS = sorted(declared())
 UINTS = st.one_of(st.integers(0, 300), st.integers(0, 2**64 - 1))
 REALS = st.floats(allow_nan=False, allow_infinity=False)

@@ -70,6 +70,9 @@ def test_every_field_of_every_topic_is_what_protobuf_says(run: Path) -> None:
         for field in topic.fields:
             values = [getattr(message, field) for _, message in taken]
             array = topic[field]
+            if topic.nested:  # messages of two pools are never equal
+                assert [list(map(str, v)) for v in array] == [list(map(str, v)) for v in values]
+                continue
             assert array.tolist() == [list(v) if hasattr(v, "append") else v for v in values]
             assert array.shape[0] == len(taken)
 
@@ -107,7 +110,7 @@ def test_what_the_log_says_of_itself(run: Path) -> None:
     assert log.end == 2.0
     assert log.faults == [FaultInterval("crash", 1.0, 1.5, "kill 2"), FaultInterval("f2", 1.2, 2.0, "down 3->4")]
     assert len(log) == len(log.topics) == len(list(log))
-    assert f"{log.messages} messages in 36 topics, 2 s" in repr(log)
+    assert f"{log.messages} messages in 38 topics, 2 s" in repr(log)
 
 
 def test_only_the_topics_that_are_asked_for(run: Path) -> None:

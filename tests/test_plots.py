@@ -104,7 +104,7 @@ def test_every_picture_of_every_run(name: str, runs: dict[str, Run]) -> None:
             assert box.x0 > -0.05 and box.y0 > -0.05 and box.x1 < width + 0.05 and box.y1 < height + 0.05, picture
 
 
-@pytest.mark.parametrize("kind", [kind for kind in WHAT if kind not in ("track",)])
+@pytest.mark.parametrize("kind", [kind for kind in WHAT if kind not in ("track", "timing")])
 def test_faults_are_shaded_and_named_on_every_time_axis(kind: str, runs: dict[str, Run]) -> None:
     for name, figure in pictures(runs["faulty"], [kind], Look(window=(0.0, 4.0))).items():
         assert isinstance(figure, Figure)
@@ -291,7 +291,9 @@ def test_csv_reads_back_to_the_same_numbers(directories: dict[str, Path], tmp_pa
     assert {path.name for path in paths} == {path.name for path in (tmp_path / "t").iterdir()}
     index = json.loads((tmp_path / "t" / "export.json").read_text())
     assert (index["run"]["scenario"], index["missing"]) == ("faulty", "")
-    assert {table["topic"] for table in index["tables"].values()} == {name for name in log if len(log[name])}
+    drawn = {"transforms", "scene"}
+    assert index["left_out"].keys() == drawn
+    assert {table["topic"] for table in index["tables"].values()} == {name for name in log if len(log[name])} - drawn
     for name, table in index["tables"].items():
         with (tmp_path / "t" / name).open(newline="") as file:
             heading, *rows = csv.reader(file)
@@ -450,7 +452,7 @@ def test_report_is_one_file_that_loads_nothing(directories: dict[str, Path], tmp
     assert all(load.startswith("data:image/png;base64,") for load in found.loads)
     assert "http" not in re.sub(r'src="data:[^"]*"', "", text)
     assert "url(" not in text and "@import" not in text
-    assert found.pictures == sum(len(some) for some in WHAT.values())
+    assert found.pictures == sum(len(some) for kind, some in WHAT.items() if kind != "timing")  # of a wall clock
     words = " ".join(found.words)
     values = json.loads((directories["faulty"] / "result.json").read_text())
     assert values["digest"] in words
@@ -500,23 +502,3 @@ def test_report_refuses_a_place_that_cannot_be_written(directories: dict[str, Pa
     result = CliRunner().invoke(cli, ["report", str(directories["one"]), "-o", "/dev/null/x.html"])
     assert result.exit_code == 2
     assert "cannot write /dev/null/x.html" in result.stderr
-
-
-def test_foxglove_layout_names_what_a_log_holds(runs: dict[str, Run]) -> None:
-    layout = json.loads((ROOT / "docs" / "foxglove-layout.json").read_text())
-
-    def ids(node: Any) -> set[str]:
-        return {node} if isinstance(node, str) else ids(node["first"]) | ids(node["second"])
-
-    assert ids(layout["layout"]) == set(layout["configById"])
-    log = runs["faulty"].log
-    for name, config in layout["configById"].items():
-        paths = [path["value"] for path in config.get("paths", [])] + [config[k] for k in ("topicPath",) if k in config]
-        for path in paths:
-            match = re.fullmatch(r'"([^"]+)"(?:\.(\w+))?(?:\[\d\])?', path)
-            assert match is not None, (name, path)
-            assert match[1] in log
-            assert match[2] is None or match[2] in log[match[1]]
-    full = fleet.open_log(log.path)
-    assert {f"uuv/{i}/pose" for i in range(1, 5)} <= set(layout["configById"]["3D!uuv"]["topics"])
-    assert full["uuv/1/pose"].frame_id[0] == layout["configById"]["3D!uuv"]["followTf"]

@@ -20,7 +20,7 @@ from fleet.errors import FleetError, ScenarioError
 from fleet.formation import grid
 from fleet.scenario import Scenario, list_scenarios, load_scenario, parse_scenario
 from fleet.schema import GuidanceSection, ScenarioSpec, Section, TrackingSection
-from fleet.snapshot import LOG_GROUPS
+from fleet.snapshot import DRAWN_GROUPS, LOG_GROUPS
 from fleet.yaml_marks import Mapping, Source, plain, read, resolve
 from netem.config import Condition
 
@@ -168,7 +168,7 @@ def test_the_qp_period_is_a_time() -> None:
 
 def test_log_groups() -> None:
     every = small("log.every=5 ticks", "log.pose=1 tick").log_every
-    assert tuple(every) == LOG_GROUPS
+    assert tuple(every) == (*LOG_GROUPS, *DRAWN_GROUPS)
     assert every["pose"] == 1
     assert every["error"] == 5
 

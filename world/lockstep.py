@@ -114,15 +114,11 @@ class Lockstep:
             OutOfPlace: the command does not answer the nav that is waiting for one.
         """
         nav = self._awaiting.get(i)
-        if command.incarnation != self.incarnation(i):
-            raise OutOfPlace("incarnation", self.incarnation(i), command.incarnation)
+        self._check(i, command)
         if nav is None:
             raise OutOfPlace("tick", "no command (no nav is unanswered)", command.tick)
         if command.tick != nav.tick:
             raise OutOfPlace("tick", nav.tick, command.tick)
-        size = self._telemetry_size[i]
-        if command.telemetry and size not in (None, len(command.telemetry)):
-            raise OutOfPlace("telemetry values", size, len(command.telemetry))
         del self._awaiting[i]
         world, k = self.world, nav.tick
         if (told := self._agents.pop(i, None)) is not None and i in self._memory.get(k, {}):
@@ -133,6 +129,13 @@ class Lockstep:
             row = VehicleFrame(i, eta, nu, nav.eta + nav.nu, tau, encode(command) if raw is None else raw)
             self._rows.setdefault(k, []).append(row)
         return self._pass(i, k, tau, eta[:3]) + self._start(i) + self._frames()
+
+    def _check(self, i: int, command: Command) -> None:
+        if command.incarnation != self.incarnation(i):
+            raise OutOfPlace("incarnation", self.incarnation(i), command.incarnation)
+        size = self._telemetry_size[i]
+        if command.telemetry and size not in (None, len(command.telemetry)):
+            raise OutOfPlace("telemetry values", size, len(command.telemetry))
 
     def remember(self, i: int, memory: Memory) -> None:
         """Take what agent i remembers before the command that it owes.
@@ -206,6 +209,11 @@ class Lockstep:
                 alive = tuple(sorted(positions))
                 silent = tuple(sorted(self._paused.pop(k, ())))
                 out.append(Round(k, alive, tuple(positions[j] for j in alive), silent))
+        self._integrate(i, k, tau)
+        return out
+
+    def _integrate(self, i: int, k: int, tau: Vec3) -> None:
+        """Vehicle i from tick k to the next; one that cannot be integrated is lost."""
         if i in self._lost:
             self.world.hold(i)
         else:
@@ -219,7 +227,6 @@ class Lockstep:
                 self.world.hold(i)
         if k + 1 == self.config.ticks:
             self._rows.setdefault(k + 1, []).append(VehicleFrame(i, *self.world.state(i), (), (), b""))
-        return out
 
     def _start(self, i: int) -> list[Out]:
         """What vehicle i may do now: measure; or, when it has no agent or that is suspended, go on without it as far

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import msgpack
 
@@ -58,7 +59,7 @@ def run(
     keys = Keys(run_id)
     vehicles = tuple(setup.id for setup in config.vehicles)
     bus = Bus.host(endpoint, keys, vehicles, credentials, private, door)
-    WorldProcess(bus, keys, config, frame_every).serve()
+    WorldProcess(bus, keys, Lockstep(config, frame_every=frame_every)).serve()
 
 
 def join(endpoint: str, run_id: str, credentials: Credentials, config: WorldConfig, frame_every: int) -> None:
@@ -69,15 +70,15 @@ def join(endpoint: str, run_id: str, credentials: Credentials, config: WorldConf
     """
     bus = Bus.connect(endpoint, credentials)
     end_with_link(bus, credentials)
-    WorldProcess(bus, Keys(run_id), config, frame_every).serve()
+    WorldProcess(bus, Keys(run_id), Lockstep(config, frame_every=frame_every)).serve()
 
 
 class WorldProcess:
     """Dispatches what comes in to `Lockstep` and publishes what comes out."""
 
-    def __init__(self, bus: Bus, keys: Keys, config: WorldConfig, frame_every: int) -> None:
+    def __init__(self, bus: Bus, keys: Keys, lockstep: Lockstep) -> None:
         self._keys = keys
-        self._lockstep = Lockstep(config, frame_every=frame_every)
+        self._lockstep = lockstep
         self._ids = self._lockstep.world.ids
         self._shell = Shell(bus, WORLD, keys.note(WORLD))
         self._nav: dict[int, Callable[[bytes], None]] = {i: bus.publisher(keys.nav(i)) for i in self._ids}
@@ -89,29 +90,34 @@ class WorldProcess:
         self._received = {"cmd": 0}
         self._ready: set[tuple[int, int]] = set()  # agent and incarnation
         self._grant_heard = False
-        self._in = bus.channel(keys.cmd("*"))  # commands and grants
+        self._listen(bus)
         bus.answer(keys.ctl(WORLD), self._control)
         self._token_roles = {keys.alive(agent_role(i)): i for i in self._ids}
         bus.watch_tokens(keys.alive("*"), self._token)
         bus.token(keys.alive(WORLD))
 
+    def _listen(self, bus: Bus) -> None:
+        self._in = bus.channel(self._keys.cmd("*"))  # commands and grants
+
     def serve(self) -> None:
         """Handle one message after the other, until the process is ended."""
-        take, poll, grant_key = self._in.get, self._in.poll, self._keys.grant
+        take, poll = self._in.get, self._in.poll
         while True:
             item = poll()
             if item is None:
                 self._flush_frames()
                 item = take()
-            key, data = item
-            try:
-                if key == grant_key:
-                    self._told(expect(data, Grant, Death, Restart, Ailments, Hello))
-                else:
-                    self._command(key, data)
-            except (MalformedMessage, OutOfPlace) as error:
-                i = vehicle_of(key)
-                self._shell.reject(key, self._lockstep.tick_of(i) if i in self._ids else 0, error)
+            self._handle(*item)
+
+    def _handle(self, key: str, data: bytes) -> None:
+        try:
+            if key == self._keys.grant:
+                self._told(expect(data, Grant, Death, Restart, Ailments, Hello))
+            else:
+                self._command(key, data)
+        except (MalformedMessage, OutOfPlace) as error:
+            i = vehicle_of(key)
+            self._shell.reject(key, self._lockstep.tick_of(i) if i in self._ids else 0, error)
 
     def _told(self, message: Message) -> None:
         """What the console says, in order: nothing that is told acts on a tick granted before."""
@@ -215,9 +221,14 @@ class WorldProcess:
                 respond(msgpack.packb({}))
             case "close":
                 counts = {"sent": self._sent, "received": self._received}
-                respond(msgpack.packb({"rejected": dict(self._shell.rejected), "counts": counts}))
+                values = {"rejected": dict(self._shell.rejected), "counts": counts, "timing": self._timing()}
+                respond(msgpack.packb(values))
             case other:
                 respond(msgpack.packb({"error": f"no operation {other!r}"}))
+
+    def _timing(self) -> dict[str, Any]:
+        """How everyone kept up with a wall clock; there is none in lockstep."""
+        return {}
 
 
 def _row_bytes(row: VehicleFrame) -> int:

@@ -41,7 +41,7 @@ class World:
         self._fixed = {s.id: _Vehicle(coefficients(s.params), s.tau_max) for s in config.vehicles}
         self._ticks = dict.fromkeys(self.ids, 0)
         self._states: dict[int, State] = {s.id: _initial(s) for s in config.vehicles}
-        self.faults = config.faults  # replaced as a whole by who injects
+        self.faults = config.faults
         self._held: dict[tuple[str, int], tuple[float, ...]] = {}  # (fault, vehicle): what froze or got stuck
         self._drifts: dict[str, GaussMarkov] = {}  # of the sea (""), and of faults by id
         self._tick_s = config.tick_ns / 1e9
@@ -122,7 +122,25 @@ class World:
         return tau
 
     def _active(self, i: int, tick: int) -> list[WorldFault]:
-        return [fault for fault in self.faults if fault.active(tick) and fault.concerns(i)]
+        near = self._near(tick // self.config.round_ticks)
+        return [fault for fault in near if fault.active(tick) and fault.concerns(i)] if near else []
+
+    @property
+    def faults(self) -> tuple[WorldFault, ...]:
+        """All of them, in the order in which they begin; whoever injects replaces them as a whole."""
+        return self._faults
+
+    @faults.setter
+    def faults(self, faults: tuple[WorldFault, ...]) -> None:
+        self._faults = faults
+        m = self.config.round_ticks
+
+        def near(number: int) -> tuple[WorldFault, ...]:
+            begin, end = number * m, (number + 1) * m
+            return tuple(f for f in faults if f.begin < end and (f.end is None or begin < f.end))
+
+        # A long timeline has hundreds, of which a round sees one or two.
+        self._near = lru_cache(maxsize=8)(near)
 
     def advance(self, i: int, tau: Vec3) -> None:
         """Integrate vehicle i, and it alone, to its next tick with `tau` [N, N m] held.

@@ -25,6 +25,7 @@ async function check(path) {
     const reader = await McapIndexedReader.Initialize({ readable: new FileHandleReadable(file), decompressHandlers });
     const decoders = new Map([...reader.schemasById].map(([id, schema]) => [id, decoder(schema)]));
     const counts = new Map();
+    const frames = new Set(["map"]); // to which the transforms lead
     let last = 0n;
     let messages = 0;
     for await (const message of reader.readMessages({ validateCrcs: true })) {
@@ -34,6 +35,13 @@ async function check(path) {
       last = message.logTime;
       if (/\/state$/.test(channel.topic) && !Number.isFinite(decoded.x)) throw new Error(`${channel.topic}: no x`);
       if (/\/pose$/.test(channel.topic) && decoded.frame_id !== "ned") throw new Error(`${channel.topic}: no frame`);
+      for (const { parent_frame_id: parent, child_frame_id: child } of decoded.transforms ?? []) {
+        if (!frames.has(parent)) throw new Error(`${channel.topic}: ${child} hangs on ${parent}, which hangs on nothing`);
+        frames.add(child);
+      }
+      for (const { id, frame_id: frame } of decoded.entities ?? []) {
+        if (!frames.has(frame)) throw new Error(`${channel.topic}: ${id} is in ${frame}, which no transform leads to`);
+      }
       const units = JSON.parse(channel.metadata.get("units"));
       if (messages < 1000 && Object.keys(units).length === 0) throw new Error(`${channel.topic}: no units`);
       counts.set(channel.topic, (counts.get(channel.topic) ?? 0) + 1);

@@ -8,7 +8,7 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 from fleet.errors import FleetError
-from fleet.pictures import exchange, signals, track
+from fleet.pictures import exchange, signals, timing, track
 from fleet.pictures.runs import Look, NothingToDraw, Run, load
 from fleet.plotting import save
 
@@ -31,13 +31,17 @@ WHAT: dict[str, tuple[tuple[str, str, Draw], ...]] = {
     "links": (("links", "Every packet at its sending time, by fate", exchange.timeline),),
     "messages": (("messages", "Messages between the agents in space and time", exchange.spacetime),),
     "ages": (("ages", "Age of what was last heard on each link", exchange.ages),),
+    "timing": (("timing", "On a wall clock: how late agents answered, what delays became", timing.punctuality),),
 }
-PER_RUN = frozenset({"links", "messages"})  # those that show one run only: of several, each has its own
+PER_RUN = frozenset({"links", "messages", "timing"})  # those that show one run only: of several, each has its own
 
 
 def draw(what: Sequence[str], runs: Sequence[Run], look: Look) -> Iterator[tuple[str, str, Figure | str]]:
     """(file name, what it shows, the figure or why there is none) of everything that is asked for."""
+    asked_for_all = set(what) == set(WHAT)
     for kind in what:
+        if kind == "timing" and asked_for_all and not any(map(timing.on_wall_clock, runs)):
+            continue
         for name, title, make in WHAT[kind]:
             each = [[run] for run in runs] if kind in PER_RUN else [list(runs)]
             for some in each:

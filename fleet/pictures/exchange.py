@@ -14,10 +14,10 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from fleet.arrays import Array
+from fleet.colours import COLOURS
 from fleet.fields import vehicle_numbers
 from fleet.pictures.axes import SPAN_IN, finish, legend_of, marks_legend, over_time
 from fleet.pictures.runs import Look, NothingToDraw, Run
-from fleet.plotting import COLOURS
 from netem.config import Link
 from netem.impairment import DELIVERED, IN_FLIGHT
 

@@ -1,0 +1,59 @@
+"""One agent on a wall clock: it answers the newest nav at once, with what has come in and is due by then.
+
+A pure state machine like `AgentLoop`. Of navs that queued up while it computed it answers the newest, and before it the
+last one of a round tick, if there is one: what it is to send, it sends.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from agents.loop import AgentCore, AgentLoop, Answer
+from netem.errors import OutOfPlace
+from netem.messages import Arrival, Command, Inbox, Nav, Receipt, Transmission
+
+
+class FreeLoop(AgentLoop):
+    """Feeds an agent core with navs, and the deliveries that are due by then."""
+
+    def __init__(self, core: AgentCore, round_ticks: int, *, incarnation: int = 0, begin: int = 0) -> None:
+        super().__init__(core, round_ticks, incarnation=incarnation, begin=begin)
+        self._at_ns: dict[tuple[int, int, int], int] = {}  # when each delivery that is kept came in
+
+    def arrive(self, inbox: Inbox, at_ns: int) -> None:
+        """Keep what came in at `at_ns` [ns, CLOCK_MONOTONIC] until it is due.
+
+        Raises:
+            OutOfPlace: a later incarnation's.
+        """
+        if self._is_mine(inbox.incarnation):
+            self._deliveries += inbox.deliveries
+            self._at_ns |= {(d.src, d.seq, d.copy): at_ns for d in inbox.deliveries}
+
+    def worth(self, navs: Sequence[Nav]) -> list[Nav]:
+        """Those that it answers of the navs that are there, oldest first."""
+        newest = navs[-1]
+        sends = next((nav for nav in reversed(navs) if nav.tick % self.round_ticks == 0), newest)
+        return [newest] if sends is newest else [sends, newest]
+
+    def nav(self, nav: Nav) -> list[Answer]:
+        """Answer a nav.
+
+        Raises:
+            OutOfPlace: a later incarnation's, or not newer than the one before.
+        """
+        if not self._is_mine(nav.incarnation):
+            return []
+        if nav.tick <= self._tick:
+            raise OutOfPlace("nav tick", self._tick + 1, nav.tick)
+        self._tick = nav.tick
+        taken = self._due(nav.tick)
+        step = self.core.step(nav, taken)
+        out: list[Answer] = []
+        if nav.tick % self.round_ticks == 0:
+            out.append(Transmission(self.incarnation, nav.tick, step.payloads))
+        out.append(Command(self.incarnation, nav.tick, step.tau, step.telemetry))
+        if taken:
+            arrivals = (Arrival(*name, self._at_ns.pop(name)) for name in ((d.src, d.seq, d.copy) for d in taken))
+            out.append(Receipt(self.incarnation, nav.tick, tuple(arrivals)))
+        return out

@@ -1,0 +1,59 @@
+"""An agent process on a wall clock."""
+
+from __future__ import annotations
+
+from agents.freeloop import FreeLoop
+from agents.process import AgentProcess
+from netem.bus import Bus, Stamped
+from netem.errors import MalformedMessage, OutOfPlace
+from netem.keys import Keys
+from netem.messages import End, Hello, Inbox, Nav
+from netem.shell import expect
+
+
+class FreeAgentProcess(AgentProcess):
+    """Answers the newest nav that is there."""
+
+    def __init__(self, bus: Bus, keys: Keys, vehicle: int, loop: FreeLoop) -> None:
+        super().__init__(bus, keys, vehicle, loop)
+        self._free = loop
+
+    def _listen(self, bus: Bus, key: str) -> Stamped:
+        self._stamped = bus.stamped(key)
+        return self._stamped
+
+    def serve(self) -> End:
+        """Answer navs until the world says that no more will come; our own processes are ended instead."""
+        poll = self._navs.poll
+        while True:
+            item: tuple[str, bytes] | None = self._navs.get()
+            navs = []
+            while item is not None:
+                message = self._read(*item)
+                if isinstance(message, Nav):
+                    navs.append(message)
+                elif message is not None and self.is_end(message):
+                    return message
+                item = poll()
+            while (came := self._stamped.poll()) is not None:
+                key, data, at_ns = came
+                message = self._read(key, data)
+                if isinstance(message, Inbox):
+                    self._take(key, message, at_ns)
+            for nav in self._free.worth(navs) if navs else ():
+                self._answer(self._keys.nav(self._vehicle), nav)
+
+    def _read(self, key: str, data: bytes) -> Nav | Inbox | End | Hello | None:
+        try:
+            message = expect(data, Nav, Inbox, End, Hello)
+        except MalformedMessage as error:
+            self._shell.reject(key, self._loop.tick, error)
+            return None
+        assert isinstance(message, (Nav, Inbox, End, Hello))
+        return message
+
+    def _take(self, key: str, inbox: Inbox, at_ns: int) -> None:
+        try:
+            self._free.arrive(inbox, at_ns)
+        except OutOfPlace as error:
+            self._shell.reject(key, self._loop.tick, error)

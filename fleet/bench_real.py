@@ -1,0 +1,120 @@
+"""`fleet bench real`: at which number of vehicles and which rate a wall clock is too fast for this machine.
+
+Every fleet is run on a wall clock, and the same scenario once in lockstep, which never depends on the machine: the
+same bytes, only later.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from rich.table import Table
+
+from fleet.errors import FleetError
+from fleet.run import Options, Result, Status, execute
+from fleet.scenario import Scenario, load_scenario
+from fleet.timing import MOST_MISSED
+
+
+class BenchError(FleetError):
+    """A run of the benchmark did not come to its end."""
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One fleet at one rate."""
+
+    vehicles: int
+    speed: float
+    ticks_per_s: float
+    label: str
+    missed: float  # share of its ticks that the worst agent missed
+    moved: float  # share of the run by which the clock was moved because the world was late
+    answer_p99_ms: float  # of the slowest agent
+    overdue: float  # share of the deliveries that were used too late
+    same_bytes: bool  # as lockstep
+    lockstep_x: float  # times real time that lockstep makes
+
+    @property
+    def fit(self) -> bool:
+        """Whether a run would pass with the default tolerance."""
+        return max(self.missed, self.moved) <= MOST_MISSED
+
+    def to_values(self) -> dict[str, Any]:
+        return asdict(self) | {"fit": self.fit}
+
+
+def measure(sizes: Sequence[int], speeds: Sequence[float], seconds: float, say: Callable[[str], None]) -> list[Row]:
+    """Run every fleet at every speed, `seconds` of simulated time each.
+
+    Raises:
+        BenchError: a run broke.
+    """
+    rows = []
+    with tempfile.TemporaryDirectory(prefix="uuv-fleet-bench-") as folder:
+        for n in sizes:
+            scenario = load_scenario(
+                "paper", [f"vehicles={n}", f"duration={seconds} s", "checks={}", "log.snapshot=0 s"]
+            )
+            say(f"N = {n}: lockstep")
+            same = _run(scenario, Options(Path(folder), quiet=True))
+            for speed in speeds:
+                say(f"N = {n}: {speed:g} x real time")
+                rows.append(_row(n, speed, scenario, _run(scenario, _on_wall_clock(Path(folder), speed)), same))
+    return rows
+
+
+def _on_wall_clock(folder: Path, speed: float) -> Options:
+    return Options(folder, quiet=True, pace=speed, most_missed=1.0)
+
+
+def _run(scenario: Scenario, options: Options) -> Result:
+    result = execute(scenario, options)
+    if result.status not in (Status.PASS, Status.CHECK_FAILED):
+        raise BenchError(f"the run with {scenario.vehicles} vehicles broke: {result.reason}")
+    return result
+
+
+def _row(n: int, speed: float, scenario: Scenario, found: Result, same: Result) -> Row:
+    timing = found.values["timing"]
+    vehicles, world, network = timing["vehicles"].values(), timing["world"], timing["netem"]
+    return Row(
+        n,
+        speed,
+        speed * 1e9 / scenario.tick_ns,
+        timing["label"],
+        max(row["missed"] / max(1, row["asked"]) for row in vehicles),
+        world["slipped_s"] / world["run_s"],
+        max(row["response"]["p99_ms"] for row in vehicles),
+        network["overdue"] / max(1, network["hop"]["count"]),
+        found.digest == same.digest,
+        same.values["wall"]["x_real_time"],
+    )
+
+
+def table(rows: Sequence[Row]) -> Table:
+    """The rows for a terminal."""
+    shown = Table(title="on a wall clock (Ts = 10 ms)", title_justify="left", box=None, pad_edge=False)
+    for heading in (
+        "N", "x real", "ticks/s", "label", "ticks missed", "clock moved", "answer p99 ms", "overdue", "same bytes",
+        "lockstep x real",
+    ):  # fmt: skip
+        shown.add_column(heading, justify="right")
+    for row in rows:
+        shown.add_row(
+            str(row.vehicles),
+            f"{row.speed:g}",
+            f"{row.ticks_per_s:g}",
+            row.label if row.fit or row.label == "on time" else f"{row.label} (fails)",
+            f"{row.missed:.2%}",
+            f"{row.moved:.1%}",
+            f"{row.answer_p99_ms:.2g}",
+            f"{row.overdue:.1%}",
+            "yes" if row.same_bytes else "no",
+            f"{row.lockstep_x:.1f}",
+        )
+    return shown

@@ -1,0 +1,202 @@
+"""`fleet bench soak`: a long run under random faults, watched from outside.
+
+A fault every five seconds, kills with restarts among them. The same run twice in one process, side by side, and once
+distributed: memory, ledger, digests, and who is left when it is over.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from rich.table import Table
+
+SAMPLE_S = 0.5
+WARM = 0.25  # share of the run after which memory is compared with the end
+TELL_S = 30.0
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One run of the soak."""
+
+    run: str
+    simulated_s: float
+    wall_s: float
+    status: str
+    reason: str
+    restarts: int
+    ledger: str
+    warm_mb: float  # memory of all its processes after a quarter of the run
+    end_mb: float  # median of the last tenth
+    orphans: int
+    digest: str
+
+    def to_values(self) -> dict[str, Any]:
+        return asdict(self)
+
+
+class Soak:
+    """One `fleet run` in a session of its own, whose memory is sampled while it lives."""
+
+    def __init__(self, name: str, arguments: list[str], folder: Path) -> None:
+        self.name, self._folder = name, folder
+        self._began = time.monotonic()
+        self._samples: list[float] = []
+        self._output = (folder / f"{name}.txt").open("wb")
+        command = [sys.executable, "-m", "fleet", "run", *arguments, "-q", "--out", str(folder / name)]
+        self._process = subprocess.Popen(
+            command, stdin=subprocess.DEVNULL, stdout=self._output, stderr=subprocess.STDOUT, start_new_session=True
+        )
+
+    @property
+    def running(self) -> bool:
+        """Whether it still runs; takes a sample of its memory."""
+        if self._process.poll() is not None:
+            return False
+        self._samples.append(sum(map(_memory_mb, _of_session(self._process.pid))))
+        return True
+
+    def stop(self) -> None:
+        """End it and whoever is left of it."""
+        for pid in [*_of_session(self._process.pid), self._process.pid]:
+            with suppress(ProcessLookupError):
+                os.kill(pid, 9)
+        self._process.wait()
+        self._output.close()
+
+    def row(self) -> Row:
+        """What it came to, once it has ended."""
+        wall_s = time.monotonic() - self._began
+        left = _of_session(self._process.pid)
+        self.stop()
+        path = self._folder / self.name / "latest" / "result.json"
+        values: dict[str, Any] = json.loads(path.read_text("utf-8")) if path.exists() else {}
+        said = (self._folder / f"{self.name}.txt").read_text("utf-8", "replace").strip()
+        unbalanced = [c["found"] for c in values.get("checks", ()) if c["check"] == "ledger" and not c["passed"]]
+        samples = self._samples or [0.0]
+        late = sorted(samples[-max(1, len(samples) // 10) :])
+        return Row(
+            self.name,
+            float(values.get("sim_s", 0.0)),
+            wall_s,
+            str(values.get("status", "no result")),
+            str(values.get("reason", "")) or (said if not values else ""),
+            sum(f["action"] == "ends" and f["what"].startswith("kill") for f in values.get("faults", ())),
+            ", ".join(unbalanced) or ("balanced" if values else "unknown"),
+            samples[int(len(samples) * WARM)],
+            late[len(late) // 2],
+            len(left),
+            str(values.get("digest", "")),
+        )
+
+
+def measure(vehicles: int, seconds: float, distributed_s: float, say: Callable[[str], None]) -> list[Row]:
+    """The soak: `seconds` of simulated time twice in one process, `distributed_s` distributed and once in one."""
+    with tempfile.TemporaryDirectory(prefix="uuv-fleet-soak-") as name:
+        folder = Path(name)
+        long, short = _arguments(vehicles, seconds), _arguments(vehicles, distributed_s)
+        rows = _together([("in-process", [*long, "--in-process"]), ("again", [*long, "--in-process"])], folder, say)
+        rows += _together([("distributed", short)], folder, say)
+        if seconds != distributed_s:
+            rows += _together([("the same in-process", [*short, "--in-process"])], folder, say)
+        return rows
+
+
+def verdicts(rows: list[Row]) -> list[str]:
+    """What is wrong with the rows; nothing, if the soak passed."""
+    wrong = []
+    for row in rows:
+        if row.status != "pass":
+            wrong.append(f"{row.run}: {row.status} {row.reason}")
+        if row.ledger != "balanced":
+            wrong.append(f"{row.run}: ledger {row.ledger}")
+        if row.orphans:
+            wrong.append(f"{row.run}: {row.orphans} processes were left")
+    by_length: dict[float, set[str]] = {}
+    for row in rows:
+        by_length.setdefault(row.simulated_s, set()).add(row.digest)
+    wrong += [f"runs of {length:g} s differ: {sorted(found)}" for length, found in by_length.items() if len(found) > 1]
+    return wrong
+
+
+def table(rows: list[Row]) -> Table:
+    """The rows for a terminal."""
+    shown = Table(title="soak: a random fault every 5 s", title_justify="left", box=None, pad_edge=False)
+    for heading in (
+        "run", "simulated", "wall", "status", "restarts", "ledger", "MB after 1/4", "MB at end", "orphans", "digest",
+    ):  # fmt: skip
+        shown.add_column(heading, justify="right")
+    for row in rows:
+        shown.add_row(
+            row.run,
+            f"{row.simulated_s:g} s",
+            f"{row.wall_s:.0f} s",
+            row.status,
+            str(row.restarts),
+            row.ledger,
+            f"{row.warm_mb:.0f}",
+            f"{row.end_mb:.0f}",
+            str(row.orphans),
+            row.digest[:16],
+        )
+    return shown
+
+
+def _arguments(vehicles: int, seconds: float) -> list[str]:
+    return [
+        "nemesis",
+        *("--set", f"vehicles={vehicles}"),
+        *("--set", f"duration={seconds} s"),
+        *("--set", f"nemesis={{every: 5 s, for: 4 s, until: {seconds - 5} s, pick: {PICK}}}"),
+        *("--set", "log={every: 100 ticks, snapshot: 0 s}"),
+        *("--set", "checks={ledger: balanced, middleware_loss: {at_most: 0}}"),
+    ]
+
+
+PICK = "[partition, down, deaf, pause, kill, kill, {link *: loss 60% delay 300ms}]"
+
+
+def _together(what: list[tuple[str, list[str]]], folder: Path, say: Callable[[str], None]) -> list[Row]:
+    soaks = [Soak(name, arguments, folder) for name, arguments in what]
+    told = began = time.monotonic()
+    try:
+        while sum(soak.running for soak in soaks):  # every one of them takes its sample
+            time.sleep(SAMPLE_S)
+            if time.monotonic() - told > TELL_S:
+                told = time.monotonic()
+                say(f"{', '.join(soak.name for soak in soaks)}: {told - began:.0f} s")
+        return [soak.row() for soak in soaks]
+    finally:
+        for soak in soaks:
+            soak.stop()
+
+
+def _of_session(session: int) -> list[int]:
+    """The processes of a session that are not dead."""
+    found = []
+    for entry in Path("/proc").iterdir():
+        if entry.name.isdigit():
+            with suppress(OSError, IndexError):
+                state, _, _, sid = (entry / "stat").read_text().rsplit(")", 1)[1].split()[:4]
+                if int(sid) == session and state not in "ZX":
+                    found.append(int(entry.name))
+    return found
+
+
+def _memory_mb(pid: int) -> float:
+    """Its own memory and its part of what it shares (PSS)."""
+    try:
+        lines = Path(f"/proc/{pid}/smaps_rollup").read_text().splitlines()
+    except OSError:
+        return 0.0
+    return next((int(line.split()[1]) / 1000 for line in lines if line.startswith("Pss:")), 0.0)

@@ -1,0 +1,143 @@
+"""The commands that measure this machine: `fleet bench`, `fleet bench real`, `fleet bench soak`."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TypeVar
+
+import click
+from rich.console import Console as Terminal
+
+from fleet.errors import FleetError
+
+
+class Numbers(click.ParamType[list[float]]):
+    """Numbers with commas between, each within limits."""
+
+    def __init__(self, least: float, most: float, example: str, *, whole: bool = False) -> None:
+        self.name = "n,n,..."
+        self._least, self._most, self._example, self._whole = least, most, example, whole
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> list[float]:
+        try:
+            numbers = [int(part) if self._whole else float(part) for part in str(value).split(",")]
+        except ValueError:
+            numbers = []
+        if not numbers or not all(self._least <= n <= self._most for n in numbers):
+            limits = f"from {self._least:g} to {self._most:g}"
+            self.fail(f"expected numbers {limits} such as {self._example}, got {value!r}", param, ctx)
+        return numbers
+
+
+_F = TypeVar("_F", bound=Callable[..., Any])
+SIZES = Numbers(1, 1000, "4,20,100", whole=True)
+_json = click.option(
+    "--json", "json_path", type=click.Path(path_type=Path, dir_okay=False), help="Also write all figures here."
+)
+_quick = click.option("--quick", is_flag=True, help="A few ticks each: shows that it works, measures little.")
+
+
+def _agents(default: str) -> Callable[[_F], _F]:
+    return click.option(
+        "--agents", metavar="N,N,...", type=SIZES, default=default, show_default=True, help="Fleet sizes."
+    )
+
+
+@click.group(invoke_without_command=True)
+@_agents("4,20,100")
+@_json
+@_quick
+@click.pass_context
+def bench(context: click.Context, agents: list[int], json_path: Path | None, quick: bool) -> None:
+    """Measure this machine: the fleet against a bare zenoh barrier and OS pipes.
+
+    \b
+    Examples:
+      fleet bench
+      fleet bench --agents 4 --json bench.json
+      fleet bench real --agents 4,20 --speed 1,4
+    """
+    if context.invoked_subcommand is not None:
+        return
+    from fleet.bench import measure
+    from fleet.bench_table import show
+
+    figures = measure(agents, quick=quick, say=_say)
+    show(figures, _terminal())
+    _write(json_path, figures)
+
+
+@bench.command()
+@_agents("4,10,20,40")
+@click.option(
+    "--speed", "speeds", metavar="X,X,...", type=Numbers(0.01, 100.0, "1,2,5"), default="1,2,5", show_default=True,
+    help="Times real time; 1 is 100 ticks/s.",
+)  # fmt: skip
+@_json
+@_quick
+def real(agents: list[int], speeds: list[float], json_path: Path | None, quick: bool) -> None:
+    """Find where --clock real falls behind on this machine, and what lockstep makes of the same.
+
+    \b
+    Examples:
+      fleet bench real
+      fleet bench real --agents 4,100 --speed 0.5,1
+    """
+    from fleet.bench_real import measure, table
+
+    try:
+        rows = measure(agents, speeds, seconds=1.0 if quick else 10.0, say=_say)
+    except FleetError as error:
+        click.echo(f"fleet: {error}", err=True)
+        sys.exit(3)
+    _terminal().print(table(rows))
+    _write(json_path, [row.to_values() for row in rows])
+
+
+@bench.command()
+@click.option("--vehicles", type=click.IntRange(2, 1000), default=20, show_default=True, help="Fleet size.")
+@click.option(
+    "--duration", metavar="SECONDS", type=click.FloatRange(30.0, 1e6), default=3600.0, show_default=True,
+    help="Simulated, in one process.",
+)  # fmt: skip
+@click.option(
+    "--distributed", metavar="SECONDS", type=click.FloatRange(30.0, 1e6), default=300.0, show_default=True,
+    help="Simulated, distributed.",
+)  # fmt: skip
+@_json
+def soak(vehicles: int, duration: float, distributed: float, json_path: Path | None) -> None:
+    """Run for long under random faults: is memory flat, the ledger balanced, the digest the same, nobody left?
+
+    \b
+    Examples:
+      fleet bench soak
+      fleet bench soak --vehicles 6 --duration 120 --distributed 60
+    """
+    from fleet.bench_soak import measure, table, verdicts
+
+    rows = measure(vehicles, duration, distributed, _say)
+    _terminal().print(table(rows))
+    _write(json_path, [row.to_values() for row in rows])
+    wrong = verdicts(rows)
+    for line in wrong:
+        click.echo(f"FAIL  {line}")
+    sys.exit(1 if wrong else 0)
+
+
+def _say(text: str) -> None:
+    click.echo(text, err=True)
+
+
+def _terminal() -> Terminal:
+    return Terminal(width=None if sys.stdout.isatty() else 140)
+
+
+def _write(path: Path | None, figures: Any) -> None:
+    if path is not None:
+        path.write_text(json.dumps(figures, indent=2) + "\n", "utf-8")
+
+
+COMMANDS = (bench,)

@@ -1,0 +1,28 @@
+"""What the machine must allow a run: open files."""
+
+from __future__ import annotations
+
+import resource
+
+from fleet.errors import RunBroken
+
+# Measured: the console holds 16 and two per agent, the world 14 and one per agent; more while they start.
+FILES, FILES_PER_VEHICLE = 48, 2
+
+
+def allow_open_files(vehicles: int) -> None:
+    """Raise the soft limit as far as a run needs it; children inherit it.
+
+    Raises:
+        RunBroken: the hard limit is too low.
+    """
+    needed = FILES + FILES_PER_VEHICLE * vehicles
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    if soft == resource.RLIM_INFINITY or soft >= needed:
+        return
+    if hard != resource.RLIM_INFINITY and hard < needed:
+        raise RunBroken(
+            f"{vehicles} vehicles need {needed} open files per process, and the limit here is {hard}; raise it "
+            f"(ulimit -n {needed}, or LimitNOFILE= of a systemd unit), or take --in-process, which needs none of them"
+        )
+    resource.setrlimit(resource.RLIMIT_NOFILE, (needed, hard))

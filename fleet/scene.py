@@ -1,0 +1,241 @@
+"""What 3D viewers draw, as Foxglove's SceneUpdate: hulls, links and the places where the vehicles should be.
+
+Every message is complete: a viewer that jumps to a time looks no further back than to the last message of a topic, and
+a log that goes on from a snapshot has none before it. All that is remembered from one to the next is what became of the
+last packets of each link, and that stands in the snapshot. Links and places are drawn in `reference`, which moves with
+the fleet, so that they hardly lag behind the hulls between two messages.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from math import pi, sqrt
+from typing import Any
+
+from foxglove_schemas_protobuf.Color_pb2 import Color
+from foxglove_schemas_protobuf.CubePrimitive_pb2 import CubePrimitive
+from foxglove_schemas_protobuf.CylinderPrimitive_pb2 import CylinderPrimitive
+from foxglove_schemas_protobuf.KeyValuePair_pb2 import KeyValuePair
+from foxglove_schemas_protobuf.LinePrimitive_pb2 import LinePrimitive
+from foxglove_schemas_protobuf.Point3_pb2 import Point3
+from foxglove_schemas_protobuf.Pose_pb2 import Pose
+from foxglove_schemas_protobuf.Quaternion_pb2 import Quaternion
+from foxglove_schemas_protobuf.SceneEntity_pb2 import SceneEntity
+from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
+from foxglove_schemas_protobuf.SpherePrimitive_pb2 import SpherePrimitive
+from foxglove_schemas_protobuf.TextPrimitive_pb2 import TextPrimitive
+from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
+from google.protobuf.timestamp_pb2 import Timestamp
+
+from fleet.colours import COLOURS
+from fleet.scenario import Scenario
+from fleet.snapshot import Snapshot
+from fleet.transforms import NO_TURN, REFERENCE, enu, stamp_at
+from netem.config import Link
+from netem.impairment import DEAD_RECEIVER, DEAD_SENDER, DEAF, DELIVERED, DOWN, IN_FLIGHT, MUTE, PARTITION
+from netem.messages import Fate, Frame
+from world.vehicle import Vec3
+
+SCENE_UNITS = {
+    "entities": ["m", "lengths and positions in each entity's frame; thickness and font_size in pixels"],
+}
+
+WATER = 1025.0  # kg/m^3, sea water: a submerged vehicle weighs what it displaces
+SLENDER = 7.0  # length over diameter, as of the small torpedo-shaped vehicles
+HISTORY = 10  # packets of a link that count
+UNHEARD_OF = 5  # lost in a row: nothing arrives any more
+CUTS = frozenset({DOWN, PARTITION, MUTE, DEAF, DEAD_RECEIVER, DEAD_SENDER})
+
+# No black, which vanishes in a viewer's dark theme; vehicles 1 to 4 have the colours of our plots.
+HULLS = tuple(colour for colour in COLOURS if colour != "#000000")
+SILENT = "#808080"
+LINKS = {  # state -> colour, width in pixels: the worse, the wider
+    "delivering": ("#56B4E9", 2.0),
+    "losing": ("#E69F00", 3.0),
+    "cut": ("#D55E00", 5.0),
+    "silent": (SILENT, 1.0),
+}
+
+
+class LinkHistories:
+    """What became of the last packets of each link: `+` arrived, `-` lost, `x` lost because the link was cut."""
+
+    def __init__(self, links: Iterable[Link], values: Iterable[Iterable[Any]] = ()) -> None:
+        self._of: dict[Link, str] = dict.fromkeys(links, "")
+        self._of |= {(src, dst): history for src, dst, history in values}
+
+    def settle(self, fate: Fate) -> None:
+        """Take one packet's fate; what is in flight at the end has none."""
+        if fate.cause == IN_FLIGHT:
+            return
+        arrived = fate.cause == DELIVERED and not fate.corrupted
+        mark = "+" if arrived else "x" if fate.cause in CUTS else "-"
+        link = fate.src, fate.dst
+        self._of[link] = (self._of[link] + mark)[-HISTORY:]
+
+    def state(self, link: Link) -> str:
+        """`silent` before the first packet, `cut`, `losing` or `delivering`."""
+        history = self._of[link]
+        if not history:
+            return "silent"
+        if history[-1] == "x" or (len(history) >= UNHEARD_OF and "+" not in history[-UNHEARD_OF:]):
+            return "cut"
+        return "delivering" if set(history) == {"+"} else "losing"
+
+    def values(self) -> list[list[Any]]:
+        """All of it as plain values."""
+        return [[src, dst, history] for (src, dst), history in self._of.items()]
+
+
+class Scene:
+    """The scene of one run, told of packets and frames as the log is written."""
+
+    def __init__(self, scenario: Scenario, start: Snapshot | None = None) -> None:
+        """`start`: for a run that goes on from there."""
+        self._scenario = scenario
+        self._begin = 0 if start is None else start.tick
+        self.links = LinkHistories(scenario.graph.links, () if start is None else start.drawn)
+        self._both = frozenset(scenario.graph.links)
+        self._silent: frozenset[int] = frozenset()
+        masses = {i: scenario.controls[i - 1].vehicle.m for i in range(1, scenario.vehicles + 1)}
+        self._hulls = {(i, silent): hull(i, mass, silent) for i, mass in masses.items() for silent in (False, True)}
+        self._diameters = {i: diameter(mass) for i, mass in masses.items()}
+
+    def settle(self, fate: Fate) -> None:
+        """Take one packet's fate. A run that goes on tells those of the round before once more: they are known."""
+        if fate.final_tick >= self._begin:
+            self.links.settle(fate)
+
+    def see(self, frame: Frame) -> None:
+        """Who commands its vehicle at a tick; at the end tick nobody is asked."""
+        if frame.tick < self._scenario.ticks:
+            self._silent = frozenset(row.id for row in frame.vehicles if not row.command)
+
+    def message(self, frame: Frame) -> bytes:
+        """A SceneUpdate message: hulls, then links, then where the vehicles should be."""
+        stamp = stamp_at(self._scenario, frame.tick)
+        update = SceneUpdate()
+        for row in frame.vehicles:
+            entity = update.entities.add()
+            entity.CopyFrom(self._hulls[row.id, row.id in self._silent])
+            entity.timestamp.CopyFrom(stamp)
+        t = frame.tick * self._scenario.tick_ns / 1e9
+        origin = self._scenario.reference.at(t).position
+        places = {row.id: _relative(row.eta[:3], origin) for row in frame.vehicles}
+        update.entities.extend(self._link(link, places, stamp) for link in self._scenario.graph.links)
+        update.entities.append(self._formation(t, stamp))
+        return bytes(update.SerializeToString())
+
+    def _link(self, link: Link, places: dict[int, Vec3], stamp: Timestamp) -> SceneEntity:
+        """The half of the line that is nearer to the receiver; all of it where nothing comes the other way."""
+        src, dst = link
+        state = "silent" if src in self._silent else self.links.state(link)
+        colour, width = LINKS[state]
+        begin, end = places[src], places[dst]
+        if (dst, src) in self._both:
+            (x, y, z), (u, v, w) = begin, end
+            begin = (x + u) / 2, (y + v) / 2, (z + w) / 2
+        line = LinePrimitive(
+            type=LinePrimitive.LINE_STRIP,
+            thickness=width,
+            scale_invariant=True,
+            points=[Point3(x=x, y=y, z=z) for x, y, z in (begin, end)],
+            color=_colour(colour),
+        )
+        return SceneEntity(
+            timestamp=stamp,
+            frame_id=REFERENCE,
+            id=f"link {src}-{dst}",
+            frame_locked=True,
+            metadata=[KeyValuePair(key="state", value=state)],
+            lines=[line],
+        )
+
+    def _formation(self, t: float, stamp: Timestamp) -> SceneEntity:
+        """A sphere twice as thick as the vehicle where each should be, and one in the origin, the reference point."""
+        spheres = [_sphere((0.0, 0.0, 0.0), max(self._diameters.values()), SILENT)]
+        for i, size in self._diameters.items():
+            place = enu(self._scenario.plans[i - 1].at(t).position)
+            spheres.append(_sphere(place, 2.0 * size, HULLS[(i - 1) % len(HULLS)], 0.5))
+        return SceneEntity(timestamp=stamp, frame_id=REFERENCE, id="formation", frame_locked=True, spheres=spheres)
+
+
+def diameter(mass: float) -> float:
+    """Of a cylinder as slender as ours that displaces `mass` [kg] of sea water [m]."""
+    return float((4.0 * mass / (pi * SLENDER * WATER)) ** (1.0 / 3.0))
+
+
+def hull(i: int, mass: float, silent: bool) -> SceneEntity:
+    """A torpedo around the origin of `uuv-<i>`, forward along x: body, nose, tail cone, cross of fins, and its number.
+
+    Args:
+        mass: of the vehicle [kg], which gives the size.
+        silent: nobody commands it: the agent is dead or suspended, or the vehicle is lost.
+    """
+    d = diameter(mass)
+    length = SLENDER * d
+    colour = _colour(SILENT if silent else HULLS[(i - 1) % len(HULLS)])
+    forward = Quaternion(y=sqrt(0.5), w=sqrt(0.5))  # a cylinder's axis is z
+
+    def at(x: float, turn: Quaternion = NO_TURN) -> Pose:
+        return Pose(position=Vector3(x=x), orientation=turn)
+
+    return SceneEntity(
+        frame_id=f"uuv-{i}",
+        id=f"uuv-{i}",
+        frame_locked=True,
+        metadata=[KeyValuePair(key="agent", value="silent" if silent else "commanding")],
+        cylinders=[
+            CylinderPrimitive(
+                pose=at(0.05 * length, forward),
+                size=Vector3(x=d, y=d, z=0.6 * length),
+                bottom_scale=1.0,
+                top_scale=1.0,
+                color=colour,
+            ),
+            CylinderPrimitive(
+                pose=at(-0.375 * length, forward),
+                size=Vector3(x=d, y=d, z=0.25 * length),
+                bottom_scale=0.3,
+                top_scale=1.0,
+                color=colour,
+            ),
+        ],
+        spheres=[SpherePrimitive(pose=at(0.35 * length), size=Vector3(x=0.3 * length, y=d, z=d), color=colour)],
+        cubes=[
+            CubePrimitive(
+                pose=at(-0.45 * length), size=Vector3(x=0.08 * length, y=span, z=1.6 * d + 0.1 * d - span), color=colour
+            )
+            for span in (1.6 * d, 0.1 * d)
+        ],
+        texts=[
+            TextPrimitive(
+                pose=Pose(position=Vector3(z=-1.5 * d), orientation=NO_TURN),
+                billboard=True,
+                font_size=16.0,
+                scale_invariant=True,
+                color=colour,
+                text=f"{i} silent" if silent else f"{i}",
+            )
+        ],
+    )
+
+
+def _colour(code: str, alpha: float = 1.0) -> Color:
+    r, g, b = (int(code[k : k + 2], 16) / 255 for k in (1, 3, 5))
+    return Color(r=r, g=g, b=b, a=alpha)
+
+
+def _sphere(place: Vec3, size: float, colour: str, alpha: float = 1.0) -> SpherePrimitive:
+    x, y, z = place
+    return SpherePrimitive(
+        pose=Pose(position=Vector3(x=x, y=y, z=z), orientation=NO_TURN),
+        size=Vector3(x=size, y=size, z=size),
+        color=_colour(colour, alpha),
+    )
+
+
+def _relative(place: Iterable[float], origin: Vec3) -> Vec3:
+    """A place in `reference`, of two in `ned`."""
+    x, y, z = (one - other for one, other in zip(place, origin, strict=True))
+    return enu((x, y, z))

@@ -1,0 +1,80 @@
+"""Where every vehicle is, as Foxglove's FrameTransforms: the tree of frames that 3D viewers draw in.
+
+| frame | what | axes |
+|---|---|---|
+| `map` | the root | east, north, up: viewers have z upwards |
+| `ned` | all positions of the log | north, east, down; same origin |
+| `reference` | moves with the reference trajectory | parallel to `map` |
+| `uuv-<i>` | vehicle i | forward, starboard, down |
+
+Every message has all of them: a viewer that jumps to a time needs no older one.
+"""
+
+from __future__ import annotations
+
+from math import cos, sin, sqrt
+
+from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
+from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
+from foxglove_schemas_protobuf.Quaternion_pb2 import Quaternion
+from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
+from google.protobuf.timestamp_pb2 import Timestamp
+
+from fleet.scenario import Scenario
+from netem.messages import Frame
+from world.vehicle import Vec3
+
+MAP, NED, REFERENCE = "map", "ned", "reference"
+TRANSFORMS_UNITS = {
+    "transforms.translation": ["m", "of the child's origin in the parent"],
+    "transforms.rotation": ["1", "unit quaternion, child to parent"],
+}
+NO_TURN = Quaternion(w=1.0)
+_UPSIDE_DOWN = Quaternion(x=sqrt(0.5), y=sqrt(0.5))  # half a turn about north-east: NED to east, north, up
+
+
+def transforms(scenario: Scenario, frame: Frame) -> bytes:
+    """A FrameTransforms message of all vehicles, and of the frames above them."""
+    stamp = stamp_at(scenario, frame.tick)
+    x, y, z = enu(scenario.reference.at(frame.tick * scenario.tick_ns / 1e9).position)
+    found = [
+        FrameTransform(timestamp=stamp, parent_frame_id=MAP, child_frame_id=NED, rotation=_UPSIDE_DOWN),
+        FrameTransform(
+            timestamp=stamp,
+            parent_frame_id=MAP,
+            child_frame_id=REFERENCE,
+            translation=Vector3(x=x, y=y, z=z),
+            rotation=NO_TURN,
+        ),
+    ]
+    for row in frame.vehicles:
+        x, y, z, theta, psi = row.eta
+        qx, qy, qz, qw = quaternion(theta, psi)
+        found.append(
+            FrameTransform(
+                timestamp=stamp,
+                parent_frame_id=NED,
+                child_frame_id=f"uuv-{row.id}",
+                translation=Vector3(x=x, y=y, z=z),
+                rotation=Quaternion(x=qx, y=qy, z=qz, w=qw),
+            )
+        )
+    return bytes(FrameTransforms(transforms=found).SerializeToString())
+
+
+def enu(ned: Vec3) -> Vec3:
+    """A vector in axes of `ned` in those of `map`."""
+    north, east, down = ned
+    return east, north, -down
+
+
+def quaternion(theta: float, psi: float) -> tuple[float, float, float, float]:
+    """(x, y, z, w) of R = Rz(psi) Ry(theta), body to NED; roll is not modelled."""
+    ct, st, cp, sp = cos(theta / 2), sin(theta / 2), cos(psi / 2), sin(psi / 2)
+    return -sp * st, cp * st, sp * ct, cp * ct
+
+
+def stamp_at(scenario: Scenario, tick: int) -> Timestamp:
+    """The simulated time of a tick."""
+    seconds, nanos = divmod(tick * scenario.tick_ns, 1_000_000_000)
+    return Timestamp(seconds=seconds, nanos=nanos)

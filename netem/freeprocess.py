@@ -1,0 +1,67 @@
+"""The netem process on a wall clock: in the middle of each tick it hands out what is due at the next."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from queue import Empty
+from time import monotonic_ns
+from typing import cast
+
+from netem.access import Credentials
+from netem.bus import Bus
+from netem.config import NetemConfig
+from netem.freerun import FreeRounds
+from netem.keys import Keys
+from netem.messages import Message, Pace, Receipt, Round, Transmission
+from netem.process import NetemProcess
+from netem.shell import end_with_link
+
+
+def run(endpoint: str, run_id: str, credentials: Credentials, config: NetemConfig) -> None:
+    """Serve the network of a run until the process is ended."""
+    keys = Keys(run_id)
+    bus = Bus.connect(endpoint, credentials)
+    end_with_link(bus, credentials)
+    FreeNetemProcess(bus, keys, config, FreeRounds(config)).serve()
+
+
+class FreeNetemProcess(NetemProcess):
+    """Exchanges when it is time. The pace is the world's, which says it anew every round."""
+
+    _pace = Pace(0, 0, 1)
+
+    def serve(self) -> None:
+        """Tick by tick, until the process is ended."""
+        free, queue = cast(FreeRounds, self._rounds), self._shell.queue
+        while True:
+            wait = (self._middle_ns(free.tick) - monotonic_ns()) / 1e9 if free.known else None
+            if wait is None or wait > 0:
+                with suppress(Empty):
+                    self._handle(queue.get(timeout=wait))
+                continue
+            # What is there by now still belongs to this tick.
+            for _ in range(queue.qsize()):
+                self._handle(queue.get())
+            inboxes, report = free.exchange(monotonic_ns())
+            self._hand_out(inboxes)
+            if report is not None:
+                self._report(report)
+
+    def _middle_ns(self, tick: int) -> int:
+        return self._begin_ns(tick) + self._pace.period_ns // 2
+
+    def _begin_ns(self, tick: int) -> int:
+        return self._pace.at_ns + (tick - self._pace.tick) * self._pace.period_ns
+
+    def _from_agent(self, i: int, message: Message) -> None:
+        free = cast(FreeRounds, self._rounds)
+        if isinstance(message, Receipt):
+            free.receipt(i, message, self._begin_ns)
+        elif isinstance(message, Transmission):
+            free.transmission(i, message)
+
+    def _from_world(self, message: Message) -> None:
+        if isinstance(message, Pace):
+            self._pace = message
+        elif isinstance(message, Round):
+            cast(FreeRounds, self._rounds).round(message)

@@ -1,0 +1,170 @@
+"""The network without rounds: a packet enters at the tick in which it comes, and is handed out a tick before it is due.
+
+A pure state machine like `Rounds`; the shell says what tick it is. A transmission of round tick k that comes in the
+first half of tick k enters at k, as in lockstep; a later one at the tick in which it comes, so that what the network
+adds to it counts from there. The impairment models are the same, and so is the least latency of one tick.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+from netem.acoustic import AcousticNetem
+from netem.config import Link, NetemConfig
+from netem.errors import OutOfPlace
+from netem.lives import Lives
+from netem.messages import Delivery, Fate, Inbox, LinkReport, Receipt, Round, Transmission
+from netem.network import Netem
+from netem.spread import Spread
+
+FAR_ROUNDS = 20  # by which what an agent sends may be ahead of a network that is late
+
+
+@dataclass(slots=True)
+class Handed:
+    """A delivery that its receiver has not acknowledged."""
+
+    due_tick: int
+    sent_tick: int
+    put_ns: int
+
+
+class FreeRounds:
+    """Feeds `Netem` tick by tick with what has come."""
+
+    def __init__(self, config: NetemConfig) -> None:
+        self.config = config
+        every_tick = replace(config, round_ticks=1, memory_ticks=0)
+        self.netem = Netem(every_tick) if config.acoustic is None else AcousticNetem(every_tick)
+        self.lives = Lives(config.absences)
+        self.late = dict.fromkeys(config.vehicles, 0)  # transmissions that entered after their tick
+        self.missed = dict.fromkeys(config.vehicles, 0)  # round ticks without a transmission
+        self._tick = 0  # exchanged next
+        self._sent = dict.fromkeys(config.vehicles, -config.round_ticks)
+        self._paused = dict.fromkeys(config.vehicles, 0)  # rounds since then in which it was suspended
+        self._resumed = dict.fromkeys(config.vehicles, 0)  # to a round: no longer suspended from then on
+        self._came: dict[int, list[bytes]] = {}
+        self._round: Round | None = None
+        self._fates: list[Fate] = []
+        self._handed: dict[int, dict[tuple[int, int, int], Handed]] = {i: {} for i in config.vehicles}
+        self.injected: dict[Link, Spread] = {link: Spread() for link in config.links}
+        self.measured: dict[Link, Spread] = {link: Spread() for link in config.links}
+        self.hop = Spread()
+        self.margin = Spread()
+        self.overdue = 0  # deliveries used after their due tick
+
+    @property
+    def tick(self) -> int:
+        """The tick that is exchanged next."""
+        return self._tick
+
+    @property
+    def missing(self) -> list[int]:
+        """Nobody is waited for."""
+        return []
+
+    @property
+    def known(self) -> bool:
+        """Whether the world has said where everyone is at that tick, to the accuracy of a round."""
+        return self._round is not None and self._tick < self._round.tick + self.config.round_ticks
+
+    def transmission(self, i: int, message: Transmission) -> None:
+        """Take vehicle i's transmission, whenever it comes.
+
+        Raises:
+            OutOfPlace: not a round tick, one that was taken, one to come, or of another incarnation.
+        """
+        incarnation = self.lives.incarnation(i, message.tick)
+        if message.incarnation != incarnation:
+            raise OutOfPlace("incarnation", incarnation, message.incarnation)
+        m = self.config.round_ticks
+        last = self._sent[i]
+        latest = self._tick + FAR_ROUNDS * m
+        if message.tick % m or message.tick <= last or message.tick > latest:
+            raise OutOfPlace("round tick", f"one after {last}, up to {latest}", message.tick)
+        self.late[i] += message.tick < self._tick
+        if self.lives.incarnation(i, max(0, last)) == incarnation:
+            self.missed[i] += (message.tick - last) // m - 1 - self._paused[i]
+        self._paused[i] = 0
+        self._sent[i] = message.tick
+        self._came.setdefault(i, []).extend(message.payloads)
+
+    def round(self, message: Round) -> None:
+        """Take the world's word on who is alive at a round tick, and where."""
+        self._round = message
+        for i in message.paused:
+            self._paused[i] += 1
+            self._resumed[i] = message.tick + self.config.round_ticks
+        for i, handed in self._handed.items():
+            if i not in message.alive:
+                handed.clear()
+
+    def exchange(self, now_ns: int) -> tuple[list[tuple[int, Inbox]], LinkReport | None]:
+        """The outcome of a tick: (vehicle, inbox) pairs of those who get something, and at a round tick the report."""
+        tick = self._tick
+        inboxes = []
+        for i, deliveries in self._advance().items():
+            if deliveries:
+                handed = self._handed[i]
+                handed |= {(d.src, d.seq, d.copy): Handed(d.due_tick, d.sent_tick, now_ns) for d in deliveries}
+                inboxes.append((i, Inbox(self.lives.incarnation(i, tick), tick + 1, False, deliveries)))
+        if tick % self.config.round_ticks:
+            return inboxes, None
+        report = LinkReport(tick, False, False, tuple(self._fates), b"")
+        self._fates = []
+        return inboxes, report
+
+    def _advance(self) -> dict[int, tuple[Delivery, ...]]:
+        where = self._round
+        assert where is not None  # `known`
+        positions = dict(zip(where.alive, where.positions, strict=True))
+        came = {i: tuple(payloads) for i, payloads in self._came.items() if i in positions}
+        self._came = {}
+        inboxes, fates = self.netem.exchange(self._tick, came, positions)
+        self._fates += fates
+        self._tick += 1
+        return inboxes
+
+    def receipt(self, i: int, receipt: Receipt, due_ns: Callable[[int], int]) -> None:
+        """Vehicle i used these deliveries at a tick. `due_ns` says when a tick begins.
+
+        Raises:
+            OutOfPlace: of another incarnation, or something that it was not given.
+        """
+        incarnation = self.lives.incarnation(i, receipt.tick)
+        if receipt.incarnation != incarnation:
+            raise OutOfPlace("incarnation", incarnation, receipt.incarnation)
+        tick_ns = self.config.tick_ns
+        for src, seq, copy, at_ns in receipt.arrivals:
+            handed = self._handed[i].pop((src, seq, copy), None)
+            if handed is None:
+                raise OutOfPlace("arrival", "a delivery that was handed out", f"{src}->{i} number {seq} copy {copy}")
+            self.injected[src, i].add((handed.due_tick - handed.sent_tick) * tick_ns)
+            self.measured[src, i].add((receipt.tick - handed.sent_tick) * tick_ns)
+            self.hop.add(at_ns - handed.put_ns)
+            self.margin.add(due_ns(handed.due_tick) - at_ns)
+            self.overdue += receipt.tick > max(handed.due_tick, self._resumed[i])
+
+    def close(self, end_tick: int) -> LinkReport:
+        """The last report, after every tick that was not exchanged yet."""
+        while self._tick < end_tick and self._round is not None:
+            self._advance()
+        return LinkReport(end_tick, True, False, (*self._fates, *self.netem.close(end_tick)), b"")
+
+    def timing(self) -> dict[str, Any]:
+        """What the network measured of the agents and of itself, as plain values."""
+        links = {
+            f"{src}->{dst}": {"injected": self.injected[src, dst].to_values(), "measured": spread.to_values()}
+            for (src, dst), spread in sorted(self.measured.items())
+        }
+        return {
+            "links": links,
+            "hop": self.hop.to_values(),
+            "margin": self.margin.to_values(),
+            "overdue": self.overdue,
+            "unread": sum(map(len, self._handed.values())),
+            "late": {str(i): n for i, n in self.late.items()},
+            "missed": {str(i): n for i, n in self.missed.items()},
+        }

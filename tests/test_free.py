@@ -1,0 +1,459 @@
+"""Runs on a wall clock: what is late, what follows from it, and that a run in which nothing is late is lockstep's.
+
+The state machines are told what time it is, so nothing here depends on how fast the machine is; the real runs at the
+end assert what holds on any machine.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable
+from itertools import pairwise
+from pathlib import Path
+from textwrap import dedent
+from typing import Any
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from hypothesis import given
+from hypothesis import strategies as st
+
+from agents.agent import make_agent
+from agents.freeloop import FreeLoop
+from fleet import timing
+from fleet.cli import cli
+from fleet.clock import Clock
+from fleet.inprocess import InProcess
+from fleet.journal import Journal, frame_every
+from fleet.log import LogWriter
+from fleet.pictures import Look, NothingToDraw, load
+from fleet.pictures.timing import punctuality
+from fleet.run import Options, Status, execute
+from fleet.scenario import Scenario, load_scenario
+from fleet.script import ScriptError
+from fleet.verify import verify
+from fleet.whatif import whatif
+from netem.errors import OutOfPlace
+from netem.freerun import FreeRounds
+from netem.messages import Arrival, Command, Delivery, Inbox, Nav, Receipt, Round, Transmission
+from netem.spread import Spread
+from world.freerun import FreeRun
+from world.lockstep import NavTo
+from world.pace import Pace
+
+PERIOD_NS = 10_000_000
+SHORT = load_scenario("paper", ["duration=300 ms", "checks={}"])
+SIZE = SHORT.layout(1).size
+
+
+class Virtual:
+    """A whole free-running fleet in virtual time; `absent(i, tick)` says that agent i does not get a nav answered."""
+
+    def __init__(self, scenario: Scenario, path: Path, absent: Callable[[int, int], bool]) -> None:
+        self.scenario, self.absent = scenario, absent
+        self.log = LogWriter(path, scenario)
+        self.journal = Journal(scenario, self.log)
+        self.world = FreeRun(scenario.world_config(), frame_every=frame_every(scenario))
+        self.network = FreeRounds(scenario.netem_config())
+        self.agents = {i: self._born(i, 0) for i in self.world.world.ids}
+
+    def _born(self, i: int, incarnation: int) -> FreeLoop:
+        core = make_agent(self.scenario.agent_config(i))
+        return FreeLoop(core, self.scenario.round_ticks, incarnation=incarnation)
+
+    def run(self) -> str:
+        """To the end; returns the digest."""
+        self.world.grant(self.scenario.ticks)
+        for tick in range(self.scenario.ticks):
+            for out in self.world.begin():
+                if isinstance(out, NavTo) and not self.absent(out.id, tick):
+                    self._answer(out.id, out.nav)
+                elif isinstance(out, Round):
+                    self.network.round(out)
+            inboxes, report = self.network.exchange(tick * PERIOD_NS)
+            for i, inbox in inboxes:
+                if inbox.incarnation == self.agents[i].incarnation:
+                    self.agents[i].arrive(inbox, tick * PERIOD_NS + 1000)
+            if report is not None:
+                self.journal.links(report)
+            for frame in self.world.finish():
+                self.journal.frame(frame)
+        self.journal.links(self.network.close(self.scenario.ticks))
+        self.log.close()
+        for link, (sent, copies) in self.network.netem.entered.items():
+            self.journal.ledger.enter(link, sent=sent, duplicated=copies)
+        assert self.journal.complete
+        assert self.journal.ledger.unbalanced() == {}
+        return self.log.digest
+
+    def _answer(self, i: int, nav: Nav) -> None:
+        if nav.incarnation > self.agents[i].incarnation:
+            self.agents[i] = self._born(i, nav.incarnation)
+        for answer in self.agents[i].nav(nav):
+            if isinstance(answer, Transmission):
+                self.network.transmission(i, answer)
+            elif isinstance(answer, Command):
+                self.world.command(i, answer)
+            elif isinstance(answer, Receipt):
+                self.network.receipt(i, answer, lambda tick: tick * PERIOD_NS)
+
+
+def lockstep(scenario: Scenario, path: Path) -> str:
+    log = LogWriter(path, scenario)
+    fleet = InProcess(scenario, Journal(scenario, log))
+    fleet.serve(Clock(scenario.ticks, scenario.tick_ns, scenario.round_ticks, frame_every(scenario)), lambda: None)
+    log.close()
+    return log.digest
+
+
+@pytest.mark.parametrize(
+    ("name", "more"),
+    [
+        ("paper", []),
+        ("rough-sea", []),
+        ("lossy", []),
+        ("kill-restart", ["faults=[{id: crash, at: 1 s, for: 700 ms, kill: 3}]"]),
+        ("paper", ["faults=[{at: 500 ms, for: 300 ms, slow: {vehicles: 2, by: 3 ticks}}]"]),
+        ("paper", ["faults=[{at: 500 ms, for: 300 ms, pause: 2}]"]),
+    ],
+)
+def test_when_nothing_is_late_the_bytes_are_those_of_lockstep(name: str, more: list[str], tmp_path: Path) -> None:
+    scenario = load_scenario(name, ["duration=2500 ms", "checks={}", *more])
+    virtual = Virtual(scenario, tmp_path / "free.mcap", lambda i, tick: False)
+    assert virtual.run() == lockstep(scenario, tmp_path / "lockstep.mcap")
+    found = virtual.network.timing()
+    assert (found["overdue"], sum(found["late"].values()), sum(found["missed"].values())) == (0, 0, 0)
+    assert all(kept.missed == kept.late == kept.stale == 0 for kept in virtual.world.kept.values())
+
+
+def test_an_agent_that_skips_ticks_is_counted_and_the_others_are_not(tmp_path: Path) -> None:
+    scenario = load_scenario("paper", ["duration=2500 ms", "checks={}"])
+    # Ticks 100 to 104, of which 100 is a round tick.
+    virtual = Virtual(scenario, tmp_path / "free.mcap", lambda i, tick: i == 3 and 100 <= tick < 105)
+    assert virtual.run() != lockstep(scenario, tmp_path / "lockstep.mcap")
+    assert {i: (kept.missed, kept.longest) for i, kept in virtual.world.kept.items()} == {
+        1: (0, 0), 2: (0, 0), 3: (5, 5), 4: (0, 0),
+    }  # fmt: skip
+    assert virtual.network.timing()["missed"] == {"1": 0, "2": 0, "3": 1, "4": 0}
+
+
+def command(tick: int, force: float = 1.0, incarnation: int = 0) -> Command:
+    return Command(incarnation, tick, (force, 0.0, 0.0), (0.0,) * SIZE)
+
+
+def free() -> FreeRun:
+    world = FreeRun(SHORT.world_config())
+    world.grant(SHORT.ticks)
+    return world
+
+
+def forces(frames: list[Any]) -> list[float]:
+    """The surge force that acted on vehicle 1."""
+    return [frame.vehicles[0].tau[0] for frame in frames]
+
+
+def test_the_newest_command_acts_until_a_newer_one_is_there() -> None:
+    world, frames = free(), []
+    said: list[list[Command]] = [
+        [command(0, 1.0)], [], [command(1, 2.0)], [command(2, 3.0), command(3, 4.0)], [], [command(5, 5.0)],
+    ]  # fmt: skip
+    for commands in said:
+        world.begin()
+        for one in commands:
+            world.command(1, one)
+        frames += world.finish()
+    assert forces(frames) == [1.0, 1.0, 2.0, 4.0, 4.0, 5.0]
+    kept = world.kept[1]
+    # Ticks 1, 2 and 4 went by without their answers; that of tick 1 came in time to act at 2, that of 2 too late.
+    assert (kept.asked, kept.missed, kept.late, kept.stale, kept.longest) == (6, 3, 1, 0, 2)
+
+
+def test_an_answer_behind_a_newer_one_is_dropped_and_counted() -> None:
+    world = free()
+    world.begin()
+    world.finish()
+    world.begin()
+    world.command(1, command(1, 2.0))
+    world.command(1, command(0, 9.0))
+    assert forces(world.finish()) == [2.0]
+    assert (world.kept[1].missed, world.kept[1].stale) == (1, 1)
+    assert world.take_answered() == [(1, 1), (1, 0)]
+    assert world.take_answered() == []
+
+
+@pytest.mark.parametrize(
+    ("said", "expected"),
+    [
+        ([command(1)], "answer to the nav of tick 0"),
+        ([command(0), command(0)], "answer to the nav of tick 0"),
+        ([command(0, incarnation=1)], "incarnation"),
+        ([Command(0, 0, (1.0, 0.0, 0.0), (0.0,) * (SIZE + 1))], "telemetry"),
+    ],
+)
+def test_the_world_refuses_what_it_did_not_ask_for(said: list[Command], expected: str) -> None:
+    world = free()
+    world.begin()
+    *before, last = said
+    for one in before:
+        world.command(1, one)
+    with pytest.raises(OutOfPlace, match=expected):
+        world.command(1, last)
+
+
+def test_an_agent_that_ends_drifts_from_the_tick_it_did_not_answer() -> None:
+    world = free()
+    world.begin()
+    world.command(1, command(0))
+    world.end(1, 0)
+    frames = world.finish()
+    world.begin()
+    frames += world.finish()
+    assert forces(frames) == [1.0, 0.0]
+    assert [life.tick for frame in frames for life in frame.lives] == [1]
+
+
+@given(
+    st.lists(st.tuples(st.integers(0, 3 * PERIOD_NS), st.booleans()), min_size=1, max_size=60),
+)
+def test_ticks_never_begin_early_and_every_moved_moment_is_accounted_for(late: list[tuple[int, bool]]) -> None:
+    """Wall time passed = ticks times the period + what the clock was moved by + what the last tick was late."""
+    pace = Pace(PERIOD_NS)
+    pace.start(0, 1000)
+    behind = 0
+    for k, (ns, held) in enumerate(late):
+        now = pace.at_ns(k) + ns
+        behind = pace.begin(k, now, held=held)
+        assert behind >= 0
+        assert pace.at_ns(k) <= now
+        assert now - pace.at_ns(k) <= PERIOD_NS
+    assert pace.at_ns(len(late)) == 1000 + len(late) * PERIOD_NS + pace.held_ns + pace.slipped_ns
+
+
+@given(st.lists(st.integers(-5, 10**10), min_size=1, max_size=200), st.sampled_from([50, 95, 99]))
+def test_percentiles_are_those_of_numpy_to_the_width_of_a_bucket(values: list[int], percent: int) -> None:
+    spread = Spread()
+    for value in values:
+        spread.add(value)
+    exact = max(0.0, float(np.percentile(values, percent, method="inverted_cdf")))
+    found = spread.percentile_ns(percent)
+    assert exact <= max(found, 1000)
+    assert found <= max(1000, exact * 1.13)
+    shown = spread.to_values()
+    assert sum(n for _, n in shown["histogram_ms"]) + shown["negative"] == shown["count"] == len(values)
+
+
+class Core:
+    """An agent core that says what it was given."""
+
+    def __init__(self) -> None:
+        self.given: list[tuple[int, list[int]]] = []
+
+    def step(self, nav: Nav, deliveries: list[Delivery]) -> Any:
+        self.given.append((nav.tick, [d.seq for d in deliveries]))
+        return type("Step", (), {"tau": (0.0,) * 3, "telemetry": (), "payloads": (b"x",)})()
+
+
+def nav(tick: int, incarnation: int = 0) -> Nav:
+    return Nav(incarnation, tick, (0.0,) * 5, (0.0,) * 5)
+
+
+def test_an_agent_answers_the_newest_nav_and_what_it_is_to_send_at() -> None:
+    loop = FreeLoop(Core(), 10)  # type: ignore[arg-type]
+    assert [n.tick for n in loop.worth([nav(1), nav(2)])] == [2]
+    assert [n.tick for n in loop.worth([nav(9), nav(10), nav(11)])] == [10, 11]
+    assert [n.tick for n in loop.worth([nav(10), nav(20)])] == [20]
+    assert [n.tick for n in loop.worth([nav(10), nav(20), nav(21), nav(22)])] == [20, 22]
+
+
+def test_an_agent_uses_what_is_due_and_says_when_it_came() -> None:
+    core = Core()
+    loop = FreeLoop(core, 10)  # type: ignore[arg-type]
+    assert [type(answer) for answer in loop.nav(nav(0))] == [Transmission, Command]
+    loop.arrive(Inbox(0, 2, False, (Delivery(2, 0, 2, 7, 0, b"a"),)), 5)
+    loop.arrive(Inbox(0, 4, False, (Delivery(4, 0, 2, 8, 0, b"b"),)), 6)
+    assert [type(answer) for answer in loop.nav(nav(1))] == [Command]
+    assert loop.nav(nav(3))[1:] == [Receipt(0, 3, (Arrival(2, 7, 0, 5),))]
+    assert loop.nav(nav(5))[1:] == [Receipt(0, 5, (Arrival(2, 8, 0, 6),))]
+    assert core.given == [(0, []), (1, []), (3, [7]), (5, [8])]
+    with pytest.raises(OutOfPlace):
+        loop.nav(nav(5))
+
+
+def network() -> FreeRounds:
+    rounds = FreeRounds(load_scenario("paper", ["checks={}", "network.links={'*': 'delay 25ms'}"]).netem_config())
+    rounds.round(Round(0, (1, 2, 3, 4), ((0.0,) * 3,) * 4, ()))
+    return rounds
+
+
+def advance(rounds: FreeRounds, until: int) -> dict[int, list[tuple[int, Delivery]]]:
+    """Exchange up to a tick; what each vehicle got, and when it was handed out."""
+    got: dict[int, list[tuple[int, Delivery]]] = {}
+    while rounds.tick < until:
+        tick = rounds.tick
+        if tick % 10 == 0:
+            rounds.round(Round(tick, (1, 2, 3, 4), ((0.0,) * 3,) * 4, ()))
+        inboxes, report = rounds.exchange(0)
+        assert (report is not None) == (tick % 10 == 0)
+        for i, inbox in inboxes:
+            got.setdefault(i, []).extend((tick, d) for d in inbox.deliveries)
+    return got
+
+
+@pytest.mark.parametrize("late", [0, 4])
+def test_what_is_sent_late_enters_late_and_takes_as_long(late: int) -> None:
+    """Handed out a tick before it is due, and due by the link's delay after it came."""
+    rounds = network()
+    advance(rounds, late)
+    rounds.transmission(1, Transmission(0, 0, (b"state",)))
+    got = advance(rounds, 9)
+    assert [(tick, d.sent_tick, d.due_tick) for tick, d in got[2]] == [(late + 2, late, late + 3)]
+    assert rounds.late == {1: int(late > 0), 2: 0, 3: 0, 4: 0}
+
+
+def test_the_network_measures_what_receipts_say() -> None:
+    rounds = network()
+    rounds.transmission(1, Transmission(0, 0, (b"state",)))
+    advance(rounds, 9)
+    rounds.receipt(2, Receipt(0, 4, (Arrival(1, 0, 0, 2_000_000),)), lambda tick: tick * PERIOD_NS)
+    found = rounds.timing()
+    assert found["overdue"] == 1  # due at 3, used at 4
+    assert found["links"]["1->2"]["injected"]["max_ms"] == 30.0  # 25 ms, rounded up to ticks
+    assert found["links"]["1->2"]["measured"]["max_ms"] == 40.0
+    assert (found["hop"]["max_ms"], found["margin"]["max_ms"]) == (2.0, 28.0)
+    with pytest.raises(OutOfPlace, match="1->2 number 0"):
+        rounds.receipt(2, Receipt(0, 5, (Arrival(1, 0, 0, 0),)), lambda tick: 0)
+
+
+@pytest.mark.parametrize("tick", [5, 1000, 0])
+def test_the_network_refuses_what_is_no_next_transmission(tick: int) -> None:
+    rounds = network()
+    rounds.transmission(1, Transmission(0, 0, ()))
+    with pytest.raises(OutOfPlace, match="round tick"):
+        rounds.transmission(1, Transmission(0, tick, ()))
+
+
+def test_the_network_waits_for_the_world_but_not_for_agents() -> None:
+    rounds = network()
+    advance(rounds, 10)
+    assert not rounds.known  # where everyone is at tick 10 has not been said
+
+
+def test_grants_on_a_wall_clock_go_ahead_of_it() -> None:
+    clock = Clock(10_000, PERIOD_NS, 10, 1, speed=1.0, lead_ns=500_000_000)
+    assert clock.until(-1, 0.0) == 51
+    assert clock.until(40, 0.4) == 91
+
+
+FINE: dict[str, Any] = {
+    "world": {"slipped_s": 0.0, "held_s": 0.0, "run_s": 10.0},
+    "vehicles": {"1": {"asked": 1000, "missed": 0, "longest": 0}, "2": {"asked": 1000, "missed": 0, "longest": 0}},
+    "netem": {"late": {"1": 0}, "missed": {"1": 0}, "overdue": 0, "hop": {"count": 100}},
+}
+
+
+def worse(path: str, value: Any) -> dict[str, Any]:
+    changed = json.loads(json.dumps(FINE))
+    *most, last = path.split(".")
+    place = changed
+    for step in most:
+        place = place[step]
+    place[last] = value
+    return changed
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "said"),
+    [
+        ("vehicles.2", {"asked": 1000, "missed": 8, "longest": 3}, r"agent 2 missed 8 of 1000 ticks \(0.80%\), 3 in"),
+        ("netem.late", {"1": 3}, "3 transmissions"),
+        ("netem.missed", {"1": 1}, "1 transmissions"),
+        ("netem.overdue", 7, "7 of 100 deliveries"),
+        ("world.slipped_s", 0.05, "moved the clock by 0.05 s"),
+        ("world.held_s", 2.0, "stood still for 2 s"),
+    ],
+)
+def test_whatever_is_late_degrades_a_run_and_is_named(path: str, value: Any, said: str) -> None:
+    assert timing.label(FINE) == ("on time", [])
+    name, reasons = timing.label(worse(path, value))
+    assert (name, len(reasons)) == ("degraded", 1)
+    assert re.search(said, reasons[0])
+
+
+def test_the_verdict_tolerates_what_was_asked_for() -> None:
+    some = worse("vehicles.2", {"asked": 1000, "missed": 8, "longest": 3})
+    assert timing.verdict(some, 0.01).passed
+    assert not timing.verdict(some, 0.005).passed
+    assert timing.verdict(some, 0.01).found.startswith("degraded: agent 2 missed")
+    assert not timing.verdict(worse("world.slipped_s", 1.0), 0.01).passed
+
+
+SLEEPER = """
+    from time import sleep
+
+    class Sleeper:
+        signals = ()
+
+        def __init__(self, config):
+            pass
+
+        def step(self, sample):
+            if sample.tick % 10 == 5:
+                sleep(0.08)
+            return (0.0, 0.0, 0.0), {}
+"""
+
+
+def test_a_real_run_is_on_time_and_lockstep_or_says_why_not(tmp_path: Path) -> None:
+    scenario = load_scenario("paper", ["duration=2 s", "checks={ledger: balanced, middleware_loss: {at_most: 0}}"])
+    found = execute(scenario, Options(tmp_path, quiet=True, pace=0.5, most_missed=1.0))
+    same = execute(scenario, Options(tmp_path, quiet=True, in_process=True))
+    assert (found.status, found.reason) == (Status.PASS, "")
+    measured = found.values["timing"]
+    assert measured["label"] in ("on time", "degraded")
+    assert found.digest == same.digest or measured["label"] == "degraded"
+    assert (measured["label"] == "on time") == (measured["reasons"] == [])
+    assert all(row["asked"] == 200 for row in measured["vehicles"].values())
+    assert measured["netem"]["hop"]["count"] + measured["netem"]["unread"] == 120
+    assert measured["netem"]["links"]["1->2"]["injected"]["p50_ms"] == 10.0
+    (run,) = load([found.directory])
+    figure = punctuality([run], Look())
+    assert [text.get_text() for text in figure.legends[0].get_texts()] == ["UUV 1", "UUV 2", "UUV 3", "UUV 4"]
+    shares = figure.axes[0].lines[0].get_ydata()
+    assert shares[0] == 1.0
+    assert all(a >= b > 0 for a, b in pairwise(shares))
+    (run,) = load([same.directory])
+    with pytest.raises(NothingToDraw, match="lockstep"):
+        punctuality([run], Look())
+    for refused in (verify, lambda log: whatif(log, 3)):
+        with pytest.raises(ScriptError, match="--clock real"):
+            refused(found.directory)
+
+
+def test_an_agent_too_slow_for_its_ticks_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "sleeper.py").write_text(dedent(SLEEPER))
+    monkeypatch.syspath_prepend(str(tmp_path))
+    scenario = load_scenario(
+        "paper", ["duration=2 s", "checks={}", "per_vehicle={2: {controller: 'sleeper:Sleeper'}}", "graph.shape=path"]
+    )
+    found = execute(scenario, Options(tmp_path, quiet=True, pace=1.0))
+    assert found.status is Status.CHECK_FAILED
+    rows = found.values["timing"]["vehicles"]
+    # Twenty times it sleeps, and each time seven more ticks go by; fewer where the machine stops the world, too.
+    assert rows["2"]["missed"] >= 20 * 3
+    assert rows["2"]["response"]["max_ms"] >= 80.0
+    assert "agent 2 missed" in found.verdicts[-1].found
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["--in-process"], "not with --in-process"),
+        (["--set", "network=ideal"], "not with network: ideal"),
+        (["--max-missed", "2"], "expected a share"),
+    ],
+)
+def test_what_makes_no_sense_on_a_wall_clock_is_refused(arguments: list[str], said: str) -> None:
+    result = CliRunner().invoke(cli, ["run", "paper", "--clock", "real", *arguments])
+    assert (result.exit_code, said in result.output) == (2, True)

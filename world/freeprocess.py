@@ -1,0 +1,133 @@
+"""The world process on a wall clock: ticks begin and end when it is time, whoever has answered."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from time import monotonic_ns
+from typing import Any
+
+from netem.access import Credentials, Door
+from netem.bus import Bus
+from netem.keys import Keys
+from netem.messages import Pace as Begins
+from netem.messages import encode
+from netem.shell import end_with_link
+from netem.spread import Spread
+from world.config import WorldConfig
+from world.freerun import FreeRun
+from world.pace import Pace
+from world.process import WorldProcess
+
+AHEAD_NS = 50_000_000  # from the first grant to the first tick
+REMEMBERED = 1000  # ticks whose answers are still measured
+
+
+def run(
+    endpoint: str,
+    run_id: str,
+    credentials: dict[str, Credentials],
+    private: Path,
+    config: WorldConfig,
+    frame_every: int,
+    speed: float,
+    door: Door | None = None,
+) -> None:
+    """Host the router and serve the sea of a run, `speed` times as fast as real, until the process is ended."""
+    keys = Keys(run_id)
+    vehicles = tuple(setup.id for setup in config.vehicles)
+    bus = Bus.host(endpoint, keys, vehicles, credentials, private, door)
+    FreeWorldProcess(bus, keys, FreeRun(config, frame_every=frame_every), Pace(round(config.tick_ns / speed))).serve()
+
+
+def join(
+    endpoint: str, run_id: str, credentials: Credentials, config: WorldConfig, frame_every: int, speed: float
+) -> None:
+    """Serve the sea of a run through a router that is there already; as `run` otherwise."""
+    bus = Bus.connect(endpoint, credentials)
+    end_with_link(bus, credentials)
+    free = FreeRun(config, frame_every=frame_every)
+    FreeWorldProcess(bus, Keys(run_id), free, Pace(round(config.tick_ns / speed))).serve()
+
+
+class FreeWorldProcess(WorldProcess):
+    """Begins and ends ticks by the clock, and measures how everyone keeps up."""
+
+    def __init__(self, bus: Bus, keys: Keys, free: FreeRun, pace: Pace) -> None:
+        self._free, self._pace = free, pace
+        self._began_ns: dict[int, int] = {}  # by tick, of the last ones
+        self._lag, self._gap = Spread(), Spread()
+        self._response = {i: Spread() for i in free.world.ids}
+        self._gaps = {i: Spread() for i in free.world.ids}
+        self._heard_ns: dict[int, int] = {}
+        super().__init__(bus, keys, free)
+
+    def _listen(self, bus: Bus) -> None:
+        self._came = bus.stamped(self._keys.cmd("*"))
+
+    def serve(self) -> None:
+        """Tick by tick, until the process is ended."""
+        free, pace = self._free, self._pace
+        self._wait_for_grant(0)
+        pace.start(0, monotonic_ns() + AHEAD_NS)
+        for k in range(free.config.ticks):
+            self._wait(pace.at_ns(k))
+            self._begin(k, held=self._wait_for_grant(k))
+            self._wait(pace.at_ns(k + 1))
+            self._publish(free.finish())
+            self._flush_frames()
+        while True:
+            self._take_next()
+
+    def _begin(self, k: int, *, held: bool) -> None:
+        pace, now = self._pace, monotonic_ns()
+        self._lag.add(pace.begin(k, now, held=held))
+        if k and not held:
+            self._gap.add(now - self._began_ns[k - 1])
+        self._began_ns[k] = now
+        self._began_ns.pop(k - REMEMBERED, None)
+        if k % self._free.config.round_ticks == 0:
+            self._round(encode(Begins(k, pace.at_ns(k), pace.period_ns)))
+        self._publish(self._free.begin())
+
+    def _wait(self, until_ns: int) -> None:
+        """Take what comes in until then; what is there already, in any case."""
+        while (left := until_ns - monotonic_ns()) > 0:
+            self._take_next(left / 1e9)
+        for _ in range(len(self._came)):
+            self._take_next()
+
+    def _wait_for_grant(self, k: int) -> bool:
+        """Take what comes in until tick k may start; whether that took any time."""
+        if self._free.granted > k:
+            return False
+        while self._free.granted <= k:
+            self._take_next()
+        return True
+
+    def _take_next(self, timeout_s: float | None = None) -> None:
+        item = self._came.get(timeout_s)
+        if item is None:
+            return
+        key, data, at_ns = item
+        self._handle(key, data)
+        for i, tick in self._free.take_answered():
+            self._response[i].add(at_ns - self._began_ns.get(tick, at_ns))
+            if i in self._heard_ns:
+                self._gaps[i].add(at_ns - self._heard_ns[i])
+            self._heard_ns[i] = at_ns
+
+    def _timing(self) -> dict[str, Any]:
+        pace = self._pace
+        vehicles = {
+            str(i): kept.to_values() | {"response": self._response[i].to_values(), "gap": self._gaps[i].to_values()}
+            for i, kept in self._free.kept.items()
+        }
+        world = {
+            "period_ms": pace.period_ns / 1e6,
+            "run_s": (max(self._began_ns, default=0) + 1) * pace.period_ns / 1e9,
+            "held_s": pace.held_ns / 1e9,
+            "slipped_s": pace.slipped_ns / 1e9,
+            "lag": self._lag.to_values(),
+            "gap": self._gap.to_values(),
+        }
+        return {"world": world, "vehicles": vehicles}

@@ -7,7 +7,7 @@ joined (which life, from which tick on) is in its join file and in the answer to
 from __future__ import annotations
 
 import shlex
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -36,7 +36,7 @@ def refuse(scenario: Scenario, what: str) -> None:
         )
 
 
-def named(vehicles: tuple[int, ...] | list[int]) -> str:
+def named(vehicles: Sequence[int]) -> str:
     """`vehicle 3 is external`, `vehicles 3 and 4 are external`."""
     if len(vehicles) == 1:
         return f"vehicle {vehicles[0]} is external"

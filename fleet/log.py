@@ -339,9 +339,14 @@ def _plugin_metadata(scenario: Scenario) -> dict[str, str]:
                 continue
             found = law_class(kind, law)
             sources[law.name] = fingerprint(found)
+    return {"resumable": _resumable(scenario)} | {f"law {name}": f"sha256 {digest}" for name, digest in sources.items()}
+
+
+def _resumable(scenario: Scenario) -> str:
+    if scenario.external:
+        return f"no: {', '.join(map(str, scenario.external))} external, whose agents keep what they remember"
     without = forgetful(scenario.controls)
-    resume = {"resumable": "yes" if not without else f"no: {', '.join(without)} has no state() and restore()"}
-    return resume | {f"law {name}": f"sha256 {digest}" for name, digest in sources.items()}
+    return "yes" if not without else f"no: {', '.join(without)} has no state() and restore()"
 
 
 def schema_name(config: AgentConfig, group: str) -> str:

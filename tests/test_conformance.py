@@ -22,6 +22,7 @@ from fleet import conformance
 from fleet.cli import cli
 from fleet.conformance import CHECKS, Check, ConformanceError, Examination
 from fleet.scenario import load_scenario
+from fleet.verify import describe, verify
 
 EXAMPLE = Path(__file__).parents[1] / "docs" / "examples" / "foreign_agent.py"
 SOURCE = EXAMPLE.read_text("utf-8")
@@ -134,9 +135,9 @@ def test_what_the_check_needs(tmp_path: Path) -> None:
 def test_the_example_completes_a_run(tmp_path: Path) -> None:
     """A fleet with a stranger in it: it forms, every packet is accounted for, and its topics without telemetry stay
     empty."""
-    arguments = ["--set", "per_vehicle={3: {external: true}}", "--duration", "30 s"]
-    arguments += ["--set", "checks={formation_error: {below: 0.5 m, after: 25 s}, ledger: balanced}"]
-    with LiveRun(tmp_path / "runs", "paper", *arguments, "--set", "log.every=10 ticks") as run:
+    arguments = ["--set", "per_vehicle={3: {external: true}}", "--duration", "12 s"]
+    arguments += ["--set", "checks={formation_error: {below: 3 m, after: 10 s}, ledger: balanced}"]
+    with LiveRun(tmp_path / "runs", "paper", *arguments, "--set", "log={every: 10 ticks, command: 1 tick}") as run:
         path = run.out / "latest" / "join-3.json"
         wait_for(lambda: run.over or path.exists(), LIMIT_S, "the join file")
         process = start(str(EXAMPLE), str(path))
@@ -146,3 +147,5 @@ def test_the_example_completes_a_run(tmp_path: Path) -> None:
         result = json.loads((run.directory / "result.json").read_text())
         assert (result["rejected"], result["notes"]) == ({}, [])
         assert result["vehicles"]["3"]["u_cmd_max_mps"] is None
+        found = verify(run.log)
+        assert (found.reproduced, found.external) == (True, (3,)), describe(found)

@@ -304,10 +304,12 @@ def test_a_scripted_kill_and_an_end_at_the_same_tick_are_the_same() -> None:
     assert not [n for n in kept(scripted, "NavTo") if n.id == 2 and n.nav.tick >= 17]
 
 
-def test_a_lost_vehicle_stays_where_it_was() -> None:
+@pytest.mark.parametrize("absences", [(), (Absence(1, 0, 30),)])
+def test_a_lost_vehicle_stays_where_it_was(absences: tuple[Absence, ...]) -> None:
+    """And its loss is told, also when it has no agent that could end with it."""
     from dataclasses import replace
 
-    config = world(keep_going=True)
+    config = world(keep_going=True, absences=absences)
     vertical = replace(config.vehicles[0], eta0=(0.0, 0.0, 5.0, 1.57079, 0.0))
     lockstep = Lockstep(replace(config, vehicles=(vertical, *config.vehicles[1:])))
     frames = [out for out in drive(lockstep, 50, {1, 2, 3, 4}) if type(out).__name__ == "Frame"]
@@ -316,6 +318,7 @@ def test_a_lost_vehicle_stays_where_it_was() -> None:
     ((vehicle, tick, text),) = lockstep.notes
     assert (vehicle, tick) == (1, 0)
     assert "the vehicle is lost" in text
+    assert [(life.tick, life.vehicle) for f in frames for life in f.lives if life.lost] == [(1, 1)]
 
 
 def test_deaths_of_others_are_refused() -> None:

@@ -223,6 +223,8 @@ class Lockstep:
                 if not self.config.keep_going:
                     raise
                 self._lost.add(i)
+                if i in self._absent:
+                    self._told(k + 1).append(Life(k + 1, i, False, True))  # otherwise its agent ends with it
                 self.notes.append((i, k, f"{error.reason}: the vehicle is lost and stays where it is"))
                 self.world.hold(i)
         if k + 1 == self.config.ticks:
@@ -257,9 +259,7 @@ class Lockstep:
         stillborn = dead and i in self._absent - self._lost and life > self._life[i]  # it ended before it began
         self._life[i] = life
         if stillborn or dead != (i in self._absent):
-            every = self._frame_every
-            frame = min(-(-k // every) * every, self.config.ticks)
-            told = self._changes.setdefault(frame, [])
+            told = self._told(k)
             told += [Life(k, i, True, False), Life(k, i, False, False)] if stillborn else [Life(k, i, not dead, lost)]
         if dead != (i in self._absent):
             self._absent ^= {i}
@@ -267,6 +267,11 @@ class Lockstep:
                 self._tau[i] = STILL
                 self._late[i].clear()
         return dead
+
+    def _told(self, k: int) -> list[Life]:
+        """What the frame that follows tick k, or is at it, tells of agents."""
+        every = self._frame_every
+        return self._changes.setdefault(min(-(-k // every) * every, self.config.ticks), [])
 
     def _frames(self) -> list[Out]:
         out: list[Out] = []

@@ -30,10 +30,10 @@ class FreeAgentProcess(AgentProcess):
             navs = []
             while item is not None:
                 message = self._read(*item)
+                if isinstance(message, End) and self._is_over(message):
+                    return message
                 if isinstance(message, Nav):
                     navs.append(message)
-                elif message is not None and self.is_end(message):
-                    return message
                 item = poll()
             while (came := self._stamped.poll()) is not None:
                 key, data, at_ns = came

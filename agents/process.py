@@ -7,7 +7,7 @@ import sys
 import traceback
 from collections.abc import Callable
 from time import monotonic, sleep
-from typing import NoReturn, TypeGuard
+from typing import NoReturn
 
 from agents.agent import make_agent
 from agents.config import AgentConfig
@@ -116,14 +116,15 @@ class AgentProcess:
             except MalformedMessage as error:
                 self._shell.reject(key, loop.tick, error)
                 continue
-            if self.is_end(message):
-                return message
-            if isinstance(message, (Nav, Inbox)):  # not a late echo of a repeated probe, or the end of the life before
+            if isinstance(message, End):
+                if self._is_over(message):
+                    return message
+            elif not isinstance(message, Hello):  # a late echo of a repeated probe
                 self._answer(key, message)
 
-    def is_end(self, message: Message) -> TypeGuard[End]:
-        """Whether no nav follows for this life."""
-        return isinstance(message, End) and message.incarnation >= self._loop.incarnation
+    def _is_over(self, end: End) -> bool:
+        """Whether it is this life that is over, and not the one before."""
+        return end.incarnation >= self._loop.incarnation
 
     def _answer(self, key: str, message: Message) -> None:
         """Do what a nav or an inbox asks for."""

@@ -10,12 +10,14 @@ import json
 import signal
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 from click.testing import CliRunner
 from live import LiveRun
+from test_live import tool as op
 from waiting import wait_for
 
 from agents.join import JoinError, Joining
@@ -37,13 +39,28 @@ def sets(*overrides: str) -> list[str]:
 
 def agent(file: Path) -> subprocess.Popen[str]:
     """`fleet agent --join FILE`, as in another terminal."""
-    return subprocess.Popen(
+    process = subprocess.Popen(
         [sys.executable, "-m", "fleet", "agent", "--join", str(file)],
         stdin=subprocess.DEVNULL,
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         text=True,
     )
+    _started.append(process)
+    return process
+
+
+_started: list[subprocess.Popen[str]] = []
+
+
+@pytest.fixture(autouse=True)
+def nobody_stays() -> Iterator[None]:
+    """A test that fails leaves no agent behind."""
+    yield
+    while _started:
+        process = _started.pop()
+        process.kill()
+        process.communicate()
 
 
 def ended(process: subprocess.Popen[str]) -> tuple[int, str]:
@@ -114,15 +131,17 @@ def test_a_killed_one_is_sent_away_and_another_life_joins(tmp_path: Path) -> Non
 def test_one_that_leaves(policy: str, tmp_path: Path) -> None:
     """Ctrl-C at `fleet agent`: its token goes, and `on_death` says what follows."""
     arguments = sets("duration=4 s", "checks={}", EXTERNAL, f"on_death={policy}")
-    with LiveRun(tmp_path / "runs", "paper", *arguments, "--speed", "2") as run:
+    with LiveRun(tmp_path / "runs", "paper", *arguments, "--speed", "0.3") as run:
         first = agent(join_file(run))
-        run.until_running(1.0)
+        wait_for(lambda: "agent 3 (external) has joined" in run.printed, READY_S, "agent 3")
         if policy == "continue":
             code, said = ended(agent(join_file(run)))
             assert (code, "does not wait for an agent 3: one has joined already" in said) == (2, True), said
         first.send_signal(signal.SIGINT)
         code, said = ended(first)
         assert (code, said.splitlines()[-1]) == (130, "left the run")
+        if policy != "abort":
+            assert op(tmp_path / "runs", "clock", "speed", "max").returncode == 0
         if policy == "restart":
             assert ended(agent(join_file(run, incarnation=1)))[0] == 0
         assert run.status() == (3 if policy == "abort" else 0), run.printed
@@ -132,7 +151,7 @@ def test_one_that_leaves(policy: str, tmp_path: Path) -> None:
         else:
             assert result["deaths"] == {"3": ["left: its session ended"]}
             assert "agent 3 (external) left: its vehicle drifts without thrust" in " ".join(result["notes"])
-            assert {fault["fault"] for fault in result["faults"]} == {"death-3"}
+            assert "death-3" in [fault["fault"] for fault in result["faults"]]
 
 
 def test_nobody_comes(tmp_path: Path) -> None:

@@ -11,17 +11,18 @@ import os
 import socket
 import stat
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from secrets import token_hex
-from threading import Thread
+from threading import Event, Thread
 from typing import Any
 
 from agents.config import AgentConfig
 from agents.errors import AgentError
 from agents.process import begin_life
-from netem.access import Credentials
+from netem.access import LEASE_MS, Credentials
 from netem.bus import Bus
 from netem.errors import BusError, MalformedMessage
 from netem.keys import Keys
@@ -30,6 +31,7 @@ from netem.shell import read_map
 
 CONNECT_MS = 3000
 ASK_S = 10.0
+_ONE_HOST = {"ca": "", "certificate": "", "key": "", "lease_ms": LEASE_MS}  # left out of the file
 WATCH_S = 0.2  # how often to look whether the run is still there
 
 
@@ -50,7 +52,15 @@ class Joining:
     scenario: str = ""
     incarnation: int = 0  # which life of the agent it is
     begin: int = 0  # tick of its first nav
-    ca: str = ""  # PEM of the certificate authority to trust, where the endpoint wants one
+    ca: str = ""  # PEM, with TLS: the certificate authority to trust
+    certificate: str = ""  # PEM, with its key: what to show a router that asks for it
+    key: str = ""
+    lease_ms: int = LEASE_MS  # how long the router keeps a silent link
+
+    @property
+    def credentials(self) -> Credentials:
+        """What the router is shown."""
+        return Credentials(self.user, self.password, self.ca, self.certificate, self.key, self.lease_ms)
 
     def __repr__(self) -> str:
         return f"Joining({self.endpoint!r}, run={self.run!r}, vehicle={self.vehicle}, password=***)"
@@ -61,7 +71,7 @@ class Joining:
         Raises:
             OSError: it cannot be written.
         """
-        values = {key: value for key, value in asdict(self).items() if key != "ca" or value}
+        values = {key: value for key, value in asdict(self).items() if value != _ONE_HOST.get(key)}
         temporary = path.with_name(f".{path.name}-{token_hex(4)}")
         descriptor = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
         try:
@@ -106,7 +116,8 @@ class Joining:
                 "use the uuv-fleet that the run uses"
             )
         fields: dict[str, type] = {"endpoint": str, "run": str, "vehicle": int, "user": str, "password": str}
-        optional: dict[str, type] = {"scenario": str, "incarnation": int, "begin": int, "ca": str}
+        optional: dict[str, type] = {"scenario": str, "incarnation": int, "begin": int}
+        optional |= {"ca": str, "certificate": str, "key": str, "lease_ms": int}
         for key, kind in fields.items():
             if key not in values:
                 raise JoinError(f"{path} is no join file: it has no {key!r}")
@@ -135,6 +146,8 @@ def serve(joining: Joining, tell: Callable[[str], None]) -> End:
     """
     keys = Keys(joining.run)
     bus = _connect(joining)
+    lost = Event()
+    bus.on_lost(lost.set)
     try:
         config, clock, incarnation, begin = _ask(bus, keys, joining.vehicle)
         ended: SimpleQueue[End | BaseException] = SimpleQueue()
@@ -149,20 +162,22 @@ def serve(joining: Joining, tell: Callable[[str], None]) -> End:
 
         # A thread of its own, because a signal is heard between two bytecodes only, and waiting for a nav is one.
         Thread(target=live, name="agent", daemon=True).start()
-        return _outcome(bus, ended)
+        return _outcome(lost, ended)
     finally:
         bus.close()
 
 
-def _outcome(bus: Bus, ended: SimpleQueue[End | BaseException]) -> End:
+def _outcome(lost: Event, ended: SimpleQueue[End | BaseException]) -> End:
+    """Zenoh would link to the router again by itself, and what was on the way would be missing without a word: who has
+    lost its link has left the run."""
     gone = False
     while True:
         try:
             outcome = ended.get(timeout=WATCH_S)
         except Empty:
             if gone:
-                raise JoinError("the run is gone: its router closed the session") from None
-            gone = not bus.connected  # what came last may still be under way from one thread to the other
+                raise JoinError("the link to the run has ended: its router closed it, or the line is cut") from None
+            gone = lost.is_set()  # what came last may still be under way from one thread to the other
             continue
         if isinstance(outcome, BusError):
             raise JoinError(str(outcome))
@@ -172,26 +187,27 @@ def _outcome(bus: Bus, ended: SimpleQueue[End | BaseException]) -> End:
 
 
 def _connect(joining: Joining) -> Bus:
-    try:
-        return Bus.connect(joining.endpoint, Credentials(joining.user, joining.password), timeout_ms=CONNECT_MS)
-    except BusError as error:
-        where, reached, why = joining.endpoint, _reached(joining.endpoint), str(error)
-    if reached is None:
-        raise JoinError(why)
+    endpoints = joining.endpoint.split(",")
+    reached = [endpoint for endpoint in endpoints if _reached(endpoint)]
+    for endpoint in reached:
+        with suppress(BusError):
+            return Bus.connect(endpoint, joining.credentials, timeout_ms=CONNECT_MS)
     if not reached:
+        where = " or ".join(endpoints)
         raise JoinError(f"nobody listens at {where}: run {joining.run} is over, or cannot be reached from here")
+    tls = "its certificate is not the one to expect, or it asks for another; " if "tls/" in joining.endpoint else ""
     raise JoinError(
-        f"the router at {where} does not let {joining.user} in: the password is wrong, or of another run than the "
-        "one that listens there now"
+        f"the router at {' or '.join(reached)} does not let {joining.user} in: {tls}the password is wrong, or of "
+        "another run than the one that listens there now"
     )
 
 
-def _reached(endpoint: str) -> bool | None:
-    """Whether somebody accepts connections there; None where that cannot be said."""
+def _reached(endpoint: str) -> bool:
+    """Whether somebody accepts connections there; true where that cannot be said."""
     protocol, _, address = endpoint.partition("/")
     host, _, port = address.partition("?")[0].partition("#")[0].rpartition(":")
     if protocol not in ("tcp", "tls") or not port.isdecimal():
-        return None
+        return True
     try:
         socket.create_connection((host.strip("[]"), int(port)), CONNECT_MS / 1000).close()
     except (OSError, OverflowError):

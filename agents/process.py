@@ -19,7 +19,7 @@ from netem.bus import Bus, Channel, Stamped
 from netem.errors import BusError, MalformedMessage, OutOfPlace
 from netem.keys import Keys
 from netem.messages import PROTOCOL_VERSION, End, Hello, Inbox, Message, Nav, Receipt, Transmission, encode
-from netem.shell import Shell, expect, read_map
+from netem.shell import Shell, end_with_link, expect, read_map
 
 log = logging.getLogger(__name__)
 
@@ -40,6 +40,7 @@ def run(
     """
     keys = Keys(run_id)
     bus = Bus.connect(endpoint, credentials)
+    end_with_link(bus, credentials)
     config, clock = _ask_config(bus, keys, vehicle)
     begin_life(bus, keys, config, clock, incarnation, begin).serve()
 

@@ -11,7 +11,7 @@ from typing import Any
 import click
 from rich.console import Console as Terminal
 
-from fleet import cli_bench, cli_join, cli_live, cli_log, cli_protocol, cli_replay, cli_verify, cli_whatif
+from fleet import cli_bench, cli_hosts, cli_join, cli_live, cli_log, cli_protocol, cli_replay, cli_verify, cli_whatif
 from fleet.completion import scenarios
 from fleet.errors import FleetError, ScenarioError
 
@@ -111,6 +111,7 @@ _overrides = click.option(
     "--publish", is_flag=True, help="Publish the journal on zenoh meanwhile; nobody who listens slows the run."
 )
 @click.option("--wait-for-subscribers", is_flag=True, help="With --publish: begin when somebody listens.")
+@cli_hosts.hosts_options
 @click.option("--join-timeout", type=cli_join.Wait(), default="300 s", show_default=True,
               help="How long to wait for each agent that somebody else starts.")  # fmt: skip
 @click.option("--start-order", metavar="SEED", type=int, hidden=True)
@@ -133,6 +134,7 @@ def run(
     join_timeout: float,
     start_order: int | None,
     quiet: bool,
+    **hosts: Any,
 ) -> None:
     """Run SCENARIO (a shipped name or a YAML file) and judge it.
 
@@ -177,6 +179,9 @@ def run(
 
             for warning in [*analyse(loaded).warnings, *doubts(loaded)]:
                 terminal.print(f"warning: {warning}", highlight=False, markup=False, soft_wrap=True)
+        meeting = cli_hosts.meeting(loaded, hosts, in_process=in_process or loaded.ideal or start is not None)
+        for warning in meeting.warnings if meeting else ():
+            terminal.print(f"warning: {warning}", style="bold red", highlight=False, markup=False, soft_wrap=True)
         pace = None
         if clock == "real":
             pace = speed or 1.0
@@ -196,6 +201,7 @@ def run(
             most_missed=max_missed,
             start_order=_shuffle(start_order),
             join_timeout_s=join_timeout,
+            meeting=meeting,
         )
         if start is not None and not quiet:
             terminal.print("\n".join(start.notes), highlight=False, markup=False, soft_wrap=True)
@@ -407,7 +413,7 @@ def info(log: Path, as_json: bool) -> None:
     click.echo(json.dumps(found.to_values(), indent=2) if as_json else describe(found))
 
 
-_GROUPS = (cli_bench, cli_join, cli_live, cli_log, cli_protocol, cli_replay, cli_verify, cli_whatif)
+_GROUPS = (cli_bench, cli_hosts, cli_join, cli_live, cli_log, cli_protocol, cli_replay, cli_verify, cli_whatif)
 for _command in (command for group in _GROUPS for command in group.COMMANDS):
     cli.add_command(_command)
 

@@ -30,6 +30,7 @@ from fleet.control import Operator
 from fleet.errors import RunBroken, StoppedError
 from fleet.external import Joins
 from fleet.guardian import Guardian
+from fleet.hosts import Meeting
 from fleet.journal import Journal, frame_every
 from fleet.limits import allow_open_files
 from fleet.ports import free_port
@@ -56,7 +57,8 @@ SETTLE_S = 0.2  # after a death, how long to collect what else happened
 
 MOST_NOTES = 1000
 
-FRAME, LINKS, NOTE, EXIT, OPERATION, TOKEN = "frame", "links", "note", "exit", "operation", "token"
+FRAME, LINKS, NOTE, EXIT, OPERATION = "frame", "links", "note", "exit", "operation"
+TOKEN, LOST = "token", "lost"
 _EXPECTED = {FRAME: (Frames, Hello), LINKS: (LinkReport, Hello), NOTE: (Note,)}
 
 
@@ -72,6 +74,7 @@ class Console:
         run: str | None = None,
         port: int | None = None,
         start_order: Callable[[list[str]], list[str]] | None = None,
+        meeting: Meeting | None = None,
         join_timeout_s: float = JOIN_TIMEOUT_S,
         say: Callable[[str], None] = lambda _: None,
         pace: float | None = None,
@@ -83,6 +86,7 @@ class Console:
         self._keys = Keys(run or secrets.token_hex(4))
         self._port = port
         self._start_order = start_order
+        self._meeting = meeting or Meeting()
         self._events: SimpleQueue[tuple[str, Any]] = SimpleQueue()
         self._children = Children(lambda ended: self._events.put((EXIT, ended)))
         self._bus: Bus | None = None
@@ -137,22 +141,26 @@ class Console:
     def _start(self) -> Bus:
         scenario, keys = self._scenario, self._keys
         allow_open_files(scenario.vehicles)
-        credentials = generate(self._vehicles)
-        endpoint = f"tcp/127.0.0.1:{free_port(self._port)}"
+        meeting = self._meeting
+        credentials = meeting.credentials or generate(self._vehicles)
+        endpoint = meeting.router or f"tcp/127.0.0.1:{free_port(self._port)}"
+        if meeting.router:
+            self._listen(self._visit(endpoint, credentials[CONSOLE]))
         clients = {role: c for role, c in credentials.items() if role != WORLD}
         # mkdtemp makes it for this user alone; zenoh reads the users from a file there, once.
         private = Path(tempfile.mkdtemp(prefix="uuv-fleet-"))
         every = frame_every(scenario)
-        sea = endpoint, keys.run, clients, private, scenario.world_config(), every
+        pace = () if self._pace is None else (self._pace,)
+        sea = world.process if self._pace is None else world.freeprocess
+        host = endpoint, keys.run, clients, private, scenario.world_config(), every, *pace, meeting.door
         network = endpoint, keys.run, credentials[NETEM], scenario.netem_config()
-        targets: dict[str, tuple[Callable[..., None], tuple[Any, ...]]]
-        if self._pace is None:
-            targets = {WORLD: (world.process.run, sea), NETEM: (netem.process.run, network)}
-        else:
-            targets = {
-                WORLD: (world.freeprocess.run, (*sea, self._pace)),
-                NETEM: (netem.freeprocess.run, network),
-            }
+        targets: dict[str, tuple[Callable[..., None], tuple[Any, ...]]] = {
+            WORLD: (sea.run, host),
+            NETEM: (netem.process.run if self._pace is None else netem.freeprocess.run, network),
+        }
+        if meeting.router:
+            guest = endpoint, keys.run, credentials[WORLD], scenario.world_config(), every, *pace
+            targets[WORLD] = (sea.join, guest)
         for i in self._vehicles:
             role = agent_role(i)
             if i in self._joins.vehicles:
@@ -167,7 +175,7 @@ class Console:
                 self._start_process(role, *_flat(targets[role]))
                 if role == order[0]:
                     self._children.watch()
-                if role == WORLD:
+                if role == WORLD and not meeting.router:
                     # Now, because an agent that finds nobody to ask for its configuration keeps asking.
                     bus = self._bus = self._join(endpoint, credentials[CONSOLE])
                     self._listen(bus)
@@ -181,12 +189,12 @@ class Console:
                 "run": keys.run,
                 "scenario": scenario.name,
                 "pid": os.getpid(),
-                "user": OPERATOR,
-                "password": credentials[OPERATOR].password,
+                **credentials[OPERATOR].to_values(),
             }
         )
         assert self._bus is not None  # the world is among the roles
-        self._joins.open(endpoint, keys.run, credentials)
+        joining = {role: meeting.joining(role, known) for role, known in credentials.items()}
+        self._joins.open(meeting.reached or endpoint, keys.run, joining)
         return self._bus
 
     def _start_process(self, role: str, *target: Any) -> None:
@@ -229,6 +237,21 @@ class Console:
                 self._take(POLL_S)  # the world may have died: that is the better explanation
                 if time.monotonic() > deadline:
                     raise RunBroken(str(error)) from None
+
+    def _visit(self, endpoint: str, credentials: Credentials) -> Bus:
+        """Join a router that is there already; nobody else may use this run's keys there."""
+        try:
+            bus = self._bus = Bus.connect(endpoint, credentials)
+        except BusError as error:
+            raise RunBroken(str(error)) from None
+        if tokens := bus.tokens(self._keys.alive("*")):
+            who = ", ".join(token.rsplit("/", 1)[-1] for token in tokens)
+            raise RunBroken(
+                f"run {self._keys.run} is going on at {endpoint} already ({who}): end it, or make credentials for "
+                "another with fleet acl"
+            )
+        bus.on_lost(lambda: self._events.put((LOST, endpoint)))
+        return bus
 
     def _get_ready(self, bus: Bus, progress: Callable[[], None]) -> None:
         """A hello and its echo on every key; liveliness alone would not show that messages pass."""
@@ -370,11 +393,18 @@ class Console:
                 answer = {"error": str(error)}
             respond(msgpack.packb(answer))
             return
+        if kind == LOST:
+            at = self._seconds(self._journal.framed)
+            raise RunBroken(f"the link to the router at {data} has ended at {at}: closed, or silent for the lease")
         if kind == TOKEN:
             i, alive = data
             was_here = self._joins.here(i)
             self._joins.token(i, alive)
-            if was_here and not alive and not self._guardian.left(i):
+            if alive:
+                self._guardian.came(i)
+            if was_here and not alive and not self.started_s:
+                self._joins.expect(i, 0, 0)  # it left before the run began: another one may come
+            elif was_here and not alive and not self._guardian.left(i):
                 raise RunBroken(f"agent {i} (external) left at {self._seconds(self._journal.framed)}")
             return
         if kind == EXIT:

@@ -68,8 +68,8 @@ class Joins:
             ExternalError: a join file cannot be written.
         """
         for i in self.vehicles:
-            user = credentials[agent_role(i)]
-            self._files[i] = Joining(endpoint, run, i, user.user, user.password, scenario=self._scenario.name)
+            known = credentials[agent_role(i)]
+            self._files[i] = Joining(endpoint, run, i, **known.to_values(), scenario=self._scenario.name)
             self.expect(i, 0, 0)
 
     def expect(self, i: int, incarnation: int, begin: int) -> None:

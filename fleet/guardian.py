@@ -119,6 +119,15 @@ class Guardian:
         self._gone.add(i)
         return True
 
+    def came(self, i: int) -> None:
+        """Take that an external agent's token is there: one whose life is over is told so, or it would hold the place.
+
+        A session whose link was cut links again by itself, with its token, and what it missed is lost.
+        """
+        over = self._incarnation[i] - (i not in self._gone)
+        if self._grant is not None and over >= 0:
+            self._ask(WORLD, "dismiss", agents=[[i, over, 0]], reason="its link had ended, and its life with it")
+
     def dismiss(self, reason: str) -> None:
         """Tell the external agents that are there that no nav will follow."""
         here = [[i, self._incarnation[i], 0] for i in self._joins.vehicles if self._joins.here(i)]

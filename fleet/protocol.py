@@ -6,7 +6,8 @@ from inspect import getdoc
 
 from agents import compact, payload
 from fleet import slice_fields
-from netem.bus import LEASE_MS, MAX_BYTES
+from netem.access import LEASE_MS
+from netem.bus import MAX_BYTES
 from netem.messages import PROTOCOL_VERSION, Arrival, Delivery, Fate, Frame, VehicleFrame, declared, fields_of
 
 _HEAD = f"""# Wire protocol, version {PROTOCOL_VERSION}
@@ -33,14 +34,17 @@ with `f = cos theta u + sin theta w`.
 
 ## Joining
 
-1. Read `join-<i>.json`: `endpoint`, `run`, `vehicle`, `user`, `password`, `version` (of this protocol), and maybe
-   `ca`.
+1. Read `join-<i>.json`: `endpoint` (perhaps several with commas between them: try them in turn), `run`, `vehicle`,
+   `user`, `password`, `version` (of this protocol), and maybe `lease_ms`, `ca`, `certificate` and `key`.
 2. Open one [zenoh](https://zenoh.io) 1.x session in mode `client`, connected to `endpoint`, with
    `transport/auth/usrpwd/user` and `password`, with `transport/unicast/lowlatency: true` and
    `transport/unicast/qos/enabled: false` as the router has them, and with `transport/link/tx/lease: {LEASE_MS}` ms, so
-   that a process that is suspended for a while stays in the run. (Measured: a session with zenoh's defaults for all
-   three does not stay up.) If there is a `ca`, the endpoint is `tls/...`, and it is the certificate to trust. A wrong
-   password is refused like a router that is not there.
+   that a process that is suspended for a while stays in the run; between hosts `lease_ms` says how long instead.
+   (Measured: a session with zenoh's defaults for all three does not stay up.) If there is a `ca`, the endpoint is
+   `tls/...`, and it is the certificate to trust: base64 of the PEM is `transport/link/tls/root_ca_certificate_base64`,
+   and so `connect_certificate_base64`, `connect_private_key_base64` and `enable_mtls: true` for `certificate` and
+   `key`. A wrong password is refused like a router that is not there. A session whose link was cut links again by
+   itself, but what it missed is lost, and so is this life: you hear `end`, and close the session.
 3. Query `cfg/<i>` without a payload. The answer is a MessagePack map: `agent` (the slice of the scenario, below),
    `incarnation` (which life of the agent you are; 0 for the first), `begin` (the tick of your first nav, a round tick)
    and `version`. If it has the key `error` instead, it says why you cannot join.

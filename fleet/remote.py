@@ -31,8 +31,7 @@ class Found:
     pid: int
     endpoint: str
     run: str
-    user: str
-    password: str
+    credentials: Credentials
 
     def __repr__(self) -> str:
         return f"Found({self.directory}, pid {self.pid})"
@@ -85,7 +84,7 @@ def ask(found: Found, op: str, **fields: Any) -> dict[str, Any]:
         RemoteError: it does not answer in time, or refuses.
     """
     try:
-        bus = Bus.connect(found.endpoint, Credentials(found.user, found.password), timeout_ms=2000)
+        bus = Bus.connect(found.endpoint, found.credentials, timeout_ms=2000)
     except BusError as error:
         raise RemoteError(f"the run in {found.directory} cannot be reached: {error}") from None
     try:
@@ -119,8 +118,7 @@ def _read(path: Path) -> Found | None:
             int(values["pid"]),
             values["endpoint"],
             values["run"],
-            values["user"],
-            values["password"],
+            Credentials.from_values(values),
         )
         os.kill(one.pid, 0)  # raises when there is no such process
     except PermissionError:

@@ -20,6 +20,7 @@ from fleet.clock import WINDOW_NS, Clock
 from fleet.console import JOIN_TIMEOUT_S, Console
 from fleet.errors import RunBroken, StoppedError
 from fleet.external import ExternalError, refuse
+from fleet.hosts import Meeting
 from fleet.inprocess import InProcess
 from fleet.journal import Journal, frame_every
 from fleet.log import LogError, LogWriter
@@ -72,6 +73,7 @@ class Options:
     most_missed: float = MOST_MISSED  # share of its ticks that an agent may miss on a wall clock
     start_order: Callable[[list[str]], list[str]] | None = None
     join_timeout_s: float = JOIN_TIMEOUT_S  # how long to wait for an agent that somebody else starts
+    meeting: Meeting | None = None  # how processes on several hosts meet; None: all on this one
 
 
 def execute(scenario: Scenario, options: Options, terminal: Terminal | None = None) -> Result:
@@ -94,7 +96,7 @@ def execute(scenario: Scenario, options: Options, terminal: Terminal | None = No
 
     directory = RunDirectory(options.out, scenario.name, scenario.seed)
     directory.write_scenario(scenario.to_yaml())
-    run = secrets.token_hex(4)
+    run = (options.meeting and options.meeting.run) or secrets.token_hex(4)
     publisher = LivePublisher(run, directory.observe, wait=options.wait) if options.publish else None
     log = LogWriter(directory.log, scenario, options.start, publisher, lockstep=options.pace is None)
     if publisher is not None:
@@ -113,9 +115,10 @@ def execute(scenario: Scenario, options: Options, terminal: Terminal | None = No
             run=run,
             port=options.port,
             start_order=options.start_order,
+            pace=options.pace,
+            meeting=options.meeting,
             join_timeout_s=options.join_timeout_s,
             say=say,
-            pace=options.pace,
         )
     result = Result(Status.PASS, directory.path, "")
     closing: dict[str, Any] = {"entered": {}, "rejected": {}}

@@ -14,12 +14,14 @@ from netem.freerun import FreeRounds
 from netem.keys import Keys
 from netem.messages import Message, Pace, Receipt, Round, Transmission
 from netem.process import NetemProcess
+from netem.shell import end_with_link
 
 
 def run(endpoint: str, run_id: str, credentials: Credentials, config: NetemConfig) -> None:
     """Serve the network of a run until the process is ended."""
     keys = Keys(run_id)
     bus = Bus.connect(endpoint, credentials)
+    end_with_link(bus, credentials)
     FreeNetemProcess(bus, keys, config, FreeRounds(config)).serve()
 
 

@@ -32,7 +32,7 @@ from netem.messages import (
     split,
 )
 from netem.rounds import Rounds
-from netem.shell import Item, Shell, expect, read_map, vehicle_of
+from netem.shell import Item, Shell, end_with_link, expect, read_map, vehicle_of
 
 log = logging.getLogger(__name__)
 
@@ -45,6 +45,7 @@ def run(endpoint: str, run_id: str, credentials: Credentials, config: NetemConfi
     """Serve the network of a run until the process is ended."""
     keys = Keys(run_id)
     bus = Bus.connect(endpoint, credentials)
+    end_with_link(bus, credentials)
     NetemProcess(bus, keys, config, Rounds(config)).serve()
 
 

@@ -6,11 +6,12 @@ from pathlib import Path
 from time import monotonic_ns
 from typing import Any
 
-from netem.access import Credentials
+from netem.access import Credentials, Door
 from netem.bus import Bus
 from netem.keys import Keys
 from netem.messages import Pace as Begins
 from netem.messages import encode
+from netem.shell import end_with_link
 from netem.spread import Spread
 from world.config import WorldConfig
 from world.freerun import FreeRun
@@ -29,12 +30,23 @@ def run(
     config: WorldConfig,
     frame_every: int,
     speed: float,
+    door: Door | None = None,
 ) -> None:
     """Host the router and serve the sea of a run, `speed` times as fast as real, until the process is ended."""
     keys = Keys(run_id)
     vehicles = tuple(setup.id for setup in config.vehicles)
-    bus = Bus.host(endpoint, keys, vehicles, credentials, private)
+    bus = Bus.host(endpoint, keys, vehicles, credentials, private, door)
     FreeWorldProcess(bus, keys, FreeRun(config, frame_every=frame_every), Pace(round(config.tick_ns / speed))).serve()
+
+
+def join(
+    endpoint: str, run_id: str, credentials: Credentials, config: WorldConfig, frame_every: int, speed: float
+) -> None:
+    """Serve the sea of a run through a router that is there already; as `run` otherwise."""
+    bus = Bus.connect(endpoint, credentials)
+    end_with_link(bus, credentials)
+    free = FreeRun(config, frame_every=frame_every)
+    FreeWorldProcess(bus, Keys(run_id), free, Pace(round(config.tick_ns / speed))).serve()
 
 
 class FreeWorldProcess(WorldProcess):

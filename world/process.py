@@ -9,7 +9,8 @@ from typing import Any
 
 import msgpack
 
-from netem.access import Credentials, agent_role
+from netem.access import WORLD as WORLD
+from netem.access import Credentials, Door, agent_role
 from netem.bus import PART_BYTES, Bus, Respond
 from netem.errors import MalformedMessage, OutOfPlace
 from netem.keys import Keys
@@ -33,14 +34,13 @@ from netem.messages import (
     pieces,
     split,
 )
-from netem.shell import Shell, expect, read_map, vehicle_of
+from netem.shell import Shell, end_with_link, expect, read_map, vehicle_of
 from world.config import WorldConfig
 from world.faults import WorldFault
 from world.lockstep import Lockstep, NavTo, Out
 
 log = logging.getLogger(__name__)
 
-WORLD = "world"
 FRAMES_PER_MESSAGE = 10
 _ECHO = encode(Hello(WORLD, 0, 0, PROTOCOL_VERSION, True))
 _PROBE = encode(Hello(WORLD, 0, 0, PROTOCOL_VERSION, False))
@@ -53,12 +53,24 @@ def run(
     private: Path,
     config: WorldConfig,
     frame_every: int,
+    door: Door | None = None,
 ) -> None:
     """Host the router and serve the sea of a run until the process is ended."""
     keys = Keys(run_id)
     vehicles = tuple(setup.id for setup in config.vehicles)
-    bus = Bus.host(endpoint, keys, vehicles, credentials, private)
+    bus = Bus.host(endpoint, keys, vehicles, credentials, private, door)
     WorldProcess(bus, keys, Lockstep(config, frame_every=frame_every)).serve()
+
+
+def join(endpoint: str, run_id: str, credentials: Credentials, config: WorldConfig, frame_every: int) -> None:
+    """Serve the sea of a run through a router that is there already.
+
+    Raises:
+        BusError: the router does not let us in.
+    """
+    bus = Bus.connect(endpoint, credentials)
+    end_with_link(bus, credentials)
+    WorldProcess(bus, Keys(run_id), Lockstep(config, frame_every=frame_every)).serve()
 
 
 class WorldProcess:

@@ -155,7 +155,7 @@ def read_client(directory: Path, who: str) -> Pair:
         raise CertsError(f"{key_path} holds no private key in PEM without a passphrase") from None
     if key.public_key() != certificate.public_key():
         raise CertsError(f"{key_path} is not the key of {certificate_path}; make both again: fleet certs {directory}")
-    now = datetime.now(UTC)
+    now = datetime.now(UTC)  # noqa: TID251 (certificates are in wall time)
     if not certificate.not_valid_before_utc <= now <= certificate.not_valid_after_utc:
         span = f"{certificate.not_valid_before_utc:%Y-%m-%d %H:%M} to {certificate.not_valid_after_utc:%Y-%m-%d %H:%M}"
         raise CertsError(
@@ -183,7 +183,7 @@ def _sign(hosts: list[str], clients: list[str], days: int) -> dict[str, tuple[by
 
     issuer = named(f"uuv-fleet CA {secrets.token_hex(4)}")
     ca_key = ec.generate_private_key(ec.SECP256R1())
-    begin = datetime.now(UTC).replace(microsecond=0) - _SKEW
+    begin = datetime.now(UTC).replace(microsecond=0) - _SKEW  # noqa: TID251
     end = begin + _SKEW + timedelta(days=days)
 
     def signed(subject: Any, public_key: Any, extensions: list[tuple[Any, bool]]) -> bytes:

@@ -70,7 +70,7 @@ def test_certificates_are_for_the_hosts_and_keys_are_ours_alone(made: Path) -> N
     assert {stat.S_IMODE((made / name).stat().st_mode) for name in keys} == {0o600}
     assert stat.S_IMODE(made.stat().st_mode) == 0o700
     certificate = x509.load_pem_x509_certificate((made / "server.pem").read_bytes())
-    now = datetime.now(UTC)
+    now = datetime.now(UTC)  # noqa: TID251
     assert certificate.not_valid_before_utc < now - timedelta(minutes=50)  # for a client whose clock is late
     assert timedelta(days=364) < certificate.not_valid_after_utc - now <= timedelta(days=365)
     assert server.pair.key not in repr(server)
@@ -115,7 +115,7 @@ def test_a_certificate_out_of_date_is_refused(made: Path, monkeypatch: pytest.Mo
     class Later(datetime):
         @classmethod
         def now(cls, tz: Any = None) -> Later:
-            return cls.fromtimestamp(datetime.now(tz).timestamp() + 366 * 86400, tz)
+            return cls.fromtimestamp(datetime.now(tz).timestamp() + 366 * 86400, tz)  # noqa: TID251
 
     monkeypatch.setattr(certs, "datetime", Later)
     with pytest.raises(CertsError, match=r"is valid from .* now it is .*--force"):

@@ -255,7 +255,8 @@ def test_result_file(tmp_path: Path) -> None:
     values = json.loads((directory / "result.json").read_text())
     assert list(values) == [
         "scenario", "seed", "status", "exit", "reason", "lines", "sim_s", "checks", "vehicles", "ledger",
-        "ages", "middleware_lost", "faults", "messages", "log_bytes", "digest", "python", "wall", "rejected", "deaths", "notes",
+        "ages", "middleware_lost", "faults", "messages", "log_bytes", "digest", "python",
+        "wall", "rejected", "deaths", "notes",
     ]  # fmt: skip
     assert (values["scenario"], values["seed"], values["sim_s"]) == ("rough-sea", 1, 2.0)
     assert (values["status"], values["exit"], values["reason"], values["lines"]) == ("pass", 0, "", [])

@@ -32,7 +32,8 @@ BATCH_BYTES = 1 << 16
 READY_S = 20.0
 # With `-m` a file in the current directory could take the place of a module, a user's `signal.py` for instance.
 _MAIN = "import sys; sys.path.append(sys.argv[1]); from fleet.publish_process import main; main()"
-CLOSE_S = 2.0  # for what is still on the way when the run ends
+DRAIN_S = 10.0  # for the process to take and publish what it was given, which waits for no subscriber
+CLOSE_S = 2.0  # for what is then still on the way to subscribers
 
 
 class PublishError(FleetError):
@@ -162,12 +163,12 @@ class LivePublisher:
         if process is None:
             return
         self.flush()
-        deadline = time.monotonic() + CLOSE_S
+        deadline = time.monotonic() + DRAIN_S
         while self._rest and not self._gone and not self._write_rest() and time.monotonic() < deadline:
             select.select([], [_pipe(process.stdin)], [], 0.1)
         with contextlib.suppress(OSError):
             _pipe(process.stdin).close()
-        self.published = self._answer(CLOSE_S).get("published", 0)
+        self.published = self._answer(max(CLOSE_S, deadline - time.monotonic())).get("published", 0)
         try:
             process.wait(CLOSE_S)
         except subprocess.TimeoutExpired:

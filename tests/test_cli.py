@@ -255,12 +255,21 @@ def test_result_file(tmp_path: Path) -> None:
     values = json.loads((directory / "result.json").read_text())
     assert list(values) == [
         "scenario", "seed", "status", "exit", "reason", "lines", "sim_s", "checks", "vehicles", "ledger",
-        "ages", "middleware_lost", "faults", "messages", "log_bytes", "digest", "python", "wall", "rejected", "deaths",
-        "notes",
+        "ages", "middleware_lost", "faults", "messages", "log_bytes", "digest", "python",
+        "wall", "rejected", "deaths", "notes",
     ]  # fmt: skip
     assert (values["scenario"], values["seed"], values["sim_s"]) == ("rough-sea", 1, 2.0)
     assert (values["status"], values["exit"], values["reason"], values["lines"]) == ("pass", 0, "", [])
-    assert values["checks"] == [{"check": "ledger", "passed": True, "asked": "balanced", "found": "balanced"}]
+    (check,) = values["checks"]
+    assert check == {
+        "check": "ledger",
+        "passed": True,
+        "asked": "balanced",
+        "found": "balanced",
+        "value": 0,
+        "limit": 0,
+        "unit": "links",
+    }
     assert list(values["vehicles"]) == ["1", "2", "3", "4"]
     assert set(values["ledger"]) == {"1->2", "2->1", "2->3", "3->2", "3->4", "4->3"}
     for account in values["ledger"].values():

@@ -131,12 +131,14 @@ class Console:
             self._record(bus, clock, progress)
             return self._close(bus)
         finally:
-            self._dismiss()
-            self._children.stop()
-            if self._bus is not None:
-                self._bus.close()
-            self._directory.connection.unlink(missing_ok=True)
-            self._joins.close()
+            try:
+                self._dismiss()
+            finally:
+                self._children.stop()
+                if self._bus is not None:
+                    self._bus.close()
+                self._directory.connection.unlink(missing_ok=True)
+                self._joins.close()
 
     def _start(self) -> Bus:
         scenario, keys = self._scenario, self._keys

@@ -7,7 +7,7 @@ from agents.process import AgentProcess
 from netem.bus import Bus, Stamped
 from netem.errors import MalformedMessage, OutOfPlace
 from netem.keys import Keys
-from netem.messages import Hello, Inbox, Nav
+from netem.messages import End, Hello, Inbox, Nav
 from netem.shell import expect
 
 
@@ -22,14 +22,16 @@ class FreeAgentProcess(AgentProcess):
         self._stamped = bus.stamped(key)
         return self._stamped
 
-    def serve(self) -> None:
-        """Answer navs until the process ends."""
+    def serve(self) -> End:
+        """Answer navs until the world says that no more will come; our own processes are ended instead."""
         poll = self._navs.poll
         while True:
             item: tuple[str, bytes] | None = self._navs.get()
             navs = []
             while item is not None:
                 message = self._read(*item)
+                if isinstance(message, End) and self._is_over(message):
+                    return message
                 if isinstance(message, Nav):
                     navs.append(message)
                 item = poll()
@@ -41,13 +43,13 @@ class FreeAgentProcess(AgentProcess):
             for nav in self._free.worth(navs) if navs else ():
                 self._answer(self._keys.nav(self._vehicle), nav)
 
-    def _read(self, key: str, data: bytes) -> Nav | Inbox | Hello | None:
+    def _read(self, key: str, data: bytes) -> Nav | Inbox | End | Hello | None:
         try:
-            message = expect(data, Nav, Inbox, Hello)
+            message = expect(data, Nav, Inbox, End, Hello)
         except MalformedMessage as error:
             self._shell.reject(key, self._loop.tick, error)
             return None
-        assert isinstance(message, (Nav, Inbox, Hello))
+        assert isinstance(message, (Nav, Inbox, End, Hello))
         return message
 
     def _take(self, key: str, inbox: Inbox, at_ns: int) -> None:

@@ -18,8 +18,8 @@ from netem.access import Credentials, agent_role
 from netem.bus import Bus, Channel, Stamped, quiet_zenoh
 from netem.errors import BusError, MalformedMessage, OutOfPlace
 from netem.keys import Keys
-from netem.messages import PROTOCOL_VERSION, Hello, Inbox, Message, Nav, Receipt, Transmission, encode
-from netem.shell import Shell, expect, read_map
+from netem.messages import PROTOCOL_VERSION, End, Hello, Inbox, Message, Nav, Receipt, Transmission, encode
+from netem.shell import Shell, end_with_link, expect, read_map
 
 log = logging.getLogger(__name__)
 
@@ -41,7 +41,22 @@ def run(
     quiet_zenoh()
     keys = Keys(run_id)
     bus = Bus.connect(endpoint, credentials)
+    end_with_link(bus, credentials)
     config, clock = _ask_config(bus, keys, vehicle)
+    begin_life(bus, keys, config, clock, incarnation, begin).serve()
+
+
+def begin_life(bus: Bus, keys: Keys, config: AgentConfig, clock: str, incarnation: int, begin: int) -> AgentProcess:
+    """An agent that is made, and known to world and netem.
+
+    Args:
+        clock: lockstep or real.
+
+    Raises:
+        BusError: world or netem does not answer.
+        SystemExit: a law cannot be made; the console has been told by then.
+    """
+    vehicle = config.id
     try:
         core = make_agent(config)
     except AgentError as error:
@@ -49,7 +64,7 @@ def run(
         _give_up(Shell(bus, role, keys.note(role)), vehicle, begin, error)
     process = _process(bus, keys, vehicle, core, config, clock, incarnation, begin)
     process.get_ready()
-    process.serve()
+    return process
 
 
 class AgentProcess:
@@ -89,20 +104,28 @@ class AgentProcess:
         self._cmd(encode(Hello("agent", self._vehicle, self._loop.incarnation, PROTOCOL_VERSION, True)))
         self._bus.token(self._keys.alive(agent_role(self._vehicle)))
 
-    def serve(self) -> None:
-        """Answer navs, one after the other, until the process ends."""
+    def serve(self) -> End:
+        """Answer navs, one after the other, until the world says that no more will come; our own processes are
+        ended instead."""
         loop, inboxes = self._loop, self._rx
         assert isinstance(inboxes, Channel)
         while True:
             # A nav that cannot be answered yet waits for an inbox; inboxes that come early wait in their channel.
             key, data = (inboxes if loop.waits_for_inbox else self._navs).get()
             try:
-                message = expect(data, Nav, Inbox, Hello)
+                message = expect(data, Nav, Inbox, End, Hello)
             except MalformedMessage as error:
                 self._shell.reject(key, loop.tick, error)
                 continue
-            if not isinstance(message, Hello):  # a late echo of a repeated probe
+            if isinstance(message, End):
+                if self._is_over(message):
+                    return message
+            elif not isinstance(message, Hello):  # a late echo of a repeated probe
                 self._answer(key, message)
+
+    def _is_over(self, end: End) -> bool:
+        """Whether it is this life that is over, and not the one before."""
+        return end.incarnation >= self._loop.incarnation
 
     def _answer(self, key: str, message: Message) -> None:
         """Do what a nav or an inbox asks for."""

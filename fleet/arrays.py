@@ -215,6 +215,8 @@ class Log:
 
     def __getitem__(self, topic: str) -> Topic:
         if topic not in self._topics:
+            if not isinstance(topic, str):
+                raise LogKeyError(f"topics have names such as 'uuv/1/state', got {topic!r}")
             hint = nearest(topic, self.topics)
             raise LogKeyError(f"{self.path} has no topic {topic!r}; {hint or 'see .topics for those it has'}")
         return self._topics[topic]

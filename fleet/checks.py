@@ -3,27 +3,33 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
+from math import inf, isfinite
 from typing import Any
 
 from fleet.fields import vehicle_numbers
 from fleet.journal import Journal
 from fleet.scenario import Scenario
-from fleet.schema import AtMost, Below, Connected, MaxAge, MinSeparation, Recovery
+from fleet.schema import EVERY, AtMost, Below, Connected, MaxAge, MinSeparation, Recovery
 from fleet.stability import names
 from netem.grammar import parse_selector, select
 
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """One check: what was asked, what was found."""
+    """One check: what was asked and what was found, in words and as numbers."""
 
     check: str
     passed: bool
     asked: str
     found: str
+    value: float | None = None  # what is compared with the limit; None where nothing was found
+    limit: float | None = None
+    unit: str = ""
 
     def to_values(self) -> dict[str, Any]:
-        return asdict(self)
+        """Plain values; JSON knows no infinity, so that is None as well."""
+        values = asdict(self)
+        return values | {"value": self.value if self.value is not None and isfinite(self.value) else None}
 
 
 def judge(scenario: Scenario, journal: Journal, middleware_lost: int) -> list[Verdict]:
@@ -34,7 +40,8 @@ def judge(scenario: Scenario, journal: Journal, middleware_lost: int) -> list[Ve
         below: Below | None = getattr(checks, name)
         if below is not None:
             verdicts.append(_below(name, below, journal))
-    verdicts += [_recovery_time(check, scenario, journal) for check in checks.recovery_time or ()]
+    for check in checks.recovery_time or ():
+        verdicts += _recovery_times(check, scenario, journal)
     if checks.min_separation is not None:
         verdicts.append(_min_separation(checks.min_separation, scenario, journal))
     if checks.max_age is not None:
@@ -47,7 +54,7 @@ def judge(scenario: Scenario, journal: Journal, middleware_lost: int) -> list[Ve
     if checks.ledger is not None:
         unbalanced = journal.ledger.unbalanced()
         found = "balanced" if not unbalanced else ", ".join(f"{s}->{d} off by {n}" for (s, d), n in unbalanced.items())
-        verdicts.append(Verdict("ledger", not unbalanced, "balanced", found))
+        verdicts.append(Verdict("ledger", not unbalanced, "balanced", found, len(unbalanced), 0, "links"))
     if checks.middleware_loss is not None:
         verdicts.append(_at_most("middleware_loss", checks.middleware_loss, middleware_lost))
     return verdicts
@@ -59,21 +66,46 @@ def _below(name: str, check: Below, journal: Journal) -> Verdict:
     value, vehicle, at_s = journal.metrics.worst("formation" if name == "formation_error" else "e", after_s, who)
     asked = f"below {check.below:g} m after {after_s:g} s{_of(check.vehicles)}"
     if vehicle == 0:
-        return Verdict(name, False, asked, f"the run ended at {at_s:g} s, before the check begins")
-    return Verdict(name, value < check.below, asked, f"at most {value:.4g} m (vehicle {vehicle}, {at_s:g} s)")
+        found, passed, value = f"the run ended at {at_s:g} s, before the check begins", False, inf
+    else:
+        found, passed = f"at most {value:.4g} m (vehicle {vehicle}, {at_s:g} s)", value < check.below
+    return Verdict(name, passed, asked, found, value, check.below, "m")
+
+
+def _recovery_times(check: Recovery, scenario: Scenario, journal: Journal) -> list[Verdict]:
+    """One verdict, or of every fault one for each that ended between the first frame and the last."""
+    if check.fault != EVERY:
+        return [_recovery_time(check, scenario, journal)]
+    first = journal.metrics.times[0] if journal.metrics.times else inf
+    ended = [
+        event.fault
+        for event in journal.happened
+        if event.action == "ends" and first <= event.tick * scenario.tick_ns / 1e9 and event.tick < scenario.ticks
+    ]
+    each = [check.model_copy(update={"fault": name}) for name in dict.fromkeys(ended)]
+    if not each:
+        return [_no_recovery(check, "no fault ended while the run lasted")]
+    return [_recovery_time(one, scenario, journal) for one in each]
+
+
+def _asked_recovery(check: Recovery) -> str:
+    return (
+        f"{check.error} error within {check.within:g} m, less than {check.below / 1e9:g} s after "
+        f"{'every fault' if check.fault == EVERY else f'fault {check.fault}'}{_of(check.vehicles)}"
+    )
+
+
+def _no_recovery(check: Recovery, found: str) -> Verdict:
+    return Verdict("recovery_time", False, _asked_recovery(check), found, None, check.below / 1e9, "s")
 
 
 def _recovery_time(check: Recovery, scenario: Scenario, journal: Journal) -> Verdict:
-    asked = (
-        f"{check.error} error within {check.within:g} m, less than {check.below / 1e9:g} s after fault {check.fault}"
-    )
-    asked += _of(check.vehicles)
     tick_s = scenario.tick_ns / 1e9
     end = max(
         (e.tick for e in journal.happened if e.fault == check.fault and e.action == "ends"), default=scenario.ticks
     )
     if end >= scenario.ticks:
-        return Verdict("recovery_time", False, asked, _ended(scenario, "the fault did"))
+        return _no_recovery(check, _ended(scenario, "the fault did"))
     later = (e for e in journal.happened if e.action == "begins" and e.tick >= end and e.fault != check.fault)
     disturbed = next(later, None)
     span = end, scenario.ticks + 1 if disturbed is None else disturbed.tick
@@ -82,24 +114,26 @@ def _recovery_time(check: Recovery, scenario: Scenario, journal: Journal) -> Ver
     what = "formation" if check.error == "formation" else "e"
     at_s, vehicle, off_m = journal.metrics.settled(what, span, check.within, who)
     if vehicle == 0:
-        return Verdict("recovery_time", False, asked, f"{until}, before any frame of the log")
+        return _no_recovery(check, f"{until}, before any frame of the log")
     if at_s is None:
-        return Verdict("recovery_time", False, asked, f"{off_m:.4g} m (vehicle {vehicle}) when {until}")
+        return _no_recovery(check, f"{off_m:.4g} m (vehicle {vehicle}) when {until}")
     took = round(at_s / tick_s) - end
     passed = took * scenario.tick_ns < check.below
-    return Verdict("recovery_time", passed, asked, f"{took * tick_s:g} s (vehicle {vehicle} the last)")
+    found = f"{took * tick_s:g} s (vehicle {vehicle} the last)"
+    return Verdict("recovery_time", passed, _asked_recovery(check), found, took * tick_s, check.below / 1e9, "s")
 
 
 def _min_separation(check: MinSeparation, scenario: Scenario, journal: Journal) -> Verdict:
     asked = f"above {check.above:g} m after {check.after / 1e9:g} s{_of(check.vehicles)}"
     if scenario.vehicles < 2:
-        return Verdict("min_separation", True, asked, "one vehicle")
+        return Verdict("min_separation", True, asked, "one vehicle", None, check.above, "m")
     least = None if journal.separation is None else journal.separation.least
     if least is None:
-        return Verdict("min_separation", False, asked, _ended(scenario, "the check begins"))
+        return Verdict("min_separation", False, asked, _ended(scenario, "the check begins"), None, check.above, "m")
     i, j = least.pair
     found = f"at least {least.distance_m:.4g} m (vehicles {i} and {j}, {least.tick * scenario.tick_ns / 1e9:g} s)"
-    return Verdict("min_separation", least.distance_m > check.above, asked, found)
+    passed = least.distance_m > check.above
+    return Verdict("min_separation", passed, asked, found, least.distance_m, check.above, "m")
 
 
 def _max_age(check: MaxAge, scenario: Scenario, journal: Journal) -> Verdict:
@@ -107,31 +141,32 @@ def _max_age(check: MaxAge, scenario: Scenario, journal: Journal) -> Verdict:
     asked = f"below {check.below / 1e9:g} s after {check.after / 1e9:g} s{some}"
     links = sorted(select(parse_selector(check.links), scenario.graph.links))
     if not links:
-        return Verdict("max_age", True, asked, "no link")
+        return Verdict("max_age", True, asked, "no link", None, check.below / 1e9, "s")
     oldest = journal.ages.oldest(-(-check.after // scenario.tick_ns), links)
     if oldest is None:
-        return Verdict("max_age", False, asked, _ended(scenario, "the check begins"))
+        return Verdict("max_age", False, asked, _ended(scenario, "the check begins"), None, check.below / 1e9, "s")
     age, (src, dst), tick = oldest
     tick_s = scenario.tick_ns / 1e9
     found = f"at most {age * tick_s:g} s (link {src}->{dst}, {tick * tick_s:g} s)"
-    return Verdict("max_age", age * scenario.tick_ns < check.below, asked, found)
+    passed = age * scenario.tick_ns < check.below
+    return Verdict("max_age", passed, asked, found, age * tick_s, check.below / 1e9, "s")
 
 
 def _connected(check: Connected, scenario: Scenario, journal: Journal) -> Verdict:
     asked = f"in every window of {check.window / 1e9:g} s after {check.after / 1e9:g} s{_of(check.vehicles)}"
     found = journal.connectivity
     if found is None or not found.windows:
-        return Verdict("connected", False, asked, _ended(scenario, "the first window did"))
+        return Verdict("connected", False, asked, _ended(scenario, "the first window did"), None, 0, "windows")
     if found.trivial:
-        return Verdict("connected", True, asked, "each follows the reference itself")
+        return Verdict("connected", True, asked, "each follows the reference itself", 0, 0, "windows")
     if found.first is None:
-        return Verdict("connected", True, asked, f"in all {found.windows} windows")
+        return Verdict("connected", True, asked, f"in all {found.windows} windows", 0, 0, "windows")
     tick_s = scenario.tick_ns / 1e9
     begin, end, unreached = found.first
     missed = f"{names(unreached)} not reached in the window that ends at {begin * tick_s:g} s, some until "
     missed += f"{(end - 1) * tick_s:g} s; {found.ticks} of {found.windows} windows"
     missed += f", {found.outages} stretches" if found.outages > 1 else ""
-    return Verdict("connected", False, asked, missed)
+    return Verdict("connected", False, asked, missed, found.ticks, 0, "windows")
 
 
 def _of(vehicles: str | None) -> str:
@@ -143,4 +178,5 @@ def _ended(scenario: Scenario, before: str) -> str:
 
 
 def _at_most(name: str, check: AtMost, found: int) -> Verdict:
-    return Verdict(name, found <= check.at_most, f"at most {check.at_most}", str(found))
+    unit = "messages" if name == "middleware_loss" else "times"
+    return Verdict(name, found <= check.at_most, f"at most {check.at_most}", str(found), found, check.at_most, unit)

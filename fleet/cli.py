@@ -11,7 +11,7 @@ from typing import Any
 import click
 from rich.console import Console as Terminal
 
-from fleet import cli_bench, cli_live, cli_log, cli_replay, cli_verify, cli_whatif
+from fleet import cli_bench, cli_hosts, cli_join, cli_live, cli_log, cli_protocol, cli_replay, cli_verify, cli_whatif
 from fleet.completion import scenarios
 from fleet.errors import FleetError, ScenarioError
 
@@ -111,6 +111,10 @@ _overrides = click.option(
     "--publish", is_flag=True, help="Publish the journal on zenoh meanwhile; nobody who listens slows the run."
 )
 @click.option("--audit", is_flag=True, help="Say also which messages the router refuses, a tenth slower.")
+@click.option("--wait-for-subscribers", is_flag=True, help="With --publish: begin when somebody listens.")
+@cli_hosts.hosts_options
+@click.option("--join-timeout", type=cli_join.Wait(), default="300 s", show_default=True,
+              help="How long to wait for each agent that somebody else starts.")  # fmt: skip
 @click.option("--start-order", metavar="SEED", type=int, hidden=True)
 @click.option("-q", "--quiet", is_flag=True, help="No progress and no tables.")
 def run(
@@ -128,8 +132,11 @@ def run(
     port: int | None,
     publish: bool,
     audit: bool,
+    wait_for_subscribers: bool,
+    join_timeout: float,
     start_order: int | None,
     quiet: bool,
+    **hosts: Any,
 ) -> None:
     """Run SCENARIO (a shipped name or a YAML file) and judge it.
 
@@ -144,6 +151,8 @@ def run(
     """
     from fleet.scenario import load_scenario
 
+    if wait_for_subscribers and not publish:
+        raise click.UsageError("--wait-for-subscribers needs --publish: nobody could subscribe")
     more = list(overrides)
     if seed is not None:
         more.append(f"seed={seed}")
@@ -167,18 +176,38 @@ def run(
         from fleet.table import show
 
         if not quiet:
+            from fleet.prospects import doubts
             from fleet.stability import analyse
 
-            for warning in analyse(loaded).warnings:
+            for warning in [*analyse(loaded).warnings, *doubts(loaded)]:
                 terminal.print(f"warning: {warning}", highlight=False, markup=False, soft_wrap=True)
+        meeting = cli_hosts.meeting(loaded, hosts, in_process=in_process or loaded.ideal or start is not None)
+        for warning in meeting.warnings if meeting else ():
+            terminal.print(f"warning: {warning}", style="bold red", highlight=False, markup=False, soft_wrap=True)
         pace = None
         if clock == "real":
             pace = speed or 1.0
             if in_process or start is not None or loaded.ideal:
                 why = "--in-process" if in_process else "--from" if start is not None else "network: ideal"
                 raise click.UsageError(f"--clock real is of processes that answer as they can; not with {why}")
-        shuffle = _shuffle(start_order)
-        options = Options(out, in_process, speed, quiet, publish, port, start, pace, max_missed, shuffle, audit)
+        if audit and (in_process or loaded.ideal or start is not None or (meeting and meeting.router)):
+            raise click.UsageError("--audit reads the log of the router that a run hosts; this run hosts none")
+        options = Options(
+            out,
+            in_process=in_process,
+            speed=speed,
+            quiet=quiet,
+            publish=publish,
+            wait=wait_for_subscribers,
+            port=port,
+            start=start,
+            pace=pace,
+            most_missed=max_missed,
+            start_order=_shuffle(start_order),
+            join_timeout_s=join_timeout,
+            meeting=meeting,
+            audit=audit,
+        )
         if start is not None and not quiet:
             terminal.print("\n".join(start.notes), highlight=False, markup=False, soft_wrap=True)
         if loaded.ideal and not in_process and not quiet:
@@ -228,6 +257,7 @@ def check(scenario: str, overrides: tuple[str, ...]) -> None:
     except ScenarioError as error:
         _fail(error)
     from fleet.faults import timeline
+    from fleet.prospects import doubts
     from fleet.stability import analyse, report
 
     links = loaded.graph.links
@@ -241,7 +271,7 @@ def check(scenario: str, overrides: tuple[str, ...]) -> None:
         click.echo(line)
     for name, begin_s, end_s, what in timeline(loaded):
         click.echo(f"fault {name}: {what}, {begin_s:g} to {end_s:g} s")
-    for warning in found.warnings:
+    for warning in [*found.warnings, *doubts(loaded)]:
         click.echo(f"warning: {warning}", err=True)
 
 
@@ -388,19 +418,11 @@ def info(log: Path, as_json: bool) -> None:
     click.echo(json.dumps(found.to_values(), indent=2) if as_json else describe(found))
 
 
-@cli.command()
-def protocol() -> None:
-    """Print the wire protocol page (Markdown), for whoever writes an agent in another language."""
-    from fleet.protocol import page
-
-    click.echo(page(), nl=False)
-
-
-_GROUPS = (cli_bench, cli_live, cli_log, cli_replay, cli_verify, cli_whatif)
+_GROUPS = (cli_bench, cli_hosts, cli_join, cli_live, cli_log, cli_protocol, cli_replay, cli_verify, cli_whatif)
 for _command in (command for group in _GROUPS for command in group.COMMANDS):
     cli.add_command(_command)
 
 
 def _fail(error: FleetError) -> Any:
     click.echo(f"fleet: {error}", err=True)
-    sys.exit(2)
+    sys.exit(error.status)

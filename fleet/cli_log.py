@@ -131,7 +131,7 @@ def plot(
       fleet plot runs/latest --what messages --window 20s..22s
       fleet plot runs/a --compare runs/b --what error -o compared
     """
-    from fleet.pictures import Look, load, write
+    from fleet.pictures import Look, check_look, load, write
     from fleet.reader import log_path
 
     said: list[str] = []
@@ -139,6 +139,7 @@ def plot(
         with _reading() as tell:
             runs = load([log, *compare], tell)
         look = Look(vehicles, log_scale, window)
+        check_look(runs, look)
         paths = write(what, runs, look, out or log_path(log).parent / "plots", formats, said.append)
     except FleetError as error:
         _fail(error)
@@ -227,15 +228,20 @@ def report(
       fleet report runs/latest
       fleet report runs/a runs/b -o compared.html --log-scale
     """
-    from fleet.pictures import Look, load
+    from fleet.pictures import Look, check_look, load
     from fleet.report import write
 
     try:
         with _reading() as tell:
             runs = load(logs, tell)
-        write(out, runs, Look(vehicles, log_scale, window))
+        look = Look(vehicles, log_scale, window)
+        check_look(runs, look)
+        write(out, runs, look)
     except FleetError as error:
         _fail(error)
+    for run in runs:
+        if run.log.missing:
+            click.echo(f"fleet: {run.label}: {run.log.missing}", err=True)
     click.echo(out)
 
 

@@ -149,6 +149,8 @@ def replay(
 
     if not run_id or set(run_id) & set("/*$?#"):
         raise click.BadParameter(f"expected one part of a key, without / * $ ? #, got {run_id!r}", param_hint="--run")
+    if start_paused and not Keyboard.possible():
+        raise click.UsageError("--start-paused needs a terminal: nobody could go on")
     wishes = Wishes(
         run=run_id, rate=rate, loop=loop, start_ns=start_offset, duration_ns=duration, until_ns=until,
         paused=start_paused, delay_ns=delay, topics=topics, regex=regex, remap=remap, clock_hz=clock,
@@ -171,8 +173,6 @@ def replay(
             keys = f"fleet/{run_id}/log/**" if played.ours else "its own keys"
             line.say(f"playing {played.messages} messages on {keys} at {bus.endpoint}")
             with Keyboard() as keyboard:
-                if start_paused and not keyboard.there:
-                    raise click.UsageError("--start-paused needs a terminal: nobody could go on")
                 played.play(keyboard, line)
         except Exception as error:
             _broken(error)
@@ -190,7 +190,7 @@ def replay(
 @_connect
 @_listen
 @click.option("--run", metavar="DIR", type=click.Path(path_type=Path),
-              help="Record the journal of this live run, which was started with --publish.")  # fmt: skip
+              help="Record the journal of this live run, started with --publish, until it ends.")  # fmt: skip
 @click.option("-q", "--quiet", is_flag=True, help="No progress and no summary.")
 def record(
     keys: tuple[str, ...],
@@ -204,7 +204,8 @@ def record(
 ) -> None:
     """Record zenoh traffic of any kind to an MCAP file, until Ctrl-C.
 
-    Payloads stay as they are, with their encoding, attachment and timestamp; `fleet replay` publishes them again.
+    With --run it ends with the run. Payloads stay as they are, with their encoding, attachment and timestamp;
+    `fleet replay` publishes them again.
 
     \b
     Examples:
@@ -212,7 +213,7 @@ def record(
       fleet record --key 'robot/**' --key 'base/*/status' --listen tcp/0.0.0.0:7447 --duration '10 min'
       fleet record --run runs/latest -o journal.mcap
     """
-    from fleet.record import Limits, Recorder, TrafficWriter, holding_interrupts
+    from fleet.record import Gone, Limits, Recorder, TrafficWriter, holding_interrupts
     from fleet.status_line import StatusLine
 
     credentials = None
@@ -223,7 +224,7 @@ def record(
         keys = keys or (f"{prefix}/log/**",)
     if not keys:
         raise click.UsageError("record what? Give --key 'robot/**', or --key '**' for everything")
-    path = output or Path(f"record-{datetime.now(UTC):%Y%m%d-%H%M%S}.mcap")
+    path = output or Path(f"record-{datetime.now(UTC):%Y%m%d-%H%M%S}.mcap")  # noqa: TID251 (a name)
     with _ending() as sessions, StatusLine(Terminal(stderr=True), quiet=quiet) as line:
         bus = _session(connect, listen, credentials)
         sessions.append(bus)
@@ -234,17 +235,22 @@ def record(
             _broken(error, 2)
             raise
         line.say(f"recording {', '.join(keys)} at {bus.endpoint} to {path}")
+        failed: Exception | None = None
         with holding_interrupts() as interrupted:
             try:
-                recorder.record(writer, Limits(duration, max_size), line, interrupted)
+                limits, over = Limits(duration, max_size), None if run is None else Gone(lambda: bus.connected)
+                if recorder.record(writer, limits, line, interrupted, over):
+                    line.say("the run is over: nobody publishes it any more")
             except Exception as error:
-                _broken(error)
+                failed = error
             finally:
                 try:
                     recorder.finish(writer)
                     line.say(f"recorded {writer.samples} messages, {writer.size / 1e6:.2f} MB, to {path}")
                 except FleetError as error:
-                    _fail(error, 3)
+                    failed = failed or error  # a full disk has been told once
+                if failed is not None:
+                    _broken(failed)
 
 
 def _session(connect: str | None, listen: str | None, credentials: Any) -> Any:

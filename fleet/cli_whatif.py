@@ -58,7 +58,7 @@ def command(
         return
     for note in found.notes:
         click.echo(f"note  {note}", err=True)
-    click.echo("\n".join(describe(found)))
+    click.echo("\n".join([*describe(found), *([str(plot)] if plot is not None else [])]))
 
 
 def values(found: WhatIf) -> dict[str, Any]:

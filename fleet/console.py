@@ -6,6 +6,7 @@ from the watcher's. The main thread takes them one by one.
 
 from __future__ import annotations
 
+import contextlib
 import os
 import secrets
 import tempfile
@@ -28,7 +29,9 @@ from fleet.children import FORKSERVER_LOST, Child, Children, Exit, describe_exit
 from fleet.clock import Clock, LiveClock
 from fleet.control import Operator
 from fleet.errors import RunBroken, StoppedError
+from fleet.external import Joins
 from fleet.guardian import Guardian
+from fleet.hosts import Meeting
 from fleet.journal import Journal, frame_every
 from fleet.limits import allow_open_files
 from fleet.ports import free_port
@@ -50,11 +53,13 @@ READY_S = 20.0
 READY_PER_VEHICLE_S = 0.2
 POLL_S = 0.02
 QUIET_S = 2.0  # without an event for so long, ask who is waiting for whom
+JOIN_TIMEOUT_S = 300.0  # for agents that somebody else starts
 SETTLE_S = 0.2  # after a death, how long to collect what else happened
 
 MOST_NOTES = 1000
 
 FRAME, LINKS, NOTE, EXIT, OPERATION = "frame", "links", "note", "exit", "operation"
+TOKEN, LOST = "token", "lost"
 _EXPECTED = {FRAME: (Frames, Hello), LINKS: (LinkReport, Hello)}
 
 
@@ -71,6 +76,9 @@ class Console:
         port: int | None = None,
         audit: bool = False,
         start_order: Callable[[list[str]], list[str]] | None = None,
+        meeting: Meeting | None = None,
+        join_timeout_s: float = JOIN_TIMEOUT_S,
+        say: Callable[[str], None] = lambda _: None,
         pace: float | None = None,
     ) -> None:
         """`pace`: ticks begin by the wall clock, so many times as fast as real; None: in lockstep."""
@@ -81,6 +89,7 @@ class Console:
         self._port = port
         self._audit = audit
         self._start_order = start_order
+        self._meeting = meeting or Meeting()
         self._events: SimpleQueue[tuple[str, Any]] = SimpleQueue()
         self._children = Children(lambda ended: self._events.put((EXIT, ended)))
         self._bus: Bus | None = None
@@ -93,8 +102,10 @@ class Console:
         self.middleware_lost = 0  # messages that zenoh lost; any makes the run invalid
         self._agent_arguments: dict[int, tuple[Any, ...]] = {}
         self._granted = 0
+        self._joins = Joins(scenario, directory, say)
+        self._join_timeout_s = join_timeout_s
         self._guardian = Guardian(
-            scenario, journal, self._children, self.notes, lambda: self._granted, self._start_agent
+            scenario, journal, self._children, self._joins, self.notes, lambda: self._granted, self._start_agent
         )
         self.operator: Operator | None = None
         self.waiting = ""  # who is being waited for, when nothing moves
@@ -119,37 +130,47 @@ class Console:
         began = time.monotonic()
         try:
             bus = self._start()
-            self._get_ready(bus)
+            self._get_ready(bus, progress)
             self.started_s = time.monotonic() - began
             self._record(bus, clock, progress)
             return self._close(bus)
         finally:
-            self._children.stop()
-            if self._bus is not None:
-                self._bus.close()
-            self._directory.connection.unlink(missing_ok=True)
+            try:
+                self._dismiss()
+            finally:
+                self._children.stop()
+                if self._bus is not None:
+                    self._bus.close()
+                self._directory.connection.unlink(missing_ok=True)
+                self._joins.close()
 
     def _start(self) -> Bus:
         scenario, keys = self._scenario, self._keys
         allow_open_files(scenario.vehicles)
-        credentials = generate(self._vehicles)
-        endpoint = f"tcp/127.0.0.1:{free_port(self._port)}"
+        meeting = self._meeting
+        credentials = meeting.credentials or generate(self._vehicles)
+        endpoint = meeting.router or f"tcp/127.0.0.1:{free_port(self._port)}"
+        if meeting.router:
+            self._listen(self._visit(endpoint, credentials[CONSOLE]))
         clients = {role: c for role, c in credentials.items() if role != WORLD}
         # mkdtemp makes it for this user alone; zenoh reads the users from a file there, once.
         private = Path(tempfile.mkdtemp(prefix="uuv-fleet-"))
         every = frame_every(scenario)
-        sea = endpoint, keys.run, clients, private, scenario.world_config(), every, self._audit
+        pace = () if self._pace is None else (self._pace,)
+        sea = world.process if self._pace is None else world.freeprocess
+        host = endpoint, keys.run, clients, private, scenario.world_config(), every, *pace, meeting.door, self._audit
         network = endpoint, keys.run, credentials[NETEM], scenario.netem_config()
-        targets: dict[str, tuple[Callable[..., None], tuple[Any, ...]]]
-        if self._pace is None:
-            targets = {WORLD: (world.process.run, sea), NETEM: (netem.process.run, network)}
-        else:
-            targets = {
-                WORLD: (world.freeprocess.run, (*sea, self._pace)),
-                NETEM: (netem.freeprocess.run, network),
-            }
+        targets: dict[str, tuple[Callable[..., None], tuple[Any, ...]]] = {
+            WORLD: (sea.run, host),
+            NETEM: (netem.process.run if self._pace is None else netem.freeprocess.run, network),
+        }
+        if meeting.router:
+            guest = endpoint, keys.run, credentials[WORLD], scenario.world_config(), every, *pace
+            targets[WORLD] = (sea.join, guest)
         for i in self._vehicles:
             role = agent_role(i)
+            if i in self._joins.vehicles:
+                continue
             self._agent_arguments[i] = (endpoint, keys.run, i, credentials[role])
             targets[role] = (agents.process.run, self._agent_arguments[i])
         order = list(targets)
@@ -160,7 +181,7 @@ class Console:
                 self._start_process(role, *_flat(targets[role]))
                 if role == order[0]:
                     self._children.watch()
-                if role == WORLD:
+                if role == WORLD and not meeting.router:
                     # Now, because an agent that finds nobody to ask for its configuration keeps asking.
                     bus = self._bus = self._join(endpoint, credentials[CONSOLE])
                     self._listen(bus)
@@ -174,11 +195,12 @@ class Console:
                 "run": keys.run,
                 "scenario": scenario.name,
                 "pid": os.getpid(),
-                "user": OPERATOR,
-                "password": credentials[OPERATOR].password,
+                **credentials[OPERATOR].to_values(),
             }
         )
         assert self._bus is not None  # the world is among the roles
+        joining = {role: meeting.joining(role, known) for role, known in credentials.items()}
+        self._joins.open(meeting.reached or endpoint, keys.run, joining)
         return self._bus
 
     def _start_process(self, role: str, *target: Any) -> None:
@@ -206,15 +228,20 @@ class Console:
 
         bus.subscribe(keys.note("*"), note)
         clock = {} if self._pace is None else {"clock": "real"}
-        slices = {
-            keys.cfg(i): msgpack.packb({"agent": scenario.agent_config(i).to_values()} | clock) for i in self._vehicles
-        }
+        slices = {keys.cfg(i): {"agent": scenario.agent_config(i).to_values()} | clock for i in self._vehicles}
+        strangers = {keys.cfg(i): i for i in self._joins.vehicles}
 
         def configure(key: str, _: bytes, respond: Respond) -> None:
-            respond(slices[key])
+            more = self._joins.answer(strangers[key]) if key in strangers else {}
+            respond(msgpack.packb(more if "error" in more else slices[key] | more))
 
         bus.answer(keys.cfg("*"), configure)
+        for key, i in {keys.alive(agent_role(i)): i for i in self._joins.vehicles}.items():
+            bus.watch_tokens(key, partial(self._token, i))
         bus.answer(f"{keys.op}/*", lambda _, data, respond: put((OPERATION, (data, respond))))
+
+    def _token(self, i: int, _: str, alive: bool) -> None:
+        self._events.put((TOKEN, (i, alive)))
 
     def _join(self, endpoint: str, credentials: Credentials) -> Bus:
         deadline = time.monotonic() + JOIN_S
@@ -226,16 +253,36 @@ class Console:
                 if time.monotonic() > deadline:
                     raise RunBroken(str(error)) from None
 
-    def _get_ready(self, bus: Bus) -> None:
+    def _visit(self, endpoint: str, credentials: Credentials) -> Bus:
+        """Join a router that is there already; nobody else may use this run's keys there."""
+        try:
+            bus = self._bus = Bus.connect(endpoint, credentials)
+        except BusError as error:
+            raise RunBroken(str(error)) from None
+        if tokens := bus.tokens(self._keys.alive("*")):
+            who = ", ".join(token.rsplit("/", 1)[-1] for token in tokens)
+            raise RunBroken(
+                f"run {self._keys.run} is going on at {endpoint} already ({who}): end it, or make credentials for "
+                "another with fleet acl"
+            )
+        bus.on_lost(lambda: self._events.put((LOST, endpoint)))
+        return bus
+
+    def _get_ready(self, bus: Bus, progress: Callable[[], None]) -> None:
         """A hello and its echo on every key; liveliness alone would not show that messages pass."""
         probe = encode(Hello(CONSOLE, 0, 0, PROTOCOL_VERSION, False))
-        deadline = time.monotonic() + READY_S + READY_PER_VEHICLE_S * len(self._vehicles)
+        began = time.monotonic()
+        deadline = began + READY_S + READY_PER_VEHICLE_S * len(self._vehicles)
         missing = "the world"
         while True:
             self._grant(probe)
             answer = self._control(bus, WORLD, "ready")
             network = self._control(bus, NETEM, "ready")
             ready = {i for i, _ in answer.get("ready", ())}
+            for i in self._joins.awaited:
+                if i in ready and self._joins.here(i):
+                    self._joins.joined(i)
+            ready -= {*self._joins.awaited}
             absent = [i for i in self._vehicles if i not in ready]
             unheard = {FRAME, LINKS} - self._hello
             if not absent and not unheard and network.get("round") and answer.get("grant"):
@@ -244,17 +291,37 @@ class Console:
                 missing = "agents " + ", ".join(map(str, absent)) if len(absent) < 9 else f"{len(absent)} agents"
             else:
                 missing = "netem" if not network.get("round") else ", ".join(sorted(unheard)) or "the clock's key"
-            if time.monotonic() > deadline:
+            if absent == self._joins.awaited and network.get("round") and answer.get("grant"):
+                # Everyone of ours is ready, so whoever starts the others has all the time.
+                deadline = self._wait_to_join(began, progress)
+            elif time.monotonic() > deadline:
                 raise RunBroken(f"not ready after {READY_S:.0f} s: waiting for {missing}", self._tails())
             retry = time.monotonic() + POLL_S
             while (left := retry - time.monotonic()) > 0:
                 self._take(left)
+
+    def _wait_to_join(self, since: float, progress: Callable[[], None]) -> float:
+        """Say whom the run waits for; until when our own processes may now take to be ready.
+
+        Raises:
+            RunBroken: nobody joined in time.
+        """
+        now = time.monotonic()
+        if now - since > self._join_timeout_s:
+            raise RunBroken(
+                f"{self._joins.waiting().removeprefix('waiting for ').removesuffix(' to join')} did not join within "
+                f"{self._join_timeout_s:g} s; --join-timeout gives more time"
+            )
+        self.waiting = f"{self._joins.waiting()}, {now - since:.0f} s"
+        progress()
+        return now + READY_S
 
     def _record(self, bus: Bus, clock: Clock, progress: Callable[[], None]) -> None:
         journal = self._journal
         moved = asked = time.monotonic()
         live = LiveClock(clock, moved)
         self.operator = self._operator(bus, live)
+        self.waiting = ""
         self._guardian.connect(self._grant, partial(self._control, bus))
         while journal.framed < clock.ticks:
             self._guardian.tend()
@@ -270,9 +337,12 @@ class Console:
                 raise StoppedError
             if journal.framed != before or live.paused:
                 moved, self.waiting = now, "paused" if live.paused else ""
+            elif self._joins.awaited:
+                self._wait_to_join(moved, progress)
+                continue
             elif now - max(moved, asked) > QUIET_S:
                 asked = now
-                self.waiting = self._who_waits(bus)
+                self.waiting = f"{self._who_waits(bus)}, {now - moved:.0f} s"
             if now - moved > self._scenario.stall_timeout_s:
                 raise RunBroken(
                     f"nothing moved for {self._scenario.stall_timeout_s:g} s at "
@@ -339,6 +409,20 @@ class Console:
                 answer = {"error": str(error)}
             respond(msgpack.packb(answer))
             return
+        if kind == LOST:
+            at = self._seconds(self._journal.framed)
+            raise RunBroken(f"the link to the router at {data} has ended at {at}: closed, or silent for the lease")
+        if kind == TOKEN:
+            i, alive = data
+            was_here = self._joins.here(i)
+            self._joins.token(i, alive)
+            if alive:
+                self._guardian.came(i)
+            if was_here and not alive and not self.started_s:
+                self._joins.expect(i, 0, 0)  # it left before the run began: another one may come
+            elif was_here and not alive and not self._guardian.left(i):
+                raise RunBroken(f"agent {i} (external) left at {self._seconds(self._journal.framed)}")
+            return
         if kind == EXIT:
             if self._guardian.bury(data):
                 return
@@ -365,6 +449,9 @@ class Console:
             raise RunBroken(f"a damaged message on {kind}: {error}") from error
 
     def _start_agent(self, i: int, incarnation: int, begin: int) -> None:
+        if i in self._joins.vehicles:
+            self._joins.expect(i, incarnation, begin)
+            return
         role = agent_role(i)
         self._start_process(role, agents.process.run, *self._agent_arguments[i], incarnation, begin)
 
@@ -409,9 +496,21 @@ class Console:
             return "waiting for netem" + _suspended(self._children.by_role[NETEM])
         if not late:
             return "waiting for the log" if self._journal.written < self._journal.framed else "waiting"
-        stopped = [f"agent {i}" + _suspended(self._children.by_role[agent_role(i)]) for i in late[:8]]
+        stopped = [
+            f"agent {i}"
+            + (" (external)" if i in self._joins.vehicles else _suspended(self._children.by_role[agent_role(i)]))
+            for i in late[:8]
+        ]
         more = f" and {len(late) - 8} more" if len(late) > 8 else ""
         return "waiting for " + ", ".join(stopped) + more
+
+    def _dismiss(self) -> None:
+        """The run is over, whatever the reason: those whom nobody ends are told."""
+        with contextlib.suppress(MalformedMessage):
+            sea = self._children.by_role.get(WORLD)
+            if self._joins.vehicles and self._bus is not None and sea is not None and sea.process.is_alive():
+                self._guardian.connect(self._grant, partial(self._control, self._bus))
+                self._guardian.dismiss("the run is over")
 
     def _control(self, bus: Bus, role: str, op: str, **fields: Any) -> dict[str, Any]:
         answer = bus.ask(self._keys.ctl(role), request(op, **fields), timeout_s=1.0)

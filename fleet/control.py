@@ -95,7 +95,7 @@ class Operator:
             "clock": self.clock.describe(),
             "formation_error_m": self.journal.metrics.formation_error,
             "delivered": total.delivered,
-            "lost": sum(total.lost.values()),
+            "lost": sum(total.lost.values()) - total.replaced,
             "faults": [fault for fault in self._listed() if fault["active"]],
             "dead": self.dead(),
             "waiting": self.waiting(),

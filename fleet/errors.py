@@ -9,7 +9,13 @@ _WIDTH = 100  # characters of a source line shown around the caret
 
 
 class FleetError(Exception):
-    """Base of every error of this package that a user can cause or cure."""
+    """Base of every error of this package that a user can cause or cure.
+
+    `status` is what `fleet run` exits with: 2 when something else should have been asked for, 3 when the machine does
+    not do what was rightly asked (a full disk, a process that does not start).
+    """
+
+    status = 2
 
 
 class StoppedError(Exception):

@@ -17,6 +17,7 @@ import agents.process
 import world.process
 from fleet.children import FORKSERVER_LOST, Children, Exit, describe_exit
 from fleet.errors import RunBroken
+from fleet.external import Joins
 from fleet.faults import MOST_RESTARTS, Kill
 from fleet.journal import Journal
 from fleet.scenario import Scenario
@@ -40,6 +41,7 @@ class Guardian:
         scenario: Scenario,
         journal: Journal,
         children: Children,
+        joins: Joins,
         notes: list[str],
         granted: Callable[[], int],
         start: Callable[[int, int, int], None],
@@ -49,17 +51,17 @@ class Guardian:
         granted: ticks below it may have been started.
         start: starts an agent again, given vehicle, incarnation and first tick.
         """
-        self._scenario, self._journal, self._children, self._notes = scenario, journal, children, notes
-        self._granted, self._start = granted, start
+        self._scenario, self._journal, self._children, self._joins = scenario, journal, children, joins
+        self._notes, self._granted, self._start = notes, granted, start
         self._vehicles = tuple(range(1, scenario.vehicles + 1))
         self._grant: Callable[[bytes], None] | None = None  # None before the first grant: no agent may end
         self._ask: Ask = _nobody
         self._lives = Lives(scenario.faults.absences)
-        self._incarnation = dict.fromkeys(self._vehicles, 0)  # of the process that was started last
+        self._incarnation = dict.fromkeys(self._vehicles, 0)  # of the agent that was started last
         self.starting: dict[int, int] = {}  # vehicle -> tick of the agent that was started again and is not ready
         self._looked = 0.0
-        self._told_to_end: set[int] = set()  # processes
-        self._gone: set[int] = set()  # processes
+        self._told_to_end: set[int] = set()  # vehicles whose agent, the one that was started last, is to go
+        self._gone: set[int] = set()  # and whose has gone
         self._restarted: dict[int, int] = {}  # vehicle -> how often because of on_death
         self.deaths: dict[int, list[str]] = {}  # how agents ended that nobody told to
 
@@ -94,13 +96,46 @@ class Guardian:
 
         If it is an agent that nobody told to go, the world is told, which decides at which tick it ended.
         """
-        if ended.pid in self._told_to_end:
-            self._gone.add(ended.pid)
-            return True
-        if not self._survivable(ended):
+        if not ended.role.startswith("agent-"):
             return False
         i = int(ended.role.removeprefix("agent-"))
-        self._gone.add(ended.pid)
+        if i not in self._told_to_end:
+            if not self._survivable(ended):
+                return False
+            child = self._children.by_role[ended.role]
+            how = describe_exit(ended.code)
+            last = f"; last line of {child.log_path}: {line}" if (line := "".join(child.tail()[-1:])) else ""
+            self._end(i, f"agent {i} (pid {child.pid}) {how}", how, last)
+        self._gone.add(i)
+        return True
+
+    def left(self, i: int) -> bool:
+        """Take that an external agent's token is gone; False if the run cannot go on without it."""
+        if self._grant is None or i in self.starting or i in self._gone:
+            return True  # another one may join in its place, or it had its time
+        if self._scenario.spec.on_death == "abort":
+            return False
+        self._end(i, f"agent {i} (external) left", "left: its session ended", "")
+        self._gone.add(i)
+        return True
+
+    def came(self, i: int) -> None:
+        """Take that an external agent's token is there: one whose life is over is told so, or it would hold the place.
+
+        A session whose link was cut links again by itself, with its token, and what it missed is lost.
+        """
+        over = self._incarnation[i] - (i not in self._gone)
+        if self._grant is not None and over >= 0:
+            self._ask(WORLD, "dismiss", agents=[[i, over, 0]], reason="its link had ended, and its life with it")
+
+    def dismiss(self, reason: str) -> None:
+        """Tell the external agents that are there that no nav will follow."""
+        here = [[i, self._incarnation[i], 0] for i in self._joins.vehicles if self._joins.here(i)]
+        if here:
+            self._ask(WORLD, "dismiss", agents=here, reason=reason)
+
+    def _end(self, i: int, who: str, how: str, last: str) -> None:
+        """An agent has ended that nobody told to."""
         life = self._incarnation[i]
         gap = self._gap(i)
         begin = self.starting.pop(i, None)
@@ -117,15 +152,11 @@ class Guardian:
         self._tell_world(Death(i, begin or 0, life, until))
         if until:
             self._tell_netem()
-        child = self._children.by_role[ended.role]
-        how = describe_exit(ended.code)
         self.deaths.setdefault(i, []).append(how)
-        last = f"; last line of {child.log_path}: {line}" if (line := "".join(child.tail()[-1:])) else ""
         at = self._seconds(self._journal.framed)
         then = f", another one takes over at {self._seconds(until)}" if until else ""
         fate = "is lost already" if i in self._journal.lost else f"drifts without thrust{then}"
-        self._notes.append(f"{at} agent {i} (pid {child.pid}) {how}: its vehicle {fate}{last}")
-        return True
+        self._notes.append(f"{at} {who}: its vehicle {fate}{last}")
 
     def tend(self) -> None:
         """End the agents whose time has come, and start those that follow them."""
@@ -135,30 +166,41 @@ class Guardian:
         if self.starting:
             ready = {(i, life) for i, life in self._ask(WORLD, "ready").get("ready", ())}
             for i in [i for i in self.starting if (i, self._incarnation[i]) in ready]:
-                del self.starting[i]
+                if i not in self._joins.vehicles or self._joins.here(i):
+                    del self.starting[i]
+                    self._joins.joined(i)
         granted = self._granted()
         due = {i: gap for i in self._vehicles if (gap := self._gap(i)) is not None and gap[0] <= granted}
-        alive = [i for i in due if self._children.by_role[agent_role(i)].pid not in self._told_to_end | self._gone]
+        alive = [i for i in due if i not in self._told_to_end | self._gone]
         # The world asks nobody for a command from the gap's first tick on: once it is there, nothing is lost.
         reached = dict(self._ask(WORLD, "ticks").get("ticks", ())) if alive else {}
         for i, (begin, end) in due.items():
-            pid = self._children.by_role[agent_role(i)].pid
             if i in alive and i not in self.starting and reached.get(i, -1) >= begin:
-                self._told_to_end.add(pid)
-                with contextlib.suppress(ProcessLookupError):
-                    os.kill(pid, signal.SIGKILL)
-            elif pid in self._gone and end is not None and end <= granted:
+                self._told_to_end.add(i)
+                self._send_away(i, begin)
+            elif i in self._gone and end is not None and end <= granted:
                 # Not before: until the clock waits there, an operator may still move that tick, and it is told which.
+                self._told_to_end.discard(i)
+                self._gone.discard(i)
                 self._incarnation[i] += 1
                 self.starting[i] = end
                 self._start(i, self._incarnation[i], end)
+
+    def _send_away(self, i: int, tick: int) -> None:
+        """End the agent of a vehicle; one that is not ours is told, and not listened to any more."""
+        if i in self._joins.vehicles:
+            life = [[i, self._incarnation[i], tick]]
+            self._ask(WORLD, "dismiss", agents=life, reason="it was killed by a fault of the scenario or the operator")
+            self._gone.add(i)
+            return
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(self._children.by_role[agent_role(i)].pid, signal.SIGKILL)
 
     def _survivable(self, ended: Exit) -> bool:
         """Whether the run goes on without this process."""
         return (
             self._grant is not None
             and self._scenario.spec.on_death != "abort"
-            and ended.role.startswith("agent-")
             and ended.code != FORKSERVER_LOST
             and (ended.code != CONTROLLER_FAILED or self._scenario.spec.on_controller_error == "die")
         )

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import msgpack
@@ -19,6 +19,7 @@ from agents.loop import AgentLoop, Answer
 from fleet.clock import Clock
 from fleet.errors import RunBroken
 from fleet.faults import MOST_RESTARTS
+from fleet.fed import Feed
 from fleet.journal import Journal, frame_every
 from fleet.resume import Start
 from fleet.scenario import Scenario
@@ -47,7 +48,17 @@ WORLD, NETEM, CONSOLE = 0, -1, -2  # addresses; agents have their positive numbe
 class InProcess:
     """One run; `serve` returns when it is complete."""
 
-    def __init__(self, scenario: Scenario, journal: Journal, start: Start | None = None) -> None:
+    def __init__(
+        self,
+        scenario: Scenario,
+        journal: Journal,
+        start: Start | None = None,
+        fed: Mapping[int, Feed] | None = None,
+    ) -> None:
+        """Args:
+        fed: vehicles whose agents say what they said in a log.
+        """
+        self._fed = fed or {}
         self._scenario, self._journal, self._begin = scenario, journal, start
         self._world = Lockstep(scenario.world_config(), frame_every=frame_every(scenario))
         self.rounds = Rounds(scenario.netem_config())
@@ -99,6 +110,8 @@ class InProcess:
             loop.remember(memory, anew=i in start.anew)
 
     def _born(self, i: int, incarnation: int, begin: int) -> AgentLoop:
+        if i in self._fed:
+            return self._fed[i].loop(incarnation, begin)
         scenario = self._scenario
         core = make_agent(_over_the_wire(scenario.agent_config(i)))
         return AgentLoop(

@@ -65,13 +65,19 @@ def decode(typed: bytes) -> tuple[list[Key], bytes]:
 class Keyboard:
     """Key presses from stdin while the `with` block lasts; without a terminal there are none."""
 
+    @staticmethod
+    def possible() -> bool:
+        """Whether somebody could press a key."""
+        return sys.stdin is not None and sys.stdin.isatty() and not _in_background(sys.stdin.fileno())
+
     def __init__(self) -> None:
         self._descriptor: int | None = None
         self._before: list[Any] = []
         self._typed = b""
+        self._away_ns = 0
 
     def __enter__(self) -> Keyboard:
-        if sys.stdin is not None and sys.stdin.isatty() and not _in_background(sys.stdin.fileno()):
+        if self.possible():
             self._descriptor = sys.stdin.fileno()
             self._before = termios.tcgetattr(self._descriptor)
             signal.signal(signal.SIGTSTP, self._suspend)
@@ -89,6 +95,11 @@ class Keyboard:
     def there(self) -> bool:
         """Whether anybody can press a key."""
         return self._descriptor is not None
+
+    def absence_ns(self) -> int:
+        """For how long the program was suspended since this was asked before."""
+        away, self._away_ns = self._away_ns, 0
+        return away
 
     def read(self, timeout_s: float) -> list[Key]:
         """The keys that were pressed; waits for the first one so long."""
@@ -111,7 +122,9 @@ class Keyboard:
     def _suspend(self, number: int, frame: FrameType | None) -> None:
         # Ctrl-Z: the shell gets its terminal back, and we ours when we go on.
         self._restore()
+        left_ns = time.monotonic_ns()
         os.kill(os.getpid(), signal.SIGSTOP)
+        self._away_ns += time.monotonic_ns() - left_ns
         if self._descriptor is not None:
             tty.setcbreak(self._descriptor)
 

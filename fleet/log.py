@@ -64,6 +64,8 @@ class _Channel(NamedTuple):
 class LogError(FleetError):
     """The log cannot be written: the disk is full, or the place is not writable."""
 
+    status = 3
+
 
 class Tap(Protocol):
     """Who else is told of what is written; it must neither wait nor raise."""
@@ -105,6 +107,14 @@ class LogWriter:
     def digest(self) -> str:
         """SHA-256 over (topic, log_time, publish_time, sequence, data) of every message so far."""
         return self._digest.hexdigest()
+
+    @property
+    def size(self) -> int:
+        """Bytes of the file as it is now; 0 if it has gone."""
+        try:
+            return self.path.stat().st_size
+        except OSError:
+            return 0
 
     def _open(self) -> IO[bytes]:
         return self.path.open("xb")
@@ -284,7 +294,8 @@ class LogWriter:
                 flat = [(row.id, errors[row.id]) for row in rows]
                 return [(i, encode[i]((*e.e, e.e_norm, *e.formation, e.formation_norm))) for i, e in flat]
             case _:
-                return [(row.id, encode[row.id](commands[row.id].telemetry)) for row in rows if row.id in commands]
+                told = [(row.id, commands[row.id].telemetry) for row in rows if row.id in commands]
+                return [(i, encode[i](telemetry)) for i, telemetry in told if telemetry]
 
     def _add(self, channel: _Channel, log_ns: int, publish_ns: int, sequence: int, data: bytes) -> None:
         try:
@@ -338,9 +349,14 @@ def _plugin_metadata(scenario: Scenario) -> dict[str, str]:
                 continue
             found = law_class(kind, law)
             sources[law.name] = fingerprint(found)
+    return {"resumable": _resumable(scenario)} | {f"law {name}": f"sha256 {digest}" for name, digest in sources.items()}
+
+
+def _resumable(scenario: Scenario) -> str:
+    if scenario.external:
+        return f"no: {', '.join(map(str, scenario.external))} external, whose agents keep what they remember"
     without = forgetful(scenario.controls)
-    resume = {"resumable": "yes" if not without else f"no: {', '.join(without)} has no state() and restore()"}
-    return resume | {f"law {name}": f"sha256 {digest}" for name, digest in sources.items()}
+    return "yes" if not without else f"no: {', '.join(without)} has no state() and restore()"
 
 
 def schema_name(config: AgentConfig, group: str) -> str:

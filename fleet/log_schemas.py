@@ -144,11 +144,20 @@ class DoublesEncoder:
         self._constants = tuple(constants)
         count = len(constants)
         self._interleave = itemgetter(*(count - index - 1 if index < 0 else index for index in order))
-        self._pack = Struct(layout).pack
+        self._struct = Struct(layout)
+        self._pack = self._struct.pack
 
     def __call__(self, values: tuple[float, ...]) -> bytes:
         """The encoded message."""
         return self._pack(*self._interleave(self._constants + values))
+
+    def decode(self, data: bytes) -> tuple[float, ...]:
+        """The inverse: the values of this message's columns, in order.
+
+        Raises:
+            struct.error: it is none of these messages.
+        """
+        return tuple(value for value in self._struct.unpack(data) if not isinstance(value, bytes))
 
 
 class PoseEncoder:

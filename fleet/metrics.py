@@ -76,7 +76,7 @@ class Metrics:
             if row.tau:
                 series.effort_Ns += abs(row.tau[0]) * (elapsed or self._tick_s)
             command = commands.get(row.id)
-            if command is not None:
+            if command is not None and command.telemetry:
                 places, telemetry = self._places[row.id], command.telemetry
                 if places.u_cmd is not None and isfinite(telemetry[places.u_cmd]):
                     series.u_cmd_max = max(series.u_cmd_max or 0.0, telemetry[places.u_cmd])

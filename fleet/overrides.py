@@ -16,7 +16,8 @@ import re
 from collections.abc import Sequence
 
 from fleet.errors import Problem
-from fleet.quantities import describe
+from fleet.fields import vehicle_numbers
+from fleet.quantities import QuantityError, describe
 from fleet.shapes import DEFAULT_SPACING_M
 from fleet.yaml_marks import Items, Mapping, Node, Place, Scalar, Source, plain, read
 
@@ -168,10 +169,21 @@ def _scaled_graph(graph: Mapping, explicit: bool, vehicles: int, path: Scalar) -
         if key in entries and _above(entries[key], most):
             del entries[key]
     followers = entries.get("reference")
+    if isinstance(followers, Scalar) and followers.value != "all":
+        followers = _listed(followers)
     if isinstance(followers, Items):
         kept = tuple(n for n in followers.items if not _above(n, vehicles))
         entries["reference"] = Items(kept, followers.place)
     return entries
+
+
+def _listed(named: Scalar) -> Node:
+    """Vehicles such as `2-4, 7` one by one; what names none stays as it is, for the error that it will be."""
+    try:
+        numbers = vehicle_numbers(str(named.value))
+    except QuantityError:
+        return named
+    return Items(tuple(Scalar(n, named.place) for n in numbers), named.place)
 
 
 def _above(node: Node, vehicles: int) -> bool:

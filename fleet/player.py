@@ -147,6 +147,11 @@ class Player:
         self._origin = now, self.position(now)
         self._rate = min(max(rate, SLOWEST), FASTEST) if rate else 0.0
 
+    def stood_still(self, ns: int) -> None:
+        """Nobody was there for so long: what was due meanwhile is due so much later, and not late."""
+        wall, log = self._origin
+        self._origin = wall + ns, log
+
     def _lap(self, now: int) -> None:
         self.laps += 1
         self._next = self._first
@@ -193,6 +198,10 @@ class Pace:
     def __init__(self) -> None:
         self._since: tuple[int, int] | None = None
         self.value = 0.0
+
+    def restart(self) -> None:
+        """The position has jumped, or stands: what was told before says nothing of what follows."""
+        self._since = None
 
     def tell(self, now: int, position: int) -> float:
         """The pace, given where the player is."""

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from math import log10
 from pathlib import Path
 from typing import Any
 
 import matplotlib
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from fleet.colours import COLOURS
 
@@ -17,6 +20,7 @@ STYLES = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)), (0, (1, 1)), (0, (7, 2)
 COLUMN_IN, PAGE_IN = 3.5, 7.0  # widths of a column and of a page of a journal
 DPI = 200
 FORMATS = ("png", "svg", "pdf")
+_MOST_PLAIN = 4.0  # decades
 
 matplotlib.rcParams.update(
     {
@@ -61,6 +65,17 @@ def line(ax: Axes, number: int, t: Any, values: Any, label: str, **style: Any) -
 def limit(ax: Axes, value: float, label: str | None = None) -> None:
     """A bound as a thin grey line."""
     ax.axhline(value, color="0.45", linewidth=0.7, linestyle=(0, (4, 3)), label=label)
+
+
+def plain_decades(axis: Axis) -> None:
+    """Numbers such as 0.2 on a logarithmic axis of few decades, and enough of them; more stay powers of ten."""
+    low, high = axis.get_view_interval()
+    decades = log10(high / low) if 0.0 < low < high else 0.0
+    if decades > _MOST_PLAIN:
+        return
+    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if decades < 2.0 else (1.0,)))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_minor_formatter(NullFormatter())
 
 
 def legend(figure: Figure, ax: Axes, columns: int) -> None:

@@ -63,14 +63,15 @@ class ProgressLine:
             return
         now = time.monotonic()
         if self._began is None:
-            self._began = now
             self._next = now + self._every
+        if self._began is None or self._journal.written < 0:
+            self._began = now  # waiting for somebody to join is no part of the run
         if now < self._next:
             return
         self._next = now + self._every
         sim_s = max(0, self._journal.written) * self._tick_s
         clock = f"t = {sim_s:.1f} / {self._end_s:g} s"
-        text = f"{sim_s / (now - self._began):.1f} x real time  {self._state()}"
+        text = f"{sim_s / max(1e-9, now - self._began):.1f} x real time  {self._state()}"
         if faults := self._journal.active:
             more = f" and {len(faults) - MOST_FAULTS} more" if len(faults) > MOST_FAULTS else ""
             text += f"  faults {', '.join(faults[:MOST_FAULTS])}{more}"
@@ -84,10 +85,11 @@ class ProgressLine:
 
     def _state(self) -> str:
         total = self._journal.ledger.total()
-        lost = sum(total.lost.values())
+        lost = sum(total.lost.values()) - total.replaced
+        never_sent = f", {total.replaced} replaced" if total.replaced else ""
         return (
             f"formation error {self._journal.metrics.formation_error:.3f} m  "
-            f"packets {total.delivered} delivered, {lost} lost"
+            f"packets {total.delivered} delivered, {lost} lost{never_sent}"
         )
 
 

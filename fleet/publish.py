@@ -32,19 +32,23 @@ BATCH_BYTES = 1 << 16
 READY_S = 20.0
 # With `-m` a file in the current directory could take the place of a module, a user's `signal.py` for instance.
 _MAIN = "import sys; sys.path.append(sys.argv[1]); from fleet.publish_process import main; main()"
-CLOSE_S = 2.0  # for what is still on the way when the run ends
+DRAIN_S = 10.0  # for the process to take and publish what it was given, which waits for no subscriber
+CLOSE_S = 2.0  # for what is then still on the way to subscribers
 
 
 class PublishError(FleetError):
-    """The publisher's process did not start."""
+    """The publisher's process did not start, ended, or could not say where it listens."""
+
+    status = 3
 
 
 class LivePublisher:
     """What the log writer tells of each message; see `fleet.log.Tap`. `open` starts the process."""
 
-    def __init__(self, run: str, observe: Path) -> None:
-        """`observe`: the file that says, while the run lives, where and as whom to listen."""
+    def __init__(self, run: str, observe: Path, *, wait: bool = False) -> None:
+        """`observe`: the file that says, while the run lives, where and as whom to listen; `wait`: for `heard`."""
         self.run = run
+        self.wait = wait
         self.dropped = 0  # messages that the pipe had no room for
         self.published = 0  # while anybody listened, as the process says when it ends
         self.endpoint = ""
@@ -67,7 +71,7 @@ class LivePublisher:
         """Start the process and wait until it listens.
 
         Raises:
-            PublishError: it ended, or did not listen in time.
+            PublishError: it ended, or did not listen in time, or the way in cannot be written down.
         """
         observer = Credentials(OBSERVER, secrets.token_urlsafe(24))
         values = {
@@ -76,6 +80,7 @@ class LivePublisher:
             "password": observer.password,
             "channels": self._channels,
             "schemas": self._schemas,
+            "wait": self.wait,
         }
         # A group of its own: Ctrl-C is the console's business. It ends with the pipe, also when we are killed.
         self._process = process = subprocess.Popen(
@@ -99,9 +104,23 @@ class LivePublisher:
         os.set_blocking(descriptor, False)
         with contextlib.suppress(OSError):  # where it may not be larger, it stays as it is
             fcntl.fcntl(descriptor, fcntl.F_SETPIPE_SZ, PIPE_BYTES)
-        del values["channels"], values["schemas"]
-        with os.fdopen(os.open(self._observe, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w") as file:
-            json.dump({"endpoint": self.endpoint, **values}, file)
+        del values["channels"], values["schemas"], values["wait"]
+        try:
+            with os.fdopen(os.open(self._observe, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w") as file:
+                json.dump({"endpoint": self.endpoint, **values}, file)
+        except OSError as error:
+            process.kill()
+            process.wait()
+            raise PublishError(f"cannot write {self._observe}: {error.strerror}") from error
+
+    def heard(self) -> None:
+        """Wait until somebody subscribes to the journal, or to a part of it; for ever, if need be.
+
+        Raises:
+            PublishError: the process ended meanwhile.
+        """
+        if "heard" not in self._answer(None):
+            raise PublishError("the journal cannot be published: the publisher ended while it waited for a subscriber")
 
     def message(self, channel: int, log_ns: int, publish_ns: int, sequence: int, data: bytes) -> None:
         """A message was written to the log."""
@@ -144,12 +163,12 @@ class LivePublisher:
         if process is None:
             return
         self.flush()
-        deadline = time.monotonic() + CLOSE_S
+        deadline = time.monotonic() + DRAIN_S
         while self._rest and not self._gone and not self._write_rest() and time.monotonic() < deadline:
             select.select([], [_pipe(process.stdin)], [], 0.1)
         with contextlib.suppress(OSError):
             _pipe(process.stdin).close()
-        self.published = self._answer(CLOSE_S).get("published", 0)
+        self.published = self._answer(max(CLOSE_S, deadline - time.monotonic())).get("published", 0)
         try:
             process.wait(CLOSE_S)
         except subprocess.TimeoutExpired:
@@ -158,8 +177,8 @@ class LivePublisher:
         _pipe(process.stdout).close()
         self._process = None
 
-    def _answer(self, limit_s: float) -> dict[str, Any]:
-        """The next line that the process prints."""
+    def _answer(self, limit_s: float | None) -> dict[str, Any]:
+        """The next line that the process prints, if one comes in time."""
         assert self._process is not None
         stdout = _pipe(self._process.stdout)
         if not select.select([stdout], [], [], limit_s)[0]:

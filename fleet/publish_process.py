@@ -1,7 +1,7 @@
 """The process that publishes a live run's journal: from a pipe to zenoh, dropping what subscribers cannot take.
 
-Started by `fleet.publish`. Stdin: one line of JSON, then batches as `fleet.publish` packs them; stdout:
-one line of JSON when it listens, one when it ends.
+Started by `fleet.publish`. Stdin: one line of JSON, then batches as `fleet.publish` packs them; stdout: one line of
+JSON when it listens, one when somebody subscribes if that is waited for, one when it ends.
 """
 
 from __future__ import annotations
@@ -9,9 +9,11 @@ from __future__ import annotations
 import base64
 import json
 import os
+import select
 import signal
 import sys
 import tempfile
+import time
 import traceback
 from pathlib import Path
 from typing import IO, Any
@@ -28,6 +30,8 @@ from netem.bus import OpenBus, quiet_zenoh
 from netem.errors import BusError
 from netem.keys import Keys
 
+POLL_S = 0.02
+SETTLE_S = 0.1  # whoever subscribes to several keys does so one after another
 NICE = 5  # the run comes first where there are fewer cores than processes
 
 
@@ -71,6 +75,13 @@ def _publish() -> None:
     anybody = bus.publication(keys.log("**"), "zenoh/bytes", drop=True)
     os.nice(NICE)
     _say({"endpoint": endpoint})
+    if values["wait"]:
+        while not anybody.matched:
+            # The console writes nothing before it knows; an end of the pipe is its own end.
+            if select.select([source], [], [], POLL_S)[0]:
+                return
+        time.sleep(SETTLE_S)
+        _say({"heard": True})
     published = 0
     while (batch := _batch(source)) is not None:
         at = 0 if anybody.matched else len(batch)

@@ -21,6 +21,7 @@ from netem.bus import OpenBus, Sample, sample_of
 
 FLUSH_NS = 1_000_000_000  # a recorder that is killed loses so much at most
 POLL_S = 0.1
+GONE_S = 1.0  # a connection that was lost is back sooner, if it comes back
 MOST_QUEUED = 100_000  # samples; beyond that zenoh's thread waits, and with it whoever sends
 MOST_CHANNELS = 65_535  # MCAP numbers them with 16 bits
 MOST_BATCH = 1000
@@ -134,6 +135,22 @@ def holding_interrupts() -> Iterator[Callable[[], bool]]:
             signal.signal(number, handler)
 
 
+class Gone:
+    """Asked now and then: whether a session has had nobody on the other side for a while."""
+
+    def __init__(self, connected: Callable[[], bool]) -> None:
+        self._connected = connected
+        self._since: float | None = None
+
+    def __call__(self) -> bool:
+        now = time.monotonic()
+        if self._connected():
+            self._since = None
+        elif self._since is None:
+            self._since = now
+        return self._since is not None and now - self._since >= GONE_S
+
+
 class Recorder:
     """Takes what a session hears into a file, in the order in which it was received."""
 
@@ -142,7 +159,7 @@ class Recorder:
         self._queue: SimpleQueue[tuple[int, Any]] = SimpleQueue()
         self._finished = False
         # Wall time that a correction of the system's clock cannot turn back.
-        self._zero_ns = time.time_ns() - time.monotonic_ns()
+        self._zero_ns = time.time_ns() - time.monotonic_ns()  # noqa: TID251 (the log of others is in wall time)
         for key in keys:
             bus.subscribe(key, self._receive)
 
@@ -157,8 +174,15 @@ class Recorder:
         limits: Limits,
         line: StatusLine,
         interrupted: Callable[[], bool] = lambda: False,
-    ) -> None:
-        """Record until a limit is reached, or an exception ends it.
+        over: Callable[[], bool] | None = None,
+    ) -> bool:
+        """Record until a limit is reached, nothing more can come, or an exception ends it.
+
+        Args:
+            over: asked when nothing came for a while, whether anything can.
+
+        Returns:
+            whether that was the end.
 
         Raises:
             RecordError: the file cannot be written any more.
@@ -172,7 +196,7 @@ class Recorder:
                 raise KeyboardInterrupt
             now = time.monotonic_ns()
             if (end is not None and now >= end) or (limits.size is not None and writer.size >= limits.size):
-                return
+                return False
             if now - seen_ns >= FLUSH_NS:
                 rate, seen, seen_ns = (writer.samples - seen) * 1e9 / (now - seen_ns), writer.samples, now
             if line.due():
@@ -181,6 +205,8 @@ class Recorder:
             try:
                 self._add(writer, *self._queue.get(timeout=POLL_S if end is None else min(POLL_S, (end - now) / 1e9)))
             except Empty:
+                if over is not None and over() and self._queue.empty():
+                    return True
                 writer.flush(self._zero_ns + time.monotonic_ns())
             self._drain(writer, MOST_BATCH)
 

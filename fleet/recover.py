@@ -90,7 +90,7 @@ def _copy(path: Path, out: Path, salvage: Salvage, target: IO[bytes], magic: boo
                 copy.take(declaration)
         copy.take(item)
     found.places = [str(damage) for damage in salvage.damage]
-    gone = [*(["the first bytes"] if not magic else []), lost(salvage)]
+    gone = [*(["the first bytes (they are not those of MCAP)"] if not magic else []), lost(salvage)]
     if found.undeclared:
         gone.append(f"{found.undeclared} messages on channels whose declaration is gone")
     found.lost = "; ".join(part for part in gone if part)

@@ -11,14 +11,14 @@ from typing import Annotated, Any
 import msgspec
 
 from fleet.errors import FleetError
-from netem.access import Credentials
+from netem.access import LEASE_MS, Credentials
 from netem.bus import Bus
 from netem.errors import BusError
 from netem.keys import Keys
 from netem.shell import read_map, request
 
 ASK_S = 5.0
-MOST_BYTES = 10_000  # of a connection file
+MOST_BYTES = 100_000  # of a connection file, with certificates
 
 
 class RemoteError(FleetError):
@@ -34,8 +34,7 @@ class Found:
     pid: int
     endpoint: str
     run: str
-    user: str
-    password: str
+    credentials: Credentials
 
     def __repr__(self) -> str:
         return f"Found({self.directory}, pid {self.pid})"
@@ -88,7 +87,7 @@ def ask(found: Found, op: str, **fields: Any) -> dict[str, Any]:
         RemoteError: it does not answer in time, or refuses.
     """
     try:
-        bus = Bus.connect(found.endpoint, Credentials(found.user, found.password), timeout_ms=2000)
+        bus = Bus.connect(found.endpoint, found.credentials, timeout_ms=2000)
     except BusError as error:
         raise RemoteError(f"the run in {found.directory} cannot be reached: {error}") from None
     try:
@@ -119,7 +118,8 @@ def _read(path: Path) -> Found | None:
         os.kill(values.pid, 0)  # raises when there is no such process
     except (OSError, OverflowError):
         return None
-    return Found(path.parent, **msgspec.structs.asdict(values))
+    credentials = Credentials.from_values(msgspec.structs.asdict(values))
+    return Found(path.parent, values.scenario, values.pid, values.endpoint, values.run, credentials)
 
 
 class _Connection(msgspec.Struct):
@@ -131,6 +131,10 @@ class _Connection(msgspec.Struct):
     run: Annotated[str, msgspec.Meta(pattern=r"^[\w-]+$")]
     user: str
     password: str
+    ca: str = ""
+    certificate: str = ""
+    key: str = ""
+    lease_ms: Annotated[int, msgspec.Meta(gt=0)] = LEASE_MS
 
 
 def _values(path: Path) -> _Connection | None:

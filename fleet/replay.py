@@ -66,6 +66,7 @@ class Replay:
         rename = Renaming(wishes.remap)
         self.key_of = {n: self._key(rename(c.topic)) for n, c in played.items() if c.topic in names}
         rename.check()
+        self.note = _merged({c.topic: self.key_of[n] for n, c in played.items() if n in self.key_of})
         self._deletes = {n for n in self.key_of if kinds[n] == DELETE}
         wanted = np.isin(tape.channel_of, np.array(list(self.key_of), dtype=np.uint16))
         self._numbers: Numbers = np.nonzero(wanted)[0]
@@ -130,9 +131,14 @@ class Replay:
         self._tape[int(self._numbers[self._first])]  # decompressed before the clock starts
         self.player = player = self._player(time.monotonic_ns())
         pace = Pace()
+        if self.note:
+            line.say(f"warning: {self.note}")
         hz = self._wishes.clock_hz
         beat = None if hz is None else Metronome(hz, time.monotonic_ns())
         while not player.over:
+            if away := keyboard.absence_ns():
+                player.stood_still(away)
+                pace.restart()
             now = time.monotonic_ns()
             for index in player.due(now, MOST):
                 self._publish(index)
@@ -148,6 +154,7 @@ class Replay:
                 naps.append(beat.wait_ns(now) / 1e9)
             for key in keyboard.read(min(naps) if not player.over else 0.0):
                 self._obey(key)
+                pace.restart()
                 line.show(self._describe(time.monotonic_ns(), pace))
         if beat is not None:
             self._tell_time(player.position(time.monotonic_ns()))
@@ -210,7 +217,7 @@ class Replay:
     def _describe(self, now: int, pace: Pace) -> str:
         player = self.player
         at = player.position(now)
-        reached = pace.tell(now, at)
+        reached = pace.tell(now, at) if not player.paused else 0.0
         state = "paused" if player.paused else f"{reached:.2f} x real time"
         wanted = f" of {player.rate:.3g}" if player.rate and not player.paused else ""
         lap = f"  lap {player.laps + 1}" if self._wishes.loop else ""
@@ -225,3 +232,12 @@ class Replay:
             f"played {self.published} messages in {wall_s:.2f} s "
             f"({self.published / max(wall_s, 1e-9):.0f} messages/s), {self.player.missed} late"
         )
+
+
+def _merged(key_of: dict[str, str]) -> str:
+    """What to say of keys on which a renaming puts more than one topic; empty if there is none."""
+    topics: dict[str, list[str]] = {}
+    for topic, key in key_of.items():
+        topics.setdefault(key, []).append(topic)
+    merged = [f"{' and '.join(some)} are played on one key, {key}" for key, some in topics.items() if len(some) > 1]
+    return f"{merged[0]}{f', and {len(merged) - 1} more so' if len(merged) > 1 else ''}" if merged else ""

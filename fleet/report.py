@@ -5,7 +5,8 @@ from __future__ import annotations
 import base64
 import json
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from html import escape
 from importlib.metadata import version
@@ -19,19 +20,20 @@ from fleet.errors import FleetError
 from fleet.pictures import PER_RUN, WHAT, Look, Run, draw
 from fleet.plotting import DPI
 from fleet.reader import digest
+from fleet.report_tables import links_table, mark, number, side_by_side, table
 from netem.ages import Ages
 from netem.impairment import DELIVERED, IN_FLIGHT
 from netem.messages import Fate
-
-MOST_ROWS = 40  # of a table of links
 
 _STYLE = """
 body { font: 15px/1.5 system-ui, sans-serif; color: #222; max-width: 66rem; margin: 2rem auto; padding: 0 1rem; }
 h1 { font-size: 1.6rem; } h2 { margin-top: 2.5rem; border-bottom: 1px solid #ccc; } h3 { margin-top: 1.8rem; }
 table { border-collapse: collapse; font-size: 0.87rem; font-variant-numeric: tabular-nums; }
 th, td { padding: 0.2rem 0.7rem; text-align: right; border-bottom: 1px solid #e4e4e4; vertical-align: top; }
-th { font-weight: 600; } th:first-child, td:first-child, table.words td { text-align: left; }
-.scroll { overflow-x: auto; } .fail { color: #b23c00; font-weight: 600; } .pass { color: #00694c; font-weight: 600; }
+th { font-weight: 600; } th:first-child, td:first-child { text-align: left; white-space: nowrap; }
+table.words th, table.words td, table.last td:last-child, table.last th:last-child { text-align: left; }
+.scroll { overflow-x: auto; }
+.fail, .pass { font-weight: 600; white-space: nowrap; } .fail { color: #b23c00; } .pass { color: #00694c; }
 .warn { border-left: 4px solid #D55E00; padding: 0.4rem 0.8rem; background: #fdf3ec; }
 figure { display: inline-block; margin: 0.5rem 1rem 1rem 0; vertical-align: top; }
 figcaption { font-size: 0.87rem; max-width: 27rem; } img { width: 27rem; max-width: 100%; height: auto; }
@@ -59,10 +61,14 @@ def write(path: Path, runs: Sequence[Run], look: Look) -> None:
         ReportError: the place cannot be written.
         LogReadError: a log has gone meanwhile.
     """
+    there = path.exists()
     try:
         path.open("a").close()  # before the pictures, which take a while
         path.write_text(page(runs, look), "utf-8")
     except OSError as error:
+        if not there:
+            with suppress(OSError):
+                path.unlink(missing_ok=True)
         raise ReportError(f"cannot write {path}: {error.strerror}; choose another place with -o FILE") from error
 
 
@@ -78,17 +84,21 @@ def page(runs: Sequence[Run], look: Look) -> str:
         f"<p>Made by <code>fleet report</code>, uuv-fleet {escape(version('uuv-fleet'))}. Times are simulated "
         "time; positions are north, east, down.</p>",
     ]
+    verdicts = [_verdict(run) for run in runs]
     if len(runs) > 1:
-        parts += ["<h2>The runs together</h2>", *_pictures([k for k in WHAT if k not in PER_RUN], runs, look)]
-    for run in runs:
+        parts += [
+            "<h2>The runs together</h2>",
+            side_by_side(runs, [verdict.values for verdict in verdicts]),
+            *_pictures([k for k in WHAT if k not in PER_RUN], runs, look),
+        ]
+    for run, verdict in zip(runs, verdicts, strict=True):
         kinds = list(WHAT) if len(runs) == 1 else sorted(PER_RUN)
-        parts += _run(run, kinds, look)
+        parts += _run(run, verdict, kinds, look)
     return "\n".join([*parts, "</body></html>", ""])
 
 
-def _run(run: Run, kinds: Sequence[str], look: Look) -> Iterator[str]:
+def _run(run: Run, verdict: Verdict, kinds: Sequence[str], look: Look) -> Iterator[str]:
     log = run.log
-    verdict = _verdict(run)
     yield f"<h2>{escape(run.label)}</h2>"
     if log.missing:
         yield f'<p class="warn">The log is not whole: {escape(log.missing)}. It ends at {log.end:g} s.</p>'
@@ -103,13 +113,15 @@ def _run(run: Run, kinds: Sequence[str], look: Look) -> Iterator[str]:
         ]
     else:
         facts = []
-    facts += [("log", f"{log.path}, {log.messages} messages read"), ("digest", verdict.digest)]
-    yield _table((), facts, "words")
+    facts += [("log", f"{log.path}, {log.path.stat().st_size / 1e6:.1f} MB"), ("digest", verdict.digest)]
+    yield table((), facts, "words")
     yield from _verdicts(verdict)
     if log.faults:
         yield "<h3>Faults</h3>"
-        yield _table(
-            ("fault", "from [s]", "to [s]", "what"), ((f.id, f"{f.begin:g}", f"{f.end:g}", f.what) for f in log.faults)
+        yield table(
+            ("fault", "from [s]", "to [s]", "what"),
+            ((f.id, f"{f.begin:g}", f"{f.end:g}", f.what) for f in log.faults),
+            "last",
         )
     yield from _tables(run, verdict)
     yield from _pictures(kinds, [run], look)
@@ -148,23 +160,15 @@ def _verdicts(verdict: Verdict) -> Iterator[str]:
         return
     values = verdict.values
     status = str(values.get("status", ""))
-    yield f"<p>Status: {_mark(status == 'pass', status.replace('_', ' '))} {escape(str(values.get('reason', '')))}</p>"
+    yield f"<p>Status: {mark(status == 'pass', status.replace('_', ' '))} {escape(str(values.get('reason', '')))}</p>"
     rows = []
     for check in values.get("checks", []):
         good = bool(check.get("passed"))
-        rows.append((check.get("check", ""), _mark(good, "pass" if good else "FAIL"), check["asked"], check["found"]))
+        rows.append((check.get("check", ""), mark(good, "pass" if good else "FAIL"), check["asked"], check["found"]))
     if rows:
-        yield _table(("check", "verdict", "asked", "found"), rows, "words")
+        yield table(("check", "verdict", "asked", "found"), rows, "words")
     else:
         yield "<p>The scenario asks for no checks.</p>"
-
-
-class _Html(str):
-    """Text that is HTML already."""
-
-
-def _mark(good: bool, word: str) -> _Html:
-    return _Html(f'<span class="{"pass" if good else "fail"}">{escape(word)}</span>')
 
 
 def _tables(run: Run, verdict: Verdict) -> Iterator[str]:
@@ -177,17 +181,17 @@ def _tables(run: Run, verdict: Verdict) -> Iterator[str]:
             "effort_Ns": "surge effort [N s]", "u_cmd_max_mps": "max u_cmd [m/s]", "qp_failures": "QP failures",
             "payloads_rejected": "payloads rejected",
         }  # fmt: skip
-        rows = ((i, *(_number(key, row.get(key)) for key in headings)) for i, row in values["vehicles"].items())
-        yield _table(("UUV", *headings.values()), rows)
+        rows = ((i, *(number(key, row.get(key)) for key in headings)) for i, row in values["vehicles"].items())
+        yield table(("UUV", *headings.values()), rows)
     elif any(f"uuv/{i}/error" in run.log for i in run.log.vehicles):
         yield "<h3>Vehicles at the end of the log</h3>"
         final = ((i, run.log[f"uuv/{i}/error"]) for i in run.log.vehicles if f"uuv/{i}/error" in run.log)
         rows_ = ((i, f"{e['e_norm'][-1]:.4f}", f"{e['formation_norm'][-1]:.4f}") for i, e in final if len(e))
-        yield _table(("UUV", "consensus error [m]", "formation error [m]"), rows_)
+        yield table(("UUV", "consensus error [m]", "formation error [m]"), rows_)
     ledger, ages, where = (values["ledger"], values["ages"], "") if values else (*_from_log(run), ", from the log")
     if any(account["sent"] for account in ledger.values()):
         yield f"<h3>Packets per directed link, and age of what was heard last{where}</h3>"
-        yield _links(ledger, ages)
+        yield links_table(ledger, ages)
 
 
 def _from_log(run: Run) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -224,42 +228,6 @@ def _from_log(run: Run) -> tuple[dict[str, Any], dict[str, Any]]:
     return ledger, ages.summary(round(tick_s * 1e9)) if tick_s else {}
 
 
-def _links(ledger: Mapping[str, Any], ages: Mapping[str, Any]) -> str:
-    causes = sorted({cause for account in ledger.values() for cause in account["lost"]})
-    names = sorted(ledger, key=lambda name: -ages[name]["max_s"] if name in ages else 0.0)
-    names = list(ledger) if len(ledger) <= MOST_ROWS else names[:MOST_ROWS]
-    counted = ("sent", "duplicated", "delivered", "in_flight", "corrupted")
-    rows = []
-    for name in ["*", *names]:
-        accounts = list(ledger.values()) if name == "*" else [ledger[name]]
-        numbers = [sum(account[key] for account in accounts) for key in counted]
-        losses = [sum(account["lost"].get(cause, 0) for account in accounts) for cause in causes]
-        age = ages.get(name)
-        times = ["-"] * 3 if age is None else [f"{age[key]:.3f}" for key in ("mean_s", "p95_s", "max_s")]
-        rows.append(("all" if name == "*" else name, *numbers, *losses, *times))
-    if len(ledger) > len(names):
-        rows.append((f"{len(ledger) - len(names)} more, whose age stayed lower",))
-    headings = ("link", *(key.replace("_", " ") for key in counted), *(f"lost: {cause}" for cause in causes))
-    return _table((*headings, "mean age [s]", "95 % [s]", "max [s]"), rows)
-
-
-def _number(key: str, value: Any) -> str:
-    if value is None:
-        return "never" if key.startswith("settle") else "-"
-    return f"{value:.4g}" if isinstance(value, float) else str(value)
-
-
-def _table(headings: Sequence[str], rows: Iterable[Sequence[Any]], kind: str = "") -> str:
-    def cell(value: Any) -> str:
-        return value if isinstance(value, _Html) else escape(str(value))
-
-    lines = [f'<div class="scroll"><table class="{kind}">']
-    if headings:
-        lines.append("<tr>" + "".join(f"<th>{escape(heading)}</th>" for heading in headings) + "</tr>")
-    lines += ["<tr>" + "".join(f"<td>{cell(value)}</td>" for value in row) + "</tr>" for row in rows]
-    return "\n".join([*lines, "</table></div>"])
-
-
 def _pictures(kinds: Sequence[str], runs: Sequence[Run], look: Look) -> Iterator[str]:
     yield "<h3>Pictures</h3>"
     missing = []
@@ -290,7 +258,7 @@ def _again(run: Run) -> Iterator[str]:
     )
     place = run.log.path.parent if run.log.path.name == "run.mcap" else run.log.path
     yield f"<pre>fleet script {escape(str(place))} &gt; again.yaml\nfleet run again.yaml</pre>"
-    yield _table((), sorted(run.log.run.items()), "words")
+    yield table((), sorted(run.log.run.items()), "words")
     text = run.log.scenario_text
     if text:
         yield f"<details><summary>scenario.yaml</summary><pre>{escape(text)}</pre></details>"

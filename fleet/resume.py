@@ -58,6 +58,12 @@ def prepare(
     source = read(path)
     recorded = source.script()
     scenario = source.script(overrides) if name is None else load_scenario(name, overrides)
+    if recorded.external:
+        vehicles = ", ".join(map(str, recorded.external))
+        raise SnapshotError(
+            f"vehicle {vehicles} is external in {source.path}: what its agent remembers is its own affair and not in "
+            "the log, so nothing can go on from there"
+        )
     snapshot = find(path, at_ns)
     at = show_time(snapshot.tick * recorded.tick_ns)
     for what, ours, theirs in (

@@ -30,7 +30,7 @@ from fleet.graph import build, parse_edge
 from fleet.nemesis import unleash
 from fleet.quantities import RATE, SPEED, QuantityError, Vec3, show, show_time, show_vector
 from fleet.reference import build as build_reference
-from fleet.schema import FaultAction, FormationShape, GuidanceSection, ScenarioSpec, VehicleOverrides
+from fleet.schema import EVERY, FaultAction, FormationShape, GuidanceSection, ScenarioSpec, VehicleOverrides
 from fleet.shapes import FORMATION, GRAPH, REFERENCE, Keys
 from fleet.snapshot import snapshot_grid
 from fleet.tuning import given, law_names, merged, qp_period_ns, used, vehicle, wrong_model
@@ -174,6 +174,10 @@ def _policies(spec: ScenarioSpec, report: Report) -> None:
     if spec.network.ideal and spec.on_controller_error == "die":
         message = "the others of an ideal network wait for everybody, also for an agent that is gone"
         report.add(("on_controller_error",), message, "abort, coast, or give the network a period")
+    for path, external in _layers(spec, "external"):
+        if external and spec.network.ideal:
+            message = "nobody can join an ideal network, which runs in one process"
+            report.add((*path, "external"), message, "give the network a period")
 
 
 def _snapshot(spec: ScenarioSpec, report: Report) -> None:
@@ -489,8 +493,12 @@ def _recovery_time(spec: ScenarioSpec, report: Report) -> None:
     one = bool(report.keys("checks", "recovery_time"))  # given without the list
     for index, check in enumerate(checks):
         path: tuple[str | int, ...] = ("checks", "recovery_time", *(() if one else (index,)))
-        if check.fault not in known:
-            shown = f"known: {', '.join(known[:_LINKS_SHOWN])}" if known else "the scenario has none"
+        if check.fault == EVERY:
+            if EVERY in known:
+                message = f'"{EVERY}" means each fault, and a fault is called so'
+                report.add((*path, "fault"), message, "give that fault another id")
+        elif check.fault not in known:
+            shown = f"known: {', '.join([*known[:_LINKS_SHOWN], EVERY])}" if known else "the scenario has none"
             more = f" and {len(known) - _LINKS_SHOWN} more" if len(known) > _LINKS_SHOWN else ""
             report.add((*path, "fault"), f'there is no fault "{check.fault[:40]}"', shown + more)
         elif check.fault in lasting:

@@ -17,13 +17,15 @@ from agents.errors import AgentError
 from fleet import timing
 from fleet.checks import Verdict, judge
 from fleet.clock import WINDOW_NS, Clock
-from fleet.console import Console
+from fleet.console import JOIN_TIMEOUT_S, Console
 from fleet.errors import RunBroken, StoppedError
+from fleet.external import ExternalError, refuse
+from fleet.hosts import Meeting
 from fleet.inprocess import InProcess
 from fleet.journal import Journal, frame_every
 from fleet.log import LogError, LogWriter
 from fleet.progress import ProgressLine
-from fleet.publish import LivePublisher
+from fleet.publish import LivePublisher, PublishError
 from fleet.resume import Start
 from fleet.rundir import RunDirectory
 from fleet.scenario import Scenario
@@ -64,36 +66,45 @@ class Options:
     speed: float | None = None
     quiet: bool = False
     publish: bool = False
+    wait: bool = False  # with `publish`: begin when somebody listens
     port: int | None = None
     start: Start | None = None  # where it goes on from another run; in-process only
     pace: float | None = None  # on a wall clock, so many times as fast as real; None: in lockstep
     most_missed: float = MOST_MISSED  # share of its ticks that an agent may miss on a wall clock
     start_order: Callable[[list[str]], list[str]] | None = None
     audit: bool = False  # tell also which messages the router refuses
+    join_timeout_s: float = JOIN_TIMEOUT_S  # how long to wait for an agent that somebody else starts
+    meeting: Meeting | None = None  # how processes on several hosts meet; None: all on this one
 
 
 def execute(scenario: Scenario, options: Options, terminal: Terminal | None = None) -> Result:
     """Run a scenario to its verdict. Only a caller's mistake raises; a run that breaks is a result.
 
     Raises:
-        RunDirectoryError: the output directory cannot be made.
+        RunDirectoryError: the run directory cannot be made or written.
         LogError: the log cannot be created.
         PublishError: the journal was to be published and cannot be.
+        ExternalError: somebody else is to start an agent, and the run is to be one process.
     """
     terminal = terminal or Terminal(stderr=True)
+    in_process = options.in_process or scenario.ideal or options.start is not None
+    if in_process:
+        refuse(scenario, "a run in one process")
+
+    def say(text: str) -> None:
+        if not options.quiet:
+            terminal.print(text, highlight=False, markup=False, soft_wrap=True)
+
     directory = RunDirectory(options.out, scenario.name, scenario.seed)
     directory.write_scenario(scenario.to_yaml())
-    run = secrets.token_hex(4)
-    publisher = LivePublisher(run, directory.observe) if options.publish else None
+    run = (options.meeting and options.meeting.run) or secrets.token_hex(4)
+    publisher = LivePublisher(run, directory.observe, wait=options.wait) if options.publish else None
     log = LogWriter(directory.log, scenario, options.start, publisher, lockstep=options.pace is None)
     if publisher is not None:
         publisher.open()
-        if not options.quiet:
-            where = f"publishing fleet/{run}/log/** at {publisher.endpoint}; how to join: {directory.observe}"
-            terminal.print(where, highlight=False, markup=False, soft_wrap=True)
+        say(f"publishing fleet/{run}/log/** at {publisher.endpoint}; how to join: {directory.observe}")
     journal = Journal(scenario, log)
     clock = _clock(scenario, options)
-    in_process = options.in_process or scenario.ideal or options.start is not None
     fleet: InProcess | Console
     if in_process:
         fleet = InProcess(scenario, journal, options.start)
@@ -107,18 +118,24 @@ def execute(scenario: Scenario, options: Options, terminal: Terminal | None = No
             audit=options.audit,
             start_order=options.start_order,
             pace=options.pace,
+            meeting=options.meeting,
+            join_timeout_s=options.join_timeout_s,
+            say=say,
         )
     result = Result(Status.PASS, directory.path, "")
     closing: dict[str, Any] = {"entered": {}, "rejected": {}}
     began = time.monotonic()
     try:
+        if publisher is not None and options.wait:
+            _wait(publisher, None if options.quiet else terminal)
+            began = time.monotonic()
         with ProgressLine(
             scenario, journal, terminal, quiet=options.quiet, waiting=lambda: getattr(fleet, "waiting", "")
         ) as progress:
             closing = fleet.serve(clock, progress)
     except RunBroken as error:
         result.status, result.reason, result.lines = Status.BROKEN, error.reason, error.lines
-    except (AgentError, WorldError) as error:
+    except (AgentError, WorldError, PublishError, ExternalError) as error:
         result.status, result.reason = Status.BROKEN, str(error)
     except LogError as error:
         result.status, result.reason = Status.BROKEN, str(error)
@@ -169,6 +186,12 @@ def execute(scenario: Scenario, options: Options, terminal: Terminal | None = No
     return result
 
 
+def _wait(publisher: LivePublisher, terminal: Terminal | None) -> None:
+    if terminal is not None:
+        terminal.print("waiting for a subscriber", highlight=False)
+    publisher.heard()
+
+
 def _clock(scenario: Scenario, options: Options) -> Clock:
     speed, lead_ns = (options.speed, 0) if options.pace is None else (options.pace, WINDOW_NS)
     return Clock(scenario.ticks, scenario.tick_ns, scenario.round_ticks, frame_every(scenario), speed, lead_ns)
@@ -207,6 +230,7 @@ def _values(scenario: Scenario, journal: Journal, log: LogWriter, result: Result
             for event in journal.happened
         ],
         "messages": log.messages,
+        "log_bytes": log.size,
         "digest": log.digest,
         "python": sys.version.split()[0],
     }

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import secrets
@@ -15,7 +16,14 @@ LATEST = "latest"
 
 
 class RunDirectoryError(FleetError):
-    """The run directory cannot be made."""
+    """The run directory cannot be made or written; `status` is 3 where another place would not have been better."""
+
+    def __init__(self, doing: str, error: OSError) -> None:
+        full = error.errno in (errno.ENOSPC, errno.EDQUOT)
+        if full:
+            self.status = 3
+        hint = "make room, or choose" if full else "choose"
+        super().__init__(f"{doing}: {error.strerror}; {hint} another place with --out DIR")
 
 
 class RunDirectory:
@@ -34,9 +42,7 @@ class RunDirectory:
             self.path = _make_unique(out, base)
             (self.path / "log").mkdir()
         except OSError as error:
-            raise RunDirectoryError(
-                f"cannot make a run directory in {out}: {error.strerror}; choose another place with --out DIR"
-            ) from error
+            raise RunDirectoryError(f"cannot make a run directory in {out}", error) from error
         self._link_latest(out)
 
     @property
@@ -53,11 +59,20 @@ class RunDirectory:
         """Mode 0600; there only while a run lives that is published: where and as whom to listen."""
         return self.path / "observe.json"
 
+    def join(self, i: int) -> Path:
+        """Mode 0600; there only while the run lives, if vehicle i is external: what its agent needs to join."""
+        return self.path / f"join-{i}.json"
+
     def process_log(self, role: str) -> Path:
         return self.path / "log" / f"{role}.log"
 
     def write_scenario(self, text: str) -> None:
-        (self.path / "scenario.yaml").write_text(text, "utf-8")
+        """Raises RunDirectoryError: there is no room."""
+        path = self.path / "scenario.yaml"
+        try:
+            path.write_text(text, "utf-8")
+        except OSError as error:
+            raise RunDirectoryError(f"cannot write {path}", error) from error
 
     def write_result(self, values: dict[str, Any]) -> None:
         (self.path / "result.json").write_text(json.dumps(values, indent=2) + "\n", "utf-8")
@@ -67,9 +82,13 @@ class RunDirectory:
         (self.path / "result.json").unlink(missing_ok=True)
 
     def write_connection(self, values: dict[str, Any]) -> None:
-        descriptor = os.open(self.connection, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
-        with os.fdopen(descriptor, "w") as file:
-            json.dump(values, file)
+        """Raises RunDirectoryError: there is no room."""
+        try:
+            descriptor = os.open(self.connection, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+            with os.fdopen(descriptor, "w") as file:
+                json.dump(values, file)
+        except OSError as error:
+            raise RunDirectoryError(f"cannot write {self.connection}", error) from error
 
     def _link_latest(self, out: Path) -> None:
         temporary = out / f".{LATEST}-{secrets.token_hex(4)}"

@@ -123,6 +123,11 @@ class Scenario:
         return self.spec.network.ideal
 
     @property
+    def external(self) -> tuple[int, ...]:
+        """The vehicles whose agents somebody else starts, ascending."""
+        return tuple(i for i, control in enumerate(self.controls, start=1) if control.external)
+
+    @property
     def stall_timeout_s(self) -> float:
         return self.spec.stall_timeout / 1e9
 
@@ -320,7 +325,12 @@ def _text(name_or_path: str) -> tuple[str, str, Path | None]:
             with path.open("rb") as file:
                 return name_or_path, file.read(_MAX_BYTES).decode("utf-8-sig"), path.parent
     except UnicodeDecodeError as error:
-        raise _unreadable(name_or_path, f"not UTF-8 text (byte {error.start})") from None
+        hint = "a log? fleet run --from goes on from one, fleet script makes a scenario of one"
+        raise _unreadable(name_or_path, f"not UTF-8 text (byte {error.start})", hint) from None
+    except IsADirectoryError:
+        inside = path / "scenario.yaml"
+        hint = f"did you mean {inside}, the scenario of that run?" if inside.exists() else ""
+        raise _unreadable(name_or_path, "is a directory, not a scenario file", hint) from None
     except (OSError, ValueError) as error:
         raise _unreadable(name_or_path, getattr(error, "strerror", None) or str(error)) from None
     hint = nearest(name_or_path, shipped()) or "a file needs its suffix, as in my-scenario.yaml"

@@ -68,8 +68,9 @@ from fleet.fields import (
     Velocity,
     Weights,
     mistake,
+    vehicle_numbers,
 )
-from fleet.quantities import describe, show_time
+from fleet.quantities import QuantityError, describe, show_time
 from netem.grammar import nearest, print_condition
 from world.config import DEFAULT_SUBSTEPS
 
@@ -129,7 +130,10 @@ class FormationSection(FormationShape):
 
 
 class _Followers:
-    """`all`, or a list of numbers; a plain union would report a mistake in the list once per alternative."""
+    """`all`, or a list of numbers, or `1` or `2-4, 7` as everywhere else where vehicles are named.
+
+    A plain union would report a mistake in the list once per alternative.
+    """
 
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
         return core_schema.no_info_wrap_validator_function(
@@ -144,6 +148,13 @@ class _Followers:
             return value
         if isinstance(value, list):
             return numbers(value)
+        if isinstance(value, int) and not isinstance(value, bool):
+            return [value]
+        if isinstance(value, str) and value[:1].isdigit():
+            try:
+                return vehicle_numbers(value)
+            except QuantityError as error:
+                raise mistake(error.message) from None
         raise mistake(f'expected "all" or a list of vehicle numbers such as [1, 3], got {describe(value)}')
 
 
@@ -352,6 +363,7 @@ class VehicleOverrides(Section):
     neighbours: NeighboursSection | None = None
     vehicle: VehicleSection | None = None
     model_error: ModelErrorSection | None = None
+    external: bool | None = None  # somebody else starts its agent, `fleet agent --join` or one of another make
 
 
 class WaterSection(Section):
@@ -586,13 +598,16 @@ class MaxAge(Section):
     links: LinkSelector = "*"
 
 
+EVERY = "every"  # in place of a fault's id: each that ends before the run does
+
+
 class Recovery(Section):
     """After a fault has ended, an error comes below `within` in less than `below`, and stays there.
 
     It stays until the next fault begins, or to the end.
     """
 
-    fault: str  # its id: as given, or f1, f2, ...
+    fault: str  # its id: as given, or f1, f2, ...; or EVERY
     below: Period
     within: PositiveLength
     error: Literal["formation", "consensus"] = "formation"
@@ -723,6 +738,7 @@ class ScenarioSpec(Section):
     sea: SeaSection = SeaSection()
     sensors: SensorsSection = SensorsSection()
     model_error: ModelErrorSection = ModelErrorSection()
+    external: bool | None = None  # true: every agent is started by somebody else
     agent: LawChoice | None = None  # in place of controller, guidance and tracking
     controller: LawChoice = LawSection(law="nboc")
     profile: Profile = "paper"

@@ -14,6 +14,7 @@ from fleet.log_values import Decoder
 from fleet.quantities import show_time
 from fleet.reader import CLOCK, REAL, LogReader, Record, log_path
 from fleet.scenario import Scenario, parse_scenario
+from fleet.schema import EVERY
 from fleet.snapshot import START
 
 
@@ -118,7 +119,7 @@ def rerun(
 def _recoveries(planned: Scenario, ended: set[str]) -> list[str]:
     """The checks of recovery without those from a fault that the run did not see end, which a scenario must not ask."""
     checks = planned.spec.checks.recovery_time or []
-    kept = [check.model_dump(exclude_none=True) for check in checks if check.fault in ended]
+    kept = [check.model_dump(exclude_none=True) for check in checks if check.fault in {*ended, EVERY}]
     return [f"checks.recovery_time={json.dumps(kept)}"] if len(kept) < len(checks) else []
 
 

@@ -79,7 +79,14 @@ def report(scenario: Scenario, found: Analysis) -> list[str]:
     """The analysis in lines of text, without the warnings."""
     n = scenario.vehicles
     followers = [i for i in range(1, n + 1) if scenario.b[i - 1] > 0.0]
-    who = "every vehicle follows" if len(followers) == n else f"{names(followers)} follow"
+    one = "s" if len(followers) == 1 else ""
+    who = (
+        "every vehicle follows"
+        if len(followers) == n
+        else f"{names(followers)} follow{one}"
+        if followers
+        else "nobody follows"
+    )
     parts = len(found.components)
     connected = "connected" if parts == 1 else f"in {parts} parts: " + "; ".join(map(names, found.components))
     reach = "" if found.unreached else "; a vehicle that follows it reaches all" if len(followers) < n else ""

@@ -8,8 +8,10 @@ from rich.console import Console as Terminal
 from rich.markup import escape
 from rich.table import Table
 
+from fleet.prospects import large_log_hint
 from fleet.run import Result, Status
 from fleet.timing import summary
+from netem.impairment import REPLACED
 
 MOST_ROWS = 20
 
@@ -34,10 +36,12 @@ def show(result: Result, terminal: Terminal) -> None:
     how = "in-process" if wall["in_process"] else f"distributed, ready in {wall['startup_s']:.2f} s"
     terminal.print(
         f"{values['sim_s']:g} s simulated in {wall['run_s']:.2f} s ({wall['x_real_time']:.1f} x real time, {how}); "
-        f"{values['messages']} messages, digest {result.digest[:16]}",
+        f"{values['messages']} messages, {values['log_bytes'] / 1e6:.1f} MB, digest {result.digest[:16]}",
         highlight=False,
         soft_wrap=True,
     )
+    if hint := large_log_hint(values["log_bytes"] / 1e6):
+        terminal.print(f"note  the log is large: {hint}", markup=False, highlight=False, soft_wrap=True)
     if result.status in (Status.BROKEN, Status.INTERRUPTED):
         terminal.print(f"[red]{'run broke' if result.status is Status.BROKEN else 'stopped'}[/]: ", end="")
         terminal.print(result.reason, markup=False, highlight=False, soft_wrap=True)
@@ -70,11 +74,12 @@ def _vehicles(rows: dict[str, dict[str, float | None]]) -> Table:
 
 def _links(rows: dict[str, dict[str, Any]], ages: dict[str, dict[str, float]]) -> Table:
     """Packets and ages of all links, or of those that grew oldest; without the columns in which every link has a 0."""
-    lost = sorted({cause for row in rows.values() for cause in row["lost"]})
+    lost = sorted({cause for row in rows.values() for cause in row["lost"]} - {REPLACED})
     numbers = {
         name: {
             "sent": row["sent"],
             "duplicated": row["duplicated"],
+            "replaced": row["lost"].get(REPLACED, 0),  # by news before it was sent: nothing was lost on the way
             "delivered": row["delivered"],
             **{f"lost: {cause}": row["lost"].get(cause, 0) for cause in lost},
             "in flight": row["in_flight"],

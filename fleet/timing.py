@@ -45,7 +45,8 @@ def verdict(timing: dict[str, Any], most_missed: float) -> Verdict:
     world = timing["world"]
     moved = world["slipped_s"] / max(1e-9, world["run_s"])
     found = "; ".join([name, *reasons]) if not reasons else f"{name}: {'; '.join(reasons)}"
-    return Verdict("on_time", max(worst, moved) <= most_missed, f"at most {most_missed:.3g} of all ticks missed", found)
+    value, asked = max(worst, moved), f"at most {most_missed:.3g} of all ticks missed"
+    return Verdict("on_time", value <= most_missed, asked, found, value, most_missed, "1")
 
 
 def summary(timing: dict[str, Any], speed: float) -> str:

@@ -49,6 +49,7 @@ class Control:
     vehicle: VehicleParams  # the truth
     model: VehicleParams  # what the controller believes
     tau_max: Vec3  # N, N m, N m
+    external: bool  # somebody else starts its agent
 
     @property
     def cascade(self) -> bool:
@@ -69,7 +70,7 @@ def _over(below: VehicleOverrides, above: VehicleOverrides) -> VehicleOverrides:
         low, high = getattr(below, key), getattr(above, key)
         if high is None:
             values[key] = low
-        elif low is None or isinstance(high, (str, LawSection)):
+        elif low is None or isinstance(high, (str, bool, LawSection)):
             values[key] = high
         elif isinstance(high, VehicleSection) and high.model is not None:
             values[key] = high  # another model, not this one with some of its numbers
@@ -125,6 +126,7 @@ def control(spec: ScenarioSpec, i: int, folder: Path | None = None) -> Control:
         vehicle=params,
         model=wrong_model(params, choice.model_error),
         tau_max=tau_max,
+        external=bool(choice.external),
     )
 
 

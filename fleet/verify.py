@@ -18,6 +18,8 @@ from agents.errors import AgentError
 from fleet.clock import Clock
 from fleet.difference import Difference, Side, side
 from fleet.errors import FleetError, RunBroken
+from fleet.external import named
+from fleet.fed import NotRecordedError, feeds
 from fleet.inprocess import InProcess
 from fleet.journal import Journal, frame_every
 from fleet.log import LogWriter, run_metadata
@@ -49,6 +51,8 @@ class Verification:
     reason: str = ""  # why the re-run ended early, if it did
     contradictions: list[str] = field(default_factory=list)  # between the log's metadata and its scenario
     versions: list[str] = field(default_factory=list)  # that are not those of the recording
+    external: tuple[int, ...] = ()  # vehicles whose agents were fed from the log
+    unknown: str = ""  # why the comparison ended before the recording did
 
     @property
     def reproduced(self) -> bool:
@@ -66,6 +70,7 @@ def verify(path: Path, tell: Tell = lambda at_s, end_s: None) -> Verification:
         ScriptError: it holds no scenario of ours.
         ScenarioError: its scenario does not run here: another version wrote it, or a law is not installed.
         NothingToVerify: no message of it is left.
+        NotRecordedError: it has an external agent, but not all of its commands.
     """
     source = recorded(path)
     path, reader, last_ns = source.path, source.reader, source.last_ns
@@ -75,6 +80,7 @@ def verify(path: Path, tell: Tell = lambda at_s, end_s: None) -> Verification:
     start = begun(reader)
     scenario = source.script() if start is not None else _scenario(source)
     found = Verification(path, last_ns / 1e9, scenario.ticks * scenario.tick_ns / 1e9, missing=reader.missing)
+    found.external = scenario.external
     _compare_metadata(found, reader.metadata.get("run", {}), run_metadata(scenario, start))
     _Rerun(found, scenario, reader, last_ns, tell, start).run()
     return found
@@ -128,6 +134,8 @@ class _Rerun(LogWriter):
     ) -> None:
         super().__init__(found.path, scenario, start)
         self._begin = start
+        to_the_end = not reader.missing and last_ns == scenario.ticks * self._tick_ns
+        self._fed = feeds(LogReader(found.path), scenario, last_ns, whole=to_the_end)
         self._found, self._tell = found, tell
         self._first, self._last_ns = reader, last_ns  # read to its end before
         self._again = LogReader(found.path)
@@ -154,14 +162,17 @@ class _Rerun(LogWriter):
             seen = journal.written
 
         try:
-            InProcess(scenario, journal, self._begin).serve(clock, moved)
+            InProcess(scenario, journal, self._begin, self._fed).serve(clock, moved)
         except _Over:
             pass
+        except NotRecordedError as error:
+            self._found.unknown = str(error)
+            return
         except RunBroken as error:
             self._found.reason = error.reason
         except (AgentError, WorldError) as error:
             self._found.reason = str(error)
-        if self._found.difference is None and self._expected is not None:
+        if self._found.difference is None and self._expected is not None and not self._found.unknown:
             self._part(None)
 
     def _open(self) -> IO[bytes]:
@@ -183,6 +194,7 @@ class _Rerun(LogWriter):
                 self._found.skipped += 1
                 return
             self._part(here)
+            self._forgive(log_ns if expected is None else min(log_ns, expected.log_ns))
             raise _Over
         while self._gaps and self._gaps[0] <= self._number:
             self._gaps.popleft()
@@ -191,6 +203,16 @@ class _Rerun(LogWriter):
         self._expected = next(self._recorded, None)
         if self._expected is None and not self._to_the_end:
             raise _Over
+
+    def _forgive(self, at_ns: int) -> None:
+        """A difference means nothing when what an external agent had sent by then is not in the log."""
+        for i, feed in self._fed.items():
+            if at_ns > feed.known * self._tick_ns:
+                self._found.difference = None
+                since = feed.known * self._tick_ns / 1e9
+                self._found.unknown = (
+                    f"what vehicle {i} sent after t = {since:g} s was under way when the log ended, and is not in it"
+                )
 
     @property
     def _to_the_end(self) -> bool:
@@ -209,13 +231,15 @@ class _Rerun(LogWriter):
 
 def describe(found: Verification) -> list[str]:
     """A verification in words."""
-    lines = []
+    lines = [f"{named([i])}: its commands and payloads were taken from the log" for i in found.external]
     how_far = f"up to t = {found.until_s:g} s"
     if found.missing:
         how_far += f" of {found.end_s:g} s, as far as the file goes: {found.missing}"
     elif found.until_s < found.end_s:
         how_far += f" of {found.end_s:g} s, where the run was ended"
-    if found.difference is None:
+    if found.unknown:
+        lines.append(f"reproduced bit for bit ({found.messages} messages), and no further: {found.unknown}")
+    elif found.difference is None:
         if found.messages:
             lines.append(f"reproduced bit for bit ({found.messages} messages), {how_far}")
         if found.skipped:

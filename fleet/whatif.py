@@ -87,6 +87,8 @@ def whatif(
     lives = Lives(recorded.faults.absences)
     begins = [0, *(end for _, end in lives.gaps(agent) if end is not None)]
     result = _Answers()
+    if agent in recorded.external:
+        result.notes.append(f"vehicle {agent} is external: what was recorded is what somebody else's agent commanded")
     core: Agent | PluggedAgent | None = None
     life, waiting = -1, 0
     for done, (tick, measured) in enumerate(navs):

@@ -8,12 +8,13 @@ session is not subject to the list.
 from __future__ import annotations
 
 import secrets
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
 from typing import Any
 
 from netem.keys import Keys
 
-CONSOLE, NETEM, OPERATOR = "console", "netem", "operator"
+CONSOLE, NETEM, OPERATOR, WORLD = "console", "netem", "operator", "world"
 OBSERVER = "observer"  # of a published run: it has a router of its own, and may read the journal there
 
 
@@ -22,25 +23,66 @@ def agent_role(i: int) -> str:
     return f"agent-{i}"
 
 
+LEASE_MS = 3_600_000  # between processes of one host
+
+
 @dataclass(frozen=True, slots=True)
 class Credentials:
-    """User and password of one process; the password never reaches argv, a log or a repr."""
+    """What one process joins with; secrets never reach argv, a log or a repr."""
 
     user: str
     password: str
+    ca: str = ""  # PEM: with TLS, whose certificates the router may show
+    certificate: str = ""  # PEM, with its key: what this process shows a router that asks for certificates
+    key: str = ""
+    lease_ms: int = LEASE_MS  # how long the router keeps this process's session without a sign of life
 
     def __repr__(self) -> str:
-        return f"Credentials(user={self.user!r}, password=***)"
+        return f"Credentials(user={self.user!r}, ***)"
+
+    def to_values(self) -> dict[str, Any]:
+        """What a file for this process holds: user, password, and whatever else it needs."""
+        return {each.name: value for each in fields(self) if (value := getattr(self, each.name)) != each.default}
+
+    @classmethod
+    def from_values(cls, values: Mapping[str, Any]) -> Credentials:
+        """Read such a file; other entries are ignored. Raises TypeError without user or password."""
+        return cls(**{each.name: values[each.name] for each in fields(cls) if each.name in values})
 
 
-def generate(vehicles: tuple[int, ...]) -> dict[str, Credentials]:
-    """Fresh credentials for every client of a run, by role."""
-    roles = [CONSOLE, NETEM, OPERATOR, *(agent_role(i) for i in vehicles)]
-    return {role: Credentials(role, secrets.token_urlsafe(24)) for role in roles}
+@dataclass(frozen=True, slots=True)
+class Door:
+    """Where the router listens for other hosts, besides the endpoint of the run's own processes."""
+
+    endpoints: tuple[str, ...]
+    lease_ms: int
+    ca: str = ""  # PEM, as are the others: needed for tls endpoints only
+    certificate: str = ""
+    key: str = field(default="", repr=False)
+    certified: frozenset[str] = frozenset()  # who must show a client certificate of that name, if any does
 
 
-def access_control(keys: Keys, vehicles: tuple[int, ...]) -> dict[str, Any]:
-    """Zenoh's `access_control` block for one run: deny by default, then what each role needs."""
+def generate(vehicles: tuple[int, ...], *, prefix: str = "", world: bool = False) -> dict[str, Credentials]:
+    """Fresh credentials for every client of a run, by role; `prefix` and `world` as in `access_control`."""
+    roles = [CONSOLE, NETEM, OPERATOR, *(agent_role(i) for i in vehicles), *([WORLD] if world else [])]
+    return {role: Credentials(prefix + role, secrets.token_urlsafe(24)) for role in roles}
+
+
+def access_control(
+    keys: Keys,
+    vehicles: tuple[int, ...],
+    *,
+    certified: frozenset[str] = frozenset(),
+    prefix: str = "",
+    world: bool = False,
+) -> dict[str, Any]:
+    """Zenoh's `access_control` block for one run: deny by default, then what each role needs.
+
+    Args:
+        certified: roles that count only together with a client certificate of that name.
+        prefix: of the user names and of the rules' names, where several runs share a router.
+        world: the world is a client, too.
+    """
     rules: list[dict[str, Any]] = []
     policies: list[dict[str, Any]] = []
     subjects: list[dict[str, Any]] = []
@@ -48,7 +90,7 @@ def access_control(keys: Keys, vehicles: tuple[int, ...]) -> dict[str, Any]:
     def allow(role: str, *grants: tuple[str, list[str], list[str]]) -> None:
         names = []
         for number, (flow, messages, key_exprs) in enumerate(grants):
-            name = f"{role}:{number}"
+            name = f"{prefix}{role}:{number}"
             rules.append(
                 {
                     "id": name,
@@ -59,8 +101,11 @@ def access_control(keys: Keys, vehicles: tuple[int, ...]) -> dict[str, Any]:
                 }
             )
             names.append(name)
-        subjects.append({"id": role, "usernames": [role]})
-        policies.append({"rules": names, "subjects": [role]})
+        subject: dict[str, Any] = {"id": prefix + role, "usernames": [prefix + role]}
+        if role in certified:
+            subject["cert_common_names"] = [role]
+        subjects.append(subject)
+        policies.append({"rules": names, "subjects": [prefix + role]})
 
     for i in vehicles:
         role = agent_role(i)
@@ -110,6 +155,19 @@ def access_control(keys: Keys, vehicles: tuple[int, ...]) -> dict[str, Any]:
         ("egress", ["declare_queryable"], [f"{keys.op}/**"]),
         ("egress", ["put"], [f"{keys.prefix}/log/**"]),
     )
+    if world:
+        allow(
+            WORLD,
+            ("ingress", ["put"], [keys.nav("*"), keys.round, keys.frame, keys.note(WORLD)]),
+            ("ingress", ["declare_subscriber"], [keys.cmd("*")]),
+            ("ingress", ["declare_queryable", "reply"], [keys.ctl(WORLD)]),
+            ("ingress", ["liveliness_token"], [keys.alive(WORLD)]),
+            ("ingress", ["declare_liveliness_subscriber", "liveliness_query"], [keys.alive("*")]),
+            ("egress", ["put"], [keys.cmd("*")]),
+            ("egress", ["query"], [keys.ctl(WORLD)]),
+            ("egress", ["declare_subscriber"], [keys.nav("*"), keys.round, keys.frame, keys.note("*")]),
+            ("egress", ["liveliness_token"], [keys.alive("*")]),
+        )
     return {
         "enabled": True,
         "default_permission": "deny",

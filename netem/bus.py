@@ -3,8 +3,9 @@
 Settings that matter, with the reasons:
 
 * `transport/unicast/lowlatency` with QoS off: 20-40 % less per round trip; our messages have one priority.
-* `transport/link/tx/lease` of one hour: at the 10 s default a merely suspended process loses its messages
-  silently and reconnects as if nothing had happened. Deaths show as process exits and closed sockets.
+* `transport/link/tx/lease` of one hour on loopback: at the 10 s default a merely suspended process loses its messages
+  silently and reconnects as if nothing had happened. Deaths show as process exits and closed sockets. Between hosts a
+  cable may be pulled, which closes no socket: there the lease is short, and `on_lost` tells that it has run out.
 * congestion control BLOCK and reliable: DROP loses messages silently. Grants bound what is in flight.
 * scouting and the admin space are off: a run is a closed box.
 * shared memory is off: our messages are far below its threshold, and it starts threads.
@@ -15,8 +16,10 @@ Settings that matter, with the reasons:
 
 from __future__ import annotations
 
+import base64
 import json
 import os
+import re
 from collections.abc import Callable
 from pathlib import Path
 from queue import Empty, SimpleQueue
@@ -31,11 +34,11 @@ os.environ.setdefault(
 
 import zenoh
 
-from netem.access import Credentials, access_control, observer_control
+from netem.access import LEASE_MS, Credentials, Door, access_control, observer_control
 from netem.errors import BusError
 from netem.keys import Keys
 
-LEASE_MS = 3_600_000
+_TLS = "transport/link/tls"
 # The low-latency transport cannot fragment: a longer message vanishes without a word.
 MAX_BYTES = 48_000  # measured: 49,120 pass, 49,152 do not
 PART_BYTES = 32_000  # long messages of ours are split into parts of about this size
@@ -44,19 +47,30 @@ Respond = Callable[[bytes], None]
 QueryHandler = Callable[[str, bytes, Respond], None]
 
 
-def _config(mode: str, settings: dict[str, Any]) -> zenoh.Config:
-    base: dict[str, Any] = {
-        "mode": mode,
-        "scouting/multicast/enabled": False,
-        "scouting/gossip/enabled": False,
-        "transport/unicast/lowlatency": True,
-        "transport/unicast/qos/enabled": False,
-        "transport/link/tx/lease": LEASE_MS,
-        "transport/shared_memory/enabled": False,
-        "adminspace/enabled": False,
+_BASE: dict[str, Any] = {
+    "scouting/multicast/enabled": False,
+    "scouting/gossip/enabled": False,
+    "transport/unicast/lowlatency": True,
+    "transport/unicast/qos/enabled": False,
+    "transport/link/tx/lease": LEASE_MS,
+    "transport/shared_memory/enabled": False,
+    "adminspace/enabled": False,
+}
+
+
+def router_settings(vehicles: int, lease_ms: int) -> dict[str, Any]:
+    """Zenoh's settings, as paths, for a router of a run with so many vehicles; without users and endpoints."""
+    return _BASE | {
+        "transport/link/tx/lease": lease_ms,
+        # A fleet of 100 connects at once; zenoh refuses what exceeds this.
+        "transport/unicast/accept_pending": max(100, 2 * vehicles),
+        "transport/unicast/max_sessions": 1000 + vehicles,
     }
+
+
+def _config(mode: str, settings: dict[str, Any]) -> zenoh.Config:
     config = zenoh.Config()
-    for key, value in (base | settings).items():
+    for key, value in ({"mode": mode} | _BASE | settings).items():
         config.insert_json5(key, json.dumps(value))
     return config
 
@@ -118,12 +132,17 @@ class Bus:
     def connect(cls, endpoint: str, credentials: Credentials, *, timeout_ms: int = 5000) -> Bus:
         """A client session to a run's router.
 
+        Args:
+            endpoint: several, with commas between them, are tried in turn.
+
         Raises:
             BusError: nobody listens there, or the credentials are refused.
         """
         settings = {
-            "connect/endpoints": [endpoint],
+            "connect/endpoints": endpoint.split(","),
             "connect/timeout_ms": timeout_ms,
+            "transport/link/tx/lease": credentials.lease_ms,
+            **_client_tls(credentials),
             "connect/exit_on_failure": True,
             # Everyone starts at once; zenoh's own first retry comes after a whole second.
             "connect/retry": {"period_init_ms": 20, "period_max_ms": 200, "period_increase_factor": 1.5},
@@ -133,8 +152,9 @@ class Bus:
         try:
             return cls(zenoh.open(_config("client", settings)), endpoint)
         except zenoh.ZError as error:
+            tls = ", its certificate is not of the CA that we trust" if "tls/" in endpoint else ""
             raise BusError(
-                f"cannot join the run at {endpoint} as {credentials.user}: nobody listens there, "
+                f"cannot join the run at {endpoint} as {credentials.user}: nobody listens there{tls}, "
                 f"or the credentials are of another run ({_first_line(error)})"
             ) from None
 
@@ -146,12 +166,14 @@ class Bus:
         vehicles: tuple[int, ...],
         credentials: dict[str, Credentials],
         private: Path,
+        door: Door | None = None,
     ) -> Bus:
         """The run's router: listens on `endpoint`, knows the users and enforces the access-control list.
 
         Args:
             private: a directory of mode 0700; zenoh reads the users from a file there, which is removed
                 as soon as the session is open.
+            door: where it listens for other hosts, too.
 
         Raises:
             BusError: the endpoint is taken or not ours to listen on.
@@ -160,22 +182,41 @@ class Bus:
         descriptor = os.open(users, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
         with os.fdopen(descriptor, "w") as file:
             file.writelines(f"{c.user}:{c.password}\n" for c in credentials.values())
+        endpoints = [endpoint, *(door.endpoints if door else ())]
+        control = access_control(keys, vehicles, certified=door.certified) if door else access_control(keys, vehicles)
         settings = {
-            "listen/endpoints": [endpoint],
+            **router_settings(len(vehicles), door.lease_ms if door else LEASE_MS),
+            "listen/endpoints": endpoints,
             "listen/exit_on_failure": True,
             "listen/timeout_ms": 0,
             "transport/auth/usrpwd/dictionary_file": str(users),
-            "access_control": access_control(keys, vehicles),
-            # A fleet of 100 connects at once; zenoh refuses what exceeds this.
-            "transport/unicast/accept_pending": max(100, 2 * len(vehicles)),
-            "transport/unicast/max_sessions": 1000 + len(vehicles),
+            "access_control": control,
+            **({} if door is None else _server_tls(door)),
         }
         try:
             return cls(zenoh.open(_config("router", settings)), endpoint)
         except zenoh.ZError as error:
-            raise BusError(f"cannot listen on {endpoint}: {_first_line(error)}") from None
+            raise BusError(f"cannot listen on {' and '.join(endpoints)}: {_first_line(error)}") from None
         finally:
             users.unlink(missing_ok=True)
+
+    def on_lost(self, handler: Callable[[], None]) -> None:
+        """Call `handler()` on a zenoh thread when the link to the router, or to a client of this router, has ended.
+
+        A client's session makes another link by itself, and what was on the way is lost without a word.
+        """
+
+        def receive(event: zenoh.TransportEvent) -> None:
+            if event.kind == zenoh.SampleKind.DELETE:
+                handler()
+
+        # Without history: zenoh 1.10 panics when it lists transports that are `lowlatency`.
+        self._held.append(self._session.info.declare_transport_events_listener(receive, history=False))
+
+    def tokens(self, key: str, *, timeout_s: float = 2.0) -> list[str]:
+        """The liveliness tokens there are now."""
+        replies = self._session.liveliness().get(key, timeout=timeout_s)
+        return sorted(str(reply.ok.key_expr) for reply in replies if reply.ok is not None)
 
     def publisher(self, key: str) -> Callable[[bytes], None]:
         """A function that puts bytes on `key`, reliably and in order.
@@ -410,7 +451,8 @@ class OpenBus:
         try:
             self._held.append(self._session.declare_subscriber(key, handler))
         except zenoh.ZError:
-            raise BusError(f"{key!r} is no key expression of zenoh") from None
+            what = "is no key expression of zenoh: parts such as robot/*/odom or robot/**, none of them empty"
+            raise BusError(f"{key!r} {what}") from None
 
     def answer(self, key: str, answers: dict[str, bytes]) -> None:
         """Answer queries on `key` with those of the values whose key they ask for."""
@@ -422,6 +464,12 @@ class OpenBus:
                         query.reply(name, data)
 
         self._held.append(self._session.declare_queryable(key, receive))
+
+    @property
+    def connected(self) -> bool:
+        """Whether there is a router or peer on the other side; of a client, whether it still reaches its router."""
+        info = self._session.info
+        return bool(info.routers_zid() or info.peers_zid())
 
     def close(self) -> None:
         """Send what is queued and close the session."""
@@ -452,5 +500,33 @@ def quiet_zenoh() -> None:
     log_zenoh("error")
 
 
+def _client_tls(credentials: Credentials) -> dict[str, Any]:
+    """PEM goes into the session as it is, by way of base64: no file of it is needed."""
+    settings: dict[str, Any] = {}
+    if credentials.ca:
+        settings[f"{_TLS}/root_ca_certificate_base64"] = _base64(credentials.ca)
+    if credentials.certificate:
+        settings[f"{_TLS}/enable_mtls"] = True
+        settings[f"{_TLS}/connect_certificate_base64"] = _base64(credentials.certificate)
+        settings[f"{_TLS}/connect_private_key_base64"] = _base64(credentials.key)
+    return settings
+
+
+def _server_tls(door: Door) -> dict[str, Any]:
+    settings: dict[str, Any] = {}
+    if door.certificate:
+        settings[f"{_TLS}/root_ca_certificate_base64"] = _base64(door.ca)
+        settings[f"{_TLS}/listen_certificate_base64"] = _base64(door.certificate)
+        settings[f"{_TLS}/listen_private_key_base64"] = _base64(door.key)
+        settings[f"{_TLS}/enable_mtls"] = bool(door.certified)
+    return settings
+
+
+def _base64(text: str) -> str:
+    return base64.b64encode(text.encode()).decode()
+
+
 def _first_line(error: Exception) -> str:
-    return str(error).splitlines()[0] if str(error) else type(error).__name__
+    """What zenoh says, without the places in its source where it says so."""
+    text = str(error).splitlines()[0] if str(error) else type(error).__name__
+    return re.sub(r" at /\S+\.rs:\d+\.", "", text)

@@ -14,6 +14,7 @@ from netem.freerun import FreeRounds
 from netem.keys import Keys
 from netem.messages import Message, Pace, Receipt, Round, Transmission
 from netem.process import NetemProcess
+from netem.shell import end_with_link
 
 
 def run(endpoint: str, run_id: str, credentials: Credentials, config: NetemConfig) -> None:
@@ -21,6 +22,7 @@ def run(endpoint: str, run_id: str, credentials: Credentials, config: NetemConfi
     quiet_zenoh()
     keys = Keys(run_id)
     bus = Bus.connect(endpoint, credentials)
+    end_with_link(bus, credentials)
     FreeNetemProcess(bus, keys, config, FreeRounds(config)).serve()
 
 

@@ -117,7 +117,7 @@ class LinkModel:
         c, leaving = self._used, self._state.leaving_ns
         corrupted = bool(payload and c.corrupt) and self._chance("corrupt", c.corrupt, c.corrupt_correlation, seq, copy)
         if corrupted:
-            payload = self._flipped(payload, seq, copy)
+            payload = self.flipped(payload, seq, copy)
         while leaving and leaving[0] <= now_ns:
             leaving.pop(0)
         if len(leaving) >= c.limit:
@@ -193,8 +193,8 @@ class LinkModel:
         state.loss_state = after
         return after in (LOST_IN_BURST, LOST_ALONE)
 
-    def _flipped(self, payload: bytes, seq: int, copy: int) -> bytes:
-        """One bit of the payload turned over."""
+    def flipped(self, payload: bytes, seq: int, copy: int) -> bytes:
+        """One bit of the payload turned over, always the same: its own inverse."""
         bit = bits(self._seed_in_use, "corrupted bit", *self._link, seq, copy) % (8 * len(payload))
         damaged = bytearray(payload)
         damaged[bit // 8] ^= 1 << bit % 8

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from netem.config import Link
-from netem.impairment import CAUSES, DELIVERED, IN_FLIGHT
+from netem.impairment import CAUSES, DELIVERED, IN_FLIGHT, REPLACED
 from netem.messages import Fate
 
 
@@ -29,6 +29,11 @@ class Account:
     def balance(self) -> int:
         """Entries minus exits; zero in a balanced ledger."""
         return self.sent + self.duplicated - self.delivered - self.in_flight - sum(self.lost.values())
+
+    @property
+    def replaced(self) -> int:
+        """Payloads that a newer one took the place of before they were sent, which no channel has lost."""
+        return self.lost.get(REPLACED, 0)
 
     def restore(self, values: dict[str, Any]) -> None:
         """The inverse of `to_values`."""

@@ -242,6 +242,15 @@ class Nav(NamedTuple):
     nu: Annotated[Reals, real("m/s, rad/s", "u, v, w (body, over ground), q, r", 5)]
 
 
+@_declare("end", "nav/{i}", "world", "agent i")
+class End(NamedTuple):
+    """No Nav follows for this life of the agent: it closes its session. Only agents that others started are told."""
+
+    incarnation: Annotated[int, uint("", "life of the agent that is over; of a later one this says nothing")]
+    tick: Annotated[int, uint("tick", "first tick without it; of no meaning when the run is over")]
+    reason: Annotated[str, Field("", "one line for a person", "str")]
+
+
 @_declare("cmd", "cmd/{i}", "agent i", "world")
 class Command(NamedTuple):
     """The agent's answer to Nav of the same tick."""
@@ -249,7 +258,9 @@ class Command(NamedTuple):
     incarnation: Annotated[int, uint("", "life of the sending agent")]
     tick: Annotated[int, uint("tick", "tick of the Nav it answers")]
     tau: Annotated[Reals, real("N, N m", "surge force, pitch moment, yaw moment", 3)]
-    telemetry: Annotated[Reals, real("", "controller signals in their declared order", None, finite=False)]
+    telemetry: Annotated[
+        Reals, real("", "controller signals in their declared order, or none at all", None, finite=False)
+    ]
 
 
 @_declare("memory", "cmd/{i}", "agent i", "world")
@@ -406,7 +417,9 @@ class Note(NamedTuple):
 
 Told = Grant | Death | Restart | Ailments  # by the console to the world
 Timed = Pace | Receipt  # only with a real clock
-Message = Hello | Nav | Command | Memory | Transmission | Inbox | Round | Frames | LinkReport | Told | Timed | Note
+Message = (
+    Hello | Nav | End | Command | Memory | Transmission | Inbox | Round | Frames | LinkReport | Told | Timed | Note
+)
 
 
 def encode(message: Message) -> bytes:

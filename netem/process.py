@@ -34,7 +34,7 @@ from netem.messages import (
     split,
 )
 from netem.rounds import Rounds
-from netem.shell import Item, Shell, expect, read_map, vehicle_of
+from netem.shell import Item, Shell, end_with_link, expect, read_map, vehicle_of
 
 log = logging.getLogger(__name__)
 
@@ -48,6 +48,7 @@ def run(endpoint: str, run_id: str, credentials: Credentials, config: NetemConfi
     quiet_zenoh()
     keys = Keys(run_id)
     bus = Bus.connect(endpoint, credentials)
+    end_with_link(bus, credentials)
     NetemProcess(bus, keys, config, Rounds(config)).serve()
 
 

@@ -7,12 +7,15 @@ thread takes it out, one item at a time, and is the only one that touches the co
 from __future__ import annotations
 
 import logging
+import os
+import sys
 from collections import Counter
 from queue import SimpleQueue
 from typing import Any, NamedTuple
 
 import msgpack
 
+from netem.access import LEASE_MS, Credentials
 from netem.bus import Bus, Respond
 from netem.errors import MalformedMessage, OutOfPlace
 from netem.messages import Message, Note, decode, encode
@@ -87,6 +90,25 @@ class Shell:
 def _tail(key: str) -> str:
     """The key without the run: `tx/3`."""
     return "/".join(key.rsplit("/", 2)[-2:])
+
+
+LINK_LOST = 71  # exit status: the link to a router on another host has ended
+
+
+def end_with_link(bus: Bus, credentials: Credentials) -> None:
+    """Between hosts, end this process when its link to the router has ended.
+
+    Zenoh would make another one by itself, and what was on the way would be missing without a word. On one host a link
+    ends with a process only, and the console sees that.
+    """
+
+    def end() -> None:
+        print(f"the link to the router at {bus.endpoint} has ended: closed, or silent for the lease", file=sys.stderr)
+        sys.stderr.flush()
+        os._exit(LINK_LOST)
+
+    if credentials.lease_ms < LEASE_MS:
+        bus.on_lost(end)
 
 
 def vehicle_of(key: str) -> int:

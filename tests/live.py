@@ -7,6 +7,7 @@ import os
 import signal
 import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from tempfile import mkstemp
 from time import monotonic
@@ -25,13 +26,18 @@ READY_S = 60.0
 class LiveRun:
     """`python -m fleet run ...` as a subprocess; nothing of it is left when the `with` block ends."""
 
-    def __init__(self, out: Path, *arguments: str, environment: dict[str, str] | None = None) -> None:
+    def __init__(
+        self, out: Path, *arguments: str, environment: dict[str, str] | None = None, host: Sequence[str] = ()
+    ) -> None:
+        """Args:
+        host: the words before the command that make it run on another host.
+        """
         self.out = out
         descriptor, name = mkstemp(prefix="printed-")  # not in `out`, which may be a full disk
         self._printed = Path(name)
         with os.fdopen(descriptor, "wb") as printed:
             self._process = subprocess.Popen(
-                [sys.executable, "-m", "fleet", "run", *arguments, "--out", str(out)],
+                [*host, sys.executable, "-m", "fleet", "run", *arguments, "--out", str(out)],
                 stdin=subprocess.DEVNULL,
                 stdout=printed,
                 stderr=subprocess.STDOUT,

@@ -223,6 +223,51 @@ def test_recovery_from_each_of_several_faults(tmp_path: Path) -> None:
     ]  # fmt: skip
 
 
+def test_recovery_from_every_fault(tmp_path: Path) -> None:
+    """A verdict for each that ended before the run did; whoever wants none to have ended fails."""
+    every = "checks={recovery_time: {fault: every, below: 10 s, within: 10 m}}"
+    faults = (
+        "faults=[{at: 300 ms, for: 200 ms, id: split, partition: '1 / 2,3'}, {at: 600 ms, mute: 2, for: 100 ms}, "
+        "{at: 800 ms, mute: 1}]"
+    )
+    result = execute(small("duration=1 s", faults, every), Options(tmp_path, in_process=True, quiet=True))
+    assert [v.asked.rsplit("fault ")[1] for v in result.verdicts] == ["split", "f2"]
+    assert result.status is Status.PASS
+    again = script(result.directory)
+    assert [check.fault for check in again.spec.checks.recovery_time or ()] == ["every"]
+    none = execute(small("duration=1 s", "faults=[{at: 800 ms, mute: 1}]", every), Options(tmp_path, in_process=True))
+    (found,) = none.verdicts
+    assert (found.passed, found.found) == (False, "no fault ended while the run lasted")
+
+
+@pytest.mark.parametrize(
+    ("check", "limit", "unit", "passes"),
+    [
+        ("formation_error: {below: 2 m}", 2.0, "m", float.__lt__),
+        ("formation_error: {below: 50 cm}", 0.5, "m", float.__lt__),
+        ("recovery_time: {fault: split, below: 2 s, within: 10 cm}", 2.0, "s", float.__lt__),
+        ("recovery_time: {fault: split, below: 100 ms, within: 10 cm}", 0.1, "s", float.__lt__),
+        ("min_separation: {above: 1 m}", 1.0, "m", float.__gt__),
+        ("min_separation: {above: 30 m}", 30.0, "m", float.__gt__),
+        ("max_age: {below: 51 ms}", 0.051, "s", float.__lt__),
+        ("ledger: balanced", 0.0, "links", float.__le__),
+        ("qp_infeasible: {at_most: 0}", 0.0, "times", float.__le__),
+        ("middleware_loss: {at_most: 0}", 0.0, "messages", float.__le__),
+        ("connected: {window: 1 s}", 0.0, "windows", float.__le__),
+    ],
+)
+def test_a_verdict_as_numbers(check: str, limit: float, unit: str, passes: Callable[[float, float], bool]) -> None:
+    """result.json holds what was compared: the value, the limit and their unit give the verdict again."""
+    values = verdict(check, SPLIT, error=back_at(120)).to_values()
+    assert (values["limit"], values["unit"]) == (limit, unit)
+    assert passes(float(values["value"]), float(values["limit"])) == values["passed"]
+
+
+def test_what_was_never_found_is_no_number() -> None:
+    values = verdict("formation_error: {below: 1 m, after: 5 s}").to_values()
+    assert json.loads(json.dumps(values, allow_nan=False))["value"] is None and not values["passed"]
+
+
 # --- min_separation --------------------------------------------------------
 
 
@@ -331,6 +376,7 @@ def test_one_recovery_prints_without_the_list() -> None:
         ("recovery_time={fault: split, below: 1 s}", '"within" is missing in "checks.recovery_time"'),
         ("recovery_time={fault: split, below: 1 s, within: 1 m, vehicle: 1}", 'did you mean "vehicles"?'),
         ("recovery_time=split", "expected a list"),
+        ("recovery_time={fault: spilt, below: 1 s, within: 1 m}", "f3, every"),
         ("recovery_time={fault: nemesis-2, below: 1 s, within: 1 m}", "known: split, f2, f3, nemesis-1"),
         ("max_age={below: 1 m}", "a time"),
         ("max_age={after: 1 s}", '"below" is missing'),
@@ -476,3 +522,28 @@ def test_the_table_fits_a_terminal(vehicles: int, tmp_path: Path, capsys: pytest
         assert oldest == sorted(oldest, reverse=True)
         assert lines[begin + 3][0] == "3->4"
         assert ["...", "38", "more"] in lines
+
+
+def test_what_was_replaced_is_not_called_lost(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Payloads that news overtook in the modem have a column of their own, and do not count on the progress line."""
+    from rich.console import Console
+
+    from fleet.progress import ProgressLine
+
+    water = "network={period: 1 s, payload: compact, acoustic: {modem: mfsk-1066, mac: tdma, slot: 1500 ms}}"
+    scenario = small("duration=8 s", water)
+    result = execute(scenario, Options(tmp_path, in_process=True, quiet=True))
+    show(result, Console(width=100))
+    said = capsys.readouterr().out
+    assert "replaced" in said and "lost: replaced" not in said
+    journal = Journal(scenario, Nowhere())
+    journal.ledger.settle([Fate(k, 1, 2, k, 0, k, k, 0, cause, False, b"") for k, cause in
+                           enumerate(("delivered", "replaced", "replaced", "snr"))])  # fmt: skip
+    line = ProgressLine(scenario, journal, Console(quiet=True), quiet=True, waiting=str)
+    assert line._state().endswith("packets 1 delivered, 1 lost, 2 replaced")
+
+
+def test_a_fault_called_every() -> None:
+    faults = "faults=[{at: 100 ms, for: 100 ms, id: every, mute: 1}]"
+    with pytest.raises(ScenarioError, match="give that fault another id"):
+        small(faults, "checks={recovery_time: {fault: every, below: 1 s, within: 1 m}}")

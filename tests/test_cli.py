@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import re
@@ -18,6 +19,8 @@ from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
 from fleet.cli import cli
+from fleet.log import LogError
+from fleet.publish import PublishError
 from fleet.reader import digest
 from fleet.scenario import list_scenarios, load_scenario
 
@@ -252,11 +255,21 @@ def test_result_file(tmp_path: Path) -> None:
     values = json.loads((directory / "result.json").read_text())
     assert list(values) == [
         "scenario", "seed", "status", "exit", "reason", "lines", "sim_s", "checks", "vehicles", "ledger",
-        "ages", "middleware_lost", "faults", "messages", "digest", "python", "wall", "rejected", "deaths", "notes",
+        "ages", "middleware_lost", "faults", "messages", "log_bytes", "digest", "python",
+        "wall", "rejected", "deaths", "notes",
     ]  # fmt: skip
     assert (values["scenario"], values["seed"], values["sim_s"]) == ("rough-sea", 1, 2.0)
     assert (values["status"], values["exit"], values["reason"], values["lines"]) == ("pass", 0, "", [])
-    assert values["checks"] == [{"check": "ledger", "passed": True, "asked": "balanced", "found": "balanced"}]
+    (check,) = values["checks"]
+    assert check == {
+        "check": "ledger",
+        "passed": True,
+        "asked": "balanced",
+        "found": "balanced",
+        "value": 0,
+        "limit": 0,
+        "unit": "links",
+    }
     assert list(values["vehicles"]) == ["1", "2", "3", "4"]
     assert set(values["ledger"]) == {"1->2", "2->1", "2->3", "3->2", "3->4", "4->3"}
     for account in values["ledger"].values():
@@ -339,3 +352,42 @@ def test_ideal_network_says_that_it_runs_in_one_process(tmp_path: Path) -> None:
 def test_quiet_is_quiet(tmp_path: Path) -> None:
     done = shell("run", "ideal", "--duration", "500 ms", "--out", tmp_path, *NO_CHECKS, "--quiet")
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+
+
+@pytest.mark.parametrize(
+    ("where", "error", "words"),
+    [
+        ("fleet.run.LivePublisher.open", PublishError("no port is free"), "no port is free"),
+        ("fleet.run.LogWriter", LogError("cannot write the log: No space left on device"), "cannot write the log"),
+        ("pathlib.Path.write_text", OSError(errno.ENOSPC, "No space left on device"), "scenario.yaml: No space left"),
+    ],
+)
+def test_what_the_machine_refuses_is_no_usage_error(
+    where: str, error: Exception, words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Before the run begins, too: status 3 and a sentence."""
+
+    def refuse(*_: object, **__: object) -> None:
+        raise error
+
+    monkeypatch.setattr(where, refuse)
+    result = invoke("run", "paper", "--in-process", "--publish", "--out", tmp_path)
+    assert result.exit_code == 3 and words in result.stderr
+
+
+def test_waiting_for_nobody() -> None:
+    result = invoke("run", "paper", "--wait-for-subscribers")
+    assert result.exit_code == 2 and "needs --publish" in result.stderr
+
+
+def test_a_run_is_no_scenario(tmp_path: Path) -> None:
+    """Whoever names a run's directory, or its log, is told what would have been meant."""
+    result = invoke("run", "ideal", *QUICK, *NO_CHECKS, "--out", tmp_path, "-q")
+    assert result.exit_code == 0
+    for path, words in (
+        ("latest", "did you mean"),
+        ("latest/run.mcap", "fleet run --from"),
+        ("latest/log", "is a dir"),
+    ):
+        result = invoke("check", tmp_path / path)
+        assert result.exit_code == 2 and words in result.stderr

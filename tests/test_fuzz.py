@@ -28,6 +28,8 @@ from test_messages import ANY_MESSAGE, messages
 
 import fleet
 from agents.agent import make_agent
+from agents.join import JoinError, Joining
+from agents.join import serve as serve_agent
 from agents.loop import AgentLoop
 from agents.payload import StateMessage
 from agents.payload import encode as state_payload
@@ -48,6 +50,7 @@ from netem.freerun import FreeRounds
 from netem.grammar import parse_condition
 from netem.keys import Keys
 from netem.messages import (
+    PROTOCOL_VERSION,
     Command,
     Delivery,
     Grant,
@@ -683,3 +686,32 @@ def test_no_connection_file_crashes_the_tools(tmp_path_factory: pytest.TempPathF
         assert result.exception is None or isinstance(result.exception, SystemExit), repr(result.exception)
         assert result.exit_code in (0, 3), (result.exit_code, result.output)
         assert "Traceback" not in result.output
+
+
+JOIN_FILES = st.one_of(
+    st.fixed_dictionaries(
+        {
+            "version": st.just(PROTOCOL_VERSION) | SCALARS,
+            "endpoint": st.sampled_from(["tcp/127.0.0.1:1", "tcp/127.0.0.1:99999", "tcp/[::1]:1"]) | st.integers(),
+            "run": st.sampled_from(["0123abcd", "*", "a//b", ""]) | SCALARS,
+            "vehicle": st.sampled_from([3, 0, -1, 2**70]) | SCALARS,
+            "user": st.just("agent-3") | SCALARS,
+            "password": st.just("x") | SCALARS,
+        },
+        optional=dict.fromkeys(("ca", "certificate", "lease_ms", "incarnation", "begin", "scenario"), SCALARS),
+    ).map(lambda values: json.dumps(values, default=str)),
+    ANYTHING.map(lambda value: json.dumps(value, default=str)),
+    st.sampled_from(["[" * 3_000, "9" * 5_000, "", "\udcff"]),
+)
+
+
+@given(JOIN_FILES)
+@fuzz
+def test_no_join_file_crashes_an_agent(tmp_path_factory: pytest.TempPathFactory, text: str) -> None:
+    """Any file that is none is refused in words, and so is one that leads nowhere."""
+    path = tmp_path_factory.getbasetemp() / "join-fuzzed.json"
+    path.touch(0o600)
+    path.write_bytes(text.encode("utf-8", "surrogateescape"))
+    with pytest.raises(JoinError) as caught:
+        serve_agent(Joining.read(path), lambda _: None)
+    assert 0 < len(str(caught.value)) < 1000

@@ -193,6 +193,17 @@ def test_a_slow_publisher_holds_the_position() -> None:
     assert list(player.due(3 * S, ALL)) == [1]
 
 
+@given(st.integers(0, 10 * S), st.integers(0, 100 * S))
+def test_an_absence_changes_nothing_but_the_time(at: int, away: int) -> None:
+    """Whoever was suspended goes on where it was: the same messages, as much later, none of them late."""
+    times = [n * S // 4 for n in range(40)]
+    stayed, left = Player(times, 0, times[-1]), Player(times, 0, times[-1])
+    left.stood_still(away)
+    assert left.position(at + away) == stayed.position(at)
+    assert left.due(at + away, 100) == stayed.due(at, 100)
+    assert (left.missed, left.wait_ns(at + away)) == (stayed.missed, stayed.wait_ns(at))
+
+
 def test_metronome_leaves_out_what_it_slept_through() -> None:
     metronome = Metronome(10.0, 0)
     beats = [now for now in range(0, S, S // 100) if metronome.beats(now)]
@@ -206,6 +217,9 @@ def test_pace() -> None:
     values = [pace.tell(now, 2 * now) for now in range(0, 5 * S, S // 10)]
     assert values[0] == 0 and values[-1] == 2
     assert pace.tell(6 * S, 0) == 2  # a seek back is no pace
+    pace.restart()
+    assert pace.tell(7 * S, 50 * S) == 2  # nor one forward, if it is told
+    assert pace.tell(8 * S, 53 * S) == 3
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import errno
 import importlib.util
 import json
 import re
@@ -17,12 +18,17 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 import fleet
+from fleet.arrays import FaultInterval
 from fleet.cli import cli
 from fleet.cli_log import KINDS
 from fleet.export import ExportError, columns, export
 from fleet.pictures import PER_RUN, WHAT, Look, draw, exchange, load, signals
+from fleet.pictures.axes import shade
 from fleet.pictures.runs import NothingToDraw, Run, with_gaps
-from fleet.report import _from_log, page
+from fleet.plotting import panels, plain_decades
+from fleet.report import ReportError, _from_log, page
+from fleet.report import write as write_report
+from fleet.report_tables import links_table
 from fleet.run import Options, execute
 from fleet.scenario import load_scenario
 from netem.impairment import CAUSES, DELIVERED, IN_FLIGHT
@@ -399,6 +405,8 @@ def test_plot_beside_the_log_and_of_a_cut_one(directories: dict[str, Path]) -> N
         (["--window", "5s..1s"], "the earlier first"),
         (["--window", "1..2"], "without a unit"),
         (["--vehicles", "x"], "--vehicles"),
+        (["--vehicles", "1,9"], "there is no vehicle 9: they are 1"),
+        (["--window", "90s..91s"], "the log ends at 1 s"),
         (["--compare", "nowhere.mcap"], "cannot read nowhere.mcap"),
         (["-o", "/dev/null/x"], "cannot write pictures"),
     ],
@@ -482,6 +490,49 @@ def test_report_says_what_is_missing(directories: dict[str, Path], tmp_path: Pat
     assert "cannot be read" in " ".join(Page(page(load([other]), Look())).words)
 
 
+def test_a_report_that_finds_no_room_leaves_nothing(
+    directories: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("fleet.report.page", full)
+    with pytest.raises(ReportError, match="No space left"):
+        write_report(tmp_path / "r.html", load([directories["one"]]), Look())
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_tables_of_a_report() -> None:
+    """Columns that hold nothing are left out, and what was replaced is not called lost."""
+    account = {"sent": 9, "duplicated": 0, "delivered": 2, "in_flight": 0, "corrupted": 0}
+    page = Page(links_table({"1->2": account | {"lost": {"snr": 1, "replaced": 6}}}, {}))
+    words = [word for word in page.words if word.strip()]
+    headings = ["link", "sent", "delivered", "replaced", "lost: snr", "mean age [s]", "95 % [s]", "max [s]"]
+    assert words[: words.index("all")] == headings
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "shown"), [(0.15, 5.5, "0.2 0.5 1 2 5"), (0.02, 30.0, "0.1 1 10"), (1e-6, 9.0, None)]
+)
+def test_ticks_of_a_logarithmic_axis(low: float, high: float, shown: str | None) -> None:
+    """Plain numbers over few decades, powers of ten over many."""
+    figure, (ax,) = panels(1, 1)
+    ax.set_yscale("log")
+    ax.set_ylim(low, high)
+    plain_decades(ax.yaxis)
+    figure.canvas.draw()
+    inside = [t.label1.get_text() for t in ax.yaxis.get_major_ticks() if low <= t.get_loc() <= high]
+    assert " ".join(inside) == shown if shown else all("10^" in text for text in inside)
+
+
+def test_names_of_faults_that_find_no_room_are_shortened() -> None:
+    many = [FaultInterval(f"f{n} (one run, another)", float(n), n + 0.5, "kill 1") for n in range(10)]
+    _, (ax,) = panels(1, 1)
+    ax.set_xlim(0.0, 100.0)
+    shade([ax], many)
+    assert [text.get_text() for text in ax.texts] == [f"f{n}" for n in range(10)]
+
+
 @pytest.mark.usefixtures("few")
 def test_report_of_two_runs_with_verdicts_and_names_that_are_html(tmp_path: Path) -> None:
     first = execute(
@@ -495,6 +546,7 @@ def test_report_of_two_runs_with_verdicts_and_names_that_are_html(tmp_path: Path
     assert "&lt;b&gt;&amp;&lt;/b&gt;" in text
     assert "FAIL" in found.words and "check failed" in " ".join(found.words)
     assert "The runs together" in found.words
+    assert [w for w in found.words if w in ("checks passed", "0 of 1", "never")][:2] == ["checks passed", "0 of 1"]
     assert len({run.label for run in both}) == 2
 
 

@@ -406,6 +406,9 @@ def test_ten_mistakes_in_one_pass(monkeypatch: pytest.MonkeyPatch) -> None:
         ("graph.reference=[4]", "there is no vehicle 4"),
         ("graph.reference=[1, 1]", "vehicle 1 is given twice"),
         ("graph.reference=some", 'expected "all" or a list'),
+        ("graph.reference=1-x", "expected vehicle numbers"),
+        ("graph.reference=true", 'expected "all" or a list'),
+        ("graph.reference=2-4", "there is no vehicle 4"),
         ("initial=3 m", "expected a list with one entry per vehicle, or a scatter"),
         ("initial=[{position: 0 0 0 m}]", "expected 3 entries"),
         ("initial=[{}, {position: 0 0 0 m}, {position: 0 0 0 m}]", '"position" is missing in "initial.1"'),
@@ -623,3 +626,16 @@ def test_any_damage_to_a_scenario_is_accepted_or_a_scenario_error(data: st.DataO
         parse_scenario("\n".join(lines), "t.yaml")
     except ScenarioError as error:
         assert str(error)  # noqa: PT017
+
+
+@pytest.mark.parametrize(
+    ("text", "b"), [("2", (0, 1, 0)), ("1-2", (1, 1, 0)), ('"1, 3"', (1, 0, 1)), ("[3]", (0, 0, 1))]
+)
+def test_who_follows_the_reference(text: str, b: tuple[int, ...]) -> None:
+    """Vehicles are named as everywhere else, or in a list; what is printed is read back to the same."""
+    s = small(f"graph.reference={text}")
+    assert tuple(s.b) == b
+    assert parse_scenario(s.to_yaml(), "again.yaml").b == s.b
+    written = SMALL.replace("shape: path", f"shape: path, reference: {text}, ahead: 1")
+    if b[:2] != (0, 0):
+        assert tuple(parse_scenario(written, "t.yaml", ["vehicles=2"]).b) == b[:2]

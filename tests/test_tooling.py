@@ -5,10 +5,12 @@ from __future__ import annotations
 import re
 import subprocess
 import sys
+from dataclasses import fields
 from pathlib import Path
 
 import pytest
 
+from fleet import slice_fields
 from fleet.protocol import page
 
 ROOT = Path(__file__).parent.parent
@@ -67,6 +69,12 @@ def test_paper_page_links_lead_to_what_they_name() -> None:
             wrong.append(f"{text} is not on line {number} of {path}, but on {now[:5]}")
     assert not wrong
     assert re.findall(r"^\*\*G(\d+)\.", page_text, re.MULTILINE) == [str(n) for n in range(1, 32)]
+
+
+@pytest.mark.parametrize("cls", slice_fields.FIELDS)
+def test_the_protocol_page_knows_every_field_of_a_slice(cls: type) -> None:
+    """And calls them by the keys under which they travel, in their order."""
+    assert list(slice_fields.FIELDS[cls]) == [field.name for field in fields(cls)]
 
 
 def test_protocol_page_is_current() -> None:

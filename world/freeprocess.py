@@ -6,12 +6,13 @@ from pathlib import Path
 from time import monotonic_ns
 from typing import Any
 
-from netem.access import Credentials
+from netem.access import Credentials, Door
 from netem.audit import Refusals
-from netem.bus import Bus
+from netem.bus import Bus, quiet_zenoh
 from netem.keys import Keys
 from netem.messages import Pace as Begins
 from netem.messages import encode
+from netem.shell import end_with_link
 from netem.spread import Spread
 from world.config import WorldConfig
 from world.freerun import FreeRun
@@ -29,14 +30,26 @@ def run(
     private: Path,
     config: WorldConfig,
     frame_every: int,
-    audit: bool,
     speed: float,
+    door: Door | None = None,
+    audit: bool = False,
 ) -> None:
     """Host the router and serve the sea of a run, `speed` times as fast as real, until the process is ended."""
     keys = Keys(run_id)
-    bus, refusals = host(endpoint, keys, credentials, private, config, audit=audit)
+    bus, refusals = host(endpoint, keys, credentials, private, config, door, audit=audit)
     pace = Pace(round(config.tick_ns / speed))
     FreeWorldProcess(bus, keys, FreeRun(config, frame_every=frame_every), pace, refusals).serve()
+
+
+def join(
+    endpoint: str, run_id: str, credentials: Credentials, config: WorldConfig, frame_every: int, speed: float
+) -> None:
+    """Serve the sea of a run through a router that is there already; as `run` otherwise."""
+    quiet_zenoh()
+    bus = Bus.connect(endpoint, credentials)
+    end_with_link(bus, credentials)
+    free = FreeRun(config, frame_every=frame_every)
+    FreeWorldProcess(bus, Keys(run_id), free, Pace(round(config.tick_ns / speed))).serve()
 
 
 class FreeWorldProcess(WorldProcess):

@@ -134,7 +134,7 @@ class Lockstep:
         if command.incarnation != self.incarnation(i):
             raise OutOfPlace("incarnation", self.incarnation(i), command.incarnation)
         size = self._telemetry_size[i]
-        if size not in (None, len(command.telemetry)):
+        if command.telemetry and size not in (None, len(command.telemetry)):
             raise OutOfPlace("telemetry values", size, len(command.telemetry))
 
     def remember(self, i: int, memory: Memory) -> None:

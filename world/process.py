@@ -9,9 +9,10 @@ from typing import Any
 
 import msgpack
 
-from netem.access import Credentials, agent_role
+from netem.access import WORLD as WORLD
+from netem.access import Credentials, Door, agent_role
 from netem.audit import Refusals, listen
-from netem.bus import PART_BYTES, Bus, Respond
+from netem.bus import PART_BYTES, Bus, Respond, quiet_zenoh
 from netem.errors import MalformedMessage, OutOfPlace
 from netem.keys import Keys
 from netem.lives import Absence
@@ -20,6 +21,7 @@ from netem.messages import (
     Ailments,
     Command,
     Death,
+    End,
     Frame,
     Frames,
     Grant,
@@ -33,14 +35,13 @@ from netem.messages import (
     pieces,
     split,
 )
-from netem.shell import Shell, expect, read_map, vehicle_of
+from netem.shell import Shell, end_with_link, expect, read_map, vehicle_of
 from world.config import WorldConfig
 from world.faults import WorldFault
 from world.lockstep import Lockstep, NavTo, Out
 
 log = logging.getLogger(__name__)
 
-WORLD = "world"
 FRAMES_PER_MESSAGE = 10
 _ECHO = encode(Hello(WORLD, 0, 0, PROTOCOL_VERSION, True))
 _PROBE = encode(Hello(WORLD, 0, 0, PROTOCOL_VERSION, False))
@@ -53,6 +54,7 @@ def run(
     private: Path,
     config: WorldConfig,
     frame_every: int,
+    door: Door | None = None,
     audit: bool = False,
 ) -> None:
     """Host the router and serve the sea of a run until the process is ended.
@@ -61,20 +63,39 @@ def run(
         audit: tell also which messages the router refuses, not only which logins.
     """
     keys = Keys(run_id)
-    bus, refusals = host(endpoint, keys, credentials, private, config, audit=audit)
+    bus, refusals = host(endpoint, keys, credentials, private, config, door, audit=audit)
     WorldProcess(bus, keys, Lockstep(config, frame_every=frame_every), refusals).serve()
 
 
 def host(
-    endpoint: str, keys: Keys, credentials: dict[str, Credentials], private: Path, config: WorldConfig, *, audit: bool
+    endpoint: str,
+    keys: Keys,
+    credentials: dict[str, Credentials],
+    private: Path,
+    config: WorldConfig,
+    door: Door | None,
+    *,
+    audit: bool,
 ) -> tuple[Bus, Refusals]:
     """The run's router, and what it refuses."""
     refusals = Refusals()
     listen(refusals, decisions=audit)
-    bus = Bus.host(endpoint, keys, tuple(setup.id for setup in config.vehicles), credentials, private)
+    bus = Bus.host(endpoint, keys, tuple(setup.id for setup in config.vehicles), credentials, private, door)
     if audit:
         bus.watch_ends(refusals.end)
     return bus, refusals
+
+
+def join(endpoint: str, run_id: str, credentials: Credentials, config: WorldConfig, frame_every: int) -> None:
+    """Serve the sea of a run through a router that is there already.
+
+    Raises:
+        BusError: the router does not let us in.
+    """
+    quiet_zenoh()
+    bus = Bus.connect(endpoint, credentials)
+    end_with_link(bus, credentials)
+    WorldProcess(bus, Keys(run_id), Lockstep(config, frame_every=frame_every)).serve()
 
 
 class WorldProcess:
@@ -209,11 +230,11 @@ class WorldProcess:
     def _control(self, key: str, data: bytes, respond: Respond) -> None:
         """Answer the console, on a zenoh thread: it only reads, and must be heard while the main thread waits."""
         try:
-            op = read_map(data).get("op")
+            request = read_map(data)
         except MalformedMessage as error:
             respond(msgpack.packb({"error": str(error)}))
             return
-        match op:
+        match request.get("op"):
             case "ready":
                 self._round(_PROBE)
                 self._frame(_ECHO)
@@ -223,6 +244,10 @@ class WorldProcess:
                 respond(msgpack.packb({"waiting": waiting}))
             case "ticks":
                 respond(msgpack.packb({"ticks": [[i, self._lockstep.tick_of(i)] for i in self._ids]}))
+            case "dismiss":
+                for i, incarnation, tick in request["agents"]:
+                    self._nav[i](encode(End(incarnation, tick, request["reason"])))
+                respond(msgpack.packb({}))
             case "close":
                 counts = {"sent": self._sent, "received": self._received}
                 rejected = self._shell.rejected | self._refusals.counts

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 from fleet.errors import FleetError
 from fleet.pictures import exchange, signals, timing, track
-from fleet.pictures.runs import Look, NothingToDraw, Run, load
+from fleet.pictures.runs import Look, NothingToDraw, Run, check_look, load
 from fleet.plotting import save
 
 Draw = Callable[[Sequence[Run], Look], Figure]
@@ -88,4 +88,4 @@ class PictureError(FleetError):
     """The pictures cannot be written."""
 
 
-__all__ = ["WHAT", "Look", "NothingToDraw", "PictureError", "Run", "draw", "load", "write"]
+__all__ = ["WHAT", "Look", "NothingToDraw", "PictureError", "Run", "check_look", "draw", "load", "write"]

@@ -189,18 +189,30 @@ def shade(axes: Sequence[Axes], intervals: Sequence[FaultInterval]) -> None:
     _name(axes[0], faults, first, last)
 
 
-def _name(ax: Axes, faults: Sequence[FaultInterval], first: float, last: float) -> None:
-    """Each fault's id above the axis where it begins, in as many rows as are needed so that none covers another."""
+def _rows(
+    faults: Sequence[FaultInterval], texts: Sequence[str], first: float, last: float
+) -> list[tuple[str, float, int]]:
+    """(text, where it begins [s], row from below) of those that find room."""
     per_character = 0.62 * LABEL_PT / 72.0 / SPAN_IN * (last - first)
     rows: list[float] = []  # until where each is taken
-    for fault in faults:
-        text = fault.id if len(fault.id) <= 32 else f"{fault.id[:31]}…"
+    placed = []
+    for fault, text in zip(faults, texts, strict=True):
         width = (len(text) + 1) * per_character
         begin = max(min(max(fault.begin, first), last - width), first)
         row = next((k for k, taken in enumerate(rows) if taken <= begin), len(rows))
-        if row == LABEL_ROWS:
-            continue
-        rows[row : row + 1] = [begin + width]
+        if row < LABEL_ROWS:
+            rows[row : row + 1] = [begin + width]
+            placed.append((text, begin, row))
+    return placed
+
+
+def _name(ax: Axes, faults: Sequence[FaultInterval], first: float, last: float) -> None:
+    """Each fault's id above the axis where it begins, in as many rows as are needed so that none covers another."""
+    texts = [fault.id if len(fault.id) <= 32 else f"{fault.id[:31]}…" for fault in faults]
+    placed = _rows(faults, texts, first, last)
+    if len(placed) < len(faults):  # rather without the runs that they belong to than not at all
+        placed = _rows(faults, [text.split(" (")[0] for text in texts], first, last)
+    for text, begin, row in placed:
         ax.annotate(
             text,
             (begin, 1.0),

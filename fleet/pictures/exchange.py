@@ -18,8 +18,9 @@ from fleet.colours import COLOURS
 from fleet.fields import vehicle_numbers
 from fleet.pictures.axes import SPAN_IN, finish, legend_of, marks_legend, over_time
 from fleet.pictures.runs import Look, NothingToDraw, Run
+from fleet.plotting import plain_decades
 from netem.config import Link
-from netem.impairment import DELIVERED, IN_FLIGHT
+from netem.impairment import DELIVERED, IN_FLIGHT, REPLACED
 
 CORRUPTED = "corrupted"
 # Fate -> (mark, colour). Every one has a mark of its own, so that colour is never the only difference; what tends to
@@ -33,7 +34,7 @@ FATES: dict[str, tuple[str, str]] = {
     "partition": ("s", "#0072B2"),
     "mute": ("^", "#CC79A7"),
     "queue": ("D", "#009E73"),
-    "replaced": ("P", "#CC79A7"),
+    "replaced": ("P", "#BBBBBB"),  # the many that an acoustic modem never sends: behind everything else
     "mtu": ("<", "#000000"),
     "range": (">", "#0072B2"),
     "half duplex": ("h", "#009E73"),
@@ -100,11 +101,11 @@ def timeline(runs: Sequence[Run], look: Look) -> Figure:
     for name in sorted(by_fate, key=_rank):
         mark, colour = _style(name)
         x, y = (np.concatenate(part) for part in zip(*by_fate[name], strict=True))
-        thin = name == DELIVERED
+        thin, behind = name == DELIVERED, name == REPLACED
         width = float(np.clip(0.3 * size, 0.4, 1.2)) if thin else 0.7
         ax.plot(
             x, y, linestyle="", marker=mark, color=colour, markersize=tall if thin else size, markeredgewidth=width,
-            zorder=2 if thin else 3, rasterized=total > _RASTER, gid=f"fate-{name}",
+            zorder=1.5 if behind else 2 if thin else 3, rasterized=total > _RASTER, gid=f"fate-{name}",
         )  # fmt: skip
         handles.append(
             Line2D([], [], linestyle="", marker=mark, color=colour, markersize=5, label=f"{name} ({len(x)})")
@@ -248,11 +249,16 @@ def ages(runs: Sequence[Run], look: Look) -> Figure:
             )
     solid = ["oldest link"] if len(runs) == 1 else [f"{run.label}: oldest" for run in runs]
     legend_of(
-        figure, [*((name, COLOURS[r % len(COLOURS)], "-") for r, name in enumerate(solid)), ("median link", "0.3", ":")]
+        figure,
+        [
+            *((name, COLOURS[r % len(COLOURS)], "-") for r, name in enumerate(solid)),
+            ("median link", COLOURS[0] if len(runs) == 1 else "0.3", ":"),
+        ],
     )
     axes[0].set_ylabel("age [s]")
     if look.log_scale and finite.max() > 0.0:  # without latency, every age is 0
         axes[0].set_yscale("log", nonpositive="mask")
+        plain_decades(axes[0].yaxis)
     else:
         axes[0].set_ylim(0.0, None)
     for ax, (run, links), table in zip(axes[1:], tables, peaks, strict=True):
@@ -264,6 +270,7 @@ def ages(runs: Sequence[Run], look: Look) -> Figure:
         ax.grid(False)
     bar = figure.colorbar(mesh, ax=axes[1:], location="right", aspect=18, pad=0.02)
     bar.set_label("age [s]")
+    plain_decades(bar.ax.yaxis)
     finish(figure, axes, runs, look)
     return figure
 

@@ -32,6 +32,22 @@ class Look:
     window: tuple[float, float] | None = None  # s
 
 
+class LookError(FleetError):
+    """What was asked to be shown is in none of the logs."""
+
+
+def check_look(runs: Sequence[Run], look: Look) -> None:
+    """Raises LookError: there is no such vehicle, or the logs end before the window begins."""
+    known = sorted({i for run in runs for i in run.log.vehicles})
+    strangers = [i for i in look.vehicles or () if i not in known]
+    if strangers:
+        there = f"they are {first_words(known, 12)}" if known else "there are none in the log"
+        raise LookError(f"there is no vehicle {first_words(strangers)}: {there}")
+    end = max(run.log.end for run in runs)
+    if look.window is not None and look.window[0] >= end:
+        raise LookError(f"there is nothing from {look.window[0]:g} s on: the log ends at {end:g} s")
+
+
 @dataclass
 class Run:
     """One log, and what it is called in a legend."""

@@ -12,6 +12,7 @@ from fleet.arrays import Array
 from fleet.pictures.axes import Get, draw_lines, finish, over_time
 from fleet.pictures.axes import bounds as draw_bounds
 from fleet.pictures.runs import Look, Run
+from fleet.plotting import plain_decades
 from fleet.tuning import Control
 
 FORCES = (("surge force", "N"), ("pitch moment", "N m"), ("yaw moment", "N m"))
@@ -61,6 +62,7 @@ def _logarithmic(ax: Axes) -> None:
     ax.set_yscale("log", nonpositive="mask")
     if low < 1e-6:
         ax.set_ylim(1e-6, None)
+    plain_decades(ax.yaxis)
 
 
 def _values(ax: Axes) -> list[Array]:

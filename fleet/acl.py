@@ -1,0 +1,83 @@
+"""The configuration of a zenoh router that is there already, so that it lets one run in and keeps its roles apart."""
+
+from __future__ import annotations
+
+import json
+import os
+import secrets
+from pathlib import Path
+from typing import Any
+
+from fleet.certs import CA, SERVER, path
+from fleet.hosts import HostsError, new_credentials
+from netem.access import access_control
+from netem.bus import router_settings
+from netem.keys import Keys
+
+CONFIG, USERS, CREDENTIALS = "router.json5", "users", "credentials.json"
+
+
+def config(run: str, vehicles: int, listen: str, users: str, certs: Path | None, *, mutual: bool, lease_ms: int) -> str:
+    """A configuration file for zenohd; the passwords are in the file it names, not here.
+
+    Args:
+        users: path of the file of users and passwords, as the router sees it.
+        certs: the directory of the router's certificate, as the router sees it, for tls.
+        mutual: clients must show certificates.
+    """
+    numbers = tuple(range(1, vehicles + 1))
+    values: dict[str, Any] = {"mode": "router", "listen": {"endpoints": [listen], "exit_on_failure": True}}
+    for name, value in router_settings(vehicles, lease_ms).items():
+        _put(values, name, value)
+    _put(values, "transport/auth/usrpwd/dictionary_file", users)
+    if certs is not None:
+        tls = "transport/link/tls"
+        _put(values, f"{tls}/root_ca_certificate", str(path(certs, CA)))
+        _put(values, f"{tls}/listen_certificate", str(path(certs, SERVER)))
+        _put(values, f"{tls}/listen_private_key", str(path(certs, SERVER, key=True)))
+        _put(values, f"{tls}/enable_mtls", mutual)
+    values["access_control"] = access_control(Keys(run), numbers, prefix=f"{run}-", world=True)
+    head = (
+        f"// A zenoh router for run {run} of uuv-fleet, {vehicles} vehicles: zenohd -c {CONFIG}\n"
+        "// In a router that serves others, too, merge the three lists of access_control into its own, and the users\n"
+        "// into its file of users. Everything that no rule allows is denied.\n"
+    )
+    return head + json.dumps(values, indent=2) + "\n"
+
+
+def write(directory: Path, run: str, vehicles: int, text: str, *, force: bool = False) -> None:
+    """Write the configuration, the router's file of users, and the credentials file for `fleet run`.
+
+    Raises:
+        HostsError: files are in the way, or the directory cannot be written.
+    """
+    credentials = new_credentials(run, vehicles)
+    users = "".join(f"{user}:{password}\n" for user, password in credentials["users"].values())
+    there = [name for name in (CONFIG, USERS, CREDENTIALS) if (directory / name).exists()]
+    if there and not force:
+        raise HostsError(
+            f"{directory} holds {', '.join(there)} already; --force replaces them, and then the router needs the new "
+            "ones, too; or choose another directory"
+        )
+    try:
+        if not directory.exists():
+            directory.mkdir(mode=0o700, parents=True)
+        _write(directory / CONFIG, text, 0o644)
+        _write(directory / USERS, users, 0o600)
+        _write(directory / CREDENTIALS, json.dumps(credentials, indent=2) + "\n", 0o600)
+    except OSError as error:
+        raise HostsError(f"{directory} cannot be written: {error.strerror}") from None
+
+
+def _put(values: dict[str, Any], name: str, value: Any) -> None:
+    *parents, last = name.split("/")
+    for parent in parents:
+        values = values.setdefault(parent, {})
+    values[last] = value
+
+
+def _write(file: Path, text: str, mode: int) -> None:
+    temporary = file.with_name(f".{file.name}-{secrets.token_hex(4)}")
+    with os.fdopen(os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode), "w") as out:
+        out.write(text)
+    os.replace(temporary, file)

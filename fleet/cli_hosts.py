@@ -1,0 +1,207 @@
+"""The commands that prepare a run over several hosts, certs and acl, and the options of `fleet run` for it."""
+
+from __future__ import annotations
+
+import secrets
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import click
+
+from fleet.completion import scenarios
+from fleet.errors import FleetError
+from fleet.quantities import TIME, QuantityError, parse
+
+if TYPE_CHECKING:
+    from fleet.hosts import Meeting
+    from fleet.scenario import Scenario
+
+F = TypeVar("F", bound=Callable[..., Any])
+_LEASES_S = (2, 3600)
+
+
+class Lease(click.ParamType[int]):
+    """A time, in ms."""
+
+    name = "time"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> int:
+        try:
+            seconds = parse(value, TIME)[0]
+        except QuantityError as error:
+            self.fail(error.message, param, ctx)
+        if not _LEASES_S[0] <= seconds <= _LEASES_S[1]:
+            self.fail(f"expected {_LEASES_S[0]} s to {_LEASES_S[1]} s, got {value!r}", param, ctx)
+        return int(seconds * 1000)
+
+
+_LEASE = click.option("--lease", metavar="TIME", type=Lease(), default="20 s", show_default=True,
+                      help="How long a silent link between hosts is kept.")  # fmt: skip
+
+
+def hosts_options(command: F) -> F:
+    """The options of `fleet run` that say how it meets agents on other hosts; `meeting` reads them."""
+    folder, file = (click.Path(path_type=Path, file_okay=dir_, dir_okay=not dir_) for dir_ in (False, True))
+    for option in (
+        _LEASE,
+        click.option("--credentials", metavar="FILE", type=file, help="With --router: what fleet acl -o wrote."),
+        click.option("--router", metavar="ENDPOINT", help="Join this zenoh router instead of hosting one."),
+        click.option("--mutual-tls", is_flag=True, help="External agents show client certificates, too."),
+        click.option("--advertise", metavar="HOST", multiple=True,
+                     help="With --listen: how agents reach this host; repeatable."),
+        click.option("--certs", metavar="DIR", type=folder, help="Certificates for tls, made by fleet certs."),
+        click.option("--listen", metavar="ENDPOINT",
+                     help="Also listen for agents on other hosts, e.g. tls/0.0.0.0:7447."),
+    ):  # fmt: skip
+        command = option(command)
+    return command
+
+
+def meeting(scenario: Scenario, options: dict[str, Any], *, in_process: bool) -> Meeting | None:
+    """What the options of `hosts_options` say; None without any.
+
+    Raises:
+        FleetError: they do not go together, or with the scenario.
+    """
+    given = [name for name in ("listen", "router", "certs", "advertise", "mutual_tls", "credentials") if options[name]]
+    if not given:
+        return None
+    from fleet.hosts import HostsError, check_free, listening, through_router
+
+    listen, router = options["listen"], options["router"]
+    spelt = "--" + given[0].replace("_", "-")
+    if in_process:
+        raise HostsError(f"{spelt}: a run in one process has no router that others could join")
+    if bool(listen) == bool(router):
+        raise HostsError("either --listen or --router, not both" if listen else f"{spelt} needs --listen or --router")
+    common = {name: options[name] for name in ("certs",)} | {
+        "external": scenario.external, "mutual": options["mutual_tls"], "lease_ms": options["lease"]
+    }  # fmt: skip
+    if options["lease"] >= scenario.spec.stall_timeout / 1e6:
+        raise HostsError(
+            f"--lease {options['lease'] / 1000:g} s is no shorter than stall_timeout {scenario.stall_timeout_s:g} s: "
+            f"the run would break before a silent link ends: --set stall_timeout='{options['lease'] / 500:g} s'"
+        )
+    if listen:
+        if options["credentials"]:
+            raise HostsError("--credentials is for --router: a router of its own makes fresh ones")
+        found = listening(listen, advertise=options["advertise"], **common)
+        check_free(listen)
+        if not scenario.external:
+            nobody = (
+                "--listen: no vehicle is external, so nobody can join; say who: --set external=true for all of them"
+            )
+            found = replace(found, warnings=(*found.warnings, nobody))
+        return found
+    if options["advertise"]:
+        raise HostsError("--advertise is for --listen: agents are told the endpoint of --router")
+    if not options["credentials"]:
+        raise HostsError("--router needs --credentials FILE, which fleet acl SCENARIO -o DIR writes")
+    return through_router(router, options["credentials"], scenario.vehicles, **common)
+
+
+@click.command()
+@click.argument("directory", metavar="DIR", type=click.Path(path_type=Path, file_okay=False))
+@click.option("--host", "hosts", metavar="NAME_OR_IP", multiple=True,
+              help="Under which agents reach the router; repeatable. Loopback is always added.")  # fmt: skip
+@click.option("--agents", metavar="N", type=click.IntRange(0, 1000), default=0,
+              help="For mutual TLS: client certificates for agents 1 to N, and for the run itself.")  # fmt: skip
+@click.option("--days", metavar="N", type=click.IntRange(1, 3650), default=365, show_default=True,
+              help="How long all of them are valid.")  # fmt: skip
+@click.option("--force", is_flag=True, help="Replace what is there.")
+def certs(directory: Path, hosts: tuple[str, ...], agents: int, days: int, force: bool) -> None:
+    """Make a certificate authority and a router's certificate in DIR, for runs over several hosts.
+
+    The authority's own key is not kept: nothing else can ever be signed with it. Keys are readable by you alone.
+
+    \b
+    Examples:
+      fleet certs certs --host sea.example.org --host 192.0.2.7
+      fleet certs certs --host 192.0.2.7 --agents 4      also client certificates, for --mutual-tls
+    """
+    from fleet.certs import ALWAYS, make
+
+    try:
+        make(directory, hosts, agents=agents, days=days, force=force)
+    except FleetError as error:
+        _fail(error)
+    click.echo(f"wrote {directory}: a router's certificate for {', '.join([*hosts, *ALWAYS])}", err=True)
+    if not hosts:
+        click.echo("warning: agents on other hosts cannot use it: name this host with --host", err=True)
+
+
+@click.command()
+@click.argument("scenario", shell_complete=scenarios)
+@click.option("-o", "--out", "out", metavar="DIR", type=click.Path(path_type=Path, file_okay=False),
+              help="Write router.json5, users and credentials.json there; without it, print the first.")  # fmt: skip
+@click.option("--run", "run", metavar="ID", help="The run's id; by default a random one.")
+@click.option("--listen", metavar="ENDPOINT", default="tls/0.0.0.0:7447", show_default=True,
+              help="Where the router listens.")  # fmt: skip
+@click.option("--certs", metavar="DIR", type=click.Path(path_type=Path, file_okay=False),
+              help="Where the router finds its certificate, for tls.")  # fmt: skip
+@click.option("--mutual-tls", is_flag=True, help="The router asks clients for certificates.")
+@click.option("--users-file", metavar="PATH", type=click.Path(path_type=Path),
+              help="Where the router finds the users; by default in DIR.")  # fmt: skip
+@_LEASE
+@click.option("--set", "overrides", metavar="KEY=VALUE", multiple=True, help="Override one scenario key.")
+@click.option("--force", is_flag=True, help="Replace what is there.")
+def acl(
+    scenario: str,
+    out: Path | None,
+    run: str | None,
+    listen: str,
+    certs: Path | None,
+    mutual_tls: bool,
+    users_file: Path | None,
+    lease: int,
+    overrides: tuple[str, ...],
+    force: bool,
+) -> None:
+    """Print the configuration with which an existing zenoh router serves a run of SCENARIO.
+
+    Passwords are never printed: with -o they go into files that you alone can read, one for the router and one for
+    fleet run --credentials.
+
+    \b
+    Examples:
+      fleet acl paper -o acl --certs certs
+      zenohd -c acl/router.json5                       on the router's host
+      fleet run paper --router tls/sea.example.org:7447 --credentials acl/credentials.json --certs certs
+    """
+    from fleet import acl as lists
+    from fleet.hosts import HostsError, parse_endpoint, run_id
+    from fleet.scenario import load_scenario
+
+    try:
+        vehicles = load_scenario(scenario, overrides).vehicles
+        endpoint = parse_endpoint(listen, "--listen")
+        if endpoint.protocol == "tls" and certs is None:
+            raise HostsError(
+                f"{endpoint} needs certificates: --certs DIR, made with fleet certs DIR --host NAME; or tcp/"
+            )
+        if endpoint.protocol == "tcp" and (certs or mutual_tls):
+            raise HostsError("--certs and --mutual-tls are for tls/ endpoints")
+        name = secrets.token_hex(4) if run is None else run_id(run)
+        users = users_file or (out or Path()).absolute() / lists.USERS
+        place = certs.absolute() if certs else None
+        text = lists.config(name, vehicles, str(endpoint), str(users), place, mutual=mutual_tls, lease_ms=lease)
+        if out is None:
+            click.echo(text, nl=False)
+            return
+        lists.write(out, name, vehicles, text, force=force)
+    except FleetError as error:
+        _fail(error)
+    click.echo(
+        f"wrote {out}: {lists.CONFIG} and {lists.USERS} for the router, {lists.CREDENTIALS} for the run", err=True
+    )
+
+
+COMMANDS = (certs, acl)
+
+
+def _fail(error: FleetError) -> Any:
+    click.echo(f"fleet: {error}", err=True)
+    sys.exit(2)

@@ -1,0 +1,98 @@
+"""The command that takes part in a run from outside: agent."""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+from typing import Any, NoReturn
+
+import click
+
+_AGENT = (
+    "Exit status: 0 the run, or this agent's part in it, is over; 2 it cannot join; 3 the run went away or the law "
+    "failed; 130 Ctrl-C."
+)
+
+
+class Wait(click.ParamType[float]):
+    """A time, in seconds."""
+
+    name = "time"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        from fleet.quantities import QuantityError, time_ns
+
+        if isinstance(value, float):
+            return value
+        try:
+            return time_ns(str(value)) / 1e9
+        except QuantityError as error:
+            self.fail(f"{error}; write it as in '300 s'", param, ctx)
+
+
+@click.command(epilog=_AGENT)
+@click.option(
+    "--join",
+    "path",
+    metavar="FILE",
+    required=True,
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="The join-<i>.json that fleet run wrote for an external vehicle.",
+)
+@click.option("-q", "--quiet", is_flag=True, help="Say nothing but errors.")
+def agent(path: Path, quiet: bool) -> None:
+    """Run the agent of an external vehicle here, in this terminal, until the run is over.
+
+    It is the agent that fleet run would have started: the scenario says which laws it runs, and the log is the same.
+
+    \b
+    Examples:
+      fleet run paper --set "per_vehicle={3: {external: true}}"     in one terminal; in another:
+      fleet agent --join runs/latest/join-3.json
+    """
+    import setproctitle
+
+    from agents.join import JoinError, Joining, serve
+    from netem.bus import quiet_zenoh
+
+    def tell(text: str) -> None:
+        if not quiet:
+            click.echo(text, err=True)
+
+    joined = False
+
+    def begun(text: str) -> None:
+        nonlocal joined
+        joined = True
+        tell(f"{text}; Ctrl-C leaves it")
+
+    sys.path.append(os.getcwd())  # for laws that are not installed, as where the run was started
+    try:
+        joining = Joining.read(path)
+        setproctitle.setproctitle(f"fleet agent {joining.vehicle} [{joining.scenario}]")
+        quiet_zenoh()
+        end = serve(joining, begun)
+    except JoinError as error:
+        click.echo(f"fleet: {error}", err=True)
+        _leave(3 if joined else 2)
+    except KeyboardInterrupt:
+        tell("left the run")
+        _leave(130)
+    except SystemExit:
+        _leave(3)  # the law failed, and what it raised has been printed
+    except Exception as error:
+        click.echo(f"fleet: the law failed: {type(error).__name__}: {error}", err=True)
+        _leave(3)
+    tell(f"agent {joining.vehicle}: {end.reason}")
+    _leave(0)
+
+
+def _leave(status: int) -> NoReturn:
+    # At once: the interpreter's own way out waits for the thread that waits for a nav.
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(status)
+
+
+COMMANDS = (agent,)

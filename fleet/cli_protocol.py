@@ -1,0 +1,75 @@
+"""The commands for whoever writes an agent in another language: protocol, and its check."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import click
+
+from fleet.cli_join import Wait
+from fleet.completion import scenarios
+from fleet.errors import FleetError
+
+_CHECK = "Exit status: 0 every check passed, 1 one did not, 2 usage, or nobody came, 130 Ctrl-C."
+
+
+@click.group(invoke_without_command=True)
+@click.pass_context
+def protocol(context: click.Context) -> None:
+    """Print the wire protocol page (Markdown), for whoever writes an agent in another language; or check one.
+
+    \b
+    Examples:
+      fleet protocol > protocol.md
+      fleet protocol check --id 3
+    """
+    if context.invoked_subcommand is None:
+        from fleet.protocol import page
+
+        click.echo(page(), nl=False)
+
+
+@protocol.command(epilog=_CHECK)
+@click.option("--id", "vehicle", metavar="I", type=click.IntRange(min=1), required=True, help="The agent's number.")
+@click.option("--scenario", default="paper", show_default=True, shell_complete=scenarios,
+              help="Whose slice the agent is given.")  # fmt: skip
+@click.option("--join-file", metavar="FILE", type=click.Path(path_type=Path, dir_okay=False),
+              help="Where to write the join file; by default join-<i>.json here.")  # fmt: skip
+@click.option("--timeout", type=Wait(), default="300 s", show_default=True, help="How long to wait for the agent.")
+@click.option("--port", type=click.IntRange(1, 65535), help="Loopback port of the router; by default a free one.")
+def check(vehicle: int, scenario: str, join_file: Path | None, timeout: float, port: int | None) -> None:
+    """Play world and netem against an agent of another make, and judge everything that it sends.
+
+    Writes a join file, waits for the agent, and runs a canned exchange: the handshake, ticks and round ticks, inboxes
+    that come late, in parts and damaged, malformed messages, an earlier life, a gap, the end.
+
+    \b
+    Examples:
+      fleet protocol check --id 3
+      fleet protocol check --id 2 --scenario rough-sea --join-file /tmp/join-2.json
+    """
+    from fleet.conformance import Examination
+    from fleet.scenario import load_scenario
+    from netem.bus import quiet_zenoh
+
+    quiet_zenoh()
+    try:
+        examination = Examination(
+            load_scenario(scenario), vehicle, join_file or Path(f"join-{vehicle}.json"), port=port
+        )
+        found = examination.run(timeout, lambda text: click.echo(text, err=True))
+    except FleetError as error:
+        click.echo(f"fleet: {error}", err=True)
+        sys.exit(2)
+    for text in examination.notes:
+        click.echo(f"note  the agent says: {text}")
+    for verdict in found:
+        click.echo(str(verdict))
+    passed = sum(verdict.passed is True for verdict in found)
+    slowest = f"; slowest answer {examination.slowest_s * 1e3:.1f} ms"
+    click.echo(f"{passed} of {len(found)} checks passed{slowest}")
+    sys.exit(0 if passed == len(found) else 1)
+
+
+COMMANDS = (protocol,)

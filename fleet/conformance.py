@@ -1,0 +1,361 @@
+"""`fleet protocol check`: world, netem and console in one, against an agent of another make.
+
+It writes a join file, waits for the agent, and plays a canned exchange: the handshake, ticks and round ticks, an inbox
+that comes late and in parts, messages that are malformed or meant for an earlier life, a gap, the end. Every message of
+the agent is judged. The vehicle does not move; what the agent commands is not judged, only when and in what form.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import shlex
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from secrets import token_hex
+
+import msgpack
+
+from agents import payload
+from agents.join import Joining
+from fleet.counterpart import Counterpart
+from fleet.errors import FleetError
+from fleet.ports import free_port
+from fleet.scenario import Scenario
+from netem.access import agent_role, generate
+from netem.errors import BusError, MalformedMessage
+from netem.keys import Keys
+from netem.messages import (
+    PROTOCOL_VERSION,
+    Command,
+    Delivery,
+    End,
+    Hello,
+    Inbox,
+    Memory,
+    Message,
+    Nav,
+    Transmission,
+    encode,
+)
+
+ANSWER_S = 5.0  # until an answer counts as missing
+SILENCE_S = 0.3  # how long nothing must come where nothing may
+LIFE, BEGIN_ROUNDS = 1, 3  # the life that is asked for, and the round in which it begins: not what one might assume
+
+ASKS = "asks cfg for its slice"
+HELLO = "says hello on cmd and tx: role agent, its number, the incarnation of cfg, the protocol version"
+READY = "says hello with echo set on cmd, once both were echoed"
+TOKEN = "declares its liveliness token"
+COMMANDS = "answers each nav with one cmd: its incarnation and tick, three finite numbers, all telemetry or none"
+TRANSMITS = "puts one tx at each round tick, before the cmd, and none at other ticks"
+LATE = "waits with its answer until the inbox is known up to the tick"
+PARTS = "takes an inbox in parts for known only when the last is there"
+DAMAGED = "survives payloads that the network has damaged"
+MALFORMED = "drops malformed messages and goes on"
+EARLIER = "ignores nav, rx and end of an earlier life"
+GAP = "goes on after ticks in which it was not asked"
+MEMORY = "puts memory, if at all, before the cmd of a tick at which it is asked for"
+UNASKED = "puts nothing that it was not asked for"
+FORM = "puts well-formed messages of its own kinds only"
+ENDS = "closes its session when it is told the end"
+CHECKS = (
+    *(ASKS, HELLO, READY, TOKEN, COMMANDS, TRANSMITS, LATE, PARTS, DAMAGED),
+    *(MALFORMED, EARLIER, GAP, MEMORY, UNASKED, FORM, ENDS),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Check:
+    """One verdict; None if the exchange did not get that far."""
+
+    what: str
+    passed: bool | None
+    expected: str = ""
+    got: str = ""
+
+    def __str__(self) -> str:
+        if self.passed:
+            return f"pass  {self.what}"
+        if self.passed is None:
+            return f"----  {self.what}: not reached"
+        return f"FAIL  {self.what}: expected {self.expected}; got {self.got}"
+
+
+class ConformanceError(FleetError):
+    """The exchange cannot begin."""
+
+
+class _BrokenOffError(Exception):
+    """The agent cannot be asked any further."""
+
+
+class Examination:
+    """One exchange with one agent."""
+
+    def __init__(self, scenario: Scenario, vehicle: int, file: Path, *, port: int | None = None) -> None:
+        """Args:
+        scenario: whose slice the agent is given.
+        file: where the join file goes.
+
+        Raises:
+            ConformanceError: there is no such vehicle, or the file is there already.
+        """
+        if not 1 <= vehicle <= scenario.vehicles:
+            raise ConformanceError(
+                f"there is no vehicle {vehicle} in {scenario.name}: they are 1 to {scenario.vehicles}"
+            )
+        if scenario.ideal:
+            raise ConformanceError("nobody can join an ideal network: take a scenario with another")
+        if file.exists():
+            raise ConformanceError(f"{file} is there already: choose another place with --join-file FILE")
+        self._m = scenario.round_ticks
+        self._config = replace(scenario.agent_config(vehicle), memory_ticks=2 * self._m)
+        self._telemetry = scenario.layout(vehicle).size
+        self._state = scenario.initial[vehicle - 1]
+        self._neighbours = [neighbour.id for neighbour in self._config.neighbours]
+        self._i, self._file, self._port = vehicle, file, port
+        self._keys = Keys(token_hex(4))
+        self._reached: set[str] = set()
+        self._failed: dict[str, tuple[str, str]] = {}
+        self._known = 0  # the tick up to which the agent has its inbox
+        self.notes: list[str] = []  # what the agent said to people
+        self.slowest_s = 0.0  # longest wait for an answer
+
+    def run(self, timeout_s: float, say: Callable[[str], None]) -> list[Check]:
+        """Wait for the agent, examine it, and say what came of it.
+
+        Args:
+            timeout_s: how long to wait for somebody to start the agent.
+            say: told where the join file is.
+
+        Raises:
+            ConformanceError: nobody came, or the endpoint or the file cannot be made.
+        """
+        i, begin = self._i, BEGIN_ROUNDS * self._m
+        user = generate((i,))[agent_role(i)]
+        endpoint = f"tcp/127.0.0.1:{free_port(self._port)}"
+        joining = Joining(endpoint, self._keys.run, i, user.user, user.password, PROTOCOL_VERSION, "check", LIFE, begin)
+        told = {"agent": self._config.to_values(), "incarnation": LIFE, "begin": begin, "version": PROTOCOL_VERSION}
+        with tempfile.TemporaryDirectory(prefix="uuv-fleet-") as private:
+            try:
+                self._other = Counterpart(endpoint, self._keys, i, user, Path(private), told)
+            except BusError as error:
+                raise ConformanceError(str(error)) from None
+        try:
+            joining.write(self._file)
+            file = shlex.quote(str(self._file))
+            say(f"waiting for agent {i}: start it with {file}; ours would be: fleet agent --join {file}")
+            with contextlib.suppress(_BrokenOffError):
+                self._examine(timeout_s, begin)
+            self.notes = self._other.notes
+            return self._verdicts()
+        except OSError as error:
+            raise ConformanceError(f"cannot write {self._file}: {error.strerror}") from None
+        finally:
+            self._file.unlink(missing_ok=True)
+            self._other.close()
+
+    def _take(self, timeout_s: float) -> tuple[str, Message | None] | None:
+        """As `Counterpart.take`; what is malformed is judged, and ends the exchange."""
+        try:
+            return self._other.take(timeout_s)
+        except MalformedMessage as error:
+            self._fail(FORM, "hello, memory and cmd on cmd, hello and tx on tx", error)
+            raise _BrokenOffError from None
+
+    # --------------------------------------------------------------------------------------- verdicts
+
+    def _fail(self, check: str, expected: str, got: object) -> None:
+        self._failed.setdefault(check, (expected, str(got)))
+
+    def _verdicts(self) -> list[Check]:
+        found = []
+        for check in CHECKS:
+            if check in self._failed:
+                found.append(Check(check, False, *self._failed[check]))
+            else:
+                found.append(Check(check, True if check in self._reached else None))
+        return found
+
+    # ------------------------------------------------------------------------------------- the script
+
+    def _examine(self, timeout_s: float, begin: int) -> None:
+        m = self._m
+        self._handshake(timeout_s)
+        self._known = begin
+        self._ask(begin)
+        self._reached |= {COMMANDS, TRANSMITS, MEMORY, UNASKED, FORM}
+        self._send_nav(begin + 1)
+        self._silence(LATE, begin + 1, f"no answer to nav {begin + 1} before an rx that covers it")
+        self._send_inbox(self._deliveries(begin), more=True)
+        self._silence(PARTS, begin + 1, "no answer while more of the inbox is to come")
+        self._send_inbox()
+        self._answer(begin + 1, DAMAGED)
+        self._reached.add(DAMAGED)
+        tick = begin + 2 * m + 1
+        for k in range(begin + 2, tick):
+            self._ask(k)
+        for junk in _JUNK:
+            self._other.nav(junk)
+            self._other.rx(junk)
+        self._ask(tick, MALFORMED)
+        self._reached.add(MALFORMED)
+        self._other.nav(encode(Nav(LIFE - 1, tick + 1, *self._state)))
+        self._other.rx(encode(Inbox(LIFE - 1, self._known + m, False, ())))
+        self._other.nav(encode(End(LIFE - 1, tick + 1, "this life is over long ago")))
+        self._silence(EARLIER, tick + 1, f"no answer to what is meant for incarnation {LIFE - 1}")
+        self._ask(tick + 1, EARLIER)
+        tick += 2 * m + 2
+        self._ask(tick, GAP)
+        self._reached.add(GAP)
+        for k in range(tick + 1, tick + 3 * m + 1):
+            self._ask(k)
+        self._end(tick + 3 * m + 1)
+
+    def _handshake(self, timeout_s: float) -> None:
+        asked = ready = False
+        probed: set[str] = set()
+        while not (asked and ready and len(probed) == 2 and self._other.here):
+            met = asked or bool(probed) or self._other.here
+            taken = self._take(2 * ANSWER_S if met else timeout_s)
+            if taken is None and not met:
+                raise ConformanceError(f"nobody came within {timeout_s:g} s: no query of cfg, no hello, no token")
+            if taken is None:
+                break
+            key, message = taken
+            if isinstance(message, Hello):
+                got = (message.role, message.id, message.incarnation, message.version)
+                if got != (expected := ("agent", self._i, LIFE, PROTOCOL_VERSION)):
+                    self._fail(HELLO, f"role, id, incarnation, version {expected} on {key}", got)
+                if not message.echo:
+                    probed.add(key)
+                else:
+                    ready = True
+                    if key != "cmd" or len(probed) < 2:
+                        self._fail(
+                            READY, "hello with echo set on cmd after one without it on cmd and tx", f"it on {key}"
+                        )
+            elif message is not None:
+                self._fail(UNASKED, "nothing but hello before the first nav", _shown(message))
+            asked = asked or key == "cfg"
+        for check, done, expected_, got_ in (
+            (ASKS, asked, f"a query on {self._keys.cfg(self._i)}", "none"),
+            (HELLO, len(probed) == 2, "hello on cmd and on tx", f"it on {' and '.join(sorted(probed)) or 'neither'}"),
+            (READY, ready, "hello with echo set on cmd", "none"),
+            (TOKEN, self._other.here, f"the token {self._keys.alive(agent_role(self._i))}", "none"),
+        ):
+            self._reached.add(check)
+            if not done:
+                self._fail(check, expected_, f"{got_} within {2 * ANSWER_S:g} s")
+        if not (asked and ready and len(probed) == 2 and self._other.here):
+            raise _BrokenOffError
+
+    def _ask(self, tick: int, blame: str = COMMANDS) -> None:
+        """Send the nav of a tick with the inbox that covers it, and judge the answer."""
+        while self._known < tick:
+            self._send_inbox()
+        self._send_nav(tick)
+        self._answer(tick, blame)
+
+    def _answer(self, tick: int, blame: str) -> None:
+        """Judge what answers the nav of a tick; `blame` is the check that fails when nothing does."""
+        began = time.monotonic()
+        transmitted = False
+        while True:
+            taken = self._take(ANSWER_S)
+            if taken is None or (taken[0] == "token" and not self._other.here):
+                why = f"nothing within {ANSWER_S:g} s" if taken is None else "its token is gone"
+                self._fail(blame, f"cmd of tick {tick}", why)
+                raise _BrokenOffError
+            match taken[1]:
+                case Memory() as memory:
+                    if tick % (2 * self._m) or (memory.incarnation, memory.tick) != (LIFE, tick):
+                        asked = f"memory of a tick divisible by {2 * self._m}, before its cmd"
+                        self._fail(MEMORY, asked, f"{_shown(memory)} while tick {tick} is due")
+                case Transmission() as transmission:
+                    if tick % self._m:
+                        self._fail(TRANSMITS, f"no tx at tick {tick}: rounds are {self._m} ticks", _shown(transmission))
+                    elif transmitted or (transmission.incarnation, transmission.tick) != (LIFE, tick):
+                        self._fail(TRANSMITS, f"one tx of incarnation {LIFE}, tick {tick}", _shown(transmission))
+                    transmitted = True
+                case Command() as command:
+                    if command.incarnation == LIFE and command.tick < tick:
+                        self._fail(UNASKED, f"one cmd per nav; tick {tick} is due", _shown(command))
+                        continue
+                    if (command.incarnation, command.tick) != (LIFE, tick):
+                        self._fail(COMMANDS, f"cmd of incarnation {LIFE}, tick {tick}", _shown(command))
+                        raise _BrokenOffError
+                    if len(command.telemetry) not in (0, self._telemetry):
+                        size = f"0 or {self._telemetry} values of telemetry"
+                        self._fail(COMMANDS, size, len(command.telemetry))
+                    if tick % self._m == 0 and not transmitted:
+                        self._fail(TRANSMITS, f"tx of round tick {tick} before its cmd", "the cmd")
+                    self.slowest_s = max(self.slowest_s, time.monotonic() - began)
+                    return
+
+    def _silence(self, check: str, tick: int, expected: str) -> None:
+        """Judge that nothing comes before the nav of a tick may be answered."""
+        self._reached.add(check)
+        while (taken := self._take(SILENCE_S)) is not None:
+            message = taken[1]
+            if isinstance(message, Command) and message.incarnation == LIFE and message.tick < tick:
+                self._fail(UNASKED, "one cmd per nav", f"another {_shown(message)}")
+            elif message is not None and not isinstance(message, Hello):
+                self._fail(check, expected, _shown(message))
+                raise _BrokenOffError
+            if taken[0] == "token" and not self._other.here:
+                self._fail(check, "that it stays", "its token is gone")
+                raise _BrokenOffError
+
+    def _end(self, tick: int) -> None:
+        self._reached.add(ENDS)
+        self._other.nav(encode(End(LIFE, tick, "the check is over")))
+        while self._other.here:
+            taken = self._take(ANSWER_S)
+            if taken is None:
+                self._fail(ENDS, "that its token goes", f"it is there {ANSWER_S:g} s later")
+                return
+            if taken[1] is not None and not isinstance(taken[1], Hello):
+                self._fail(UNASKED, "nothing after the end", _shown(taken[1]))
+
+    def _send_nav(self, tick: int) -> None:
+        self._other.nav(encode(Nav(LIFE, tick, *self._state)))
+
+    def _send_inbox(self, deliveries: tuple[Delivery, ...] = (), *, more: bool = False) -> None:
+        self._other.rx(encode(Inbox(LIFE, self._known + self._m, more, deliveries)))
+        if not more:
+            self._known += self._m
+
+    def _deliveries(self, sent: int) -> tuple[Delivery, ...]:
+        """What neighbours sent at a tick, and the same after a network has been at it."""
+        src = self._neighbours[0] if self._neighbours else self._i + 1
+        eta, _ = self._state
+        good = payload.encode(payload.StateMessage(src, sent, (eta[0] + 5.0, eta[1], eta[2]), (0.5, 0.0, 0.0)))
+        flipped = bytes([good[0], good[1] ^ 0x40, *good[2:]])
+        payloads = [good, flipped, good[:15], b"", bytes(range(63)), b"\xff" * 200]
+        return tuple(Delivery(sent + 1, sent, src, seq, 0, data) for seq, data in enumerate(payloads))
+
+
+# None of them is a message: no MessagePack, no array, no kind, too short, of wrong types, of an unknown kind.
+_JUNK = (
+    b"",
+    b"\xc1",
+    b"\xff" * 40,
+    msgpack.packb({"nav": 1}),
+    msgpack.packb([]),
+    msgpack.packb(["nav", LIFE]),
+    msgpack.packb(["nav", LIFE, "now", [0.0] * 5, [0.0] * 5]),
+    msgpack.packb(["rx", LIFE, None, False, []]),
+    msgpack.packb(["weather", LIFE, 1, [], []]),
+)
+
+
+def _shown(message: Message) -> str:
+    match message:
+        case Command() | Transmission() | Memory():
+            kind = {Command: "cmd", Transmission: "tx", Memory: "memory"}[type(message)]
+            return f"{kind} of incarnation {message.incarnation}, tick {message.tick}"
+    return type(message).__name__.lower()

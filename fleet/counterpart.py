@@ -1,0 +1,94 @@
+"""All of a run that one agent sees, in one session: router, world, netem and console, for a canned exchange."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+from queue import Empty, SimpleQueue
+from typing import Any
+
+import msgpack
+
+from netem.access import Credentials, agent_role
+from netem.bus import Bus, Respond
+from netem.errors import MalformedMessage
+from netem.keys import Keys
+from netem.messages import PROTOCOL_VERSION, Command, Hello, Memory, Message, Note, Transmission, decode, encode
+
+KINDS = {"cmd": (Hello, Command, Memory), "tx": (Hello, Transmission), "note": (Note,)}
+
+
+class Counterpart:
+    """Answers what is always answered (cfg, hello), keeps the agent's notes, and hands out the rest in order."""
+
+    def __init__(
+        self, endpoint: str, keys: Keys, vehicle: int, user: Credentials, private: Path, answer: dict[str, Any]
+    ) -> None:
+        """Args:
+        private: a directory of mode 0700, as for `Bus.host`.
+        answer: to the query of cfg.
+
+        Raises:
+            BusError: the endpoint is taken.
+        """
+        bus = self._bus = Bus.host(endpoint, keys, (vehicle,), {user.user: user}, private)
+        came: SimpleQueue[tuple[str, bytes]] = SimpleQueue()
+        put = came.put
+        self._came = came
+        self.here = False  # whether the agent holds its token
+        self.notes: list[str] = []  # what the agent says to people
+        packed = msgpack.packb(answer)
+
+        def receive(key: str, data: bytes) -> None:
+            kind = key.split("/")[-2]
+            if kind in KINDS:  # the rest is our own
+                put((kind, data))
+
+        def configure(key: str, _: bytes, respond: Respond) -> None:
+            respond(packed)
+            put(("cfg", b""))
+
+        # Starred as in a run: the router tells an agent of subscribers by their own expression.
+        for key in (keys.cmd("*"), keys.tx("*")):
+            bus.subscribe(key, lambda *_: None)
+        # Both in one, because only what one subscriber gets comes in the order in which it was put.
+        bus.subscribe(f"{keys.prefix}/*/{vehicle}", receive)
+        bus.subscribe(keys.note("*"), lambda _, data: put(("note", data)))
+        bus.answer(keys.cfg("*"), configure)
+        token = keys.alive(agent_role(vehicle))
+        bus.watch_tokens(token, lambda _, alive: put(("token", b"1" if alive else b"")))
+        self.nav: Callable[[bytes], None] = bus.publisher(keys.nav(vehicle))
+        self.rx: Callable[[bytes], None] = bus.publisher(keys.rx(vehicle))
+
+    def take(self, timeout_s: float) -> tuple[str, Message | None] | None:
+        """The next thing that came: `cmd` or `tx` with a message, `cfg` or `token` with none; None when nothing did.
+
+        Raises:
+            MalformedMessage: the agent put what does not belong on that key.
+        """
+        deadline = time.monotonic() + timeout_s
+        while True:
+            try:
+                key, data = self._came.get(timeout=max(0.0, deadline - time.monotonic()))
+            except Empty:
+                return None
+            if key == "cfg":
+                return key, None
+            if key == "token":
+                self.here = bool(data)
+                return key, None
+            message = decode(data)
+            if not isinstance(message, KINDS[key]):
+                raise MalformedMessage(key, f"a {type(message).__name__.lower()} on {key}")
+            if isinstance(message, Note):
+                self.notes.append(message.text)
+                continue
+            if isinstance(message, Hello) and not message.echo:
+                role, echo = ("world", self.nav) if key == "cmd" else ("netem", self.rx)
+                echo(encode(Hello(role, 0, 0, PROTOCOL_VERSION, True)))
+            return key, message
+
+    def close(self) -> None:
+        """Close the router."""
+        self._bus.close()

@@ -1,0 +1,122 @@
+"""The agents that somebody else starts: a join file for each, who of them is there, and who is waited for.
+
+There is no child to reap, so an external agent is there as long as its liveliness token is. What it was told when it
+joined (which life, from which tick on) is in its join file and in the answer to `cfg/<i>`.
+"""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+from agents.join import Joining
+from fleet.errors import FleetError
+from fleet.rundir import RunDirectory
+from fleet.scenario import Scenario
+from netem.access import Credentials, agent_role
+from netem.messages import PROTOCOL_VERSION
+
+
+class ExternalError(FleetError):
+    """Something that needs an agent which somebody else is to start."""
+
+
+def refuse(scenario: Scenario, what: str) -> None:
+    """Refuse to do `what` with agents that only join distributed runs.
+
+    Raises:
+        ExternalError: the scenario has some.
+    """
+    if scenario.external:
+        raise ExternalError(
+            f"{named(scenario.external)}, so somebody else starts that agent, which {what} has no place for; "
+            "set external: false to have ours run there"
+        )
+
+
+def named(vehicles: Sequence[int]) -> str:
+    """`vehicle 3 is external`, `vehicles 3 and 4 are external`."""
+    if len(vehicles) == 1:
+        return f"vehicle {vehicles[0]} is external"
+    return f"vehicles {', '.join(map(str, vehicles[:-1]))} and {vehicles[-1]} are external"
+
+
+class Joins:
+    """Who has joined, on the console's main thread; only `answer` is called from another."""
+
+    def __init__(self, scenario: Scenario, directory: RunDirectory, say: Callable[[str], None]) -> None:
+        """Args:
+        say: tells the operator whom the run waits for, and how to start it.
+        """
+        self.vehicles = scenario.external
+        self._scenario, self._directory, self._say = scenario, directory, say
+        self._files: dict[int, Joining] = {}
+        self._awaited: dict[int, Joining] = {}
+        self._here: set[int] = set()  # vehicles whose agent holds its token
+
+    @property
+    def awaited(self) -> list[int]:
+        """The vehicles whose agent is waited for, ascending."""
+        return sorted(self._awaited)
+
+    def open(self, endpoint: str, run: str, credentials: Mapping[str, Credentials]) -> None:
+        """From now on they may join.
+
+        Raises:
+            ExternalError: a join file cannot be written.
+        """
+        for i in self.vehicles:
+            known = credentials[agent_role(i)]
+            self._files[i] = Joining(endpoint, run, i, **known.to_values(), scenario=self._scenario.name)
+            self.expect(i, 0, 0)
+
+    def expect(self, i: int, incarnation: int, begin: int) -> None:
+        """Wait for an agent of a vehicle.
+
+        Raises:
+            ExternalError: the join file cannot be written.
+        """
+        path = self._directory.join(i)
+        joining = self._files[i] = replace(self._files[i], incarnation=incarnation, begin=begin)
+        try:
+            joining.write(path)
+        except OSError as error:
+            raise ExternalError(f"cannot write {path}: {error.strerror}") from error
+        self._awaited[i] = joining
+        from_tick = f", from tick {begin} on" if begin else ""
+        self._say(f"waiting for agent {i} (external){from_tick}: fleet agent --join {shlex.quote(str(path))}")
+
+    def token(self, i: int, alive: bool) -> None:
+        """A liveliness token appeared, or is gone."""
+        (self._here.add if alive else self._here.discard)(i)
+
+    def here(self, i: int) -> bool:
+        """Whether the agent of vehicle i holds its token."""
+        return i in self._here
+
+    def joined(self, i: int) -> None:
+        """It is ready."""
+        if self._awaited.pop(i, None) is not None:
+            self._say(f"agent {i} (external) has joined")
+
+    def answer(self, i: int) -> dict[str, Any]:
+        """What an agent is told that asks for its slice, besides that: which life it is, or why it cannot join."""
+        awaited = self._awaited.get(i)
+        if awaited is None:
+            return {"error": f"the run does not wait for an agent {i}: one has joined already, or it has none now"}
+        if i in self._here:
+            return {"error": f"an agent {i} is here already"}
+        return {"incarnation": awaited.incarnation, "begin": awaited.begin, "version": PROTOCOL_VERSION}
+
+    def waiting(self) -> str:
+        """Who is waited for, in words; nothing if nobody is."""
+        names = ", ".join(f"agent {i} (external)" for i in self.awaited[:8])
+        more = f" and {len(self._awaited) - 8} more" if len(self._awaited) > 8 else ""
+        return f"waiting for {names}{more} to join" if names else ""
+
+    def close(self) -> None:
+        """Remove the join files."""
+        for i in self._files:
+            self._directory.join(i).unlink(missing_ok=True)

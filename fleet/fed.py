@@ -1,0 +1,174 @@
+"""An agent that says again what another one said in a log: in place of an external one, whose law is not here.
+
+Its commands, telemetry and memory are recorded; what it transmitted follows from the packets of its links, one of which
+at least has each payload as it was sent, or with a flipped bit that can be turned back.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from math import inf, nan
+from typing import Any
+
+from agents.loop import AgentLoop
+from agents.signals import Layout
+from fleet.errors import FleetError
+from fleet.log_schemas import COMMAND, DoublesEncoder, signal_columns
+from fleet.log_values import Decoder
+from fleet.reader import LogReader
+from fleet.scenario import Scenario
+from fleet.snapshot import TOPIC, Snapshot
+from netem.impairment import LinkModel
+from netem.messages import Delivery, Memory, Nav
+from netem.network import PERFECT
+
+TAU = 3  # values of a command in the log; those that were applied follow
+
+
+class NotRecordedError(FleetError):
+    """The log does not hold what an external agent said."""
+
+
+@dataclass(slots=True)
+class Feed:
+    """What one agent said, by tick."""
+
+    vehicle: int
+    layout: Layout
+    round_ticks: int
+    last: int  # tick of the last message in the log
+    commands: dict[int, tuple[float, ...]] = field(default_factory=dict)
+    telemetry: dict[int, list[float]] = field(default_factory=dict)
+    payloads: dict[int, list[bytes]] = field(default_factory=dict)
+    memories: dict[int, bytes] = field(default_factory=dict)
+    known: float = inf  # what it sent after this tick may be missing
+
+    def loop(self, incarnation: int, begin: int) -> AgentLoop:
+        """A life of it."""
+        return _FedLoop(self, self.round_ticks, incarnation=incarnation, begin=begin)
+
+
+@dataclass(frozen=True, slots=True)
+class _Said:
+    tau: tuple[float, ...]
+    telemetry: tuple[float, ...]
+    payloads: tuple[bytes, ...]
+
+
+class _FedLoop(AgentLoop):
+    """An agent's place in the lockstep, with the memory as it was told then."""
+
+    def __init__(self, feed: Feed, round_ticks: int, *, incarnation: int, begin: int) -> None:
+        super().__init__(_FedCore(feed), round_ticks, incarnation=incarnation, begin=begin)
+        self._feed = feed
+
+    def _memory(self, tick: int) -> list[Any]:
+        memory = self._feed.memories.get(tick)
+        return [] if memory is None else [Memory(self.incarnation, tick, memory)]
+
+
+class _FedCore:
+    def __init__(self, feed: Feed) -> None:
+        self._feed = feed
+
+    def step(self, nav: Nav, deliveries: list[Delivery], /) -> _Said:
+        """Raises NotRecordedError for a tick within the log of which it holds no command."""
+        feed, tick = self._feed, nav.tick
+        tau = feed.commands.get(tick)
+        if tau is None:
+            if tick < feed.last:
+                raise NotRecordedError(f"the log holds no command of vehicle {feed.vehicle} at tick {tick}")
+            tau = (0.0,) * TAU  # of a log that ends within this tick: nothing that follows is compared
+        payloads = tuple(feed.payloads.get(tick, ())) if tick % feed.round_ticks == 0 else ()
+        return _Said(tau, tuple(feed.telemetry.get(tick, ())), payloads)
+
+    def transmit(self, nav: Nav, /) -> tuple[bytes, ...]:
+        raise AssertionError("nobody joins an ideal network")
+
+    def decide(self, nav: Nav, deliveries: list[Delivery], /) -> _Said:
+        raise AssertionError("nobody joins an ideal network")
+
+    def state(self) -> dict[str, Any]:
+        return {}
+
+    def restore(self, values: dict[str, Any], /) -> None:
+        raise AssertionError("a run with external agents does not go on from a snapshot")
+
+    def take_notes(self) -> list[tuple[int, str]]:
+        return []
+
+
+def feeds(reader: LogReader, scenario: Scenario, last_ns: int, *, whole: bool) -> dict[int, Feed]:
+    """What the external agents of a scenario said in a log, by vehicle.
+
+    Args:
+        reader: of the log, not read yet.
+        last_ns: time of its last message.
+        whole: the log ends with the run, so that the fate of every packet is in it.
+
+    Raises:
+        NotRecordedError: commands were thinned.
+    """
+    if not scenario.external:
+        return {}
+    if (every := scenario.log_every["command"]) > 1:
+        raise NotRecordedError(
+            f"vehicle {scenario.external[0]} is external, and the log has every {every}th command only: to run it "
+            "again takes all of them (log.command: 1 tick)"
+        )
+    tick_ns, m = scenario.tick_ns, scenario.round_ticks
+    found = {i: Feed(i, scenario.layout(i), m, last_ns // tick_ns) for i in scenario.external}
+    packets: dict[int, dict[int, tuple[int, bytes]]] = {i: {} for i in found}  # by vehicle and seq
+    sure: set[tuple[int, int]] = set()  # those of which an undamaged copy was seen
+    decode, command = Decoder(reader).message, DoublesEncoder(COMMAND)
+    groups = {
+        (i, group): (DoublesEncoder(signal_columns(getattr(feed.layout, group))), feed.layout.group(group))
+        for i, feed in found.items()
+        for group in ("guidance", "control")
+        if getattr(feed.layout, group)
+    }
+    for record in reader:
+        head, _, rest = record.topic.partition("/")
+        tick = record.log_ns // tick_ns
+        if head == "uuv":
+            number, _, group = rest.partition("/")
+            i = int(number)
+            if i in found and group == "command":
+                found[i].commands[tick] = command.decode(record.data)[:TAU]
+            elif (i, group) in groups:
+                encoder, place = groups[i, group]
+                told = found[i].telemetry.setdefault(tick, [nan] * found[i].layout.size)
+                told[place] = encoder.decode(record.data)
+        elif head == "link":
+            src, dst = map(int, rest.split("-"))
+            if src in found and (src, record.sequence) not in sure:
+                message = decode(record)
+                payload = message.payload
+                if message.corrupted:
+                    model = LinkModel(scenario.conditions.get((src, dst), PERFECT), scenario.seed, (src, dst))
+                    payload = model.flipped(payload, message.seq, message.copy)
+                else:
+                    sure.add((src, message.seq))
+                packets[src][message.seq] = record.publish_ns // tick_ns, payload
+        elif head == TOPIC:
+            memories = Snapshot.from_bytes(decode(record).state).memories
+            for i in found.keys() & memories.keys():
+                found[i].memories[tick] = memories[i]
+    for i, feed in found.items():
+        _transmitted(feed, packets[i], whole=whole or all(src != i for src, _ in scenario.graph.links))
+    return found
+
+
+def _transmitted(feed: Feed, packets: dict[int, tuple[int, bytes]], *, whole: bool) -> None:
+    """The payloads of each tick. Those whose fate a cut log does not tell have a place, and nothing in it."""
+    tick = 0
+    for seq in range(max(packets, default=-1) + 1):
+        if seq in packets:
+            tick, payload = packets[seq]
+        else:
+            feed.known = min(feed.known, tick)
+            following = next(packets[later][0] for later in range(seq, max(packets) + 1) if later in packets)
+            tick, payload = (tick + feed.round_ticks if following - tick > feed.round_ticks else tick), b""
+        feed.payloads.setdefault(tick, []).append(payload)
+    if not whole:
+        feed.known = min(feed.known, tick)

@@ -1,0 +1,284 @@
+"""How the processes of a run meet when they are on several hosts: where its router listens, or whose router it uses."""
+
+from __future__ import annotations
+
+import contextlib
+import ipaddress
+import json
+import socket
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from fleet.certs import ALWAYS, OWN, SERVER, CertsError, Pair, host_name, read_ca, read_client, read_server
+from fleet.certs import path as certificate_path
+from fleet.errors import FleetError
+from netem.access import Credentials, Door, agent_role, generate
+from netem.keys import Keys
+
+# Between hosts. A pull of up to a third of it is carried: the last sign of life may be a quarter of the lease old when
+# it begins, and TCP's next attempt may come as late again as the pull was long.
+LEASE_MS = 20_000
+IN_CLEAR = (
+    "{endpoint} is not encrypted and is for other hosts: whoever sees the traffic reads every state and can take over "
+    "an agent's connection. Use it on a network that you trust, or make certificates with fleet certs and use tls/"
+)
+
+
+class HostsError(FleetError):
+    """Hosts that cannot meet in this way."""
+
+
+@dataclass(frozen=True, slots=True)
+class Endpoint:
+    """`tcp/HOST:PORT` or `tls/HOST:PORT`."""
+
+    protocol: str
+    host: str
+    port: int
+
+    def __str__(self) -> str:
+        return f"{self.protocol}/{f'[{self.host}]' if ':' in self.host else self.host}:{self.port}"
+
+    @property
+    def wildcard(self) -> bool:
+        with contextlib.suppress(ValueError):
+            return ipaddress.ip_address(self.host).is_unspecified
+        return False
+
+    @property
+    def loopback(self) -> bool:
+        with contextlib.suppress(ValueError):
+            return ipaddress.ip_address(self.host).is_loopback
+        return self.host == "localhost"
+
+
+@dataclass(frozen=True, slots=True)
+class Meeting:
+    """How the processes of one run find each other, and what protects them on the way."""
+
+    run: str | None = None  # the run's id, where a router has to know it beforehand
+    router: str | None = None  # an endpoint: the router that is there already; None: the world hosts one
+    credentials: dict[str, Credentials] | None = None  # by role; None: fresh ones
+    door: Door | None = None  # where the run's own router listens for other hosts
+    reached: str = ""  # endpoints for join files, with commas between them; empty: the run's own processes' endpoint
+    ca: str = ""  # PEM: goes into join files
+    certificates: dict[str, Pair] = field(default_factory=dict)  # of external agents, by role
+    lease_ms: int | None = None  # between hosts; None on one host
+    warnings: tuple[str, ...] = ()
+
+    def joining(self, role: str, known: Credentials) -> Credentials:
+        """What an external agent joins with, given what one on this host would."""
+        own = self.certificates.get(role, Pair("", ""))
+        lease_ms = known.lease_ms if self.lease_ms is None else self.lease_ms
+        return Credentials(known.user, known.password, self.ca, own.certificate, own.key, lease_ms)
+
+
+def parse_endpoint(text: str, option: str) -> Endpoint:
+    """An endpoint as zenoh writes it.
+
+    Raises:
+        HostsError: it is none, or of another protocol.
+    """
+    protocol, slash, place = text.partition("/")
+    host, colon, port = place.rpartition(":")
+    host = host.removeprefix("[").removesuffix("]")
+    known = slash and protocol in ("tcp", "tls")
+    if not known or not colon or not host or not port.isdecimal() or not 0 < int(port) < 65536:
+        raise HostsError(f"{option}: expected tls/HOST:PORT or tcp/HOST:PORT such as tls/0.0.0.0:7447, got {text!r}")
+    found = Endpoint(protocol, host, int(port))
+    if not found.wildcard:
+        try:
+            host_name(host)
+        except CertsError as error:
+            raise HostsError(f"{option}: {error}") from None
+    return found
+
+
+def listening(
+    listen: str,
+    certs: Path | None = None,
+    advertise: Sequence[str] = (),
+    *,
+    external: Sequence[int] = (),
+    mutual: bool = False,
+    lease_ms: int = LEASE_MS,
+) -> Meeting:
+    """The run's own router also listens for other hosts.
+
+    Args:
+        listen: an endpoint; `0.0.0.0` and `[::]` mean every address of this host.
+        certs: a directory as `fleet certs` makes it, for tls.
+        advertise: hosts under which agents reach it; by default the certificate's, or this host's address.
+        external: vehicles whose agents come from elsewhere.
+        mutual: they must show certificates of their own.
+
+    Raises:
+        HostsError: these do not go together.
+        CertsError: the certificates cannot be used.
+    """
+    endpoint = parse_endpoint(listen, "--listen")
+    if endpoint.protocol == "tcp" and (certs or mutual):
+        raise HostsError(
+            f"--certs and --mutual-tls are for tls: --listen {Endpoint('tls', endpoint.host, endpoint.port)}"
+        )
+    hosts = [_advertised(host) for host in advertise]
+    if endpoint.protocol == "tcp":
+        hosts = hosts or [_own_address() if endpoint.wildcard else endpoint.host]
+        reached = ",".join(str(Endpoint("tcp", host, endpoint.port)) for host in hosts)
+        warnings = () if endpoint.loopback else (IN_CLEAR.format(endpoint=endpoint),)
+        return Meeting(door=Door((str(endpoint),), lease_ms), reached=reached, lease_ms=lease_ms, warnings=warnings)
+    if certs is None:
+        raise HostsError(f"{endpoint} needs certificates: make them with fleet certs DIR --host NAME, then --certs DIR")
+    server = read_server(certs)
+    if not hosts:
+        others = [host for host in server.hosts if host not in ALWAYS]
+        hosts = (others or list(server.hosts)) if endpoint.wildcard else [endpoint.host]
+    _covered(hosts, server.hosts, certs)
+    roles = [agent_role(i) for i in external] if mutual else []
+    return Meeting(
+        door=Door(
+            (str(endpoint),), lease_ms, server.ca, server.pair.certificate, server.pair.key, certified=frozenset(roles)
+        ),
+        reached=",".join(str(Endpoint("tls", host, endpoint.port)) for host in hosts),
+        ca=server.ca,
+        certificates={role: read_client(certs, role) for role in roles},
+        lease_ms=lease_ms,
+    )
+
+
+def check_free(listen: str) -> None:
+    """See whether the world will be able to listen there.
+
+    Raises:
+        HostsError: the port is taken or not for us, or the address is not of this host.
+    """
+    endpoint = parse_endpoint(listen, "--listen")
+    try:
+        family, kind, protocol, _, address = socket.getaddrinfo(endpoint.host, endpoint.port, type=socket.SOCK_STREAM)[
+            0
+        ]
+        with socket.socket(family, kind, protocol) as probe:
+            # As zenoh's listener does: a port whose last connections are still winding down is free.
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            probe.bind(address)
+    except OSError as error:
+        raise HostsError(
+            f"--listen: {listen} cannot be used ({error.strerror}); choose another address or port"
+        ) from None
+
+
+def through_router(
+    router: str,
+    credentials: Path,
+    vehicles: int,
+    certs: Path | None = None,
+    *,
+    external: Sequence[int] = (),
+    mutual: bool = False,
+    lease_ms: int = LEASE_MS,
+) -> Meeting:
+    """The run's processes join a router that is there already.
+
+    Args:
+        credentials: the file that `fleet acl -o` wrote beside the router's configuration.
+        vehicles: how many the scenario has.
+        certs: a directory with the CA of the router, and for mutual TLS with the clients' certificates.
+
+    Raises:
+        HostsError: these do not go together, or the file is not of such a run.
+        CertsError: the certificates cannot be used.
+    """
+    endpoint = parse_endpoint(router, "--router")
+    if endpoint.wildcard:
+        raise HostsError(f"--router: {router} is where one listens; expected the router's own address")
+    if endpoint.protocol == "tcp" and (certs or mutual):
+        raise HostsError(
+            f"--certs and --mutual-tls are for tls: --router {Endpoint('tls', endpoint.host, endpoint.port)}"
+        )
+    if mutual and certs is None:
+        raise HostsError("--mutual-tls needs the certificates: --certs DIR")
+    run, known = read_credentials(credentials, vehicles)
+    ca = read_ca(certs) if certs else ""
+    own = read_client(certs, OWN) if certs and mutual else Pair("", "")
+    roles = [agent_role(i) for i in external] if mutual else []
+    return Meeting(
+        run=run,
+        router=str(endpoint),
+        credentials={
+            role: Credentials(c.user, c.password, ca, own.certificate, own.key, lease_ms) for role, c in known.items()
+        },
+        ca=ca,
+        certificates={role: read_client(certs, role) for role in roles if certs},
+        lease_ms=lease_ms,
+        warnings=() if endpoint.loopback or endpoint.protocol == "tls" else (IN_CLEAR.format(endpoint=endpoint),),
+    )
+
+
+def new_credentials(run: str, vehicles: int) -> dict[str, Any]:
+    """What a credentials file holds: the run's id, and user and password of every role."""
+    fresh = generate(tuple(range(1, vehicles + 1)), prefix=f"{run}-", world=True)
+    return {"run": run, "vehicles": vehicles, "users": {role: [c.user, c.password] for role, c in fresh.items()}}
+
+
+def read_credentials(file: Path, vehicles: int) -> tuple[str, dict[str, Credentials]]:
+    """The run's id and the credentials by role.
+
+    Raises:
+        HostsError: no such file, others may read it, it is damaged, or made for another number of vehicles.
+    """
+    again = "make it with fleet acl SCENARIO -o DIR"
+    try:
+        mode, values = file.stat().st_mode, json.loads(file.read_text("utf-8"))
+        run, made_for, users = str(values["run"]), int(values["vehicles"]), values["users"]
+        found = {role: Credentials(str(user), str(password)) for role, (user, password) in users.items()}
+    except OSError as error:
+        raise HostsError(f"{file} cannot be read: {error.strerror}; {again}") from None
+    except (ValueError, KeyError, TypeError, AttributeError):
+        raise HostsError(f"{file} is no credentials file; {again}") from None
+    if mode & 0o077:
+        raise HostsError(f"others than you may read {file}; make it yours alone: chmod 600 {file}")
+    if made_for != vehicles:
+        raise HostsError(f"{file} was made for {made_for} vehicles, and the scenario has {vehicles}; {again}")
+    if missing := new_credentials(run, vehicles)["users"].keys() - found.keys():
+        raise HostsError(f"{file} lacks {', '.join(sorted(missing))}; {again}")
+    return run, found
+
+
+def run_id(text: str) -> str:
+    """A run's id, which is one piece of a key expression and begins user names.
+
+    Raises:
+        HostsError: it cannot be.
+    """
+    if not text.isascii() or not text.replace("-", "").replace("_", "").isalnum() or len(text) > 64:
+        raise HostsError(f"--run: expected letters, digits, - and _ such as sea-trial-3, got {text!r}")
+    return Keys(text).run
+
+
+def _advertised(host: str) -> str:
+    try:
+        return host_name(host)
+    except CertsError as error:
+        raise HostsError(f"--advertise: {error}") from None
+
+
+def _covered(hosts: list[str], named: tuple[str, ...], certs: Path) -> None:
+    """A name that the certificate does not hold would be refused by every agent: better to say so now."""
+    for host in hosts:
+        wild = "*." + host.partition(".")[2]
+        if host not in named and wild not in named:
+            file, known = certificate_path(certs, SERVER), ", ".join(named) or "nobody"
+            raise HostsError(
+                f"{file} is for {known}, not for {host}: agents would refuse it. Make another: "
+                f"fleet certs {certs} --host {host} --force; or --advertise one of those"
+            )
+
+
+def _own_address() -> str:
+    """The address from which this host would reach others; nothing is sent."""
+    with contextlib.suppress(OSError), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.connect(("192.0.2.1", 9))
+        return str(probe.getsockname()[0])
+    raise HostsError("cannot tell under which address agents reach this host: name it with --advertise HOST")

@@ -1,0 +1,121 @@
+"""What can be told before a run: checks that cannot pass, faults that do nothing, a log that grows large."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import combinations
+from math import dist
+
+from fleet.fields import vehicle_numbers
+from fleet.scenario import Scenario
+from fleet.schema import EVERY
+from fleet.stability import oldest_s
+
+LARGE_MB = 50.0  # from which on a log is worth a word
+MESSAGE_BYTES = 70  # in a log, compressed and indexed: 68 to 72 measured with 3, 4 and 12 vehicles
+THIN = "log: {every: 10 ticks}"
+BY_ROUND = frozenset(
+    {"link", "down", "up", "partition", "mute", "deaf"}
+)  # faults that are asked for at round ticks only
+
+
+def doubts(scenario: Scenario) -> list[str]:
+    """A sentence per thing that is valid and still hardly what was meant."""
+    return [*_never_judged(scenario), *_recoveries(scenario), *_too_near(scenario), *_too_old(scenario),
+            *_idle_faults(scenario), *_large_log(scenario)]  # fmt: skip
+
+
+def log_mb(scenario: Scenario) -> float:
+    """About how large the log of a whole run becomes [MB]."""
+    rows = sum(scenario.vehicles * (scenario.ticks // every + 1) for every in scenario.log_every.values() if every)
+    packets = len(scenario.graph.links) * (scenario.ticks // scenario.round_ticks)
+    return (rows + packets) * MESSAGE_BYTES / 1e6
+
+
+def large_log_hint(megabytes: float) -> str:
+    """What to do about it; empty for a log of usual size."""
+    return (
+        ""
+        if megabytes <= LARGE_MB
+        else f"{THIN} thins it to a tenth (fleet whatif needs log.nav and log.command: 1 tick)"
+    )
+
+
+def _never_judged(scenario: Scenario) -> Iterator[str]:
+    checks, end = scenario.spec.checks, scenario.duration_ns
+    for name in ("formation_error", "consensus_error", "min_separation", "max_age"):
+        check = getattr(checks, name)
+        # Ages are those of ticks that are started; errors and distances have one more frame, at the end.
+        if check is not None and (check.after > end or (name == "max_age" and check.after >= end)):
+            when = f"after {check.after / 1e9:g} s, and the run ends at {end / 1e9:g} s"
+            yield f"checks.{name} cannot pass: it begins {when}"
+    connected = checks.connected
+    if connected is not None and connected.after + connected.window > end:
+        yield (
+            f"checks.connected cannot pass: its first window ends at {(connected.after + connected.window) / 1e9:g} s, "
+            f"and the run at {end / 1e9:g} s"
+        )
+
+
+def _recoveries(scenario: Scenario) -> Iterator[str]:
+    events, last, tick_s = scenario.faults.events, scenario.ticks, scenario.tick_ns / 1e9
+    ends = {event.fault: event.tick for event in events if event.action == "ends"}
+    asked = dict.fromkeys(check.fault for check in scenario.spec.checks.recovery_time or ())
+    if EVERY in asked and not any(end < last for end in ends.values()):
+        yield "checks.recovery_time of every fault cannot pass: none ends before the run, unless one is injected"
+    for name in ends if EVERY in asked else asked:
+        end = ends.get(name, last)
+        if end >= last:
+            if name in asked:
+                yield f"checks.recovery_time cannot pass: the run ends at {last * tick_s:g} s, before fault {name} does"
+            continue
+        next_one = next((e for e in events if e.action == "begins" and e.fault != name and e.tick >= end), None)
+        if next_one is not None and next_one.tick == end:
+            yield (
+                f"checks.recovery_time cannot pass: fault {next_one.fault} begins when fault {name} ends, at "
+                f"{end * tick_s:g} s, which leaves no time to recover"
+            )
+
+
+def _too_near(scenario: Scenario) -> Iterator[str]:
+    check = scenario.spec.checks.min_separation
+    if check is None or check.after > scenario.duration_ns:
+        return
+    who = vehicle_numbers(check.vehicles) if check.vehicles else range(1, scenario.vehicles + 1)
+    places = {i: scenario.plans[i - 1].at(scenario.duration_ns / 1e9).position for i in who}
+    near = min(((dist(places[i], places[j]), i, j) for i, j in combinations(sorted(places), 2)), default=None)
+    if near is not None and near[0] <= check.above:
+        yield (
+            f"checks.min_separation can hardly pass: in the formation itself vehicles {near[1]} and {near[2]} end "
+            f"{near[0]:.4g} m apart"
+        )
+
+
+def _too_old(scenario: Scenario) -> Iterator[str]:
+    check = scenario.spec.checks.max_age
+    if check is None or check.after >= scenario.duration_ns:
+        return
+    oldest = oldest_s(scenario)
+    if check.below / 1e9 <= oldest:
+        yield (
+            f"checks.max_age can hardly pass: without any loss, what is heard is up to {oldest:.4g} s old, "
+            f"and less than {check.below / 1e9:g} s is asked for"
+        )
+
+
+def _idle_faults(scenario: Scenario) -> Iterator[str]:
+    m, tick_s = scenario.round_ticks, scenario.tick_ns / 1e9
+    named = dict.fromkeys(fault.id for fault in scenario.faults.network if fault.kind in BY_ROUND)
+    for name in named:
+        parts = [fault for fault in scenario.faults.network if fault.id == name]
+        begin, end = parts[0].begin, parts[0].end
+        if end is not None and -(-begin // m) * m >= end:
+            yield (
+                f"fault {name} does nothing: agents talk at round ticks, every {m * tick_s:g} s, and none lies between "
+                f"{begin * tick_s:g} and {end * tick_s:g} s; let it last for a round at least"
+            )
+
+
+def _large_log(scenario: Scenario) -> Iterator[str]:
+    if hint := large_log_hint(log_mb(scenario)):
+        yield f"the log will have about {log_mb(scenario):.0f} MB; {hint}"

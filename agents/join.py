@@ -30,6 +30,7 @@ from netem.messages import PROTOCOL_VERSION, End
 from netem.shell import read_map
 
 CONNECT_MS = 3000
+MOST_TEXT = 200  # characters of a name or password
 ASK_S = 10.0
 _ONE_HOST = {"ca": "", "certificate": "", "key": "", "lease_ms": LEASE_MS}  # left out of the file
 WATCH_S = 0.2  # how often to look whether the run is still there
@@ -112,7 +113,7 @@ class Joining:
         version = values.get("version")
         if version != PROTOCOL_VERSION:
             raise JoinError(
-                f"the run of {path} speaks version {version} of the protocol, this fleet version {PROTOCOL_VERSION}: "
+                f"the run of {path} speaks version {version!s:.40} of the protocol, this fleet version {PROTOCOL_VERSION}: "
                 "use the uuv-fleet that the run uses"
             )
         fields: dict[str, type] = {"endpoint": str, "run": str, "vehicle": int, "user": str, "password": str}
@@ -131,6 +132,8 @@ class Joining:
 def _check(path: Path, key: str, kind: type, value: Any) -> None:
     if type(value) is not kind:
         raise JoinError(f"{path}: {key}: expected {kind.__name__}, got {type(value).__name__}")
+    if isinstance(value, str) and len(value) > MOST_TEXT and key not in ("endpoint", "ca", "certificate", "key"):
+        raise JoinError(f"{path}: {key}: {len(value)} characters, expected at most {MOST_TEXT}")
 
 
 def serve(joining: Joining, tell: Callable[[str], None]) -> End:

@@ -113,9 +113,8 @@ class Joining:
         version = values.get("version")
         if version != PROTOCOL_VERSION:
             raise JoinError(
-                f"the run of {path} speaks version {version!s:.40} of the protocol, "
-                f"this fleet version {PROTOCOL_VERSION}: "
-                "use the uuv-fleet that the run uses"
+                f"the run of {path} speaks version {version!s:.40} of the protocol, this fleet version "
+                f"{PROTOCOL_VERSION}: use the uuv-fleet that the run uses"
             )
         fields: dict[str, type] = {"endpoint": str, "run": str, "vehicle": int, "user": str, "password": str}
         optional: dict[str, type] = {"scenario": str, "incarnation": int, "begin": int}

@@ -20,9 +20,11 @@ import base64
 import json
 import os
 import re
+from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 from queue import Empty, SimpleQueue
+from threading import Thread
 from time import monotonic_ns
 from typing import Any, NamedTuple
 
@@ -92,29 +94,40 @@ class Channel:
         return None if sample is None else (str(sample.key_expr), sample.payload.to_bytes())
 
 
+CLOSE_S = 3.0
+MOST_WAITING = 1000  # puts on one key of those who are not to wait; a fleet that works has a few
+
+
 class Stamped:
     """What came in on a key expression, in order, each with the time at which it did [ns, CLOCK_MONOTONIC]."""
 
     def __init__(self) -> None:
         self._queue: SimpleQueue[tuple[str, bytes, int]] = SimpleQueue()
+        # Each of these has one thread that writes it.
+        self._came: Counter[str] = Counter()
+        self._taken: Counter[str] = Counter()
+        self.flooded: Counter[str] = Counter()  # puts by key that were dropped, since as many wait as may
 
     def put(self, key: str, data: bytes) -> None:
         """Called on a zenoh thread."""
+        if self._came[key] - self._taken[key] >= MOST_WAITING:
+            self.flooded[key] += 1
+            return
+        self._came[key] += 1
         self._queue.put((key, data, monotonic_ns()))
 
     def get(self, timeout_s: float | None = None) -> tuple[str, bytes, int] | None:
         """The next (key, bytes, time); waits for it, or None when none came in time."""
         try:
-            return self._queue.get(timeout=timeout_s)
+            item = self._queue.get(timeout=timeout_s)
         except Empty:
             return None
+        self._taken[item[0]] += 1
+        return item
 
     def poll(self) -> tuple[str, bytes, int] | None:
         """The next (key, bytes, time), or None when there is none yet."""
-        try:
-            return self._queue.get_nowait()
-        except Empty:
-            return None
+        return self.get(0.0) if self._queue.qsize() else None
 
     def __len__(self) -> int:
         return self._queue.qsize()
@@ -251,7 +264,9 @@ class Bus:
 
         A callback needs the interpreter lock, and so interrupts whatever the main thread computes; for the
         hot path of world and agents this costs a fifth of their CPU time. When the channel is full, the
-        sender's own link waits.
+        senders' links wait, and so does everything else that comes in on the session: who takes from one channel only
+        must not let another one fill. Where a stranger may put, the capacity should be small: each put that waits may
+        hold half a megabyte (measured: zenoh keeps the buffer that it came in).
         """
         return Channel(self._session.declare_subscriber(key, zenoh.handlers.FifoChannel(capacity)))
 
@@ -311,7 +326,10 @@ class Bus:
     def close(self) -> None:
         """Close the session; everything declared through it is gone."""
         self._held.clear()
-        self._session.close()  # type: ignore[no-untyped-call]
+        # A session that still receives into a channel that nobody empties would never close.
+        closing = Thread(target=self._session.close, daemon=True)
+        closing.start()
+        closing.join(CLOSE_S)
 
 
 class Sample(NamedTuple):

@@ -34,7 +34,7 @@ from netem.messages import (
     split,
 )
 from netem.rounds import Rounds
-from netem.shell import Item, Shell, end_with_link, expect, read_map, vehicle_of
+from netem.shell import Item, Probes, Shell, end_with_link, expect, read_map, vehicle_of
 
 log = logging.getLogger(__name__)
 
@@ -58,10 +58,11 @@ class NetemProcess:
     def __init__(self, bus: Bus, keys: Keys, config: NetemConfig, rounds: Rounds | FreeRounds) -> None:
         self._keys = keys
         self._rounds = rounds
-        self._shell = Shell(bus, NETEM, keys.note(NETEM))
+        self._shell = Shell(bus, NETEM, keys.note(NETEM), drop=isinstance(rounds, FreeRounds))
         self._inbox: dict[int, Callable[[bytes], None]] = {i: bus.publisher(keys.rx(i)) for i in config.vehicles}
         self._links = bus.publisher(keys.links)
         self._round_heard = False
+        self._probes = Probes()
         self._counts = {"sent": {"links": 0}, "received": {"round": 0}}
         self._shell.subscribe(keys.tx("*"))
         self._shell.subscribe(keys.round)
@@ -95,6 +96,9 @@ class NetemProcess:
         if isinstance(message, Transmission) and (longest := max(map(len, message.payloads), default=0)) > PART_BYTES:
             raise MalformedMessage("tx", f"a payload of {longest} bytes; at most {PART_BYTES} are carried")
         if isinstance(message, Hello):
+            if message.echo or message.version != PROTOCOL_VERSION:
+                raise MalformedMessage("hello", f"expected a probe of protocol version {PROTOCOL_VERSION}")
+            self._probes.spend(i)
             self._inbox[i](_ECHO)
         else:
             self._from_agent(i, message)

@@ -10,19 +10,23 @@ import logging
 import os
 import sys
 from collections import Counter
+from collections.abc import Callable
 from queue import SimpleQueue
+from threading import Semaphore
+from time import monotonic
 from typing import Any, NamedTuple
 
 import msgpack
 
 from netem.access import LEASE_MS, Credentials
-from netem.bus import Bus, Respond
+from netem.bus import MOST_WAITING, Bus, Respond
 from netem.errors import MalformedMessage, OutOfPlace
 from netem.messages import Message, Note, decode, encode
 
 log = logging.getLogger(__name__)
 
-MOST_QUEUED = 1000  # puts on one key that wait to be handled; a fleet that works has a few
+
+ROOM = 64  # puts that wait in lockstep; each may hold half a megabyte, since zenoh keeps the buffer that it came in
 
 
 class Item(NamedTuple):
@@ -36,24 +40,33 @@ class Item(NamedTuple):
 class Shell:
     """The queue of one process, with the bus that feeds it."""
 
-    def __init__(self, bus: Bus, role: str, note_key: str) -> None:
+    def __init__(self, bus: Bus, role: str, note_key: str, *, drop: bool = False) -> None:
+        """`drop`: what floods a key is dropped and counted, where nobody may be late; otherwise whoever puts waits."""
+        self._drop = drop
+        self._room = Semaphore(ROOM)
         self.bus = bus
         self.role = role
         self.queue: SimpleQueue[Item] = SimpleQueue()
         self.rejected: Counter[str] = Counter()
-        self._queued: Counter[str] = Counter()  # puts by key
+        # Puts by key; each of these has one thread that writes it.
+        self._came: Counter[str] = Counter()
+        self._taken: Counter[str] = Counter()
         self._note = bus.publisher(note_key)
 
     def subscribe(self, key: str) -> None:
-        """Queue every put on `key`, but for those of a flood, which would fill the memory: they are counted."""
-        put, queued = self.queue.put, self._queued
+        """Queue every put on `key`, but never so many that they fill the memory."""
+        put, came, taken, room = self.queue.put, self._came, self._taken, self._room
 
         def receive(k: str, data: bytes) -> None:
-            if queued[k] < MOST_QUEUED:
-                queued[k] += 1
+            if not self._drop:
+                room.acquire()  # zenoh's thread waits, and with it the senders' links
+                put(Item(k, data, None))
+                return
+            if came[k] - taken[k] < MOST_WAITING:
+                came[k] += 1
                 put(Item(k, data, None))
             else:
-                self.rejected[f"{_tail(k)}: flood"] += 1
+                self.rejected[f"{tail(k)}: flood"] += 1
 
         self.bus.subscribe(key, receive)
 
@@ -65,7 +78,10 @@ class Shell:
         """
         item = self.queue.get(timeout=timeout_s)
         if item.respond is None:
-            self._queued[item.key] -= 1
+            if self._drop:
+                self._taken[item.key] += 1
+            else:
+                self._room.release()
         return item
 
     def answer(self, key: str) -> None:
@@ -76,7 +92,7 @@ class Shell:
     def reject(self, key: str, tick: int, error: MalformedMessage | OutOfPlace) -> None:
         """Count and drop a message; the first of its kind from a key is also told to the console."""
         subject = vehicle_of(key)
-        kind = f"{_tail(key)}: {type(error).__name__}"
+        kind = f"{tail(key)}: {type(error).__name__}"
         self.rejected[kind] += 1
         if self.rejected[kind] == 1:
             log.warning("rejected on %s: %s", key, error)
@@ -87,7 +103,30 @@ class Shell:
         self._note(encode(Note(self.role, subject, tick, text[:2000])))
 
 
-def _tail(key: str) -> str:
+class Probes:
+    """Lets so many probes of each agent be answered, so that a flood of them is not answered by another one."""
+
+    BURST, PER_S = 60, 60.0  # an agent that gets ready asks every 20 ms
+
+    def __init__(self, now: Callable[[], float] = monotonic) -> None:
+        self._now = now
+        self._left: dict[int, tuple[float, float]] = {}  # by agent: how many, at what time
+
+    def spend(self, i: int) -> None:
+        """Another one of agent i.
+
+        Raises:
+            OutOfPlace: it is one too many.
+        """
+        now = self._now()
+        left, since = self._left.get(i, (float(self.BURST), now))
+        left = min(float(self.BURST), left + (now - since) * self.PER_S)
+        self._left[i] = max(0.0, left - 1.0), now
+        if left < 1.0:
+            raise OutOfPlace("hello", f"at most {self.PER_S:g} probes a second", "more")
+
+
+def tail(key: str) -> str:
     """The key without the run: `tx/3`."""
     return "/".join(key.rsplit("/", 2)[-2:])
 

@@ -134,6 +134,8 @@ def test_one_that_leaves(policy: str, tmp_path: Path) -> None:
     with LiveRun(tmp_path / "runs", "paper", *arguments, "--speed", "0.3") as run:
         first = agent(join_file(run))
         wait_for(lambda: "agent 3 (external) has joined" in run.printed, READY_S, "agent 3")
+        # Until then another one may come in its place, whatever the policy.
+        wait_for(lambda: op(tmp_path / "runs", "status").returncode == 0, READY_S, "the run to begin")
         if policy == "continue":
             code, said = ended(agent(join_file(run)))
             assert (code, "does not wait for an agent 3: one has joined already" in said) == (2, True), said

@@ -12,7 +12,7 @@ from netem.bus import Bus, quiet_zenoh
 from netem.keys import Keys
 from netem.messages import Pace as Begins
 from netem.messages import encode
-from netem.shell import end_with_link
+from netem.shell import end_with_link, tail
 from netem.spread import Spread
 from world.config import WorldConfig
 from world.freerun import FreeRun
@@ -118,6 +118,10 @@ class FreeWorldProcess(WorldProcess):
             if i in self._heard_ns:
                 self._gaps[i].add(at_ns - self._heard_ns[i])
             self._heard_ns[i] = at_ns
+
+    def _rejected(self) -> dict[str, int]:
+        floods = {f"{tail(key)}: flood": n for key, n in self._came.flooded.items()}
+        return super()._rejected() | floods
 
     def _timing(self) -> dict[str, Any]:
         pace = self._pace

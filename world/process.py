@@ -35,7 +35,7 @@ from netem.messages import (
     pieces,
     split,
 )
-from netem.shell import Shell, end_with_link, expect, read_map, vehicle_of
+from netem.shell import Probes, Shell, end_with_link, expect, read_map, vehicle_of
 from world.config import WorldConfig
 from world.faults import WorldFault
 from world.lockstep import Lockstep, NavTo, Out
@@ -113,6 +113,7 @@ class WorldProcess:
         self._frames_bytes = 0
         self._sent = dict.fromkeys(("nav", "round", "frame"), 0)
         self._received = {"cmd": 0}
+        self._probes = Probes()
         self._ready: set[tuple[int, int]] = set()  # agent and incarnation
         self._grant_heard = False
         self._listen(bus)
@@ -124,7 +125,8 @@ class WorldProcess:
         self._refusals.tell(lambda text: self._shell.note(0, min(map(self._lockstep.tick_of, self._ids)), text))
 
     def _listen(self, bus: Bus) -> None:
-        self._in = bus.channel(self._keys.cmd("*"))  # commands and grants
+        # Commands and grants: an agent owes one at a time, and its memory now and then.
+        self._in = bus.channel(self._keys.cmd("*"), capacity=max(64, 3 * len(self._ids)))
 
     def serve(self) -> None:
         """Handle one message after the other, until the process is ended."""
@@ -185,6 +187,7 @@ class WorldProcess:
             if message.echo:
                 self._ready.add((i, message.incarnation))
             else:
+                self._probes.spend(i)
                 self._nav[i](_ECHO)
 
     def _publish(self, out: list[Out]) -> None:
@@ -250,10 +253,13 @@ class WorldProcess:
                 respond(msgpack.packb({}))
             case "close":
                 counts = {"sent": self._sent, "received": self._received}
-                rejected = self._shell.rejected | self._refusals.counts
-                respond(msgpack.packb({"rejected": rejected, "counts": counts, "timing": self._timing()}))
+                respond(msgpack.packb({"rejected": self._rejected(), "counts": counts, "timing": self._timing()}))
             case other:
                 respond(msgpack.packb({"error": f"no operation {other!r:.40}"}))
+
+    def _rejected(self) -> dict[str, int]:
+        """How many messages were dropped or refused, by key and reason."""
+        return dict(self._shell.rejected | self._refusals.counts)
 
     def _timing(self) -> dict[str, Any]:
         """How everyone kept up with a wall clock; there is none in lockstep."""

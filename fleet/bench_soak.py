@@ -66,6 +66,10 @@ class Soak:
         self._samples.append(sum(map(_memory_mb, _of_session(self._process.pid))))
         return True
 
+    @property
+    def pid(self) -> int:
+        return self._process.pid
+
     def stop(self) -> None:
         """End it and whoever is left of it."""
         for pid in [*_of_session(self._process.pid), self._process.pid]:
@@ -79,8 +83,7 @@ class Soak:
         wall_s = time.monotonic() - self._began
         left = _of_session(self._process.pid)
         self.stop()
-        path = self._folder / self.name / "latest" / "result.json"
-        values: dict[str, Any] = json.loads(path.read_text("utf-8")) if path.exists() else {}
+        values = result_of(self._folder / self.name)
         said = (self._folder / f"{self.name}.txt").read_text("utf-8", "replace").strip()
         unbalanced = [c["found"] for c in values.get("checks", ()) if c["check"] == "ledger" and not c["passed"]]
         samples = self._samples or [0.0]
@@ -179,6 +182,13 @@ def _together(what: list[tuple[str, list[str]]], folder: Path, say: Callable[[st
     finally:
         for soak in soaks:
             soak.stop()
+
+
+def result_of(folder: Path) -> dict[str, Any]:
+    """The result of the last run in a folder; empty if it left none."""
+    path = folder / "latest" / "result.json"
+    values: dict[str, Any] = json.loads(path.read_text("utf-8")) if path.exists() else {}
+    return values
 
 
 def _of_session(session: int) -> list[int]:

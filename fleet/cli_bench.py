@@ -1,4 +1,4 @@
-"""The commands that measure this machine: `fleet bench`, `fleet bench real`, `fleet bench soak`."""
+"""The commands that measure this machine: `fleet bench`, and `real`, `soak` and `stress` of it."""
 
 from __future__ import annotations
 
@@ -98,6 +98,29 @@ def real(agents: list[int], speeds: list[float], json_path: Path | None, quick: 
 
 
 @bench.command()
+@_agents("100,300")
+@click.option(
+    "--suspend", metavar="SECONDS", type=click.FloatRange(0.1, 3600.0), default=30.0, show_default=True,
+    help="How long the console is stopped.",
+)  # fmt: skip
+@_json
+def stress(agents: list[int], suspend: float, json_path: Path | None) -> None:
+    """Try large fleets, floods by an agent, a stopped console and a reader that never reads.
+
+    \b
+    Examples:
+      fleet bench stress
+      fleet bench stress --agents 20 --suspend 1
+    """
+    from fleet.bench_stress import measure, table, verdicts
+
+    rows = measure(agents, suspend, _say)
+    _terminal().print(table(rows))
+    _write(json_path, [row.to_values() for row in rows])
+    _end(verdicts(rows))
+
+
+@bench.command()
 @click.option("--vehicles", type=click.IntRange(2, 1000), default=20, show_default=True, help="Fleet size.")
 @click.option(
     "--duration", metavar="SECONDS", type=click.FloatRange(30.0, 1e6), default=3600.0, show_default=True,
@@ -121,7 +144,10 @@ def soak(vehicles: int, duration: float, distributed: float, json_path: Path | N
     rows = measure(vehicles, duration, distributed, _say)
     _terminal().print(table(rows))
     _write(json_path, [row.to_values() for row in rows])
-    wrong = verdicts(rows)
+    _end(verdicts(rows))
+
+
+def _end(wrong: list[str]) -> None:
     for line in wrong:
         click.echo(f"FAIL  {line}")
     sys.exit(1 if wrong else 0)

@@ -1,0 +1,215 @@
+"""`fleet bench stress`: large fleets, and what somebody who is let in could do to a run.
+
+Every run is compared with the same scenario in one process: whatever is done to it, the bytes are the same, or it did not
+pass.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from rich.table import Table
+
+from agents.join import Joining
+from fleet.bench_soak import Soak, result_of
+from netem.bus import Bus
+from netem.errors import BusError
+from netem.keys import Keys
+from netem.messages import PROTOCOL_VERSION, Hello, Note, encode
+
+READY_S = 60.0
+CHECKS = "checks={ledger: balanced, middleware_loss: {at_most: 0}}"
+FLOODED = 3  # the vehicle whose agent goes mad
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One thing that was tried."""
+
+    tried: str
+    status: str
+    same_bytes: bool
+    wall_s: float
+    alone_s: float  # the same distributed run with nothing done to it; 0: that is what this is
+    seen: str
+
+    def to_values(self) -> dict[str, Any]:
+        return asdict(self)
+
+
+def measure(sizes: Sequence[int], suspend_s: float, say: Callable[[str], None]) -> list[Row]:
+    """Try everything; fleets of these sizes first."""
+    rows = []
+    with tempfile.TemporaryDirectory(prefix="uuv-fleet-stress-") as name:
+        folder = Path(name)
+        for n in sizes:
+            say(f"{n} agents")
+            arguments = ["paper", *_sets(f"vehicles={n}", "duration=1 s", "log.snapshot=0 s", CHECKS)]
+            rows.append(_row(folder, f"{n} agents, 1 s", arguments, None))
+        arguments = ["paper", *_sets("duration=20 s", "log.snapshot=0 s", CHECKS)]
+        alone = _run(folder, "alone", arguments, None)[1]
+        say("floods")
+        external = f"per_vehicle={{{FLOODED}: {{external: true}}}}"
+        for what in FLOODS:
+            title = f"agent {FLOODED} floods: {what}"
+            rows.append(_row(folder, title, arguments, _Flood(what), alone, more=_sets(external)))
+        say(f"console suspended for {suspend_s:g} s")
+        rows.append(_row(folder, f"console suspended {suspend_s:g} s", arguments, _Suspension(suspend_s), alone))
+        say("a reader that never reads")
+        rows.append(
+            _row(folder, "--publish, and a reader that never reads", arguments, _Reader(), alone, ["--publish"])
+        )
+    return rows
+
+
+class _Flood:
+    """An agent that does its work, and a second session with its login that puts as fast as it can."""
+
+    def __init__(self, what: str) -> None:
+        self._what = what
+        self._puts = 0
+
+    def __call__(self, soak: Soak, folder: Path) -> str:
+        path = _wait_for(soak, folder, f"join-{FLOODED}.json")
+        with _process(["agent", "--join", str(path)]):
+            joining = Joining.read(path)
+            keys = Keys(joining.run)
+            with suppress(BusError):
+                bus = Bus.connect(joining.endpoint, joining.credentials)
+                puts = [(bus.publisher(key), data) for key, data in FLOODS[self._what](keys)]
+                while soak.running:
+                    for _ in range(200):
+                        for put, data in puts:
+                            put(data)
+                            self._puts += 1
+                bus.close()
+            while soak.running:
+                time.sleep(0.05)
+        dropped = sum(result_of(folder).get("rejected", {}).values())
+        return f"{self._puts} puts, {dropped} came through and were refused"
+
+
+class _Suspension:
+    """The console is stopped for a while, and goes on."""
+
+    def __init__(self, seconds: float) -> None:
+        self._seconds = seconds
+
+    def __call__(self, soak: Soak, folder: Path) -> str:
+        _wait_for(soak, folder, "connection.json")
+        time.sleep(1.0)
+        os.kill(soak.pid, signal.SIGSTOP)
+        time.sleep(self._seconds)
+        os.kill(soak.pid, signal.SIGCONT)
+        return ""
+
+
+class _Reader:
+    """Somebody subscribes to the whole journal and is then stopped."""
+
+    def __call__(self, soak: Soak, folder: Path) -> str:
+        path = _wait_for(soak, folder, "observe.json")
+        with _process(["record", "--run", str(path.parent), "-o", str(folder / "x.mcap"), "-q"]) as reader:
+            time.sleep(1.0)
+            reader.send_signal(signal.SIGSTOP)
+            while soak.running:
+                time.sleep(0.05)
+        published = result_of(folder).get("published", {})
+        return f"{published.get('dropped', 0)} of {published.get('messages', 0)} messages dropped for it"
+
+
+FLOODS: dict[str, Callable[[Keys], list[tuple[str, bytes]]]] = {
+    "garbage on each of its keys": lambda keys: [
+        (key, b"\xc1" * 1000) for key in (keys.cmd(FLOODED), keys.tx(FLOODED), keys.note(f"agent-{FLOODED}"))
+    ],
+    "probes to world and netem": lambda keys: [
+        (key, encode(Hello("agent", FLOODED, 0, PROTOCOL_VERSION, False)))
+        for key in (keys.cmd(FLOODED), keys.tx(FLOODED))
+    ],
+    "notes": lambda keys: [(keys.note(f"agent-{FLOODED}"), encode(Note(f"agent-{FLOODED}", FLOODED, 0, "mad " * 100)))],
+}
+
+
+def _row(
+    folder: Path,
+    tried: str,
+    arguments: list[str],
+    abuse: Callable[[Soak, Path], str] | None,
+    alone_s: float = 0.0,
+    more: Sequence[str] = (),
+) -> Row:
+    same, _, _ = _run(folder, "same", [*arguments, "--in-process"], None)
+    found, wall_s, seen = _run(folder, "abused", [*arguments, *more], abuse)
+    if not seen:
+        wall = found.get("wall", {})
+        seen = f"ready in {wall.get('startup_s', 0):.1f} s, {100 * wall.get('x_real_time', 0):.0f} ticks/s"
+    reason = f" {found['reason']}" if found.get("reason") else ""
+    status = f"{found.get('status', 'no result')}{reason}"
+    return Row(tried, status, found.get("digest") == same.get("digest"), wall_s, alone_s, seen)
+
+
+def _run(
+    folder: Path, name: str, arguments: list[str], abuse: Callable[[Soak, Path], str] | None
+) -> tuple[dict[str, Any], float, str]:
+    """(result, wall time without the start, what was seen)."""
+    soak = Soak(name, arguments, folder)
+    try:
+        seen = "" if abuse is None else abuse(soak, folder / name)
+        while soak.running:
+            time.sleep(0.05)
+    finally:
+        soak.stop()
+    values = result_of(folder / name)
+    return values, float(values.get("wall", {}).get("run_s", 0.0)), seen
+
+
+def _wait_for(soak: Soak, folder: Path, name: str) -> Path:
+    path = folder / "latest" / name
+    deadline = time.monotonic() + READY_S
+    while soak.running and not path.exists() and time.monotonic() < deadline:
+        time.sleep(0.02)
+    return path
+
+
+@contextmanager
+def _process(arguments: list[str]) -> Iterator[subprocess.Popen[bytes]]:
+    quiet = subprocess.DEVNULL
+    command = [sys.executable, "-m", "fleet", *arguments]
+    process = subprocess.Popen(command, stdin=quiet, stdout=quiet, stderr=quiet)
+    try:
+        yield process
+    finally:
+        process.kill()
+        process.wait()
+
+
+def _sets(*overrides: str) -> list[str]:
+    return [word for override in overrides for word in ("--set", override)]
+
+
+def verdicts(rows: Sequence[Row]) -> list[str]:
+    """What is wrong with the rows; nothing, if all was withstood."""
+    wrong = [f"{row.tried}: {row.status}" for row in rows if row.status != "pass"]
+    return wrong + [f"{row.tried}: other bytes" for row in rows if row.status == "pass" and not row.same_bytes]
+
+
+def table(rows: Sequence[Row]) -> Table:
+    """The rows for a terminal."""
+    shown = Table(title="load and abuse", title_justify="left", box=None, pad_edge=False)
+    for heading in ("tried", "status", "same bytes", "run", "left alone", "seen"):
+        shown.add_column(heading, justify="left" if heading in ("tried", "status", "seen") else "right")
+    for row in rows:
+        alone = f"{row.alone_s:.1f} s" if row.alone_s else "-"
+        same = "yes" if row.same_bytes else "no"
+        shown.add_row(row.tried, row.status, same, f"{row.wall_s:.1f} s", alone, row.seen)
+    return shown

@@ -50,6 +50,7 @@ def check(vehicle: int, scenario: str, join_file: Path | None, timeout: float, p
       fleet protocol check --id 2 --scenario rough-sea --join-file /tmp/join-2.json
     """
     from fleet.conformance import Examination
+    from fleet.errors import printable
     from fleet.scenario import load_scenario
     from netem.bus import quiet_zenoh
 
@@ -63,9 +64,9 @@ def check(vehicle: int, scenario: str, join_file: Path | None, timeout: float, p
         click.echo(f"fleet: {error}", err=True)
         sys.exit(2)
     for text in examination.notes:
-        click.echo(f"note  the agent says: {text}")
+        click.echo(f"note  the agent says: {printable(text)}")
     for verdict in found:
-        click.echo(str(verdict))
+        click.echo(printable(str(verdict)))
     passed = sum(verdict.passed is True for verdict in found)
     slowest = f"; slowest answer {examination.slowest_s * 1e3:.1f} ms"
     click.echo(f"{passed} of {len(found)} checks passed{slowest}")

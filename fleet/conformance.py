@@ -158,10 +158,13 @@ class Examination:
             self._file.unlink(missing_ok=True)
             self._other.close()
 
-    def _take(self, timeout_s: float) -> tuple[str, Message | None] | None:
-        """As `Counterpart.take`; what is malformed is judged, and ends the exchange."""
+    def _take(self, deadline: float) -> tuple[str, Message | None] | None:
+        """As `Counterpart.take`, up to a moment; what is malformed is judged, and ends the exchange.
+
+        A moment and not a span, because an agent may put without end what is no answer.
+        """
         try:
-            return self._other.take(timeout_s)
+            return self._other.take(deadline - time.monotonic())
         except MalformedMessage as error:
             self._fail(FORM, "hello, memory and cmd on cmd, hello and tx on tx", error)
             raise _BrokenOffError from None
@@ -218,10 +221,12 @@ class Examination:
     def _handshake(self, timeout_s: float) -> None:
         asked = ready = False
         probed: set[str] = set()
+        steps, deadline = 0, time.monotonic() + timeout_s
         while not (asked and ready and len(probed) == 2 and self._other.here):
-            met = asked or bool(probed) or self._other.here
-            taken = self._take(2 * ANSWER_S if met else timeout_s)
-            if taken is None and not met:
+            if (done := asked + ready + len(probed) + self._other.here) > steps:
+                steps, deadline = done, time.monotonic() + 2 * ANSWER_S
+            taken = self._take(deadline)
+            if taken is None and not steps:
                 raise ConformanceError(f"nobody came within {timeout_s:g} s: no query of cfg, no hello, no token")
             if taken is None:
                 break
@@ -265,9 +270,9 @@ class Examination:
         began = time.monotonic()
         transmitted = False
         while True:
-            taken = self._take(ANSWER_S)
+            taken = self._take(began + ANSWER_S)
             if taken is None or (taken[0] == "token" and not self._other.here):
-                why = f"nothing within {ANSWER_S:g} s" if taken is None else "its token is gone"
+                why = f"none within {ANSWER_S:g} s" if taken is None else "its token is gone"
                 self._fail(blame, f"cmd of tick {tick}", why)
                 raise _BrokenOffError
             match taken[1]:
@@ -299,7 +304,8 @@ class Examination:
     def _silence(self, check: str, tick: int, expected: str) -> None:
         """Judge that nothing comes before the nav of a tick may be answered."""
         self._reached.add(check)
-        while (taken := self._take(SILENCE_S)) is not None:
+        deadline = time.monotonic() + SILENCE_S
+        while (taken := self._take(deadline)) is not None:
             message = taken[1]
             if isinstance(message, Command) and message.incarnation == LIFE and message.tick < tick:
                 self._fail(UNASKED, "one cmd per nav", f"another {_shown(message)}")
@@ -313,8 +319,9 @@ class Examination:
     def _end(self, tick: int) -> None:
         self._reached.add(ENDS)
         self._other.nav(encode(End(LIFE, tick, "the check is over")))
+        deadline = time.monotonic() + ANSWER_S
         while self._other.here:
-            taken = self._take(ANSWER_S)
+            taken = self._take(deadline)
             if taken is None:
                 self._fail(ENDS, "that its token goes", f"it is there {ANSWER_S:g} s later")
                 return

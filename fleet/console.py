@@ -28,7 +28,7 @@ import world.process
 from fleet.children import FORKSERVER_LOST, Child, Children, Exit, describe_exit, forkserver_death
 from fleet.clock import Clock, LiveClock
 from fleet.control import Operator
-from fleet.errors import RunBroken, StoppedError
+from fleet.errors import RunBroken, StoppedError, printable
 from fleet.external import Joins
 from fleet.guardian import Guardian
 from fleet.hosts import Meeting
@@ -553,11 +553,6 @@ class Console:
 
     def _seconds(self, tick: int) -> str:
         return f"t = {max(0, tick) * self._scenario.tick_ns / 1e9:.2f} s (tick {max(0, tick)})"
-
-
-def printable(text: str) -> str:
-    """The same on one line, and with nothing that a terminal would obey: notes are the word of others."""
-    return "".join(c if c.isprintable() else "\ufffd" for c in text)
 
 
 def _unconnected(_: bytes) -> None:

@@ -16,6 +16,7 @@ from netem.errors import MalformedMessage
 from netem.keys import Keys
 from netem.messages import PROTOCOL_VERSION, Command, Hello, Memory, Message, Note, Transmission, decode, encode
 
+MOST_NOTES = 100
 KINDS = {"cmd": (Hello, Command, Memory), "tx": (Hello, Transmission), "note": (Note,)}
 
 
@@ -68,11 +69,11 @@ class Counterpart:
             MalformedMessage: the agent put what does not belong on that key.
         """
         deadline = time.monotonic() + timeout_s
-        while True:
+        while (left := deadline - time.monotonic()) > 0:
             try:
-                key, data = self._came.get(timeout=max(0.0, deadline - time.monotonic()))
+                key, data = self._came.get(timeout=left)
             except Empty:
-                return None
+                break
             if key == "cfg":
                 return key, None
             if key == "token":
@@ -82,12 +83,14 @@ class Counterpart:
             if not isinstance(message, KINDS[key]):
                 raise MalformedMessage(key, f"a {type(message).__name__.lower()} on {key}")
             if isinstance(message, Note):
-                self.notes.append(message.text)
+                if len(self.notes) < MOST_NOTES:
+                    self.notes.append(message.text)
                 continue
             if isinstance(message, Hello) and not message.echo:
                 role, echo = ("world", self.nav) if key == "cmd" else ("netem", self.rx)
                 echo(encode(Hello(role, 0, 0, PROTOCOL_VERSION, True)))
             return key, message
+        return None
 
     def close(self) -> None:
         """Close the router."""

@@ -72,6 +72,11 @@ class ScenarioError(FleetError):
         return "\n".join(str(problem) for problem in self.problems) + tail
 
 
+def printable(text: str) -> str:
+    """The same on one line, and with nothing that a terminal would obey: for the words of others."""
+    return "".join(c if c.isprintable() else "\ufffd" for c in text)
+
+
 def _window(line: str, column: int) -> tuple[str, int]:
     """The part of a long line around the caret, and the caret's index in it."""
     line = "".join(c if c.isprintable() else " " for c in line)

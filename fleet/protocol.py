@@ -52,7 +52,7 @@ with `f = cos theta u + sin theta w`.
    control *block*.
 5. Put `hello` with role `agent`, your number, your incarnation and version {PROTOCOL_VERSION} on `cmd/<i>` and on
    `tx/<i>`, every 20 to 200 ms, until a `hello` with `echo` set came on `nav/<i>` (from the world) and on `rx/<i>`
-   (from netem). Echoes of repeated ones may come later, at any time; ignore them.
+   (from netem). Echoes of repeated ones may come later, at any time; ignore them. More than 60 a second are refused.
 6. Put the same `hello` with `echo` set on `cmd/<i>`, then declare the liveliness token `alive/agent-<i>`. You have
    joined. The first nav comes when everybody has, or when the run has reached `begin`: wait without a limit.
 

@@ -101,6 +101,7 @@ BROKEN = {
     "commands one number less": ("tau, velocity = law", "(*tau, _), velocity = law", conformance.FORM),
     "commands a life that it has not": ('["cmd", life,', '["cmd", life + 1,', conformance.COMMANDS),
     "has no token": ("token = session.liveliness", "token = lambda *_: session.liveliness", conformance.TOKEN),
+    "does not see the echoes": ('{"world", "netem"}:', '{"somebody else"}:', conformance.READY),
     "stays": ("session.close()", "import time; time.sleep(100)", conformance.ENDS),
 }
 

@@ -70,7 +70,7 @@ echoed = set()
 while echoed != {"world", "netem"}:
     for put in (cmd, tx):
         put(msgpack.packb(["hello", "agent", me, life, join["version"], False]))
-    if (message := take(0.2)) and message[0] == "hello":
+    while len(echoed) < 2 and (message := take(0.1)) and message[0] == "hello":
         echoed.add(message[1])
 cmd(msgpack.packb(["hello", "agent", me, life, join["version"], True]))
 token = session.liveliness().declare_token(f"{prefix}/alive/agent-{me}")

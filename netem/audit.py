@@ -14,6 +14,7 @@ import re
 import threading
 from collections import Counter
 from collections.abc import Callable
+from contextlib import suppress
 
 from netem.bus import log_zenoh
 
@@ -134,4 +135,6 @@ def _follow(source: int, stdout: int, refusals: Refusals) -> None:
             if b" is authorized to " in line and b"Username" not in line:
                 continue  # nearly all of them, when decisions are logged
             if not refusals.line(line.decode("utf-8", "replace")):
-                os.write(stdout, line + b"\n")
+                # Whatever becomes of the line (the disk may be full), zenoh would wait for ever if nobody read on.
+                with suppress(OSError):
+                    os.write(stdout, line + b"\n")

@@ -27,7 +27,7 @@ from fleet.run import Options, Result, Status, execute
 from fleet.rundir import RunDirectory
 from fleet.scenario import load_scenario
 from netem.access import CONSOLE, OBSERVER, OPERATOR, Credentials, generate
-from netem.audit import MOST_KINDS, Refusals
+from netem.audit import MOST_KINDS, Refusals, _follow
 from netem.bus import MOST_WAITING, Bus, OpenBus
 from netem.errors import BusError
 from netem.keys import Keys
@@ -282,6 +282,20 @@ def test_a_flood_changes_nothing(monkeypatch: pytest.MonkeyPatch, tmp_path: Path
     assert {"cmd/3: MalformedMessage", "tx/3: MalformedMessage", "note/agent-3"} <= rejected.keys()
     assert min(rejected.values()) > 0
     assert len(flooded.values["notes"]) <= 1000
+
+
+def test_a_full_disk_does_not_stop_the_audit() -> None:
+    """Zenoh writes its log into a pipe: if nobody read on, the router would wait with it."""
+    refusals, (source, sink) = Refusals(), os.pipe()
+    lost = b"something else\n"
+    login = b"unicast::establishment::accept: UsrPwd extension - Recv InitSyn. Invalid password. at /x\n"
+    os.write(sink, lost + login + lost + login)
+    os.close(sink)
+    full = os.open("/dev/full", os.O_WRONLY)
+    _follow(source, full, refusals)
+    os.close(full)
+    os.close(source)
+    assert refusals.counts == {"refused a login with a wrong password": 2}
 
 
 def test_a_flood_fills_no_queue() -> None:

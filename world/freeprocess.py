@@ -120,7 +120,7 @@ class FreeWorldProcess(WorldProcess):
             self._heard_ns[i] = at_ns
 
     def _rejected(self) -> dict[str, int]:
-        floods = {f"{tail(key)}: flood": n for key, n in self._came.flooded.items()}
+        floods = {f"{tail(key)}: flood": n for key, n in self._came.flooded.copy().items()}
         return super()._rejected() | floods
 
     def _timing(self) -> dict[str, Any]:

@@ -7,8 +7,10 @@ which nobody is late moves as in lockstep, to the last bit. Otherwise the newest
 | counted per vehicle | when |
 |---|---|
 | `missed` | a tick was over, and the answer to its nav had not come |
-| `late` | an answer came after its tick, and acted from then on as the newest there was |
+| `late` | an answer came after its tick, the newest by then: it acts if no newer one comes before the tick is over |
 | `stale` | an answer came after its tick and after a newer one, and was dropped |
+
+So every answer is in time, late or stale, and `missed` is `late` + `stale` + those that never came.
 """
 
 from __future__ import annotations
@@ -96,6 +98,8 @@ class FreeRun(Lockstep):
         if command.tick < self._answered[i]:
             self.kept[i].stale += 1
             return []
+        nav = self._awaiting.get(i)
+        self.kept[i].late += nav is None or nav.tick != command.tick
         self._answered[i] = command.tick
         self._newest[i] = (command, encode(command) if raw is None else raw)
         return []
@@ -137,7 +141,6 @@ class FreeRun(Lockstep):
                 kept = self.kept[i]
                 if newest is None or newest[0].tick != k:
                     kept.missed += 1
-                    kept.late += newest is not None
                     kept.row += 1
                     kept.longest = max(kept.longest, kept.row)
                 else:

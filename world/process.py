@@ -259,7 +259,8 @@ class WorldProcess:
 
     def _rejected(self) -> dict[str, int]:
         """How many messages were dropped or refused, by key and reason."""
-        return dict(self._shell.rejected | self._refusals.counts)
+        # Copies, which are made in one piece: other threads count meanwhile.
+        return {**self._shell.rejected.copy(), **self._refusals.counts.copy()}
 
     def _timing(self) -> dict[str, Any]:
         """How everyone kept up with a wall clock; there is none in lockstep."""

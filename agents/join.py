@@ -15,7 +15,6 @@ from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from queue import Empty, SimpleQueue
-from secrets import token_hex
 from threading import Event, Thread
 from typing import Any
 
@@ -25,6 +24,7 @@ from agents.process import begin_life
 from netem.access import LEASE_MS, Credentials
 from netem.bus import Bus
 from netem.errors import BusError, MalformedMessage
+from netem.files import write_whole
 from netem.keys import Keys
 from netem.messages import PROTOCOL_VERSION, End
 from netem.shell import read_map
@@ -73,15 +73,7 @@ class Joining:
             OSError: it cannot be written.
         """
         values = {key: value for key, value in asdict(self).items() if value != _ONE_HOST.get(key)}
-        temporary = path.with_name(f".{path.name}-{token_hex(4)}")
-        descriptor = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
-        try:
-            with os.fdopen(descriptor, "w", encoding="utf-8") as file:
-                file.write(json.dumps(values, indent=2) + "\n")
-            os.replace(temporary, path)
-        except OSError:
-            temporary.unlink(missing_ok=True)
-            raise
+        write_whole(path, (json.dumps(values, indent=2) + "\n").encode())
 
     @classmethod
     def read(cls, path: Path) -> Joining:

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
-import secrets
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +10,7 @@ from fleet.certs import CA, SERVER, path
 from fleet.hosts import HostsError, new_credentials
 from netem.access import access_control
 from netem.bus import router_settings
+from netem.files import write_whole
 from netem.keys import Keys
 
 CONFIG, USERS, CREDENTIALS = "router.json5", "users", "credentials.json"
@@ -62,9 +61,9 @@ def write(directory: Path, run: str, vehicles: int, text: str, *, force: bool = 
     try:
         if not directory.exists():
             directory.mkdir(mode=0o700, parents=True)
-        _write(directory / CONFIG, text, 0o644)
-        _write(directory / USERS, users, 0o600)
-        _write(directory / CREDENTIALS, json.dumps(credentials, indent=2) + "\n", 0o600)
+        write_whole(directory / CONFIG, text.encode(), 0o644)
+        write_whole(directory / USERS, users.encode())
+        write_whole(directory / CREDENTIALS, (json.dumps(credentials, indent=2) + "\n").encode())
     except OSError as error:
         raise HostsError(f"{directory} cannot be written: {error.strerror}") from None
 
@@ -74,10 +73,3 @@ def _put(values: dict[str, Any], name: str, value: Any) -> None:
     for parent in parents:
         values = values.setdefault(parent, {})
     values[last] = value
-
-
-def _write(file: Path, text: str, mode: int) -> None:
-    temporary = file.with_name(f".{file.name}-{secrets.token_hex(4)}")
-    with os.fdopen(os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode), "w") as out:
-        out.write(text)
-    os.replace(temporary, file)

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import contextlib
 import ipaddress
-import os
 import re
 import secrets
 from collections.abc import Sequence
@@ -18,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from fleet.errors import FleetError
+from netem.files import write_whole
 
 CA, SERVER = "ca", "server"
 OWN = "fleet"  # what the run's own processes show to a router that asks for certificates
@@ -75,9 +75,9 @@ def make(directory: Path, hosts: Sequence[str] = (), *, agents: int = 0, days: i
         if not directory.exists():
             directory.mkdir(mode=0o700, parents=True)
         for who, (certificate, key) in made.items():
-            _write(path(directory, who), certificate, 0o644)
+            write_whole(path(directory, who), certificate, 0o644)
             if key:
-                _write(path(directory, who, key=True), key, 0o600)
+                write_whole(path(directory, who, key=True), key)
     except OSError as error:
         raise CertsError(f"{directory} cannot be written: {error.strerror}") from None
 
@@ -126,7 +126,7 @@ def read_server(directory: Path) -> ServerCertificate:
     """
     x509 = _cryptography()
     ca, pair = read_ca(directory), read_client(directory, SERVER)
-    certificate = _parse(path(directory, SERVER), pair.certificate)
+    certificate = _parse(path(directory, SERVER), pair.certificate)[0]
     hosts: list[str] = []
     with contextlib.suppress(x509.ExtensionNotFound):
         names = certificate.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
@@ -140,15 +140,14 @@ def read_client(directory: Path, who: str) -> Pair:
     Raises:
         CertsError: as for `read_server`.
     """
-    from cryptography.exceptions import InvalidSignature
     from cryptography.hazmat.primitives.serialization import load_pem_private_key
 
     ca_path, certificate_path, key_path = path(directory, CA), path(directory, who), path(directory, who, key=True)
-    ca = _parse(ca_path, _read(ca_path))
+    authorities = _parse(ca_path, _read(ca_path))
     pair = Pair(_read(certificate_path), _read(key_path))
     if key_path.stat().st_mode & 0o077:
         raise CertsError(f"others than you may read {key_path}; make it yours alone: chmod 600 {key_path}")
-    certificate = _parse(certificate_path, pair.certificate)
+    certificate, *between = _parse(certificate_path, pair.certificate)
     try:
         key = load_pem_private_key(pair.key.encode(), password=None)
     except (ValueError, TypeError):
@@ -162,12 +161,22 @@ def read_client(directory: Path, who: str) -> Pair:
             f"{certificate_path} is valid from {span} UTC, and now it is {now:%Y-%m-%d %H:%M}; "
             f"make another with fleet certs {directory} --force, or set the clock"
         )
-    if certificate.issuer == ca.subject:
-        try:
-            certificate.verify_directly_issued_by(ca)
-        except (ValueError, TypeError, InvalidSignature):
-            raise CertsError(f"{certificate_path} was not signed by {ca_path}: they are of different CAs") from None
+    if not any(_signed_by(certificate, each) for each in (*authorities, *between)):
+        raise CertsError(
+            f"{certificate_path} was not signed by {ca_path}: they are of different CAs; "
+            f"make both again: fleet certs {directory} --force"
+        )
     return pair
+
+
+def _signed_by(certificate: Any, authority: Any) -> bool:
+    from cryptography.exceptions import InvalidSignature
+
+    try:
+        certificate.verify_directly_issued_by(authority)
+    except (ValueError, TypeError, InvalidSignature):
+        return False
+    return True
 
 
 def _sign(hosts: list[str], clients: list[str], days: int) -> dict[str, tuple[bytes, bytes]]:
@@ -228,9 +237,10 @@ def _san(host: str) -> Any:
         return x509.DNSName(host)
 
 
-def _parse(file: Path, text: str) -> Any:
+def _parse(file: Path, text: str) -> list[Any]:
+    """The certificates in it: of a chain somebody's own is the first."""
     try:
-        return _cryptography().load_pem_x509_certificate(text.encode())
+        return list(_cryptography().load_pem_x509_certificates(text.encode()))
     except ValueError:
         raise CertsError(f"{file} holds no certificate in PEM") from None
 
@@ -245,13 +255,6 @@ def _read(file: Path) -> str:
         raise CertsError(f"{file} cannot be read: {error.strerror}") from None
     except UnicodeDecodeError:
         raise CertsError(f"{file} is not PEM: expected text between BEGIN and END lines") from None
-
-
-def _write(file: Path, data: bytes, mode: int) -> None:
-    temporary = file.with_name(f".{file.name}-{secrets.token_hex(4)}")
-    with os.fdopen(os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode), "wb") as out:
-        out.write(data)
-    os.replace(temporary, file)
 
 
 def _cryptography() -> Any:

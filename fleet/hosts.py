@@ -235,7 +235,7 @@ def read_credentials(file: Path, vehicles: int) -> tuple[str, dict[str, Credenti
         found = {role: Credentials(str(user), str(password)) for role, (user, password) in users.items()}
     except OSError as error:
         raise HostsError(f"{file} cannot be read: {error.strerror}; {again}") from None
-    except (ValueError, KeyError, TypeError, AttributeError):
+    except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError):
         raise HostsError(f"{file} is no credentials file; {again}") from None
     if mode & 0o077:
         raise HostsError(f"others than you may read {file}; make it yours alone: chmod 600 {file}")

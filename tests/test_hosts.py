@@ -36,6 +36,7 @@ from fleet.scenario import load_scenario
 from netem.access import Credentials, Door, agent_role, generate
 from netem.bus import Bus
 from netem.errors import BusError
+from netem.files import write_whole
 from netem.keys import Keys
 from netem.messages import End, decode
 
@@ -88,6 +89,11 @@ def test_nothing_is_replaced_unless_forced(made: Path, tmp_path: Path) -> None:
     assert certs.read_server(tmp_path / "a").hosts == certs.ALWAYS
 
 
+def _other_ca(directory: Path) -> None:
+    certs.make(directory.parent / "other")
+    (directory / "ca.pem").write_bytes((directory.parent / "other" / "ca.pem").read_bytes())
+
+
 DAMAGES: dict[str, tuple[Any, str]] = {
     "no CA": (lambda d: (d / "ca.pem").unlink(), r"ca\.pem is missing; make it: fleet certs"),
     "no key": (lambda d: (d / "server-key.pem").unlink(), r"server-key\.pem is missing"),
@@ -95,6 +101,7 @@ DAMAGES: dict[str, tuple[Any, str]] = {
     "no PEM": (lambda d: (d / "server.pem").write_bytes(b"\xff\x00"), "is not PEM"),
     "no certificate": (lambda d: (d / "server.pem").write_text("x"), "holds no certificate in PEM"),
     "no private key": (lambda d: (d / "server-key.pem").write_text("x"), "holds no private key"),
+    "another CA": (lambda d: _other_ca(d), r"server\.pem was not signed by .*ca\.pem.*--force"),
     "another key": (
         lambda d: (d / "server-key.pem").write_bytes((d / "agent-1-key.pem").read_bytes()),
         "is not the key of",
@@ -120,6 +127,20 @@ def test_a_certificate_out_of_date_is_refused(made: Path, monkeypatch: pytest.Mo
     monkeypatch.setattr(certs, "datetime", Later)
     with pytest.raises(CertsError, match=r"is valid from .* now it is .*--force"):
         certs.read_server(made)
+
+
+def test_a_file_that_cannot_be_written_leaves_nothing_behind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    file = tmp_path / "key.pem"
+    write_whole(file, b"old")
+    assert stat.S_IMODE(file.stat().st_mode) == 0o600
+
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("netem.files.os.replace", full)
+    with pytest.raises(OSError, match="No space"):
+        write_whole(file, b"new")
+    assert [(path.name, path.read_bytes()) for path in tmp_path.iterdir()] == [("key.pem", b"old")]
 
 
 @pytest.mark.parametrize("text", ["", "a b", "tls/x:1", "x:7447", "0.0.0.0", "::", "1.2.3", "-x", "a..b", "é"])
@@ -239,7 +260,14 @@ def test_credentials_of_another_run_are_refused(tmp_path: Path) -> None:
     (tmp_path / acl.CREDENTIALS).chmod(0o640)
     with pytest.raises(HostsError, match="others than you may read"):
         read_credentials(tmp_path / acl.CREDENTIALS, 3)
-    for text in ("", "[]", '{"run": 1}', '{"run": "a", "vehicles": 1, "users": {"world": 3}}'):
+    for text in (
+        "",
+        "[]",
+        '{"run": 1}',
+        '{"run": "a", "vehicles": 1, "users": {"world": 3}}',
+        '{"run": 1, "vehicles": 1e999}',
+        "[" * 9999,
+    ):
         (tmp_path / "f").write_text(text)
         (tmp_path / "f").chmod(0o600)
         with pytest.raises(HostsError, match="no credentials file"):

@@ -72,9 +72,10 @@ class Soak:
 
     def stop(self) -> None:
         """End it and whoever is left of it."""
-        for pid in [*_of_session(self._process.pid), self._process.pid]:
+        for pid in _of_session(self._process.pid):
             with suppress(ProcessLookupError):
                 os.kill(pid, 9)
+        self._process.kill()  # not by its number, which may be another's once it has been waited for
         self._process.wait()
         self._output.close()
 

@@ -82,6 +82,8 @@ class _Flood:
 
     def __call__(self, soak: Soak, folder: Path) -> str:
         path = _wait_for(soak, folder, f"join-{FLOODED}.json")
+        if not path.exists():
+            return "the run did not wait for it"
         with _process(["agent", "--join", str(path)]):
             joining = Joining.read(path)
             keys = Keys(joining.run)

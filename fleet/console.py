@@ -56,6 +56,8 @@ QUIET_S = 2.0  # without an event for so long, ask who is waiting for whom
 JOIN_TIMEOUT_S = 300.0  # for agents that somebody else starts
 SETTLE_S = 0.2  # after a death, how long to collect what else happened
 
+CLOSE_S = 15.0  # for the last word of world and netem, which may have much to catch up with on a busy machine
+
 MOST_NOTES = 1000
 
 FRAME, LINKS, NOTE, EXIT, OPERATION = "frame", "links", "note", "exit", "operation"
@@ -373,13 +375,13 @@ class Console:
         )
 
     def _close(self, bus: Bus) -> dict[str, Any]:
-        answer = self._control(bus, NETEM, "close", tick=self._scenario.ticks)
+        answer = self._control(bus, NETEM, "close", timeout_s=CLOSE_S, tick=self._scenario.ticks)
         deadline = time.monotonic() + 5.0
         while not self._journal.complete:
             self._take(0.1)
             if time.monotonic() > deadline:
                 raise RunBroken("netem did not close its books")
-        sea = self._control(bus, WORLD, "close")
+        sea = self._control(bus, WORLD, "close", timeout_s=CLOSE_S)
         counts = {"world": sea.get("counts", {}), "netem": answer.get("counts", {}), "console": self._received}
         self.middleware_lost = lost_messages(counts, barrier=self._pace is None)
         notes = {f"note/{role}": count for role, count in sorted(self._rejected_notes.items())}
@@ -512,8 +514,8 @@ class Console:
                 self._guardian.connect(self._grant, partial(self._control, self._bus))
                 self._guardian.dismiss("the run is over")
 
-    def _control(self, bus: Bus, role: str, op: str, **fields: Any) -> dict[str, Any]:
-        answer = bus.ask(self._keys.ctl(role), request(op, **fields), timeout_s=1.0)
+    def _control(self, bus: Bus, role: str, op: str, *, timeout_s: float = 1.0, **fields: Any) -> dict[str, Any]:
+        answer = bus.ask(self._keys.ctl(role), request(op, **fields), timeout_s=timeout_s)
         return {} if answer is None else read_map(answer)
 
     def _explain(self, exits: list[Exit]) -> None:

@@ -47,7 +47,8 @@ with `f = cos theta u + sin theta w`.
    itself, but what it missed is lost, and so is this life: you hear `end`, and close the session.
 3. Query `cfg/<i>` without a payload. The answer is a MessagePack map: `agent` (the slice of the scenario, below),
    `incarnation` (which life of the agent you are; 0 for the first), `begin` (the tick of your first nav, a round tick)
-   and `version`. If it has the key `error` instead, it says why you cannot join.
+   and `version`. If it has the key `error` instead, it says why you cannot join. An answer longer than 32,000 bytes (an
+   agent with about a hundred neighbours) comes in several replies on the same key, without consolidation: join them.
 4. Subscribe to `nav/<i>` and `rx/<i>`; declare publishers on `cmd/<i>` and `tx/<i>`, reliable and with congestion
    control *block*.
 5. Put `hello` with role `agent`, your number, your incarnation and version {PROTOCOL_VERSION} on `cmd/<i>` and on

@@ -28,8 +28,11 @@ def show(result: Result, terminal: Terminal) -> None:
         terminal.print(
             f"{mark}  {verdict.check}: {verdict.asked}; found {verdict.found}", highlight=False, soft_wrap=True
         )
-    for note in values["notes"]:
+    notes = values["notes"]
+    for note in notes[:MOST_ROWS]:
         terminal.print(f"note  {note}", markup=False, highlight=False, soft_wrap=True)
+    if len(notes) > MOST_ROWS:
+        terminal.print(f"note  ... and {len(notes) - MOST_ROWS} more in result.json", highlight=False)
     if "timing" in values:
         terminal.print(summary(values["timing"], values["timing"]["speed"]), highlight=False, soft_wrap=True)
     wall = values["wall"]

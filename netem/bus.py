@@ -287,7 +287,9 @@ class Bus:
             request = b"" if query.payload is None else query.payload.to_bytes()
 
             def respond(answer: bytes) -> None:
-                query.reply(key_expr, answer)
+                # The transport carries no long message: what is long goes in several replies.
+                for begin in range(0, max(1, len(answer)), PART_BYTES):
+                    query.reply(key_expr, answer[begin : begin + PART_BYTES])
                 query.drop()  # type: ignore[no-untyped-call]
 
             handler(str(key_expr), request, respond)
@@ -295,11 +297,14 @@ class Bus:
         self._held.append(self._session.declare_queryable(key, receive))
 
     def ask(self, key: str, request: bytes = b"", *, timeout_s: float = 2.0) -> bytes | None:
-        """The first answer to a query on `key`, or None when nobody answered in time."""
-        for reply in self._session.get(key, payload=request, timeout=timeout_s):
-            if reply.ok is not None:
-                return bytes(reply.ok.payload.to_bytes())
-        return None
+        """The answer to a query on `key`, its replies joined; None when nobody answered, or not to the end, in time."""
+        parts = []
+        every = zenoh.ConsolidationMode.NONE  # otherwise replies on one key replace each other
+        for reply in self._session.get(key, payload=request, timeout=timeout_s, consolidation=every):
+            if reply.ok is None:
+                return None
+            parts.append(reply.ok.payload.to_bytes())
+        return b"".join(parts) if parts else None
 
     def token(self, key: str) -> None:
         """Hold a liveliness token until the session closes."""

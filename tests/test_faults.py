@@ -353,7 +353,9 @@ def test_a_run_full_of_faults_is_the_same_everywhere(tmp_path: Path) -> None:
     assert alone == fleet
     assert told(results[0].directory) == [
         (0.3, "f1", "begins"), (0.5, "f2", "begins"), (0.7, "f1", "ends"), (0.8, "f3", "begins"),
-        (1.0, "f2", "ends"), (1.0, "f4", "begins"), (1.3, "f4", "ends"), (2.0, "f3", "ends"),
+        (1.0, "f2", "ends"), (1.0, "f4", "begins"), (1.3, "f4", "ends"),
+        (1.41, "lost-3", "begins"),  # without an agent it tumbles
+        (2.0, "f3", "ends"), (2.0, "lost-3", "ends"),
     ]  # fmt: skip
     assert results[1].values["deaths"] == {}  # nobody died who was not meant to
 
@@ -384,7 +386,10 @@ def test_a_killed_agent_does_not_end_the_run(tmp_path: Path) -> None:
         live.until_nobody_is_left()
         assert "agent 3 (pid " in live.said
         assert "was killed by SIGKILL: its vehicle drifts without thrust" in live.said
-        assert [event[1:] for event in told(live.directory)] == [("death-3", "begins"), ("death-3", "ends")]
+        events = [event[1:] for event in told(live.directory)]
+        # Where it tumbles depends on when it was killed, and that is wall time; it may do so after the end.
+        assert [event for event in events if event[0] != "lost-3"] == [("death-3", "begins"), ("death-3", "ends")]
+        assert [what for fault, what in events if fault == "lost-3"] in ([], ["begins", "ends"])
 
 
 @pytest.mark.parametrize("name", ["one", "majority", "ring", "bridge"])

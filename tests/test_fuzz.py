@@ -156,7 +156,7 @@ class Nowhere:
 
     def watch_tokens(self, key: str, handler: Any) -> None: ...
 
-    def channel(self, key: str) -> Nowhere:
+    def channel(self, key: str, capacity: int = 0) -> Nowhere:
         return self
 
     def stamped(self, key: str) -> Nowhere:

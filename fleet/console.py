@@ -38,7 +38,7 @@ from fleet.ports import free_port
 from fleet.rundir import RunDirectory
 from fleet.scenario import Scenario
 from netem.access import CONSOLE, NETEM, OPERATOR, Credentials, agent_role, generate
-from netem.bus import Bus, Respond
+from netem.bus import Bus, Quota, Respond
 from netem.errors import BusError, MalformedMessage, OutOfPlace
 from netem.faults import NetFault, fault_values
 from netem.keys import Keys
@@ -98,7 +98,7 @@ class Console:
         self._grant: Callable[[bytes], None] = _unconnected
         self._hello: set[str] = set()
         self.notes: list[str] = []
-        self._queued_notes: Counter[str] = Counter()  # by role
+        self._queued_notes = Quota(MOST_NOTES)  # by role
         self._rejected_notes: Counter[str] = Counter()  # by role: malformed, or too many
         self._received = {FRAME: 0, LINKS: 0}
         self.middleware_lost = 0  # messages that zenoh lost; any makes the run invalid
@@ -222,8 +222,7 @@ class Console:
 
         def note(key: str, data: bytes) -> None:
             role = key.rsplit("/", 1)[-1]
-            if self._queued_notes[role] < MOST_NOTES:
-                self._queued_notes[role] += 1
+            if self._queued_notes.admit(role):
                 put((NOTE, (role, data)))
             else:
                 self._rejected_notes[role] += 1
@@ -459,7 +458,7 @@ class Console:
 
     def _hear_note(self, role: str, data: bytes) -> None:
         """A note, from whom the router let onto the key of `role`: nobody speaks for another."""
-        self._queued_notes[role] -= 1
+        self._queued_notes.release(role)
         try:
             note = expect(data, Note)
             assert isinstance(note, Note)

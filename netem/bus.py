@@ -21,7 +21,7 @@ import json
 import os
 import re
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from threading import Thread
@@ -38,6 +38,7 @@ import zenoh
 
 from netem.access import LEASE_MS, Credentials, Door, access_control, observer_control
 from netem.errors import BusError
+from netem.files import write_whole
 from netem.keys import Keys
 
 _TLS = "transport/link/tls"
@@ -98,23 +99,43 @@ CLOSE_S = 3.0
 MOST_WAITING = 1000  # puts on one key of those who are not to wait; a fleet that works has a few
 
 
+class Quota:
+    """How many may wait per key, so that a flood of one takes no room from the others, nor all the memory.
+
+    One thread lets in and one takes out; each writes a count of its own.
+    """
+
+    def __init__(self, most: int = MOST_WAITING) -> None:
+        self._most = most
+        self._came: Counter[str] = Counter()
+        self._taken: Counter[str] = Counter()
+
+    def admit(self, key: str) -> bool:
+        """Whether there is room for one more, which then waits."""
+        if self._came[key] - self._taken[key] >= self._most:
+            return False
+        self._came[key] += 1
+        return True
+
+    def release(self, key: str) -> None:
+        """One of them waits no longer."""
+        self._taken[key] += 1
+
+
 class Stamped:
     """What came in on a key expression, in order, each with the time at which it did [ns, CLOCK_MONOTONIC]."""
 
     def __init__(self) -> None:
         self._queue: SimpleQueue[tuple[str, bytes, int]] = SimpleQueue()
-        # Each of these has one thread that writes it.
-        self._came: Counter[str] = Counter()
-        self._taken: Counter[str] = Counter()
+        self._quota = Quota()
         self.flooded: Counter[str] = Counter()  # puts by key that were dropped, since as many wait as may
 
     def put(self, key: str, data: bytes) -> None:
         """Called on a zenoh thread."""
-        if self._came[key] - self._taken[key] >= MOST_WAITING:
+        if self._quota.admit(key):
+            self._queue.put((key, data, monotonic_ns()))
+        else:
             self.flooded[key] += 1
-            return
-        self._came[key] += 1
-        self._queue.put((key, data, monotonic_ns()))
 
     def get(self, timeout_s: float | None = None) -> tuple[str, bytes, int] | None:
         """The next (key, bytes, time); waits for it, or None when none came in time."""
@@ -122,7 +143,7 @@ class Stamped:
             item = self._queue.get(timeout=timeout_s)
         except Empty:
             return None
-        self._taken[item[0]] += 1
+        self._quota.release(item[0])
         return item
 
     def poll(self) -> tuple[str, bytes, int] | None:
@@ -191,10 +212,7 @@ class Bus:
         Raises:
             BusError: the endpoint is taken or not ours to listen on.
         """
-        users = private / "users"
-        descriptor = os.open(users, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
-        with os.fdopen(descriptor, "w") as file:
-            file.writelines(f"{c.user}:{c.password}\n" for c in credentials.values())
+        users = _write_users(private, credentials.values())
         endpoints = [endpoint, *(door.endpoints if door else ())]
         control = access_control(keys, vehicles, certified=door.certified) if door else access_control(keys, vehicles)
         settings = {
@@ -219,12 +237,7 @@ class Bus:
         A client's session makes another link by itself, and what was on the way is lost without a word.
         """
 
-        def receive(event: zenoh.TransportEvent) -> None:
-            if event.kind == zenoh.SampleKind.DELETE:
-                handler()
-
-        # Without history: zenoh 1.10 panics when it lists transports that are `lowlatency`.
-        self._held.append(self._session.info.declare_transport_events_listener(receive, history=False))
+        self.watch_ends(lambda _: handler())
 
     def tokens(self, key: str, *, timeout_s: float = 2.0) -> list[str]:
         """The liveliness tokens there are now."""
@@ -321,7 +334,7 @@ class Bus:
     def watch_ends(self, handler: Callable[[str], None]) -> None:
         """Call `handler(zenoh id)` when somebody's session has ended."""
 
-        def receive(event: Any) -> None:
+        def receive(event: zenoh.TransportEvent) -> None:
             if event.kind == zenoh.SampleKind.DELETE:
                 handler(str(event.transport.zid))
 
@@ -398,10 +411,7 @@ class OpenBus:
         Raises:
             BusError: the endpoint is taken or none.
         """
-        users = private / "users"
-        descriptor = os.open(users, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
-        with os.fdopen(descriptor, "w") as file:
-            file.write(f"{observer.user}:{observer.password}\n")
+        users = _write_users(private, [observer])
         settings = {
             "transport/auth/usrpwd/dictionary_file": str(users),
             "access_control": observer_control(keys),
@@ -521,6 +531,13 @@ def log_zenoh(levels: str) -> None:
 def quiet_zenoh() -> None:
     """Zenoh's own log to stdout, errors only unless RUST_LOG says otherwise."""
     log_zenoh("error")
+
+
+def _write_users(private: Path, credentials: Iterable[Credentials]) -> Path:
+    """The file from which a router reads who may log in, once."""
+    users = private / "users"
+    write_whole(users, "".join(f"{c.user}:{c.password}\n" for c in credentials).encode())
+    return users
 
 
 def _client_tls(credentials: Credentials) -> dict[str, Any]:

@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 import msgpack
 
 from netem.access import LEASE_MS, Credentials
-from netem.bus import MOST_WAITING, Bus, Respond
+from netem.bus import Bus, Quota, Respond
 from netem.errors import MalformedMessage, OutOfPlace
 from netem.messages import Message, Note, decode, encode
 
@@ -48,25 +48,20 @@ class Shell:
         self.role = role
         self.queue: SimpleQueue[Item] = SimpleQueue()
         self.rejected: Counter[str] = Counter()
-        # Puts by key; each of these has one thread that writes it.
-        self._came: Counter[str] = Counter()
-        self._taken: Counter[str] = Counter()
+        self._quota = Quota()
         self._note = bus.publisher(note_key)
 
     def subscribe(self, key: str) -> None:
         """Queue every put on `key`, but never so many that they fill the memory."""
-        put, came, taken, room = self.queue.put, self._came, self._taken, self._room
+        put, quota, room = self.queue.put, self._quota, self._room
 
         def receive(k: str, data: bytes) -> None:
             if not self._drop:
                 room.acquire()  # zenoh's thread waits, and with it the senders' links
-                put(Item(k, data, None))
-                return
-            if came[k] - taken[k] < MOST_WAITING:
-                came[k] += 1
-                put(Item(k, data, None))
-            else:
+            elif not quota.admit(k):
                 self.rejected[f"{tail(k)}: flood"] += 1
+                return
+            put(Item(k, data, None))
 
         self.bus.subscribe(key, receive)
 
@@ -79,7 +74,7 @@ class Shell:
         item = self.queue.get(timeout=timeout_s)
         if item.respond is None:
             if self._drop:
-                self._taken[item.key] += 1
+                self._quota.release(item.key)
             else:
                 self._room.release()
         return item

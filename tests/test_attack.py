@@ -275,7 +275,6 @@ def test_a_flood_changes_nothing(monkeypatch: pytest.MonkeyPatch, tmp_path: Path
         threads[0].join(20)
         attack.close()
     alone = execute(load_scenario("paper", SHORT), Options(tmp_path / "b", quiet=True, in_process=True))
-    print(flooded.reason[:500], len(flooded.lines), flooded.lines[-3:])
     assert (flooded.status, flooded.reason, flooded.lines) == (Status.PASS, "", [])
     assert flooded.digest == alone.digest
     rejected = flooded.values["rejected"]

@@ -213,7 +213,8 @@ def record(
       fleet record --key 'robot/**' --key 'base/*/status' --listen tcp/0.0.0.0:7447 --duration '10 min'
       fleet record --run runs/latest -o journal.mcap
     """
-    from fleet.record import Gone, Limits, Recorder, TrafficWriter, holding_interrupts
+    from fleet.interrupts import holding_interrupts
+    from fleet.record import Gone, Limits, Recorder, TrafficWriter
     from fleet.status_line import StatusLine
 
     credentials = None

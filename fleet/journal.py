@@ -17,6 +17,7 @@ import msgpack
 
 from fleet.connectivity import Connectivity
 from fleet.faults import LOST, Event, event_order
+from fleet.interrupts import unbroken
 from fleet.metrics import Metrics, VehicleError
 from fleet.scenario import Scenario
 from fleet.separation import Separation
@@ -129,6 +130,7 @@ class Journal:
         self.closed = report.closing
         self._write()
 
+    @unbroken()
     def _write(self) -> None:
         limit = min(self.framed, self.reported)
         while self._frames and self._frames[0].tick <= limit:

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import signal
-import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from queue import Empty, SimpleQueue
@@ -118,21 +115,6 @@ class TrafficWriter:
             write()
         except OSError as error:
             raise RecordError(f"cannot write {self.path}: {error.strerror}") from None
-
-
-@contextmanager
-def holding_interrupts() -> Iterator[Callable[[], bool]]:
-    """Ctrl-C and SIGTERM raise nothing within; asked, the function that is given says whether one of them came.
-
-    An exception in the middle of a write would leave half a chunk in the file.
-    """
-    came = threading.Event()
-    before = {number: signal.signal(number, lambda *_: came.set()) for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        yield came.is_set
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
 
 
 class Gone:

@@ -22,6 +22,7 @@ from fleet.errors import RunBroken, StoppedError
 from fleet.external import ExternalError, refuse
 from fleet.hosts import Meeting
 from fleet.inprocess import InProcess
+from fleet.interrupts import unbroken
 from fleet.journal import Journal, frame_every
 from fleet.log import LogError, LogWriter
 from fleet.progress import ProgressLine
@@ -127,7 +128,8 @@ def execute(scenario: Scenario, options: Options, terminal: Terminal | None = No
     began = time.monotonic()
     try:
         if publisher is not None and options.wait:
-            _wait(publisher, None if options.quiet else terminal)
+            say("waiting for a subscriber")
+            publisher.heard()
             began = time.monotonic()
         with ProgressLine(
             scenario, journal, terminal, quiet=options.quiet, waiting=lambda: getattr(fleet, "waiting", "")
@@ -147,49 +149,44 @@ def execute(scenario: Scenario, options: Options, terminal: Terminal | None = No
         wall_s = time.monotonic() - began
         if publisher is not None:
             publisher.close()
-    _close_log(log, result)
-    for link, (sent, duplicated) in closing["entered"].items():
-        journal.ledger.enter(link, sent=sent, duplicated=duplicated)
-    journal.finish()
-    if result.status is Status.PASS:
-        result.verdicts = judge(scenario, journal, middleware_lost=fleet.middleware_lost)
-        if options.pace is not None:
-            result.verdicts.append(timing.verdict(closing["timing"], options.most_missed))
-        if not all(verdict.passed for verdict in result.verdicts):
-            result.status = Status.CHECK_FAILED
-        if fleet.middleware_lost:
-            result.status = Status.BROKEN
-            result.reason = f"the middleware lost {fleet.middleware_lost} messages: the run is invalid"
-    result.digest = log.digest
-    started_s = getattr(fleet, "started_s", 0.0)
-    result.values = _values(scenario, journal, log, result, fleet.middleware_lost)
-    result.values["wall"] = {
-        "in_process": in_process,
-        "startup_s": started_s,
-        "run_s": wall_s - started_s,
-        "x_real_time": max(0, journal.written) * scenario.tick_ns / 1e9 / max(1e-9, wall_s - started_s),
-    }
-    if publisher is not None:
-        result.values["published"] = {"messages": publisher.published, "dropped": publisher.dropped}
-    if options.pace is not None and "timing" in closing:
-        name, reasons = timing.label(closing["timing"])
-        result.values["timing"] = {"clock": "real", "speed": options.pace, "label": name, "reasons": reasons}
-        result.values["timing"] |= closing["timing"]
-    result.values["rejected"] = closing["rejected"]
-    result.values["deaths"] = {str(i): how for i, how in fleet.deaths.items()}
-    result.values["notes"] = list(getattr(fleet, "notes", ()))
-    try:
-        directory.write_result(result.values)
-    except OSError as error:
-        result.lines.append(f"result.json could not be written: {error.strerror}")
-        directory.remove_result()
+    with unbroken():  # what there is gets written, whatever comes meanwhile
+        _close_log(log, result)
+        for link, (sent, duplicated) in closing["entered"].items():
+            journal.ledger.enter(link, sent=sent, duplicated=duplicated)
+        journal.finish()
+        if result.status is Status.PASS:
+            result.verdicts = judge(scenario, journal, middleware_lost=fleet.middleware_lost)
+            if options.pace is not None:
+                result.verdicts.append(timing.verdict(closing["timing"], options.most_missed))
+            if not all(verdict.passed for verdict in result.verdicts):
+                result.status = Status.CHECK_FAILED
+            if fleet.middleware_lost:
+                result.status = Status.BROKEN
+                result.reason = f"the middleware lost {fleet.middleware_lost} messages: the run is invalid"
+        result.digest = log.digest
+        started_s = getattr(fleet, "started_s", 0.0)
+        result.values = _values(scenario, journal, log, result, fleet.middleware_lost)
+        result.values["wall"] = {
+            "in_process": in_process,
+            "startup_s": started_s,
+            "run_s": wall_s - started_s,
+            "x_real_time": max(0, journal.written) * scenario.tick_ns / 1e9 / max(1e-9, wall_s - started_s),
+        }
+        if publisher is not None:
+            result.values["published"] = {"messages": publisher.published, "dropped": publisher.dropped}
+        if options.pace is not None and "timing" in closing:
+            name, reasons = timing.label(closing["timing"])
+            result.values["timing"] = {"clock": "real", "speed": options.pace, "label": name, "reasons": reasons}
+            result.values["timing"] |= closing["timing"]
+        result.values["rejected"] = closing["rejected"]
+        result.values["deaths"] = {str(i): how for i, how in fleet.deaths.items()}
+        result.values["notes"] = list(getattr(fleet, "notes", ()))
+        try:
+            directory.write_result(result.values)
+        except OSError as error:
+            result.lines.append(f"result.json could not be written: {error.strerror}")
+            directory.remove_result()
     return result
-
-
-def _wait(publisher: LivePublisher, terminal: Terminal | None) -> None:
-    if terminal is not None:
-        terminal.print("waiting for a subscriber", highlight=False)
-    publisher.heard()
 
 
 def _clock(scenario: Scenario, options: Options) -> Clock:

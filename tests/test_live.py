@@ -11,8 +11,8 @@ from typing import Any
 
 import pytest
 from click.testing import CliRunner
+from hand import Hand
 from live import LiveRun
-from waiting import wait_for
 
 from fleet.cli import cli
 from fleet.clock import Clock, LiveClock
@@ -91,8 +91,9 @@ def test_every_live_action_is_a_script_line(tmp_path: Path) -> None:
     """Faults at moments that nobody chose, one healed early, a kill: the exported scenario gives the same digest."""
     out = tmp_path / "runs"
     rng = random.Random()  # arbitrary on purpose: it must hold whenever the faults come
-    with LiveRun(out, "paper", "--duration", "25 s", *SLOW, "--speed", "0.5", "--set", "profile=hardened") as live:
+    with LiveRun(out, "paper", "--duration", "15 s", *SLOW, "--speed", "0.5", "--set", "profile=hardened") as live:
         live.until_running()
+        hand = Hand(out)
         answers = []
         for arguments in (
             ["link", "1<->2", "delay 60ms 20ms loss gemodel 10% 40%", "--for", "1500ms"],
@@ -105,16 +106,15 @@ def test_every_live_action_is_a_script_line(tmp_path: Path) -> None:
             ["pause", "2", "--for", "200ms"],
             ["slow", "vehicles=1", "by=3 ticks", "--for", "500ms"],
         ):
-            moment = live.logged_s() + rng.random() * 0.4
-            wait_for(lambda moment=moment: live.logged_s() > moment, 20.0)  # type: ignore[misc]
+            hand.until(hand.now() + rng.random() * 0.4)
             answers.append(tool(out, "inject", *arguments))
         healed = tool(out, "heal", "split")
         listed = tool(out, "faults")
         said = tool(out, "status")
         reborn = tool(out, "heal", "crash")
-        again_dead = tool(out, "inject", "kill", "2", "--for", "20s")
+        again_dead = tool(out, "inject", "kill", "2", "--for", "5s")
         # Its vehicle is not waited for at the tick at which the agent was to come back, but earlier.
-        wait_for(lambda: live.logged_s() > float(again_dead.stdout.split()[-2]) + 0.2, 20.0)
+        hand.until(float(again_dead.stdout.split()[-2]) + 0.2)
         early = tool(out, "heal", "live-7")
         assert tool(out, "clock", "speed", "max").returncode == 0
         assert live.status(60.0) == 0, live.said
@@ -165,7 +165,7 @@ def test_what_cannot_be_injected_is_refused_in_words(tmp_path: Path) -> None:
 def test_two_runs_do_not_disturb_each_other(tmp_path: Path) -> None:
     """Started in the same second, side by side: a fault in one is none in the other."""
     out = tmp_path / "runs"
-    arguments = ["paper", "--duration", "20 s", *SLOW]
+    arguments = ["paper", "--duration", "10 s", *SLOW]
     with LiveRun(out, *arguments) as one, LiveRun(tmp_path / "other", *arguments) as other:
         one.until_running()
         other.until_running()

@@ -30,9 +30,10 @@ from waiting import wait_for
 
 from fleet.cli import cli
 from fleet.info import describe, read_info
+from fleet.interrupts import holding_interrupts
 from fleet.ports import free_port
 from fleet.reader import LogReader, LogReadError, Record
-from fleet.record import Gone, TrafficWriter, holding_interrupts
+from fleet.record import Gone, TrafficWriter
 from fleet.replay import Replay, Wishes
 from fleet.run import Options, Status, execute
 from fleet.scenario import load_scenario

@@ -5,6 +5,7 @@ from __future__ import annotations
 import signal
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import count
 from math import inf, nan
 from pathlib import Path
 from typing import Any
@@ -125,6 +126,29 @@ def test_everything_that_happened_to_a_live_run(tmp_path: Path) -> None:
         result = tool("verify", run.directory)
         assert result.exit_code == 0, result.output
         assert result.stdout.endswith(f"up to t = {run.logged_s():g} s of 600 s, where the run was ended\n")
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupt_in_the_middle_of_a_message(number: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It waits for the end of what is written just then: the log is whole, up to a whole tick."""
+    from mcap.writer import ChunkBuilder
+
+    add, messages = ChunkBuilder.add_message, count()
+
+    def interrupted(self: ChunkBuilder, message: Any) -> None:
+        if next(messages) == 2000:
+            signal.raise_signal(number)
+        add(self, message)
+
+    monkeypatch.setattr(ChunkBuilder, "add_message", interrupted)
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        result = execute(load_scenario("paper", ["checks={}"]), Options(tmp_path, in_process=True, quiet=True))
+    finally:
+        signal.signal(signal.SIGTERM, before)
+    assert result.status is Status.INTERRUPTED and next(messages) > 2000
+    found = verify(result.directory)
+    assert found.reproduced and describe(found)[0].endswith("where the run was ended"), describe(found)
 
 
 @pytest.mark.parametrize("then", ["die", "abort"])

@@ -1,0 +1,42 @@
+"""An operator who is faster than a shell."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from waiting import wait_for
+
+from fleet.remote import ask, find
+
+
+class Hand:
+    """Does to the run under a directory what `fleet inject`, `heal`, `clock` and `status` do."""
+
+    def __init__(self, out: Path) -> None:
+        self.run = find(None, out)
+
+    def inject(self, **fault: Any) -> dict[str, Any]:
+        return ask(self.run, "inject", fault=fault)
+
+    def heal(self, name: str | None = None) -> list[str]:
+        return list(ask(self.run, "heal", id=name)["healed"])
+
+    def clock(self, do: str, value: float | None = None) -> None:
+        ask(self.run, "clock", do=do, value=value)
+
+    def now(self) -> float:
+        return float(ask(self.run, "status")["at_s"])
+
+    def until(self, sim_s: float) -> None:
+        wait_for(lambda: self.now() >= sim_s, 60.0, f"{sim_s:g} s")
+
+    def pause_at_round(self) -> None:
+        """Hold the clock with the grant at a round tick."""
+        self.clock("pause")
+        while True:
+            granted = round(float(ask(self.run, "clock", do="pause", value=None)["at_s"]) / 0.01)
+            wait_for(lambda: round(self.now() / 0.01) == granted - 1, 10.0, "the clock to hold")  # noqa: B023
+            if granted % 10 == 0:
+                return
+            self.clock("step", 10 - granted % 10)

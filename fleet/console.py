@@ -21,9 +21,7 @@ from typing import Any
 import msgpack
 
 import agents.process
-import netem.freeprocess
 import netem.process
-import world.freeprocess
 import world.process
 from fleet.children import FORKSERVER_LOST, Child, Children, Exit, describe_exit, forkserver_death
 from fleet.clock import Clock, LiveClock
@@ -157,18 +155,14 @@ class Console:
         clients = {role: c for role, c in credentials.items() if role != WORLD}
         # mkdtemp makes it for this user alone; zenoh reads the users from a file there, once.
         private = Path(tempfile.mkdtemp(prefix="uuv-fleet-"))
-        every = frame_every(scenario)
-        pace = () if self._pace is None else (self._pace,)
-        sea = world.process if self._pace is None else world.freeprocess
-        host = endpoint, keys.run, clients, private, scenario.world_config(), every, *pace, meeting.door, self._audit
-        network = endpoint, keys.run, credentials[NETEM], scenario.netem_config()
+        sea = scenario.world_config(), frame_every(scenario), self._pace
+        network = scenario.netem_config(), self._pace is not None
         targets: dict[str, tuple[Callable[..., None], tuple[Any, ...]]] = {
-            WORLD: (sea.run, host),
-            NETEM: (netem.process.run if self._pace is None else netem.freeprocess.run, network),
+            WORLD: (world.process.run, (endpoint, keys.run, clients, private, *sea, meeting.door, self._audit)),
+            NETEM: (netem.process.run, (endpoint, keys.run, credentials[NETEM], *network)),
         }
         if meeting.router:
-            guest = endpoint, keys.run, credentials[WORLD], scenario.world_config(), every, *pace
-            targets[WORLD] = (sea.join, guest)
+            targets[WORLD] = world.process.join, (endpoint, keys.run, credentials[WORLD], *sea)
         for i in self._vehicles:
             role = agent_role(i)
             if i in self._joins.vehicles:

@@ -44,6 +44,7 @@ WATER = 1025.0  # kg/m^3, sea water: a submerged vehicle weighs what it displace
 SLENDER = 7.0  # length over diameter, as of the small torpedo-shaped vehicles
 HISTORY = 10  # packets of a link that count
 UNHEARD_OF = 5  # lost in a row: nothing arrives any more
+UNHEARD_NS = 500_000_000  # for so long without a command: nobody is there
 CUTS = frozenset({DOWN, PARTITION, MUTE, DEAF, DEAD_RECEIVER, DEAD_SENDER})
 
 # No black, which vanishes in a viewer's dark theme; vehicles 1 to 4 have the colours of our plots.
@@ -97,6 +98,7 @@ class Scene:
         self.links = LinkHistories(scenario.graph.links, () if start is None else start.drawn)
         self._both = frozenset(scenario.graph.links)
         self._silent: frozenset[int] = frozenset()
+        self._commanded: dict[int, int] = {}  # at which tick last
         masses = {i: scenario.controls[i - 1].vehicle.m for i in range(1, scenario.vehicles + 1)}
         self._hulls = {(i, silent): hull(i, mass, silent) for i, mass in masses.items() for silent in (False, True)}
         self._diameters = {i: diameter(mass) for i, mass in masses.items()}
@@ -107,9 +109,17 @@ class Scene:
             self.links.settle(fate)
 
     def see(self, frame: Frame) -> None:
-        """Who commands its vehicle at a tick; at the end tick nobody is asked."""
-        if frame.tick < self._scenario.ticks:
-            self._silent = frozenset(row.id for row in frame.vehicles if not row.command)
+        """Who commands its vehicle at a tick; at the end tick nobody is asked.
+
+        On a wall clock one that was asked may miss ticks, and is silent when it has missed them for a while.
+        """
+        if frame.tick == self._scenario.ticks:
+            return
+        self._commanded |= {row.id: frame.tick for row in frame.vehicles if row.command}
+        since = frame.tick - UNHEARD_NS // self._scenario.tick_ns
+        self._silent = frozenset(
+            row.id for row in frame.vehicles if not row.nav or self._commanded.get(row.id, 0) < since
+        )
 
     def message(self, frame: Frame) -> bytes:
         """A SceneUpdate message: hulls, then links, then where the vehicles should be."""

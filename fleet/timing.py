@@ -26,6 +26,12 @@ def label(timing: dict[str, Any]) -> tuple[str, list[str]]:
             f"agent {i} missed {worst['missed']} of {worst['asked']} ticks ({_share(worst):.2%}), "
             f"{worst['longest']} in a row at most{others}"
         )
+    silent = {i: row["silent"] for i, row in vehicles.items() if row["silent"]}
+    if silent:
+        i = max(silent, key=lambda i: int(silent[i]))
+        others = f", and {len(silent) - 1} more were" if len(silent) > 1 else ""
+        seconds = silent[i] * world["period_ms"] / 1e3
+        reasons.append(f"agent {i} was silent for {seconds:.3g} s in all, suspended or stuck{others}")
     if late := sum(network["late"].values()) + sum(network["missed"].values()):
         reasons.append(f"{late} transmissions came late or not at all")
     if network["overdue"]:
@@ -44,7 +50,7 @@ def verdict(timing: dict[str, Any], most_missed: float) -> Verdict:
     worst = max(map(_share, timing["vehicles"].values()), default=0.0)
     world = timing["world"]
     moved = world["slipped_s"] / max(1e-9, world["run_s"])
-    found = "; ".join([name, *reasons]) if not reasons else f"{name}: {'; '.join(reasons)}"
+    found = f"{name}: {'; '.join(reasons)}" if reasons else name
     value, asked = max(worst, moved), f"at most {most_missed:.3g} of all ticks missed"
     return Verdict("on_time", value <= most_missed, asked, found, value, most_missed, "1")
 

@@ -7,23 +7,9 @@ from queue import Empty
 from time import monotonic_ns
 from typing import cast
 
-from netem.access import Credentials
-from netem.bus import Bus, quiet_zenoh
-from netem.config import NetemConfig
 from netem.freerun import FreeRounds
-from netem.keys import Keys
 from netem.messages import Message, Pace, Receipt, Round, Transmission
 from netem.process import NetemProcess
-from netem.shell import end_with_link
-
-
-def run(endpoint: str, run_id: str, credentials: Credentials, config: NetemConfig) -> None:
-    """Serve the network of a run until the process is ended."""
-    quiet_zenoh()
-    keys = Keys(run_id)
-    bus = Bus.connect(endpoint, credentials)
-    end_with_link(bus, credentials)
-    FreeNetemProcess(bus, keys, config, FreeRounds(config)).serve()
 
 
 class FreeNetemProcess(NetemProcess):

@@ -40,11 +40,11 @@ class FreeRounds:
         self.netem = Netem(every_tick) if config.acoustic is None else AcousticNetem(every_tick)
         self.lives = Lives(config.absences)
         self.late = dict.fromkeys(config.vehicles, 0)  # transmissions that entered after their tick
-        self.missed = dict.fromkeys(config.vehicles, 0)  # round ticks without a transmission
         self._tick = 0  # exchanged next
         self._sent = dict.fromkeys(config.vehicles, -config.round_ticks)
-        self._paused = dict.fromkeys(config.vehicles, 0)  # rounds since then in which it was suspended
+        self._owed: dict[int, set[int]] = {i: set() for i in config.vehicles}  # round ticks without a transmission
         self._resumed = dict.fromkeys(config.vehicles, 0)  # to a round: no longer suspended from then on
+        self._life = dict.fromkeys(config.vehicles, 0)  # to which deliveries were handed out last
         self._came: dict[int, list[bytes]] = {}
         self._round: Round | None = None
         self._fates: list[Fate] = []
@@ -76,30 +76,25 @@ class FreeRounds:
         Raises:
             OutOfPlace: not a round tick, one that was taken, one to come, or of another incarnation.
         """
-        incarnation = self.lives.incarnation(i, message.tick)
-        if message.incarnation != incarnation:
-            raise OutOfPlace("incarnation", incarnation, message.incarnation)
+        self.lives.check(i, message.tick, message.incarnation)
         m = self.config.round_ticks
         last = self._sent[i]
         latest = self._tick + FAR_ROUNDS * m
         if message.tick % m or message.tick <= last or message.tick > latest:
             raise OutOfPlace("round tick", f"one after {last}, up to {latest}", message.tick)
         self.late[i] += message.tick < self._tick
-        if self.lives.incarnation(i, max(0, last)) == incarnation:
-            self.missed[i] += (message.tick - last) // m - 1 - self._paused[i]
-        self._paused[i] = 0
+        self._owed[i].discard(message.tick)
         self._sent[i] = message.tick
         self._came.setdefault(i, []).extend(message.payloads)
 
     def round(self, message: Round) -> None:
-        """Take the world's word on who is alive at a round tick, and where."""
+        """Take the world's word on who is alive at a round tick, not silent, and where."""
         self._round = message
         for i in message.paused:
-            self._paused[i] += 1
             self._resumed[i] = message.tick + self.config.round_ticks
-        for i, handed in self._handed.items():
-            if i not in message.alive:
-                handed.clear()
+        for i in {*message.alive} - {*message.paused}:
+            if self._sent[i] < message.tick:
+                self._owed[i].add(message.tick)
 
     def exchange(self, now_ns: int) -> tuple[list[tuple[int, Inbox]], LinkReport | None]:
         """The outcome of a tick: (vehicle, inbox) pairs of those who get something, and at a round tick the report."""
@@ -107,9 +102,13 @@ class FreeRounds:
         inboxes = []
         for i, deliveries in self._advance().items():
             if deliveries:
+                incarnation = self.lives.incarnation(i, tick)
+                if incarnation != self._life[i]:
+                    self._life[i] = incarnation
+                    self._handed[i].clear()
                 handed = self._handed[i]
                 handed |= {(d.src, d.seq, d.copy): Handed(d.due_tick, d.sent_tick, now_ns) for d in deliveries}
-                inboxes.append((i, Inbox(self.lives.incarnation(i, tick), tick + 1, False, deliveries)))
+                inboxes.append((i, Inbox(incarnation, tick + 1, False, deliveries)))
         if tick % self.config.round_ticks:
             return inboxes, None
         report = LinkReport(tick, False, False, tuple(self._fates), b"")
@@ -133,9 +132,7 @@ class FreeRounds:
         Raises:
             OutOfPlace: of another incarnation, or something that it was not given.
         """
-        incarnation = self.lives.incarnation(i, receipt.tick)
-        if receipt.incarnation != incarnation:
-            raise OutOfPlace("incarnation", incarnation, receipt.incarnation)
+        self.lives.check(i, receipt.tick, receipt.incarnation)
         tick_ns = self.config.tick_ns
         for src, seq, copy, at_ns in receipt.arrivals:
             handed = self._handed[i].pop((src, seq, copy), None)
@@ -155,6 +152,7 @@ class FreeRounds:
 
     def timing(self) -> dict[str, Any]:
         """What the network measured of the agents and of itself, as plain values."""
+        alive = () if self._round is None else self._round.alive
         links = {
             f"{src}->{dst}": {"injected": self.injected[src, dst].to_values(), "measured": spread.to_values()}
             for (src, dst), spread in sorted(self.measured.items())
@@ -164,7 +162,7 @@ class FreeRounds:
             "hop": self.hop.to_values(),
             "margin": self.margin.to_values(),
             "overdue": self.overdue,
-            "unread": sum(map(len, self._handed.values())),
+            "unread": sum(len(handed) for i, handed in self._handed.items() if i in alive),
             "late": {str(i): n for i, n in self.late.items()},
-            "missed": {str(i): n for i, n in self.missed.items()},
+            "missed": {str(i): len(owed) for i, owed in self._owed.items()},
         }

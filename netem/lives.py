@@ -10,6 +10,8 @@ from collections.abc import Iterable
 from math import inf
 from typing import NamedTuple
 
+from netem.errors import OutOfPlace
+
 WHENEVER = 2**63 - 1  # in place of a tick at which an absence began
 
 
@@ -37,6 +39,17 @@ class Lives:
     def incarnation(self, i: int, tick: int) -> int:
         """How often vehicle i's agent has been restarted up to a tick."""
         return sum(end <= tick for _, end in self._gaps[i]) if i in self._gaps else 0
+
+    def check(self, i: int, tick: int, incarnation: int) -> int:
+        """The incarnation of who speaks for vehicle i at a tick.
+
+        Raises:
+            OutOfPlace: it is another one's turn.
+        """
+        expected = self.incarnation(i, tick)
+        if incarnation != expected:
+            raise OutOfPlace("incarnation", expected, incarnation)
+        return incarnation
 
     def gaps(self, i: int) -> list[tuple[int, int | None]]:
         """From when to before when vehicle i has no agent: life n ends with gap n, both counted from 0."""

@@ -43,20 +43,28 @@ RECORD_BYTES = 80  # a fate or delivery without its payload, generously
 _ECHO = encode(Hello(NETEM, 0, 0, PROTOCOL_VERSION, True))
 
 
-def run(endpoint: str, run_id: str, credentials: Credentials, config: NetemConfig) -> None:
-    """Serve the network of a run until the process is ended."""
+def run(endpoint: str, run_id: str, credentials: Credentials, config: NetemConfig, real: bool) -> None:
+    """Serve the network of a run until the process is ended; `real`: on a wall clock, not in lockstep."""
     quiet_zenoh()
     keys = Keys(run_id)
     bus = Bus.connect(endpoint, credentials)
     end_with_link(bus, credentials)
-    NetemProcess(bus, keys, config, Rounds(config)).serve()
+    _process(bus, keys, config, real).serve()
+
+
+def _process(bus: Bus, keys: Keys, config: NetemConfig, real: bool) -> NetemProcess:
+    if not real:
+        return NetemProcess(bus, keys, config, Rounds(config))
+    from netem.freeprocess import FreeNetemProcess  # which is one of these
+
+    return FreeNetemProcess(bus, keys, config, FreeRounds(config))
 
 
 class NetemProcess:
     """Dispatches what comes in to `Rounds` and publishes what comes out."""
 
     def __init__(self, bus: Bus, keys: Keys, config: NetemConfig, rounds: Rounds | FreeRounds) -> None:
-        self._keys = keys
+        self._round_key = keys.round
         self._rounds = rounds
         self._shell = Shell(bus, NETEM, keys.note(NETEM), drop=isinstance(rounds, FreeRounds))
         self._inbox: dict[int, Callable[[bytes], None]] = {i: bus.publisher(keys.rx(i)) for i in config.vehicles}
@@ -79,7 +87,7 @@ class NetemProcess:
         try:
             if item.respond is not None:
                 self._control(item.data, item.respond)
-            elif item.key == self._keys.round:
+            elif item.key == self._round_key:
                 self._told(item.data)
             else:
                 self._heard(vehicle_of(item.key), item.data)

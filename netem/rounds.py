@@ -47,9 +47,7 @@ class Rounds:
         Raises:
             OutOfPlace: not a round tick, one that was already exchanged or taken, or of another incarnation.
         """
-        incarnation = self.lives.incarnation(i, message.tick)
-        if message.incarnation != incarnation:
-            raise OutOfPlace("incarnation", incarnation, message.incarnation)
+        incarnation = self.lives.check(i, message.tick, message.incarnation)
         m = self.config.round_ticks
         # An agent needs the inbox of one round to transmit in the next, but for its first, while others lag behind.
         begins = incarnation > self.lives.incarnation(i, self._next)

@@ -18,8 +18,10 @@ from typing import Any
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from hand import Hand
 from hypothesis import given
 from hypothesis import strategies as st
+from live import LiveRun
 
 from agents.agent import make_agent
 from agents.freeloop import FreeLoop
@@ -50,10 +52,16 @@ SIZE = SHORT.layout(1).size
 
 
 class Virtual:
-    """A whole free-running fleet in virtual time; `absent(i, tick)` says that agent i does not get a nav answered."""
+    """A whole free-running fleet in virtual time; `absent(i, tick)` says that agent i does not get a nav answered.
 
-    def __init__(self, scenario: Scenario, path: Path, absent: Callable[[int, int], bool]) -> None:
-        self.scenario, self.absent = scenario, absent
+    `suspended`: it answers as soon as it is back, with what has queued up.
+    """
+
+    def __init__(
+        self, scenario: Scenario, path: Path, absent: Callable[[int, int], bool], *, suspended: bool = False
+    ) -> None:
+        self.scenario, self.absent, self.suspended = scenario, absent, suspended
+        self.unanswered: list[Nav] = []
         self.log = LogWriter(path, scenario)
         self.journal = Journal(scenario, self.log)
         self.world = FreeRun(scenario.world_config(), frame_every=frame_every(scenario))
@@ -69,10 +77,15 @@ class Virtual:
         self.world.grant(self.scenario.ticks)
         for tick in range(self.scenario.ticks):
             for out in self.world.begin():
-                if isinstance(out, NavTo) and not self.absent(out.id, tick):
-                    self._answer(out.id, out.nav)
-                elif isinstance(out, Round):
+                if isinstance(out, Round):
                     self.network.round(out)
+                elif isinstance(out, NavTo) and self.absent(out.id, tick):
+                    self.unanswered.append(out.nav)
+                elif isinstance(out, NavTo):
+                    self._answer(out.id, out.nav)
+            if self.suspended and self.absent(3, tick - 1) and not self.absent(3, tick):
+                for nav in self.agents[3].worth(self.unanswered):
+                    self._answer(3, nav)
             inboxes, report = self.network.exchange(tick * PERIOD_NS)
             for i, inbox in inboxes:
                 if inbox.incarnation == self.agents[i].incarnation:
@@ -138,6 +151,28 @@ def test_an_agent_that_skips_ticks_is_counted_and_the_others_are_not(tmp_path: P
         1: (0, 0), 2: (0, 0), 3: (5, 5), 4: (0, 0),
     }  # fmt: skip
     assert virtual.network.timing()["missed"] == {"1": 0, "2": 0, "3": 1, "4": 0}
+
+
+def test_a_silent_agent_is_left_in_peace_until_it_answers(tmp_path: Path) -> None:
+    """From 50 ticks without an answer on it gets navs ever more seldom and no messages; then all is as before."""
+    scenario = load_scenario("paper", ["duration=8 s", "checks={}", "profile=hardened"])
+    virtual = Virtual(scenario, tmp_path / "free.mcap", lambda i, tick: i == 3 and 200 <= tick < 700, suspended=True)
+    virtual.run()
+    # Its last answer was that of tick 199; from then on it is asked once more after 50, 100, 200 and 400 ticks.
+    assert [nav.tick for nav in virtual.unanswered] == [*range(200, 250), 299, 399, 599]
+    kept = virtual.world.kept
+    assert [text for _, _, text in virtual.world.notes] == [
+        "its agent has not answered for 50 ticks: it hears nothing until it does",
+        "its agent answers again, after 501 ticks",
+    ]
+    assert (kept[3].missed, kept[3].late, kept[3].longest, kept[3].silent) == (501, 2, 501, 452)
+    assert all(kept[i].missed == kept[i].silent == 0 for i in (1, 2, 4))
+    found = virtual.network.timing()
+    # It was to send at 200 to 240; that of 240 came when it was back, before the network knew that it was.
+    assert (found["missed"]["3"], found["late"]["3"], found["unread"]) == (4, 1, 0)
+    lost = virtual.journal.ledger.accounts[2, 3].lost
+    assert lost["dead receiver"] == 46  # of tick 250 to 700
+    assert virtual.journal.ledger.accounts[3, 2].sent == 20 + 9
 
 
 def command(tick: int, force: float = 1.0, incarnation: int = 0) -> Command:
@@ -365,8 +400,11 @@ def test_grants_on_a_wall_clock_go_ahead_of_it() -> None:
 
 
 FINE: dict[str, Any] = {
-    "world": {"slipped_s": 0.0, "held_s": 0.0, "run_s": 10.0},
-    "vehicles": {"1": {"asked": 1000, "missed": 0, "longest": 0}, "2": {"asked": 1000, "missed": 0, "longest": 0}},
+    "world": {"period_ms": 10.0, "slipped_s": 0.0, "held_s": 0.0, "run_s": 10.0},
+    "vehicles": {
+        "1": {"asked": 1000, "missed": 0, "longest": 0, "silent": 0},
+        "2": {"asked": 1000, "missed": 0, "longest": 0, "silent": 0},
+    },
     "netem": {"late": {"1": 0}, "missed": {"1": 0}, "overdue": 0, "hop": {"count": 100}},
 }
 
@@ -384,7 +422,12 @@ def worse(path: str, value: Any) -> dict[str, Any]:
 @pytest.mark.parametrize(
     ("path", "value", "said"),
     [
-        ("vehicles.2", {"asked": 1000, "missed": 8, "longest": 3}, r"agent 2 missed 8 of 1000 ticks \(0.80%\), 3 in"),
+        (
+            "vehicles.2",
+            {"asked": 1000, "missed": 8, "longest": 3, "silent": 0},
+            r"agent 2 missed 8 of 1000 ticks \(0.80%\), 3 in",
+        ),
+        ("vehicles.1.silent", 120, r"agent 1 was silent for 1.2 s in all, suspended or stuck$"),
         ("netem.late", {"1": 3}, "3 transmissions"),
         ("netem.missed", {"1": 1}, "1 transmissions"),
         ("netem.overdue", 7, "7 of 100 deliveries"),
@@ -400,7 +443,7 @@ def test_whatever_is_late_degrades_a_run_and_is_named(path: str, value: Any, sai
 
 
 def test_the_verdict_tolerates_what_was_asked_for() -> None:
-    some = worse("vehicles.2", {"asked": 1000, "missed": 8, "longest": 3})
+    some = worse("vehicles.2", {"asked": 1000, "missed": 8, "longest": 3, "silent": 0})
     assert timing.verdict(some, 0.01).passed
     assert not timing.verdict(some, 0.005).passed
     assert timing.verdict(some, 0.01).found.startswith("degraded: agent 2 missed")
@@ -475,3 +518,19 @@ def test_an_agent_too_slow_for_its_ticks_is_named(tmp_path: Path, monkeypatch: p
 def test_what_makes_no_sense_on_a_wall_clock_is_refused(arguments: list[str], said: str) -> None:
     result = CliRunner().invoke(cli, ["run", "paper", "--clock", "real", *arguments])
     assert (result.exit_code, said in result.output) == (2, True)
+
+
+def test_a_suspended_agent_does_not_hold_the_others(tmp_path: Path) -> None:
+    """It is named, nobody waits for it, and it is among them again when it goes on."""
+    arguments = ["--clock", "real", "--speed", "2", "--duration", "8 s", "--max-missed", "1"]
+    with LiveRun(tmp_path, "paper", *arguments, "--set", "profile=hardened", "--set", "checks={}") as run:
+        run.until_running(3.0)  # sooner its vehicle would not survive an old command for long
+        hand, agent = Hand(tmp_path), run.role("agent 2")
+        agent.suspend()
+        hand.until(hand.now() + 2.0)
+        agent.resume()
+        assert run.status() == 0, run.printed
+        assert "agent 2 was silent for" in run.said
+    notes = [note for note in json.loads((run.directory / "result.json").read_text())["notes"] if "vehicle 2" in note]
+    assert ["has not answered for 100 ticks" in note for note in notes[:1]] == [True], notes
+    assert ["its agent answers again" in note for note in notes[1:]] == [True], notes

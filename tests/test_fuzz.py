@@ -70,9 +70,7 @@ from netem.process import NetemProcess
 from netem.rounds import Rounds
 from netem.shell import Item
 from world.freeprocess import FreeWorldProcess
-from world.freerun import FreeRun
 from world.lockstep import Lockstep
-from world.pace import Pace
 from world.process import WorldProcess
 
 EXAMPLES = int(os.environ.get("FUZZ_EXAMPLES", "40"))
@@ -291,17 +289,16 @@ def test_no_agent_crashes_netem(put: list[tuple[tuple[int, bytes], bool]]) -> No
 def test_no_agent_crashes_a_run_on_a_wall_clock(put: list[tuple[tuple[int, bytes], str]]) -> None:
     """The same for the processes that wait for nobody, while ticks come and go."""
     bus, config = Nowhere(), SCENARIO.world_config()
-    free = FreeRun(config, frame_every=1)
-    world = FreeWorldProcess(bus, KEYS, free, Pace(config.tick_ns))  # type: ignore[arg-type]
+    world = FreeWorldProcess(bus, KEYS, config, 1, 1.0)  # type: ignore[arg-type]
     rounds = FreeRounds(SCENARIO.netem_config())
     network = FreeNetemProcess(bus, KEYS, SCENARIO.netem_config(), rounds)  # type: ignore[arg-type]
     world._handle(KEYS.grant, encode(Grant(SCENARIO.ticks)))
     network._handle(Item(KEYS.round, encode(Begins(0, 0, config.tick_ns)), None))
     for (i, data), to in put:
         if to == "world":
-            world._publish(free.begin())
+            world._publish(world._free.begin())
             world._handle(KEYS.cmd(i), data)
-            world._publish(free.finish())
+            world._publish(world._free.finish())
         else:
             network._handle(Item(KEYS.tx(i), data, None))
     for _, data in bus.put:

@@ -22,10 +22,10 @@ from fleet.reader import LogReader
 from fleet.resume import prepare
 from fleet.run import Options, Result, execute
 from fleet.scenario import load_scenario
-from fleet.scene import CUTS, HISTORY, LINKS, LinkHistories, diameter, hull
+from fleet.scene import CUTS, HISTORY, LINKS, LinkHistories, Scene, diameter, hull
 from fleet.transforms import quaternion
 from netem.impairment import CAUSES, DELIVERED, IN_FLIGHT
-from netem.messages import Fate
+from netem.messages import Fate, Frame, VehicleFrame
 
 ROOT = Path(__file__).parent.parent
 FAULTS = "faults=[{at: 1.5 s, for: 1 s, partition: halves}, {at: 2 s, for: 600 ms, kill: 4}, {at: 2.2 s, pause: 1}]"
@@ -136,6 +136,17 @@ def test_hulls_say_who_is_silent(messages: dict[str, dict[float, Any]]) -> None:
     assert [hulls[f"uuv-{i}"].texts[0].text for i in (2, 4)] == ["2", "4 silent"]
     colours = {str(hulls[f"uuv-{i}"].cylinders[0].color) for i in range(1, 5)}
     assert len(colours) == 3  # two of them grey
+
+
+def test_on_a_wall_clock_one_missed_tick_is_no_silence() -> None:
+    scene = Scene(load_scenario("paper"))
+    asked, told = (0.0,) * 10, {}
+    for tick in range(120):
+        answers = b"command" if tick not in (30, 31) and tick < 60 else b""
+        row = VehicleFrame(1, (0.0,) * 5, (0.0,) * 5, asked, (0.0,) * 3, answers)
+        scene.see(Frame(tick, False, (), (row,), b""))
+        told[tick] = 1 in scene._silent
+    assert [tick for tick, silent in told.items() if silent] == list(range(110, 120))  # 0.5 s after the last
 
 
 def test_links_say_what_arrives(messages: dict[str, dict[float, Any]]) -> None:

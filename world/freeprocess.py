@@ -2,61 +2,43 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from time import monotonic_ns
 from typing import Any
 
-from netem.access import Credentials, Door
 from netem.audit import Refusals
-from netem.bus import Bus, quiet_zenoh
+from netem.bus import Bus
 from netem.keys import Keys
 from netem.messages import Pace as Begins
 from netem.messages import encode
-from netem.shell import end_with_link, tail
+from netem.shell import tail
 from netem.spread import Spread
 from world.config import WorldConfig
 from world.freerun import FreeRun
 from world.pace import Pace
-from world.process import WorldProcess, host
+from world.process import WorldProcess
 
 AHEAD_NS = 50_000_000  # from the first grant to the first tick
+PATIENCE_NS = 500_000_000  # without an answer, after which an agent is silent
+LEAST_PATIENCE = 10  # ticks
 REMEMBERED = 1000  # ticks whose answers are still measured
-
-
-def run(
-    endpoint: str,
-    run_id: str,
-    credentials: dict[str, Credentials],
-    private: Path,
-    config: WorldConfig,
-    frame_every: int,
-    speed: float,
-    door: Door | None = None,
-    audit: bool = False,
-) -> None:
-    """Host the router and serve the sea of a run, `speed` times as fast as real, until the process is ended."""
-    keys = Keys(run_id)
-    bus, refusals = host(endpoint, keys, credentials, private, config, door, audit=audit)
-    pace = Pace(round(config.tick_ns / speed))
-    FreeWorldProcess(bus, keys, FreeRun(config, frame_every=frame_every), pace, refusals).serve()
-
-
-def join(
-    endpoint: str, run_id: str, credentials: Credentials, config: WorldConfig, frame_every: int, speed: float
-) -> None:
-    """Serve the sea of a run through a router that is there already; as `run` otherwise."""
-    quiet_zenoh()
-    bus = Bus.connect(endpoint, credentials)
-    end_with_link(bus, credentials)
-    free = FreeRun(config, frame_every=frame_every)
-    FreeWorldProcess(bus, Keys(run_id), free, Pace(round(config.tick_ns / speed))).serve()
 
 
 class FreeWorldProcess(WorldProcess):
     """Begins and ends ticks by the clock, and measures how everyone keeps up."""
 
-    def __init__(self, bus: Bus, keys: Keys, free: FreeRun, pace: Pace, refusals: Refusals | None = None) -> None:
-        self._free, self._pace = free, pace
+    def __init__(
+        self,
+        bus: Bus,
+        keys: Keys,
+        config: WorldConfig,
+        frame_every: int,
+        speed: float,
+        refusals: Refusals | None = None,
+    ) -> None:
+        """`speed`: ticks begin so many times as fast as real."""
+        self._pace = Pace(round(config.tick_ns / speed))
+        patience = max(LEAST_PATIENCE, PATIENCE_NS // self._pace.period_ns)
+        self._free = free = FreeRun(config, frame_every=frame_every, patience=patience)
         self._began_ns: dict[int, int] = {}  # by tick, of the last ones
         self._lag, self._gap = Spread(), Spread()
         self._response = {i: Spread() for i in free.world.ids}

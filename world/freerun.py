@@ -11,6 +11,10 @@ which nobody is late moves as in lockstep, to the last bit. Otherwise the newest
 | `stale` | an answer came after its tick and after a newer one, and was dropped |
 
 So every answer is in time, late or stale, and `missed` is `late` + `stale` + those that never came.
+
+An agent that has answered nothing for a while is *silent*: the network takes it for a dead receiver, and it gets a nav
+only after once, twice, four times ... that while. What is put on a link whose reader is suspended is kept in buffers;
+once these are full whoever puts waits, so little is put that they do not fill. With its next answer all is as before.
 """
 
 from __future__ import annotations
@@ -29,11 +33,12 @@ from world.lockstep import STILL, Lockstep, NavTo, Out
 class Punctuality:
     """How one vehicle's agent kept up."""
 
-    asked: int = 0  # navs sent
+    asked: int = 0  # ticks at which it was to answer
     missed: int = 0
     late: int = 0
     stale: int = 0
     longest: int = 0  # ticks missed in a row
+    silent: int = 0  # ticks of those in which it was taken for silent
     row: int = 0  # of those just now
 
     def to_values(self) -> dict[str, Any]:
@@ -45,8 +50,12 @@ class Punctuality:
 class FreeRun(Lockstep):
     """Feeds `World` tick by tick with the commands that are there."""
 
-    def __init__(self, config: WorldConfig, *, frame_every: int = 1) -> None:
+    def __init__(self, config: WorldConfig, *, frame_every: int = 1, patience: int = 50) -> None:
+        """`patience`: ticks without an answer after which an agent is silent."""
         super().__init__(config, frame_every=frame_every)
+        self._patience = patience
+        self._heard = dict.fromkeys(self._ids, 0)  # newest tick in which an answer came, or none was asked for
+        self._silent: set[int] = set()
         self.kept = {i: Punctuality() for i in self._ids}
         self._tick = -1  # that is under way
         self._newest: dict[int, tuple[Command, bytes]] = {}  # not used yet
@@ -72,18 +81,35 @@ class FreeRun(Lockstep):
         paused = []
         for i in self._ids:
             if self._is_dead(i, k):
+                self._heard[i] = k
+                self._silent.discard(i)
                 continue
-            positions[i] = self.world.position(i)
             if self.world.paused(i, k):
+                self._heard[i] = k
                 paused.append(i)
-                continue
-            nav = Nav(self.lives.incarnation(i, k), k, *self.world.sense(i))
-            self._awaiting[i] = nav
-            self.kept[i].asked += 1
-            out.append(NavTo(i, nav))
+            else:
+                nav = Nav(self.lives.incarnation(i, k), k, *self.world.sense(i))
+                self._awaiting[i] = nav
+                self.kept[i].asked += 1
+                if self._is_to_get(i, k):
+                    out.append(NavTo(i, nav))
+            if i not in self._silent:
+                positions[i] = self.world.position(i)
         if k % self.config.round_ticks == 0:
             out.append(Round(k, tuple(positions), tuple(positions.values()), tuple(paused)))
         return out
+
+    def _is_to_get(self, i: int, k: int) -> bool:
+        """Whether vehicle i's agent gets its nav of tick k: always, unless it is silent."""
+        whiles, rest = divmod(k - self._heard[i], self._patience)
+        if not whiles:
+            return True
+        if i not in self._silent:
+            self._silent.add(i)
+            text = f"its agent has not answered for {self._patience} ticks: it hears nothing until it does"
+            self.notes.append((i, k, text))
+        self.kept[i].silent += 1
+        return not rest and whiles.bit_count() == 1
 
     def command(self, i: int, command: Command, raw: bytes | None = None) -> list[Out]:
         """Take vehicle i's command: it acts over the tick that is under way, if no newer one comes before its end.
@@ -94,6 +120,10 @@ class FreeRun(Lockstep):
         self._check(i, command)
         if command.tick > self._tick or command.tick == self._answered[i]:
             raise OutOfPlace("tick", f"an answer to the nav of tick {self._tick}, or before", command.tick)
+        if i in self._silent:
+            self._silent.remove(i)
+            self.notes.append((i, self._tick, f"its agent answers again, after {self._tick - self._heard[i]} ticks"))
+        self._heard[i] = self._tick
         self._taken.append((i, command.tick))
         if command.tick < self._answered[i]:
             self.kept[i].stale += 1

@@ -131,8 +131,7 @@ class Lockstep:
         return self._pass(i, k, tau, eta[:3]) + self._start(i) + self._frames()
 
     def _check(self, i: int, command: Command) -> None:
-        if command.incarnation != self.incarnation(i):
-            raise OutOfPlace("incarnation", self.incarnation(i), command.incarnation)
+        self.lives.check(i, self.tick_of(i), command.incarnation)
         size = self._telemetry_size[i]
         if command.telemetry and size not in (None, len(command.telemetry)):
             raise OutOfPlace("telemetry values", size, len(command.telemetry))

@@ -54,17 +54,19 @@ def run(
     private: Path,
     config: WorldConfig,
     frame_every: int,
+    speed: float | None,
     door: Door | None = None,
     audit: bool = False,
 ) -> None:
     """Host the router and serve the sea of a run until the process is ended.
 
     Args:
+        speed: ticks begin by the wall clock, so many times as fast as real; None: in lockstep.
         audit: tell also which messages the router refuses, not only which logins.
     """
     keys = Keys(run_id)
     bus, refusals = host(endpoint, keys, credentials, private, config, door, audit=audit)
-    WorldProcess(bus, keys, Lockstep(config, frame_every=frame_every), refusals).serve()
+    _process(bus, keys, config, frame_every, speed, refusals).serve()
 
 
 def host(
@@ -86,8 +88,10 @@ def host(
     return bus, refusals
 
 
-def join(endpoint: str, run_id: str, credentials: Credentials, config: WorldConfig, frame_every: int) -> None:
-    """Serve the sea of a run through a router that is there already.
+def join(
+    endpoint: str, run_id: str, credentials: Credentials, config: WorldConfig, frame_every: int, speed: float | None
+) -> None:
+    """Serve the sea of a run through a router that is there already; as `run` otherwise.
 
     Raises:
         BusError: the router does not let us in.
@@ -95,7 +99,17 @@ def join(endpoint: str, run_id: str, credentials: Credentials, config: WorldConf
     quiet_zenoh()
     bus = Bus.connect(endpoint, credentials)
     end_with_link(bus, credentials)
-    WorldProcess(bus, Keys(run_id), Lockstep(config, frame_every=frame_every)).serve()
+    _process(bus, Keys(run_id), config, frame_every, speed, Refusals()).serve()
+
+
+def _process(
+    bus: Bus, keys: Keys, config: WorldConfig, frame_every: int, speed: float | None, refusals: Refusals
+) -> WorldProcess:
+    if speed is None:
+        return WorldProcess(bus, keys, Lockstep(config, frame_every=frame_every), refusals)
+    from world.freeprocess import FreeWorldProcess  # which is one of these
+
+    return FreeWorldProcess(bus, keys, config, frame_every, speed, refusals)
 
 
 class WorldProcess:
@@ -103,6 +117,7 @@ class WorldProcess:
 
     def __init__(self, bus: Bus, keys: Keys, lockstep: Lockstep, refusals: Refusals | None = None) -> None:
         self._keys = keys
+        self._grant_key = keys.grant
         self._lockstep = lockstep
         self._ids = self._lockstep.world.ids
         self._shell = Shell(bus, WORLD, keys.note(WORLD))
@@ -140,7 +155,7 @@ class WorldProcess:
 
     def _handle(self, key: str, data: bytes) -> None:
         try:
-            if key == self._keys.grant:
+            if key == self._grant_key:
                 self._told(expect(data, Grant, Death, Restart, Ailments, Hello))
             else:
                 self._command(key, data)

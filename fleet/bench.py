@@ -7,6 +7,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import platform
 import tempfile
@@ -204,8 +205,7 @@ def _pss() -> Iterator[list[float]]:
 
     def sample() -> None:
         while not done.wait(0.5):
-            sizes = [size for title, size in _titles_and_pss() if title.startswith("fleet agent")]
-            if sizes:
+            if sizes := [size for size in map(pss_mb, _agents()) if size]:
                 largest[0] = max(largest[0], sum(sizes) / len(sizes))
 
     thread = threading.Thread(target=sample, daemon=True)
@@ -217,15 +217,20 @@ def _pss() -> Iterator[list[float]]:
         thread.join()
 
 
-def _titles_and_pss() -> Iterator[tuple[str, float]]:
+def _agents() -> Iterator[int]:
     for folder in Path("/proc").glob("[0-9]*"):
-        try:
-            title = (folder / "cmdline").read_text("utf-8", "replace")
-            if title.startswith("fleet "):
-                lines = (folder / "smaps_rollup").read_text().splitlines()
-                yield title, next(int(line.split()[1]) for line in lines if line.startswith("Pss:")) / 1024
-        except (OSError, StopIteration):
-            continue  # it ended meanwhile
+        with contextlib.suppress(OSError):  # it ended meanwhile
+            if (folder / "cmdline").read_text("utf-8", "replace").startswith("fleet agent"):
+                yield int(folder.name)
+
+
+def pss_mb(pid: int) -> float:
+    """A process's own memory and its part of what it shares (PSS); 0 if it has ended."""
+    try:
+        lines = Path(f"/proc/{pid}/smaps_rollup").read_text().splitlines()
+    except OSError:
+        return 0.0
+    return next((int(line.split()[1]) * 1024 / 1e6 for line in lines if line.startswith("Pss:")), 0.0)
 
 
 def targets(rows: list[dict[str, Any]]) -> list[str]:

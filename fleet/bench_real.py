@@ -17,7 +17,7 @@ from rich.table import Table
 from fleet.errors import FleetError
 from fleet.run import Options, Result, Status, execute
 from fleet.scenario import Scenario, load_scenario
-from fleet.timing import MOST_MISSED
+from fleet.timing import MOST_MISSED, missed_share, moved_share
 
 
 class BenchError(FleetError):
@@ -81,14 +81,14 @@ def _run(scenario: Scenario, options: Options) -> Result:
 
 def _row(n: int, speed: float, scenario: Scenario, found: Result, same: Result) -> Row:
     timing = found.values["timing"]
-    vehicles, world, network = timing["vehicles"].values(), timing["world"], timing["netem"]
+    vehicles, network = timing["vehicles"].values(), timing["netem"]
     return Row(
         n,
         speed,
         speed * 1e9 / scenario.tick_ns,
         timing["label"],
-        max(row["missed"] / max(1, row["asked"]) for row in vehicles),
-        world["slipped_s"] / world["run_s"],
+        missed_share(timing),
+        moved_share(timing),
         max(row["response"]["p99_ms"] for row in vehicles),
         network["overdue"] / max(1, network["hop"]["count"]),
         found.digest == same.digest,

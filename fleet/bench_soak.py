@@ -20,6 +20,8 @@ from typing import Any
 
 from rich.table import Table
 
+from fleet.bench import pss_mb
+
 SAMPLE_S = 0.5
 WARM = 0.25  # share of the run after which memory is compared with the end
 TELL_S = 30.0
@@ -63,7 +65,7 @@ class Soak:
         """Whether it still runs; takes a sample of its memory."""
         if self._process.poll() is not None:
             return False
-        self._samples.append(sum(map(_memory_mb, _of_session(self._process.pid))))
+        self._samples.append(sum(map(pss_mb, _of_session(self._process.pid))))
         return True
 
     @property
@@ -202,12 +204,3 @@ def _of_session(session: int) -> list[int]:
                 if int(sid) == session and state not in "ZX":
                     found.append(int(entry.name))
     return found
-
-
-def _memory_mb(pid: int) -> float:
-    """Its own memory and its part of what it shares (PSS)."""
-    try:
-        lines = Path(f"/proc/{pid}/smaps_rollup").read_text().splitlines()
-    except OSError:
-        return 0.0
-    return next((int(line.split()[1]) / 1000 for line in lines if line.startswith("Pss:")), 0.0)

@@ -12,6 +12,7 @@ import click
 from rich.console import Console as Terminal
 
 from fleet import cli_bench, cli_hosts, cli_join, cli_live, cli_log, cli_protocol, cli_replay, cli_verify, cli_whatif
+from fleet.cli_types import Duration
 from fleet.completion import scenarios
 from fleet.errors import FleetError, ScenarioError
 
@@ -113,7 +114,7 @@ _overrides = click.option(
 @click.option("--audit", is_flag=True, help="Say also which messages the router refuses, a tenth slower.")
 @click.option("--wait-for-subscribers", is_flag=True, help="With --publish: begin when somebody listens.")
 @cli_hosts.hosts_options
-@click.option("--join-timeout", type=cli_join.Wait(), default="300 s", show_default=True,
+@click.option("--join-timeout", type=Duration(), default="300 s", show_default=True,
               help="How long to wait for each agent that somebody else starts.")  # fmt: skip
 @click.option("--start-order", metavar="SEED", type=int, hidden=True)
 @click.option("-q", "--quiet", is_flag=True, help="No progress and no tables.")
@@ -133,7 +134,7 @@ def run(
     publish: bool,
     audit: bool,
     wait_for_subscribers: bool,
-    join_timeout: float,
+    join_timeout: int,
     start_order: int | None,
     quiet: bool,
     **hosts: Any,
@@ -204,7 +205,7 @@ def run(
             pace=pace,
             most_missed=max_missed,
             start_order=_shuffle(start_order),
-            join_timeout_s=join_timeout,
+            join_timeout_s=join_timeout / 1e9,
             meeting=meeting,
             audit=audit,
         )

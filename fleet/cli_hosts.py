@@ -11,34 +11,19 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
+from fleet.cli_types import Duration
 from fleet.completion import scenarios
 from fleet.errors import FleetError
-from fleet.quantities import TIME, QuantityError, parse
 
 if TYPE_CHECKING:
     from fleet.hosts import Meeting
     from fleet.scenario import Scenario
 
 F = TypeVar("F", bound=Callable[..., Any])
-_LEASES_S = (2, 3600)
+# Half of what it is between processes of one host, which do not end with their link.
+_LEASES_S = (2, 1800)
 
-
-class Lease(click.ParamType[int]):
-    """A time, in ms."""
-
-    name = "time"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> int:
-        try:
-            seconds = parse(value, TIME)[0]
-        except QuantityError as error:
-            self.fail(error.message, param, ctx)
-        if not _LEASES_S[0] <= seconds <= _LEASES_S[1]:
-            self.fail(f"expected {_LEASES_S[0]} s to {_LEASES_S[1]} s, got {value!r}", param, ctx)
-        return int(seconds * 1000)
-
-
-_LEASE = click.option("--lease", metavar="TIME", type=Lease(), default="20 s", show_default=True,
+_LEASE = click.option("--lease", metavar="TIME", type=Duration(*_LEASES_S), default="20 s", show_default=True,
                       help="How long a silent link between hosts is kept.")  # fmt: skip
 
 
@@ -71,19 +56,19 @@ def meeting(scenario: Scenario, options: dict[str, Any], *, in_process: bool) ->
         return None
     from fleet.hosts import HostsError, check_free, listening, through_router
 
-    listen, router = options["listen"], options["router"]
+    listen, router, lease_ms = options["listen"], options["router"], options["lease"] // 1_000_000
     spelt = "--" + given[0].replace("_", "-")
     if in_process:
         raise HostsError(f"{spelt}: a run in one process has no router that others could join")
     if bool(listen) == bool(router):
         raise HostsError("either --listen or --router, not both" if listen else f"{spelt} needs --listen or --router")
     common = {name: options[name] for name in ("certs",)} | {
-        "external": scenario.external, "mutual": options["mutual_tls"], "lease_ms": options["lease"]
+        "external": scenario.external, "mutual": options["mutual_tls"], "lease_ms": lease_ms
     }  # fmt: skip
-    if options["lease"] >= scenario.spec.stall_timeout / 1e6:
+    if lease_ms >= scenario.spec.stall_timeout / 1e6:
         raise HostsError(
-            f"--lease {options['lease'] / 1000:g} s is no shorter than stall_timeout {scenario.stall_timeout_s:g} s: "
-            f"the run would break before a silent link ends: --set stall_timeout='{options['lease'] / 500:g} s'"
+            f"--lease {lease_ms / 1000:g} s is no shorter than stall_timeout {scenario.stall_timeout_s:g} s: "
+            f"the run would break before a silent link ends: --set stall_timeout='{lease_ms / 500:g} s'"
         )
     if listen:
         if options["credentials"]:
@@ -187,7 +172,9 @@ def acl(
         name = secrets.token_hex(4) if run is None else run_id(run)
         users = users_file or (out or Path()).absolute() / lists.USERS
         place = certs.absolute() if certs else None
-        text = lists.config(name, vehicles, str(endpoint), str(users), place, mutual=mutual_tls, lease_ms=lease)
+        text = lists.config(
+            name, vehicles, str(endpoint), str(users), place, mutual=mutual_tls, lease_ms=lease // 1_000_000
+        )
         if out is None:
             click.echo(text, nl=False)
             return

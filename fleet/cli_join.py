@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import sys
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import NoReturn
 
 import click
 
@@ -13,22 +13,6 @@ _AGENT = (
     "Exit status: 0 the run, or this agent's part in it, is over; 2 it cannot join; 3 the run went away or the law "
     "failed; 130 Ctrl-C."
 )
-
-
-class Wait(click.ParamType[float]):
-    """A time, in seconds."""
-
-    name = "time"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
-        from fleet.quantities import QuantityError, time_ns
-
-        if isinstance(value, float):
-            return value
-        try:
-            return time_ns(str(value)) / 1e9
-        except QuantityError as error:
-            self.fail(f"{error}; write it as in '300 s'", param, ctx)
 
 
 @click.command(epilog=_AGENT)

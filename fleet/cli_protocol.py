@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from fleet.cli_join import Wait
+from fleet.cli_types import Duration
 from fleet.completion import scenarios
 from fleet.errors import FleetError
 
@@ -36,9 +36,9 @@ def protocol(context: click.Context) -> None:
               help="Whose slice the agent is given.")  # fmt: skip
 @click.option("--join-file", metavar="FILE", type=click.Path(path_type=Path, dir_okay=False),
               help="Where to write the join file; by default join-<i>.json here.")  # fmt: skip
-@click.option("--timeout", type=Wait(), default="300 s", show_default=True, help="How long to wait for the agent.")
+@click.option("--timeout", type=Duration(), default="300 s", show_default=True, help="How long to wait for the agent.")
 @click.option("--port", type=click.IntRange(1, 65535), help="Loopback port of the router; by default a free one.")
-def check(vehicle: int, scenario: str, join_file: Path | None, timeout: float, port: int | None) -> None:
+def check(vehicle: int, scenario: str, join_file: Path | None, timeout: int, port: int | None) -> None:
     """Play world and netem against an agent of another make, and judge everything that it sends.
 
     Writes a join file, waits for the agent, and runs a canned exchange: the handshake, ticks and round ticks, inboxes
@@ -59,7 +59,7 @@ def check(vehicle: int, scenario: str, join_file: Path | None, timeout: float, p
         examination = Examination(
             load_scenario(scenario), vehicle, join_file or Path(f"join-{vehicle}.json"), port=port
         )
-        found = examination.run(timeout, lambda text: click.echo(text, err=True))
+        found = examination.run(timeout / 1e9, lambda text: click.echo(text, err=True))
     except FleetError as error:
         click.echo(f"fleet: {error}", err=True)
         sys.exit(2)

@@ -17,8 +17,9 @@ from typing import Any
 import click
 from rich.console import Console as Terminal
 
+from fleet.cli_types import Duration
 from fleet.errors import FleetError
-from fleet.quantities import Dimension, QuantityError, parse, time_ns
+from fleet.quantities import Dimension, QuantityError, parse
 
 CLOSE_S = 2.0  # for what is still on the way to others
 EPILOG = "Exit status: 0 done, 2 usage or a bad file, 3 no connection or a full disk, 130 Ctrl-C."
@@ -26,21 +27,6 @@ FILE_SIZE = Dimension("a size", "100 MB", {
     "MB": Fraction(10**6), "GB": Fraction(10**9), "kB": Fraction(1000), "B": Fraction(1),
     "MiB": Fraction(2**20), "GiB": Fraction(2**30), "kiB": Fraction(1024),
 })  # fmt: skip
-
-
-class Duration(click.ParamType[int]):
-    """A time with a unit, as whole ns, not negative."""
-
-    name = "time"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> int:
-        try:
-            ns = value if isinstance(value, int) else time_ns(value)
-        except QuantityError as error:
-            self.fail(f"{error.message}{f': {error.hint}' if error.hint else ''}", param, ctx)
-        if ns < 0:
-            self.fail(f"a time that is not negative is needed, got {value!r}", param, ctx)
-        return ns
 
 
 class FileSize(click.ParamType[int]):

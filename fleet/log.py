@@ -19,7 +19,6 @@ from typing import IO, NamedTuple, Protocol
 
 from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
-from google.protobuf.timestamp_pb2 import Timestamp
 from mcap.writer import CompressionType, Writer
 
 from agents.config import AgentConfig
@@ -43,6 +42,7 @@ from fleet.log_schemas import (
     foxglove_schema,
     pose_schema,
     signal_columns,
+    stamp_of,
 )
 from fleet.metrics import VehicleError
 from fleet.reader import CLOCK, REAL, digest_part
@@ -280,7 +280,7 @@ class LogWriter:
     ) -> list[tuple[int, bytes]]:
         """(vehicle, message) of every vehicle that has something to say in this group."""
         if group == "pose":
-            stamp = Timestamp(seconds=at_ns // SECOND_NS, nanos=at_ns % SECOND_NS).SerializeToString()
+            stamp = stamp_of(at_ns).SerializeToString()
             return [(row.id, self._pose(stamp, row.eta[:3], quaternion(*row.eta[3:]))) for row in rows]
         encode = self._encoders[group]
         match group:

@@ -16,6 +16,7 @@ from typing import Any
 from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 from google.protobuf.descriptor import FileDescriptor
+from google.protobuf.timestamp_pb2 import Timestamp
 
 from agents.signals import Signal
 
@@ -232,3 +233,9 @@ def _descriptor_set(file: FileDescriptor) -> bytes:
     add(file)
     descriptors = descriptor_pb2.FileDescriptorSet(file=files.values())
     return descriptors.SerializeToString(deterministic=True)
+
+
+def stamp_of(ns: int) -> Timestamp:
+    """A time in ns."""
+    seconds, nanos = divmod(ns, 1_000_000_000)
+    return Timestamp(seconds=seconds, nanos=nanos)

@@ -24,6 +24,7 @@ from typing import IO, Any
 from fleet.errors import FleetError
 from fleet.log_schemas import Schema
 from netem.access import OBSERVER, Credentials
+from netem.files import write_whole
 
 ENTRY = Struct("<HIQQQI")  # channel, sequence, log time, publish time, number in the log, bytes that follow
 LENGTH = Struct("<I")  # of a batch
@@ -106,8 +107,7 @@ class LivePublisher:
             fcntl.fcntl(descriptor, fcntl.F_SETPIPE_SZ, PIPE_BYTES)
         del values["channels"], values["schemas"], values["wait"]
         try:
-            with os.fdopen(os.open(self._observe, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w") as file:
-                json.dump({"endpoint": self.endpoint, **values}, file)
+            write_whole(self._observe, json.dumps({"endpoint": self.endpoint, **values}).encode())
         except OSError as error:
             process.kill()
             process.wait()

@@ -6,10 +6,10 @@ import time
 from dataclasses import dataclass
 
 import numpy as np
-from google.protobuf.timestamp_pb2 import Timestamp
 
 from fleet.errors import FleetError
 from fleet.keyboard import Key, Keyboard
+from fleet.log_schemas import stamp_of
 from fleet.player import RATE_STEP, SEEK_NS, Metronome, Pace, Player
 from fleet.selection import Renaming, chosen
 from fleet.stamp import Stamp, pack
@@ -211,7 +211,7 @@ class Replay:
         return entry.data if entry.sequence == sequence else None
 
     def _tell_time(self, log_ns: int) -> None:
-        stamp = Timestamp(seconds=log_ns // 10**9, nanos=log_ns % 10**9)
+        stamp = stamp_of(log_ns)
         self._clock.put(stamp.SerializeToString(), None)
 
     def _describe(self, now: int, pace: Pace) -> str:

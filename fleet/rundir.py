@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from fleet.errors import FleetError
+from netem.files import write_whole
 
 LATEST = "latest"
 
@@ -84,9 +85,7 @@ class RunDirectory:
     def write_connection(self, values: dict[str, Any]) -> None:
         """Raises RunDirectoryError: there is no room."""
         try:
-            descriptor = os.open(self.connection, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
-            with os.fdopen(descriptor, "w") as file:
-                json.dump(values, file)
+            write_whole(self.connection, json.dumps(values).encode())
         except OSError as error:
             raise RunDirectoryError(f"cannot write {self.connection}", error) from error
 

@@ -47,12 +47,20 @@ def label(timing: dict[str, Any]) -> tuple[str, list[str]]:
 def verdict(timing: dict[str, Any], most_missed: float) -> Verdict:
     """Whether no agent missed more than a share of its ticks, nor the clock was moved by more than that."""
     name, reasons = label(timing)
-    worst = max(map(_share, timing["vehicles"].values()), default=0.0)
-    world = timing["world"]
-    moved = world["slipped_s"] / max(1e-9, world["run_s"])
     found = f"{name}: {'; '.join(reasons)}" if reasons else name
-    value, asked = max(worst, moved), f"at most {most_missed:.3g} of all ticks missed"
+    value, asked = max(missed_share(timing), moved_share(timing)), f"at most {most_missed:.3g} of all ticks missed"
     return Verdict("on_time", value <= most_missed, asked, found, value, most_missed, "1")
+
+
+def missed_share(timing: dict[str, Any]) -> float:
+    """The share of its ticks that the worst agent missed."""
+    return max(map(_share, timing["vehicles"].values()), default=0.0)
+
+
+def moved_share(timing: dict[str, Any]) -> float:
+    """By what share of the run the world moved the clock, because it was late itself."""
+    slipped_s, run_s = float(timing["world"]["slipped_s"]), float(timing["world"]["run_s"])
+    return slipped_s / max(1e-9, run_s)
 
 
 def summary(timing: dict[str, Any], speed: float) -> str:

@@ -20,6 +20,7 @@ from foxglove_schemas_protobuf.Quaternion_pb2 import Quaternion
 from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
 from google.protobuf.timestamp_pb2 import Timestamp
 
+from fleet.log_schemas import stamp_of
 from fleet.scenario import Scenario
 from netem.messages import Frame
 from world.vehicle import Vec3
@@ -76,5 +77,4 @@ def quaternion(theta: float, psi: float) -> tuple[float, float, float, float]:
 
 def stamp_at(scenario: Scenario, tick: int) -> Timestamp:
     """The simulated time of a tick."""
-    seconds, nanos = divmod(tick * scenario.tick_ns, 1_000_000_000)
-    return Timestamp(seconds=seconds, nanos=nanos)
+    return stamp_of(tick * scenario.tick_ns)

@@ -22,6 +22,7 @@ log = logging.getLogger(__name__)
 
 LOGINS = "error,zenoh_transport::unicast::establishment::accept=debug"
 DECISIONS = LOGINS + ",zenoh::net::routing::interceptor::access_control=trace"
+MOST_ENDED = 1000  # sessions that are remembered
 MOST_KINDS = 200  # of refusals that are told apart
 _ACTIONS = 9  # that access control decides on for a key in advance, in a row, when it is declared
 
@@ -48,7 +49,7 @@ class Refusals:
         self._tell: Callable[[str], None] = lambda _: None
         self._lock = threading.Lock()
         self._users: dict[str, str] = {}  # by zenoh id of the session
-        self._ended: set[str] = set()  # zenoh ids
+        self._ended: dict[str, None] = {}  # zenoh ids of sessions, in the order in which they ended
         self._skip: dict[str, int] = {}  # by thread: decisions in advance still to come
 
     def tell(self, tell: Callable[[str], None]) -> None:
@@ -71,8 +72,12 @@ class Refusals:
         return False
 
     def end(self, session: str) -> None:
-        """A session has ended: its user may log in again."""
-        self._ended.add(session)
+        """A session has ended: its user may log in again. Zenoh's log may still tell of it for a while."""
+        self._ended[session] = None
+        if len(self._ended) > MOST_ENDED:
+            oldest = next(iter(self._ended))
+            del self._ended[oldest]
+            self._users.pop(oldest, None)
 
     def _decision(self, line: str) -> None:
         found = _THREAD.search(line)
@@ -95,7 +100,7 @@ class Refusals:
         self._users[session] = user
         others = [s for s, name in self._users.items() if name == user and s != session]
         # An agent has one session at a time; operators come and go.
-        if user.startswith("agent-") and not self._ended.issuperset(others):
+        if user.startswith("agent-") and not self._ended.keys() >= {*others}:
             self._count(f"{user}: logged in twice")
 
     def _refuse(self, what: str) -> None:

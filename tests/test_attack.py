@@ -27,7 +27,7 @@ from fleet.run import Options, Result, Status, execute
 from fleet.rundir import RunDirectory
 from fleet.scenario import load_scenario
 from netem.access import CONSOLE, OBSERVER, OPERATOR, Credentials, generate
-from netem.audit import MOST_KINDS, Refusals, _follow
+from netem.audit import MOST_ENDED, MOST_KINDS, Refusals, _follow
 from netem.bus import MOST_WAITING, Bus, OpenBus
 from netem.errors import BusError
 from netem.keys import Keys
@@ -436,6 +436,14 @@ def test_a_flood_of_refusals_fills_nothing() -> None:
     assert len(found.counts) == MOST_KINDS + 1
     assert found.counts["refused more kinds of messages"] == MOST_KINDS
     assert told == list(found.counts)
+
+
+def test_sessions_that_ended_are_forgotten_in_the_end() -> None:
+    found = Refusals()
+    for n in range(MOST_ENDED + 10):
+        found.line(f"{ACL}{n:x} on Username(operator) is authorized to Put (ingress) on k")
+        found.end(f"{n:x}")
+    assert len(found._users) == len(found._ended) == MOST_ENDED
 
 
 def test_other_lines_are_kept() -> None:

@@ -6,9 +6,9 @@ import json
 from pathlib import Path
 from typing import Any
 
-from fleet.certs import CA, SERVER, path
+from fleet.certs import CA, OWN, SERVER, path
 from fleet.hosts import HostsError, new_credentials
-from netem.access import access_control
+from netem.access import CONSOLE, NETEM, OPERATOR, WORLD, access_control, agent_role
 from netem.bus import router_settings
 from netem.files import write_whole
 from netem.keys import Keys
@@ -22,7 +22,7 @@ def config(run: str, vehicles: int, listen: str, users: str, certs: Path | None,
     Args:
         users: path of the file of users and passwords, as the router sees it.
         certs: the directory of the router's certificate, as the router sees it, for tls.
-        mutual: clients must show certificates.
+        mutual: clients must show certificates: an agent its own or that of the run's host, everybody else the latter.
     """
     numbers = tuple(range(1, vehicles + 1))
     values: dict[str, Any] = {"mode": "router", "listen": {"endpoints": [listen], "exit_on_failure": True}}
@@ -35,7 +35,10 @@ def config(run: str, vehicles: int, listen: str, users: str, certs: Path | None,
         _put(values, f"{tls}/listen_certificate", str(path(certs, SERVER)))
         _put(values, f"{tls}/listen_private_key", str(path(certs, SERVER, key=True)))
         _put(values, f"{tls}/enable_mtls", mutual)
-    values["access_control"] = access_control(Keys(run), numbers, prefix=f"{run}-", world=True)
+    certified = {role: [OWN] for role in (CONSOLE, NETEM, OPERATOR, WORLD)}
+    certified |= {role: [OWN, role] for role in map(agent_role, numbers)}  # the run's own, or from elsewhere
+    control = access_control(Keys(run), numbers, certified=certified if mutual else {}, prefix=f"{run}-", world=True)
+    values["access_control"] = control
     head = (
         f"// A zenoh router for run {run} of uuv-fleet, {vehicles} vehicles: zenohd -c {CONFIG}\n"
         "// In a router that serves others, too, merge the three lists of access_control into its own, and the users\n"

@@ -11,6 +11,7 @@ import signal
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -56,13 +57,18 @@ def measure(sizes: Sequence[int], suspend_s: float, say: Callable[[str], None]) 
             say(f"{n} agents")
             arguments = ["paper", *_sets(f"vehicles={n}", "duration=1 s", "log.snapshot=0 s", CHECKS)]
             rows.append(_row(folder, f"{n} agents, 1 s", arguments, None))
+        # Who waits for whom: a console that takes nothing, a world that cannot put, an agent that fills its queue.
+        n, (what, *_) = min(sizes), FLOODS
+        title = f"{n} agents, one floods: {what}; console suspended {suspend_s:g} s"
+        say(title)
+        both = _sets(f"vehicles={n}", "duration=3 s", "log.snapshot=0 s", "stall_timeout=120 s", CHECKS)
+        rows.append(_row(folder, title, ["paper", *both], _Flood(what, suspend_s), more=_external()))
         arguments = ["paper", *_sets("duration=20 s", "log.snapshot=0 s", CHECKS)]
         alone = _run(folder, "alone", arguments, None)[1]
         say("floods")
-        external = f"per_vehicle={{{FLOODED}: {{external: true}}}}"
         for what in FLOODS:
             title = f"agent {FLOODED} floods: {what}"
-            rows.append(_row(folder, title, arguments, _Flood(what), alone, more=_sets(external)))
+            rows.append(_row(folder, title, arguments, _Flood(what), alone, more=_external()))
         say(f"console suspended for {suspend_s:g} s")
         rows.append(_row(folder, f"console suspended {suspend_s:g} s", arguments, _Suspension(suspend_s), alone))
         say("a reader that never reads")
@@ -74,10 +80,13 @@ def measure(sizes: Sequence[int], suspend_s: float, say: Callable[[str], None]) 
 
 
 class _Flood:
-    """An agent that does its work, and a second session with its login that puts as fast as it can."""
+    """An agent that does its work, and a second session with its login that puts as fast as it can.
 
-    def __init__(self, what: str) -> None:
-        self._what = what
+    Meanwhile the console may be suspended for some seconds.
+    """
+
+    def __init__(self, what: str, suspend_s: float = 0.0) -> None:
+        self._what, self._suspension = what, _Suspension(suspend_s)
         self._puts = 0
 
     def __call__(self, soak: Soak, folder: Path) -> str:
@@ -90,11 +99,14 @@ class _Flood:
             with suppress(BusError):
                 bus = Bus.connect(joining.endpoint, joining.credentials)
                 puts = [(bus.publisher(key), data) for key, data in FLOODS[self._what](keys)]
+                suspending = threading.Thread(target=self._suspension, args=(soak, folder))
+                suspending.start()
                 while soak.running:
                     for _ in range(200):
                         for put, data in puts:
                             put(data)
                             self._puts += 1
+                suspending.join()
                 bus.close()
             while soak.running:
                 time.sleep(0.05)
@@ -109,6 +121,8 @@ class _Suspension:
         self._seconds = seconds
 
     def __call__(self, soak: Soak, folder: Path) -> str:
+        if not self._seconds:
+            return ""
         _wait_for(soak, folder, "connection.json")
         time.sleep(1.0)
         os.kill(soak.pid, signal.SIGSTOP)
@@ -195,6 +209,10 @@ def _process(arguments: list[str]) -> Iterator[subprocess.Popen[bytes]]:
     finally:
         process.kill()
         process.wait()
+
+
+def _external() -> list[str]:
+    return _sets(f"per_vehicle={{{FLOODED}: {{external: true}}}}")
 
 
 def _sets(*overrides: str) -> list[str]:

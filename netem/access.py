@@ -8,8 +8,9 @@ session is not subject to the list.
 from __future__ import annotations
 
 import secrets
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
+from types import MappingProxyType
 from typing import Any
 
 from netem.keys import Keys
@@ -72,14 +73,14 @@ def access_control(
     keys: Keys,
     vehicles: tuple[int, ...],
     *,
-    certified: frozenset[str] = frozenset(),
+    certified: Mapping[str, Sequence[str]] = MappingProxyType({}),
     prefix: str = "",
     world: bool = False,
 ) -> dict[str, Any]:
     """Zenoh's `access_control` block for one run: deny by default, then what each role needs.
 
     Args:
-        certified: roles that count only together with a client certificate of that name.
+        certified: roles that count only together with a client certificate, and the names that it may have.
         prefix: of the user names and of the rules' names, where several runs share a router.
         world: the world is a client, too.
     """
@@ -103,7 +104,7 @@ def access_control(
             names.append(name)
         subject: dict[str, Any] = {"id": prefix + role, "usernames": [prefix + role]}
         if role in certified:
-            subject["cert_common_names"] = [role]
+            subject["cert_common_names"] = [*certified[role]]
         subjects.append(subject)
         policies.append({"rules": names, "subjects": [prefix + role]})
 

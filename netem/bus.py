@@ -214,7 +214,8 @@ class Bus:
         """
         users = _write_users(private, credentials.values())
         endpoints = [endpoint, *(door.endpoints if door else ())]
-        control = access_control(keys, vehicles, certified=door.certified) if door else access_control(keys, vehicles)
+        certified = {role: [role] for role in door.certified} if door else {}
+        control = access_control(keys, vehicles, certified=certified)
         settings = {
             **router_settings(len(vehicles), door.lease_ms if door else LEASE_MS),
             "listen/endpoints": endpoints,

@@ -183,8 +183,8 @@ def without(flow: str) -> Any:
     messages = ["put", "delete", "query", "reply", "declare_subscriber", "declare_queryable", "liveliness_token"]
     rule = {"permission": "allow", "flows": [flow], "messages": messages, "key_exprs": ["**"]}
 
-    def access_control(keys: Keys, vehicles: tuple[int, ...]) -> dict[str, Any]:
-        block = netem.access.access_control(keys, vehicles)
+    def access_control(keys: Keys, vehicles: tuple[int, ...], **how: Any) -> dict[str, Any]:
+        block = netem.access.access_control(keys, vehicles, **how)
         block["rules"].append({"id": "open", **rule})
         for policy in block["policies"]:
             policy["rules"].append("open")
@@ -197,7 +197,7 @@ GUARDS: dict[str, Any] = {
     "as in every run": netem.access.access_control,
     "incoming only": without("egress"),
     "outgoing only": without("ingress"),
-    "none": lambda keys, vehicles: {"enabled": False},
+    "none": lambda keys, vehicles, **how: {"enabled": False},
 }
 
 

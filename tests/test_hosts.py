@@ -321,6 +321,30 @@ def test_a_run_through_a_router_has_the_digest_of_one_without(made: Path, tmp_pa
     assert json.loads((tmp_path / "runs" / "latest" / "result.json").read_text())["digest"] == result["digest"]
 
 
+def test_a_router_asks_each_role_for_its_certificate(made: Path, tmp_path: Path) -> None:
+    endpoint, out = f"tls/127.0.0.1:{free_port()}", tmp_path / "acl"
+    text = acl.config("sea", 2, endpoint, str(out / acl.USERS), made, mutual=True, lease_ms=20_000)
+    acl.write(out, "sea", 2, text)
+    _, known = read_credentials(out / acl.CREDENTIALS, 2)
+    keys, ca = Keys("sea"), (made / "ca.pem").read_text()
+
+    def connect(role: str, shows: str) -> Bus:
+        pair = certs.read_client(made, shows)
+        who = Credentials(known[role].user, known[role].password, ca, pair.certificate, pair.key)
+        return Bus.connect(endpoint, who)
+
+    with router(out / acl.CONFIG):
+        console = connect("console", certs.OWN)
+        console.answer(keys.cfg("*"), lambda key, _, respond: respond(b"the slice"))
+        asked = {}
+        for shows in ("agent-1", certs.OWN, "agent-2"):
+            agent = connect("agent-1", shows)
+            asked[shows] = agent.ask(keys.cfg(1), timeout_s=1.0)
+            agent.close()
+        console.close()
+    assert asked == {"agent-1": b"the slice", certs.OWN: b"the slice", "agent-2": None}
+
+
 def test_a_router_serves_one_run_of_an_id_at_a_time(tmp_path: Path) -> None:
     """The second would mix its messages with the first's."""
     endpoint = f"tcp/127.0.0.1:{free_port()}"

@@ -17,6 +17,7 @@ class FreeAgentProcess(AgentProcess):
     def __init__(self, bus: Bus, keys: Keys, vehicle: int, loop: FreeLoop) -> None:
         super().__init__(bus, keys, vehicle, loop)
         self._free = loop
+        self._flooded = False  # and told
 
     def _listen(self, bus: Bus, key: str) -> Stamped:
         self._stamped = bus.stamped(key)
@@ -40,6 +41,9 @@ class FreeAgentProcess(AgentProcess):
                 message = self._read(key, data)
                 if isinstance(message, Inbox):
                     self._take(key, message, at_ns)
+            if self._stamped.flooded and not self._flooded:
+                self._flooded = True
+                self._shell.note(self._vehicle, self._loop.tick, "more comes in than it takes: messages are dropped")
             for nav in self._free.worth(navs) if navs else ():
                 self._answer(self._keys.nav(self._vehicle), nav)
 

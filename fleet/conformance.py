@@ -25,7 +25,7 @@ from fleet.errors import FleetError
 from fleet.ports import free_port
 from fleet.scenario import Scenario
 from netem.access import agent_role, generate
-from netem.errors import BusError, MalformedMessage
+from netem.errors import BusError, MalformedMessage, OutOfPlace
 from netem.keys import Keys
 from netem.messages import (
     PROTOCOL_VERSION,
@@ -167,6 +167,9 @@ class Examination:
             return self._other.take(deadline - time.monotonic())
         except MalformedMessage as error:
             self._fail(FORM, "hello, memory and cmd on cmd, hello and tx on tx", error)
+            raise _BrokenOffError from None
+        except OutOfPlace as error:
+            self._fail(HELLO, str(error.expected), error.got)
             raise _BrokenOffError from None
 
     # --------------------------------------------------------------------------------------- verdicts

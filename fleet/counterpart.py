@@ -15,6 +15,7 @@ from netem.bus import Bus, Respond
 from netem.errors import MalformedMessage
 from netem.keys import Keys
 from netem.messages import PROTOCOL_VERSION, Command, Hello, Memory, Message, Note, Transmission, decode, encode
+from netem.shell import Probes
 
 MOST_NOTES = 100
 KINDS = {"cmd": (Hello, Command, Memory), "tx": (Hello, Transmission), "note": (Note,)}
@@ -34,6 +35,7 @@ class Counterpart:
             BusError: the endpoint is taken.
         """
         bus = self._bus = Bus.host(endpoint, keys, (vehicle,), {user.user: user}, private)
+        self._vehicle, self._probes = vehicle, {"cmd": Probes(), "tx": Probes()}
         came: SimpleQueue[tuple[str, bytes]] = SimpleQueue()
         put = came.put
         self._came = came
@@ -67,6 +69,7 @@ class Counterpart:
 
         Raises:
             MalformedMessage: the agent put what does not belong on that key.
+            OutOfPlace: it says hello more often than world and netem would answer.
         """
         deadline = time.monotonic() + timeout_s
         while (left := deadline - time.monotonic()) > 0:
@@ -87,6 +90,7 @@ class Counterpart:
                     self.notes.append(message.text)
                 continue
             if isinstance(message, Hello) and not message.echo:
+                self._probes[key].spend(self._vehicle)
                 role, echo = ("world", self.nav) if key == "cmd" else ("netem", self.rx)
                 echo(encode(Hello(role, 0, 0, PROTOCOL_VERSION, True)))
             return key, message

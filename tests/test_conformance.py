@@ -97,6 +97,7 @@ BROKEN = {
     ),
     "dies of junk": ("    except Exception as error:", "    except ImportError as error:", conformance.MALFORMED),
     "answers for an earlier life": ("fields[0] == life and", "", conformance.EARLIER),
+    "says hello without end": ("in (cmd, tx):", "in (cmd, tx) * 100:", conformance.HELLO),
     "is of another life": ('told["incarnation"]', "0", conformance.HELLO),
     "commands one number less": ("tau, velocity = law", "(*tau, _), velocity = law", conformance.FORM),
     "commands a life that it has not": ('["cmd", life,', '["cmd", life + 1,', conformance.COMMANDS),

@@ -163,14 +163,14 @@ class Examination:
 
         A moment and not a span, because an agent may put without end what is no answer.
         """
-        try:
-            return self._other.take(deadline - time.monotonic())
-        except MalformedMessage as error:
-            self._fail(FORM, "hello, memory and cmd on cmd, hello and tx on tx", error)
-            raise _BrokenOffError from None
-        except OutOfPlace as error:
-            self._fail(HELLO, str(error.expected), error.got)
-            raise _BrokenOffError from None
+        while True:
+            try:
+                return self._other.take(deadline - time.monotonic())
+            except MalformedMessage as error:
+                self._fail(FORM, "hello, memory and cmd on cmd, hello and tx on tx", error)
+                raise _BrokenOffError from None
+            except OutOfPlace as error:
+                self._fail(HELLO, str(error.expected), error.got)
 
     # --------------------------------------------------------------------------------------- verdicts
 

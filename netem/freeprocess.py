@@ -29,6 +29,8 @@ class FreeNetemProcess(NetemProcess):
             # What is there by now still belongs to this tick.
             for _ in range(shell.queue.qsize()):
                 self._handle(shell.take())
+            if not free.known:
+                continue  # among it was that the run is over
             inboxes, report = free.exchange(monotonic_ns())
             self._hand_out(inboxes)
             if report is not None:

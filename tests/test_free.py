@@ -22,6 +22,7 @@ from hand import Hand
 from hypothesis import given
 from hypothesis import strategies as st
 from live import LiveRun
+from nowhere import Nowhere, serve
 
 from agents.agent import make_agent
 from agents.freeloop import FreeLoop
@@ -39,13 +40,30 @@ from fleet.script import ScriptError
 from fleet.verify import verify
 from fleet.whatif import whatif
 from netem.errors import OutOfPlace
+from netem.freeprocess import FreeNetemProcess
 from netem.freerun import FreeRounds
-from netem.messages import Arrival, Command, Delivery, Inbox, Nav, Receipt, Round, Transmission
+from netem.keys import Keys
+from netem.messages import (
+    Arrival,
+    Command,
+    Delivery,
+    Inbox,
+    LinkReport,
+    Nav,
+    Receipt,
+    Round,
+    Transmission,
+    decode,
+    encode,
+)
+from netem.messages import Pace as Begins
+from netem.shell import Item, request
 from netem.spread import Spread
 from world.freerun import FreeRun
 from world.lockstep import NavTo
 from world.pace import Pace
 
+KEYS = Keys("5ea")
 PERIOD_NS = 10_000_000
 SHORT = load_scenario("paper", ["duration=300 ms", "checks={}"])
 SIZE = SHORT.layout(1).size
@@ -352,6 +370,19 @@ def advance(rounds: FreeRounds, until: int) -> dict[int, list[tuple[int, Deliver
         for i, inbox in inboxes:
             got.setdefault(i, []).extend((tick, d) for d in inbox.deliveries)
     return got
+
+
+def test_a_network_that_is_late_exchanges_nothing_after_the_end() -> None:
+    """The end may be among what a tick that is overdue still takes in."""
+    config, bus, items = SHORT.netem_config(), Nowhere(), Nowhere()
+    network = FreeNetemProcess(bus, KEYS, config, FreeRounds(config))  # type: ignore[arg-type]
+    network._shell.queue = items  # type: ignore[assignment]
+    for said in (Begins(0, 0, 1000), Round(0, (1, 2, 3, 4), ((0.0,) * 3,) * 4, ())):
+        items.queue.append(Item(KEYS.round, encode(said), None))
+    items.queue.append(Item(KEYS.ctl("netem"), request("close", tick=10), lambda _: None))
+    serve(network)
+    reports = [report for key, data in bus.put if key == KEYS.links and isinstance(report := decode(data), LinkReport)]
+    assert [(report.until, report.closing) for report in reports] == [(10, True)]
 
 
 @pytest.mark.parametrize("late", [0, 4])

@@ -13,7 +13,6 @@ import json
 import os
 import random
 import struct
-from collections import deque
 from collections.abc import Callable
 from math import isfinite
 from pathlib import Path
@@ -24,6 +23,7 @@ import pytest
 from click.testing import CliRunner
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from nowhere import Nowhere, serve
 from test_messages import ANY_MESSAGE, messages
 
 import fleet
@@ -43,7 +43,7 @@ from fleet.recover import recover
 from fleet.run import Options, execute
 from fleet.scenario import load_scenario, parse_scenario, shipped
 from netem.bus import MAX_BYTES, PART_BYTES
-from netem.errors import BusError, MalformedMessage
+from netem.errors import MalformedMessage
 from netem.faults import NetFault, fault_values, read_faults
 from netem.freeprocess import FreeNetemProcess
 from netem.freerun import FreeRounds
@@ -123,55 +123,6 @@ WIRE = st.one_of(st.binary(max_size=60), ANYTHING.map(msgpack.packb), st.sampled
 
 
 # --- processes on a bus that is none ----------------------------------------
-
-
-class OverError(Exception):
-    """Everything that was to come in has come in."""
-
-
-class Nowhere:
-    """A bus without zenoh: keeps what is put, and hands out what it was given."""
-
-    def __init__(self) -> None:
-        self.put: list[tuple[str, bytes]] = []
-        self.queue: deque[Any] = deque()
-        self.answers: dict[str, Callable[..., None]] = {}
-
-    def publisher(self, key: str) -> Callable[[bytes], None]:
-        def put(data: bytes) -> None:
-            if len(data) > MAX_BYTES:
-                raise BusError(f"a message of {len(data)} bytes on {key}: the transport carries {MAX_BYTES}")
-            self.put.append((key, data))
-
-        return put
-
-    def subscribe(self, key: str, handler: Any) -> None: ...
-
-    def answer(self, key: str, handler: Any) -> None:
-        self.answers[key] = handler
-
-    def token(self, key: str) -> None: ...
-
-    def watch_tokens(self, key: str, handler: Any) -> None: ...
-
-    def channel(self, key: str, capacity: int = 0) -> Nowhere:
-        return self
-
-    def stamped(self, key: str) -> Nowhere:
-        return self
-
-    def get(self, timeout: float | None = None) -> Any:
-        if not self.queue:
-            raise OverError
-        return self.queue.popleft()
-
-    def poll(self) -> Any:
-        return self.queue.popleft() if self.queue else None
-
-
-def serve(process: WorldProcess | NetemProcess) -> None:
-    with pytest.raises(OverError):
-        process.serve()
 
 
 def respond_to(answers: list[bytes]) -> Callable[[bytes], None]:

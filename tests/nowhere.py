@@ -1,0 +1,66 @@
+"""Processes on a bus that is none: what comes in is given, what goes out is kept."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from netem.bus import MAX_BYTES
+from netem.errors import BusError
+from netem.process import NetemProcess
+from world.process import WorldProcess
+
+
+class OverError(Exception):
+    """Everything that was to come in has come in."""
+
+
+class Nowhere:
+    """A bus without zenoh: keeps what is put, and hands out what it was given."""
+
+    def __init__(self) -> None:
+        self.put: list[tuple[str, bytes]] = []
+        self.queue: deque[Any] = deque()
+        self.answers: dict[str, Callable[..., None]] = {}
+
+    def publisher(self, key: str) -> Callable[[bytes], None]:
+        def put(data: bytes) -> None:
+            if len(data) > MAX_BYTES:
+                raise BusError(f"a message of {len(data)} bytes on {key}: the transport carries {MAX_BYTES}")
+            self.put.append((key, data))
+
+        return put
+
+    def subscribe(self, key: str, handler: Any) -> None: ...
+
+    def answer(self, key: str, handler: Any) -> None:
+        self.answers[key] = handler
+
+    def token(self, key: str) -> None: ...
+
+    def watch_tokens(self, key: str, handler: Any) -> None: ...
+
+    def channel(self, key: str, capacity: int = 0) -> Nowhere:
+        return self
+
+    def stamped(self, key: str) -> Nowhere:
+        return self
+
+    def get(self, timeout: float | None = None) -> Any:
+        if not self.queue:
+            raise OverError
+        return self.queue.popleft()
+
+    def qsize(self) -> int:
+        return len(self.queue)
+
+    def poll(self) -> Any:
+        return self.queue.popleft() if self.queue else None
+
+
+def serve(process: WorldProcess | NetemProcess) -> None:
+    with pytest.raises(OverError):
+        process.serve()

@@ -10,8 +10,8 @@ from typing import NoReturn
 import click
 
 _AGENT = (
-    "Exit status: 0 the run, or this agent's part in it, is over; 2 it cannot join; 3 the run went away or the law "
-    "failed; 130 Ctrl-C."
+    "Exit status: 0 the run is over; 2 it cannot join; 3 it had joined and its life ended before the run: a fault "
+    "killed it, its link ended, its law failed; 130 Ctrl-C."
 )
 
 
@@ -39,6 +39,7 @@ def agent(path: Path, quiet: bool) -> None:
 
     from agents.join import JoinError, Joining, serve
     from netem.bus import quiet_zenoh
+    from netem.messages import RUN_OVER
 
     def tell(text: str) -> None:
         if not quiet:
@@ -69,7 +70,7 @@ def agent(path: Path, quiet: bool) -> None:
         click.echo(f"fleet: the law failed: {type(error).__name__}: {error}", err=True)
         _leave(3)
     tell(f"agent {joining.vehicle}: {end.reason}")
-    _leave(0)
+    _leave(0 if end.reason == RUN_OVER else 3)
 
 
 def _leave(status: int) -> NoReturn:

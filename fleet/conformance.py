@@ -29,6 +29,7 @@ from netem.errors import BusError, MalformedMessage, OutOfPlace
 from netem.keys import Keys
 from netem.messages import (
     PROTOCOL_VERSION,
+    RUN_OVER,
     Command,
     Delivery,
     End,
@@ -321,7 +322,7 @@ class Examination:
 
     def _end(self, tick: int) -> None:
         self._reached.add(ENDS)
-        self._other.nav(encode(End(LIFE, tick, "the check is over")))
+        self._other.nav(encode(End(LIFE, tick, RUN_OVER)))
         deadline = time.monotonic() + ANSWER_S
         while self._other.here:
             taken = self._take(deadline)

@@ -40,7 +40,7 @@ from netem.bus import Bus, Quota, Respond
 from netem.errors import BusError, MalformedMessage, OutOfPlace
 from netem.faults import NetFault, fault_values
 from netem.keys import Keys
-from netem.messages import PROTOCOL_VERSION, Ailments, Frames, Grant, Hello, LinkReport, Note, encode
+from netem.messages import PROTOCOL_VERSION, RUN_OVER, Ailments, Frames, Grant, Hello, LinkReport, Note, encode
 from netem.shell import expect, read_map, request, vehicle_of
 from world.faults import WorldFault
 
@@ -505,7 +505,7 @@ class Console:
             sea = self._children.by_role.get(WORLD)
             if self._joins.vehicles and self._bus is not None and sea is not None and sea.process.is_alive():
                 self._guardian.connect(self._grant, partial(self._control, self._bus))
-                self._guardian.dismiss("the run is over")
+                self._guardian.dismiss(RUN_OVER)
 
     def _control(self, bus: Bus, role: str, op: str, *, timeout_s: float = 1.0, **fields: Any) -> dict[str, Any]:
         answer = bus.ask(self._keys.ctl(role), request(op, **fields), timeout_s=timeout_s)

@@ -40,6 +40,7 @@ from netem.access import LEASE_MS, Credentials, Door, access_control, observer_c
 from netem.errors import BusError
 from netem.files import write_whole
 from netem.keys import Keys
+from netem.linger import never_linger
 
 _TLS = "transport/link/tls"
 # The low-latency transport cannot fragment: a longer message vanishes without a word.
@@ -226,11 +227,14 @@ class Bus:
             **({} if door is None else _server_tls(door)),
         }
         try:
-            return cls(zenoh.open(_config("router", settings)), endpoint)
+            bus = cls(zenoh.open(_config("router", settings)), endpoint)
         except zenoh.ZError as error:
             raise BusError(f"cannot listen on {' and '.join(endpoints)}: {_first_line(error)}") from None
         finally:
             users.unlink(missing_ok=True)
+        if door is not None:
+            bus._watch(zenoh.SampleKind.PUT, lambda _: never_linger())
+        return bus
 
     def on_lost(self, handler: Callable[[], None]) -> None:
         """Call `handler()` on a zenoh thread when the link to the router, or to a client of this router, has ended.
@@ -334,12 +338,16 @@ class Bus:
 
     def watch_ends(self, handler: Callable[[str], None]) -> None:
         """Call `handler(zenoh id)` when somebody's session has ended."""
+        self._watch(zenoh.SampleKind.DELETE, handler)
+
+    def _watch(self, kind: zenoh.SampleKind, handler: Callable[[str], None]) -> None:
+        """Call `handler(zenoh id)` when somebody's session has begun (PUT) or ended (DELETE)."""
 
         def receive(event: zenoh.TransportEvent) -> None:
-            if event.kind == zenoh.SampleKind.DELETE:
+            if event.kind == kind:
                 handler(str(event.transport.zid))
 
-        # Without a history, which zenoh 1.10 panics over when a low-latency session is open already.
+        # Without history: zenoh 1.10 panics when it lists transports that are `lowlatency`.
         self._held.append(self._session.info.declare_transport_events_listener(receive, history=False))
 
     def close(self) -> None:

@@ -242,6 +242,9 @@ class Nav(NamedTuple):
     nu: Annotated[Reals, real("m/s, rad/s", "u, v, w (body, over ground), q, r", 5)]
 
 
+RUN_OVER = "the run is over"  # why nearly everyone's life ends
+
+
 @_declare("end", "nav/{i}", "world", "agent i")
 class End(NamedTuple):
     """No Nav follows for this life of the agent: it closes its session. Only agents that others started are told."""

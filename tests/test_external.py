@@ -120,7 +120,7 @@ def test_a_killed_one_is_sent_away_and_another_life_joins(tmp_path: Path) -> Non
     expected = reference(tmp_path, *SHORT, faults)
     with LiveRun(tmp_path / "runs", "paper", *sets(*SHORT, EXTERNAL, faults)) as run:
         code, said = ended(agent(join_file(run)))
-        assert (code, said.splitlines()[-1]) == (0, "agent 3: it was killed by a fault of the scenario or the operator")
+        assert (code, said.splitlines()[-1]) == (3, "agent 3: it was killed by a fault of the scenario or the operator")
         code, said = ended(agent(join_file(run, incarnation=1)))
         assert (code, said.splitlines()[-1]) == (0, "agent 3: the run is over")
         assert run.status() == 0, run.printed

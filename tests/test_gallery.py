@@ -11,8 +11,8 @@ from fleet.scenario import list_scenarios, load_scenario
 
 # name: how long the distributed run is [s]; what happens to a fleet there has happened by then
 GALLERY = {
-    "lossy": 25, "burst": 25, "partition-heal": 35, "kill": 30, "kill-restart": 40, "gauss-markov-current": 25,
-    "nemesis": 45, "acoustic-80bps": 40, "acoustic-s2c": 40,
+    "lossy": 10, "burst": 10, "partition-heal": 35, "kill": 30, "kill-restart": 40, "gauss-markov-current": 12,
+    "nemesis": 45, "acoustic-80bps": 25, "acoustic-s2c": 20,
 }  # fmt: skip
 README = Path(__file__).parents[1] / "README.md"
 

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import contextlib
 import json
+import os
 import re
 import shutil
 import signal
 import socket
 import stat
+import struct
 import subprocess
 import sys
 import threading
@@ -38,6 +40,7 @@ from netem.bus import Bus
 from netem.errors import BusError
 from netem.files import write_whole
 from netem.keys import Keys
+from netem.linger import never_linger
 from netem.messages import End, decode
 
 x509 = pytest.importorskip("cryptography.x509", reason="cryptography is not installed: pip install 'uuv-fleet[hosts]'")
@@ -362,6 +365,17 @@ def test_a_router_serves_one_run_of_an_id_at_a_time(tmp_path: Path) -> None:
         assert done.returncode == 3 and b"run twice is going on" in done.stderr, done.stderr
         world.close()
         console.close()
+
+
+def test_connections_are_closed_without_waiting() -> None:
+    """Every TCP connection loses its SO_LINGER; no descriptor is left over, and none is closed."""
+    with socket.create_server(("127.0.0.1", 0)) as server, socket.create_connection(server.getsockname()) as stream:
+        stream.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 10))
+        before = os.listdir("/proc/self/fd")
+        never_linger()
+        assert len(os.listdir("/proc/self/fd")) == len(before)
+        assert stream.getsockopt(socket.SOL_SOCKET, socket.SO_LINGER, 8)[:4] == bytes(4)
+        server.accept()[0].close()
 
 
 # What a cut link leaves behind

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import socket
 import stat
 from collections.abc import Callable
@@ -118,6 +119,12 @@ class Joining:
         for key, kind in optional.items():
             if key in values:
                 _check(path, key, kind, values[key])
+        for endpoint in values["endpoint"].split(","):
+            if not re.fullmatch(r"(tcp|tls)/.+:\d{1,5}", endpoint):
+                raise JoinError(f"{path}: endpoint: expected tcp/HOST:PORT or tls/HOST:PORT, got {endpoint!r:.80}")
+        for key in ("ca", "certificate", "key"):
+            if values.get(key) and "-----BEGIN " not in values[key]:
+                raise JoinError(f"{path}: {key}: expected PEM, which has a line -----BEGIN ...-----")
         return cls(version=version, **{key: values[key] for key in (*fields, *optional) if key in values})
 
 
@@ -214,7 +221,10 @@ def _ask(bus: Bus, keys: Keys, vehicle: int) -> tuple[AgentConfig, str, int, int
     """The agent's own slice, the kind of clock, which life of it this is, and the tick of its first nav."""
     answer = bus.ask(keys.cfg(vehicle), timeout_s=ASK_S)
     if answer is None:
-        raise JoinError(f"the console did not answer on {keys.cfg(vehicle)} within {ASK_S:g} s")
+        raise JoinError(
+            f"nobody answered on {keys.cfg(vehicle)}: this login, or the certificate with it, is not that of agent "
+            f"{vehicle}, or run {keys.run} is not going on there"
+        )
     try:
         values = read_map(answer)
         if "error" in values:

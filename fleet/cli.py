@@ -75,6 +75,12 @@ _overrides = click.option(
 )
 
 
+def _asked_for(name: str) -> bool:
+    """Whether an option was given, not its default."""
+    source = click.get_current_context().get_parameter_source(name)
+    return source is not click.core.ParameterSource.DEFAULT
+
+
 @cli.command(epilog=EPILOG)
 @click.argument("scenario", required=False, shell_complete=scenarios)
 @click.option("--from", "begin", metavar="LOG[@TIME]", help="Go on from a snapshot in a log, in one process.")
@@ -88,7 +94,13 @@ _overrides = click.option(
 )
 @click.option("--seed", type=click.IntRange(0, 2**63 - 1), help="Override the scenario's seed.")
 @click.option("--duration", metavar="TIME", help="Override the scenario's duration, e.g. '20 s'.")
-@click.option("--speed", type=Speed(), default="max", show_default=True, help="Times real time, or as fast as it goes.")
+@click.option(
+    "--speed",
+    type=Speed(),
+    default="max",
+    show_default=True,
+    help="Times real time, or as fast as it goes; with --clock real, 1.",
+)
 @click.option(
     "--clock",
     type=click.Choice(["lockstep", "real"]),
@@ -186,11 +198,16 @@ def run(
         for warning in meeting.warnings if meeting else ():
             terminal.print(f"warning: {warning}", style="bold red", highlight=False, markup=False, soft_wrap=True)
         pace = None
+        given = [name for name in ("speed", "max_missed") if _asked_for(name)]
         if clock == "real":
+            if speed is None and "speed" in given:
+                raise click.UsageError("--clock real has no max: --speed 2 is twice as fast as the wall clock")
             pace = speed or 1.0
             if in_process or start is not None or loaded.ideal:
                 why = "--in-process" if in_process else "--from" if start is not None else "network: ideal"
                 raise click.UsageError(f"--clock real is of processes that answer as they can; not with {why}")
+        elif "max_missed" in given:
+            raise click.UsageError("--max-missed is for --clock real: in lockstep nobody misses a tick")
         if audit and (in_process or loaded.ideal or start is not None or (meeting and meeting.router)):
             raise click.UsageError("--audit reads the log of the router that a run hosts; this run hosts none")
         options = Options(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -34,9 +35,19 @@ class Numbers(click.ParamType[list[float]]):
 
 _F = TypeVar("_F", bound=Callable[..., Any])
 SIZES = Numbers(1, 1000, "4,20,100", whole=True)
+
+
+def _writable(_: click.Context, __: click.Parameter, path: Path | None) -> Path | None:
+    """Now, and not after an hour of measuring."""
+    if path is not None and not os.access(path if path.exists() else path.parent, os.W_OK):
+        raise click.BadParameter(f"{path} cannot be written: no such directory, or it is not yours")
+    return path
+
+
 _json = click.option(
-    "--json", "json_path", type=click.Path(path_type=Path, dir_okay=False), help="Also write all figures here."
-)
+    "--json", "json_path", type=click.Path(path_type=Path, dir_okay=False), callback=_writable,
+    help="Also write all figures here.",
+)  # fmt: skip
 _quick = click.option("--quick", is_flag=True, help="A few ticks each: shows that it works, measures little.")
 
 

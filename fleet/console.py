@@ -399,7 +399,10 @@ class Console:
         if kind == OPERATION:
             request_data, respond = data
             try:
-                answer = self.operator.handle(read_map(request_data)) if self.operator else {"error": "not ready yet"}
+                if self.operator is None:
+                    answer = {"error": f"not ready yet{f': {self.waiting}' if self.waiting else ''}"}
+                else:
+                    answer = self.operator.handle(read_map(request_data))
             except MalformedMessage as error:
                 answer = {"error": str(error)}
             respond(msgpack.packb(answer))

@@ -9,6 +9,7 @@ from __future__ import annotations
 import ast
 import json
 import os
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -103,7 +104,7 @@ BROKEN = {
     "commands a life that it has not": ('["cmd", life,', '["cmd", life + 1,', conformance.COMMANDS),
     "has no token": ("token = session.liveliness", "token = lambda *_: session.liveliness", conformance.TOKEN),
     "does not see the echoes": ('{"world", "netem"}:', '{"somebody else"}:', conformance.READY),
-    "stays": ("session.close()", "import time; time.sleep(100)", conformance.ENDS),
+    "stays": ("session.close()\nprint", "import time; time.sleep(100)\nprint", conformance.ENDS),
 }
 
 
@@ -151,3 +152,21 @@ def test_the_example_completes_a_run(tmp_path: Path) -> None:
         assert result["vehicles"]["3"]["u_cmd_max_mps"] is None
         found = verify(run.log)
         assert (found.reproduced, found.external) == (True, (3,)), describe(found)
+
+
+def test_the_example_takes_part_on_a_wall_clock_and_leaves_on_ctrl_c(tmp_path: Path) -> None:
+    arguments = ["--set", "per_vehicle={3: {external: true}}", "--duration", "8 s", "--max-missed", "1"]
+    arguments += ["--set", "checks={}", "--clock", "real", "--speed", "2", "--set", "on_death=continue"]
+    with LiveRun(tmp_path / "runs", "paper", *arguments) as run:
+        path = run.out / "latest" / "join-3.json"
+        wait_for(lambda: run.over or path.exists(), LIMIT_S, "the join file")
+        process = start(str(EXAMPLE), str(path))
+        run.until_running(3.0)
+        process.send_signal(signal.SIGINT)
+        process.communicate(timeout=LIMIT_S)
+        assert process.returncode == 130
+        assert run.status() == 0, run.printed
+    result = json.loads((run.directory / "result.json").read_text())
+    assert result["deaths"] == {"3": ["left: its session ended"]}
+    kept = result["timing"]["vehicles"]["3"]
+    assert 300 <= kept["asked"] < 800 and kept["missed"] < kept["asked"] / 2  # it does not wait for what is not said

@@ -11,6 +11,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -213,9 +214,26 @@ def test_what_is_wrong_with_a_join_file(values: Any, mode: int, expected: str, t
     assert result.exit_code == 2
 
 
+@pytest.mark.parametrize(
+    ("key", "value", "expected"),
+    [
+        ("endpoint", "foo", "expected tcp/HOST:PORT"),
+        ("endpoint", "tcp/a:1,b", "got 'b'"),
+        ("ca", "zzz", "expected PEM"),
+    ],
+)
+def test_what_cannot_be_connected_with_is_said_before_that(key: str, value: str, expected: str, tmp_path: Path) -> None:
+    path = tmp_path / "join-3.json"
+    Joining("tcp/127.0.0.1:1", "5ea", 3, "agent-3", "secret").write(path)
+    path.write_text(json.dumps(json.loads(path.read_text()) | {key: value}))
+    with pytest.raises(JoinError, match=expected):
+        Joining.read(path)
+
+
 def test_a_join_file_round_trips(tmp_path: Path) -> None:
     path = tmp_path / "join-7.json"
-    joining = Joining("tls/host:7447", "ab", 7, "agent-7", "secret", scenario="s", incarnation=2, begin=40, ca="PEM")
+    joining = Joining("tls/host:7447", "ab", 7, "agent-7", "secret", scenario="s", incarnation=2, begin=40)
+    joining = replace(joining, ca="-----BEGIN CERTIFICATE-----")
     joining.write(path)
     joining.write(path)  # it replaces the one that was there
     assert path.stat().st_mode & 0o777 == 0o600

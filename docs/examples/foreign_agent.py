@@ -1,7 +1,7 @@
 """An agent that needs nothing of uuv-fleet: `python foreign_agent.py join-3.json`, with `zenoh` and `msgpack` alone.
 
 Written from docs/protocol.md. Velocity in proportion to the consensus error, force and moments to what is missing. It
-knows a line as reference, formations that stay, and the full payload."""
+knows a line as reference, formations that stay, the full payload, and routers without TLS."""
 
 import json
 import math
@@ -17,11 +17,9 @@ import zenoh
 STATE = struct.Struct("<BHQ6d")  # version, sender, tick, position, velocity; then a CRC-32
 join = json.loads(Path(sys.argv[1]).read_text())
 me, prefix = join["vehicle"], f"fleet/{join['run']}"
-transport = {
-    "unicast": {"lowlatency": True, "qos": {"enabled": False}},
-    "link": {"tx": {"lease": 3_600_000}},
-    "auth": {"usrpwd": {"user": join["user"], "password": join["password"]}},
-}
+unicast = {"lowlatency": True, "qos": {"enabled": False}}
+user = {"user": join["user"], "password": join["password"]}
+transport = {"unicast": unicast, "link": {"tx": {"lease": 3_600_000}}, "auth": {"usrpwd": user}}
 settings = {"mode": "client", "connect": {"endpoints": [join["endpoint"]]}, "transport": transport}
 session = zenoh.open(zenoh.Config.from_json5(json.dumps(settings)))
 told = next((msgpack.unpackb(r.ok.payload.to_bytes()) for r in session.get(f"{prefix}/cfg/{me}") if r.ok), {})
@@ -44,6 +42,8 @@ def take(timeout):
     except queue.Empty:
         if not session.info.routers_zid():
             sys.exit("the run is gone")
+    except KeyboardInterrupt:  # it leaves the run; without that its token would stay, and the run would wait
+        sys.exit(session.close() or 130)
     except Exception as error:
         print(f"dropped a malformed message: {error!r}", file=sys.stderr)
     return None
@@ -82,7 +82,7 @@ while not (message := take(2.0)) or message[0] != "end":
         case ["rx", _, until, more, deliveries]:
             inbox += deliveries
             known = known if more else until
-    if nav and nav[0] <= known:  # everything that was due up to this tick is here
+    if nav and (nav[0] <= known or told.get("clock") == "real"):  # everything that was due by then is here
         tick, eta, nu = nav
         for _, _, src, _, _, data in (delivery for delivery in inbox if delivery[0] <= tick):
             if len(data) == 63 and zlib.crc32(data[:-4]) == int.from_bytes(data[-4:], "little"):

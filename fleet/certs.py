@@ -153,18 +153,18 @@ def read_client(directory: Path, who: str) -> Pair:
     except (ValueError, TypeError):
         raise CertsError(f"{key_path} holds no private key in PEM without a passphrase") from None
     if key.public_key() != certificate.public_key():
-        raise CertsError(f"{key_path} is not the key of {certificate_path}; make both again: fleet certs {directory}")
+        raise CertsError(f"{key_path} is not the key of {certificate_path}; make all again: {_again(directory)}")
     now = datetime.now(UTC)  # noqa: TID251 (certificates are in wall time)
     if not certificate.not_valid_before_utc <= now <= certificate.not_valid_after_utc:
         span = f"{certificate.not_valid_before_utc:%Y-%m-%d %H:%M} to {certificate.not_valid_after_utc:%Y-%m-%d %H:%M}"
         raise CertsError(
             f"{certificate_path} is valid from {span} UTC, and now it is {now:%Y-%m-%d %H:%M}; "
-            f"make another with fleet certs {directory} --force, or set the clock"
+            f"make all again with {_again(directory)}, or set the clock"
         )
     if not any(_signed_by(certificate, each) for each in (*authorities, *between)):
         raise CertsError(
             f"{certificate_path} was not signed by {ca_path}: they are of different CAs; "
-            f"make both again: fleet certs {directory} --force"
+            f"make all again: {_again(directory)}"
         )
     return pair
 
@@ -245,12 +245,19 @@ def _parse(file: Path, text: str) -> list[Any]:
         raise CertsError(f"{file} holds no certificate in PEM") from None
 
 
+def _again(directory: Path, agents: str = "") -> str:
+    """The command that makes a directory of certificates, with a word on those that are there."""
+    there = next(directory.glob("*.pem"), None) is not None
+    more = " --force, with each --host that it was for and all agents" if there else ""
+    return f"fleet certs {directory} --host NAME{agents}{more}"
+
+
 def _read(file: Path) -> str:
     try:
         return file.read_text("ascii")
     except FileNotFoundError:
         agents = f" --agents {who.group(1)}" if (who := re.match(r"agent-(\d+)", file.name)) else ""
-        raise CertsError(f"{file} is missing; make it: fleet certs {file.parent}{agents} --force") from None
+        raise CertsError(f"{file} is missing; make it: {_again(file.parent, agents)}") from None
     except OSError as error:
         raise CertsError(f"{file} cannot be read: {error.strerror}") from None
     except UnicodeDecodeError:

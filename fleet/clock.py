@@ -59,6 +59,11 @@ class LiveClock:
         return self._speed
 
     @property
+    def real(self) -> bool:
+        """Whether the world goes by the wall clock itself."""
+        return self._clock.lead_ns > 0
+
+    @property
     def held(self) -> int:
         """The grant at which it is paused."""
         assert self._held is not None

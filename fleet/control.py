@@ -203,6 +203,8 @@ class Operator:
             case "step", int(count) if count > 0:
                 self.clock.step(self.granted(), count)
                 return {"clock": self.clock.describe(), "at_s": self._seconds(self.clock.held)}
+            case "speed", _ if self.clock.real:
+                raise RefusedError("a run on a wall clock keeps the pace with which it began (fleet run --speed)")
             case "speed", (int() | float() | None) as speed if speed is None or 0 < speed <= MOST_SPEED:
                 self.clock.set_speed(self.granted(), None if speed is None else float(speed))
             case other:

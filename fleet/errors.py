@@ -25,6 +25,8 @@ class StoppedError(Exception):
 class RunBroken(FleetError):
     """The run cannot go on: a process died, nothing moves, or nobody became ready. `lines` explain it."""
 
+    status = 3
+
     def __init__(self, reason: str, lines: Sequence[str] = ()) -> None:
         super().__init__(reason)
         self.reason = reason

@@ -271,8 +271,9 @@ def _covered(hosts: list[str], named: tuple[str, ...], certs: Path) -> None:
         if host not in named and wild not in named:
             file, known = certificate_path(certs, SERVER), ", ".join(named) or "nobody"
             raise HostsError(
-                f"{file} is for {known}, not for {host}: agents would refuse it. Make another: "
-                f"fleet certs {certs} --host {host} --force; or --advertise one of those"
+                f"{file} is for {known}, not for {host}: agents would refuse it. Make another: fleet certs {certs} "
+                f"{' '.join(f'--host {name}' for name in (*named, host) if name not in ALWAYS)} --force; "
+                "or --advertise one of those"
             )
 
 

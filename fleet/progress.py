@@ -14,6 +14,7 @@ from fleet.scenario import Scenario
 
 REFRESH_S = 0.1
 PLAIN_S = 5.0
+STILL_S = 60.0  # between lines when nothing moves
 MOST_FAULTS = 4  # shown by name
 
 
@@ -37,6 +38,7 @@ class ProgressLine:
         self._every = REFRESH_S if self._live else PLAIN_S
         self._began: float | None = None
         self._next = 0.0
+        self._told, self._still = (-1, ""), 0.0  # what was said last, and until when it need not be said again
         self._progress = Progress(
             TextColumn("{task.fields[time]}"),
             BarColumn(24),
@@ -69,13 +71,18 @@ class ProgressLine:
         if now < self._next:
             return
         self._next = now + self._every
+        waiting = self._waiting()
+        told = self._journal.written, waiting.rsplit(", ", 1)[0]  # without for how long
+        if not self._live and told == self._told and now < self._still:
+            return
+        self._told, self._still = told, now + STILL_S
         sim_s = max(0, self._journal.written) * self._tick_s
         clock = f"t = {sim_s:.1f} / {self._end_s:g} s"
         text = f"{sim_s / max(1e-9, now - self._began):.1f} x real time  {self._state()}"
         if faults := self._journal.active:
             more = f" and {len(faults) - MOST_FAULTS} more" if len(faults) > MOST_FAULTS else ""
             text += f"  faults {', '.join(faults[:MOST_FAULTS])}{more}"
-        if waiting := self._waiting():
+        if waiting:
             text += f"  {waiting}"
         if self._live:
             self._progress.update(self._task, completed=sim_s, text=text, time=clock)

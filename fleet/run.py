@@ -25,6 +25,7 @@ from fleet.inprocess import InProcess
 from fleet.interrupts import unbroken
 from fleet.journal import Journal, frame_every
 from fleet.log import LogError, LogWriter
+from fleet.ports import free_port
 from fleet.progress import ProgressLine
 from fleet.publish import LivePublisher, PublishError
 from fleet.resume import Start
@@ -85,12 +86,15 @@ def execute(scenario: Scenario, options: Options, terminal: Terminal | None = No
         RunDirectoryError: the run directory cannot be made or written.
         LogError: the log cannot be created.
         PublishError: the journal was to be published and cannot be.
+        RunBroken: the port is taken.
         ExternalError: somebody else is to start an agent, and the run is to be one process.
     """
     terminal = terminal or Terminal(stderr=True)
     in_process = options.in_process or scenario.ideal or options.start is not None
     if in_process:
         refuse(scenario, "a run in one process")
+    elif options.port is not None:
+        free_port(options.port)  # before anything is made
 
     def say(text: str) -> None:
         if not options.quiet:

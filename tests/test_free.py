@@ -34,6 +34,7 @@ from fleet.journal import Journal, frame_every
 from fleet.log import LogWriter
 from fleet.pictures import Look, NothingToDraw, load
 from fleet.pictures.timing import punctuality
+from fleet.remote import RemoteError
 from fleet.run import Options, Status, execute
 from fleet.scenario import Scenario, load_scenario
 from fleet.script import ScriptError
@@ -559,6 +560,8 @@ def test_a_suspended_agent_does_not_hold_the_others(tmp_path: Path) -> None:
     with LiveRun(tmp_path, "paper", *arguments, "--set", "profile=hardened", "--set", "checks={}") as run:
         run.until_running(3.0)  # sooner its vehicle would not survive an old command for long
         hand, agent = Hand(tmp_path), run.role("agent 2")
+        with pytest.raises(RemoteError, match="keeps the pace"):
+            hand.clock("speed", 4.0)
         agent.suspend()
         hand.until(hand.now() + 2.0)
         agent.resume()

@@ -110,6 +110,7 @@ class Console:
         self.operator: Operator | None = None
         self.waiting = ""  # who is being waited for, when nothing moves
         self.started_s = 0.0  # wall time until everyone was ready
+        self.timing: dict[str, Any] = {}  # of a run on a wall clock that was ended early
 
     @property
     def children(self) -> dict[str, Child]:
@@ -132,7 +133,11 @@ class Console:
             bus = self._start()
             self._get_ready(bus, progress)
             self.started_s = time.monotonic() - began
-            self._record(bus, clock, progress)
+            try:
+                self._record(bus, clock, progress)
+            except (StoppedError, KeyboardInterrupt):
+                self.timing = self._measured(bus)
+                raise
             return self._close(bus)
         finally:
             try:
@@ -384,6 +389,13 @@ class Console:
             "rejected": rejected,
             "timing": {**sea.get("timing", {}), "netem": answer.get("timing", {})},
         }
+
+    def _measured(self, bus: Bus) -> dict[str, Any]:
+        """How everyone kept up so far; nothing in lockstep, or if somebody does not answer."""
+        if self._pace is None:
+            return {}
+        sea, network = self._control(bus, WORLD, "close"), self._control(bus, NETEM, "timing")
+        return {**sea["timing"], "netem": network["timing"]} if sea and network else {}
 
     def _take(self, timeout_s: float) -> None:
         """Handle the next event, and all that are there already."""

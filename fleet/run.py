@@ -178,10 +178,10 @@ def execute(scenario: Scenario, options: Options, terminal: Terminal | None = No
         }
         if publisher is not None:
             result.values["published"] = {"messages": publisher.published, "dropped": publisher.dropped}
-        if options.pace is not None and "timing" in closing:
-            name, reasons = timing.label(closing["timing"])
+        if options.pace is not None and (measured := closing.get("timing") or getattr(fleet, "timing", {})):
+            name, reasons = timing.label(measured)
             result.values["timing"] = {"clock": "real", "speed": options.pace, "label": name, "reasons": reasons}
-            result.values["timing"] |= closing["timing"]
+            result.values["timing"] |= measured
         result.values["rejected"] = closing["rejected"]
         result.values["deaths"] = {str(i): how for i, how in fleet.deaths.items()}
         result.values["notes"] = list(getattr(fleet, "notes", ()))

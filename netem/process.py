@@ -167,6 +167,8 @@ class NetemProcess:
                 # Of them, only when another agent takes over matters here: messages of the one before are refused.
                 self._rounds.lives = Lives(_absences(request.get("absences")))
                 respond(msgpack.packb({"tick": self._rounds.tick}))
+            case "timing":
+                respond(msgpack.packb({"timing": self._rounds.timing()}))
             case "close":
                 if not isinstance(tick := request.get("tick"), int) or tick < 0:
                     raise MalformedMessage("control", f"expected the last tick, got {tick!r:.40}")

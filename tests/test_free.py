@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import random
 import re
+import signal
 from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
@@ -570,3 +571,12 @@ def test_a_suspended_agent_does_not_hold_the_others(tmp_path: Path) -> None:
     notes = [note for note in json.loads((run.directory / "result.json").read_text())["notes"] if "vehicle 2" in note]
     assert ["has not answered for 100 ticks" in note for note in notes[:1]] == [True], notes
     assert ["its agent answers again" in note for note in notes[1:]] == [True], notes
+
+
+def test_a_run_that_is_ended_early_says_how_everyone_kept_up(tmp_path: Path) -> None:
+    with LiveRun(tmp_path, "paper", "--clock", "real", "--duration", "60 s", "--set", "checks={}") as run:
+        run.until_running().send(signal.SIGINT, group=True)
+        assert run.status() == 130
+        assert "clock: real, 1 x, a tick every 10 ms" in run.said
+    result = json.loads((run.directory / "result.json").read_text())
+    assert all(100 <= row["asked"] < 6000 for row in result["timing"]["vehicles"].values())

@@ -538,8 +538,8 @@ def log_zenoh(levels: str) -> None:
 
 
 def quiet_zenoh() -> None:
-    """Zenoh's own log to stdout, errors only unless RUST_LOG says otherwise."""
-    log_zenoh("error")
+    """Zenoh's own log to stdout, errors only unless RUST_LOG says otherwise; not those that a BusError tells."""
+    log_zenoh("error,zenoh_transport::unicast::establishment=off")
 
 
 def _write_users(private: Path, credentials: Iterable[Credentials]) -> Path:

@@ -6,6 +6,8 @@ import signal
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from types import FrameType, TracebackType
+from typing import Any
 
 _ENDING = (signal.SIGINT, signal.SIGTERM)
 
@@ -14,30 +16,61 @@ _ENDING = (signal.SIGINT, signal.SIGTERM)
 def holding_interrupts() -> Iterator[Callable[[], bool]]:
     """Ctrl-C and SIGTERM raise nothing within; asked, the function that is given says whether one of them came."""
     came: list[int] = []
-    with _kept(came):
+    with _handling(lambda number, _: came.append(number)):
         yield lambda: bool(came)
 
 
-@contextmanager
-def unbroken() -> Iterator[None]:
-    """Ctrl-C and SIGTERM within have their effect at the end, which is to come soon."""
-    came: list[int] = []
-    try:
-        with _kept(came):
+class Unbroken:
+    """Within `with` blocks of this object Ctrl-C and SIGTERM wait for the block's end, which is to come soon.
+
+    The blocks cost next to nothing; `guarding`, around all of them, takes the signals.
+    """
+
+    def __init__(self) -> None:
+        self._within = False
+        self._came: list[int] = []
+
+    @contextmanager
+    def guarding(self) -> Iterator[None]:
+        """From here on signals may wait; outside of blocks they do what they did before."""
+        before = {number: signal.getsignal(number) for number in _ENDING}
+
+        def arrive(number: int, frame: FrameType | None) -> None:
+            handler = before[signal.Signals(number)]
+            if self._within:
+                self._came.append(number)
+            elif callable(handler):
+                handler(number, frame)
+            elif handler != signal.SIG_IGN:
+                signal.signal(number, signal.SIG_DFL)
+                signal.raise_signal(number)
+
+        with _handling(arrive):
             yield
-    finally:
-        for number in came[:1]:
+
+    def __enter__(self) -> None:
+        self._within = True
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._within = False
+        if self._came:
+            number = self._came[0]
+            self._came.clear()
             signal.raise_signal(number)
 
 
 @contextmanager
-def _kept(came: list[int]) -> Iterator[None]:
+def _handling(handler: Callable[[int, FrameType | None], Any]) -> Iterator[None]:
     if threading.current_thread() is not threading.main_thread():
         yield  # signals are for the main thread alone
         return
-    before = {number: signal.signal(number, lambda n, _: came.append(n)) for number in _ENDING}
+    before = {number: signal.signal(number, handler) for number in _ENDING}
     try:
         yield
     finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+        for number in before:
+            # `fleet` ignores both from the first one on; that stays so.
+            if signal.getsignal(number) is handler:
+                signal.signal(number, before[number])

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterable, Mapping
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from itertools import count
 from math import gcd
@@ -17,7 +18,6 @@ import msgpack
 
 from fleet.connectivity import Connectivity
 from fleet.faults import LOST, Event, event_order
-from fleet.interrupts import unbroken
 from fleet.metrics import Metrics, VehicleError
 from fleet.scenario import Scenario
 from fleet.separation import Separation
@@ -43,6 +43,7 @@ class Journal:
 
     def __init__(self, scenario: Scenario, log: Sink) -> None:
         self.log = log
+        self.whole: AbstractContextManager[None] = nullcontext()  # around what must not be left half written
         self.metrics = Metrics(scenario)
         self.ledger = Ledger(scenario.graph.links)
         self.ages = Ages(scenario.graph.links)
@@ -130,8 +131,11 @@ class Journal:
         self.closed = report.closing
         self._write()
 
-    @unbroken()
     def _write(self) -> None:
+        with self.whole:
+            self._write_complete()
+
+    def _write_complete(self) -> None:
         limit = min(self.framed, self.reported)
         while self._frames and self._frames[0].tick <= limit:
             frame = self._frames.popleft()

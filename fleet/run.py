@@ -22,7 +22,7 @@ from fleet.errors import RunBroken, StoppedError
 from fleet.external import ExternalError, refuse
 from fleet.hosts import Meeting
 from fleet.inprocess import InProcess
-from fleet.interrupts import unbroken
+from fleet.interrupts import Unbroken
 from fleet.journal import Journal, frame_every
 from fleet.log import LogError, LogWriter
 from fleet.ports import free_port
@@ -89,7 +89,12 @@ def execute(scenario: Scenario, options: Options, terminal: Terminal | None = No
         RunBroken: the port is taken.
         ExternalError: somebody else is to start an agent, and the run is to be one process.
     """
-    terminal = terminal or Terminal(stderr=True)
+    whole = Unbroken()
+    with whole.guarding():
+        return _execute(scenario, options, terminal or Terminal(stderr=True), whole)
+
+
+def _execute(scenario: Scenario, options: Options, terminal: Terminal, whole: Unbroken) -> Result:
     in_process = options.in_process or scenario.ideal or options.start is not None
     if in_process:
         refuse(scenario, "a run in one process")
@@ -109,6 +114,7 @@ def execute(scenario: Scenario, options: Options, terminal: Terminal | None = No
         publisher.open()
         say(f"publishing fleet/{run}/log/** at {publisher.endpoint}; how to join: {directory.observe}")
     journal = Journal(scenario, log)
+    journal.whole = whole
     clock = _clock(scenario, options)
     fleet: InProcess | Console
     if in_process:
@@ -153,7 +159,7 @@ def execute(scenario: Scenario, options: Options, terminal: Terminal | None = No
         wall_s = time.monotonic() - began
         if publisher is not None:
             publisher.close()
-    with unbroken():  # what there is gets written, whatever comes meanwhile
+    with whole:  # what there is gets written, whatever comes meanwhile
         _close_log(log, result)
         for link, (sent, duplicated) in closing["entered"].items():
             journal.ledger.enter(link, sent=sent, duplicated=duplicated)

@@ -33,6 +33,7 @@ from netem.shell import read_map
 CONNECT_MS = 3000
 MOST_TEXT = 200  # characters of a name or password
 ASK_S = 10.0
+_ENDPOINT = re.compile(r"(tcp|tls)/(?P<host>[^?#]+):(?P<port>[0-9]{1,5})([?#].*)?")  # as zenoh writes it
 _ONE_HOST = {"ca": "", "certificate": "", "key": "", "lease_ms": LEASE_MS}  # left out of the file
 WATCH_S = 0.2  # how often to look whether the run is still there
 
@@ -120,7 +121,7 @@ class Joining:
             if key in values:
                 _check(path, key, kind, values[key])
         for endpoint in values["endpoint"].split(","):
-            if not re.fullmatch(r"(tcp|tls)/.+:\d{1,5}", endpoint):
+            if not _ENDPOINT.fullmatch(endpoint):
                 raise JoinError(f"{path}: endpoint: expected tcp/HOST:PORT or tls/HOST:PORT, got {endpoint!r:.80}")
         for key in ("ca", "certificate", "key"):
             if values.get(key) and "-----BEGIN " not in values[key]:
@@ -206,12 +207,11 @@ def _connect(joining: Joining) -> Bus:
 
 def _reached(endpoint: str) -> bool:
     """Whether somebody accepts connections there; true where that cannot be said."""
-    protocol, _, address = endpoint.partition("/")
-    host, _, port = address.partition("?")[0].partition("#")[0].rpartition(":")
-    if protocol not in ("tcp", "tls") or not port.isdecimal():
+    found = _ENDPOINT.fullmatch(endpoint)
+    if found is None:
         return True
     try:
-        socket.create_connection((host.strip("[]"), int(port)), CONNECT_MS / 1000).close()
+        socket.create_connection((found["host"].strip("[]"), int(found["port"])), CONNECT_MS / 1000).close()
     except (OSError, OverflowError):
         return False
     return True

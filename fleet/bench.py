@@ -7,14 +7,13 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
 import platform
 import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass
 from importlib.metadata import version
 from multiprocessing.connection import Connection, Pipe
@@ -219,7 +218,7 @@ def _pss() -> Iterator[list[float]]:
 
 def _agents() -> Iterator[int]:
     for folder in Path("/proc").glob("[0-9]*"):
-        with contextlib.suppress(OSError):  # it ended meanwhile
+        with suppress(OSError):  # it ended meanwhile
             if (folder / "cmdline").read_text("utf-8", "replace").startswith("fleet agent"):
                 yield int(folder.name)
 

@@ -41,9 +41,10 @@ class Sink(Protocol):
 class Journal:
     """Orders, judges and records what the world and netem report. In-process and distributed runs share it."""
 
-    def __init__(self, scenario: Scenario, log: Sink) -> None:
+    def __init__(self, scenario: Scenario, log: Sink, whole: AbstractContextManager[None] | None = None) -> None:
+        """`whole`: is entered around what must not be left half written."""
         self.log = log
-        self.whole: AbstractContextManager[None] = nullcontext()  # around what must not be left half written
+        self._whole = nullcontext() if whole is None else whole
         self.metrics = Metrics(scenario)
         self.ledger = Ledger(scenario.graph.links)
         self.ages = Ages(scenario.graph.links)
@@ -132,7 +133,7 @@ class Journal:
         self._write()
 
     def _write(self) -> None:
-        with self.whole:
+        with self._whole:
             self._write_complete()
 
     def _write_complete(self) -> None:

@@ -113,8 +113,7 @@ def _execute(scenario: Scenario, options: Options, terminal: Terminal, whole: Un
     if publisher is not None:
         publisher.open()
         say(f"publishing fleet/{run}/log/** at {publisher.endpoint}; how to join: {directory.observe}")
-    journal = Journal(scenario, log)
-    journal.whole = whole
+    journal = Journal(scenario, log, whole)
     clock = _clock(scenario, options)
     fleet: InProcess | Console
     if in_process:

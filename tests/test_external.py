@@ -239,4 +239,7 @@ def test_a_join_file_round_trips(tmp_path: Path) -> None:
     assert path.stat().st_mode & 0o777 == 0o600
     assert Joining.read(path) == joining
     assert "secret" not in repr(joining)
+    several = replace(joining, endpoint="tls/[::1]:7447#iface=lo,tcp/host:1")  # as zenoh writes them
+    several.write(path)
+    assert Joining.read(path) == several
     assert [entry.name for entry in tmp_path.iterdir()] == ["join-7.json"]

@@ -99,11 +99,11 @@ def join(
     quiet_zenoh()
     bus = Bus.connect(endpoint, credentials)
     end_with_link(bus, credentials)
-    _process(bus, Keys(run_id), config, frame_every, speed, Refusals()).serve()
+    _process(bus, Keys(run_id), config, frame_every, speed).serve()
 
 
 def _process(
-    bus: Bus, keys: Keys, config: WorldConfig, frame_every: int, speed: float | None, refusals: Refusals
+    bus: Bus, keys: Keys, config: WorldConfig, frame_every: int, speed: float | None, refusals: Refusals | None = None
 ) -> WorldProcess:
     if speed is None:
         return WorldProcess(bus, keys, Lockstep(config, frame_every=frame_every), refusals)

@@ -9,7 +9,7 @@ from typing import Any
 from fleet.fields import vehicle_numbers
 from fleet.journal import Journal
 from fleet.scenario import Scenario
-from fleet.schema import EVERY, AtMost, Below, Connected, MaxAge, MinSeparation, Recovery
+from fleet.schema import EVERY, AtMost, Below, Connected, MaxAge, MinSeparation, Recovery, Standing, Tumbled
 from fleet.stability import names
 from netem.grammar import parse_selector, select
 
@@ -48,9 +48,19 @@ def judge(scenario: Scenario, journal: Journal, middleware_lost: int) -> list[Ve
         verdicts.append(_max_age(checks.max_age, scenario, journal))
     if checks.connected is not None:
         verdicts.append(_connected(checks.connected, scenario, journal))
+    tumbled, deaths = checks.tumbled or Tumbled(), checks.deaths or Standing()
+    if not tumbled.waived:
+        verdicts.append(_tumbled(tumbled, scenario, journal))
+    if not deaths.waived:
+        verdicts.append(_deaths(deaths, scenario, journal))
+    failures = journal.metrics.qp_failures()
     if checks.qp_infeasible is not None:
-        failures = sum(series.qp_failures for series in journal.metrics.series.values())
-        verdicts.append(_at_most("qp_infeasible", checks.qp_infeasible, failures))
+        verdicts.append(_at_most("qp_infeasible", checks.qp_infeasible, sum(failures.values())))
+    elif failures:
+        most = max(failures, key=lambda i: failures[i])
+        who = f" (most of them vehicle {most}: {failures[most]})" if failures[most] else ""
+        found = f"{sum(failures.values())}{who}"
+        verdicts.append(Verdict("qp_infeasible", True, "reported", found, sum(failures.values()), None, "times"))
     if checks.ledger is not None:
         unbalanced = journal.ledger.unbalanced()
         found = "balanced" if not unbalanced else ", ".join(f"{s}->{d} off by {n}" for (s, d), n in unbalanced.items())
@@ -63,12 +73,15 @@ def judge(scenario: Scenario, journal: Journal, middleware_lost: int) -> list[Ve
 def _below(name: str, check: Below, journal: Journal) -> Verdict:
     after_s = check.after / 1e9
     who = None if check.vehicles is None else vehicle_numbers(check.vehicles)
-    value, vehicle, at_s = journal.metrics.worst("formation" if name == "formation_error" else "e", after_s, who)
+    what = "formation" if name == "formation_error" else "e"
+    value, vehicle, at_s = journal.metrics.worst(what, after_s, who)
     asked = f"below {check.below:g} m after {after_s:g} s{_of(check.vehicles)}"
     if vehicle == 0:
         found, passed, value = f"the run ended at {at_s:g} s, before the check begins", False, inf
     else:
         found, passed = f"at most {value:.4g} m (vehicle {vehicle}, {at_s:g} s)", value < check.below
+        if len(journal.metrics.series if who is None else who) > 1:
+            found += f", the median vehicle {journal.metrics.median_worst(what, after_s, who):.4g} m"
     return Verdict(name, passed, asked, found, value, check.below, "m")
 
 
@@ -80,7 +93,8 @@ def _recovery_times(check: Recovery, scenario: Scenario, journal: Journal) -> li
     ended = [
         event.fault
         for event in journal.happened
-        if event.action == "ends" and first <= event.tick * scenario.tick_ns / 1e9 and event.tick < scenario.ticks
+        if event.is_fault and event.action == "ends"
+        if first <= event.tick * scenario.tick_ns / 1e9 and event.tick < scenario.ticks
     ]
     each = [check.model_copy(update={"fault": name}) for name in dict.fromkeys(ended)]
     if not each:
@@ -106,7 +120,8 @@ def _recovery_time(check: Recovery, scenario: Scenario, journal: Journal) -> Ver
     )
     if end >= scenario.ticks:
         return _no_recovery(check, _ended(scenario, "the fault did"))
-    later = (e for e in journal.happened if e.action == "begins" and e.tick >= end and e.fault != check.fault)
+    begun = (e for e in journal.happened if e.is_fault and e.action == "begins")
+    later = (e for e in begun if e.tick >= end and e.fault != check.fault)
     disturbed = next(later, None)
     span = end, scenario.ticks + 1 if disturbed is None else disturbed.tick
     until = "the run ends" if disturbed is None else f"fault {disturbed.fault} begins at {disturbed.tick * tick_s:g} s"
@@ -175,6 +190,43 @@ def _of(vehicles: str | None) -> str:
 
 def _ended(scenario: Scenario, before: str) -> str:
     return f"the run ended at {scenario.duration_ns / 1e9:g} s, before {before}"
+
+
+def _tumbled(check: Tumbled, scenario: Scenario, journal: Journal) -> Verdict:
+    who = None if check.vehicles is None else vehicle_numbers(check.vehicles)
+    spells = [spell for spell in journal.tumbles if who is None or spell.vehicle in who]
+    tick_s = scenario.tick_ns / 1e9
+    found = "0"
+    if spells:
+        vehicles = sorted({spell.vehicle for spell in spells})
+        first = spells[0]
+        found = f"{len(spells)}, {names(vehicles)}, first vehicle {first.vehicle} at {first.begin * tick_s:g} s"
+        if lasting := sorted({spell.vehicle for spell in spells if spell.end is None}):
+            found += f", to the end {names(lasting)}"
+    asked = f"at most {check.at_most}{_of(check.vehicles)}"
+    return Verdict("tumbled", len(spells) <= check.at_most, asked, found, len(spells), check.at_most, "times")
+
+
+def _deaths(check: Standing, scenario: Scenario, journal: Journal) -> Verdict:
+    tick_s = scenario.tick_ns / 1e9
+    died = len(journal.died)
+    found = ", ".join([str(died), *(f"{e.what} at {e.tick * tick_s:g} s" for e in journal.died[:4])])
+    asked = f"at most {check.at_most} that no fault asked for"
+    return Verdict("deaths", died <= check.at_most, asked, found, died, check.at_most, "times")
+
+
+OF_THE_TOOL = frozenset({"deaths", "ledger", "middleware_loss"})  # no network is meant to break these
+
+
+def judge_expected(scenario: Scenario, verdicts: list[Verdict]) -> Verdict | None:
+    """Whether a run that is meant to fail did; checks of our own processes must pass all the same."""
+    if scenario.spec.expect == "pass":
+        return None
+    failed = [verdict.check for verdict in verdicts if not verdict.passed]
+    ours = [check for check in failed if check in OF_THE_TOOL]
+    found = ", ".join(dict.fromkeys(failed)) or "every check passed"
+    asked = f"a check fails, and none of {', '.join(sorted(OF_THE_TOOL))}"
+    return Verdict("expect", bool(failed) and not ours, asked, found, len(failed), None, "checks")
 
 
 def _at_most(name: str, check: AtMost, found: int) -> Verdict:

@@ -89,6 +89,7 @@ def status(run: Path | None, out: Path, watch: bool) -> None:
       fleet status
       fleet status -w --run runs/paper-1-20261121-120000
     """
+    from fleet.metrics import Spread
     from fleet.remote import RemoteError, find, is_live
     from fleet.remote import ask as ask_run
 
@@ -110,10 +111,12 @@ def status(run: Path | None, out: Path, watch: bool) -> None:
         lines = [
             f"{values['scenario']}: t = {values['at_s']:.2f} of {values['end_s']:g} s, {values['clock']}"
             + (f", {values['waiting']}" if values["waiting"] not in ("", values["clock"]) else ""),
-            f"formation error {values['formation_error_m']:.3f} m, packets {values['delivered']} delivered, "
+            f"formation error {Spread(**values['formation'])}, packets {values['delivered']} delivered, "
             f"{values['lost']} lost",
         ]
         lines += [f"fault {f['id']}: {f['what']}, until {f['to_s']:g} s" for f in values["faults"]]
+        if values["tumbled"]:
+            lines.append(f"tumbled: {', '.join(map(str, values['tumbled']))}")
         if values["dead"]:
             lines.append(f"without an agent: {', '.join(map(str, values['dead']))}")
         if shown and sys.stdout.isatty():

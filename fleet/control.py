@@ -16,6 +16,7 @@ from pydantic import TypeAdapter, ValidationError
 from fleet.clock import LiveClock
 from fleet.faults import (
     ACTIONS,
+    Event,
     FaultError,
     Kill,
     Part,
@@ -93,7 +94,8 @@ class Operator:
             "at_s": self._seconds(max(0, self.journal.framed)),
             "end_s": self._seconds(self.scenario.ticks),
             "clock": self.clock.describe(),
-            "formation_error_m": self.journal.metrics.formation_error,
+            "formation": self.journal.metrics.formation._asdict(),
+            "tumbled": sorted(self.journal.tumbled),
             "delivered": total.delivered,
             "lost": sum(total.lost.values()) - total.replaced,
             "faults": [fault for fault in self._listed() if fault["active"]],
@@ -154,12 +156,12 @@ class Operator:
         round_tick = -(-tick // m) * m  # of a restart
         lasting = [part for part in self.faults if part.active(tick)]
         dead = {death.fault: i for i, death in self.journal.deaths.items()}
-        lost: dict[str | None, int] = {loss.fault: i for i, loss in self.journal.lost.items()}
+        became = {event.fault: event.what for event in self._states()}
         ill = {part.id for part in lasting} | dead.keys()
         if name is not None and not isinstance(name, str):
             raise RefusedError("expected the id of a fault, or none for all of them")
-        if name in lost:
-            raise RefusedError(f"vehicle {lost[name]} is lost: no agent brings it back")
+        if name in became:
+            raise RefusedError(f"{name} is no fault ({became[name]}): it is what became of the vehicle")
         if name is not None and name not in ill:
             known = f"active: {', '.join(sorted(ill))}" if ill else "none is active"
             raise RefusedError(f"there is no active fault {name!r}; {known}")
@@ -223,9 +225,13 @@ class Operator:
         for fault in self.faults:
             state = "active" if fault.active(now) else "over" if fault.begin < now else "to come"
             found[fault.id] = self._row(fault.id, self._words[fault.id], fault.begin, fault.end or last, state)
-        for event in (*self.journal.deaths.values(), *self.journal.lost.values()):
+        for event in (*self.journal.deaths.values(), *self._states()):
             found[event.fault] = self._row(event.fault, event.what, event.tick, last, "active")
         return list(found.values())
+
+    def _states(self) -> list[Event]:
+        """What became of vehicles and lasts: who tumbled, and whose motion left the finite numbers."""
+        return [*self.journal.tumbled.values(), *self.journal.diverged.values()]
 
     def _row(self, name: str, what: str, begin: int, end: int, state: str) -> dict[str, Any]:
         times = {"from_s": self._seconds(begin), "to_s": self._seconds(min(end, self.scenario.ticks))}

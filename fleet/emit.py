@@ -32,6 +32,8 @@ def scenario_yaml(spec: ScenarioSpec) -> str:
     for key in ("per_vehicle", "model_error", "faults"):
         if not values[key]:
             del values[key]
+    if values["expect"] == "pass":
+        del values["expect"]
     lines: list[str] = []
     supplied = _supplied(spec)
     for key, value in values.items():
@@ -48,7 +50,7 @@ def _supplied(spec: ScenarioSpec) -> dict[str, tuple[str, dict[str, Any]]]:
     """What sections get from elsewhere: section -> (where from, values), for vehicles with nothing of their own."""
     found: dict[str, tuple[str, dict[str, Any]]] = {}
     model = spec.vehicle.model or "paper"
-    if set(given(spec.vehicle)) <= {"model", *LIMITS}:
+    if set(given(spec.vehicle)) <= {"model", "tumble_pitch", *LIMITS}:
         found["vehicle"] = f"vehicle {model}", inlined(VehicleSection(model=model), None).model_dump()
     names = law_names(merged(spec, 0))
     if names is not None:

@@ -38,7 +38,7 @@ OF_THE_WORLD = (
     *("noise", "bias", "freeze", "dropout", "efficiency", "saturate", "off", "stuck"),
     *("current", "gust", "wrench"),
 )
-LOST = "lost"  # in the log: a vehicle that cannot be integrated any more, which no scenario says
+TUMBLED, DIVERGED = "tumbled", "diverged"  # in the log: what happened to a vehicle, which no scenario asks for
 MOST_RESTARTS = 3  # of one agent that nobody killed on purpose: its next life would end the same way
 ACTIONS = (*OF_THE_NETWORK, *OF_AGENTS, *OF_THE_WORLD)
 
@@ -60,6 +60,16 @@ class Event:
     fault: str  # its id
     action: str  # begins | ends
     what: str  # in the words of the scenario
+
+    @property
+    def is_fault(self) -> bool:
+        """Whether somebody or something disturbed the fleet; that a vehicle tumbles is what came of it."""
+        return is_fault(self.what)
+
+
+def is_fault(what: str) -> bool:
+    """Whether an event of the log, by its words, is a fault and not what became of a vehicle."""
+    return what.partition(" ")[0] not in (TUMBLED, DIVERGED)
 
 
 @dataclass(frozen=True, slots=True)

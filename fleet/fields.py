@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
+from math import radians
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, GetCoreSchemaHandler, InstanceOf
@@ -86,6 +87,7 @@ def _within(dimension: q.Dimension, low: float, high: float, said: str) -> Calla
 
 _probability = _within(q.RATIO, 0.0, 1.0, "0 and 100 %")
 _fraction = _within(q.NUMBER, 0.0, 1.0, "0 and 1")
+_pitch_limit = _within(q.ANGLE, radians(10.0), radians(90.0), "10 and 90 deg")
 _spreading = _within(q.NUMBER, 1.0, 2.0, "1 (cylindrical) and 2 (spherical)")
 
 
@@ -131,6 +133,7 @@ Speeds = Annotated[Vec3, _vector(q.SPEED, "not negative")]
 Acceleration = Annotated[float, _scalar(q.ACCELERATION, "not negative")]
 SignedAngle = Annotated[float, _scalar(q.ANGLE)]
 Angle = Annotated[float, _scalar(q.ANGLE, "not negative")]
+PitchLimit = Annotated[float, Text(_pitch_limit, lambda value: q.show(value, q.ANGLE))]
 SignedAngularRate = Annotated[float, _scalar(q.ANGULAR_RATE)]
 AngularRate = Annotated[float, _scalar(q.ANGULAR_RATE, "not negative")]
 Force = Annotated[float, _scalar(q.FORCE, "not negative")]

@@ -141,7 +141,7 @@ class Guardian:
         begin = self.starting.pop(i, None)
         until = 0
         if gap is None or gap[0] > self._granted():
-            again = self._scenario.spec.on_death == "restart" and i not in self._journal.lost
+            again = self._scenario.spec.on_death == "restart" and i not in self._journal.diverged
             if again and self._restarted.get(i, 0) < MOST_RESTARTS:
                 self._restarted[i] = self._restarted.get(i, 0) + 1
                 until = self._scenario.next_round(self._granted())
@@ -155,7 +155,7 @@ class Guardian:
         self.deaths.setdefault(i, []).append(how)
         at = self._seconds(self._journal.framed)
         then = f", another one takes over at {self._seconds(until)}" if until else ""
-        fate = "is lost already" if i in self._journal.lost else f"drifts without thrust{then}"
+        fate = "is not integrated any more" if i in self._journal.diverged else f"drifts without thrust{then}"
         self._notes.append(f"{at} {who}: its vehicle {fate}{last}")
 
     def tend(self) -> None:

@@ -12,12 +12,12 @@ from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from itertools import count
 from math import gcd
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import msgpack
 
 from fleet.connectivity import Connectivity
-from fleet.faults import LOST, Event, event_order
+from fleet.faults import DIVERGED, TUMBLED, Event, event_order
 from fleet.metrics import Metrics, VehicleError
 from fleet.scenario import Scenario
 from fleet.separation import Separation
@@ -26,7 +26,15 @@ from netem.ages import Ages
 from netem.errors import OutOfPlace
 from netem.ledger import Ledger
 from netem.lives import Absence
-from netem.messages import Command, Fate, Frame, Life, LinkReport, VehicleFrame, decode
+from netem.messages import Command, Fate, Frame, Life, LinkReport, Tumble, VehicleFrame, decode
+
+
+class Spell(NamedTuple):
+    """A vehicle is tumbled from tick `begin` to before `end` (None: to the end of the run)."""
+
+    vehicle: int
+    begin: int
+    end: int | None = None
 
 
 class Sink(Protocol):
@@ -60,13 +68,17 @@ class Journal:
         self._told_deaths = {(absence.vehicle, absence.begin) for absence in scenario.faults.absences}
         self.active: list[str] = []  # faults that last, in the order in which they began
         self._names = {event.fault for event in self._events}  # ids of faults that are taken
-        self.deaths: dict[int, Event] = {}  # vehicle -> such a death that lasts
-        self.lost: dict[int, Event] = {}  # vehicle -> that it was lost
+        self.deaths: dict[int, Event] = {}  # vehicle -> a death that nobody planned, while it lasts
+        self.died: list[Event] = []  # all of them, and vehicles that diverged, in the order in which they came
+        self.diverged: dict[int, Event] = {}  # vehicle -> that its motion left the finite numbers
+        self.tumbled: dict[int, Event] = {}  # vehicle -> that it tumbled, while it lasts
+        self.tumbles: list[Spell] = []  # all of them, in the order in which they began
         self._frame_every = frame_every(scenario)
         self._round_ticks = scenario.round_ticks
         self._frames: deque[Frame] = deque()
         self._rows: tuple[VehicleFrame, ...] = ()  # of a frame whose rest is still to come
         self._lives: tuple[Life, ...] = ()
+        self._tumbles: tuple[Tumble, ...] = ()
         self._fates: deque[Fate] = deque()
         self._memory = b""  # of a frame whose rest is still to come
         self._network: dict[int, bytes] = {}  # what the network remembers before a round
@@ -82,6 +94,9 @@ class Journal:
             self.connectivity.resume(tick)
         while self._events and self._events[0].tick < tick:
             self._happens(self._events.popleft())
+        for i, *_, state, _ in snapshot.world["vehicles"]:
+            if state == TUMBLED:
+                self._tumbles_from(i, tick)
 
     @property
     def complete(self) -> bool:
@@ -106,12 +121,15 @@ class Journal:
             raise OutOfPlace("frame", expected, frame.tick)
         self._rows += frame.vehicles
         self._lives += frame.lives
+        self._tumbles += frame.tumbles
         self._memory += frame.memory
         if frame.more:
             return
         self.framed = frame.tick
-        self._frames.append(frame._replace(vehicles=self._rows, lives=self._lives, memory=self._memory))
-        self._rows, self._lives, self._memory = (), (), b""
+        self._frames.append(
+            frame._replace(vehicles=self._rows, lives=self._lives, tumbles=self._tumbles, memory=self._memory)
+        )
+        self._rows, self._lives, self._tumbles, self._memory = (), (), (), b""
         self._write()
 
     def links(self, report: LinkReport) -> None:
@@ -179,22 +197,43 @@ class Journal:
             if life.begins and i in self.deaths:
                 self.add_event(replace(self.deaths.pop(i), tick=life.tick, action="ends"))
             elif not life.begins and life.tick < self._last and (i, life.tick) not in self._told_deaths:
-                if life.lost:
-                    # Whoever runs the scenario again loses it again: nobody did it.
-                    self.lost[i] = Event(life.tick, f"lost-{i}", "begins", f"{LOST} {i}")
-                    self.add_event(self.lost[i])
+                if life.diverged:
+                    # Whoever runs the scenario again sees it again: nobody did it.
+                    self.diverged[i] = Event(life.tick, f"{DIVERGED}-{i}", "begins", f"{DIVERGED} {i}")
+                    self.add_event(self.diverged[i])
+                    self.died.append(self.diverged[i])
                     continue
-                names = (f"death-{i}" if n == 1 else f"death-{i}-{n}" for n in count(1))
-                name = next(name for name in names if name not in self._names)
-                self.deaths[i] = Event(life.tick, name, "begins", f"kill {i}")
+                self.deaths[i] = Event(life.tick, self._name(f"death-{i}"), "begins", f"kill {i}")
+                self.died.append(self.deaths[i])
                 self.add_event(self.deaths[i])
+        for tumble in frame.tumbles:
+            if tumble.begins:
+                self._tumbles_from(tumble.vehicle, tumble.tick)
+            else:
+                self._tumbles_until(tumble.vehicle, tumble.tick)
         if frame.tick == self._last:
-            for death in (*self.deaths.values(), *self.lost.values()):
-                self.add_event(replace(death, tick=frame.tick, action="ends"))
+            for lasts in (*self.deaths.values(), *self.diverged.values(), *self.tumbled.values()):
+                self.add_event(replace(lasts, tick=frame.tick, action="ends"))
         while self._events and self._events[0].tick <= frame.tick:
             event = self._events.popleft()
             self._happens(event)
             self.log.event(event)
+
+    def _tumbles_from(self, i: int, tick: int) -> None:
+        self.tumbles.append(Spell(i, tick))
+        if tick < self._last:  # otherwise nothing is left of the run for a fault to last
+            self.tumbled[i] = Event(tick, self._name(f"{TUMBLED}-{i}"), "begins", f"{TUMBLED} {i}")
+            self.add_event(self.tumbled[i])
+
+    def _tumbles_until(self, i: int, tick: int) -> None:
+        spell = max(n for n, spell in enumerate(self.tumbles) if spell.vehicle == i)
+        self.tumbles[spell] = self.tumbles[spell]._replace(end=tick)
+        self.add_event(replace(self.tumbled.pop(i), tick=tick, action="ends"))
+
+    def _name(self, wanted: str) -> str:
+        """An id for an event that nobody planned: as wanted, or with a number behind it if that is taken."""
+        names = (wanted if n == 1 else f"{wanted}-{n}" for n in count(1))
+        return next(name for name in names if name not in self._names)
 
     def _happens(self, event: Event) -> None:
         self.happened.append(event)

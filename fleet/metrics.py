@@ -13,7 +13,8 @@ from array import array
 from bisect import bisect_left
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from math import hypot, isfinite, sqrt
+from math import hypot, inf, isfinite, sqrt
+from statistics import median
 from typing import Any, NamedTuple
 
 from agents.signals import Layout
@@ -36,6 +37,20 @@ class VehicleError(NamedTuple):
     formation_norm: float
 
 
+class Spread(NamedTuple):
+    """The formation errors of a fleet at one time: the largest, whose it is, and the median vehicle's [m]."""
+
+    worst_m: float = 0.0
+    vehicle: int = 0
+    median_m: float = 0.0
+    vehicles: int = 1
+
+    def __str__(self) -> str:
+        if self.vehicles < 2:
+            return f"{self.worst_m:.3f} m"
+        return f"{self.worst_m:.3f} m (UUV {self.vehicle}), median {self.median_m:.3f} m"
+
+
 @dataclass(slots=True)
 class Series:
     """What is kept of one vehicle: one value per frame."""
@@ -45,6 +60,7 @@ class Series:
     effort_Ns: float = 0.0
     u_cmd_max: float | None = None  # None: its controller reports no commanded speed
     qp_failures: int = 0
+    qp_counted: int = 0  # by the agent that runs now
     payloads_rejected: int = 0
 
 
@@ -58,7 +74,7 @@ class Metrics:
         self._places = {i: _Places.of(scenario.layout(i)) for i in range(1, scenario.vehicles + 1)}
         self.times = array("d")
         self.series = {i: Series() for i in range(1, scenario.vehicles + 1)}
-        self.formation_error = 0.0
+        self.formation = Spread()
 
     def frame(self, frame: Frame, commands: Mapping[int, Command]) -> dict[int, VehicleError]:
         """Take one frame with its decoded commands; returns the errors of every vehicle in it."""
@@ -81,10 +97,15 @@ class Metrics:
                 if places.u_cmd is not None and isfinite(telemetry[places.u_cmd]):
                     series.u_cmd_max = max(series.u_cmd_max or 0.0, telemetry[places.u_cmd])
                 if places.failures is not None:
-                    series.qp_failures = _count(telemetry[places.failures], series.qp_failures)
+                    count = _count(telemetry[places.failures], series.qp_counted)
+                    # An agent counts from its own start: what came before a restart stays counted.
+                    series.qp_failures += count if count < series.qp_counted else count - series.qp_counted
+                    series.qp_counted = count
                 if places.rejected is not None:
                     series.payloads_rejected = _count(telemetry[places.rejected], series.payloads_rejected)
-        self.formation_error = max(error.formation_norm for error in errors.values())
+        off = {i: error.formation_norm for i, error in errors.items()}
+        worst = max(off, key=off.__getitem__)
+        self.formation = Spread(off[worst], worst, median(off.values()), len(off))
         return errors
 
     def _error(self, i: int, positions: dict[int, tuple[float, ...]], desired: dict[int, Vec3]) -> VehicleError:
@@ -117,6 +138,16 @@ class Metrics:
         if found[1] == 0:
             return float("inf"), 0, self.times[-1] if self.times else 0.0
         return found
+
+    def median_worst(self, what: str, after_s: float, vehicles: list[int] | None = None) -> float:
+        """The median over vehicles, all or some, of the largest `e` or `formation` of each from a time on [m]."""
+        begin = bisect_left(self.times, after_s)
+        chosen = [series for i, series in self.series.items() if vehicles is None or i in vehicles]
+        return median(max(getattr(series, what)[begin:], default=inf) for series in chosen)
+
+    def qp_failures(self) -> dict[int, int]:
+        """How often the gain's optimisation failed, of each vehicle whose law counts that."""
+        return {i: s.qp_failures for i, s in self.series.items() if self._places[i].failures is not None}
 
     def settled(
         self, what: str, span: tuple[int, int], limit: float, vehicles: list[int] | None = None

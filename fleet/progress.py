@@ -95,7 +95,7 @@ class ProgressLine:
         lost = sum(total.lost.values()) - total.replaced
         never_sent = f", {total.replaced} replaced" if total.replaced else ""
         return (
-            f"formation error {self._journal.metrics.formation_error:.3f} m  "
+            f"formation error {self._journal.metrics.formation}  "
             f"packets {total.delivered} delivered, {lost} lost{never_sent}"
         )
 

@@ -6,6 +6,7 @@ import time
 from array import array
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from math import nan
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,7 @@ from fleet.clock import Clock
 from fleet.errors import RunBroken
 from fleet.faults import Event
 from fleet.inprocess import InProcess
-from fleet.journal import Journal
+from fleet.journal import Journal, frame_every
 from fleet.metrics import VehicleError
 from fleet.scenario import Scenario
 from fleet.snapshot import Snapshot
@@ -62,7 +63,10 @@ class _Capture:
             self.fixed.extend(error.formation)
             if row.tau:
                 self.tau.extend(row.tau)
-                self.telemetry[row.id].extend(commands[row.id].telemetry)
+                command = commands.get(row.id)
+                size = self._layouts[row.id].size
+                said = () if command is None else command.telemetry
+                self.telemetry[row.id].extend(said if len(said) == size else (nan,) * size)
 
     def packet(self, fate: Fate) -> None:
         """Packets are not kept."""
@@ -103,7 +107,7 @@ def record(scenario: Scenario, progress: Callable[[float], None] = lambda _: Non
     """
     capture = _Capture(scenario)
     journal = Journal(scenario, capture)
-    clock = Clock(scenario.ticks, scenario.tick_ns, scenario.round_ticks, 1)
+    clock = Clock(scenario.ticks, scenario.tick_ns, scenario.round_ticks, frame_every(scenario))
     broken = ""
     next_report = 0.0
 

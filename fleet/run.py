@@ -15,7 +15,7 @@ from rich.console import Console as Terminal
 
 from agents.errors import AgentError
 from fleet import timing
-from fleet.checks import Verdict, judge
+from fleet.checks import Verdict, judge, judge_expected
 from fleet.clock import WINDOW_NS, Clock
 from fleet.console import JOIN_TIMEOUT_S, Console
 from fleet.errors import RunBroken, StoppedError
@@ -23,7 +23,7 @@ from fleet.external import ExternalError, refuse
 from fleet.hosts import Meeting
 from fleet.inprocess import InProcess
 from fleet.interrupts import Unbroken
-from fleet.journal import Journal, frame_every
+from fleet.journal import Journal, Spell, frame_every
 from fleet.log import LogError, LogWriter
 from fleet.ports import free_port
 from fleet.progress import ProgressLine
@@ -167,7 +167,11 @@ def _execute(scenario: Scenario, options: Options, terminal: Terminal, whole: Un
             result.verdicts = judge(scenario, journal, middleware_lost=fleet.middleware_lost)
             if options.pace is not None:
                 result.verdicts.append(timing.verdict(closing["timing"], options.most_missed))
-            if not all(verdict.passed for verdict in result.verdicts):
+            expected = judge_expected(scenario, result.verdicts)
+            if expected is not None:
+                result.verdicts.append(expected)
+            deciding = result.verdicts if expected is None else [expected]
+            if not all(verdict.passed for verdict in deciding):
                 result.status = Status.CHECK_FAILED
             if fleet.middleware_lost:
                 result.status = Status.BROKEN
@@ -223,6 +227,8 @@ def _values(scenario: Scenario, journal: Journal, log: LogWriter, result: Result
         "sim_s": max(0, journal.written) * scenario.tick_ns / 1e9,
         "checks": [verdict.to_values() for verdict in result.verdicts],
         "vehicles": journal.metrics.summary(),
+        "formation": journal.metrics.formation._asdict(),
+        "tumbles": [_spell(spell, scenario.tick_ns / 1e9) for spell in journal.tumbles],
         "ledger": {_name(link): account.to_values() for link, account in journal.ledger.accounts.items()},
         "ages": journal.ages.summary(scenario.tick_ns),
         "middleware_lost": lost,
@@ -240,6 +246,11 @@ def _values(scenario: Scenario, journal: Journal, log: LogWriter, result: Result
         "digest": log.digest,
         "python": sys.version.split()[0],
     }
+
+
+def _spell(spell: Spell, tick_s: float) -> dict[str, Any]:
+    until = None if spell.end is None else spell.end * tick_s
+    return {"vehicle": spell.vehicle, "from_s": spell.begin * tick_s, "to_s": until}
 
 
 def _name(link: Link) -> str:

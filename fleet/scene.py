@@ -180,7 +180,7 @@ def hull(i: int, mass: float, silent: bool) -> SceneEntity:
 
     Args:
         mass: of the vehicle [kg], which gives the size.
-        silent: nobody commands it: the agent is dead or suspended, or the vehicle is lost.
+        silent: nobody commands it: the agent is dead or suspended.
     """
     d = diameter(mass)
     length = SLENDER * d

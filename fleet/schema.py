@@ -45,6 +45,7 @@ from fleet.fields import (
     Mass,
     Moment,
     Period,
+    PitchLimit,
     Position,
     PositiveAcceleration,
     PositiveLength,
@@ -218,6 +219,7 @@ class VehicleSection(Section):
     surge_force: Force | None = None
     pitch_moment: Moment | None = None
     yaw_moment: Moment | None = None
+    tumble_pitch: PitchLimit | None = None  # |pitch| beyond which it tumbles; 80 deg
 
 
 class ModelErrorSection(Section):
@@ -590,6 +592,32 @@ class AtMost(Section):
     at_most: Count
 
 
+WAIVED = "waived"
+
+
+class Standing(AtMost):
+    """A check that stands in every scenario, with at most 0, unless it says more here or `waived`."""
+
+    at_most: Count = 0
+    waived: bool = False  # `tumbled: waived` in the file
+
+
+class Tumbled(Standing):
+    """How often vehicles, all or those named, may tumble: pitch beyond `vehicle.tumble_pitch`."""
+
+    vehicles: VehicleNumbers | None = None
+
+
+def _standing(value: Any) -> Any:
+    return {"waived": True} if value == WAIVED else value
+
+
+def _show_standing(check: Standing | None) -> Any:
+    if check is None or check.waived:
+        return None if check is None else WAIVED
+    return check.model_dump(exclude={"waived"}, exclude_none=True)
+
+
 class MaxAge(Section):
     """The age of what was heard last stays below a limit on some links, from a time to the end."""
 
@@ -643,7 +671,7 @@ def _show_recoveries(recoveries: list[Recovery] | None) -> Any:
 
 
 class ChecksSection(Section):
-    """What decides whether a run passes."""
+    """What decides whether a run passes; `tumbled` and `deaths` also where nothing is said of them."""
 
     formation_error: Below | None = None  # |eta_i - eta_i^d|
     consensus_error: Below | None = None  # |e_i| from true positions
@@ -653,6 +681,8 @@ class ChecksSection(Section):
     min_separation: MinSeparation | None = None
     max_age: MaxAge | None = None
     connected: Connected | None = None
+    tumbled: Annotated[Tumbled | None, BeforeValidator(_standing), PlainSerializer(_show_standing)] = None
+    deaths: Annotated[Standing | None, BeforeValidator(_standing), PlainSerializer(_show_standing)] = None
     qp_infeasible: AtMost | None = None
     ledger: Literal["balanced"] | None = None
     middleware_loss: AtMost | None = None
@@ -754,3 +784,4 @@ class ScenarioSpec(Section):
     faults: list[FaultEntry] = []
     nemesis: NemesisSection | None = None  # becomes explicit faults when the scenario is read
     checks: ChecksSection = ChecksSection()
+    expect: Literal["pass", "fail"] = "pass"  # fail: the run is meant to fail a check, and exits with 0 when it does

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from fleet.errors import FleetError
-from fleet.faults import LOST
+from fleet.faults import is_fault
 from fleet.log_values import Decoder
 from fleet.quantities import show_time
 from fleet.reader import CLOCK, REAL, LogReader, Record, log_path
@@ -127,8 +127,8 @@ def _entries(events: list[tuple[int, Any]], end_ns: int) -> list[dict[str, Any]]
     """One entry per fault, in the order in which they began."""
     entries: dict[str, dict[str, Any]] = {}
     for at_ns, event in events:
-        if event.what.startswith(LOST):
-            continue  # it is lost again
+        if not is_fault(event.what) or event.what.startswith("lost "):
+            continue  # it happens again; older logs know vehicles that were lost
         if event.action == "begins":
             entries[event.fault] = {"id": event.fault, "at": show_time(at_ns), **_action(event.what), "_at": at_ns}
         elif event.fault in entries and at_ns < end_ns:

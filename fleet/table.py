@@ -8,6 +8,7 @@ from rich.console import Console as Terminal
 from rich.markup import escape
 from rich.table import Table
 
+from fleet.metrics import Spread
 from fleet.prospects import large_log_hint
 from fleet.run import Result, Status
 from fleet.timing import summary
@@ -21,6 +22,8 @@ def show(result: Result, terminal: Terminal) -> None:
     values = result.values
     if values["vehicles"]:
         terminal.print(_vehicles(values["vehicles"]))
+    if len(values["vehicles"]) > 1:
+        terminal.print(f"formation error at the end: {Spread(**values['formation'])}", highlight=False, soft_wrap=True)
     if any(account["sent"] for account in values["ledger"].values()):
         terminal.print(_links(values["ledger"], values["ages"]))
     for verdict in result.verdicts:

@@ -23,6 +23,7 @@ from fleet.schema import (
     VehicleOverrides,
     VehicleSection,
 )
+from world.tumble import LIMIT_RAD
 from world.vehicle import Vec3, VehicleParams
 
 # The profiles count the QP's period in ticks of this length; a scenario with another tick keeps the period.
@@ -49,6 +50,7 @@ class Control:
     vehicle: VehicleParams  # the truth
     model: VehicleParams  # what the controller believes
     tau_max: Vec3  # N, N m, N m
+    tumble_limit: float  # |pitch| beyond which it tumbles [rad]
     external: bool  # somebody else starts its agent
 
     @property
@@ -126,6 +128,7 @@ def control(spec: ScenarioSpec, i: int, folder: Path | None = None) -> Control:
         vehicle=params,
         model=wrong_model(params, choice.model_error),
         tau_max=tau_max,
+        tumble_limit=choice.vehicle.tumble_pitch or LIMIT_RAD,
         external=bool(choice.external),
     )
 
@@ -217,4 +220,5 @@ def inlined(section: VehicleSection, folder: Path | None) -> VehicleSection:
     params, limits = vehicle(section, folder)
     values: dict[str, Any] = {key: getattr(params, key) for key in vehicles.PARAMETERS}
     values |= zip(vehicles.LIMITS, limits, strict=True)
+    values["tumble_pitch"] = section.tumble_pitch
     return VehicleSection.model_construct(**values)

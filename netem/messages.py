@@ -335,7 +335,18 @@ class Life(NamedTuple):
     tick: Annotated[int, uint("tick", "first tick without, or with")]
     vehicle: Annotated[int, uint("", "vehicle number")]
     begins: Annotated[bool, Field("", "true when another agent takes over", "bool")]
-    lost: Annotated[bool, Field("", "true when the vehicle itself is lost, and is not integrated any more", "bool")]
+    diverged: Annotated[
+        bool, Field("", "true when the vehicle's motion left the finite numbers: it is not integrated any more", "bool")
+    ]
+
+
+@_record
+class Tumble(NamedTuple):
+    """A vehicle's pitch went beyond its limit, or came back."""
+
+    tick: Annotated[int, uint("tick", "first tick at which it is so")]
+    vehicle: Annotated[int, uint("", "vehicle number")]
+    begins: Annotated[bool, Field("", "false when the vehicle has come back", "bool")]
 
 
 @_record
@@ -345,6 +356,7 @@ class Frame(NamedTuple):
     tick: Annotated[int, uint("tick", "control tick; consecutive on this key")]
     more: Annotated[bool, Field("", "more vehicles of the same tick follow", "bool")]
     lives: Annotated[tuple[Life, ...], Field("", "since the frame before; with the first part", "Life[*]")]
+    tumbles: Annotated[tuple[Tumble, ...], Field("", "likewise", "Tumble[*]")]
     vehicles: Annotated[
         tuple[VehicleFrame, ...],
         Field("", "ascending by id", "VehicleFrame[*]"),

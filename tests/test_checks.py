@@ -20,7 +20,7 @@ from fleet.scenario import Scenario, load_scenario, parse_scenario
 from fleet.script import script
 from fleet.stability import analyse
 from fleet.table import MOST_ROWS, show
-from netem.messages import Fate, Frame, Life, LinkReport, VehicleFrame
+from netem.messages import Fate, Frame, Life, LinkReport, Tumble, VehicleFrame
 
 Link = tuple[int, int]
 
@@ -41,6 +41,7 @@ def verdict(
     heard: Callable[[Link, int], bool] = lambda link, tick: True,
     before_end: Callable[[Journal], None] = lambda journal: None,
     lives: dict[int, tuple[Life, ...]] | None = None,
+    tumbles: dict[int, tuple[Tumble, ...]] | None = None,
 ) -> Verdict:
     """The verdict on a run of 4 s with three vehicles on a path, 5 m apart, a round every 50 ms.
 
@@ -57,6 +58,7 @@ def verdict(
                 tick,
                 False,
                 (lives or {}).get(tick, ()),
+                (tumbles or {}).get(tick, ()),
                 tuple(_row(scenario, i, tick, error(i, tick)) for i in (1, 2, 3)),
                 b"",
             )

@@ -186,7 +186,7 @@ def test_the_journal_notices_what_is_missing(tmp_path: Path) -> None:
     with pytest.raises(OutOfPlace, match="link report: expected 10, got 20"):
         journal.links(LinkReport(20, False, False, (), b""))
     rows = frames[1].vehicles
-    halves = [Frame(1, True, (), rows[:2], b""), Frame(1, False, (), rows[2:], b"")]
+    halves = [Frame(1, True, (), (), rows[:2], b""), Frame(1, False, (), (), rows[2:], b"")]
     journal.frame(halves[0])
     assert journal.framed == 0
     journal.frame(halves[1])

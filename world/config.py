@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 from netem.lives import Absence
 from world.faults import WorldFault
+from world.tumble import LIMIT_RAD
 from world.vehicle import Vec3, Vec5, VehicleParams
 
 # RK4 steps per tick. At a tick of 10 ms one step stays within 4e-7 of a converged velocity in the paper's
@@ -45,6 +46,7 @@ class VehicleSetup:
     nu0: Vec5  # u, v, w [m/s, body, over ground], q, r [rad/s]
     params: VehicleParams
     tau_max: Vec3  # N, N m, N m
+    tumble_limit: float = LIMIT_RAD  # |pitch| beyond which it tumbles [rad]
     telemetry_size: int | None = None  # how many values a command's telemetry must have; None: any number
 
 
@@ -65,4 +67,4 @@ class WorldConfig:
     faults: tuple[WorldFault, ...] = ()  # in the order in which they begin
     absences: tuple[Absence, ...] = ()  # when a vehicle has no agent
     memory_ticks: int = 0  # how often it tells all that it, and the agents, remember; 0: never
-    keep_going: bool = False  # a vehicle that cannot be integrated any more is lost, and the run goes on
+    keep_going: bool = False  # a vehicle whose motion leaves the finite numbers ends, and the run goes on

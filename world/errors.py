@@ -41,9 +41,5 @@ class IntegrationError(WorldError):
         self.tick = tick
 
 
-class PitchSingularityError(IntegrationError):
-    """The vehicle stands vertical: cos(theta) is too small for psi_dot = r / cos(theta) to mean anything."""
-
-
 class NonFiniteStateError(IntegrationError):
     """The integration left the range of finite numbers."""

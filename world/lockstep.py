@@ -7,19 +7,21 @@ agent back at the round's end until everyone has transmitted. A frame leaves onc
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import msgpack
 
 from netem.errors import OutOfPlace
 from netem.lives import Absence, Lives
-from netem.messages import Command, Frame, Life, Memory, Nav, Round, VehicleFrame, encode
+from netem.messages import Command, Frame, Life, Memory, Nav, Round, Tumble, VehicleFrame, encode
 from world.config import WorldConfig
 from world.errors import IntegrationError
 from world.sea import World
+from world.tumble import tumbles
 from world.vehicle import Vec3
 
 STILL: Vec3 = (0.0, 0.0, 0.0)
+TUMBLED, DIVERGED = "tumbled", "diverged"  # in a memory; False is neither
 
 
 class NavTo(NamedTuple):
@@ -30,6 +32,7 @@ class NavTo(NamedTuple):
 
 
 Out = NavTo | Round | Frame
+_Change = TypeVar("_Change")
 
 
 class Lockstep:
@@ -53,7 +56,14 @@ class Lockstep:
         self._paused: dict[int, list[int]] = {}  # round tick -> those that are suspended in it
         self._tau: dict[int, Vec3] = dict.fromkeys(self._ids, STILL)  # the last command that took effect
         self._late: dict[int, dict[int, Vec3]] = {i: {} for i in self._ids}  # commands of those that are slow
-        self._lost: set[int] = set()  # vehicles that are not integrated any more
+        self._diverged: set[int] = set()  # vehicles that are not integrated any more
+        self._limits = {setup.id: setup.tumble_limit for setup in config.vehicles}
+        self._tick_s = config.tick_ns / 1e9
+        self._tumbles: dict[int, list[Tumble]] = {}  # who tumbled or came back, by the frame that tells it
+        self._tumbled: set[int] = set()
+        for i in self._ids:
+            at_start = self.world.pitch(i)
+            self._watch(i, 0, at_start, at_start)
         self._memory: dict[int, dict[int, list[Any]]] = {}  # by tick and vehicle, before that tick
         self._agents: dict[int, bytes] = {}  # what an agent told that it remembers, before the command it owes
         self.notes: list[tuple[int, int, str]] = []  # (vehicle, tick, text) for a person; whoever reads empties it
@@ -98,7 +108,7 @@ class Lockstep:
 
     def dead(self, i: int) -> bool:
         """Whether vehicle i has no agent at the tick it has reached."""
-        return i in self._lost or self.lives.without_agent(i, self.tick_of(i))
+        return i in self._diverged or self.lives.without_agent(i, self.tick_of(i))
 
     def incarnation(self, i: int) -> int:
         """Which life of its agent vehicle i is in at the tick it has reached."""
@@ -149,13 +159,17 @@ class Lockstep:
 
     def resume(self, tick: int, memory: dict[str, Any]) -> None:
         """Go on at a tick with what was remembered before it in another run of the same vehicles."""
-        for i, vehicle, tau, late, lost, _ in memory["vehicles"]:
+        self._tumbled.clear()
+        self._tumbles.clear()
+        for i, vehicle, tau, late, state, _ in memory["vehicles"]:
             self.world.remember(i, vehicle)
             self._tau[i] = (tau[0], tau[1], tau[2])
             self._late[i] = {k: (x, y, z) for k, (x, y, z) in late}
-            if lost:
-                self._lost.add(i)
-        self._absent = self._lost | {i for i in self._ids if self.lives.without_agent(i, tick - 1)}
+            if state == DIVERGED:
+                self._diverged.add(i)
+            elif state:
+                self._tumbled.add(i)
+        self._absent = self._diverged | {i for i in self._ids if self.lives.without_agent(i, tick - 1)}
         self._life = {i: self.lives.incarnation(i, tick - 1) for i in self._ids}
         self._framed = tick
 
@@ -165,7 +179,7 @@ class Lockstep:
         if every and k % every == 0 and k:
             late = [[tick, list(tau)] for tick, tau in sorted(self._late[i].items())]
             self._memory.setdefault(k, {})[i] = [
-                i, self.world.memory(i), list(self._tau[i]), late, i in self._lost, None if asked else b"",
+                i, self.world.memory(i), list(self._tau[i]), late, self._state(i), None if asked else b"",
             ]  # fmt: skip
 
     def _kept(self, k: int) -> bytes:
@@ -173,6 +187,10 @@ class Lockstep:
         kept = self._memory.pop(k, {})
         whole = len(kept) == len(self._ids) and all(vehicle[-1] is not None for vehicle in kept.values())
         return msgpack.packb({"vehicles": [kept[i] for i in self._ids]}) if whole else b""
+
+    def _state(self, i: int) -> str | bool:
+        """What a memory says of vehicle i's motion."""
+        return DIVERGED if i in self._diverged else TUMBLED if i in self._tumbled else False
 
     def _effective(self, i: int, k: int, tau: tuple[float, ...]) -> tuple[float, ...]:
         """The command that takes effect at tick k: that of some ticks ago when the agent is slow."""
@@ -212,22 +230,32 @@ class Lockstep:
         return out
 
     def _integrate(self, i: int, k: int, tau: Vec3) -> None:
-        """Vehicle i from tick k to the next; one that cannot be integrated is lost."""
-        if i in self._lost:
+        """Vehicle i from tick k to the next; one whose motion leaves the finite numbers ends."""
+        if i in self._diverged:
             self.world.hold(i)
         else:
+            before = self.world.pitch(i)
             try:
                 self.world.advance(i, tau)
             except IntegrationError as error:
                 if not self.config.keep_going:
                     raise
-                self._lost.add(i)
+                self._diverged.add(i)
                 if i in self._absent:
-                    self._told(k + 1).append(Life(k + 1, i, False, True))  # otherwise its agent ends with it
-                self.notes.append((i, k, f"{error.reason}: the vehicle is lost and stays where it is"))
+                    self._told(self._changes, k + 1).append(Life(k + 1, i, False, True))  # else its agent ends with it
+                self.notes.append((i, k, f"error: {error.reason}; vehicle {i} is not integrated any more"))
                 self.world.hold(i)
+            else:
+                self._watch(i, k + 1, before, self.world.pitch(i))
         if k + 1 == self.config.ticks:
             self._rows.setdefault(k + 1, []).append(VehicleFrame(i, *self.world.state(i), (), (), b""))
+
+    def _watch(self, i: int, k: int, before: tuple[float, float], after: tuple[float, float]) -> None:
+        """Tell when vehicle i begins to tumble, and when it has come back."""
+        tumbled = i in self._tumbled
+        if tumbles(tumbled, self._limits[i], before, after, self._tick_s) != tumbled:
+            self._tumbled ^= {i}
+            self._told(self._tumbles, k).append(Tumble(k, i, not tumbled))
 
     def _start(self, i: int) -> list[Out]:
         """What vehicle i may do now: measure; or, when it has no agent or that is suspended, go on without it as far
@@ -251,15 +279,18 @@ class Lockstep:
 
     def _is_dead(self, i: int, k: int) -> bool:
         """Whether vehicle i has no agent at tick k; the frame that follows tells when that changes."""
-        # A vehicle that is lost has none for good: lives stay those that the console and netem know of.
-        lost = i in self._lost
-        dead = lost or self.lives.without_agent(i, k)
+        # A vehicle that diverged has none for good: lives stay those that the console and netem know of.
+        diverged = i in self._diverged
+        dead = diverged or self.lives.without_agent(i, k)
         life = self.lives.incarnation(i, k)
-        stillborn = dead and i in self._absent - self._lost and life > self._life[i]  # it ended before it began
+        stillborn = dead and i in self._absent - self._diverged and life > self._life[i]  # it ended before it began
         self._life[i] = life
         if stillborn or dead != (i in self._absent):
-            told = self._told(k)
-            told += [Life(k, i, True, False), Life(k, i, False, False)] if stillborn else [Life(k, i, not dead, lost)]
+            told = self._told(self._changes, k)
+            if stillborn:
+                told += [Life(k, i, True, False), Life(k, i, False, False)]
+            else:
+                told.append(Life(k, i, not dead, diverged))
         if dead != (i in self._absent):
             self._absent ^= {i}
             if not dead:
@@ -267,10 +298,10 @@ class Lockstep:
                 self._late[i].clear()
         return dead
 
-    def _told(self, k: int) -> list[Life]:
-        """What the frame that follows tick k, or is at it, tells of agents."""
+    def _told(self, changes: dict[int, list[_Change]], k: int) -> list[_Change]:
+        """Of changes by frame those of the frame that follows tick k, or is at it."""
         every = self._frame_every
-        return self._changes.setdefault(min(-(-k // every) * every, self.config.ticks), [])
+        return changes.setdefault(min(-(-k // every) * every, self.config.ticks), [])
 
     def _frames(self) -> list[Out]:
         out: list[Out] = []
@@ -278,7 +309,8 @@ class Lockstep:
             del self._rows[self._framed]
             rows.sort()
             changes = _in_order(self._changes.pop(self._framed, []))
-            out.append(Frame(self._framed, False, changes, tuple(rows), self._kept(self._framed)))
+            tumbled = tuple(sorted(self._tumbles.pop(self._framed, [])))
+            out.append(Frame(self._framed, False, changes, tumbled, tuple(rows), self._kept(self._framed)))
             last = self.config.ticks
             self._framed = min(last, self._framed + self._frame_every) if self._framed < last else last + 1
         return out

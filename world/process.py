@@ -215,17 +215,17 @@ class WorldProcess:
                 self._sent["nav"] += 1
                 self._nav[item.id](encode(item.nav))
             elif isinstance(item, Frame):
-                lives = item.lives
+                lives, tumbles = item.lives, item.tumbles
                 memory = pieces(item.memory, PART_BYTES // 2)
                 for rows, more in split(item.vehicles, _row_bytes, PART_BYTES):
-                    self._frames.append(Frame(item.tick, more or bool(memory), lives, tuple(rows), b""))
-                    lives = ()
+                    self._frames.append(Frame(item.tick, more or bool(memory), lives, tumbles, tuple(rows), b""))
+                    lives, tumbles = (), ()
                     self._frames_bytes += sum(map(_row_bytes, rows))
                     if len(self._frames) >= FRAMES_PER_MESSAGE or self._frames_bytes > PART_BYTES // 2:
                         self._flush_frames()
                 for number, piece in enumerate(memory, start=1):
                     self._flush_frames()
-                    self._frames.append(Frame(item.tick, number < len(memory), (), (), piece))
+                    self._frames.append(Frame(item.tick, number < len(memory), (), (), (), piece))
             elif isinstance(item, Round):
                 self._sent["round"] += 1
                 self._round(encode(item))

@@ -17,7 +17,7 @@ from world.config import NavNoise, VehicleSetup, WorldConfig
 from world.current import GaussMarkov, gust
 from world.disturbance import disturbance
 from world.dynamics import Coefficients, State, coefficients, rk4_step
-from world.errors import CommandError, NonFiniteStateError, PitchSingularityError, UnknownVehicleError
+from world.errors import CommandError, NonFiniteStateError, UnknownVehicleError
 from world.faults import WorldFault
 from world.sensors import measure
 from world.vehicle import Vec3, Vec5
@@ -65,6 +65,12 @@ class World:
         self._known(i)
         state = self._states[i]
         return state[0], state[1], state[2]
+
+    def pitch(self, i: int) -> tuple[float, float]:
+        """True pitch theta [rad] and pitch rate q [rad/s] of vehicle i at its tick."""
+        self._known(i)
+        state = self._states[i]
+        return state[3], state[8]
 
     def sense(self, i: int) -> tuple[Vec5, Vec5]:
         """Measured eta and nu of vehicle i at its tick."""
@@ -146,8 +152,7 @@ class World:
         """Integrate vehicle i, and it alone, to its next tick with `tau` [N, N m] held.
 
         Raises:
-            PitchSingularityError: the vehicle stands vertical; its state stays that of the tick before.
-            NonFiniteStateError: the motion left the range of finite numbers; likewise.
+            NonFiniteStateError: the motion left the range of finite numbers; the state stays that of the tick before.
         """
         self._known(i)
         k = self._fixed[i].k
@@ -163,8 +168,6 @@ class World:
         try:
             for d in forces:
                 state = rk4_step(k, state, tau, d, h, current)
-        except PitchSingularityError as error:
-            raise PitchSingularityError(error.reason, error.theta, i, tick) from None
         except (OverflowError, ValueError):
             # math.sin of an infinite angle is a ValueError, not a NaN.
             raise NonFiniteStateError("the motion left the finite numbers", state[3], i, tick) from None
@@ -211,7 +214,7 @@ class World:
         return max((int(f.values[0]) for f in self._active(i, tick) if f.kind == "slow"), default=0)
 
     def hold(self, i: int) -> None:
-        """Pass a tick without integrating vehicle i: it is lost and stays where it was."""
+        """Pass a tick without integrating vehicle i: its motion diverged, and it stays where it was."""
         self._known(i)
         self._ticks[i] += 1
 

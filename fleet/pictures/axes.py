@@ -15,6 +15,7 @@ from matplotlib.lines import Line2D
 
 from fleet.arrays import Array, FaultInterval
 from fleet.colours import COLOURS
+from fleet.faults import is_fault
 from fleet.pictures.runs import Look, NothingToDraw, Run, first_words
 from fleet.plotting import COLUMN_IN, STYLES, panels
 
@@ -22,6 +23,7 @@ LABEL_PT = 6.0
 LABEL_ROWS = 6  # of names of faults; what does not fit there is shaded without its name
 SPAN_IN = 2.7  # width of a time axis, about
 MOST_NAMED = len(COLOURS)  # lines that a legend names; more are told apart by a colour bar
+TUMBLE = "#c0392b"
 FEW = 60  # samples that are shown as points too
 
 Get = Callable[[Run, int], tuple[Array, Array] | None]
@@ -179,14 +181,24 @@ def _shade(axes: Sequence[Axes], runs: Sequence[Run], look: Look) -> None:
 
 
 def shade(axes: Sequence[Axes], intervals: Sequence[FaultInterval]) -> None:
-    """Grey where a fault lasts, with its name above the first axis."""
-    faults = sorted(intervals, key=lambda f: (f.begin, f.end, f.id))
+    """Grey where a fault lasts, red where a vehicle is tumbled, with names above the first axis."""
+    spans = sorted(intervals, key=lambda f: (f.begin, f.end, f.id))
     first, last = axes[0].get_xlim()
-    faults = [f for f in faults if f.begin < last and f.end > first]
+    spans = [f for f in spans if f.begin < last and f.end > first]
     for ax in axes:
-        for fault in faults:
-            ax.axvspan(fault.begin, fault.end, color="0.45", alpha=0.2, linewidth=0, zorder=0, gid=f"fault-{fault.id}")
-    _name(axes[0], faults, first, last)
+        for span in spans:
+            colour, alpha = ("0.45", 0.2) if is_fault(span.what) else (TUMBLE, 0.12)
+            ax.axvspan(span.begin, span.end, color=colour, alpha=alpha, linewidth=0, zorder=0, gid=f"fault-{span.id}")
+    named = [f for f in spans if is_fault(f.what)]
+    # A vehicle that tumbles again and again is named once, where it first did.
+    again: dict[str, list[FaultInterval]] = {}
+    for span in spans:
+        if not is_fault(span.what):
+            again.setdefault(span.what, []).append(span)
+    for what, all_of_it in again.items():
+        times = f" ({len(all_of_it)} times)" if len(all_of_it) > 1 else ""
+        named.append(all_of_it[0]._replace(id=f"{what}{times}"))
+    _name(axes[0], sorted(named, key=lambda f: (f.begin, f.end, f.id)), first, last)
 
 
 def _rows(

@@ -24,6 +24,7 @@ from agents.config import AgentConfig, Law
 from agents.consensus import consensus_error
 from agents.controllers import HEARD, build, layout
 from agents.errors import ControllerError
+from agents.following import followed
 from agents.guard import MAX_PAYLOAD_BYTES, Fence, shown
 from agents.kinematics import earth_velocity
 from agents.neighbours import Delivery, NeighbourTable
@@ -155,6 +156,10 @@ class Agent(_Brain):
         )
         self._controller = build(config, self._notes)
         self._seed = f"{config.seed}/controller/{config.id}/"
+        self._offsets = {neighbour.id: neighbour.offset for neighbour in config.neighbours}
+        self._leads = False
+        self._first_tick: int | None = None  # of an agent on standby: since when it could have heard whom it stands by
+        self._standby_ticks = round(config.standby_after_s / self._tick_s)
         self._unsaid = False  # whether a state was beyond what the compact payload can say
 
     def transmit(self, nav: Nav) -> tuple[bytes, ...]:
@@ -180,8 +185,12 @@ class Agent(_Brain):
         self._neighbours.absorb(deliveries, tick)
         heard = self._neighbours.heard(tick)
         t = tick * config.tick_ns / 1e9
-        desired = config.desired(t)
-        e, c = consensus_error(eta[:3], desired.position, config.reference_weight, heard)
+        if config.reference is None:
+            desired = followed(eta[:3], heard, self._offsets, t)
+        else:
+            desired = config.desired(t)
+        b = self._takes_over(tick) if config.standby_for else config.reference_weight
+        e, c = consensus_error(eta[:3], desired.position, b, heard)
         known = (*e, float(len(heard)), float(self._neighbours.rejected))
         demand: Vec3 = (0.0, 0.0, 0.0)
         telemetry: tuple[float, ...] = known
@@ -200,6 +209,21 @@ class Agent(_Brain):
         self._last_tick = tick
         return Decision(clip(demand, *self._tau_limits), telemetry)
 
+    def _takes_over(self, tick: int) -> float:
+        """b_i of an agent on standby: 1 while it has not heard for so long those whom it stands by for."""
+        if self._first_tick is None:
+            self._first_tick = tick
+        newest = self._neighbours.newest(self.config.standby_for)
+        since = self._first_tick if newest is None else max(newest, self._first_tick)
+        leads = tick - since > self._standby_ticks
+        if leads != self._leads:
+            self._leads = leads
+            who = ", ".join(map(str, self.config.standby_for))
+            after = self.config.standby_after_s
+            said = f"it has not heard {who} for {after:g} s and" if leads else f"it hears {who} again and no longer"
+            self._notes.append((tick, f"{said} follows the reference itself"))
+        return 1.0 if leads else self.config.reference_weight
+
     def _guarded(self, sample: Sample) -> tuple[Vec3, tuple[float, ...]]:
         try:
             return self._controller.step(sample)
@@ -213,12 +237,14 @@ class Agent(_Brain):
 
     def state(self) -> dict[str, Any]:
         """Everything that the next sample depends on, as plain MessagePack values."""
+        standby = {"standby": [self._first_tick, self._leads]} if self.config.standby_for else {}
         return {
             "last_tick": self._last_tick,
             "failed": self._failed,
             "unsaid": self._unsaid,
             "neighbours": self._neighbours.state(),
             "controller": self._controller.state(),
+            **standby,
         }
 
     def restore(self, values: dict[str, Any]) -> None:
@@ -228,6 +254,8 @@ class Agent(_Brain):
         self._unsaid = values["unsaid"]
         self._neighbours.restore(values["neighbours"])
         self._controller.restore(values["controller"])
+        if self.config.standby_for:
+            self._first_tick, self._leads = values.get("standby", (None, False))
 
 
 class PluggedAgent(_Brain):

@@ -57,7 +57,8 @@ class Sample(NamedTuple):
     eta: Vec5  # own measured x, y, z [m, NED], theta, psi [rad]
     nu: Vec5  # own measured u, v, w [m/s, body, over ground], q, r [rad/s]
     velocity: Vec3  # own velocity over ground [m/s, NED]
-    desired: Motion  # where this vehicle should be now, and how it should move: the reference plus its own offset
+    desired: Motion  # where this vehicle should be now, and how it should move: the reference plus its own offset; of a
+    #                  vehicle that does not know the reference the mean of what its neighbours say, see `following`
     neighbours: tuple[NeighbourState, ...]  # those heard so far, by number
     e: Vec3  # consensus error [m, NED], eq. (8)
     c: float  # sum of the weights in e [1]

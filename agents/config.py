@@ -85,7 +85,7 @@ class AgentConfig:
     tick_ns: int
     round_ticks: int
     offset: Offset  # p_i [m, NED]: eta_i^d = eta_1^d + p_i
-    reference: Reference  # eta_1^d, known to every agent (eq. 11)
+    reference: Reference | None  # eta_1^d (eq. 11); None: this agent does not know it
     reference_weight: float  # b_i [1]
     neighbours: tuple[Neighbour, ...]
     extrapolation: Extrapolation
@@ -103,9 +103,15 @@ class AgentConfig:
     budget_s: float = 0.0  # wall time a law may take for a sample; 0: any
     codec: Codec = "full"  # of what it tells its neighbours: agents.payload or agents.compact
     memory_ticks: int = 0  # how often it tells all that it remembers; 0: never
+    standby_for: tuple[int, ...] = ()  # while it hears none of these neighbours it follows the reference itself
+    standby_after_s: float = 0.0  # for so long
 
     def desired(self, t: float) -> Motion:
-        """Where this vehicle should be at time t [s], and how it should move: pd_i = eta_1^d + p_i and its rate."""
+        """Where this vehicle should be at time t [s], and how it should move: pd_i = eta_1^d + p_i and its rate.
+
+        Of an agent that knows the reference.
+        """
+        assert self.reference is not None
         reference = self.reference.at(t)
         if not self.offset.changes:
             return Motion(plus(reference.position, self.offset.start), reference.velocity)
@@ -125,7 +131,7 @@ class AgentConfig:
         """
         v = {key: value if key in _LAWS else _tuples(value) for key, value in values.items()}
         v["offset"] = Offset.from_values(v["offset"])
-        v["reference"] = reference_from_values(v["reference"])
+        v["reference"] = None if v["reference"] is None else reference_from_values(v["reference"])
         v["neighbours"] = tuple(Neighbour(**n | {"offset": Offset.from_values(n["offset"])}) for n in v["neighbours"])
         v["guidance"] = GuidanceParams(**v["guidance"])
         v["tracking"] = TrackingParams(**v["tracking"])

@@ -54,7 +54,7 @@ class NeighbourTable:
         self,
         neighbours: Sequence[Neighbour],
         extrapolation: Extrapolation,
-        reference: Reference,
+        reference: Reference | None,
         offset: Offset,
         tick_s: float,
         age_cap_s: float = 0.0,
@@ -126,8 +126,14 @@ class NeighbourTable:
             found.append(NeighbourState(neighbour.id, neighbour.weight, delta, position, message.velocity, age))
         return tuple(found)
 
+    def newest(self, ids: Iterable[int]) -> int | None:
+        """Tick at which the newest state heard from any of these neighbours was sampled; None: none was heard."""
+        sent = [message.sent_tick for i in ids if (message := self._newest.get(i)) is not None]
+        return max(sent, default=None)
+
     def _drift(self, neighbour: Neighbour, sent: float, age: float) -> Vec3:
         """How far the place of a neighbour has moved since it sent [m, NED]."""
+        assert self._reference is not None  # a scenario that extrapolates so without it is refused
         drift = self._reference.displacement(sent, age)
         if self._offset.moving or neighbour.offset.moving:
             for way, t in ((1.0, sent + age), (-1.0, sent)):

@@ -95,8 +95,13 @@ class Journal:
         while self._events and self._events[0].tick < tick:
             self._happens(self._events.popleft())
         for i, *_, state, _ in snapshot.world["vehicles"]:
-            if state == TUMBLED:
-                self._tumbles_from(i, tick)
+            if state == DIVERGED:
+                self.diverged[i] = Event(tick, f"{DIVERGED}-{i}", "begins", f"{DIVERGED} {i}")
+                self.died.append(self.diverged[i])
+                self._happens(self.diverged[i])
+            elif state and state[0]:
+                _, number, since = state
+                self._happens(self._tumbles_from(i, since, number))
 
     @property
     def complete(self) -> bool:
@@ -208,7 +213,9 @@ class Journal:
                 self.add_event(self.deaths[i])
         for tumble in frame.tumbles:
             if tumble.begins:
-                self._tumbles_from(tumble.vehicle, tumble.tick)
+                event = self._tumbles_from(tumble.vehicle, tumble.tick, tumble.number)
+                if tumble.tick < self._last:  # otherwise nothing is left of the run for it to last
+                    self.add_event(event)
             else:
                 self._tumbles_until(tumble.vehicle, tumble.tick)
         if frame.tick == self._last:
@@ -219,11 +226,13 @@ class Journal:
             self._happens(event)
             self.log.event(event)
 
-    def _tumbles_from(self, i: int, tick: int) -> None:
+    def _tumbles_from(self, i: int, tick: int, number: int) -> Event:
         self.tumbles.append(Spell(i, tick))
-        if tick < self._last:  # otherwise nothing is left of the run for a fault to last
-            self.tumbled[i] = Event(tick, self._name(f"{TUMBLED}-{i}"), "begins", f"{TUMBLED} {i}")
-            self.add_event(self.tumbled[i])
+        name = self._name(f"{TUMBLED}-{i}" if number == 1 else f"{TUMBLED}-{i}-{number}")
+        event = Event(tick, name, "begins", f"{TUMBLED} {i}")
+        if tick < self._last:
+            self.tumbled[i] = event
+        return event
 
     def _tumbles_until(self, i: int, tick: int) -> None:
         spell = max(n for n, spell in enumerate(self.tumbles) if spell.vehicle == i)

@@ -168,7 +168,7 @@ def _verdicts(verdict: Verdict) -> Iterator[str]:
     if rows:
         yield table(("check", "verdict", "asked", "found"), rows, "words")
     else:
-        yield "<p>The scenario asks for no checks.</p>"
+        yield "<p>No check was judged.</p>"
 
 
 def _tables(run: Run, verdict: Verdict) -> Iterator[str]:

@@ -18,6 +18,7 @@ from agents.signals import Layout
 from agents.trajectory import Change, Offset, Reference, minus
 from fleet import acoustics, emit, faults, formation, graph, nemesis, reference, tuning
 from fleet.errors import Problem, ScenarioError
+from fleet.fields import vehicle_numbers
 from fleet.graph import Graph
 from fleet.modems import shipped as shipped_modems
 from fleet.overrides import apply, override_name
@@ -177,13 +178,14 @@ class Scenario:
     def agent_config(self, i: int) -> AgentConfig:
         """The slice of agent i, counted from 1."""
         spec, own, control = self.spec, self.plans[i - 1], self.controls[i - 1]
+        standby = self.standby_for(i)
         return AgentConfig(
             id=i,
             seed=spec.seed,
             tick_ns=spec.tick,
             round_ticks=self.round_ticks,
             offset=own,
-            reference=self.reference,
+            reference=self.reference if control.told or self.b[i - 1] or standby else None,
             reference_weight=self.b[i - 1],
             neighbours=tuple(
                 Neighbour(id=j, weight=weight, offset=_difference(own, self.plans[j - 1]))
@@ -204,7 +206,16 @@ class Scenario:
             budget_s=spec.controller_budget / 1e9,
             memory_ticks=self.memory_ticks,
             codec=spec.network.payload,
+            standby_for=standby,
+            standby_after_s=0.0 if spec.graph.standby is None else spec.graph.standby.after / 1e9,
         )
+
+    def standby_for(self, i: int) -> tuple[int, ...]:
+        """The neighbours of vehicle i that follow the reference, if it is to do so itself when they are silent."""
+        standby = self.spec.graph.standby
+        if standby is None or i not in vehicle_numbers(standby.vehicles):
+            return ()
+        return tuple(j for j, _ in self.graph.neighbours(i) if self.b[j - 1])
 
     def netem_config(self) -> NetemConfig:
         """The network's part."""

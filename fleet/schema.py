@@ -159,6 +159,13 @@ class _Followers:
         raise mistake(f'expected "all" or a list of vehicle numbers such as [1, 3], got {describe(value)}')
 
 
+class StandbySection(Section):
+    """Vehicles that follow the reference themselves while none of those they hear that follow it has been heard."""
+
+    vehicles: VehicleNumbers
+    after: Period  # for so long
+
+
 class GraphSection(Section):
     """Who hears whom: `edges`, or a named `shape`; and who follows the reference itself."""
 
@@ -171,6 +178,7 @@ class GraphSection(Section):
     probability: Probability | None = None  # random: of each pair beyond the tree that connects all; 20 %
     edges: dict[str, PositiveNumber] | None = None  # "1->2": a_21, vehicle 2 hears vehicle 1
     reference: Annotated[list[int] | Literal["all"], _Followers()] = "all"  # who has b_i = 1; the others have 0
+    standby: StandbySection | None = None  # who gets b_i = 1 when those are silent
 
 
 class InitialState(Section):
@@ -366,6 +374,7 @@ class VehicleOverrides(Section):
     vehicle: VehicleSection | None = None
     model_error: ModelErrorSection | None = None
     external: bool | None = None  # somebody else starts its agent, `fleet agent --join` or one of another make
+    knows_reference: bool | None = None
 
 
 class WaterSection(Section):
@@ -769,6 +778,7 @@ class ScenarioSpec(Section):
     sensors: SensorsSection = SensorsSection()
     model_error: ModelErrorSection = ModelErrorSection()
     external: bool | None = None  # true: every agent is started by somebody else
+    knows_reference: bool | None = None  # false: only those in graph.reference and graph.standby know it
     agent: LawChoice | None = None  # in place of controller, guidance and tracking
     controller: LawChoice = LawSection(law="nboc")
     profile: Profile = "paper"

@@ -52,6 +52,7 @@ class Control:
     tau_max: Vec3  # N, N m, N m
     tumble_limit: float  # |pitch| beyond which it tumbles [rad]
     external: bool  # somebody else starts its agent
+    told: bool  # knows the reference, also if it does not follow it
 
     @property
     def cascade(self) -> bool:
@@ -130,6 +131,7 @@ def control(spec: ScenarioSpec, i: int, folder: Path | None = None) -> Control:
         tau_max=tau_max,
         tumble_limit=choice.vehicle.tumble_pitch or LIMIT_RAD,
         external=bool(choice.external),
+        told=choice.knows_reference is not False,
     )
 
 

@@ -347,6 +347,7 @@ class Tumble(NamedTuple):
     tick: Annotated[int, uint("tick", "first tick at which it is so")]
     vehicle: Annotated[int, uint("", "vehicle number")]
     begins: Annotated[bool, Field("", "false when the vehicle has come back", "bool")]
+    number: Annotated[int, uint("", "how often it has tumbled, this time included")]
 
 
 @_record

@@ -20,7 +20,7 @@ def test_distributed_is_in_process(tmp_path: Path) -> None:
     overrides = [
         "duration=8 s",
         "on_death=continue",
-        "checks={ledger: balanced, middleware_loss: {at_most: 0}}",
+        "checks={ledger: balanced, middleware_loss: {at_most: 0}, tumbled: waived}",
         "faults=[{at: 1.5 s, for: 2 s, kill: 3}, {at: 2 s, for: 2 s, pause: 2}, {at: 3 s, for: 2 s, mute: 1}, "
         "{at: 4 s, for: 2 s, slow: {vehicles: 4, by: 30 ticks}}, {at: 5 s, for: 2 s, link 1->2: loss 50% delay 300ms}]",
     ]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 from collections import Counter
@@ -305,20 +306,20 @@ def test_a_scripted_kill_and_an_end_at_the_same_tick_are_the_same() -> None:
 
 
 @pytest.mark.parametrize("absences", [(), (Absence(1, 0, 30),)])
-def test_a_lost_vehicle_stays_where_it_was(absences: tuple[Absence, ...]) -> None:
-    """And its loss is told, also when it has no agent that could end with it."""
+def test_a_vehicle_whose_motion_leaves_the_finite_numbers_ends(absences: tuple[Absence, ...]) -> None:
+    """It stays where it was, and its end is told as an error, also when it has no agent that could end with it."""
     from dataclasses import replace
 
     config = world(keep_going=True, absences=absences)
-    vertical = replace(config.vehicles[0], eta0=(0.0, 0.0, 5.0, 1.57079, 0.0))
-    lockstep = Lockstep(replace(config, vehicles=(vertical, *config.vehicles[1:])))
+    runaway = replace(config.vehicles[0], nu0=(1e200, 1e200, 1e200, 1e150, 1e150))
+    lockstep = Lockstep(replace(config, vehicles=(runaway, *config.vehicles[1:])))
     frames = [out for out in drive(lockstep, 50, {1, 2, 3, 4}) if type(out).__name__ == "Frame"]
     assert len(frames) == 51
-    assert {frame.vehicles[0].eta for frame in frames} == {vertical.eta0}
+    assert {frame.vehicles[0].eta for frame in frames} == {runaway.eta0}
     ((vehicle, tick, text),) = lockstep.notes
     assert (vehicle, tick) == (1, 0)
-    assert "the vehicle is lost" in text
-    assert [(life.tick, life.vehicle) for f in frames for life in f.lives if life.lost] == [(1, 1)]
+    assert text.startswith("error: the motion left the finite numbers")
+    assert [(life.tick, life.vehicle) for f in frames for life in f.lives if life.diverged] == [(1, 1)]
 
 
 def test_deaths_of_others_are_refused() -> None:
@@ -329,7 +330,8 @@ def test_deaths_of_others_are_refused() -> None:
 
 
 def run(folder: Path, *overrides: str, in_process: bool = True) -> Result:
-    scenario = load_scenario("paper", ["checks={ledger: balanced, middleware_loss: {at_most: 0}}", *overrides])
+    checks = "checks={ledger: balanced, middleware_loss: {at_most: 0}, tumbled: waived}"
+    scenario = load_scenario("paper", [checks, *overrides])
     return execute(scenario, Options(folder, in_process=in_process, quiet=True))
 
 
@@ -354,8 +356,8 @@ def test_a_run_full_of_faults_is_the_same_everywhere(tmp_path: Path) -> None:
     assert told(results[0].directory) == [
         (0.3, "f1", "begins"), (0.5, "f2", "begins"), (0.7, "f1", "ends"), (0.8, "f3", "begins"),
         (1.0, "f2", "ends"), (1.0, "f4", "begins"), (1.3, "f4", "ends"),
-        (1.41, "lost-3", "begins"),  # without an agent it tumbles
-        (2.0, "f3", "ends"), (2.0, "lost-3", "ends"),
+        (1.32, "tumbled-3", "begins"),  # without an agent it tumbles
+        (2.0, "f3", "ends"), (2.0, "tumbled-3", "ends"),
     ]  # fmt: skip
     assert results[1].values["deaths"] == {}  # nobody died who was not meant to
 
@@ -377,7 +379,7 @@ def test_a_killed_agent_does_not_end_the_run(tmp_path: Path) -> None:
         "--speed",
         "4",
         "--set",
-        "checks={ledger: balanced, middleware_loss: {at_most: 0}}",
+        "checks={ledger: balanced, middleware_loss: {at_most: 0}, tumbled: waived, deaths: {at_most: 1}}",
     ]
     with LiveRun(tmp_path / "runs", "paper", *arguments) as live:
         live.until_running()
@@ -388,8 +390,16 @@ def test_a_killed_agent_does_not_end_the_run(tmp_path: Path) -> None:
         assert "was killed by SIGKILL: its vehicle drifts without thrust" in live.said
         events = [event[1:] for event in told(live.directory)]
         # Where it tumbles depends on when it was killed, and that is wall time; it may do so after the end.
-        assert [event for event in events if event[0] != "lost-3"] == [("death-3", "begins"), ("death-3", "ends")]
-        assert [what for fault, what in events if fault == "lost-3"] in ([], ["begins", "ends"])
+        others = [event for event in events if not event[0].startswith("tumbled-")]
+        assert others == [("death-3", "begins"), ("death-3", "ends")]
+        assert (
+            next(
+                v
+                for v in json.loads((live.directory / "result.json").read_text("utf-8"))["checks"]
+                if v["check"] == "deaths"
+            )["value"]
+            == 1
+        )
 
 
 @pytest.mark.parametrize("name", ["one", "majority", "ring", "bridge"])

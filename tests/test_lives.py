@@ -115,7 +115,8 @@ EVERYTHING = (
 
 
 def run(folder: Path, *overrides: str, in_process: bool = True) -> Result:
-    scenario = load_scenario("paper", ["checks={ledger: balanced, middleware_loss: {at_most: 0}}", *overrides])
+    checks = "checks={ledger: balanced, middleware_loss: {at_most: 0}, tumbled: waived}"
+    scenario = load_scenario("paper", [checks, *overrides])
     return execute(scenario, Options(folder, in_process=in_process, quiet=True))
 
 
@@ -136,7 +137,7 @@ def test_deaths_and_restarts_are_the_same_everywhere(every: int, tmp_path: Path)
 
 def test_an_agent_that_is_killed_from_outside_may_be_restarted(tmp_path: Path) -> None:
     """It takes over at a round, is explained, and the script runs to the same digest."""
-    checks = "checks={ledger: balanced, middleware_loss: {at_most: 0}}"
+    checks = "checks={ledger: balanced, middleware_loss: {at_most: 0}, tumbled: waived, deaths: {at_most: 1}}"
     arguments = ["--duration", "12 s", "--speed", "4", "--set", checks, "--set", "profile=hardened"]
     with LiveRun(tmp_path / "runs", "paper", *arguments, "--set", "on_death=restart") as live:
         live.until_running()
@@ -157,7 +158,9 @@ def test_a_law_may_take_its_agent_with_it(module: Callable[[str], str], tmp_path
     law = module(failing(31, "raise ValueError('enough')").replace("==", ">=", 1))
     overrides = ["duration=1 s", f"controller={law}:Law", "on_controller_error=die"]
     alone, fleet = (run(tmp_path, *overrides, in_process=flag) for flag in (True, False))
-    assert [alone.status, fleet.status] == [Status.PASS] * 2, (fleet.reason, fleet.lines)
+    # Nobody asked for these deaths, and the verdict says so.
+    assert [alone.status, fleet.status] == [Status.CHECK_FAILED] * 2, (fleet.reason, fleet.lines)
+    assert [[v.check for v in r.verdicts if not v.passed] for r in (alone, fleet)] == [["deaths"]] * 2
     assert (alone.directory / "run.mcap").read_bytes() == (fleet.directory / "run.mcap").read_bytes()
     assert told(fleet.directory) == [(0.31, "death-2", "begins"), (1.0, "death-2", "ends")]
     for result in (alone, fleet):
@@ -165,7 +168,7 @@ def test_a_law_may_take_its_agent_with_it(module: Callable[[str], str], tmp_path
         assert any("ValueError: enough" in note for note in result.values["notes"])
     aborted = run(tmp_path, *overrides, "on_death=abort")
     assert (aborted.status, "ValueError: enough" in aborted.reason) == (Status.BROKEN, True)
-    again = run(tmp_path, *overrides, "duration=4 s", "on_death=restart")
+    again = run(tmp_path, *overrides, "duration=4 s", "on_death=restart", "checks.deaths={at_most: 4}")
     assert again.status is Status.PASS
     assert len(again.values["deaths"]["2"]) == 4  # three more lives, and each dies at its first sample
     assert "wait for everybody" in only_problem("on_controller_error=die", "network=ideal")

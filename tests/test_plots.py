@@ -117,11 +117,12 @@ def test_faults_are_shaded_and_named_on_every_time_axis(kind: str, runs: dict[st
         timed = [ax for ax in figure.axes if ax.get_subplotspec() is not None and ax.get_label() != "<colorbar>"]
         for ax in timed:
             shaded = {str(patch.get_gid()): patch for patch in ax.patches if str(patch.get_gid()).startswith("fault-")}
-            assert set(shaded) == {"fault-crash", "fault-cut"}, name
+            assert set(shaded) == {"fault-crash", "fault-cut", "fault-tumbled-2"}, name  # 2 is without an agent
+            assert shaded["fault-tumbled-2"].get_facecolor()[0] > shaded["fault-crash"].get_facecolor()[0]  # in red
             extent = shaded["fault-crash"].get_extents().transformed(ax.transData.inverted())
             assert (extent.x0, extent.x1) == pytest.approx((1.0, 2.0))
         named = [text.get_text() for text in timed[0].texts if text.get_gid() == "fault-name"]
-        assert named == ["crash", "cut"]
+        assert named == ["crash", "tumbled 2", "cut"]
         assert timed[-1].get_xlabel().startswith("time [s]")
 
 
@@ -466,7 +467,7 @@ def test_report_is_one_file_that_loads_nothing(directories: dict[str, Path], tmp
     assert values["digest"] in words
     for word in ("crash", "partition halves", "lost: dead receiver", "fleet run again.yaml", "piqp", "name: faulty"):
         assert word in words
-    assert "asks for no checks" in words
+    assert "tumbled FAIL" in words
 
 
 @pytest.fixture
@@ -546,7 +547,7 @@ def test_report_of_two_runs_with_verdicts_and_names_that_are_html(tmp_path: Path
     assert "&lt;b&gt;&amp;&lt;/b&gt;" in text
     assert "FAIL" in found.words and "check failed" in " ".join(found.words)
     assert "The runs together" in found.words
-    assert [w for w in found.words if w in ("checks passed", "0 of 1", "never")][:2] == ["checks passed", "0 of 1"]
+    assert [w for w in found.words if w in ("checks passed", "3 of 4", "never")][:2] == ["checks passed", "3 of 4"]
     assert len({run.label for run in both}) == 2
 
 

@@ -21,7 +21,7 @@ from world.tumble import tumbles
 from world.vehicle import Vec3
 
 STILL: Vec3 = (0.0, 0.0, 0.0)
-TUMBLED, DIVERGED = "tumbled", "diverged"  # in a memory; False is neither
+DIVERGED = "diverged"  # in a memory
 
 
 class NavTo(NamedTuple):
@@ -61,6 +61,7 @@ class Lockstep:
         self._tick_s = config.tick_ns / 1e9
         self._tumbles: dict[int, list[Tumble]] = {}  # who tumbled or came back, by the frame that tells it
         self._tumbled: set[int] = set()
+        self._spells: dict[int, tuple[int, int]] = {}  # how often each has tumbled, and since when the last time
         for i in self._ids:
             at_start = self.world.pitch(i)
             self._watch(i, 0, at_start, at_start)
@@ -159,8 +160,8 @@ class Lockstep:
 
     def resume(self, tick: int, memory: dict[str, Any]) -> None:
         """Go on at a tick with what was remembered before it in another run of the same vehicles."""
-        self._tumbled.clear()
-        self._tumbles.clear()
+        for told in (self._tumbled, self._tumbles, self._spells):
+            told.clear()
         for i, vehicle, tau, late, state, _ in memory["vehicles"]:
             self.world.remember(i, vehicle)
             self._tau[i] = (tau[0], tau[1], tau[2])
@@ -168,7 +169,9 @@ class Lockstep:
             if state == DIVERGED:
                 self._diverged.add(i)
             elif state:
-                self._tumbled.add(i)
+                tumbled, *spell = state
+                self._spells[i] = (spell[0], spell[1])
+                self._tumbled |= {i} if tumbled else set()
         self._absent = self._diverged | {i for i in self._ids if self.lives.without_agent(i, tick - 1)}
         self._life = {i: self.lives.incarnation(i, tick - 1) for i in self._ids}
         self._framed = tick
@@ -188,9 +191,11 @@ class Lockstep:
         whole = len(kept) == len(self._ids) and all(vehicle[-1] is not None for vehicle in kept.values())
         return msgpack.packb({"vehicles": [kept[i] for i in self._ids]}) if whole else b""
 
-    def _state(self, i: int) -> str | bool:
-        """What a memory says of vehicle i's motion."""
-        return DIVERGED if i in self._diverged else TUMBLED if i in self._tumbled else False
+    def _state(self, i: int) -> str | list[int] | bool:
+        """What a memory says of vehicle i: that it diverged; or whether it is tumbled, how often, since when."""
+        if i in self._diverged:
+            return DIVERGED
+        return [int(i in self._tumbled), *self._spells[i]] if i in self._spells else False
 
     def _effective(self, i: int, k: int, tau: tuple[float, ...]) -> tuple[float, ...]:
         """The command that takes effect at tick k: that of some ticks ago when the agent is slow."""
@@ -255,7 +260,9 @@ class Lockstep:
         tumbled = i in self._tumbled
         if tumbles(tumbled, self._limits[i], before, after, self._tick_s) != tumbled:
             self._tumbled ^= {i}
-            self._told(self._tumbles, k).append(Tumble(k, i, not tumbled))
+            if not tumbled:
+                self._spells[i] = self._spells.get(i, (0, 0))[0] + 1, k
+            self._told(self._tumbles, k).append(Tumble(k, i, not tumbled, self._spells[i][0]))
 
     def _start(self, i: int) -> list[Out]:
         """What vehicle i may do now: measure; or, when it has no agent or that is suspended, go on without it as far

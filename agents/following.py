@@ -1,0 +1,44 @@
+"""Where a vehicle that does not know the trajectory should be: what its neighbours say, and its place among them.
+
+| symbol | meaning | unit | frame |
+|---|---|---|---|
+| a_ij | weight of neighbour j | 1 | - |
+| Delta_ij(t) | desired offset, p_i - p_j | m | NED |
+| pos_j, vel_j | neighbour j's position now, as extrapolated, and its velocity when it sent | m, m/s | NED |
+
+The desired position is the weighted mean of pos_j + Delta_ij, the desired velocity that of vel_j + Delta_ij'. Who has
+heard nobody, or no longer counts anybody, should stay where it is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+
+from agents.api import NeighbourState
+from agents.trajectory import Motion, Offset
+from world.vehicle import Vec3
+
+
+def followed(position: Vec3, heard: Iterable[NeighbourState], offsets: Mapping[int, Offset], t: float) -> Motion:
+    """Where a vehicle should be at time t, and how it should move, by what it has heard.
+
+    Args:
+        position: its own [m, NED].
+        heard: its neighbours as it knows them.
+        offsets: Delta_ij(t) by neighbour.
+        t: time [s].
+    """
+    total = x = y = z = vx = vy = vz = 0.0
+    for j, a, (ox, oy, oz), (px, py, pz), (ux, uy, uz), _ in heard:
+        offset = offsets[j]
+        dx, dy, dz = offset.at(t).velocity if offset.changes else (0.0, 0.0, 0.0)
+        total += a
+        x += a * (px + ox)
+        y += a * (py + oy)
+        z += a * (pz + oz)
+        vx += a * (ux + dx)
+        vy += a * (uy + dy)
+        vz += a * (uz + dz)
+    if total == 0.0:
+        return Motion(position, (0.0, 0.0, 0.0))
+    return Motion((x / total, y / total, z / total), (vx / total, vy / total, vz / total))

@@ -189,10 +189,12 @@ def run(
         from fleet.table import show
 
         if not quiet:
+            from fleet.chance import HINT, NOTHING, chances
             from fleet.prospects import doubts
             from fleet.stability import analyse
 
-            for warning in [*analyse(loaded).warnings, *doubts(loaded)]:
+            idle = [f"--seed: {NOTHING}; {HINT}"] if seed is not None and not chances(loaded) else []
+            for warning in [*analyse(loaded).warnings, *doubts(loaded), *idle]:
                 terminal.print(f"warning: {warning}", highlight=False, markup=False, soft_wrap=True)
         meeting = cli_hosts.meeting(loaded, hosts, in_process=in_process or loaded.ideal or start is not None)
         for warning in meeting.warnings if meeting else ():
@@ -274,6 +276,7 @@ def check(scenario: str, overrides: tuple[str, ...]) -> None:
         loaded = load_scenario(scenario, overrides)
     except ScenarioError as error:
         _fail(error)
+    from fleet.chance import HINT, NOTHING, chances
     from fleet.faults import timeline
     from fleet.prospects import doubts
     from fleet.stability import analyse, report
@@ -289,6 +292,10 @@ def check(scenario: str, overrides: tuple[str, ...]) -> None:
         click.echo(line)
     for name, begin_s, end_s, what in timeline(loaded):
         click.echo(f"fault {name}: {what}, {begin_s:g} to {end_s:g} s")
+    drawn = chances(loaded)
+    click.echo(f"seed {loaded.seed} draws: {', '.join(drawn)}" if drawn else f"{NOTHING}; {HINT}")
+    if loaded.spec.expect == "fail":
+        click.echo("the run is meant to fail a check, and exits with 0 when it does (expect: fail)")
     for warning in [*found.warnings, *doubts(loaded)]:
         click.echo(f"warning: {warning}", err=True)
 
@@ -409,10 +416,10 @@ def list_() -> None:
     from fleet.scenario import list_scenarios
 
     table = Table(box=None, pad_edge=False)
-    for heading in ("scenario", "vehicles", "duration", "what one learns"):
+    for heading in ("scenario", "vehicles", "duration", "meant to", "what one learns"):
         table.add_column(heading, no_wrap=heading != "what one learns")
-    for name, title, vehicles, duration_s in list_scenarios():
-        table.add_row(name, str(vehicles), f"{duration_s:g} s", title)
+    for name, title, vehicles, duration_s, expect in list_scenarios():
+        table.add_row(name, str(vehicles), f"{duration_s:g} s", expect, title)
     Terminal(width=None if sys.stdout.isatty() else 120).print(table)
 
 

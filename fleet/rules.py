@@ -351,7 +351,7 @@ def _knowledge(spec: ScenarioSpec, report: Report) -> None:
         if not told and choice.neighbours.extrapolate == "reference" and choice.agent is None:
             entries = tuple(n for n in spec.per_vehicle if i in vehicle_numbers(n))
             at = report.origin(entries, "neighbours", "extrapolate") or ("knows_reference",)
-            text = f"vehicle {i} does not know the reference (knows_reference: false), along which to move what it heard"
+            text = f"vehicle {i} does not know the reference (knows_reference: false), so it cannot extrapolate by it"
             report.add(at, text, "use neighbours.extrapolate: neighbour, or hold")
             return
 

@@ -315,10 +315,10 @@ def _order(problem: Problem, source: Source, overrides: Sequence[str]) -> tuple[
     return rank, problem.line, problem.column
 
 
-def list_scenarios() -> list[tuple[str, str, int, float]]:
-    """(name, title, vehicles, duration in s) of every shipped scenario, by name."""
+def list_scenarios() -> list[tuple[str, str, int, float, str]]:
+    """(name, title, vehicles, duration in s, what it is meant to: pass or fail) of every shipped scenario, by name."""
     found = [load_scenario(name) for name in shipped()]
-    return [(s.name, s.title, s.vehicles, s.duration_ns / 1e9) for s in found]
+    return [(s.name, s.title, s.vehicles, s.duration_ns / 1e9, s.spec.expect) for s in found]
 
 
 def shipped() -> list[str]:

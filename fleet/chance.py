@@ -1,0 +1,54 @@
+"""What of a scenario depends on its seed. Where nothing does, every seed gives the same run."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from agents.controllers import BUILT_IN, laws
+from fleet.scenario import Scenario
+from netem.config import Condition
+from netem.faults import NetFault
+from world.faults import WorldFault
+
+DRAWN_PARTITIONS = frozenset({"one", "majority", "ring", "bridge"})
+NOTHING = "nothing in this scenario depends on the seed: every seed gives the same run"
+HINT = "initial: {scatter: 1 m}, sensors.position_noise or a loss would make seeds differ"
+
+
+def chances(scenario: Scenario) -> list[str]:
+    """What is drawn from the seed, in words; empty where nothing is."""
+    return list(dict.fromkeys(_chances(scenario)))
+
+
+def _chances(scenario: Scenario) -> Iterator[str]:
+    spec = scenario.spec
+    if spec.initial.scatter is not None and spec.initial.scatter.scatter > 0.0:
+        yield "initial scatter"
+    if spec.graph.shape == "random":
+        yield "random graph"
+    sensors = spec.sensors
+    if sensors.position_noise or sensors.angle_noise or sensors.velocity_noise or sensors.rate_noise:
+        yield "sensor noise"
+    if any(spec.sea.current.sigma):
+        yield "current"
+    if any(_drawn(condition) for condition in scenario.conditions.values()):
+        yield "link conditions"
+    acoustic = scenario.acoustic
+    if acoustic is not None and acoustic.mac == "aloha" and acoustic.backoff_ticks:
+        yield "backoff of aloha"
+    sections = zip((f.id or f"f{n}" for n, f in enumerate(spec.faults, start=1)), spec.faults, strict=True)
+    drawn = {name for name, section in sections if section.partition in DRAWN_PARTITIONS}
+    for part in scenario.faults.parts:
+        random = isinstance(part, NetFault) and part.condition is not None and _drawn(part.condition)
+        random |= isinstance(part, WorldFault) and part.kind in ("noise", "dropout")
+        random |= isinstance(part, WorldFault) and part.kind == "current" and any(part.values[3:6])
+        if random or part.id in drawn:
+            yield "faults"
+    for i in range(1, scenario.vehicles + 1):
+        if any(law.name not in BUILT_IN[kind] for kind, law in laws(scenario.agent_config(i)).items()):
+            yield "laws of yours, perhaps"
+
+
+def _drawn(c: Condition) -> bool:
+    chance = c.jitter_ns or c.loss or c.loss_model is not None or c.duplicate or c.corrupt or c.reorder
+    return bool(chance) and c.up

@@ -151,9 +151,7 @@ class Scenario:
             round_ticks=self.round_ticks,
             substeps=spec.physics.substeps,
             vehicles=tuple(
-                VehicleSetup(
-                    i, eta0, nu0, control.vehicle, control.tau_max, control.tumble_limit, self.layout(i).size
-                )
+                VehicleSetup(i, eta0, nu0, control.vehicle, control.tau_max, control.tumble_limit, self.layout(i).size)
                 for i, ((eta0, nu0), control) in enumerate(zip(self.initial, self.controls, strict=True), start=1)
             ),
             disturbance=disturbance.PAPER if spec.sea.disturbance == "paper" else (),

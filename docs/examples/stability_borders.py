@@ -1,0 +1,193 @@
+"""Are the limits that `fleet check` computes those of the simulation?
+
+    python docs/examples/stability_borders.py            # the table of docs/stability.md; an hour on one core
+    python docs/examples/stability_borders.py --quick    # a few rows
+
+Four vehicles start in formation but for a tenth of a millimetre. Per graph, period of rounds and gain the fleet runs twice, with
+the gain (or the delay) 5 % below the computed limit and 5 % above it, and the growth of its deviation is measured:
+below the limit it must decay, above it grow. The limit of the simulation is where the rate of growth passes zero,
+interpolated between the two.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
+from math import atan2, exp, hypot, log
+from typing import NamedTuple
+
+import numpy as np
+
+from fleet.border import linear_fleet
+from fleet.recording import record
+from fleet.scenario import Scenario, parse_scenario
+
+GRAPHS = {
+    "path": "{shape: path, ahead: 1.0, behind: 0.8}",
+    "ring": "{shape: ring, ahead: 1.0, behind: 0.8}",
+    "star": "{shape: star}",
+    "complete": "{shape: complete}",
+    "directed path": '{edges: {"1->2": 1.0, "2->3": 1.0, "3->4": 1.0}}',
+}
+PERIODS_MS = (10, 100, 200)
+GAINS = (0.3, 0.9)
+PLACES = ((0.0, 0.0), (0.0, -10.0), (10.0, -10.0), (10.0, 0.0))
+VELOCITY = (0.7, 0.1)
+SMALL = 1e-4  # m
+TEXT = """\
+title: A fleet in formation
+vehicles: 4
+duration: {duration} s
+reference: {{start: 5 1 5 m, velocity: 0.7 0.1 0 m/s}}
+formation: {{shape: grid}}
+graph: {graph}
+initial: {initial}
+vehicle: {{surge_force: 20 N, pitch_moment: 20 N m, yaw_moment: 20 N m}}
+on_death: abort
+controller: {controller}
+guidance: {{K0: {gain!r} {gain!r} {gain!r} 1/s}}
+neighbours: {{extrapolate: {extrapolate}}}
+network: {{period: {period} ms, links: {{"*": delay {delay}ms}}}}
+"""
+
+
+class Case(NamedTuple):
+    """One fleet."""
+
+    graph: str
+    period_ms: int
+    gain: float
+    delay_ms: int = 0
+    extrapolate: str = "neighbour"
+    controller: str = "nbc"
+
+
+def scenario(case: Case, duration: float = 10.0) -> Scenario:
+    """The fleet at its places, each vehicle off by a different small distance."""
+    initial = []
+    for i, (x, y) in enumerate(PLACES):
+        place = [5 + x + SMALL * (1, -1, 0.5, 0.2)[i], 1 + y + SMALL * (-0.5, 1, 0.3, -1)[i], 5 + SMALL * (1, -0.4, -1, 0.6)[i]]
+        course, speed = atan2(VELOCITY[1], VELOCITY[0]), hypot(*VELOCITY)
+        initial.append(f"{{position: {place[0]!r} {place[1]!r} {place[2]!r} m, yaw: {course!r} rad, surge: {speed!r} m/s}}")
+    values = case._asdict() | {
+        "graph": GRAPHS[case.graph], "initial": "[" + ", ".join(initial) + "]", "duration": duration,
+        "period": case.period_ms, "delay": case.delay_ms,
+    }  # fmt: skip
+    return parse_scenario(TEXT.format(**values), "border.yaml")
+
+
+def growth(case: Case, duration: float = 120.0) -> float:
+    """The rate [1/s] at which the deviation grows in a simulation; negative: it decays."""
+    run = record(scenario(case, duration))
+    deviation = np.linalg.norm(run["formation"], axis=(1, 2))
+    # From when the start is forgotten, until it is no longer small or is lost in rounding.
+    end = np.argmax((deviation > 0.05) | ~np.isfinite(deviation)) or len(deviation)
+    begin = min(len(deviation) // 4, end // 2)
+    blocks = [block.max() for block in np.array_split(deviation[begin:end], 12)]
+    kept = [(n, value) for n, value in enumerate(blocks) if value > 1e-11]
+    if len(kept) < 4:
+        return float("-inf")
+    slope = np.polyfit([n for n, _ in kept], np.log([value for _, value in kept]), 1)[0]
+    return float(slope * 12 / ((end - begin) * run.scenario.tick_ns / 1e9))
+
+
+class Row(NamedTuple):
+    """A border, computed and simulated."""
+
+    case: Case
+    what: str
+    unit: str
+    computed: float
+    loop: str
+    frequency_hz: float
+    low: float  # 0.95 of it, in whole ticks where it is a delay
+    high: float
+    low_rate: float  # 1/s
+    high_rate: float
+
+    @property
+    def holds(self) -> bool:
+        """Whether the simulation decays below the computed border and grows above it."""
+        return self.low_rate < 0.0 < self.high_rate
+
+    @property
+    def simulated(self) -> float:
+        """Where the rate of growth passes zero; NaN when it does not."""
+        if not self.holds or not np.isfinite(self.low_rate):
+            return float("nan")
+        return self.low - self.low_rate * (self.high - self.low) / (self.high_rate - self.low_rate)
+
+
+def gain_row(case: Case) -> Row:
+    """The border of the gain."""
+    fleet = linear_fleet(scenario(case))
+    border = fleet.gain_border(case.gain)
+    low, high = 0.95 * border, 1.05 * border
+    rates = [growth(case._replace(gain=gain)) for gain in (low, high)]
+    mode = fleet.mode(border)
+    return Row(case, "gain", "1/s", border, mode.loop, mode.frequency_hz, low, high, rates[0], rates[1])
+
+
+def delay_row(case: Case) -> Row | None:
+    """The border of the delay; None when there is none."""
+    fleet = linear_fleet(scenario(case))
+    border = fleet.delay_border(case.gain)
+    if not border:
+        return None
+    tick = round(1e3 * fleet.tick_s)
+    low, high = min(int(0.95 * border), border - 1) * tick, max(-int(-1.05 * border // 1), border + 2) * tick
+    rates = [growth(case._replace(delay_ms=delay)) for delay in (low, high)]
+    mode = fleet.mode(case.gain, border)
+    return Row(
+        case, "delay", "s", (border + 0.5) * tick / 1e3, mode.loop, mode.frequency_hz, low / 1e3, high / 1e3, rates[0], rates[1]
+    )
+
+
+def cases() -> Iterator[tuple[str, Case]]:
+    """Every row of the table."""
+    for graph in GRAPHS:
+        for period in PERIODS_MS:
+            yield "gain", Case(graph, period, 1.0)
+            for gain in GAINS:
+                yield "delay", Case(graph, period, gain)
+
+
+def row(asked: tuple[str, Case]) -> Row | None:
+    """One row of the table."""
+    what, case = asked
+    return gain_row(case) if what == "gain" else delay_row(case)
+
+
+def line(found: Row) -> str:
+    """A row in Markdown."""
+    case = found.case
+    gain = "" if found.what == "gain" else f"{case.gain:g}"
+    off = f"{100.0 * (found.simulated / found.computed - 1.0):+.1f} %"
+    return (
+        f"| {case.graph} | {case.period_ms} | {found.what} | {gain} | {found.computed:.3f} {found.unit} | {found.loop}, "
+        f"{found.frequency_hz:.2f} Hz | {found.low_rate:+.4f} | {found.high_rate:+.4f} | {found.simulated:.3f} | {off} |"
+    )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--quick", action="store_true", help="a few rows")
+    parser.add_argument("--jobs", type=int, default=1)
+    asked = parser.parse_args()
+    table = list(cases())[:: 12 if asked.quick else 1]
+    print("| graph | round [ms] | limit of | at K | computed | loop | rate at 0.95 | at 1.05 | simulated | off |")
+    print("|---|---|---|---|---|---|---|---|---|---|")
+    wrong = 0
+    with ProcessPoolExecutor(asked.jobs) as pool:
+        for found in pool.map(row, table):
+            if found is not None:
+                print(line(found), flush=True)
+                wrong += not found.holds
+    print(f"\n{wrong} of them not within 5 %")
+    sys.exit(1 if wrong else 0)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,341 @@
+"""Where the linearised fleet becomes unstable: gain and delay at which deviations from the formation stop decaying.
+
+| symbol | meaning | unit |
+|---|---|---|
+| s_i, y_i = (p_i, v_i) | deviation of vehicle i and its laws; of its position and velocity, which it sends | path axes |
+| F, G, C | one vehicle over one tick, `fleet.linear` | |
+| K | gain of the virtual control | 1/s |
+| c_i = sum_j a_ij + b_i | total weight of the consensus error | 1 |
+| m, d | ticks per round, delay of a link in ticks | tick |
+| z | one round | |
+| P_i = (F + c_i G K C_p)^m | vehicle i over one round, its neighbours at their places | |
+| S_ij(z) | what the messages of j do to s_i in one round, per y_j | |
+| T(z) = -a_ij C (z - P_i)^-1 S_ij(z) | from all the y that were sent to all the y | |
+
+At phase f of a round (f = 0 .. m - 1) agent i uses the message that j sent h = -floor((f - d) / m) rounds ago. It is
+f + h m ticks old, and dead reckoning with the neighbour's velocity adds v_j times that age. Hence the sawtooth:
+S_ij(z) = sum over f of (F + c_i G K C_p)^(m-1-f) G K (p_j + age v_j) z^-h, exactly, hold and delay included.
+
+The fleet is unstable if det(I - T(z)) has a zero outside the unit circle, or if some P_i has an eigenvalue there
+that none cancels. With w = 1/z the function prod det(I - w P_i) det(I - T) is analytic within |w| <= 1, so the number of
+unstable modes is the number of unstable eigenvalues of the P_i plus the turns of det(I - T) around 0 along the unit
+circle (argument principle). Long delays cost nothing this way: they are factors z^-h.
+
+Left out: loss, jitter, noise, disturbance, limits of the actuators, and everything nonlinear. A gain that is optimised is
+taken as held: in the formation e = 0, and how the gain depends on e is of second order in rho = v_d - K e.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import atan2, cos, pi, sin
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from fleet.linear import Array, Flight, Linear, NotLinear, linearise
+from fleet.scenario import Scenario
+from fleet.tuning import Control
+from netem.config import Condition
+from world.vehicle import Vec3
+
+MOST_VEHICLES = 24  # beyond it the computation takes seconds, and only the rules of thumb are told
+LEAST_GAIN, MOST_GAIN = 1e-3, 50.0  # 1/s, between which a border is looked for
+MOST_DELAY_S = 10.0
+FINE = 0.002  # of a border, relative
+LIVE = 30.0  # rad/s: the loops of the vehicles are slower
+
+Complex = np.ndarray[Any, np.dtype[np.complex128]]
+LOOPS = ("speed", "course", "pitch")  # they move a vehicle ahead, to starboard, down
+
+
+class Link(NamedTuple):
+    """A link into a vehicle."""
+
+    sender: int  # counted from 0
+    weight: float  # a_ij
+    delay: int  # d [ticks]
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Member:
+    """A vehicle in the fleet's linear map."""
+
+    linear: Linear
+    b: float
+    links: tuple[Link, ...]
+    reckons: bool  # whether it extrapolates with the velocity that a neighbour sent
+    age_cap: int | None  # ticks
+    pattern: Array  # (3, 3): K is a number times this, path axes
+
+    @property
+    def c(self) -> float:
+        """Total weight of its consensus error."""
+        return self.b + sum(link.weight for link in self.links)
+
+
+class Mode(NamedTuple):
+    """How the fleet moves at its border."""
+
+    frequency_hz: float
+    loop: str  # one of LOOPS
+
+
+@dataclass(frozen=True, slots=True)
+class LinearFleet:
+    """The fleet at any gain, and with any delay that all links share."""
+
+    members: tuple[Member, ...]
+    m: int
+    tick_s: float
+
+    def unstable(self, gain: float, delay: int | None = None) -> int:
+        """How many modes grow at a gain K [1/s]; `delay` [ticks] in place of that of each link."""
+        return self._survey(gain, delay)[0]
+
+    def mode(self, gain: float, delay: int | None = None) -> Mode:
+        """The mode that is nearest to growing, or to decaying."""
+        _, angles, parts = self._survey(gain, delay)
+        nearest = []
+        for axes, part in parts:
+            _, values, right = np.linalg.svd(part)
+            at = int(np.argmin(values[:, -1]))
+            shape = np.abs(right[at, -1]).reshape(len(self.members), -1, len(axes))[:, 0]
+            loop = LOOPS[axes[int(np.argmax((shape**2).sum(axis=0)))]]
+            nearest.append((float(values[at, -1]), float(angles[at]), loop))
+        _, angle, loop = min(nearest)
+        return Mode(angle / (2.0 * pi * self.m * self.tick_s), loop)
+
+    def gain_border(self, start: float, delay: int | None = None) -> float:
+        """The gain [1/s] from which on a mode grows, sought from `start`; 0: at every gain, inf: at none."""
+        low = high = start
+        if self.unstable(start, delay):
+            while self.unstable(low := low / 1.3, delay):
+                high = low
+                if low < LEAST_GAIN:
+                    return 0.0
+        else:
+            while not self.unstable(high := high * 1.3, delay):
+                low = high
+                if high > MOST_GAIN:
+                    return float("inf")
+        while high - low > FINE * low:
+            middle = 0.5 * (low + high)
+            low, high = (low, middle) if self.unstable(middle, delay) else (middle, high)
+        return 0.5 * (low + high)
+
+    def delay_border(self, gain: float) -> int | None:
+        """The longest delay of all links [ticks] at which every mode decays; 0: not even without, None: any."""
+        low, high = 0, 1
+        while not self.unstable(gain, high):
+            low, high = high, 2 * high
+            if low * self.tick_s >= MOST_DELAY_S:
+                return None
+        while high - low > max(1, FINE * low):
+            middle = (low + high) // 2
+            low, high = (low, middle) if self.unstable(gain, middle) else (middle, high)
+        return low
+
+    def _survey(self, gain: float, delay: int | None) -> tuple[int, Array, list[tuple[tuple[int, ...], Complex]]]:
+        """How many modes grow; angles of z on the unit circle; I - T there, split into axes that do not mix."""
+        rows, alone = self._rows(gain, delay)
+        live = min(pi, LIVE * self.m * self.tick_s)
+        oldest = max([delay or 0, *(link.delay for member in self.members for link in member.links)]) / self.m + 1.0
+        even = int(max(50.0, live * oldest / 0.3))
+        angles = np.concatenate(
+            [[0.0], np.geomspace(1e-4 * live, live / even, 30), np.linspace(2.0, even, even - 1) * (live / even)]
+        )
+        if live < pi:
+            angles = np.concatenate([angles, np.linspace(live, pi, 20)[1:]])
+        loop = self._loop(rows, angles)
+        groups = _groups(loop)
+        for _ in range(40):
+            parts = [(axes, _part(loop, axes)) for axes in groups]
+            found = [np.linalg.slogdet(part) for _, part in parts]
+            coarse = np.zeros(len(angles) - 1, bool)
+            for sign, size in found:
+                coarse |= (np.abs(np.angle(sign[1:] / sign[:-1])) > 0.6) | (np.abs(np.diff(size)) > 0.7)
+            # Neighbours, too: two points that mirror each other about a double zero do not see it.
+            wide = coarse.copy()
+            wide[1:] |= coarse[:-1]
+            wide[:-1] |= coarse[1:]
+            wide &= np.diff(angles) > 1e-8
+            if not wide.any():
+                break
+            new = 0.5 * (angles[1:] + angles[:-1])[wide]
+            order = np.argsort(np.concatenate([angles, new]))
+            loop = np.concatenate([loop, self._loop(rows, new)])[order]
+            angles = np.concatenate([angles, new])[order]
+        turn = sum(float(np.angle(sign[1:] / sign[:-1]).sum()) for sign, _ in found)
+        return alone - round(turn / pi), angles, parts
+
+    def _rows(self, gain: float, delay: int | None) -> tuple[list[_Row], int]:
+        """What each vehicle makes of the messages; and how many of the P_i's eigenvalues are unstable."""
+        outputs = 6 if any(member.reckons for member in self.members) else 3
+        kinds: dict[Any, _Kind] = {}
+        rows, alone = [], 0
+        for member in self.members:
+            c = member.c
+            key = (id(member.linear), round(c, 9), member.reckons, member.age_cap, member.pattern.tobytes())
+            if key not in kinds:
+                kinds[key] = _Kind(member, gain, self.m, self.tick_s, outputs)
+            kind = kinds[key]
+            alone += kind.unstable
+            links = [(link.sender, link.weight, link.delay if delay is None else delay) for link in member.links]
+            rows.append(_Row(kind, links))
+        return rows, alone
+
+    def _loop(self, rows: list[_Row], angles: Array) -> Complex:
+        """I - T(z) for z = exp(i angle): (angle, vehicle, output, vehicle, output)."""
+        z = np.exp(1j * angles)
+        N, outputs = len(rows), rows[0].kind.outputs
+        loop = np.zeros((len(z), N, outputs, N, outputs), complex)
+        answers: dict[tuple[int, int], Complex] = {}
+        resolvents: dict[int, Complex] = {}
+        for i, row in enumerate(rows):
+            loop[:, i, range(outputs), i, range(outputs)] += 1.0
+            kind = row.kind
+            for sender, weight, delay in row.links:
+                if (id(kind), delay) not in answers:
+                    if id(kind) not in resolvents:
+                        resolvents[id(kind)] = kind.resolvent(z)
+                    answers[id(kind), delay] = kind.answer(resolvents[id(kind)], z, delay)
+                loop[:, i, :, sender, :] += weight * answers[id(kind), delay]
+        return loop
+
+
+class _Kind:
+    """A vehicle over one round, with its own feedback; the same for all that differ in their neighbours alone."""
+
+    def __init__(self, member: Member, gain: float, m: int, tick_s: float, outputs: int) -> None:
+        F, G, C, _ = member.linear
+        self.m, self.outputs = m, outputs
+        self._C = C[:outputs]
+        K = gain * member.pattern
+        own = F + member.c * G @ K @ C[:3]
+        # What an error at phase f has become at the end of the round: own^(m-1-f) G K.
+        self._later = np.empty((m, len(F), 3))
+        after = G @ K
+        for f in range(m - 1, -1, -1):
+            self._later[f] = after
+            after = own @ after
+        self._P = np.linalg.matrix_power(own, m)
+        self.unstable = int((np.abs(np.linalg.eigvals(self._P)) > 1.0).sum())
+        self._reckons, self._cap, self._tick_s = member.reckons, member.age_cap, tick_s
+
+    def resolvent(self, z: Complex) -> Complex:
+        """C (z - P)^-1 at every z."""
+        matrices = z[:, None, None] * np.eye(len(self._P)) - self._P.T
+        return np.swapaxes(np.linalg.solve(matrices, self._C.T.astype(complex)), 1, 2)
+
+    def answer(self, resolvent: Complex, z: Complex, delay: int) -> Complex:
+        """C (z - P)^-1 S(z) for a link with a delay [ticks]."""
+        total = np.zeros((len(z), self.outputs, self.outputs), complex)
+        phases = np.arange(self.m)
+        back = -((phases - delay) // self.m)  # rounds since the message in use was sent
+        ages = phases + back * self.m
+        if self._cap is not None:
+            ages = np.minimum(ages, self._cap)
+        for h in np.unique(back):
+            used = self._later[back == h]
+            S = np.zeros((len(self._P), self.outputs))
+            S[:, :3] = used.sum(axis=0)
+            if self._reckons:
+                S[:, 3:] = np.tensordot(ages[back == h] * self._tick_s, used, 1)
+            total += (z ** float(-h))[:, None, None] * (resolvent @ S)
+        return total
+
+
+class _Row(NamedTuple):
+    """What a vehicle hears."""
+
+    kind: _Kind
+    links: list[tuple[int, float, int]]  # sender, weight, delay [ticks]
+
+
+def _groups(loop: Complex) -> list[tuple[int, ...]]:
+    """The axes, taken together where they mix."""
+    points, N, outputs = loop.shape[:3]
+    size = np.abs(loop).reshape(points, N, outputs // 3, 3, N, outputs // 3, 3).max(axis=(0, 1, 2, 4, 5))
+    mixed = size + size.T > 1e-6 * size.max()
+    if mixed[1, 0] or mixed[1, 2]:
+        return [(0, 1, 2)]
+    return [(0, 2), (1,)] if mixed[0, 2] else [(0,), (1,), (2,)]
+
+
+def _part(loop: Complex, axes: tuple[int, ...]) -> Complex:
+    """The rows and columns of some axes, as square matrices."""
+    points, N, outputs = loop.shape[:3]
+    chosen = [3 * kind + axis for kind in range(outputs // 3) for axis in axes]
+    return loop[:, :, chosen][:, :, :, :, chosen].reshape(points, N * len(chosen), N * len(chosen))
+
+
+def linear_fleet(scenario: Scenario) -> LinearFleet:
+    """The linear map of a scenario's fleet, without loss, jitter, noise, disturbance and faults.
+
+    Raises:
+        NotLinear: there is none; the message says why.
+    """
+    if scenario.vehicles > MOST_VEHICLES:
+        raise NotLinear(f"more than {MOST_VEHICLES} vehicles")
+    if scenario.acoustic is not None:
+        raise NotLinear("what is heard over an acoustic channel has no fixed age")
+    gains = [gains_of(control) for control in scenario.controls]
+    if foreign := [i for i, gain in enumerate(gains, start=1) if gain is None]:
+        raise NotLinear(f"vehicle {foreign[0]} runs a law that is not one of those that ship")
+    largest = max(max(gain) for gain in gains if gain is not None)
+    velocity = scenario.reference.at(0.0).velocity
+    course = atan2(velocity[1], velocity[0])
+    c, s = cos(course), sin(course)
+    turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])  # path to NED
+    known: dict[Any, Linear] = {}
+    members = []
+    for i, (control, gain) in enumerate(zip(scenario.controls, gains, strict=True), start=1):
+        key = (control.tracking_law.name, control.tracking, control.model, control.vehicle, control.tau_max)
+        if key not in known:
+            known[key] = linearise(
+                Flight(
+                    scenario.agent_config(i), control.vehicle, scenario.tick_ns / 1e9,
+                    scenario.spec.physics.substeps, velocity, scenario.spec.sea.current.mean,
+                )
+            )  # fmt: skip
+        linear = known[key]
+        bounds = control.guidance
+        inside = all(lo < v < hi for lo, v, hi in zip(bounds.rho_lo, linear.rho, bounds.rho_hi, strict=True))
+        if control.guidance_law.name == "optimal" and not inside:
+            raise NotLinear("the formation's velocity is not within guidance.rho_lo and rho_hi")
+        links = tuple(
+            Link(j - 1, weight, _delay_ticks(scenario, (j, i))) for j, weight in scenario.graph.neighbours(i)
+        )
+        oldest = max((link.delay for link in links), default=0) + scenario.round_ticks - 1
+        if control.drop_after_s and oldest * scenario.tick_ns / 1e9 > control.drop_after_s:
+            raise NotLinear("neighbours.drop_after leaves neighbours out between two messages")
+        age_cap = round(control.age_cap_s * 1e9 / scenario.tick_ns) if control.age_cap_s else None
+        members.append(
+            Member(
+                linear, scenario.b[i - 1], links, control.extrapolation == "neighbour", age_cap,
+                turn.T @ np.diag(np.array(gain) / largest) @ turn,
+            )
+        )  # fmt: skip
+    return LinearFleet(tuple(members), scenario.round_ticks, scenario.tick_ns / 1e9)
+
+
+def gains_of(control: Control) -> Vec3 | None:
+    """The largest gains K [1/s, NED] that can occur; None for a law that is not ours."""
+    if not control.cascade:
+        return None
+    match control.guidance_law.name:
+        case "optimal":
+            return (control.guidance.k_max,) * 3
+        case "fixed":
+            return control.guidance.K0
+        case _:
+            return None
+
+
+def _delay_ticks(scenario: Scenario, link: tuple[int, int]) -> int:
+    """After how many ticks at most a message can be used, without loss."""
+    if scenario.ideal:
+        return 0
+    condition = scenario.conditions.get(link, Condition())
+    return max(1, -(-(condition.delay_ns + condition.jitter_ns) // scenario.tick_ns))

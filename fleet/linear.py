@@ -1,0 +1,186 @@
+"""One vehicle and its control laws, linearised around steady flight in formation.
+
+| symbol | meaning | unit | frame |
+|---|---|---|---|
+| v_d | velocity of the formation | m/s | path: ahead, to starboard, down |
+| s | deviation of vehicle and laws from steady flight | - | path |
+| K e | what the gain makes of the consensus error: rho = v_d - K e | m/s | path |
+| y = (p, v) | deviation of position and of velocity over ground | m, m/s | path |
+| F, G, C | s(k + 1) = F s(k) + G K e(k), y = C s | - | |
+
+The map over one tick is not derived by hand: the laws' own `step` and the integrator are differentiated by central
+differences. So whatever runs (derivative filters, shunting model, hold, RK4) is in it. The gain is outside: one
+linearisation serves every gain. Path axes are NED turned about the vertical by the course of v_d.
+
+What has a corner at steady flight is not linear there: limits that are reached, slew, a boundary layer of 0. Limits and
+slew are inactive for small deviations; the boundary layer of sliding mode is above 0, and inside it the law is linear.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from math import atan2, cos, hypot, sin
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from agents.api import Sample
+from agents.command import clip
+from agents.config import AgentConfig, Law
+from agents.controllers import TRACKING, Cascade
+from agents.kinematics import earth_velocity
+from agents.trajectory import Motion
+from fleet.errors import FleetError
+from world.dynamics import CALM, coefficients, rk4_step
+from world.vehicle import Vec3, Vec5, VehicleParams
+
+Array = np.ndarray[Any, np.dtype[np.float64]]
+
+STEP = 1e-6  # of the central differences: m, rad, m/s and so on
+STEADY = 1e-9  # what may be left per tick of a motion that is called steady
+_PLANT = 10  # x, y, z, theta, psi, u, v, w, q, r
+_CALM5: Vec5 = (0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+class NotLinear(FleetError):
+    """There is no steady flight to linearise around, or a law that is not ours."""
+
+
+class Flight(NamedTuple):
+    """What the linearisation of a vehicle depends on."""
+
+    config: AgentConfig  # tracking law, its parameters, the model that it uses; not guidance
+    truth: VehicleParams
+    tick_s: float
+    substeps: int
+    velocity: Vec3  # v_d [m/s, NED]
+    current: Vec3  # [m/s, NED]
+
+
+class Linear(NamedTuple):
+    """The map of one vehicle over one tick."""
+
+    F: Array  # (n, n)
+    G: Array  # (n, 3)
+    C: Array  # (6, n)
+    rho: Vec3  # what guidance commands in steady flight [m/s, NED]
+
+
+def linearise(flight: Flight) -> Linear:
+    """The linear map of a vehicle.
+
+    Raises:
+        NotLinear: a tracking law that is not ours, or no steady flight at this velocity.
+    """
+    if flight.config.tracking_law.name not in TRACKING:
+        raise NotLinear(f"the tracking law {flight.config.tracking_law.name} is not one of those that ship")
+    vx, vy, vz = flight.velocity
+    course = atan2(vy, vx)
+    v_d = (hypot(vx, vy), 0.0, vz)
+    step, s = _motion(flight, v_d, _turned(flight.current, -course))
+    drift = np.zeros(len(s))
+    drift[:3] = np.array(v_d) * flight.tick_s
+    e = np.zeros(3)
+    # Newton: the state but for its position, and the error, such that a tick changes the position by v_d alone.
+    for _ in range(12):
+        left = step(s, e) - s - drift
+        if np.abs(left).max() < STEADY:
+            break
+        F, G = _derivatives(step, s, e)
+        J = np.hstack([(F - np.eye(len(s)))[:, 3:], G])
+        change = np.linalg.lstsq(J, -left, rcond=None)[0]
+        s[3:] += change[:-3]
+        e += change[-3:]
+    else:
+        raise NotLinear(f"no steady flight at {hypot(*v_d):.4g} m/s")
+    F, G = _derivatives(step, s, e)
+    C = np.zeros((6, len(s)))
+    C[:3, :3] = np.eye(3)
+    for column in range(3, _PLANT):
+        ahead, behind = s.copy(), s.copy()
+        ahead[column] += STEP
+        behind[column] -= STEP
+        C[3:, column] = (_velocity(ahead) - _velocity(behind)) / (2.0 * STEP)
+    # What a step only overwrites is no state.
+    matters = np.abs(F).max(axis=0) + np.abs(C).max(axis=0) > 1e-12
+    rho = _turned((v_d[0] - e[0], v_d[1] - e[1], v_d[2] - e[2]), course)
+    return Linear(F[np.ix_(matters, matters)], G[matters], C[:, matters], rho)
+
+
+Step = Callable[[Array, Array], Array]
+
+
+def _motion(flight: Flight, v_d: Vec3, current: Vec3) -> tuple[Step, Array]:
+    """One tick of vehicle and laws as a function of (s, K e), and the state to start the search from."""
+    # The fixed guidance with a gain of 1 and without slew is rho = v_d - K e, and nothing else.
+    guidance = replace(flight.config.guidance, K0=(1.0, 1.0, 1.0), slew=0.0)
+    config = replace(flight.config, guidance_law=Law("fixed"), guidance=guidance)
+    high = config.tau_max
+    low = (-high[0], -high[1], -high[2])
+    k = coefficients(flight.truth)
+    h = flight.tick_s / flight.substeps
+    cascade = Cascade(config, [])
+    desired = Motion((0.0, 0.0, 0.0), v_d)
+
+    def decide(s: Array, Ke: Array) -> Vec3:
+        x, y, z, theta, psi, u, v, w, q, r = s[:_PLANT].tolist()
+        eta, nu = (x, y, z, theta, psi), (u, v, w, q, r)
+        e = (float(Ke[0]), float(Ke[1]), float(Ke[2]))
+        sample = Sample(0, 0.0, flight.tick_s, eta, nu, earth_velocity(eta, nu), desired, (), e, 1.0, "")
+        return clip(cascade.step(sample)[0], low, high)
+
+    plant = np.array([0.0, 0.0, 0.0, -atan2(v_d[2], v_d[0]), 0.0, hypot(*v_d), 0.0, 0.0, 0.0, 0.0])
+    decide(plant, np.zeros(3))  # now the memory of the laws has its shape
+    shape = cascade.state()
+
+    def step(s: Array, Ke: Array) -> Array:
+        cascade.restore(_filled(shape, iter(s[_PLANT:].tolist())))
+        tau = decide(s, Ke)
+        state = tuple(s[:_PLANT].tolist())
+        for _ in range(flight.substeps):
+            state = rk4_step(k, state, tau, (_CALM5, _CALM5, _CALM5), h, current)
+        return np.array([*state, *_numbers(cascade.state())])
+
+    return step, np.array([*plant, *_numbers(shape)])
+
+
+def _derivatives(step: Step, s: Array, e: Array) -> tuple[Array, Array]:
+    def central(of: Callable[[Array], Array], size: int) -> Array:
+        shifts = STEP * np.eye(size)
+        return np.array([(of(shift) - of(-shift)) / (2.0 * STEP) for shift in shifts]).T
+
+    return central(lambda shift: step(s + shift, e), len(s)), central(lambda shift: step(s, e + shift), 3)
+
+
+def _velocity(s: Array) -> Array:
+    _, _, _, theta, psi, u, v, w, q, r = s[:_PLANT].tolist()
+    return np.array(earth_velocity((0.0, 0.0, 0.0, theta, psi), (u, v, w, q, r)))
+
+
+def _numbers(memory: Any) -> Iterator[float]:
+    """Every number in plain values, in order."""
+    if isinstance(memory, dict):
+        for value in memory.values():
+            yield from _numbers(value)
+    elif isinstance(memory, list):
+        for value in memory:
+            yield from _numbers(value)
+    else:
+        yield float(memory)
+
+
+def _filled(shape: Any, numbers: Iterator[float]) -> Any:
+    """The inverse of `_numbers`: plain values of the same shape with other numbers."""
+    if isinstance(shape, dict):
+        return {key: _filled(value, numbers) for key, value in shape.items()}
+    if isinstance(shape, list):
+        return [_filled(value, numbers) for value in shape]
+    return next(numbers)
+
+
+def _turned(vector: Vec3, angle: float) -> Vec3:
+    """A vector [NED] turned about the vertical."""
+    x, y, z = vector
+    c, s = cos(angle), sin(angle)
+    return c * x - s * y, s * x + c * y, z

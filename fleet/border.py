@@ -27,6 +27,7 @@ taken as held: in the formation e = 0, and how the gain depends on e is of secon
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import atan2, cos, pi, sin
 from typing import Any, NamedTuple
@@ -35,15 +36,15 @@ import numpy as np
 
 from fleet.linear import Array, Flight, Linear, NotLinear, linearise
 from fleet.scenario import Scenario
-from fleet.tuning import Control
 from netem.config import Condition
 from world.vehicle import Vec3
 
-MOST_VEHICLES = 24  # beyond it the computation takes seconds, and only the rules of thumb are told
+MOST_VEHICLES = 12  # beyond it the computation takes seconds, and only the rules of thumb are told
 LEAST_GAIN, MOST_GAIN = 1e-3, 50.0  # 1/s, between which a border is looked for
 MOST_DELAY_S = 10.0
 FINE = 0.002  # of a border, relative
 LIVE = 30.0  # rad/s: the loops of the vehicles are slower
+SLOW = 0.2  # rad/s
 
 Complex = np.ndarray[Any, np.dtype[np.complex128]]
 LOOPS = ("speed", "course", "pitch")  # they move a vehicle ahead, to starboard, down
@@ -90,19 +91,26 @@ class LinearFleet:
     tick_s: float
 
     def unstable(self, gain: float, delay: int | None = None) -> int:
-        """How many modes grow at a gain K [1/s]; `delay` [ticks] in place of that of each link."""
+        """How many modes grow at a gain K [1/s], the largest of all vehicles and axes; `delay` [ticks] in place of that of each link."""
         return self._survey(gain, delay)[0]
 
     def mode(self, gain: float, delay: int | None = None) -> Mode:
-        """The mode that is nearest to growing, or to decaying."""
+        """The oscillation that is nearest to growing, or to decaying.
+
+        Modes that creep (below SLOW) are left out: det(I - T(1)) is not 0 where L + B is regular, so none of them can
+        be the one that begins to grow.
+        """
         _, angles, parts = self._survey(gain, delay)
+        first = int(np.searchsorted(angles, min(SLOW * self.m * self.tick_s, 1.0)))
         nearest = []
         for axes, part in parts:
-            _, values, right = np.linalg.svd(part)
+            size = np.linalg.slogdet(part)[1]
+            dips = [n for n in range(first, len(angles)) if size[n] <= size[max(n - 1, first) : n + 2].min()]
+            _, values, right = np.linalg.svd(part[dips])
             at = int(np.argmin(values[:, -1]))
             shape = np.abs(right[at, -1]).reshape(len(self.members), -1, len(axes))[:, 0]
             loop = LOOPS[axes[int(np.argmax((shape**2).sum(axis=0)))]]
-            nearest.append((float(values[at, -1]), float(angles[at]), loop))
+            nearest.append((float(values[at, -1]), float(angles[dips[at]]), loop))
         _, angle, loop = min(nearest)
         return Mode(angle / (2.0 * pi * self.m * self.tick_s), loop)
 
@@ -125,16 +133,24 @@ class LinearFleet:
         return 0.5 * (low + high)
 
     def delay_border(self, gain: float) -> int | None:
-        """The longest delay of all links [ticks] at which every mode decays; 0: not even without, None: any."""
-        low, high = 0, 1
-        while not self.unstable(gain, high):
-            low, high = high, 2 * high
-            if low * self.tick_s >= MOST_DELAY_S:
+        """The shortest delay of all links [ticks] at which a mode grows; None: none within MOST_DELAY_S.
+
+        Under rounds a little more delay can make an unstable fleet stable again, because the ages within a round
+        begin anew. So the delays are gone through, in steps that such an island does not fit into.
+        """
+        reckons = any(member.reckons for member in self.members)
+        stable, delay = 0, 1
+        while not self.unstable(gain, delay):
+            if delay * self.tick_s >= MOST_DELAY_S:
                 return None
-        while high - low > max(1, FINE * low):
-            middle = (low + high) // 2
-            low, high = (low, middle) if self.unstable(gain, middle) else (middle, high)
-        return low
+            stable = delay
+            # Without dead reckoning by velocities no delay is known to matter.
+            step = int(0.03 * delay) if reckons else delay
+            delay += max(1, min(step, self.m // 8) if reckons and self.m >= 16 else step)
+        while delay - stable > 1:
+            middle = (stable + delay) // 2
+            stable, delay = (stable, middle) if self.unstable(gain, middle) else (middle, delay)
+        return delay
 
     def _survey(self, gain: float, delay: int | None) -> tuple[int, Array, list[tuple[tuple[int, ...], Complex]]]:
         """How many modes grow; angles of z on the unit circle; I - T there, split into axes that do not mix."""
@@ -148,13 +164,13 @@ class LinearFleet:
         if live < pi:
             angles = np.concatenate([angles, np.linspace(live, pi, 20)[1:]])
         loop = self._loop(rows, angles)
-        groups = _groups(loop)
+        groups = _groups(loop[::10])
+        parts = [_part(loop, axes) for axes in groups]
+        # Sign (a direction in the complex plane) and logarithm of det(I - T), per part.
+        found = np.array([np.linalg.slogdet(part) for part in parts])
         for _ in range(40):
-            parts = [(axes, _part(loop, axes)) for axes in groups]
-            found = [np.linalg.slogdet(part) for _, part in parts]
-            coarse = np.zeros(len(angles) - 1, bool)
-            for sign, size in found:
-                coarse |= (np.abs(np.angle(sign[1:] / sign[:-1])) > 0.6) | (np.abs(np.diff(size)) > 0.7)
+            turn = np.abs(np.angle(found[:, 0, 1:] * found[:, 0, :-1].conj())) > 0.6
+            coarse = (turn | (np.abs(np.diff(found[:, 1].real)) > 0.7)).any(axis=0)
             # Neighbours, too: two points that mirror each other about a double zero do not see it.
             wide = coarse.copy()
             wide[1:] |= coarse[:-1]
@@ -163,11 +179,14 @@ class LinearFleet:
             if not wide.any():
                 break
             new = 0.5 * (angles[1:] + angles[:-1])[wide]
+            loop = self._loop(rows, new)
+            more = [_part(loop, axes) for axes in groups]
             order = np.argsort(np.concatenate([angles, new]))
-            loop = np.concatenate([loop, self._loop(rows, new)])[order]
             angles = np.concatenate([angles, new])[order]
-        turn = sum(float(np.angle(sign[1:] / sign[:-1]).sum()) for sign, _ in found)
-        return alone - round(turn / pi), angles, parts
+            found = np.concatenate([found, [np.linalg.slogdet(part) for part in more]], axis=2)[:, :, order]
+            parts = [np.concatenate([part, added])[order] for part, added in zip(parts, more, strict=True)]
+        turns = float(np.angle(found[:, 0, 1:] * found[:, 0, :-1].conj()).sum()) / pi
+        return alone - round(turns), angles, list(zip(groups, parts, strict=True))
 
     def _rows(self, gain: float, delay: int | None) -> tuple[list[_Row], int]:
         """What each vehicle makes of the messages; and how many of the P_i's eigenvalues are unstable."""
@@ -270,8 +289,11 @@ def _part(loop: Complex, axes: tuple[int, ...]) -> Complex:
     return loop[:, :, chosen][:, :, :, :, chosen].reshape(points, N * len(chosen), N * len(chosen))
 
 
-def linear_fleet(scenario: Scenario) -> LinearFleet:
+def linear_fleet(scenario: Scenario, gains: Sequence[Vec3 | None]) -> LinearFleet:
     """The linear map of a scenario's fleet, without loss, jitter, noise, disturbance and faults.
+
+    Args:
+        gains: K of each vehicle [1/s, NED], or anything in proportion to it; None: a law that is not ours.
 
     Raises:
         NotLinear: there is none; the message says why.
@@ -280,17 +302,18 @@ def linear_fleet(scenario: Scenario) -> LinearFleet:
         raise NotLinear(f"more than {MOST_VEHICLES} vehicles")
     if scenario.acoustic is not None:
         raise NotLinear("what is heard over an acoustic channel has no fixed age")
-    gains = [gains_of(control) for control in scenario.controls]
-    if foreign := [i for i, gain in enumerate(gains, start=1) if gain is None]:
-        raise NotLinear(f"vehicle {foreign[0]} runs a law that is not one of those that ship")
-    largest = max(max(gain) for gain in gains if gain is not None)
+    if None in gains:
+        raise NotLinear(f"vehicle {gains.index(None) + 1} runs a law that is not one of those that ship")
+    K = np.array(gains)
+    if K.max() <= 0.0:
+        raise NotLinear("no gain is above 0")
     velocity = scenario.reference.at(0.0).velocity
     course = atan2(velocity[1], velocity[0])
     c, s = cos(course), sin(course)
     turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])  # path to NED
     known: dict[Any, Linear] = {}
     members = []
-    for i, (control, gain) in enumerate(zip(scenario.controls, gains, strict=True), start=1):
+    for i, control in enumerate(scenario.controls, start=1):
         key = (control.tracking_law.name, control.tracking, control.model, control.vehicle, control.tau_max)
         if key not in known:
             known[key] = linearise(
@@ -314,23 +337,10 @@ def linear_fleet(scenario: Scenario) -> LinearFleet:
         members.append(
             Member(
                 linear, scenario.b[i - 1], links, control.extrapolation == "neighbour", age_cap,
-                turn.T @ np.diag(np.array(gain) / largest) @ turn,
+                turn.T @ np.diag(K[i - 1] / K.max()) @ turn,
             )
         )  # fmt: skip
     return LinearFleet(tuple(members), scenario.round_ticks, scenario.tick_ns / 1e9)
-
-
-def gains_of(control: Control) -> Vec3 | None:
-    """The largest gains K [1/s, NED] that can occur; None for a law that is not ours."""
-    if not control.cascade:
-        return None
-    match control.guidance_law.name:
-        case "optimal":
-            return (control.guidance.k_max,) * 3
-        case "fixed":
-            return control.guidance.K0
-        case _:
-            return None
 
 
 def _delay_ticks(scenario: Scenario, link: tuple[int, int]) -> int:

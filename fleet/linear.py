@@ -32,7 +32,7 @@ from agents.controllers import TRACKING, Cascade
 from agents.kinematics import earth_velocity
 from agents.trajectory import Motion
 from fleet.errors import FleetError
-from world.dynamics import CALM, coefficients, rk4_step
+from world.dynamics import coefficients, rk4_step
 from world.vehicle import Vec3, Vec5, VehicleParams
 
 Array = np.ndarray[Any, np.dtype[np.float64]]

@@ -8,9 +8,10 @@
 | a | passive decay of the shunting model | 1/s | (43) |
 | tau | age of what is heard: one round, and the delay of the link | s | |
 
-Two limits follow from linear theory (docs/paper.md, G11 and "What a network does to it"): with the shunting model in
-the surge loop K lambda_max(L + B) < a, by Routh on s^3 + a s^2 + k b s + k b K lambda; and dead reckoning with the
-neighbours' velocities is a neutral loop, which needs K tau rho(A) < 1.
+Two rules of thumb follow from simplified loops (docs/paper.md, G11 and "What a network does to it"): with the shunting
+model in the surge loop K lambda_max(L + B) < a, by Routh on s^3 + a s^2 + k b s + k b K lambda; and dead reckoning with the
+neighbours' velocities is a neutral loop, which needs K tau rho(A) < 1. They are necessary, not sufficient: course and
+pitch loops, sampling and rounds take their share. The limits of the whole linear loop are those of `fleet.border`.
 """
 
 from __future__ import annotations
@@ -18,14 +19,19 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import reduce
+from math import inf
 from typing import Any
 
 import numpy as np
 
 from fleet import acoustics
+from fleet.border import MOST_DELAY_S, LinearFleet, Mode, linear_fleet
 from fleet.connectivity import Connectivity
+from fleet.linear import NotLinear
 from fleet.scenario import Scenario
+from fleet.tuning import Control
 from netem.config import Condition
+from world.vehicle import Vec3
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,6 +43,10 @@ class Analysis:
     eigenvalues: list[complex]  # of L + B, by real part
     spectral_radius_A: float
     gain_max: float | None  # 1/s; None when no vehicle of the paper's guidance is there
+    settled: Vec3 | None  # largest gain per axis at which it settles [1/s, NED]; likewise
+    at_most: LinearFleet | None  # the whole loop, with gains in proportion to the largest
+    at_settled: LinearFleet | None  # and to those at which it settles
+    not_linear: str  # why there is none
     warnings: list[str] = field(default_factory=list)
 
     @property
@@ -49,17 +59,30 @@ def analyse(scenario: Scenario) -> Analysis:
     """Connectivity, eigenvalues and violated limits of a scenario."""
     A, M = matrices(scenario)
     eigenvalues = sorted(np.linalg.eigvals(M).tolist(), key=lambda v: (v.real, v.imag))
-    gains = [gain for i in range(1, scenario.vehicles + 1) if (gain := _gain(scenario, i)) is not None]
+    largest = [_largest_gain(control) for control in scenario.controls]
+    settled = [_settled_gain(scenario, i) for i in range(1, scenario.vehicles + 1)]
+    unreached = _unreached(scenario)
+    at_most = at_settled = None
+    not_linear = "not every vehicle is reached" if unreached else ""
+    if not unreached:
+        try:
+            at_most, at_settled = linear_fleet(scenario, largest), linear_fleet(scenario, settled)
+        except NotLinear as error:
+            not_linear = str(error)
     found = Analysis(
         components=_components(scenario),
-        unreached=_unreached(scenario),
+        unreached=unreached,
         eigenvalues=[complex(value) for value in eigenvalues],
         spectral_radius_A=float(max(abs(np.linalg.eigvals(A)))),
-        gain_max=max(gains) if gains else None,
+        gain_max=max((max(gain) for gain in largest if gain is not None), default=None),
+        settled=_most(settled),
+        at_most=at_most,
+        at_settled=at_settled,
+        not_linear=not_linear,
     )
     found.warnings.extend(_graph_warnings(found))
-    found.warnings.extend(_shunting_warning(scenario, found))
-    found.warnings.extend(_dead_reckoning_warning(scenario, found))
+    loop = _loop_warning(scenario, found)
+    found.warnings.extend(loop or [*_shunting_warning(scenario, found), *_dead_reckoning_warning(scenario, found)])
     found.warnings.extend(_vehicle_warnings(scenario))
     found.warnings.extend(_fault_warnings(scenario))
     found.warnings.extend(_check_warnings(scenario))
@@ -100,21 +123,60 @@ def report(scenario: Scenario, found: Analysis) -> list[str]:
         talking = acoustics.describe(network, acoustic, n, scenario.tick_ns)
         lines.append(f"{talking}; what is heard is up to {oldest_s(scenario):.4g} s old without loss")
     if found.gain_max is not None:
+        lines += _limits(scenario, found)
+        thumb = "rule of thumb, necessary and not sufficient:"
         decay = _shunting_decay(scenario)
         if decay is not None:
+            product = found.gain_max * found.lambda_max
             lines.append(
-                f"gain limit: K lambda_max(L+B) = {found.gain_max:.4g} x {found.lambda_max:.4g} "
-                f"= {found.gain_max * found.lambda_max:.4g} 1/s, below a = {decay:g} 1/s"
-                + ("" if found.gain_max * found.lambda_max < decay else " it is NOT")
+                f"{thumb} K lambda_max(L+B) = {found.gain_max:.4g} x {found.lambda_max:.4g} = {product:.4g} 1/s, "
+                f"below a = {decay:g} 1/s" + ("" if product < decay else " it is NOT")
             )
         age = oldest_s(scenario)
         if age > 0.0 and any(c.extrapolation == "neighbour" for c in scenario.controls):
             product = found.gain_max * age * found.spectral_radius_A
             lines.append(
-                f"dead reckoning with the neighbours' velocities: K tau rho(A) = {found.gain_max:.4g} x {age:.4g} s x "
-                f"{found.spectral_radius_A:.4g} = {product:.4g}, below 1" + ("" if product < 1.0 else " it is NOT")
+                f"{thumb} K tau rho(A) = {found.gain_max:.4g} x {age:.4g} s x {found.spectral_radius_A:.4g} = "
+                f"{product:.4g}, below 1" + ("" if product < 1.0 else " it is NOT")
             )
     return lines
+
+
+def _limits(scenario: Scenario, found: Analysis) -> list[str]:
+    """The limits of the whole linear loop."""
+    fleet, most, settled = found.at_most, found.gain_max, found.settled
+    if fleet is None or found.at_settled is None:
+        return [f"limits of the linear loop: not computed ({found.not_linear})"]
+    assert most is not None
+    assert settled is not None
+    border = fleet.gain_border(most)
+    if border == 0.0:
+        return ["limits of the linear loop: it is unstable at every gain"]
+    then = "" if border == inf else f", beyond it {_mode(fleet.mode(border))}"
+    optimised = _optimised(scenario)
+    own = f"K is optimised, up to {most:.4g}" if optimised else f"K is {most:.4g}"
+    below = "" if most < border else ": held there the loop would grow" if optimised else ": NOT below"
+    lines = [f"limits of the linear loop, without loss: K < {border:.4g} 1/s{then}; {own}{below}"]
+    if not scenario.ideal and scenario.graph.links:
+        delays = [_delay_limit(fleet, most) + f" at K = {most:.4g}"]
+        if optimised:
+            delays.insert(0, _delay_limit(found.at_settled, max(settled)) + f" where K settles, at {_vector(settled)}")
+        period = scenario.round_ticks * fleet.tick_s
+        lines.append(f"longest delay of all links that it bears with rounds of {period:g} s: " + "; ".join(delays))
+    return lines
+
+
+def _delay_limit(fleet: LinearFleet, gain: float) -> str:
+    border = fleet.delay_border(gain)
+    if border is None:
+        return f"over {MOST_DELAY_S:g} s"
+    if border == 1:
+        return "none"
+    return f"{(border - 1) * fleet.tick_s:.4g} s (beyond it {_mode(fleet.mode(gain, border))})"
+
+
+def _mode(mode: Mode) -> str:
+    return f"the {mode.loop} loop grows at {mode.frequency_hz:.2g} Hz"
 
 
 def oldest_s(scenario: Scenario) -> float:
@@ -131,17 +193,51 @@ def oldest_s(scenario: Scenario) -> float:
     return (usable + scenario.round_ticks - 1) * tick / 1e9
 
 
-def _gain(scenario: Scenario, i: int) -> float | None:
-    control = scenario.controls[i - 1]
+def _largest_gain(control: Control) -> Vec3 | None:
+    """The largest gains K [1/s, NED] that can occur; None for a law that is not ours."""
     if not control.cascade:
         return None
     match control.guidance_law.name:
         case "optimal":
-            return control.guidance.k_max
+            return (control.guidance.k_max,) * 3
         case "fixed":
-            return max(control.guidance.K0)
+            return control.guidance.K0
         case _:
             return None
+
+
+def _settled_gain(scenario: Scenario, i: int) -> Vec3 | None:
+    """Where the gains of vehicle i tend when its error decays [1/s, NED]; a fixed gain is where it is.
+
+    That is Q s / (R1 + Q s^2), s = c times the prediction step, within its bounds; under the printed cost the least gain
+    on an axis along which the formation moves (docs/paper.md, G10).
+    """
+    control = scenario.controls[i - 1]
+    largest = _largest_gain(control)
+    if largest is None or control.guidance_law.name != "optimal":
+        return largest
+    guidance = control.guidance
+    s = guidance.horizon_s * (scenario.b[i - 1] + sum(weight for _, weight in scenario.graph.neighbours(i)))
+    gains = []
+    for Q, R1, v in zip(guidance.Q, guidance.R1, scenario.reference.at(0.0).velocity, strict=True):
+        pulled = guidance.cost == "printed" and abs(v) > 1e-9
+        optimum = 0.0 if pulled or Q * s == 0.0 else Q * s / (R1 + Q * s * s)
+        gains.append(min(max(optimum, guidance.k_min), guidance.k_max))
+    return gains[0], gains[1], gains[2]
+
+
+def _most(gains: Sequence[Vec3 | None]) -> Vec3 | None:
+    """The largest gain per axis."""
+    known = [gain for gain in gains if gain is not None]
+    return (max(g[0] for g in known), max(g[1] for g in known), max(g[2] for g in known)) if known else None
+
+
+def _optimised(scenario: Scenario) -> bool:
+    return any(control.guidance_law.name == "optimal" for control in scenario.controls)
+
+
+def _vector(values: Vec3) -> str:
+    return "(" + ", ".join(f"{value:.4g}" for value in values) + ") 1/s"
 
 
 def _shunting_decay(scenario: Scenario) -> float | None:
@@ -158,13 +254,28 @@ def _graph_warnings(found: Analysis) -> list[str]:
     ]
 
 
+def _loop_warning(scenario: Scenario, found: Analysis) -> list[str]:
+    fleet = found.at_settled
+    if fleet is None or found.settled is None or not fleet.unstable(gain := max(found.settled)):
+        return []
+    border = fleet.gain_border(gain)
+    if border == 0.0:
+        return ["the linear loop is unstable at every gain: the formation is not kept"]
+    what = f"where K settles, at {_vector(found.settled)}, it" if _optimised(scenario) else f"K = {gain:.4g} 1/s"
+    return [
+        f"{what} is not below the limit of the linear loop, {border:.4g} 1/s with these rounds and delays: "
+        f"{_mode(fleet.mode(border))}, and the formation is not kept"
+    ]
+
+
 def _shunting_warning(scenario: Scenario, found: Analysis) -> list[str]:
     decay = _shunting_decay(scenario)
     if decay is None or found.gain_max is None or found.gain_max * found.lambda_max < decay:
         return []
     return [
         f"K lambda_max(L+B) = {found.gain_max * found.lambda_max:.4g} 1/s is not below a = {decay:g} 1/s: the surge "
-        f"loop of the neurodynamic law can burst; below {decay / found.lambda_max:.4g} 1/s (guidance.k_max) it is safe"
+        f"loop of the neurodynamic law can burst; guidance.k_max has to be below {decay / found.lambda_max:.4g} 1/s at "
+        "least"
     ]
 
 
@@ -177,8 +288,8 @@ def _dead_reckoning_warning(scenario: Scenario, found: Analysis) -> list[str]:
         return []
     return [
         f"K tau rho(A) = {product:.4g} is not below 1 at an age of {age:.4g} s: dead reckoning with the neighbours' "
-        f"velocities is unstable; use neighbours.extrapolate: reference, or a gain below "
-        f"{1.0 / (age * found.spectral_radius_A):.4g} 1/s (guidance.k_max)"
+        f"velocities is unstable; use neighbours.extrapolate: reference, or a gain that is below "
+        f"{1.0 / (age * found.spectral_radius_A):.4g} 1/s at least (guidance.k_max)"
     ]
 
 

@@ -3,7 +3,7 @@
     python docs/examples/stability_borders.py            # the table of docs/stability.md; an hour on one core
     python docs/examples/stability_borders.py --quick    # a few rows
 
-Four vehicles start in formation but for a tenth of a millimetre. Per graph, period of rounds and gain the fleet runs twice, with
+Four vehicles start in formation but for a micrometre. Per graph, period of rounds and gain the fleet runs twice, with
 the gain (or the delay) 5 % below the computed limit and 5 % above it, and the growth of its deviation is measured:
 below the limit it must decay, above it grow. The limit of the simulation is where the rate of growth passes zero,
 interpolated between the two.
@@ -15,14 +15,14 @@ import argparse
 import sys
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
-from math import atan2, exp, hypot, log
+from math import atan2, ceil, floor, hypot
 from typing import NamedTuple
 
 import numpy as np
 
-from fleet.border import linear_fleet
 from fleet.recording import record
 from fleet.scenario import Scenario, parse_scenario
+from fleet.stability import analyse
 
 GRAPHS = {
     "path": "{shape: path, ahead: 1.0, behind: 0.8}",
@@ -35,7 +35,7 @@ PERIODS_MS = (10, 100, 200)
 GAINS = (0.3, 0.9)
 PLACES = ((0.0, 0.0), (0.0, -10.0), (10.0, -10.0), (10.0, 0.0))
 VELOCITY = (0.7, 0.1)
-SMALL = 1e-4  # m
+SMALL = 1e-6  # m
 TEXT = """\
 title: A fleet in formation
 vehicles: 4
@@ -83,10 +83,10 @@ def growth(case: Case, duration: float = 120.0) -> float:
     run = record(scenario(case, duration))
     deviation = np.linalg.norm(run["formation"], axis=(1, 2))
     # From when the start is forgotten, until it is no longer small or is lost in rounding.
-    end = np.argmax((deviation > 0.05) | ~np.isfinite(deviation)) or len(deviation)
+    end = np.argmax(~((deviation > 1e-12) & (deviation < 0.02))) or len(deviation)
     begin = min(len(deviation) // 4, end // 2)
     blocks = [block.max() for block in np.array_split(deviation[begin:end], 12)]
-    kept = [(n, value) for n, value in enumerate(blocks) if value > 1e-11]
+    kept = [(n, value) for n, value in enumerate(blocks) if value > 0.0]
     if len(kept) < 4:
         return float("-inf")
     slope = np.polyfit([n for n, _ in kept], np.log([value for _, value in kept]), 1)[0]
@@ -122,7 +122,8 @@ class Row(NamedTuple):
 
 def gain_row(case: Case) -> Row:
     """The border of the gain."""
-    fleet = linear_fleet(scenario(case))
+    fleet = analyse(scenario(case)).at_most
+    assert fleet is not None
     border = fleet.gain_border(case.gain)
     low, high = 0.95 * border, 1.05 * border
     rates = [growth(case._replace(gain=gain)) for gain in (low, high)]
@@ -132,16 +133,17 @@ def gain_row(case: Case) -> Row:
 
 def delay_row(case: Case) -> Row | None:
     """The border of the delay; None when there is none."""
-    fleet = linear_fleet(scenario(case))
+    fleet = analyse(scenario(case)).at_most
+    assert fleet is not None
     border = fleet.delay_border(case.gain)
-    if not border:
+    if border is None or border == 1:
         return None
     tick = round(1e3 * fleet.tick_s)
-    low, high = min(int(0.95 * border), border - 1) * tick, max(-int(-1.05 * border // 1), border + 2) * tick
+    low, high = min(floor(0.95 * border), border - 1) * tick, max(ceil(1.05 * border), border + 1) * tick
     rates = [growth(case._replace(delay_ms=delay)) for delay in (low, high)]
     mode = fleet.mode(case.gain, border)
     return Row(
-        case, "delay", "s", (border + 0.5) * tick / 1e3, mode.loop, mode.frequency_hz, low / 1e3, high / 1e3, rates[0], rates[1]
+        case, "delay", "s", (border - 0.5) * tick / 1e3, mode.loop, mode.frequency_hz, low / 1e3, high / 1e3, rates[0], rates[1]
     )
 
 

@@ -2,7 +2,7 @@
 
 | symbol | meaning | unit |
 |---|---|---|
-| s_i, y_i = (p_i, v_i) | deviation of vehicle i and its laws; of its position and velocity, which it sends | path axes |
+| s_i, y_i = (p_i, v_i) | deviation of vehicle i and its laws; of the position and velocity that it sends | path axes |
 | F, G, C | one vehicle over one tick, `fleet.linear` | |
 | K | gain of the virtual control | 1/s |
 | c_i = sum_j a_ij + b_i | total weight of the consensus error | 1 |
@@ -16,13 +16,13 @@ At phase f of a round (f = 0 .. m - 1) agent i uses the message that j sent h = 
 f + h m ticks old, and dead reckoning with the neighbour's velocity adds v_j times that age. Hence the sawtooth:
 S_ij(z) = sum over f of (F + c_i G K C_p)^(m-1-f) G K (p_j + age v_j) z^-h, exactly, hold and delay included.
 
-The fleet is unstable if det(I - T(z)) has a zero outside the unit circle, or if some P_i has an eigenvalue there
-that none cancels. With w = 1/z the function prod det(I - w P_i) det(I - T) is analytic within |w| <= 1, so the number of
-unstable modes is the number of unstable eigenvalues of the P_i plus the turns of det(I - T) around 0 along the unit
-circle (argument principle). Long delays cost nothing this way: they are factors z^-h.
+With w = 1/z the function prod det(I - w P_i) det(I - T) is analytic within |w| <= 1, and its zeros there are the modes
+that grow. So their number is that of the unstable eigenvalues of the P_i plus the turns of det(I - T) around 0 along
+the unit circle (argument principle). Long delays cost nothing this way: they are factors z^-h.
 
-Left out: loss, jitter, noise, disturbance, limits of the actuators, and everything nonlinear. A gain that is optimised is
-taken as held: in the formation e = 0, and how the gain depends on e is of second order in rho = v_d - K e.
+Left out: loss, jitter, noise, disturbance, limits of the actuators, everything nonlinear. A gain that is optimised is
+taken as held: in the formation e = 0, and how the gain depends on e is of second order in rho = v_d - K e. Under
+`extrapolate: hold` the fleet lags behind its places, e is not 0, and that is an approximation.
 """
 
 from __future__ import annotations
@@ -91,7 +91,12 @@ class LinearFleet:
     tick_s: float
 
     def unstable(self, gain: float, delay: int | None = None) -> int:
-        """How many modes grow at a gain K [1/s], the largest of all vehicles and axes; `delay` [ticks] in place of that of each link."""
+        """How many modes grow.
+
+        Args:
+            gain: K [1/s], the largest of all vehicles and axes.
+            delay: of all links [ticks], in place of their own.
+        """
         return self._survey(gain, delay)[0]
 
     def mode(self, gain: float, delay: int | None = None) -> Mode:
@@ -227,7 +232,7 @@ class _Kind:
     """A vehicle over one round, with its own feedback; the same for all that differ in their neighbours alone."""
 
     def __init__(self, member: Member, gain: float, m: int, tick_s: float, outputs: int) -> None:
-        F, G, C, _ = member.linear
+        F, G, C = member.linear
         self.m, self.outputs = m, outputs
         self._C = C[:outputs]
         K = gain * member.pattern
@@ -323,13 +328,7 @@ def linear_fleet(scenario: Scenario, gains: Sequence[Vec3 | None]) -> LinearFlee
                 )
             )  # fmt: skip
         linear = known[key]
-        bounds = control.guidance
-        inside = all(lo < v < hi for lo, v, hi in zip(bounds.rho_lo, linear.rho, bounds.rho_hi, strict=True))
-        if control.guidance_law.name == "optimal" and not inside:
-            raise NotLinear("the formation's velocity is not within guidance.rho_lo and rho_hi")
-        links = tuple(
-            Link(j - 1, weight, _delay_ticks(scenario, (j, i))) for j, weight in scenario.graph.neighbours(i)
-        )
+        links = tuple(Link(j - 1, weight, _delay_ticks(scenario, (j, i))) for j, weight in scenario.graph.neighbours(i))
         oldest = max((link.delay for link in links), default=0) + scenario.round_ticks - 1
         if control.drop_after_s and oldest * scenario.tick_ns / 1e9 > control.drop_after_s:
             raise NotLinear("neighbours.drop_after leaves neighbours out between two messages")

@@ -64,7 +64,6 @@ class Linear(NamedTuple):
     F: Array  # (n, n)
     G: Array  # (n, 3)
     C: Array  # (6, n)
-    rho: Vec3  # what guidance commands in steady flight [m/s, NED]
 
 
 def linearise(flight: Flight) -> Linear:
@@ -104,8 +103,7 @@ def linearise(flight: Flight) -> Linear:
         C[3:, column] = (_velocity(ahead) - _velocity(behind)) / (2.0 * STEP)
     # What a step only overwrites is no state.
     matters = np.abs(F).max(axis=0) + np.abs(C).max(axis=0) > 1e-12
-    rho = _turned((v_d[0] - e[0], v_d[1] - e[1], v_d[2] - e[2]), course)
-    return Linear(F[np.ix_(matters, matters)], G[matters], C[:, matters], rho)
+    return Linear(F[np.ix_(matters, matters)], G[matters], C[:, matters])
 
 
 Step = Callable[[Array, Array], Array]

@@ -14,7 +14,9 @@
 
 At phase f of a round (f = 0 .. m - 1) agent i uses the message that j sent h = -floor((f - d) / m) rounds ago. It is
 f + h m ticks old, and dead reckoning with the neighbour's velocity adds v_j times that age. Hence the sawtooth:
-S_ij(z) = sum over f of (F + c_i G K C_p)^(m-1-f) G K (p_j + age v_j) z^-h, exactly, hold and delay included.
+S_ij(z) = sum over f of (F + c_i G K C_p)^(m-1-f) G K (p_j + age v_j) z^-h, exactly, hold and delay included. A vehicle
+that does not know the trajectory takes the weighted mean of the velocities that it heard for v_d, which adds
+G v_j / sum_j a_ij.
 
 With w = 1/z the function prod det(I - w P_i) det(I - T) is analytic within |w| <= 1, and its zeros there are the modes
 that grow. So their number is that of the unstable eigenvalues of the P_i plus the turns of det(I - T) around 0 along
@@ -68,6 +70,7 @@ class Member:
     reckons: bool  # whether it extrapolates with the velocity that a neighbour sent
     age_cap: int | None  # ticks
     pattern: Array  # (3, 3): K is a number times this, path axes
+    told: bool = True  # whether it knows v_d; otherwise v_d is the weighted mean of what its neighbours sent
 
     @property
     def c(self) -> float:
@@ -195,12 +198,20 @@ class LinearFleet:
 
     def _rows(self, gain: float, delay: int | None) -> tuple[list[_Row], int]:
         """What each vehicle makes of the messages; and how many of the P_i's eigenvalues are unstable."""
-        outputs = 6 if any(member.reckons for member in self.members) else 3
+        outputs = 6 if any(member.reckons or not member.told for member in self.members) else 3
         kinds: dict[Any, _Kind] = {}
         rows, alone = [], 0
         for member in self.members:
             c = member.c
-            key = (id(member.linear), round(c, 9), member.reckons, member.age_cap, member.pattern.tobytes())
+            key = (
+                id(member.linear),
+                round(c, 9),
+                member.reckons,
+                member.age_cap,
+                member.told,
+                member.b,
+                member.pattern.tobytes(),
+            )
             if key not in kinds:
                 kinds[key] = _Kind(member, gain, self.m, self.tick_s, outputs)
             kind = kinds[key]
@@ -237,14 +248,15 @@ class _Kind:
         self._C = C[:outputs]
         K = gain * member.pattern
         own = F + member.c * G @ K @ C[:3]
-        # What an error at phase f has become at the end of the round: own^(m-1-f) G K.
+        # What a command at phase f has become at the end of the round: own^(m-1-f) G.
         self._later = np.empty((m, len(F), 3))
-        after = G @ K
+        after = G
         for f in range(m - 1, -1, -1):
             self._later[f] = after
             after = own @ after
         self._P = np.linalg.matrix_power(own, m)
         self.unstable = int((np.abs(np.linalg.eigvals(self._P)) > 1.0).sum())
+        self._K, self._heard = K, None if member.told else member.c - member.b
         self._reckons, self._cap, self._tick_s = member.reckons, member.age_cap, tick_s
 
     def resolvent(self, z: Complex) -> Complex:
@@ -263,9 +275,11 @@ class _Kind:
         for h in np.unique(back):
             used = self._later[back == h]
             S = np.zeros((len(self._P), self.outputs))
-            S[:, :3] = used.sum(axis=0)
+            S[:, :3] = used.sum(axis=0) @ self._K
             if self._reckons:
-                S[:, 3:] = np.tensordot(ages[back == h] * self._tick_s, used, 1)
+                S[:, 3:] = np.tensordot(ages[back == h] * self._tick_s, used, 1) @ self._K
+            if self._heard:
+                S[:, 3:] += used.sum(axis=0) / self._heard
             total += (z ** float(-h))[:, None, None] * (resolvent @ S)
         return total
 
@@ -337,6 +351,7 @@ def linear_fleet(scenario: Scenario, gains: Sequence[Vec3 | None]) -> LinearFlee
             Member(
                 linear, scenario.b[i - 1], links, control.extrapolation == "neighbour", age_cap,
                 turn.T @ np.diag(K[i - 1] / K.max()) @ turn,
+                scenario.agent_config(i).reference is not None,
             )
         )  # fmt: skip
     return LinearFleet(tuple(members), scenario.round_ticks, scenario.tick_ns / 1e9)

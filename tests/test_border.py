@@ -47,6 +47,8 @@ def eigenvalues(fleet: LinearFleet, gain: float) -> np.ndarray:
                 capped = age if member.age_cap is None else min(age, member.age_cap)
                 read = np.hstack([np.eye(3), (capped * fleet.tick_s if member.reckons else 0.0) * np.eye(3)])
                 there = link.sender * block + n + 6 * age
+                if not member.told:
+                    step[at : at + n, there + 3 : there + 6] -= link.weight * G / (member.c - member.b)
                 step[at : at + n, there : there + 6] -= link.weight * G @ K @ read
         total = step @ keep @ total
     return np.linalg.eigvals(total)
@@ -63,9 +65,9 @@ def fleets(draw: st.DrawFn) -> LinearFleet:
             for j in range(n)
             if j != i and draw(st.booleans())
         )
-        members.append(
-            Member(PAPER, 1.0, links, draw(st.booleans()), draw(st.sampled_from([None, 3])), np.diag([1.0, 0.7, 0.9]))
-        )
+        cap = draw(st.sampled_from([None, 3]))
+        told = draw(st.booleans())
+        members.append(Member(PAPER, 1.0, links, draw(st.booleans()), cap, np.diag([1.0, 0.7, 0.9]), told))
     assume(any(member.links for member in members))
     return LinearFleet(tuple(members), draw(st.integers(1, 5)), 0.04)
 

@@ -90,8 +90,8 @@ def test_a_dense_graph_needs_smaller_gains() -> None:
 
 
 def test_dead_reckoning_needs_fresh_news() -> None:
-    """The rule of thumb K tau rho(A) < 1 allows 0.691 s at K = 1 on the paper's graph, whose rho(A) is 1.447; the linear
-    loop grows before that. The rule is told where the loop is not known."""
+    """The rule of thumb K tau rho(A) < 1 allows 0.691 s at K = 1 on the paper's graph, whose rho(A) is 1.447; the
+    linear loop grows before that. The rule is told where the loop is not known."""
     slow = ["guidance.k_max=1 1/s", "network.period=500 ms"]
     late = load_scenario("paper", [*slow, "network.links={'*': 'delay 200ms'}"])
     (warning,) = analyse(late).warnings

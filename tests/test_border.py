@@ -188,3 +188,14 @@ def test_it_is_the_same_on_every_course_and_in_a_current() -> None:
 def test_a_law_that_is_not_ours_has_no_linear_loop() -> None:
     with pytest.raises(NotLinear, match="vehicle 2 runs a law"):
         linear_fleet(load_scenario("paper"), [(1.0, 1.0, 1.0), None, None, None])
+
+
+def test_who_does_not_know_the_trajectory_goes_by_the_velocities_that_it_hears() -> None:
+    """Simulated: path, rounds of 100 ms, K = 0.3 decays to 1e-7 m within a minute."""
+    scenario = load_scenario(
+        "paper", ["controller=nbc", "guidance.K0=0.3 0.3 0.3 1/s", "graph.reference=[1]", "knows_reference=false"]
+    )
+    fleet = analyse(scenario).at_most
+    assert fleet is not None
+    assert [member.told for member in fleet.members] == [True, False, False, False]
+    assert fleet.unstable(0.3) == 0

@@ -96,7 +96,7 @@ def test_dead_reckoning_needs_fresh_news() -> None:
     late = load_scenario("paper", [*slow, "network.links={'*': 'delay 200ms'}"])
     (warning,) = analyse(late).warnings
     assert "where K settles, at (0.3, 0.3, 1) 1/s, it is not below the limit of the linear loop" in warning
-    assert "K tau rho(A) = 1 x 0.69 s x 1.447 = 0.9987, below 1" in "\n".join(report(late, analyse(late)))
+    assert "K tau rho(A) = 1 x 0.69 s x 1.447 = 0.9986, below 1" in "\n".join(report(late, analyse(late)))
     later = [*slow, "network.links={'*': 'delay 210ms'}", "neighbours.drop_after=600 ms"]
     (warning,) = analyse(load_scenario("paper", later)).warnings
     assert "K tau rho(A) = 1.013 is not below 1 at an age of 0.7 s" in warning

@@ -10,6 +10,7 @@ from fleet.fields import vehicle_numbers
 from fleet.scenario import Scenario
 from fleet.schema import EVERY
 from fleet.stability import oldest_s
+from netem.correlation import effective
 
 LARGE_MB = 50.0  # from which on a log is worth a word
 MESSAGE_BYTES = 70  # in a log, compressed and indexed: 68 to 72 measured with 3, 4 and 12 vehicles
@@ -22,7 +23,7 @@ BY_ROUND = frozenset(
 def doubts(scenario: Scenario) -> list[str]:
     """A sentence per thing that is valid and still hardly what was meant."""
     return [*_never_judged(scenario), *_recoveries(scenario), *_too_near(scenario), *_too_old(scenario),
-            *_idle_faults(scenario), *_large_log(scenario)]  # fmt: skip
+            *_idle_faults(scenario), *_correlated(scenario), *_large_log(scenario)]  # fmt: skip
 
 
 def log_mb(scenario: Scenario) -> float:
@@ -114,6 +115,26 @@ def _idle_faults(scenario: Scenario) -> Iterator[str]:
                 f"fault {name} does nothing: agents talk at round ticks, every {m * tick_s:g} s, and none lies between "
                 f"{begin * tick_s:g} and {end * tick_s:g} s; let it last for a round at least"
             )
+
+
+def _correlated(scenario: Scenario) -> Iterator[str]:
+    """What a correlation makes of the numbers beside it, for every condition that differs."""
+    given = [*scenario.conditions.values(), *(f.condition for f in scenario.faults.network if f.condition is not None)]
+    found: dict[str, None] = {}
+    for condition in given:
+        for word, p, rho, share in effective(condition):
+            rate = "less than one packet in a million" if share < 1e-6 else f"{100 * share:.3g}% of the packets"
+            gap = f" gap {condition.gap}" if word == "reorder" and condition.gap > 1 else ""
+            found[
+                f'"{word} {100 * p:g}% {100 * rho:g}%{gap}" happens to {rate} in the long run: a correlation keeps the '
+                "random numbers near 50%, as in the kernel"
+            ] = None
+        if condition.jitter_ns and condition.delay_correlation:
+            found[
+                f"the correlation {100 * condition.delay_correlation:g}% of a delay has no effect, as in the kernel: "
+                "delays keep their distribution and depend on none before"
+            ] = None
+    yield from found
 
 
 def _large_log(scenario: Scenario) -> Iterator[str]:

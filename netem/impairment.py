@@ -10,7 +10,8 @@ draw. What a link remembers between packets (correlations, loss states, its queu
 | symbol | meaning | source |
 |---|---|---|
 | x_n = (1 - rho) u_n + rho x_(n-1) | correlated random number, u_n uniform in [0, 1) | get_crandom |
-| delay = mu + sigma t | t uniform in [-1, 1), normal, Pareto, or 1/4 normal + 3/4 Pareto | tabledist |
+| delay = mu + sigma t(q) | t: quantile, uniform, normal, Pareto, or 1/4 normal + 3/4 Pareto | tabledist |
+| q = x, with a correlation q = 2^20 x mod 1 | place in the table | tabledist: 32 bits modulo 4096 |
 """
 
 from __future__ import annotations
@@ -40,6 +41,7 @@ GAP, BURST, LOST_IN_BURST, LOST_ALONE = 1, 2, 3, 4  # of the four-state model
 
 # iproute2's tables for Pareto: shape 3, shifted to mean 0, scaled by 4/3 and cut at 32767 / 8192.
 _PARETO_SHAPE, _PARETO_MEAN, _PARETO_SCALE, _PARETO_MOST = 3.0, 1.5, 4.0 / 3.0, 32767.0 / 8192.0
+_PLACES = 2**20  # a number of 32 bits modulo a table of 4096 entries: where it lies within 1 / 2^20
 _NORMAL = NormalDist()
 _TINY = 2.0**-53
 
@@ -152,8 +154,10 @@ class LinkModel:
         if not c.jitter_ns:
             return c.delay_ns
         x = self._random("delay", c.delay_correlation, seq, copy)
-        t = _SHAPES[c.distribution](x, lambda: self._draw("delay, normal part", seq, copy))
-        return max(0, c.delay_ns + round(t * c.jitter_ns))
+        if c.delay_correlation:
+            # The low bits decide, as in the kernel: they are uniform, so the delays keep their distribution.
+            x = x * _PLACES % 1.0
+        return max(0, c.delay_ns + round(_SHAPES[c.distribution](x) * c.jitter_ns))
 
     def _lost(self, seq: int, copy: int) -> bool:
         c, state = self._used, self._state
@@ -226,24 +230,25 @@ class LinkModel:
         return uniform(self._seed_in_use, purpose, *self._link, seq)
 
 
-def _uniform(x: float, _: Callable[[], float]) -> float:
-    return 2.0 * x - 1.0
+def _uniform(q: float) -> float:
+    return 2.0 * q - 1.0
 
 
-def _normal(x: float, _: Callable[[], float]) -> float:
-    return _NORMAL.inv_cdf(min(max(x, _TINY), 1.0 - _TINY))
+def _normal(q: float) -> float:
+    return _NORMAL.inv_cdf(min(max(q, _TINY), 1.0 - _TINY))
 
 
-def _pareto(x: float, _: Callable[[], float]) -> float:
-    power: float = (1.0 - x) ** (-1.0 / _PARETO_SHAPE)
+def _pareto(q: float) -> float:
+    power: float = (1.0 - q) ** (-1.0 / _PARETO_SHAPE)
     return min((power - _PARETO_MEAN) * _PARETO_SCALE, _PARETO_MOST)
 
 
-def _pareto_normal(x: float, other: Callable[[], float]) -> float:
-    return 0.25 * _normal(other(), other) + 0.75 * _pareto(x, other)
+def _pareto_normal(q: float) -> float:
+    """Both parts of one number, so they rise together: of two numbers the sum would spread less."""
+    return 0.25 * _normal(q) + 0.75 * _pareto(q)
 
 
-_SHAPES: dict[str, Callable[[float, Callable[[], float]], float]] = {
+_SHAPES: dict[str, Callable[[float], float]] = {
     "uniform": _uniform,
     "normal": _normal,
     "pareto": _pareto,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from itertools import groupby, pairwise
+from typing import Any
 
 import msgpack
 import numpy as np
@@ -23,6 +24,7 @@ from netem.config import (
 from netem.impairment import LinkModel, LinkState, Verdict
 from netem.network import Netem
 
+FloatArray = np.ndarray[Any, np.dtype[np.float64]]
 MS = 1_000_000
 PAYLOAD = b"state of a vehicle"
 
@@ -101,14 +103,17 @@ def test_correlation_smooths_the_random_numbers(rho: float) -> None:
     """x_n = (1 - rho) u_n + rho x_(n-1): mean 1/2, variance (1 - rho) / (1 + rho) / 12, lag-1 correlation rho. So, as
     tc-netem(8) warns, the loss it yields is not the one that was asked for."""
     n = 40_000
-    jitter = Condition(100 * MS, 100 * MS, delay_correlation=rho)
-    x = np.array([verdicts[0].delay_ns for verdicts in send(link(jitter), n)]) / (200 * MS)
+    model = link(Condition(loss=0.3, loss_correlation=rho))
+    numbers, lost = [], []
+    for k in range(n):
+        lost.append(model.enter(k * 10**9, k, PAYLOAD)[0].cause == "loss")
+        numbers.append(model.state.last["loss"])
+    x = np.array(numbers)
     effective = n * (1 - rho) / (1 + rho)
     variance = (1 - rho) / (1 + rho) / 12
     assert abs(x.mean() - 0.5) < 3 * math.sqrt(variance / effective)
     assert x.var() == pytest.approx(variance, rel=0.1)
     assert np.corrcoef(x[:-1], x[1:])[0, 1] == pytest.approx(rho, abs=0.03)
-    lost = losses(Condition(loss=0.3, loss_correlation=rho), n)
     assert sum(lost) / n < 0.27
     assert np.mean(bursts(lost)) > np.mean(bursts(losses(Condition(loss=0.3), n)))
 
@@ -134,18 +139,57 @@ def test_delay_distributions_have_their_quantiles(distribution: str, expected: l
     assert np.quantile(t, QUANTILES) == pytest.approx(expected, abs=0.05)
 
 
-def test_paretonormal_is_a_quarter_normal_and_three_quarters_pareto() -> None:
-    """The variance of a sum of independent parts: (1 + 9 var(Pareto)) / 16; and the tail of Pareto."""
+# Every 256th entry [1/8192], mean, standard deviation and 99th percentile of the tables of iproute2 6.1.0.
+TABLES = {
+    "normal": (
+        [-32768, -12566, -9423, -7267, -5525, -4003, -2610, -1288, 0, 1289, 2611, 4005, 5526, 7268, 9424, 12569],
+        (-0.0008, 1.0001, 2.3185),
+    ),
+    "pareto": (
+        [-5461, -5224, -4964, -4679, -4362, -4008, -3609, -3152, -2622, -1996, -1237, -288, 955, 2700, 5461, 11139],
+        (-0.0335, 0.8197, 3.9999),
+    ),
+    "paretonormal": (
+        [-12305, -7059, -6078, -5326, -4652, -4006, -3359, -2686, -1966, -1174, -275, 785, 2097, 3842, 6451, 11496],
+        (-0.0253, 0.8339, 3.5795),
+    ),
+}  # fmt: skip
+
+
+def drawn(n: int, **changes: Any) -> FloatArray:
+    """The random part of `n` delays, in units of the jitter."""
+    condition = Condition(1000 * MS, 100 * MS, **changes)
+    return (np.array([v[0].delay_ns for v in send(link(condition), n)]) - 1000 * MS) / (100 * MS)
+
+
+@pytest.mark.parametrize("correlation", [0.0, 0.25])
+@pytest.mark.parametrize("distribution", TABLES)
+def test_delays_fill_the_tables_of_iproute2_evenly(distribution: str, correlation: float) -> None:
+    """Sixteen stretches of a table are equally likely; and its tail fits, which those do not see."""
     n = 20_000
+    entries, (mean, sd, q99) = TABLES[distribution]
+    t = drawn(n, distribution=distribution, delay_correlation=correlation)
+    counts = np.histogram(t, [-np.inf, *(entry / 8192 for entry in entries[1:]), np.inf])[0]
+    assert ((counts - n / 16) ** 2 / (n / 16)).sum() < 37.7  # chi-square with 15 degrees of freedom: once in 1000
+    assert t.mean() == pytest.approx(mean, abs=3 * sd / math.sqrt(n))
+    assert t.std() == pytest.approx(sd, rel=0.03)
+    assert np.quantile(t, 0.99) == pytest.approx(q99, abs=0.15)
+    assert t.max() <= 32767 / 8192 + 1e-6 or distribution == "normal"  # to the nanosecond
 
-    def t(distribution: str) -> np.ndarray:
-        condition = Condition(1000 * MS, 100 * MS, distribution=distribution)  # type: ignore[arg-type]
-        return (np.array([v[0].delay_ns for v in send(link(condition), n)]) - 1000 * MS) / (100 * MS)
 
-    mixed, pareto = t("paretonormal"), t("pareto")
-    assert mixed.var() == pytest.approx((1 + 9 * pareto.var()) / 16, rel=0.05)
-    assert pareto.max() <= 32767 / 8192 + 1e-6  # to the nanosecond
-    assert ((mixed - mixed.mean()) ** 3).mean() > 0
+@pytest.mark.parametrize("correlation", [0.0, 0.25, 0.9])
+def test_a_correlation_leaves_delays_their_distribution(correlation: float) -> None:
+    """As in the kernel, whose table is looked up by the low bits of the correlated number: `delay 1000ms 100ms 25%
+    distribution normal` keeps its 100 ms, and the delays themselves do not correlate."""
+    n = 20_000
+    normal = drawn(n, distribution="normal", delay_correlation=correlation)
+    uniform = drawn(n, delay_correlation=correlation)
+    assert normal.std() == pytest.approx(1.0, rel=0.02)
+    assert uniform.std() == pytest.approx(1 / math.sqrt(3), rel=0.02)
+    for t in (normal, uniform):
+        assert abs(t.mean()) < 3 * t.std() / math.sqrt(n)
+        assert abs(np.corrcoef(t[:-1], t[1:])[0, 1]) < 3 / math.sqrt(n)
+    assert len(set(drawn(100, delay_correlation=1.0))) == 1
 
 
 def test_no_delay_is_negative() -> None:

@@ -9,16 +9,18 @@
 
 Pure ALOHA carries most, 1/(2e) of the time, at G = 1/2 (N. Abramson, "The ALOHA system", AFIPS 1970). With news always
 waiting a vehicle talks every T + B/2 on average, so G = n T / (T + B/2), and B = 2 T (2 n - 1) is the default.
+That is for many vehicles; `fleet.aloha` has the numbers for few, and for news that is not always waiting.
 """
 
 from __future__ import annotations
 
-from math import exp, sqrt
+from math import sqrt
 from pathlib import Path
 
 from agents import compact, payload
 from agents.config import Codec
 from agents.trajectory import Offset
+from fleet.aloha import Talking, talking
 from fleet.modems import NUMBERS, load_modem, modem_of, modem_problems
 from fleet.schema import AcousticSection, NetworkSection
 from netem.modem import DEFAULT_GUARD_NS, SOUND_SPEED, AcousticConfig, Modem
@@ -122,7 +124,12 @@ def turn_s(network: NetworkSection, acoustic: AcousticConfig, vehicles: int, tic
         return max(period, turn), max(period, turn)
     airtime = acoustic.modem.airtime_ns(SIZES[network.payload]) / 1e9
     backoff = acoustic.backoff_ticks * tick_ns / 1e9
-    return max(period, airtime + backoff / 2.0), period + airtime + backoff
+    return _talking(network, acoustic, vehicles, tick_ns).mean * tick_ns / 1e9, period + airtime + backoff
+
+
+def _talking(network: NetworkSection, acoustic: AcousticConfig, vehicles: int, tick_ns: int) -> Talking:
+    airtime = -(-acoustic.modem.airtime_ns(SIZES[network.payload]) // tick_ns)
+    return talking(network.period // tick_ns, max(1, airtime), acoustic.backoff_ticks, vehicles)
 
 
 def oldest_s(network: NetworkSection, acoustic: AcousticConfig, plans: tuple[Offset, ...], tick_ns: int) -> float:
@@ -147,5 +154,32 @@ def describe(network: NetworkSection, acoustic: AcousticConfig, vehicles: int, t
     if acoustic.mac == "tdma":
         slot = acoustic.slot_ticks * tick_ns / 1e9
         return f"{line}; with slots of {slot:g} s each vehicle talks every {mean:.4g} s"
-    free = exp(-2.0 * airtime * (vehicles - 1) / mean)
-    return f"{line}; each vehicle talks every {mean:.4g} s on average, {free:.0%} of it with nobody else"
+    alone = _talking(network, acoustic, vehicles, tick_ns).alone
+    return f"{line}; each vehicle talks every {mean:.4g} s on average, {alone:.0%} of it with nobody else"
+
+
+def describe_noise(network: NetworkSection, acoustic: AcousticConfig, plans: tuple[Offset, ...]) -> str:
+    """Whether noise loses packets, and from which range on."""
+    modem, size = acoustic.modem, SIZES[network.payload]
+    snr = acoustic.snr(modem.max_range)
+    if acoustic.packet_error_rate(modem.max_range, size) == 0.0:
+        return (
+            f"noise loses no packet (cause snr): at the modem's range of {modem.max_range:.4g} m the signal is "
+            f"{snr:.3g} dB above it, and {modem.clear_above:g} dB are enough"
+        )
+    extent = extent_m(plans)
+    across = 100 * acoustic.packet_error_rate(extent, size)
+    some, half = (_range_of(acoustic, size, share) for share in (0.01, 0.5))
+    return (
+        f"noise loses packets (cause snr): 1% of {size} bytes at {some:.4g} m, half at {half:.4g} m; "
+        f"{across:.3g}% at {extent:.4g} m, the largest distance in the formation"
+    )
+
+
+def _range_of(acoustic: AcousticConfig, size: int, share: float) -> float:
+    """The range [m] within the modem's beyond which noise loses more than a share of the packets."""
+    near, far = 0.0, acoustic.modem.max_range
+    for _ in range(60):
+        middle = (near + far) / 2.0
+        near, far = (near, middle) if acoustic.packet_error_rate(middle, size) > share else (middle, far)
+    return far

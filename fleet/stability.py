@@ -122,6 +122,7 @@ def report(scenario: Scenario, found: Analysis) -> list[str]:
     if acoustic is not None:
         talking = acoustics.describe(network, acoustic, n, scenario.tick_ns)
         lines.append(f"{talking}; what is heard is up to {oldest_s(scenario):.4g} s old without loss")
+        lines.append(acoustics.describe_noise(network, acoustic, scenario.plans))
     if found.gain_max is not None:
         lines += _limits(scenario, found)
         thumb = "rule of thumb, necessary and not sufficient:"

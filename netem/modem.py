@@ -72,8 +72,11 @@ class AcousticConfig:
     def packet_error_rate(self, range_m: float, size: int) -> float:
         """The probability that noise alone makes a payload of `size` bytes undecodable at a range [m]."""
         modem = self.modem
-        snr = self.received_level(range_m) - (self.noise_level() - modem.directivity)
-        return underwater.packet_error_rate(snr, 8 * size, modem.lost_below, modem.clear_above)
+        return underwater.packet_error_rate(self.snr(range_m), 8 * size, modem.lost_below, modem.clear_above)
+
+    def snr(self, range_m: float) -> float:
+        """The signal-to-noise ratio [dB] at a range [m]."""
+        return self.received_level(range_m) - (self.noise_level() - self.modem.directivity)
 
     def delay_ns(self, range_m: float) -> int:
         """How long sound takes over a range [m], rounded to nanoseconds."""

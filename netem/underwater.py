@@ -18,7 +18,7 @@
 |---|---|
 | c(T, S, D), the nine terms of `sound_speed` | [1]; 2 to 30 deg C, 25 to 40 ppt, down to 8000 m |
 | alpha = 0.11 f^2/(1 + f^2) + 44 f^2/(4100 + f^2) + 2.75e-4 f^2 + 0.003 | Thorp, as in [2]; f >= 0.4 |
-| alpha = 0.002 + 0.11 f/(1 + f) + 0.011 f | likewise; f < 0.4 |
+| alpha = 0.002 + 0.11 f^2/(1 + f^2) + 0.011 f^2 | Thorp; f < 0.4. Older releases of ns-3 have f for f^2, a slip |
 | TL = 10 k log10(r / 1 m) + alpha r / 1000 | [2]; 0 within 1 m |
 | turbulence 17 - 30 log10 f | Wenz as fitted by Coates, as in [3] |
 | shipping 40 + 20 (s - 0.5) + 26 log10 f - 60 log10(f + 0.03) | likewise |
@@ -59,7 +59,7 @@ def absorption(f_khz: float) -> float:
     """Absorption [dB/km] at a frequency, by Thorp."""
     f2 = f_khz * f_khz
     if f_khz < 0.4:
-        return 0.002 + 0.11 * f_khz / (1.0 + f_khz) + 0.011 * f_khz
+        return 0.002 + 0.11 * f2 / (1.0 + f2) + 0.011 * f2
     return 0.11 * f2 / (1.0 + f2) + 44.0 * f2 / (4100.0 + f2) + 2.75e-4 * f2 + 0.003
 
 

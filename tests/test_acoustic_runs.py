@@ -32,6 +32,27 @@ def test_distributed_is_in_process(tmp_path: Path) -> None:
     assert_same_bytes(*logs)
 
 
+def test_noise_loses_what_check_says(tmp_path: Path) -> None:
+    """`acoustic-noise`: nothing but noise loses, as many as the ranges say, none at less wind and all at 1 dB less."""
+    scenario = load_scenario("acoustic-noise")
+    assert scenario.acoustic is not None
+    expected = scenario.acoustic.packet_error_rate(680.0, 15)
+    assert 0.3 < expected < 0.5
+    for override, share in (
+        ("network.acoustic.source_level=150 dB", expected),
+        ("network.acoustic.wind=10 m/s", 0.0),
+        ("network.acoustic.source_level=149 dB", 1.0),
+    ):
+        result = run(tmp_path, "acoustic-noise", override, "checks={ledger: balanced}")
+        links = result.values["ledger"].values()
+        lost = [link["lost"] for link in links]
+        assert {cause for causes in lost for cause in causes} <= {"snr", "replaced"}
+        drowned = sum(causes.get("snr", 0) for causes in lost)
+        heard = sum(link["delivered"] for link in links)
+        error = (share * (1 - share) / (heard + drowned)) ** 0.5
+        assert abs(drowned / (heard + drowned) - share) <= 3 * error
+
+
 def final_error_m(result: Result) -> float:
     """The formation error at the end [m], of the vehicle that has most."""
     check = next(v for v in result.verdicts if v.check == "formation_error")

@@ -13,7 +13,7 @@ from fleet.scenario import list_scenarios, load_scenario
 GALLERY = {
     "lossy": 10, "burst": 10, "partition-heal": 35, "kill": 30, "kill-restart": 40, "gauss-markov-current": 12,
     "nemesis": 45, "acoustic-80bps": 25, "acoustic-s2c": 20, "rough-sea": 10, "breakdown": 30, "follow-the-leader": 20,
-    "leader-lost": 70, "leader-lost-standby": 70,
+    "leader-lost": 70, "leader-lost-standby": 70, "acoustic-noise": 25,
 }  # fmt: skip
 README = Path(__file__).parents[1] / "README.md"
 

@@ -22,7 +22,18 @@ def test_thorp_at_ten_kilohertz() -> None:
 
 
 @pytest.mark.parametrize(
-    ("f_khz", "db_per_km"), [(1.0, 0.0690), (10.0, 1.1870), (22.0, 4.8916), (25.0, 6.1048), (26.0, 6.5265)]
+    ("f_khz", "db_per_km"),
+    [
+        (0.1, 0.0032),
+        (0.3, 0.0121),
+        (0.399, 0.0189),
+        (0.4, 0.0199),
+        (1.0, 0.0690),
+        (10.0, 1.1870),
+        (22.0, 4.8916),
+        (25.0, 6.1048),
+        (26.0, 6.5265),
+    ],
 )
 def test_thorp_over_the_band(f_khz: float, db_per_km: float) -> None:
     assert uw.absorption(f_khz) == pytest.approx(db_per_km, abs=5e-5)

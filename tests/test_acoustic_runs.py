@@ -36,12 +36,12 @@ def test_noise_loses_what_check_says(tmp_path: Path) -> None:
     """`acoustic-noise`: nothing but noise loses, as many as the ranges say, none at less wind and all at 1 dB less."""
     scenario = load_scenario("acoustic-noise")
     assert scenario.acoustic is not None
-    expected = scenario.acoustic.packet_error_rate(680.0, 15)
+    expected = scenario.acoustic.packet_error_rate(340.0, 15)
     assert 0.3 < expected < 0.5
     for override, share in (
-        ("network.acoustic.source_level=150 dB", expected),
+        ("network.acoustic.source_level=145 dB", expected),
         ("network.acoustic.wind=10 m/s", 0.0),
-        ("network.acoustic.source_level=149 dB", 1.0),
+        ("network.acoustic.source_level=144 dB", 1.0),
     ):
         result = run(tmp_path, "acoustic-noise", override, "checks={ledger: balanced}")
         links = result.values["ledger"].values()

@@ -301,7 +301,7 @@ def test_mistakes_of_file_and_overrides_come_together() -> None:
     assert [p.file for p in caught.value.problems] == ["t.yaml", "--set nope=1", "--set seed=y"]
 
 
-@pytest.mark.parametrize("name", ["survey", "helix", "acoustic-80bps", "acoustic-s2c"])
+@pytest.mark.parametrize("name", ["survey", "helix", "acoustic-80bps", "acoustic-s2c", "acoustic-noise"])
 @pytest.mark.parametrize("vehicles", [1, 2, 3, 20])
 def test_shapes_scale_by_themselves(name: str, vehicles: int) -> None:
     """What is said of vehicles that are gone goes with them; a shape fits any number."""
@@ -310,7 +310,9 @@ def test_shapes_scale_by_themselves(name: str, vehicles: int) -> None:
     assert all(1 <= i <= vehicles for link in s.graph.links for i in link)
 
 
-@pytest.mark.parametrize("name", sorted(set(SHIPPED) - {"survey", "helix", "acoustic-80bps", "acoustic-s2c"}))
+@pytest.mark.parametrize(
+    "name", sorted(set(SHIPPED) - {"survey", "helix", "acoustic-80bps", "acoustic-s2c", "acoustic-noise"})
+)
 @pytest.mark.parametrize("vehicles", [1, 2, 20, 100])
 def test_scaling(name: str, vehicles: int) -> None:
     s = load_scenario(name, [f"vehicles={vehicles}"])

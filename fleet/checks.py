@@ -127,9 +127,12 @@ def _recovery_time(check: Recovery, scenario: Scenario, journal: Journal) -> Ver
     until = "the run ends" if disturbed is None else f"fault {disturbed.fault} begins at {disturbed.tick * tick_s:g} s"
     who = None if check.vehicles is None else vehicle_numbers(check.vehicles)
     what = "formation" if check.error == "formation" else "e"
-    at_s, vehicle, off_m = journal.metrics.settled(what, span, check.within, who)
+    at_s, vehicle, off_m, least_s = journal.metrics.settled(what, span, check.within, who)
     if vehicle == 0:
         return _no_recovery(check, f"{until}, before any frame of the log")
+    if at_s is None and off_m < check.within:
+        found = f"{off_m:.4g} m (vehicle {vehicle}) when {until}, and not within {check.within:g} m for the last"
+        return _no_recovery(check, f"{found} {least_s:.3g} s")
     if at_s is None:
         return _no_recovery(check, f"{off_m:.4g} m (vehicle {vehicle}) when {until}")
     took = round(at_s / tick_s) - end

@@ -4,7 +4,7 @@
 |---|---|---|---|
 | e_i | consensus error from true positions | m | paper eq. (8) |
 | formation error | position minus desired position eta_1^d(t) + p_i | m | docs/paper.md, G12 |
-| settle | first time after which a quantity stays below its limit to the end | s | |
+| settle | first time after which a quantity stays below its limit to the end, for long enough | s | `fleet.settling` |
 """
 
 from __future__ import annotations
@@ -20,12 +20,22 @@ from typing import Any, NamedTuple
 from agents.signals import Layout
 from agents.trajectory import plus
 from fleet.scenario import Scenario
+from fleet.settling import below_from, least_s, settling_time, stayed
 from netem.messages import Command, Frame
 from world.vehicle import Vec3
 
 RMS_WINDOW_S = 10.0
 SETTLE_M = 0.05
 SETTLE_FRACTION = 0.1
+
+
+class Settled(NamedTuple):
+    """When an error settled within a span, and what is to be said if it did not."""
+
+    at_s: float | None  # None: not, or too late to tell
+    vehicle: int  # the last to settle, or of those that did not the farthest off; 0: the span has no frame
+    off_m: float  # that vehicle's error in the last frame of the span
+    least_s: float  # how long it had to stay
 
 
 class VehicleError(NamedTuple):
@@ -72,6 +82,7 @@ class Metrics:
         self._tick_s = scenario.tick_ns / 1e9
         self._neighbours = {i: scenario.graph.neighbours(i) for i in range(1, scenario.vehicles + 1)}
         self._places = {i: _Places.of(scenario.layout(i)) for i in range(1, scenario.vehicles + 1)}
+        self._disturbance = scenario.disturbance
         self.times = array("d")
         self.series = {i: Series() for i in range(1, scenario.vehicles + 1)}
         self.formation = Spread()
@@ -149,41 +160,36 @@ class Metrics:
         """How often the gain's optimisation failed, of each vehicle whose law counts that."""
         return {i: s.qp_failures for i, s in self.series.items() if self._places[i].failures is not None}
 
-    def settled(
-        self, what: str, span: tuple[int, int], limit: float, vehicles: list[int] | None = None
-    ) -> tuple[float | None, int, float]:
-        """When `e` or `formation` of every vehicle, or of some, came below a limit to stay within a span of ticks.
+    def settled(self, what: str, span: tuple[int, int], limit: float, vehicles: list[int] | None = None) -> Settled:
+        """When `e` or `formation` of every vehicle, or of some, settled below a limit within a span of ticks.
 
         Args:
             what: `e` or `formation`.
             span: the first tick, and the one behind the last.
             limit: in m.
-
-        Returns:
-            the time of the first frame from which all are below it [s], or None; the vehicle that was last, or of None
-            the one that is farthest off in the last frame of the span; and how far off it then is [m]. The vehicle is
-            0 if the span has no frame.
         """
         frames = range(bisect_left(self.times, span[0] * self._tick_s), bisect_left(self.times, span[1] * self._tick_s))
         if not frames:
-            return None, 0, 0.0
+            return Settled(None, 0, 0.0, 0.0)
         last, slowest = -1, 0  # frame from which all so far are below, and whose it is
         farthest = -1.0, 0
         for i, series in self.series.items():
             if vehicles is not None and i not in vehicles:
                 continue
             values = getattr(series, what)
-            above = next((k for k in reversed(frames) if not values[k] < limit), frames.start - 1)
-            if above + 1 > last:
-                last, slowest = above + 1, i
+            first = below_from(values, limit, frames.start, frames.stop)
+            if first > last:
+                last, slowest = first, i
             if not values[frames[-1]] <= farthest[0]:
                 farthest = values[frames[-1]], i
-        if last < frames.stop:
-            return self.times[last], slowest, getattr(self.series[slowest], what)[frames[-1]]
-        return None, farthest[1], farthest[0]
+        least = least_s(self._disturbance, self.times[frames[-1]] - span[0] * self._tick_s)
+        if last == frames.stop:
+            return Settled(None, farthest[1], farthest[0], least)
+        at_s = self.times[last] if stayed(self.times, last, frames.stop, least) else None
+        return Settled(at_s, slowest, getattr(self.series[slowest], what)[frames[-1]], least)
 
     def summary(self) -> dict[str, Any]:
-        """Per vehicle, the numbers of the result table; None where a vehicle never settled."""
+        """Per vehicle, the numbers of the result table; None where a vehicle has not settled."""
         if not self.times:
             return {}
         end = self.times[-1]
@@ -192,8 +198,8 @@ class Metrics:
         for i, series in self.series.items():
             initial = series.e[0]
             rows[str(i)] = {
-                "settle_10pct_s": _settle(self.times, series.e, SETTLE_FRACTION * initial),
-                "settle_5cm_s": _settle(self.times, series.e, SETTLE_M),
+                "settle_10pct_s": settling_time(self.times, series.e, SETTLE_FRACTION * initial, self._disturbance),
+                "settle_5cm_s": settling_time(self.times, series.e, SETTLE_M, self._disturbance),
                 "e_rms_m": sqrt(sum(series.e[k] ** 2 for k in late) / len(late)),
                 "e_final_m": series.e[-1],
                 "formation_final_m": series.formation[-1],
@@ -208,16 +214,6 @@ class Metrics:
 def _count(value: float, before: int) -> int:
     # Telemetry is the agent's word; a stranger's agent may say anything that is a double.
     return int(value) if isfinite(value) else before
-
-
-def _settle(times: array[float], values: array[float], limit: float) -> float | None:
-    settled = None
-    for t, value in zip(times, values, strict=True):
-        if not (isfinite(value) and value < limit):
-            settled = None
-        elif settled is None:
-            settled = t
-    return settled
 
 
 class _Places(NamedTuple):

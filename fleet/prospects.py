@@ -9,6 +9,7 @@ from math import dist
 from fleet.fields import vehicle_numbers
 from fleet.scenario import Scenario
 from fleet.schema import EVERY
+from fleet.settling import least_s
 from fleet.stability import oldest_s
 from netem.correlation import effective
 
@@ -75,6 +76,13 @@ def _recoveries(scenario: Scenario) -> Iterator[str]:
             yield (
                 f"checks.recovery_time cannot pass: fault {next_one.fault} begins when fault {name} ends, at "
                 f"{end * tick_s:g} s, which leaves no time to recover"
+            )
+            continue
+        left_s = ((last if next_one is None else next_one.tick) - end) * tick_s
+        if (needed_s := least_s(scenario.disturbance, left_s)) > left_s:
+            yield (
+                f"checks.recovery_time cannot pass: fault {name} leaves {left_s:g} s to recover, and in this "
+                f"disturbance an error must stay within its limit for {needed_s:.3g} s"
             )
 
 

@@ -30,7 +30,7 @@ def side_by_side(runs: Sequence[Run], results: Sequence[Mapping[str, Any] | None
         row += [mark(status == "pass", status.replace("_", " ")), f"{good} of {len(checks)}" if checks else "-"]
         vehicles = list(values.get("vehicles", {}).values())
         settle = [vehicle.get("settle_10pct_s") for vehicle in vehicles]
-        row.append("-" if not settle else "never" if None in settle else f"{max(settle):.4g}")
+        row.append("-" if not settle else "not settled" if None in settle else f"{max(settle):.4g}")
         row.append(f"{max(v['formation_final_m'] for v in vehicles):.4g}" if vehicles else "-")
         row.append(f"{sum(v['effort_Ns'] for v in vehicles):.4g}" if vehicles else "-")
         accounts = values.get("ledger", {}).values()
@@ -80,7 +80,7 @@ def links_table(ledger: Mapping[str, Any], ages: Mapping[str, Any]) -> str:
 def number(key: str, value: Any) -> str:
     """A value of result.json."""
     if value is None:
-        return "never" if key.startswith("settle") else "-"
+        return "not settled" if key.startswith("settle") else "-"
     return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 

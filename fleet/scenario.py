@@ -32,7 +32,7 @@ from netem.config import Condition, Link, NetemConfig
 from netem.grammar import nearest, parse_selector, select
 from netem.modem import AcousticConfig
 from world import disturbance
-from world.config import NavNoise, VehicleSetup, WorldConfig
+from world.config import Harmonic, NavNoise, VehicleSetup, WorldConfig
 from world.vehicle import Vec3, Vec5
 
 _MAX_BYTES = 4_000_000  # more than yaml_marks takes, less than /dev/zero gives
@@ -137,6 +137,11 @@ class Scenario:
         return self.graph.b
 
     @property
+    def disturbance(self) -> tuple[Harmonic, ...]:
+        """The periodic forces on every vehicle; empty: none."""
+        return disturbance.PAPER if self.spec.sea.disturbance == "paper" else ()
+
+    @property
     def log_every(self) -> dict[str, int]:
         """Ticks between two records of each topic group."""
         return log_every(self.spec)
@@ -154,7 +159,7 @@ class Scenario:
                 VehicleSetup(i, eta0, nu0, control.vehicle, control.tau_max, control.tumble_limit, self.layout(i).size)
                 for i, ((eta0, nu0), control) in enumerate(zip(self.initial, self.controls, strict=True), start=1)
             ),
-            disturbance=disturbance.PAPER if spec.sea.disturbance == "paper" else (),
+            disturbance=self.disturbance,
             current=spec.sea.current.mean,
             drift=_drift(spec.sea.current),
             faults=self.faults.world,

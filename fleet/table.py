@@ -111,4 +111,4 @@ def _links(rows: dict[str, dict[str, Any]], ages: dict[str, dict[str, float]]) -
 
 
 def _number(value: float | None, form: str) -> str:
-    return "never" if value is None else format(value, form)
+    return "not settled" if value is None else format(value, form)

@@ -140,7 +140,10 @@ def back_at(tick: int, vehicle: int = 3) -> Callable[[int, int], float]:
         # What happens after the next fault began is not this one's.
         ("{fault: split, below: 1 s, within: 10 cm}", lambda i, t: 1.0 if t >= 300 else 0.0, True,
          "0 s (vehicle 1 the last)"),
-        ("{fault: f2, below: 1 s, within: 10 cm}", back_at(400), True, "0.5 s (vehicle 3 the last)"),
+        ("{fault: f2, below: 1 s, within: 10 cm}", back_at(390), True, "0.4 s (vehicle 3 the last)"),
+        # One frame within the limit shows nothing.
+        ("{fault: f2, below: 1 s, within: 10 cm}", back_at(400), False,
+         "0 m (vehicle 3) when the run ends, and not within 0.1 m for the last 0.05 s"),
         ("{fault: f2, below: 1 s, within: 10 cm}", back_at(999), False, "1 m (vehicle 3) when the run ends"),
         ("{fault: f2, below: 1 s, within: 10 cm, error: consensus}", back_at(999, 1), False,
          "2 m (vehicle 1) when the run ends"),
@@ -149,6 +152,13 @@ def back_at(tick: int, vehicle: int = 3) -> Callable[[int, int], float]:
 def test_recovery_time(check: str, error: Callable[[int, int], float], passed: bool, found: str) -> None:
     result = verdict(f"recovery_time: {check}", SPLIT, error=error)
     assert (result.check, result.passed, result.found) == ("recovery_time", passed, found)
+
+
+def test_recovery_under_a_periodic_disturbance_takes_two_periods_to_show() -> None:
+    check = "recovery_time: {fault: split, below: 1 s, within: 10 cm}"
+    result = verdict(check, SPLIT, "sea.disturbance=paper")
+    expected = "0 m (vehicle 1) when fault f2 begins at 3 s, and not within 0.1 m for the last 12.6 s"
+    assert (result.passed, result.found) == (False, expected)
 
 
 def test_recovery_says_what_was_asked() -> None:

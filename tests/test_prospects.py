@@ -68,6 +68,14 @@ def test_doubts_about_recovery(asked: str, faults: str, words: str) -> None:
     assert (len(found) == 1 and words in found[0]) if words else found == [], found
 
 
+def test_doubts_about_a_recovery_that_cannot_show_in_time() -> None:
+    """Between the waves of a periodic disturbance an error is small for a moment."""
+    asked = ["faults=[{at: 1 s, for: 1 s, mute: 2}]", RECOVERY % "f1", "sea.disturbance=paper"]
+    (found,) = doubts(small("duration=4 s", *asked))
+    assert "fault f1 leaves 2 s to recover, and in this disturbance an error must stay within its limit" in found
+    assert doubts(small("duration=20 s", *asked)) == []
+
+
 def test_nothing_is_doubted_of_what_ships() -> None:
     assert {name: found for name, *_ in list_scenarios() if (found := doubts(load_scenario(name)))} == {}
 

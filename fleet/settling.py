@@ -1,0 +1,47 @@
+"""When an error counts as settled: one rule for the result table, the checks and the report on the paper.
+
+An error settles at the first time from which on it stays below its limit to the end, if that is long enough before
+the end. Under a periodic disturbance an error that crosses its limit in every period is below it for a moment
+before the end of any run: without a least length, the answer would be a matter of when the run ends.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from math import tau
+
+from world.config import Harmonic
+
+PERIODS = 2.0  # of the slowest harmonic of the disturbance: one would do if nothing else were going on
+SHARE = 0.1  # of the time that is judged, whatever the disturbance is ...
+MOST_S = 10.0  # ... but no more than this
+
+
+def least_s(disturbance: Iterable[Harmonic], judged_s: float) -> float:
+    """How long [s] an error must have stayed below its limit, of `judged_s` in which it could."""
+    slowest = min((abs(h.omega) for h in disturbance if h.amplitude and h.omega), default=0.0)
+    periodic = PERIODS * tau / slowest if slowest else 0.0
+    return max(periodic, min(SHARE * judged_s, MOST_S))
+
+
+def below_from(values: Sequence[float], limit: float, begin: int, end: int) -> int:
+    """The first place in `begin .. end` from which on all values before `end` are below the limit; `end` if none is."""
+    place = end
+    while place > begin and values[place - 1] < limit:  # what is no number is not below
+        place -= 1
+    return place
+
+
+def settling_time(
+    times: Sequence[float], values: Sequence[float], limit: float, disturbance: Iterable[Harmonic]
+) -> float | None:
+    """When [s] a value settled below a limit; None if it did not, or too late to tell."""
+    first = below_from(values, limit, 0, len(values))
+    if first == len(values) or not stayed(times, first, len(times), least_s(disturbance, times[-1] - times[0])):
+        return None
+    return float(times[first])
+
+
+def stayed(times: Sequence[float], first: int, end: int, least: float) -> bool:
+    """Whether it is at least `least` seconds from place `first` to the last before `end`."""
+    return bool(times[end - 1] - times[first] >= least - 1e-9)  # times are sums of ticks

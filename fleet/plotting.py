@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from math import log10
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import matplotlib
 from matplotlib.axes import Axes
@@ -48,11 +48,16 @@ def panels(
     width: float = PAGE_IN,
     height: float | None = None,
     ratios: Sequence[float] | None = None,
+    share: bool | Literal["col"] = True,
 ) -> tuple[Figure, list[Axes]]:
-    """A figure with a grid of axes, row by row, that share the horizontal axis; `ratios`: of the heights of rows."""
+    """A figure with a grid of axes, row by row; `ratios`: of the heights of rows.
+
+    Args:
+        share: the horizontal axis: one for all, or with `col` one for each column.
+    """
     figure = Figure(figsize=(width, height or 1.6 * rows + 0.5), layout="constrained")
     FigureCanvasAgg(figure)
-    axes = figure.subplots(rows, columns, sharex=True, squeeze=False, height_ratios=ratios)
+    axes = figure.subplots(rows, columns, sharex=share, squeeze=False, height_ratios=ratios)
     return figure, [ax for row in axes for ax in row]
 
 

@@ -18,9 +18,10 @@ from typing import Any
 from fleet.deathsig import die_with_parent
 from fleet.errors import FleetError
 from fleet.reproduce.cases import CASES, Outcome, U, run_case
-from fleet.reproduce.claims import Claim, judge
+from fleet.reproduce.claims import judge
 from fleet.reproduce.figures import FIGURES, draw
 from fleet.reproduce.report import write
+from fleet.reproduce.verdicts import Claim
 
 CHECK_S = 3  # simulated time of the distributed run that is compared with the in-process one
 
@@ -114,6 +115,17 @@ def _possible(figure: str, outcomes: dict[str, Outcome]) -> bool:
     return any(CASES[name].sea == FIGURES[figure][1] for name in outcomes)
 
 
+def _pictured(figure: str, outcomes: dict[str, Outcome]) -> dict[str, Outcome]:
+    """What a picture may need, which travels to a worker."""
+    sea = FIGURES[figure][1]
+    hidden = ("sensitivity", "exact", "unlimited")
+    return {
+        name: outcome
+        for name, outcome in outcomes.items()
+        if CASES[name].sea == sea and CASES[name].group not in hidden
+    }
+
+
 def _draw_all(
     pool: ProcessPoolExecutor,
     figures: Sequence[str],
@@ -122,12 +134,7 @@ def _draw_all(
     formats: tuple[str, ...],
     tell: Tell,
 ) -> list[str]:
-    kept = {
-        name: Outcome(name, [], outcome.t, outcome.signals, outcome.broken)
-        for name, outcome in outcomes.items()
-        if CASES[name].group not in ("sensitivity", "unlimited")
-    }
-    futures = {name: pool.submit(draw, name, kept, folder, formats) for name in figures}
+    futures = {name: pool.submit(draw, name, _pictured(name, outcomes), folder, formats) for name in figures}
     drawn = []
     for number, (name, future) in enumerate(futures.items(), start=1):
         try:

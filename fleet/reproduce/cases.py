@@ -106,12 +106,16 @@ class Outcome:
     broken: str = ""
 
     @property
+    def tumbled(self) -> str:
+        """Which vehicles tumbled, and when for the first time; empty: none."""
+        found = [(i, row["tumbled_s"]) for i, row in enumerate(self.metrics, start=1) if row["tumbled_s"] is not None]
+        return "tumbled: " + ", ".join(f"UUV {i} at {t:.2f} s" for i, t in found) if found else ""
+
+    @property
     def failure(self) -> str:
-        """Why nothing that came later counts: vehicles that tumbled, or the end of the run; else nothing."""
-        tumbled = [(i, row["tumbled_s"]) for i, row in enumerate(self.metrics, start=1) if row["tumbled_s"] is not None]
-        if tumbled:
-            return "tumbled: " + ", ".join(f"UUV {i} at {t:.2f} s" for i, t in tumbled)
-        return f"ended early: {self.broken}" if self.broken else ""
+        """What a run without fault does not have: a vehicle that tumbled, an early end; empty: neither."""
+        ended = f"ended early: {self.broken}" if self.broken else ""
+        return "; ".join(text for text in (self.tumbled, ended) if text)
 
 
 _PICTURED = ("e", "rho", "u_cmd", "K", "z")

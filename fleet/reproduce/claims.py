@@ -62,7 +62,9 @@ def _formation(o: Outcomes) -> Claim:
         for name in NAMES:
             outcome = o[f"{name}{infix}-{U}"]
             late = each(outcome, "e_max_late_m")
-            numbers = outcome.failure or f"largest of the last 10 s {show(late, '.2g')} m"
+            numbers = f"largest of the last 10 s {show(late, '.2g')} m"
+            if outcome.failure:
+                numbers = f"{outcome.failure}; {numbers}"
             asks = f"{name}: error below {FORMED_M * 1e3:g} mm late, no vehicle tumbled"
             holds = tuple(not outcome.failure and value < FORMED_M for value in late)
             checks.append(Check(reading, asks, holds, numbers))

@@ -126,14 +126,15 @@ def _runs(outcomes: Outcomes, names: Iterable[str]) -> list[str]:
         if name not in outcomes:
             continue
         outcome = outcomes[name]
-        if outcome.failure:
-            rows.append([name, outcome.failure, *[""] * (len(_HEADINGS) - 2)])
+        tumbled = f"; {outcome.tumbled}" if outcome.tumbled else ""
+        if outcome.broken:
+            rows.append([f"{name}{tumbled}", f"ended early: {outcome.broken}", *[""] * (len(_HEADINGS) - 2)])
             continue
         m = outcome.metrics
         first = m[0]
         rows.append(
             [
-                f"{name}, {CASES[name].seconds} s",
+                f"{name}, {CASES[name].seconds} s{tumbled}",
                 show(each(outcome, "settle_10pct_s"), ".2f"),
                 show(each(outcome, "settle_5cm_s"), ".1f"),
                 show(each(outcome, "e_rms_m"), ".4f"),

@@ -89,7 +89,20 @@ def law_class(kind: str, law: Law) -> type[Any]:
     return ours if ours is not None else plugins.load(kind, law)
 
 
-def laws(config: AgentConfig) -> dict[str, Law]:
+class Choice(Protocol):
+    """Who says which laws a vehicle runs."""
+
+    @property
+    def agent(self) -> Law | None: ...
+    @property
+    def controller(self) -> Law | None: ...
+    @property
+    def guidance_law(self) -> Law: ...
+    @property
+    def tracking_law(self) -> Law: ...
+
+
+def laws(config: Choice) -> dict[str, Law]:
     """The laws that an agent runs, by kind."""
     if config.agent is not None:
         return {"agent": config.agent}

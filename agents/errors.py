@@ -41,6 +41,10 @@ class PluginError(AgentError):
         self.hint = hint
 
 
+class UntrustedError(PluginError):
+    """A law whose module is there and may not run: it is not installed, and the user has not allowed it."""
+
+
 class UnknownNameError(AgentError):
     """A controller or profile that does not exist."""
 

@@ -20,8 +20,11 @@ from threading import Event, Thread
 from typing import Any
 
 from agents.config import AgentConfig
-from agents.errors import AgentError
+from agents.controllers import BUILT_IN, laws
+from agents.errors import AgentError, PluginError
+from agents.plugins import admit
 from agents.process import begin_life
+from agents.trust import NOTHING, Trust
 from netem.access import LEASE_MS, Credentials
 from netem.bus import Bus
 from netem.errors import BusError, MalformedMessage
@@ -136,14 +139,15 @@ def _check(path: Path, key: str, kind: type, value: Any) -> None:
         raise JoinError(f"{path}: {key}: {len(value)} characters, expected at most {MOST_TEXT}")
 
 
-def serve(joining: Joining, tell: Callable[[str], None]) -> End:
+def serve(joining: Joining, tell: Callable[[str], None], trust: Trust = NOTHING) -> End:
     """Be that agent until the world says that no more navs will come.
 
     Args:
         tell: told when it has joined.
+        trust: which modules of laws may run besides those that are installed: the run names them, not this user.
 
     Raises:
-        JoinError: the run cannot be joined, expects no such agent, or went away.
+        JoinError: the run cannot be joined, expects no such agent, asks for a law that may not run, or went away.
         SystemExit: the law failed; the console has been told by then.
         KeyboardInterrupt: Ctrl-C; the session is closed.
     """
@@ -153,6 +157,7 @@ def serve(joining: Joining, tell: Callable[[str], None]) -> End:
     bus.on_lost(lost.set)
     try:
         config, clock, incarnation, begin = _ask(bus, keys, joining.vehicle)
+        _admit(config, trust)
         ended: SimpleQueue[End | BaseException] = SimpleQueue()
 
         def live() -> None:
@@ -168,6 +173,15 @@ def serve(joining: Joining, tell: Callable[[str], None]) -> End:
         return _outcome(lost, ended)
     finally:
         bus.close()
+
+
+def _admit(config: AgentConfig, trust: Trust) -> None:
+    try:
+        for kind, law in laws(config).items():
+            if law.name not in BUILT_IN[kind]:
+                admit(kind, law.name, trust, elsewhere=[Path()], because="the run names it")
+    except PluginError as error:
+        raise JoinError(str(error)) from None
 
 
 def _outcome(lost: Event, ended: SimpleQueue[End | BaseException]) -> End:

@@ -10,15 +10,16 @@ import re
 import sys
 import sysconfig
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from contextlib import redirect_stdout
-from importlib.metadata import entry_points
+from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import Any
 
 from agents.config import Law
 from agents.errors import PluginError
 from agents.signals import Signal
+from agents.trust import NOTHING, Trust, permit
 
 GROUP = "uuv_fleet.controllers"
 
@@ -45,8 +46,10 @@ def load(kind: str, law: Law) -> type[Any]:
         law: `package.module:Class`, or the name of an entry point in group `uuv_fleet.controllers`.
 
     Raises:
+        UntrustedError: its module is not installed, and nobody has let it in with `admit`.
         PluginError: there is no such class, or it cannot be used.
     """
+    admit(kind, law.name)
     if ":" in law.name:
         found = _import(kind, law.name)
         _check(kind, law, found)
@@ -59,6 +62,26 @@ def load(kind: str, law: Law) -> type[Any]:
         text = f"its entry point {value} does not load as a law: {error.problem}"
         raise PluginError(kind, law.name, text, error.hint) from None
     return found  # type: ignore[no-any-return]
+
+
+def admit(
+    kind: str,
+    name: str,
+    trust: Trust = NOTHING,
+    own: Iterable[Path] = (),
+    elsewhere: Iterable[Path] = (),
+    because: str = "nobody allowed it",
+) -> None:
+    """Let the module of a law be imported if it may run; see `agents.trust.permit`.
+
+    Raises:
+        UntrustedError: it may not.
+        PluginError: the name is none of a law.
+    """
+    if ":" in name:
+        permit(kind, name, _module_name(kind, name), trust, own, elsewhere, because)
+    elif (point := _points().get(name)) is not None:
+        permit(kind, name, point.value.partition(":")[0].strip(), trust, own, elsewhere, because)
 
 
 def fingerprint(found: type[Any]) -> str:
@@ -125,20 +148,23 @@ def _shown(filename: str) -> str:
     return filename if relative.startswith("..") else relative
 
 
-def _import(kind: str, name: str) -> Any:
+def _module_name(kind: str, name: str) -> str:
     module_name, _, class_name = name.partition(":")
     if not all(part.isidentifier() for part in (*module_name.split("."), class_name)):
         raise PluginError(kind, name, "expected package.module:Class")
     if not name.isascii():  # it also names the message in the log
         raise PluginError(kind, name, "expected package.module:Class", "in a-z, A-Z, digits and _")
+    return module_name
+
+
+def _import(kind: str, name: str) -> Any:
+    module_name, _, class_name = name.partition(":")
     importlib.invalidate_caches()
     try:
         module = _loaded(lambda: importlib.import_module(module_name))
     except ModuleNotFoundError as error:
         if error.name is not None and (module_name == error.name or module_name.startswith(error.name + ".")):
-            # The scenario's folder and the current one were added at the end; what is installed goes without saying.
-            looked = dict.fromkeys(_shown(p or ".") for p in sys.path[-2:] if not in_library(p + os.sep))
-            hint = f"it must be installed, or lie beside the scenario or where you are ({', '.join(looked) or '.'})"
+            hint = "it must be installed, or lie beside the scenario or where you are"
             raise PluginError(kind, name, f"there is no module {error.name!r}", hint) from None
         raise PluginError(kind, name, f"importing it failed: {error}", place_of(error)) from error
     except _LoadError as error:
@@ -175,9 +201,13 @@ def _loaded(load_it: Callable[[], Any]) -> Any:
         raise _LoadError(words_of(error), where) from error
 
 
+def _points() -> dict[str, EntryPoint]:
+    return {point.name: point for point in entry_points(group=GROUP)}
+
+
 def _entry_point(kind: str, name: str) -> tuple[str, Any]:
     """What the entry point says, and what is there."""
-    points = {point.name: point for point in entry_points(group=GROUP)}
+    points = _points()
     if name not in points:
         there = f"installed: {', '.join(sorted(points))}" if points else f"nothing is installed in group {GROUP}"
         raise PluginError(

@@ -262,11 +262,11 @@ class Log:
 
     @cached_property
     def scenario(self) -> Scenario:
-        """The merged scenario that was run, without what was injected into the run.
+        """The merged scenario that was run, without what was injected into the run. No law of it is imported.
 
         Raises:
             LogReadError: the log holds none.
-            ScenarioError: it cannot be used here; a controller of yours is not there, for instance.
+            ScenarioError: another version wrote it, and it is none for this one.
         """
         from fleet.scenario import parse_scenario
 

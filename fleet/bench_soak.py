@@ -55,7 +55,7 @@ class Soak:
         self._began = time.monotonic()
         self._samples: list[float] = []
         self._output = (folder / f"{name}.txt").open("wb")
-        command = [sys.executable, "-m", "fleet", "run", *arguments, "-q", "--out", str(folder / name)]
+        command = [sys.executable, "-P", "-m", "fleet", "run", *arguments, "-q", "--out", str(folder / name)]
         self._process = subprocess.Popen(
             command, stdin=subprocess.DEVNULL, stdout=self._output, stderr=subprocess.STDOUT, start_new_session=True
         )

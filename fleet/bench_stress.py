@@ -202,7 +202,7 @@ def _wait_for(soak: Soak, folder: Path, name: str) -> Path:
 @contextmanager
 def _process(arguments: list[str]) -> Iterator[subprocess.Popen[bytes]]:
     quiet = subprocess.DEVNULL
-    command = [sys.executable, "-m", "fleet", *arguments]
+    command = [sys.executable, "-P", "-m", "fleet", *arguments]
     process = subprocess.Popen(command, stdin=quiet, stdout=quiet, stderr=quiet)
     try:
         yield process

@@ -78,6 +78,8 @@ class Children:
         """
         assert threading.current_thread() is threading.main_thread(), "PDEATHSIG follows the forking thread"
         os.environ[CONSOLE_PID_VARIABLE] = str(os.getpid())
+        # Or the forkserver, a `python -c`, would take a `socket.py` in the current directory for Python's.
+        os.environ["PYTHONSAFEPATH"] = "1"
         self._context.set_forkserver_preload(["fleet.preload"])
         process = self._context.Process(
             target=_child, args=(title, str(log_path), target, args), name=role, daemon=True

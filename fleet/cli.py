@@ -11,10 +11,12 @@ from typing import Any
 import click
 from rich.console import Console as Terminal
 
+from agents.trust import Trust
 from fleet import cli_bench, cli_hosts, cli_join, cli_live, cli_log, cli_protocol, cli_replay, cli_verify, cli_whatif
+from fleet.cli_trust import TrustingCommand, trust_option
 from fleet.cli_types import Duration
 from fleet.completion import scenarios
-from fleet.errors import FleetError, ScenarioError
+from fleet.errors import FleetError, Problem, ScenarioError
 
 EPILOG = "Exit status: 0 pass, 1 a check failed, 2 usage or bad scenario, 3 the run broke, 130 Ctrl-C."
 
@@ -81,7 +83,7 @@ def _asked_for(name: str) -> bool:
     return source is not click.core.ParameterSource.DEFAULT
 
 
-@cli.command(epilog=EPILOG)
+@cli.command(cls=TrustingCommand, epilog=EPILOG)
 @click.argument("scenario", required=False, shell_complete=scenarios)
 @click.option("--from", "begin", metavar="LOG[@TIME]", help="Go on from a snapshot in a log, in one process.")
 @click.option(
@@ -118,6 +120,7 @@ def _asked_for(name: str) -> bool:
 )
 @click.option("--in-process", is_flag=True, help="One process, no zenoh; the same log, byte for byte.")
 @_overrides
+@trust_option
 @click.option("--show-config", is_flag=True, help="Print the merged scenario and stop.")
 @click.option("--port", type=click.IntRange(1, 65535), help="Loopback port of the router; by default a free one.")
 @click.option(
@@ -141,6 +144,7 @@ def run(
     max_missed: float,
     in_process: bool,
     overrides: tuple[str, ...],
+    trust: Trust,
     show_config: bool,
     port: int | None,
     publish: bool,
@@ -177,11 +181,12 @@ def run(
         if begin is not None:
             from fleet.resume import parse_from, prepare
 
-            loaded, start = prepare(*parse_from(begin), more, scenario)
+            loaded, start = prepare(*parse_from(begin), more, scenario, trust)
         elif scenario is None:
             raise click.UsageError("run what? A scenario, or --from a log; see fleet list")
         else:
-            loaded = load_scenario(scenario, more)
+            # To show it nothing needs to run.
+            loaded = load_scenario(scenario, more, trust, refused=[] if show_config else None)
         if show_config:
             click.echo(loaded.to_yaml(), nl=False)
             return
@@ -256,10 +261,11 @@ def _shuffle(seed: int | None) -> Any:
     return shuffled
 
 
-@cli.command()
+@cli.command(cls=TrustingCommand)
 @click.argument("scenario", shell_complete=scenarios)
 @_overrides
-def check(scenario: str, overrides: tuple[str, ...]) -> None:
+@trust_option
+def check(scenario: str, overrides: tuple[str, ...], trust: Trust) -> None:
     """Check SCENARIO without running it; every mistake is reported in one pass.
 
     Says what theory expects of it: whether the graph is connected and everyone reached, the eigenvalues of L+B, and
@@ -272,8 +278,9 @@ def check(scenario: str, overrides: tuple[str, ...]) -> None:
     """
     from fleet.scenario import load_scenario
 
+    refused: list[Problem] = []
     try:
-        loaded = load_scenario(scenario, overrides)
+        loaded = load_scenario(scenario, overrides, trust, refused=refused)
     except ScenarioError as error:
         _fail(error)
     from fleet.chance import HINT, NOTHING, chances
@@ -282,8 +289,9 @@ def check(scenario: str, overrides: tuple[str, ...]) -> None:
     from fleet.stability import analyse, report
 
     links = loaded.graph.links
+    word = "valid as far as it was checked" if refused else "valid"
     click.echo(
-        f"{loaded.name}: valid. {loaded.vehicles} vehicles, {len(links)} directed links, "
+        f"{loaded.name}: {word}. {loaded.vehicles} vehicles, {len(links)} directed links, "
         f"{loaded.duration_ns / 1e9:g} s in {loaded.ticks} ticks of {loaded.tick_ns / 1e6:g} ms, "
         + ("ideal network" if loaded.ideal else f"a round every {loaded.round_ticks} ticks")
     )
@@ -296,7 +304,7 @@ def check(scenario: str, overrides: tuple[str, ...]) -> None:
     click.echo(f"seed {loaded.seed} draws: {', '.join(drawn)}" if drawn else f"{NOTHING}; {HINT}")
     if loaded.spec.expect == "fail":
         click.echo("the run is meant to fail a check, and exits with 0 when it does (expect: fail)")
-    for warning in [*found.warnings, *doubts(loaded)]:
+    for warning in [*(f"not checked: {problem}" for problem in refused), *found.warnings, *doubts(loaded)]:
         click.echo(f"warning: {warning}", err=True)
 
 
@@ -405,7 +413,9 @@ def controller(name: str, kind: str, folder: Path) -> None:
         law, scenario = write_law(kind, name, folder)
     except FleetError as error:
         _fail(error)
-    click.echo(f"wrote {law} and {scenario}; now: fleet run {shlex.quote(str(scenario))}")
+    below = folder.resolve().is_relative_to(Path().resolve())  # from elsewhere it would ask for --trust
+    there, file = ("", scenario) if below else (f"cd {shlex.quote(str(folder))} && ", scenario.name)
+    click.echo(f"wrote {law} and {scenario}; now: {there}fleet run {shlex.quote(str(file))}")
 
 
 @cli.command(name="list")

@@ -161,7 +161,7 @@ def acl(
     from fleet.scenario import load_scenario
 
     try:
-        vehicles = load_scenario(scenario, overrides).vehicles
+        vehicles = load_scenario(scenario, overrides, imports=False).vehicles
         endpoint = parse_endpoint(listen, "--listen")
         if endpoint.protocol == "tls" and certs is None:
             raise HostsError(

@@ -9,13 +9,16 @@ from typing import NoReturn
 
 import click
 
+from agents.trust import Trust
+from fleet.cli_trust import TrustingCommand, trust_option
+
 _AGENT = (
     "Exit status: 0 the run is over; 2 it cannot join; 3 it had joined and its life ended before the run: a fault "
     "killed it, its link ended, its law failed; 130 Ctrl-C."
 )
 
 
-@click.command(epilog=_AGENT)
+@click.command(cls=TrustingCommand, epilog=_AGENT)
 @click.option(
     "--join",
     "path",
@@ -24,8 +27,9 @@ _AGENT = (
     type=click.Path(path_type=Path, dir_okay=False),
     help="The join-<i>.json that fleet run wrote for an external vehicle.",
 )
+@trust_option
 @click.option("-q", "--quiet", is_flag=True, help="Say nothing but errors.")
-def agent(path: Path, quiet: bool) -> None:
+def agent(path: Path, trust: Trust, quiet: bool) -> None:
     """Run the agent of an external vehicle here, in this terminal, until the run is over.
 
     It is the agent that fleet run would have started: the scenario says which laws it runs, and the log is the same.
@@ -52,12 +56,11 @@ def agent(path: Path, quiet: bool) -> None:
         joined = True
         tell(f"{text}; Ctrl-C leaves it")
 
-    sys.path.append(os.getcwd())  # for laws that are not installed, as where the run was started
     try:
         joining = Joining.read(path)
         setproctitle.setproctitle(f"fleet agent {joining.vehicle} [{joining.scenario}]")
         quiet_zenoh()
-        end = serve(joining, begun)
+        end = serve(joining, begun, trust)
     except JoinError as error:
         click.echo(f"fleet: {error}", err=True)
         _leave(3 if joined else 2)

@@ -7,6 +7,8 @@ from pathlib import Path
 
 import click
 
+from agents.trust import Trust
+from fleet.cli_trust import TrustingCommand, trust_option
 from fleet.cli_types import Duration
 from fleet.completion import scenarios
 from fleet.errors import FleetError
@@ -30,15 +32,16 @@ def protocol(context: click.Context) -> None:
         click.echo(page(), nl=False)
 
 
-@protocol.command(epilog=_CHECK)
+@protocol.command(cls=TrustingCommand, epilog=_CHECK)
 @click.option("--id", "vehicle", metavar="I", type=click.IntRange(min=1), required=True, help="The agent's number.")
 @click.option("--scenario", default="paper", show_default=True, shell_complete=scenarios,
               help="Whose slice the agent is given.")  # fmt: skip
+@trust_option
 @click.option("--join-file", metavar="FILE", type=click.Path(path_type=Path, dir_okay=False),
               help="Where to write the join file; by default join-<i>.json here.")  # fmt: skip
 @click.option("--timeout", type=Duration(), default="300 s", show_default=True, help="How long to wait for the agent.")
 @click.option("--port", type=click.IntRange(1, 65535), help="Loopback port of the router; by default a free one.")
-def check(vehicle: int, scenario: str, join_file: Path | None, timeout: int, port: int | None) -> None:
+def check(vehicle: int, scenario: str, trust: Trust, join_file: Path | None, timeout: int, port: int | None) -> None:
     """Play world and netem against an agent of another make, and judge everything that it sends.
 
     Writes a join file, waits for the agent, and runs a canned exchange: the handshake, ticks and round ticks, inboxes
@@ -57,7 +60,7 @@ def check(vehicle: int, scenario: str, join_file: Path | None, timeout: int, por
     quiet_zenoh()
     try:
         examination = Examination(
-            load_scenario(scenario), vehicle, join_file or Path(f"join-{vehicle}.json"), port=port
+            load_scenario(scenario, trust=trust), vehicle, join_file or Path(f"join-{vehicle}.json"), port=port
         )
         found = examination.run(timeout / 1e9, lambda text: click.echo(text, err=True))
     except FleetError as error:

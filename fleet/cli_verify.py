@@ -9,6 +9,8 @@ from typing import Any
 import click
 from rich.console import Console as Terminal
 
+from agents.trust import Trust
+from fleet.cli_trust import TrustingCommand, trust_option
 from fleet.errors import FleetError, ScenarioError
 
 _VERIFY = "Exit status: 0 reproduced, 1 not, 2 no log of ours or it cannot be run here, 3 no message is left in it."
@@ -22,10 +24,11 @@ def _fail(error: FleetError | ScenarioError, status: int = 2) -> Any:
     sys.exit(status)
 
 
-@click.command(epilog=_VERIFY)
+@click.command(cls=TrustingCommand, epilog=_VERIFY)
 @click.argument("log", type=_log)
+@trust_option
 @click.option("-q", "--quiet", is_flag=True, help="No progress.")
-def verify(log: Path, quiet: bool) -> None:
+def verify(log: Path, trust: Trust, quiet: bool) -> None:
     """Run LOG again and compare: every message, bit for bit.
 
     Its scenario and seed, and what was injected and who died while it was recorded, in this process, up to where
@@ -41,7 +44,7 @@ def verify(log: Path, quiet: bool) -> None:
 
     try:
         with Counting(Terminal(stderr=True), "verified", quiet=quiet) as tell:
-            found = check(log, tell)
+            found = check(log, tell, trust)
     except NothingToVerify as error:
         _fail(error, 3)
     except FleetError as error:

@@ -9,21 +9,30 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from agents.trust import Trust
+from fleet.cli_trust import TrustingCommand, trust_option
 from fleet.errors import FleetError
 
 if TYPE_CHECKING:
     from fleet.whatif import WhatIf
 
 
-@click.command(name="whatif")
+@click.command(cls=TrustingCommand, name="whatif")
 @click.argument("log", type=click.Path(path_type=Path))
 @click.option("--agent", type=click.IntRange(min=1), required=True, help="The number of the vehicle.")
 @click.option("--controller", metavar="LAW", help="Short for --set controller=LAW: a name, or package.module:Class.")
 @click.option("--set", "overrides", metavar="KEY=VALUE", multiple=True, help="Change one scenario key.")
+@trust_option
 @click.option("--plot", type=click.Path(path_type=Path), help="Draw both commands into this file (png, svg, pdf).")
 @click.option("--json", "as_json", is_flag=True, help="Plain values instead of words.")
 def command(
-    log: Path, agent: int, controller: str | None, overrides: tuple[str, ...], plot: Path | None, as_json: bool
+    log: Path,
+    agent: int,
+    controller: str | None,
+    overrides: tuple[str, ...],
+    trust: Trust,
+    plot: Path | None,
+    as_json: bool,
 ) -> None:
     """Give another agent the navigation and the messages that one had in LOG, and compare what they command.
 
@@ -45,7 +54,8 @@ def command(
     terminal = Console(stderr=True)
     try:
         with Status("reading the log", console=terminal) as status:
-            found = whatif(log, agent, changes, lambda share: status.update(f"agent {agent}: {100 * share:.0f} %"))
+            tell = lambda share: status.update(f"agent {agent}: {100 * share:.0f} %")  # noqa: E731
+            found = whatif(log, agent, changes, tell, trust)
         if plot is not None:
             from fleet.whatif_plot import draw
 

@@ -96,7 +96,7 @@ def injection(context: click.Context) -> Iterable[str]:
 def _targets(context: click.Context) -> tuple[int, tuple[tuple[int, int], ...]]:
     from fleet.scenario import load_scenario
 
-    scenario = load_scenario(_run(context).directory / "scenario.yaml")
+    scenario = load_scenario(_run(context).directory / "scenario.yaml", imports=False)
     return scenario.vehicles, scenario.graph.links
 
 

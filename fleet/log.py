@@ -22,7 +22,7 @@ from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from mcap.writer import CompressionType, Writer
 
 from agents.config import AgentConfig
-from agents.controllers import BUILT_IN, law_class, laws
+from agents.controllers import law_class, laws
 from agents.plugins import fingerprint
 from agents.signals import Layout
 from fleet.errors import FleetError
@@ -342,20 +342,14 @@ def _start_metadata(start: Start) -> dict[str, str]:
 
 def _plugin_metadata(scenario: Scenario) -> dict[str, str]:
     """Whether the run can be resumed, and what identifies the laws that are not ours."""
-    sources: dict[str, str] = {}
-    for i in range(1, scenario.vehicles + 1):
-        for kind, law in laws(scenario.agent_config(i)).items():
-            if law.name in BUILT_IN[kind]:
-                continue
-            found = law_class(kind, law)
-            sources[law.name] = fingerprint(found)
+    sources = {law.name: fingerprint(law_class(kind, law)) for kind, law in scenario.other_laws}
     return {"resumable": _resumable(scenario)} | {f"law {name}": f"sha256 {digest}" for name, digest in sources.items()}
 
 
 def _resumable(scenario: Scenario) -> str:
     if scenario.external:
         return f"no: {', '.join(map(str, scenario.external))} external, whose agents keep what they remember"
-    without = forgetful(scenario.controls)
+    without = forgetful(scenario.other_laws)
     return "yes" if not without else f"no: {', '.join(without)} has no state() and restore()"
 
 

@@ -11,11 +11,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from agents.controllers import laws
+from agents.trust import NOTHING, Trust
 from fleet.quantities import QuantityError, show_time, time_ns
 from fleet.reader import LogReader, digest, log_path
 from fleet.scenario import Scenario, load_scenario
 from fleet.script import recorded as read
 from fleet.snapshot import START, Snapshot, SnapshotError, find
+from fleet.trust import Policy
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,12 +46,17 @@ def parse_from(text: str) -> tuple[Path, int | None]:
 
 
 def prepare(
-    path: Path, at_ns: int | None, overrides: Sequence[str] = (), name: str | None = None
+    path: Path,
+    at_ns: int | None,
+    overrides: Sequence[str] = (),
+    name: str | None = None,
+    trust: Trust = NOTHING,
 ) -> tuple[Scenario, Start]:
     """The scenario that goes on, and where.
 
     Args:
         name: of another scenario than the log's own.
+        trust: which modules of laws may run that are neither installed nor the user's own.
 
     Raises:
         LogReadError, ScriptError, ScenarioError: there is no log of ours, or the scenario is wrong.
@@ -57,7 +64,7 @@ def prepare(
     """
     source = read(path)
     recorded = source.script()
-    scenario = source.script(overrides) if name is None else load_scenario(name, overrides)
+    scenario = source.script(overrides, Policy(trust)) if name is None else load_scenario(name, overrides, trust)
     if recorded.external:
         vehicles = ", ".join(map(str, recorded.external))
         raise SnapshotError(
@@ -80,8 +87,8 @@ def prepare(
     notes = [f"goes on from t = {at} of {log_path(path)}"]
     if at_ns is not None and at_ns != snapshot.tick * recorded.tick_ns:
         notes[0] += f", its last snapshot before {show_time(at_ns)}"
-    configs = [(i, scenario.agent_config(i), recorded.agent_config(i)) for i in range(1, scenario.vehicles + 1)]
-    anew = [i for i, now, before in configs if laws(now) != laws(before)]
+    pairs = enumerate(zip(scenario.controls, recorded.controls, strict=True), start=1)
+    anew = [i for i, (now, before) in pairs if laws(now) != laws(before)]
     if anew:
         notes.append(f"other laws: agents {', '.join(map(str, anew))} begin without memory")
     return scenario, Start(snapshot, f"{log_path(path)}, digest {digest(log_path(path))}", tuple(anew), tuple(notes))

@@ -14,7 +14,7 @@ from typing import Any
 
 from agents.config import Law
 from agents.controllers import BUILT_IN, CONTROLLERS
-from agents.errors import PluginError
+from agents.errors import PluginError, UntrustedError
 from agents.plugins import load
 from agents.profiles import profile
 from agents.trajectory import Offset, PathError
@@ -33,6 +33,7 @@ from fleet.reference import build as build_reference
 from fleet.schema import EVERY, FaultAction, FormationShape, GuidanceSection, ScenarioSpec, VehicleOverrides
 from fleet.shapes import FORMATION, GRAPH, REFERENCE, Keys
 from fleet.snapshot import snapshot_grid
+from fleet.trust import READING, Policy
 from fleet.tuning import given, law_names, merged, qp_period_ns, used, vehicle, wrong_model
 from fleet.vehicles import VehicleFileError, mass_problems
 from fleet.yaml_marks import Mapping, locate
@@ -60,6 +61,7 @@ class Report:
     root: Mapping
     folder: Path | None = None  # where the scenario's file lies
     problems: list[Problem] = field(default_factory=list)
+    policy: Policy = READING
 
     def add(self, path: tuple[str | int, ...], message: str, hint: str = "", *, key: bool = False) -> None:
         """Report a mistake, once, at the value (or the key) at `path`, or at its nearest ancestor that is there."""
@@ -67,6 +69,18 @@ class Report:
         problem = locate(self.root, path, key=key).problem(f"{_dotted(path)}: {message}", hint)
         if problem not in self.problems:
             self.problems.append(problem)
+
+    def refuse(self, path: tuple[str | int, ...], message: str, hint: str) -> None:
+        """Report a law that may not run."""
+        if self.policy.refused is None:
+            self.add(path, message, hint)
+        else:
+            place = locate(self.root, self._written(path))
+            self.policy.refused.append(place.problem(f"{_dotted(path)}: {message}", hint))
+
+    def typed(self, path: tuple[str | int, ...]) -> bool:
+        """Whether the value at `path` was given on the command line."""
+        return locate(self.root, self._written(path)).source.rank > 0
 
     def add_missing(self, path: tuple[str | int, ...], key: str, why: str) -> None:
         """Report a key that a section should have."""
@@ -665,8 +679,14 @@ def _law(report: Report, path: tuple[str, ...], kind: str, law: Law) -> None:
             report.add((*path, "parameters"), f"{law.name} takes none: its gains are keys of guidance and tracking")
         return
     at = (*path, "law")
+    typed = report.typed(at)
+    if not (typed or report.policy.imports):
+        return
     try:
+        report.policy.admit(kind, law, report.folder, typed=typed)
         load(kind, law)
+    except UntrustedError as error:
+        report.refuse(at, f"{law.name}: {error.problem}", error.hint)
     except PluginError as error:
         if ":" not in law.name and "does not load" not in error.problem:
             close = nearest(law.name, ours) if ours else ""

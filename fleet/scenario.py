@@ -6,16 +6,16 @@
 from __future__ import annotations
 
 import re
-import sys
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from importlib import resources
 from pathlib import Path
 
-from agents.config import AgentConfig, Neighbour
-from agents.controllers import layout
+from agents.config import AgentConfig, Law, Neighbour
+from agents.controllers import BUILT_IN, laws, layout
 from agents.signals import Layout
 from agents.trajectory import Change, Offset, Reference, minus
+from agents.trust import NOTHING, Trust
 from fleet import acoustics, emit, faults, formation, graph, nemesis, reference, tuning
 from fleet.errors import Problem, ScenarioError
 from fleet.fields import vehicle_numbers
@@ -24,6 +24,7 @@ from fleet.modems import shipped as shipped_modems
 from fleet.overrides import apply, override_name
 from fleet.schema import CurrentSection, ScenarioSpec, VehicleSection
 from fleet.snapshot import log_every, memory_ticks
+from fleet.trust import READING, Policy, stranger
 from fleet.tuning import Control
 from fleet.validation import validate
 from fleet.vehicles import shipped as shipped_vehicles
@@ -50,7 +51,7 @@ class Scenario:
     conditions: dict[Link, Condition]  # of every link that is not perfect at the start
     controls: tuple[Control, ...]  # what each vehicle is and runs
     faults: faults.Plan
-    memory_ticks: int  # between two snapshots; 0: none
+    other_laws: tuple[tuple[str, Law], ...]  # kind and law of those that are not ours, each name once
     acoustic: AcousticConfig | None  # None: no water between them
     source: str = field(default="", compare=False)  # the shipped name or the path it was loaded from
 
@@ -76,7 +77,7 @@ class Scenario:
             faults=faults.plan(spec, links.links),
             acoustic=acoustics.compile_acoustic(spec.network, spec.vehicles, spec.tick, folder),
             controls=controls,
-            memory_ticks=memory_ticks(spec, controls),
+            other_laws=_others(controls),
             source=source,
         )
 
@@ -140,6 +141,11 @@ class Scenario:
     def disturbance(self) -> tuple[Harmonic, ...]:
         """The periodic forces on every vehicle; empty: none."""
         return disturbance.PAPER if self.spec.sea.disturbance == "paper" else ()
+
+    @property
+    def memory_ticks(self) -> int:
+        """Ticks between two snapshots; 0: none. Laws that are not ours are asked, and imported for that."""
+        return memory_ticks(self.spec, self.other_laws)
 
     @property
     def log_every(self) -> dict[str, int]:
@@ -241,6 +247,14 @@ class Scenario:
         return emit.scenario_yaml(self.spec)
 
 
+def _others(controls: Iterable[Control]) -> tuple[tuple[str, Law], ...]:
+    found: dict[str, tuple[str, Law]] = {}
+    for kind, law in (running for control in controls for running in laws(control).items()):
+        if law.name not in BUILT_IN[kind]:
+            found.setdefault(law.name, (kind, law))
+    return tuple(found.values())
+
+
 def _standing_alone(spec: ScenarioSpec, folder: Path | None) -> ScenarioSpec:
     """The same specification without files of vehicles and modems beside it."""
 
@@ -273,21 +287,40 @@ def _difference(a: Offset, b: Offset) -> Offset:
     )
 
 
-def load_scenario(name_or_path: str | Path, overrides: Sequence[str] = ()) -> Scenario:
+def load_scenario(
+    name_or_path: str | Path,
+    overrides: Sequence[str] = (),
+    trust: Trust = NOTHING,
+    *,
+    imports: bool = True,
+    refused: list[Problem] | None = None,
+) -> Scenario:
     """The scenario of a shipped name or of a file, with `key.path=value` overrides applied.
+
+    Args:
+        trust: which modules may run that are neither installed nor the user's own; see `fleet.trust`.
+        imports: whether the laws that the file names are imported, to see if they can be used.
+        refused: gets the laws that may not run, in place of an error.
 
     Raises:
         ScenarioError: with every mistake that was found, in the order of the file.
     """
     shown, text, folder = _text(str(name_or_path))
-    return parse_scenario(text, shown, overrides, folder)
+    policy = Policy(trust, "" if folder is None else stranger(Path(shown)), imports, refused)
+    return parse_scenario(text, shown, overrides, folder, policy)
 
 
-def parse_scenario(text: str, source_name: str, overrides: Sequence[str] = (), folder: Path | None = None) -> Scenario:
+def parse_scenario(
+    text: str,
+    source_name: str,
+    overrides: Sequence[str] = (),
+    folder: Path | None = None,
+    policy: Policy = READING,
+) -> Scenario:
     """The scenario that `text` describes; `source_name` is what problems call it.
 
     A text without a name is named after its source. Vehicle files, and the modules of laws that are not installed,
-    are looked for in `folder` and in the current directory.
+    are looked for in `folder` and in the current directory; `policy` says which of them may run, by itself none.
 
     Raises:
         ScenarioError: with every mistake that was found, in the order of the text.
@@ -302,11 +335,7 @@ def parse_scenario(text: str, source_name: str, overrides: Sequence[str] = (), f
         name = re.sub(r"[^a-z0-9_-]+", "-", Path(source_name).stem.lower()).strip("-_")[:64] or "scenario"
         root = root.with_entry("name", root.place, Scalar(name, root.place))
     root, more = apply(root, overrides)
-    for place in (folder, Path()):
-        # At the end, so that nothing there takes the place of an installed module.
-        if place is not None and str(place.absolute()) not in sys.path:
-            sys.path.append(str(place.absolute()))
-    spec, found = validate(root, folder)
+    spec, found = validate(root, folder, policy)
     everything = [*problems, *more, *found]
     if spec is None or everything:
         raise ScenarioError(sorted(everything, key=lambda p: _order(p, source, overrides)))

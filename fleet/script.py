@@ -16,6 +16,7 @@ from fleet.reader import CLOCK, REAL, LogReader, Record, log_path
 from fleet.scenario import Scenario, parse_scenario
 from fleet.schema import EVERY
 from fleet.snapshot import START
+from fleet.trust import READING, Policy
 
 
 class ScriptError(FleetError):
@@ -44,16 +45,19 @@ class Recorded:
                 f"{what}; the same scenario in lockstep can be repeated: fleet script {self.path} > again.yaml"
             )
 
-    def script(self, overrides: Sequence[str] = ()) -> Scenario:
+    def script(self, overrides: Sequence[str] = (), policy: Policy = READING) -> Scenario:
         """The scenario, its faults taken from what happened, with overrides as for `fleet run --set`.
+
+        Args:
+            policy: which modules of laws may be imported for it; by itself none.
 
         Raises:
             ScenarioError: it is none for this version, or an override is wrong.
         """
         if START in self.reader.attachments:
             # Gone on from another run, in one process: nothing was injected, and what was before is not in this log.
-            return parse_scenario(self.text, str(self.path), overrides)
-        return rerun(self.path, self.text, self.events, self.last_ns, overrides)
+            return parse_scenario(self.text, str(self.path), overrides, policy=policy)
+        return rerun(self.path, self.text, self.events, self.last_ns, overrides, policy)
 
 
 def recorded(path: Path) -> Recorded:
@@ -99,7 +103,12 @@ def _attached(path: Path, reader: LogReader) -> str:
 
 
 def rerun(
-    path: Path, text: str, happened: list[tuple[int, Any]], last_ns: int, overrides: Sequence[str] = ()
+    path: Path,
+    text: str,
+    happened: list[tuple[int, Any]],
+    last_ns: int,
+    overrides: Sequence[str] = (),
+    policy: Policy = READING,
 ) -> Scenario:
     """The scenario that gives what happened up to a time; `text` is what the log calls its scenario.
 
@@ -113,7 +122,8 @@ def rerun(
         faults = _with_plans(faults, planned)
     ended = {str(entry["id"]) for entry in faults if "for" in entry}
     more = [*_recoveries(planned, ended), *overrides]
-    return parse_scenario(_without_faults(text.splitlines()) + _faults_yaml(faults), str(path), more)
+    again = _without_faults(text.splitlines()) + _faults_yaml(faults)
+    return parse_scenario(again, str(path), more, policy=policy)
 
 
 def _recoveries(planned: Scenario, ended: set[str]) -> list[str]:

@@ -16,7 +16,8 @@ from typing import TYPE_CHECKING, Any
 import msgpack
 
 from agents.config import Law
-from agents.controllers import BUILT_IN, law_class
+from agents.controllers import law_class
+from agents.errors import PluginError
 from agents.plugins import resumable
 from fleet.errors import FleetError
 from fleet.log_values import Decoder
@@ -25,7 +26,6 @@ from fleet.reader import LogReader, log_path
 
 if TYPE_CHECKING:
     from fleet.schema import ScenarioSpec
-    from fleet.tuning import Control
 
 SNAPSHOT_NS = 10_000_000_000
 TOPIC = "snapshot"
@@ -90,30 +90,29 @@ def log_every(spec: ScenarioSpec) -> dict[str, int]:
     return every
 
 
-def memory_ticks(spec: ScenarioSpec, controls: Iterable[Control]) -> int:
-    """Ticks between two snapshots; 0 for none, also where a law cannot tell what it remembers."""
+def memory_ticks(spec: ScenarioSpec, others: Iterable[tuple[str, Law]]) -> int:
+    """Ticks between two snapshots; 0 for none, also where a law cannot tell what it remembers.
+
+    Args:
+        others: kind and law of those that are not ours.
+    """
     wanted = SNAPSHOT_NS if spec.log.snapshot is None else spec.log.snapshot
-    if wanted == 0 or forgetful(controls):
+    if wanted == 0 or forgetful(others):
         return 0
     grid = snapshot_grid(spec)
     return max(1, -(-wanted // (grid * spec.tick))) * grid
 
 
-def forgetful(controls: Iterable[Control]) -> list[str]:
-    """The laws that cannot give and take back their state, by name."""
-    found: list[str] = []
-    for kind, law in (running for control in controls for running in _running(control)):
-        if law.name not in BUILT_IN[kind] and law.name not in found and not resumable(law_class(kind, law)):
-            found.append(law.name)
-    return found
+def forgetful(others: Iterable[tuple[str, Law]]) -> list[str]:
+    """Those of some laws that cannot give and take back their state, by name; one that may not run is one of them."""
+    return list(dict.fromkeys(law.name for kind, law in others if not _resumable(kind, law)))
 
 
-def _running(control: Control) -> list[tuple[str, Law]]:
-    if control.agent is not None:
-        return [("agent", control.agent)]
-    if control.controller is not None:
-        return [("controller", control.controller)]
-    return [("guidance", control.guidance_law), ("tracking", control.tracking_law)]
+def _resumable(kind: str, law: Law) -> bool:
+    try:
+        return resumable(law_class(kind, law))
+    except PluginError:
+        return False
 
 
 def find(path: Path, at_ns: int | None = None) -> Snapshot:

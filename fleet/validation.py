@@ -15,19 +15,22 @@ from fleet.errors import Problem
 from fleet.quantities import describe
 from fleet.rules import Report, UnknownValueError, check
 from fleet.schema import ScenarioSpec, Section
+from fleet.trust import READING, Policy
 from fleet.yaml_marks import Items, Mapping, Node, locate, plain, text_place
 from netem.grammar import nearest
 
 Loc = tuple[str | int, ...]
 
 
-def validate(root: Mapping, folder: Path | None = None) -> tuple[ScenarioSpec | None, list[Problem]]:
+def validate(
+    root: Mapping, folder: Path | None = None, policy: Policy = READING
+) -> tuple[ScenarioSpec | None, list[Problem]]:
     """The specification that the tree holds, or None and what is wrong with it; `folder` is where its file lies.
 
     The rules between keys run even if some keys are wrong: on those that are right.
     """
     data = plain(root)
-    report = Report(root, folder)
+    report = Report(root, folder, policy=policy)
     spec: ScenarioSpec | None = None
     try:
         spec = ScenarioSpec.model_validate(data)

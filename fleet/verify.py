@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import IO, Any
 
 from agents.errors import AgentError
+from agents.trust import NOTHING, Trust
 from fleet.clock import Clock
 from fleet.difference import Difference, Side, side
 from fleet.errors import FleetError, RunBroken
@@ -28,6 +29,7 @@ from fleet.reader import GAPS, RECOVERY, LogReader, Record
 from fleet.resume import Start, begun
 from fleet.scenario import Scenario, parse_scenario
 from fleet.script import Recorded, recorded
+from fleet.trust import Policy
 from world.errors import WorldError
 
 _VERSIONS = ("uuv-fleet", "python", "piqp")  # that may change a bit without anybody's mistake
@@ -62,13 +64,17 @@ class Verification:
 Tell = Callable[[float, float], None]  # sim time that is verified, and up to which there is something to verify [s]
 
 
-def verify(path: Path, tell: Tell = lambda at_s, end_s: None) -> Verification:
+def verify(path: Path, tell: Tell = lambda at_s, end_s: None, trust: Trust = NOTHING) -> Verification:
     """Run a log again and compare.
+
+    Args:
+        trust: which modules of its laws may run besides those that are installed.
 
     Raises:
         LogReadError: there is no log to read.
         ScriptError: it holds no scenario of ours.
-        ScenarioError: its scenario does not run here: another version wrote it, or a law is not installed.
+        ScenarioError: its scenario does not run here: another version wrote it, or a law is not installed
+            and not trusted.
         NothingToVerify: no message of it is left.
         NotRecordedError: it has an external agent, but not all of its commands.
     """
@@ -78,7 +84,8 @@ def verify(path: Path, tell: Tell = lambda at_s, end_s: None) -> Verification:
     if last_ns < 0:
         raise NothingToVerify(f"{path} holds no message{f': {reader.missing}' if reader.missing else ''}")
     start = begun(reader)
-    scenario = source.script() if start is not None else _scenario(source)
+    policy = Policy(trust)
+    scenario = source.script(policy=policy) if start is not None else _scenario(source, policy)
     found = Verification(path, last_ns / 1e9, scenario.ticks * scenario.tick_ns / 1e9, missing=reader.missing)
     found.external = scenario.external
     _compare_metadata(found, reader.metadata.get("run", {}), run_metadata(scenario, start))
@@ -86,9 +93,9 @@ def verify(path: Path, tell: Tell = lambda at_s, end_s: None) -> Verification:
     return found
 
 
-def _scenario(source: Recorded) -> Scenario:
+def _scenario(source: Recorded, policy: Policy) -> Scenario:
     """What to run: the log's scenario if everything went as it says, else one of what happened."""
-    scenario = parse_scenario(source.text, str(source.path))
+    scenario = parse_scenario(source.text, str(source.path), policy=policy)
     happened = [(at_ns, e.fault, e.action, e.what) for at_ns, e in source.events]
     planned = [(e.tick * scenario.tick_ns, e.fault, e.action, e.what) for e in scenario.faults.events]
     kept = set(happened)
@@ -96,7 +103,7 @@ def _scenario(source: Recorded) -> Scenario:
     gone = [event for event in planned if event[0] < source.last_ns and event not in kept]
     if kept <= set(planned) and (not gone or _gaps(source.reader)):
         return scenario
-    return source.script()
+    return source.script(policy=policy)
 
 
 def _gaps(reader: LogReader) -> list[int]:

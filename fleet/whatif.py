@@ -14,12 +14,16 @@ from typing import Any
 import numpy as np
 
 from agents.agent import Agent, PluggedAgent, make_agent
+from agents.controllers import BUILT_IN, laws
 from agents.errors import AgentError
+from agents.plugins import admit
+from agents.trust import NOTHING, Trust
 from fleet.errors import FleetError
 from fleet.log_values import Decoder
 from fleet.reader import LogReader, log_path
 from fleet.scenario import Scenario
 from fleet.script import recorded as read
+from fleet.trust import A_LOG, Policy
 from netem.lives import Lives
 from netem.messages import Delivery, Nav
 
@@ -57,23 +61,28 @@ class WhatIf:
 
 
 def whatif(
-    path: Path, agent: int, overrides: Sequence[str] = (), progress: Callable[[float], None] = lambda _: None
+    path: Path,
+    agent: int,
+    overrides: Sequence[str] = (),
+    progress: Callable[[float], None] = lambda _: None,
+    trust: Trust = NOTHING,
 ) -> WhatIf:
     """Give a fresh agent what a recorded one was given.
 
     Args:
         overrides: `key=value`, as for `fleet run --set`; they concern this agent alone.
         progress: told the share that is done, now and then.
+        trust: which modules of this agent's laws may run besides those that are installed and those in `overrides`.
 
     Raises:
         LogReadError, ScriptError: there is no log of ours.
         ScenarioError: an override is wrong.
-        WhatIfError: the agent is not there, its navigation was thinned, or its law failed.
+        WhatIfError: the agent is not there, its navigation was thinned, or its law may not run, or failed.
     """
     path = log_path(path)
     source = read(path)
     source.insist_on_lockstep("what an agent had heard when is not in it")
-    scenario, recorded = source.script(overrides), source.script()
+    scenario, recorded = source.script(overrides, Policy(trust, imports=False)), source.script()
     if scenario.vehicles != recorded.vehicles or scenario.tick_ns != recorded.tick_ns:
         raise WhatIfError("another number of vehicles, or another tick, is another run: use fleet run")
     if not 1 <= agent <= scenario.vehicles:
@@ -81,6 +90,13 @@ def whatif(
     for group in ("nav", "command"):
         if (every := recorded.log_every[group]) > 1:
             raise WhatIfError(f"{path} has every {every}th {group} only: an agent needs all (log.{group}: 1 tick)")
+    try:
+        for kind, law in laws(scenario.controls[agent - 1]).items():
+            if law.name not in BUILT_IN[kind]:
+                admit(kind, law.name, trust, elsewhere=[Path()], because=A_LOG)
+        make_agent(scenario.agent_config(agent))
+    except AgentError as error:
+        raise WhatIfError(f"{path}: {error}") from None
     navs, commands, deliveries = _read(path, agent, scenario.tick_ns)
     if not navs:
         raise WhatIfError(f"{path} has no navigation of agent {agent}")

@@ -566,8 +566,9 @@ def test_a_law_that_cannot_be_made(module: Callable[[str], str], tmp_path: Path)
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_templates_run(kind: str, tmp_path: Path) -> None:
+def test_templates_run(kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """What `fleet new` writes runs as it is, does what its check asks, and is resumable."""
+    monkeypatch.chdir(tmp_path)
     name = f"my_{kind}_law"
     arguments = ["new", "controller", name, "--kind", kind, "--dir", str(tmp_path / "the laws")]
     written = CliRunner().invoke(cli, arguments, catch_exceptions=False)

@@ -49,6 +49,7 @@ def reproduce(
         raise ReproduceError(f"cannot make {folder}: {error.strerror}") from None
     network = _network_check(tell) if any(CASES[name].group == "network" for name in names) else ""
     context = multiprocessing.get_context("spawn")
+    os.environ["PYTHONSAFEPATH"] = "1"  # or a `socket.py` in the current directory would be taken for Python's
     times = context.Array("d", len(names))
     try:
         with _pool(jobs, context, times) as pool:

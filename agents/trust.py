@@ -1,0 +1,181 @@
+"""Where the module of a law lies, and whether it may run here.
+
+To import a module is to run it. Scenarios, logs and runs of strangers name laws, so a name alone runs nothing: a module
+runs if it is installed, if it lies in a folder that the caller says is the user's own, or if the user allowed it.
+Nothing is imported to find that out.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.util
+import os
+import stat
+import sys
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from importlib.machinery import ModuleSpec, PathFinder
+from pathlib import Path
+
+from agents.errors import PluginError, UntrustedError
+
+SHA256 = "sha256:"  # what begins a fingerprint on the command line
+
+_added: list[str] = []  # folders that are on `sys.path` for the sake of modules that were allowed
+_allowed: set[str] = set()  # modules outside of what is installed that may run
+
+
+def _silent(text: str) -> None:
+    """Say nothing."""
+
+
+@dataclass(frozen=True, slots=True)
+class Trust:
+    """What the user allows beyond what is installed and what is plainly his own."""
+
+    everything: bool = False
+    fingerprints: frozenset[str] = frozenset()  # SHA-256 of files, hexadecimal
+    tell: Callable[[str], None] = _silent  # told what runs because of this, before it does
+
+
+NOTHING = Trust()
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """Where a module lies."""
+
+    folder: str  # where the search for its first name found it
+    files: tuple[str, ...]  # that importing it runs: of its packages, and its own
+    installed: bool
+
+
+def permit(
+    kind: str,
+    name: str,
+    module: str,
+    trust: Trust = NOTHING,
+    own: Iterable[Path] = (),
+    elsewhere: Iterable[Path] = (),
+    because: str = "nobody allowed it",
+) -> None:
+    """Let the module of a law be imported, and found, if it may run; one that is nowhere is left to the import.
+
+    Args:
+        kind, name: of the law, for the message.
+        own: folders of the user, whose modules run without a word.
+        elsewhere: folders to look in besides, whose modules need his word.
+        because: why they do.
+
+    Raises:
+        UntrustedError: it may not run.
+        PluginError: it is no module for a law.
+    """
+    if module in _allowed:
+        return
+    own = list(own)
+    place = find(module, [*own, *elsewhere])
+    if module in sys.modules:  # it has run
+        if place is not None and not place.installed:
+            _allow(module, place)
+        return
+    if module.partition(".")[0] in sys.stdlib_module_names or module.endswith("__main__"):
+        raise PluginError(kind, name, f"{module} is a part of Python or a program, not a module with a law")
+    if place is None or place.installed:
+        return
+    if os.path.realpath(place.folder) in map(os.path.realpath, own):
+        if not _open_to_all(place.folder):
+            _allow(module, place)
+            return
+        because = f"everybody may write into {place.folder}"
+    shown, found = " and ".join(map(_shown, place.files)) or _shown(place.folder), _fingerprints(place)
+    if not trust.everything and not (found and trust.fingerprints.issuperset(found)):
+        listed = " ".join(f"--trust {SHA256}{digest}" for digest in found)
+        hint = "read it first; --trust runs it" + (f", {listed} runs it only as it is now" if found else "")
+        raise UntrustedError(kind, name, f"would run {shown}, which is not installed, and {because}", hint)
+    trust.tell(f"{kind} {name} runs {shown} ({', '.join(SHA256 + digest[:16] for digest in found)}), as --trust allows")
+    _allow(module, place)
+
+
+def find(module: str, folders: Iterable[Path]) -> Place | None:
+    """Where importing a module would find it if the folders stood at the end of the search path; None: nowhere."""
+    first, *rest = module.split(".")
+    spec = _first(first)
+    places = [_installed(first)] if spec is not None else []
+    if spec is None:
+        spec = next(filter(None, (PathFinder.find_spec(first, [str(folder.absolute())]) for folder in folders)), None)
+    if spec is None:
+        return None
+    specs, whole = [spec], first
+    for part in rest:
+        whole += f".{part}"
+        below = PathFinder.find_spec(whole, list(specs[-1].submodule_search_locations or ()))
+        if below is None:  # the import will say so
+            break
+        specs.append(below)
+    files = tuple(s.origin for s in specs if s.origin is not None and s.has_location)
+    return Place(_folder(spec), files, any(p is not None and _same(p, spec) for p in places))
+
+
+def _first(name: str) -> ModuleSpec | None:
+    """What `import name` would take."""
+    try:
+        return importlib.util.find_spec(name)
+    except (ValueError, ImportError):  # of unknown origin, as `__main__` is
+        return None
+
+
+def _installed(name: str) -> ModuleSpec | None:
+    """The same if neither the current directory nor a folder that was added here were searched."""
+    for finder in list(sys.meta_path):
+        spec = finder.find_spec(name, list(_environment()) if finder is PathFinder else None)
+        if spec is not None:
+            return spec
+    return None
+
+
+def _environment() -> Iterator[str]:
+    # `python -m`, `python -c` and notebooks put the current directory first.
+    here = os.path.realpath(".")
+    for number, entry in enumerate(sys.path):
+        if entry and entry not in _added and not (number == 0 and os.path.realpath(entry) == here):
+            yield entry
+
+
+def _same(one: ModuleSpec, other: ModuleSpec) -> bool:
+    where = [(s.origin, list(s.submodule_search_locations or ())) for s in (one, other)]
+    return where[0] == where[1]
+
+
+def _folder(spec: ModuleSpec) -> str:
+    """Where a module without a dot in its name lies."""
+    inside = spec.submodule_search_locations
+    return os.path.dirname(next(iter(inside)) if inside else spec.origin or "")
+
+
+def _allow(module: str, place: Place) -> None:
+    _allowed.add(module)
+    if place.folder not in sys.path[1:]:
+        # At the end, so that nothing there takes the place of an installed module; agents get this path, too.
+        sys.path.append(place.folder)
+        _added.append(place.folder)
+
+
+def _open_to_all(folder: str) -> bool:
+    try:
+        return bool(os.stat(folder).st_mode & stat.S_IWOTH)
+    except OSError:
+        return True
+
+
+def _fingerprints(place: Place) -> list[str]:
+    """SHA-256 of each file; nothing if one cannot be read."""
+    try:
+        return [hashlib.sha256(Path(file).read_bytes()).hexdigest() for file in place.files]
+    except OSError:
+        return []
+
+
+def _shown(file: str) -> str:
+    relative = os.path.relpath(file)
+    return file if relative.startswith("..") else relative

@@ -1,0 +1,50 @@
+"""The option --trust of the commands that run laws."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+import click
+
+from agents.trust import SHA256, Trust
+
+F = TypeVar("F", bound=Callable[..., Any])
+_EVERYTHING = "all"
+
+
+class TrustingCommand(click.Command):
+    """A command whose --trust may stand alone, also before an argument."""
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        following = [*args[1:], ""]
+        alone = f"--trust={_EVERYTHING}"
+        args = [
+            alone if arg == "--trust" and not after.startswith(SHA256) else arg
+            for arg, after in zip(args, following, strict=True)
+        ]
+        return super().parse_args(ctx, args)
+
+
+def _trust(context: click.Context, option: click.Parameter, values: tuple[str, ...]) -> Trust:
+    listed = [value for value in values if value != _EVERYTHING]
+    for value in listed:
+        if not re.fullmatch(SHA256 + "[0-9a-fA-F]{64}", value):
+            raise click.BadParameter(f"expected --trust alone, or --trust {SHA256} and 64 digits, got {value!r}")
+    return Trust(
+        _EVERYTHING in values,
+        frozenset(value.removeprefix(SHA256).lower() for value in listed),
+        lambda text: click.echo(f"fleet: {text}", err=True),
+    )
+
+
+def trust_option(command: F) -> F:
+    """--trust: what may run beyond what is installed."""
+    return click.option(
+        "--trust",
+        metavar="[sha256:HEX]",
+        multiple=True,
+        callback=_trust,
+        help="Also run laws that are not installed and not your own; sha256:HEX: only such a file, repeatable.",
+    )(command)

@@ -1,0 +1,58 @@
+"""Whose scenario it is, and so which modules it may have imported; see `agents.trust` for what that means.
+
+What the user types on the command line is his own. A scenario file is his own if it lies in the current directory or
+below it. A log, the scenario in a run directory and a file from elsewhere are a stranger's.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from agents.config import Law
+from agents.plugins import admit
+from agents.trust import NOTHING, Trust
+from fleet.errors import Problem
+
+A_LOG = "a log names it"
+
+
+@dataclass(frozen=True, slots=True)
+class Policy:
+    """What may be imported while a scenario is read."""
+
+    trust: Trust = NOTHING
+    stranger: str = A_LOG  # why the text may name no module that is not installed; "": it is the user's own
+    imports: bool = True  # False: a law that the text names is taken by its name, and nothing is imported
+    refused: list[Problem] | None = None  # gets what may not run, which is then no error
+
+    def admit(self, kind: str, law: Law, folder: Path | None, *, typed: bool) -> None:
+        """Let the module of a law be imported if it may run.
+
+        Args:
+            folder: where the scenario's file lies, if it is one.
+            typed: the user named the law on the command line.
+
+        Raises:
+            UntrustedError: it may not.
+            PluginError: the name is none of a law.
+        """
+        beside = [] if folder is None else [folder]
+        own = [] if self.stranger else beside
+        if typed:
+            own = [Path(), *own]
+        because = self.stranger or "the scenario is not beside it"
+        admit(kind, law.name, self.trust, own, [*beside, Path()], because)
+
+
+READING = Policy(imports=False)
+
+
+def stranger(file: Path) -> str:
+    """Why a scenario's file may name no module that is not installed; "": it is the user's own."""
+    folder = file.parent.resolve()
+    if not folder.is_relative_to(Path().resolve()):
+        return "the scenario that names it lies outside of the current directory"
+    if file.name == "scenario.yaml" and (folder / "run.mcap").exists():
+        return "the scenario that names it is the record of a run"
+    return ""

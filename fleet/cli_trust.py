@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
+from itertools import pairwise
 from typing import Any, TypeVar
 
 import click
@@ -18,12 +19,9 @@ class TrustingCommand(click.Command):
     """A command whose --trust may stand alone, also before an argument."""
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        following = [*args[1:], ""]
         alone = f"--trust={_EVERYTHING}"
-        args = [
-            alone if arg == "--trust" and not after.startswith(SHA256) else arg
-            for arg, after in zip(args, following, strict=True)
-        ]
+        pairs = pairwise([*args, ""])
+        args = [alone if arg == "--trust" and not after.startswith(SHA256) else arg for arg, after in pairs]
         return super().parse_args(ctx, args)
 
 

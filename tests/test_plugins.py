@@ -604,8 +604,9 @@ def test_half_of_ours_and_half_of_yours(kind: str, module: Callable[[str], str],
         assert {tuple(m.tau) for _, m in logged(alone, "uuv/4/command")} == {expected}
 
 
-def test_a_whole_agent_sends_what_it_likes(tmp_path: Path) -> None:
+def test_a_whole_agent_sends_what_it_likes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Its payload is its own: twelve bytes here, which our codec would refuse. Distributed as in one process."""
+    monkeypatch.chdir(tmp_path)
     arguments = ["new", "controller", "whole_agent", "--kind", "agent", "--dir", str(tmp_path)]
     assert CliRunner().invoke(cli, arguments, catch_exceptions=False).exit_code == 0
     s = load_scenario(str(tmp_path / "whole_agent.yaml"), ["duration=1 s", "checks={}"])
@@ -659,8 +660,9 @@ def test_a_template_is_not_hidden_by_another_module(name: str, tmp_path: Path) -
 
 
 @pytest.mark.parametrize("name", ["none", "true", "Signal", "MyPid", "x_the_law", "THE_CHOICE", "_x", "___", "a" * 70])
-def test_a_template_may_have_any_other_name(name: str, tmp_path: Path) -> None:
+def test_a_template_may_have_any_other_name(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Also one that YAML, Python or the template has another use for."""
+    monkeypatch.chdir(tmp_path)
     assert CliRunner().invoke(cli, ["new", "controller", name, "--dir", str(tmp_path)]).exit_code == 0
     assert sorted(os.listdir(tmp_path)) == [f"{name}.py", f"{name}.yaml"]
     s = load_scenario(tmp_path / f"{name}.yaml", ["duration=100 ms", "checks={}"])

@@ -103,7 +103,7 @@ def find(module: str, folders: Iterable[Path]) -> Place | None:
     spec = _first(first)
     places = [_installed(first)] if spec is not None else []
     if spec is None:
-        spec = next(filter(None, (PathFinder.find_spec(first, [str(folder.absolute())]) for folder in folders)), None)
+        spec = next(filter(None, (PathFinder.find_spec(first, [os.path.abspath(folder)]) for folder in folders)), None)
     if spec is None:
         return None
     specs, whole = [spec], first

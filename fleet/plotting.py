@@ -22,6 +22,8 @@ DPI = 200
 FORMATS = ("png", "svg", "pdf")
 _MOST_PLAIN = 4.0  # decades
 
+# A `matplotlibrc` in the current directory would count, and could have LaTeX run over the names in a log.
+matplotlib.rcdefaults()
 matplotlib.rcParams.update(
     {
         "font.size": 8,

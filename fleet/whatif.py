@@ -94,7 +94,7 @@ def whatif(
         for kind, law in laws(scenario.controls[agent - 1]).items():
             if law.name not in BUILT_IN[kind]:
                 admit(kind, law.name, trust, elsewhere=[Path()], because=A_LOG)
-        make_agent(scenario.agent_config(agent))
+        scenario.layout(agent)
     except AgentError as error:
         raise WhatIfError(f"{path}: {error}") from None
     navs, commands, deliveries = _read(path, agent, scenario.tick_ns)
@@ -110,7 +110,10 @@ def whatif(
     for done, (tick, measured) in enumerate(navs):
         incarnation = lives.incarnation(agent, tick)
         if core is None or incarnation != life:
-            core, life = make_agent(scenario.agent_config(agent)), incarnation
+            try:
+                core, life = make_agent(scenario.agent_config(agent)), incarnation
+            except AgentError as error:
+                raise WhatIfError(str(error)) from None
             # What fell due before was for the agent before, or for nobody.
             while begins[life] and waiting < len(deliveries) and deliveries[waiting].due_tick <= begins[life]:
                 waiting += 1

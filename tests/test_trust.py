@@ -157,6 +157,15 @@ def test_open_log_and_pictures_run_nothing(victim: tuple[str, Path, str]) -> Non
     assert not mark.exists()
 
 
+def test_a_matplotlibrc_that_lies_about_is_not_read(victim: tuple[str, Path, str]) -> None:
+    """It could have LaTeX run over the names in a log, and no picture would repeat."""
+    log, mark, _ = victim
+    (mark.parent / "matplotlibrc").write_text("text.usetex: True\n")
+    command = [sys.executable, "-P", "-m", "fleet", "plot", log, "--what", "error", "-o", "plots"]
+    drawn = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    assert drawn.returncode == 0, drawn.stderr
+
+
 def test_replay_knows_no_scenario() -> None:
     """It cannot import what a scenario names if it cannot read one; so do the commands that look at a running one."""
     code = (

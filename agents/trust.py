@@ -135,10 +135,10 @@ def _installed(name: str) -> ModuleSpec | None:
 
 
 def _environment() -> Iterator[str]:
-    # `python -m`, `python -c` and notebooks put the current directory first.
-    here = os.path.realpath(".")
-    for number, entry in enumerate(sys.path):
-        if entry and entry not in _added and not (number == 0 and os.path.realpath(entry) == here):
+    # `python -m`, `python -c` and notebooks put the current directory first, unless they were told not to.
+    first = 0 if sys.flags.safe_path or os.path.realpath(sys.path[0]) != os.path.realpath(".") else 1
+    for entry in sys.path[first:]:
+        if entry and entry not in _added:
             yield entry
 
 

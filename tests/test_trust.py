@@ -157,7 +157,7 @@ def test_open_log_and_pictures_run_nothing(victim: tuple[str, Path, str]) -> Non
     assert not mark.exists()
 
 
-def test_a_matplotlibrc_that_lies_about_is_not_read(victim: tuple[str, Path, str]) -> None:
+def test_a_matplotlibrc_that_lies_about_does_not_count(victim: tuple[str, Path, str]) -> None:
     """It could have LaTeX run over the names in a log, and no picture would repeat."""
     log, mark, _ = victim
     (mark.parent / "matplotlibrc").write_text("text.usetex: True\n")
@@ -259,6 +259,15 @@ def test_with_python_first_in_the_current_directory(victim: tuple[str, Path, str
     refused = subprocess.run(command, capture_output=True, text=True, timeout=60)
     assert refused.returncode == 2 and "would run" in refused.stderr
     assert not mark.exists()
+
+
+def test_a_python_path_is_the_user_s_word(victim: tuple[str, Path, str]) -> None:
+    log, mark, _ = victim
+    command = [sys.executable, "-P", "-m", "fleet", "verify", log]
+    environment = os.environ | {"PYTHONPATH": str(mark.parent)}
+    ran = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=60)
+    assert ran.returncode == 0, ran.stderr
+    assert mark.exists()
 
 
 # --- scenarios ---------------------------------------------------------------

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from agents.controllers import BUILT_IN, laws
 from fleet.scenario import Scenario
 from netem.config import Condition
 from netem.faults import NetFault
@@ -44,9 +43,8 @@ def _chances(scenario: Scenario) -> Iterator[str]:
         random |= isinstance(part, WorldFault) and part.kind == "current" and any(part.values[3:6])
         if random or part.id in drawn:
             yield "faults"
-    for i in range(1, scenario.vehicles + 1):
-        if any(law.name not in BUILT_IN[kind] for kind, law in laws(scenario.agent_config(i)).items()):
-            yield "laws of yours, perhaps"
+    if scenario.other_laws:
+        yield "laws of yours, perhaps"
 
 
 def _drawn(c: Condition) -> bool:

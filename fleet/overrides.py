@@ -123,8 +123,9 @@ def _scale(before: Mapping, root: Mapping) -> Mapping:
         root = replaced(root, "formation", entries)
     elif isinstance(formation, Mapping) and "changes" in formation.entries:
         root = replaced(root, "formation", {k: v for k, v in formation.entries.items() if k != "changes"})
-    if "faults" in root.entries:
-        root = root.without("faults")
+    for written_for_so_many in ("faults", "expect"):
+        if written_for_so_many in root.entries:
+            root = root.without(written_for_so_many)
     checks = root.entries.get("checks")
     if isinstance(checks, Mapping):
         for name, check in checks.entries.items():
@@ -168,6 +169,10 @@ def _scaled_graph(graph: Mapping, explicit: bool, vehicles: int, path: Scalar) -
     for key, most in (("hub", vehicles), ("count", vehicles - 1)):
         if key in entries and _above(entries[key], most):
             del entries[key]
+    standby = entries.get("standby")
+    who = standby.entries.get("vehicles") if isinstance(standby, Mapping) else None
+    if isinstance(who, Scalar) and any(int(n) > vehicles for n in _numbers(str(who.value))):
+        del entries["standby"]
     followers = entries.get("reference")
     if isinstance(followers, Scalar) and followers.value != "all":
         followers = _listed(followers)

@@ -483,7 +483,7 @@ def _graph_links(spec: ScenarioSpec) -> tuple[Link, ...]:
 
 
 def _checks(spec: ScenarioSpec, report: Report) -> None:
-    for name in ("formation_error", "consensus_error", "min_separation", "connected"):
+    for name in ("formation_error", "consensus_error", "min_separation", "connected", "tumbled"):
         check = getattr(spec.checks, name)
         if check is not None and check.vehicles:
             _vehicles_exist(spec, report, ("checks", name, "vehicles"), check.vehicles)

@@ -18,7 +18,9 @@ FIELDS: dict[type, dict[str, Meaning]] = {
         "round_ticks": ("uint", "tick", "m, between two round ticks: tick k is one if m divides it"),
         "offset": ("Offset", "m", "p_i(t), where the vehicle belongs relative to the reference"),
         "reference": (
-            "Line, Circle, Path or null", "", "the trajectory eta_1^d(t), by its `kind`; null: not told",
+            "Line, Circle, Path or null",
+            "",
+            "the trajectory eta_1^d(t), by its `kind`; null: not told",
         ),
         "reference_weight": ("real", "1", "b_i; 0: this vehicle does not follow the reference itself"),
         "neighbours": ("Neighbour[*]", "", "those whom it hears, ascending; it is heard by whom it cannot know"),
@@ -36,9 +38,9 @@ FIELDS: dict[type, dict[str, Meaning]] = {
         "on_error": ("str", "", "abort, coast or die: what ours does when a law fails"),
         "budget_s": ("real", "s", "wall time that a law of ours may take for a sample; 0: any"),
         "codec": ("str", "", "full or compact: which payload the scenario wants, at the end of this page"),
+        "memory_ticks": ("uint", "tick", "between two `memory` messages, which yours may leave out; 0: none"),
         "standby_for": ("uint[*]", "", "neighbours; while it hears none of them it follows the reference itself"),
         "standby_after_s": ("real", "s", "for so long it must not have heard them"),
-        "memory_ticks": ("uint", "tick", "between two `memory` messages, which yours may leave out; 0: none"),
     },
     Neighbour: {
         "id": ("uint", "", "the neighbour's number j, `src` of its deliveries"),

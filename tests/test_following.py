@@ -140,7 +140,8 @@ def test_standby_step_state_restore_step() -> None:
     sample(agent, 40, None)
     other = Agent(scenario.agent_config(2))
     other.restore(msgpack.unpackb(msgpack.packb(agent.state())))
-    assert [sample(a, 51, None) for a in (agent, other)][0][1] == pytest.approx(3.0)
+    led = [sample(a, 51, None)[1] for a in (agent, other)]
+    assert led == pytest.approx([3.0, 3.0])
     assert agent.state() == other.state()
 
 

@@ -36,7 +36,8 @@ from netem.shell import read_map
 CONNECT_MS = 3000
 MOST_TEXT = 200  # characters of a name or password
 ASK_S = 10.0
-_ENDPOINT = re.compile(r"(tcp|tls)/(?P<host>[^?#]+):(?P<port>[0-9]{1,5})([?#].*)?")  # as zenoh writes it
+# As zenoh writes it; the socket is that of a run on this host, of this user.
+_ENDPOINT = re.compile(r"(tcp|tls)/(?P<host>[^?#]+):(?P<port>[0-9]{1,5})([?#].*)?|unixsock-stream/(?P<path>/[^?#]+)")
 _ONE_HOST = {"ca": "", "certificate": "", "key": "", "lease_ms": LEASE_MS}  # left out of the file
 WATCH_S = 0.2  # how often to look whether the run is still there
 
@@ -125,7 +126,8 @@ class Joining:
                 _check(path, key, kind, values[key])
         for endpoint in values["endpoint"].split(","):
             if not _ENDPOINT.fullmatch(endpoint):
-                raise JoinError(f"{path}: endpoint: expected tcp/HOST:PORT or tls/HOST:PORT, got {endpoint!r:.80}")
+                known = "tcp/HOST:PORT, tls/HOST:PORT or unixsock-stream/PATH"
+                raise JoinError(f"{path}: endpoint: expected {known}, got {endpoint!r:.80}")
         for key in ("ca", "certificate", "key"):
             if values.get(key) and "-----BEGIN " not in values[key]:
                 raise JoinError(f"{path}: {key}: expected PEM, which has a line -----BEGIN ...-----")
@@ -225,7 +227,12 @@ def _reached(endpoint: str) -> bool:
     if found is None:
         return True
     try:
-        socket.create_connection((found["host"].strip("[]"), int(found["port"])), CONNECT_MS / 1000).close()
+        if found["path"]:
+            with socket.socket(socket.AF_UNIX) as probe:
+                probe.settimeout(CONNECT_MS / 1000)
+                probe.connect(found["path"])
+        else:
+            socket.create_connection((found["host"].strip("[]"), int(found["port"])), CONNECT_MS / 1000).close()
     except (OSError, OverflowError):
         return False
     return True

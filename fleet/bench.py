@@ -13,7 +13,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from dataclasses import asdict, dataclass
 from importlib.metadata import version
 from multiprocessing.connection import Connection, Pipe
@@ -26,7 +26,7 @@ from fleet.bench_netem import SHARE, SHARE_GOAL, netem_figures
 from fleet.bench_replay import measure_recorder
 from fleet.bench_steps import steps
 from fleet.children import Children
-from fleet.ports import free_port
+from fleet.private import PrivateFolder
 from fleet.run import Options, Status, execute
 from fleet.scenario import Scenario, load_scenario
 from netem.access import agent_role, generate
@@ -114,9 +114,9 @@ def zenoh_barrier(n: int, ticks: int) -> float:
     """Ticks per second of "world -> n agents -> world" with agents that only echo."""
     ids = tuple(range(1, n + 1))
     keys, credentials = Keys("bench"), generate(ids)
-    with tempfile.TemporaryDirectory(prefix="uuv-fleet-bench-") as private, _children() as (children, log):
-        endpoint = f"tcp/127.0.0.1:{free_port(None)}"
-        bus = Bus.host(endpoint, keys, ids, credentials, Path(private))
+    with closing(PrivateFolder()) as private, _children() as (children, log):
+        endpoint = private.endpoint  # as in a run
+        bus = Bus.host(endpoint, keys, ids, credentials, private.path)
         try:
             channel = bus.channel(keys.cmd("*"))
             for i in ids:

@@ -24,6 +24,7 @@ from typing import Any
 import setproctitle
 
 from fleet.preload import CONSOLE_PID_VARIABLE
+from netem.errors import BusError
 
 GRACE_S = 1.0
 FORKSERVER_LOST = 255  # multiprocessing's exit code for a child whose forkserver is gone
@@ -200,6 +201,8 @@ def _child(title: str, log_path: str, target: Callable[..., None], args: tuple[A
         code = 0
     except SystemExit as ended:
         code = ended.code if isinstance(ended.code, int) else 1
+    except BusError as error:
+        print(error, file=sys.stderr)  # about the run, not about our code: it says all
     except BaseException:
         traceback.print_exc()
     finally:

@@ -122,7 +122,11 @@ def _asked_for(name: str) -> bool:
 @_overrides
 @trust_option
 @click.option("--show-config", is_flag=True, help="Print the merged scenario and stop.")
-@click.option("--port", type=click.IntRange(1, 65535), help="Loopback port of the router; by default a free one.")
+@click.option(
+    "--port",
+    type=click.IntRange(1, 65535),
+    help="Listen on this port of 127.0.0.1, too, for agents that cannot use the run's Unix socket.",
+)
 @click.option(
     "--publish", is_flag=True, help="Publish the journal on zenoh meanwhile; nobody who listens slows the run."
 )

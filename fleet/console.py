@@ -9,10 +9,10 @@ from __future__ import annotations
 import contextlib
 import os
 import secrets
-import tempfile
 import time
 from collections import Counter
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from queue import Empty, SimpleQueue
@@ -33,14 +33,16 @@ from fleet.hosts import Meeting
 from fleet.journal import Journal, frame_every
 from fleet.limits import allow_open_files
 from fleet.ports import free_port
+from fleet.private import PrivateFolder
 from fleet.rundir import RunDirectory
 from fleet.scenario import Scenario
-from netem.access import CONSOLE, NETEM, OPERATOR, Credentials, agent_role, generate
+from netem.access import CONSOLE, LEASE_MS, NETEM, OPERATOR, Credentials, Door, agent_role, generate
 from netem.bus import Bus, Quota, Respond
 from netem.errors import BusError, MalformedMessage, OutOfPlace
 from netem.faults import NetFault, fault_values
 from netem.keys import Keys
 from netem.messages import PROTOCOL_VERSION, RUN_OVER, Ailments, Frames, Grant, Hello, LinkReport, Note, encode
+from netem.settings import PENDING
 from netem.shell import expect, read_map, request, vehicle_of
 from world.faults import WorldFault
 
@@ -87,6 +89,7 @@ class Console:
         self._vehicles = tuple(range(1, scenario.vehicles + 1))
         self._keys = Keys(run or secrets.token_hex(4))
         self._port = port
+        self._private: PrivateFolder | None = None
         self._audit = audit
         self._start_order = start_order
         self._meeting = meeting or Meeting()
@@ -148,22 +151,27 @@ class Console:
                     self._bus.close()
                 self._directory.connection.unlink(missing_ok=True)
                 self._joins.close()
+                if self._private is not None:
+                    self._private.close()
 
     def _start(self) -> Bus:
         scenario, keys = self._scenario, self._keys
-        allow_open_files(scenario.vehicles)
         meeting = self._meeting
         credentials = meeting.credentials or generate(self._vehicles)
-        endpoint = meeting.router or f"tcp/127.0.0.1:{free_port(self._port)}"
+        door = meeting.door
+        if self._port is not None and not meeting.router:
+            loopback = f"tcp/127.0.0.1:{free_port(self._port)}"
+            door = Door((loopback,), LEASE_MS) if door is None else replace(door, endpoints=(loopback, *door.endpoints))
+        allow_open_files(scenario.vehicles, strangers=PENDING if door else 0)
+        private = self._private = PrivateFolder()
+        endpoint = meeting.router or private.endpoint
         if meeting.router:
             self._listen(self._visit(endpoint, credentials[CONSOLE]))
         clients = {role: c for role, c in credentials.items() if role != WORLD}
-        # mkdtemp makes it for this user alone; zenoh reads the users from a file there, once.
-        private = Path(tempfile.mkdtemp(prefix="uuv-fleet-"))
         sea = scenario.world_config(), frame_every(scenario), self._pace
         network = scenario.netem_config(), self._pace is not None
         targets: dict[str, tuple[Callable[..., None], tuple[Any, ...]]] = {
-            WORLD: (world.process.run, (endpoint, keys.run, clients, private, *sea, meeting.door, self._audit)),
+            WORLD: (world.process.run, (endpoint, keys.run, clients, private.path, *sea, door, self._audit)),
             NETEM: (netem.process.run, (endpoint, keys.run, credentials[NETEM], *network)),
         }
         if meeting.router:
@@ -177,19 +185,14 @@ class Console:
         order = list(targets)
         if self._start_order is not None:
             order = self._start_order(order)
-        try:
-            for role in order:
-                self._start_process(role, *_flat(targets[role]))
-                if role == order[0]:
-                    self._children.watch()
-                if role == WORLD and not meeting.router:
-                    # Now, because an agent that finds nobody to ask for its configuration keeps asking.
-                    bus = self._bus = self._join(endpoint, credentials[CONSOLE])
-                    self._listen(bus)
-        finally:
-            users = private / "users"
-            users.unlink(missing_ok=True)
-            private.rmdir()
+        for role in order:
+            self._start_process(role, *_flat(targets[role]))
+            if role == order[0]:
+                self._children.watch()
+            if role == WORLD and not meeting.router:
+                # Now, because an agent that finds nobody to ask for its configuration keeps asking.
+                bus = self._bus = self._join(endpoint, credentials[CONSOLE])
+                self._listen(bus)
         self._directory.write_connection(
             {
                 "endpoint": endpoint,
@@ -201,7 +204,7 @@ class Console:
         )
         assert self._bus is not None  # the world is among the roles
         joining = {role: meeting.joining(role, known) for role, known in credentials.items()}
-        self._joins.open(meeting.reached or endpoint, keys.run, joining)
+        self._joins.open(meeting.reached or (door.endpoints[0] if door else endpoint), keys.run, joining)
         return self._bus
 
     def _start_process(self, role: str, *target: Any) -> None:

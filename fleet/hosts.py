@@ -62,7 +62,7 @@ class Meeting:
     router: str | None = None  # an endpoint: the router that is there already; None: the world hosts one
     credentials: dict[str, Credentials] | None = None  # by role; None: fresh ones
     door: Door | None = None  # where the run's own router listens for other hosts
-    reached: str = ""  # endpoints for join files, with commas between them; empty: the run's own processes' endpoint
+    reached: str = ""  # endpoints for join files, with commas between them; empty: those of this host
     ca: str = ""  # PEM: goes into join files
     certificates: dict[str, Pair] = field(default_factory=dict)  # of external agents, by role
     lease_ms: int | None = None  # between hosts; None on one host

@@ -10,19 +10,24 @@ from fleet.errors import RunBroken
 FILES, FILES_PER_VEHICLE = 48, 2
 
 
-def allow_open_files(vehicles: int) -> None:
+def allow_open_files(vehicles: int, strangers: int = 0) -> None:
     """Raise the soft limit as far as a run needs it; children inherit it.
+
+    Args:
+        strangers: connections to the router from whoever reaches it: room for them as far as the hard limit lets.
 
     Raises:
         RunBroken: the hard limit is too low.
     """
     needed = FILES + FILES_PER_VEHICLE * vehicles
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
-    if soft == resource.RLIM_INFINITY or soft >= needed:
+    wanted = needed + strangers
+    if soft == resource.RLIM_INFINITY or soft >= wanted:
         return
     if hard != resource.RLIM_INFINITY and hard < needed:
         raise RunBroken(
             f"{vehicles} vehicles need {needed} open files per process, and the limit here is {hard}; raise it "
             f"(ulimit -n {needed}, or LimitNOFILE= of a systemd unit), or take --in-process, which needs none of them"
         )
-    resource.setrlimit(resource.RLIMIT_NOFILE, (needed, hard))
+    limit = wanted if hard == resource.RLIM_INFINITY else min(wanted, hard)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (limit, hard))

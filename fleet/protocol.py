@@ -7,8 +7,8 @@ from inspect import getdoc
 from agents import compact, payload
 from fleet import slice_fields
 from netem.access import LEASE_MS
-from netem.bus import MAX_BYTES
 from netem.messages import PROTOCOL_VERSION, Arrival, Delivery, Fate, Frame, VehicleFrame, declared, fields_of
+from netem.settings import MAX_BYTES
 
 _HEAD = f"""# Wire protocol, version {PROTOCOL_VERSION}
 

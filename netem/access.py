@@ -53,7 +53,7 @@ class Credentials:
 
 @dataclass(frozen=True, slots=True)
 class Door:
-    """Where the router listens for other hosts, besides the endpoint of the run's own processes."""
+    """Where the router listens for others, on this host or elsewhere, besides the socket of the run's own processes."""
 
     endpoints: tuple[str, ...]
     lease_ms: int

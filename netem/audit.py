@@ -2,8 +2,12 @@
 
 Zenoh refuses silently but for its log: a login at level debug, once per connection, and what access control decides
 at level trace, a line per message, allowed or not. Refused logins are therefore always told, and refused messages
-when a run is audited, which costs about a tenth of its speed. Zenoh writes to stdout; here that is a pipe, which a
+when a run is audited, which costs about a tenth of its speed. Zenoh writes to stdout; here that is a socket, which a
 thread reads.
+
+Whoever writes a line of the log waits when nobody reads it, and that is any thread of the router, perhaps one that
+holds Python's lock. So the reader only reads and counts: what is to be told, it leaves to another thread, since telling
+is a put, which writes lines of its own. And nobody waits longer than WRITE_S: what finds no room until then is lost.
 """
 
 from __future__ import annotations
@@ -11,28 +15,44 @@ from __future__ import annotations
 import logging
 import os
 import re
+import socket
+import struct
 import threading
 from collections import Counter
 from collections.abc import Callable
 from contextlib import suppress
+from queue import SimpleQueue
 
 from netem.bus import log_zenoh
+from netem.settings import PIECE_BYTES
 
 log = logging.getLogger(__name__)
 
-LOGINS = "error,zenoh_transport::unicast::establishment::accept=debug"
+LOGINS = (
+    "error,zenoh_transport::unicast::establishment::accept=debug,zenoh_transport::unicast::manager=debug,"
+    "zenoh_transport::unicast::lowlatency::link=debug"
+)
 DECISIONS = LOGINS + ",zenoh::net::routing::interceptor::access_control=trace"
 MOST_ENDED = 1000  # sessions that are remembered
 MOST_KINDS = 200  # of refusals that are told apart
+MOST_KEY = 200  # characters of a key that are told
+MOST_LINE = 1000  # bytes of a line that are looked at: a key may have 48,000
+WRITE_S = 0.05
+BUFFER = 1 << 20  # bytes between zenoh and the reader
 _ACTIONS = 9  # that access control decides on for a key in advance, in a row, when it is declared
 
 _COLOUR = re.compile(r"\x1b\[[0-9;]*m")
 _LOGIN = re.compile(r"establishment::accept: UsrPwd extension - Recv \w+\. (.+?)\.? at /")
 _THREAD = re.compile(r"ThreadId\((\d+)\)")
 _ADVANCE = re.compile(r"access_control: ACL \((?:in|e)gress\): caching permissions for ")
+# Nothing before the key is of a client's choosing, so the first match counts: a key may contain all these words.
 _DECISION = re.compile(
-    r"access_control: (Using cached result: )?([0-9a-f]+)(.*) is (un)?authorized to (.+) \(ingress\) on (.+)"
+    r"access_control: (Using cached result: )?([0-9a-f]+)(.*?) is (un)?authorized to ([\w/ ]+?) \((in|e)gress\) on (.+)"
 )
+_STAMP = re.compile(r"\d{4}-\d\d-\d\dT[\d:.]+Z ")
+_OPENED = re.compile(r"New transport opened between \w+ and (\w+) - .* lowlatency: false")
+_TOO_LONG = re.compile(r"Rx task finished with result Err\(Batch len is invalid\. ")
+_CUT_OFF = re.compile(r"<on rx exit> finalizing transport with peer: (\w+)")
 _USER = re.compile(r"Username\(([^)]*)\)")
 _LOGINS = {
     "Invalid password": "a login with a wrong password",
@@ -46,18 +66,24 @@ class Refusals:
 
     def __init__(self) -> None:
         self.counts: Counter[str] = Counter()
-        self._tell: Callable[[str], None] = lambda _: None
-        self._lock = threading.Lock()
+        self._untold: SimpleQueue[str] = SimpleQueue()  # each kind once
+        self._told_by: threading.Thread | None = None
         self._users: dict[str, str] = {}  # by zenoh id of the session
         self._ended: dict[str, None] = {}  # zenoh ids of sessions, in the order in which they ended
         self._skip: dict[str, int] = {}  # by thread: decisions in advance still to come
+        self._too_long: set[str] = set()  # threads that have found a piece too long, and will say whose
+        self._fragmenting: dict[str, None] = {}  # zenoh ids of sessions that are not low-latency, the oldest first
 
     def tell(self, tell: Callable[[str], None]) -> None:
-        """From now on call `tell` with the first of each kind; at once with those that were before."""
-        with self._lock:
-            self._tell = tell
-            for what in self.counts:
-                tell(what)
+        """From now on call `tell`, on a thread of its own, with the first of each kind, also with those before."""
+        assert self._told_by is None
+
+        def serve() -> None:
+            while True:
+                tell(self._untold.get())
+
+        self._told_by = threading.Thread(target=serve, name="refusals", daemon=True)
+        self._told_by.start()
 
     def line(self, line: str) -> bool:
         """Take one line; False if it is about something else, and worth keeping."""
@@ -69,6 +95,13 @@ class Refusals:
             if (login := _LOGIN.search(line)) is not None:
                 self._refuse(_LOGINS.get(login[1], f"a login ({login[1]})"))
             return True
+        if "unicast::manager: " in line:
+            if (opened := _OPENED.search(line)) is not None:
+                self._fragments(opened[1])
+            return "ERROR" not in line
+        if "lowlatency::link: " in line:
+            self._link(line)
+            return "ERROR" not in line
         return False
 
     def end(self, session: str) -> None:
@@ -79,9 +112,27 @@ class Refusals:
             del self._ended[oldest]
             self._users.pop(oldest, None)
 
+    def _fragments(self, session: str) -> None:
+        """A session that is not low-latency sends long messages in pieces. Zenoh drops them without a word, and leaves
+        the session alone: that it could is all that can be told."""
+        self._fragmenting[session] = None
+        if len(self._fragmenting) > MOST_ENDED:
+            del self._fragmenting[next(iter(self._fragmenting))]
+        self._count(f"{self._name(session)}: its session is not low-latency, and long messages of it are dropped")
+
+    def _link(self, line: str) -> None:
+        """Of two lines on one thread, the first says why a session is cut off, and the second whose it is."""
+        if _TOO_LONG.search(line):
+            self._too_long.add(_thread(line))
+        elif (found := _CUT_OFF.search(line)) is not None and _thread(line) in self._too_long:
+            self._too_long.discard(_thread(line))
+            self._count(f"{self._name(found[1])}: cut off, with a message of more than {PIECE_BYTES} bytes")
+
+    def _name(self, session: str) -> str:
+        return self._users.get(session, "somebody")
+
     def _decision(self, line: str) -> None:
-        found = _THREAD.search(line)
-        thread = "" if found is None else found[1]
+        thread = _thread(line)
         if _ADVANCE.search(line):
             self._skip[thread] = _ACTIONS
             return
@@ -90,14 +141,21 @@ class Refusals:
             self._skip[thread] -= 1
         if (decision := _DECISION.search(line)) is None:
             return
-        _, session, about, un, action, key = decision.groups()
+        _, session, about, un, action, way, key = decision.groups()
+        if len(_STAMP.findall(line[: decision.start(7)])) > 1:
+            self._count("zenoh's log was not read in time")  # two lines have become one
+            return
+        if way == "e":
+            return
         if (user := _USER.search(about)) is not None and self._users.get(session) != user[1]:
             self._meet(session, user[1])
         if un and not in_advance:
-            self._refuse(f"{self._users.get(session, 'somebody')}: {action.lower()} on {key}")
+            self._refuse(f"{self._name(session)}: {action.lower()} on {key[:MOST_KEY]}")
 
     def _meet(self, session: str, user: str) -> None:
         self._users[session] = user
+        if session in self._fragmenting:
+            self._fragments(session)  # now it has a name
         others = [s for s, name in self._users.items() if name == user and s != session]
         # An agent has one session at a time; operators come and go.
         if user.startswith("agent-") and not self._ended.keys() >= {*others}:
@@ -107,13 +165,13 @@ class Refusals:
         self._count(f"refused {what}")
 
     def _count(self, what: str) -> None:
-        with self._lock:
-            if what not in self.counts and len(self.counts) >= MOST_KINDS:
-                what = "refused more kinds of messages"
-            self.counts[what] += 1
-            if self.counts[what] == 1:
-                log.warning("%s", what)
-                self._tell(what)
+        """Called on the reader's thread alone."""
+        if what not in self.counts and len(self.counts) >= MOST_KINDS:
+            what = "refused more kinds of messages"
+        self.counts[what] += 1
+        if self.counts[what] == 1:
+            log.warning("%s", what)
+            self._untold.put(what)
 
 
 def listen(refusals: Refusals, *, decisions: bool) -> None:
@@ -125,10 +183,17 @@ def listen(refusals: Refusals, *, decisions: bool) -> None:
         log_zenoh("error")
         return
     stdout = os.dup(1)
-    source, sink = os.pipe()
-    os.dup2(sink, 1)
-    os.close(sink)
-    threading.Thread(target=_follow, args=(source, stdout, refusals), name="audit", daemon=True).start()
+    reader, writer = socket.socketpair()
+    with writer:
+        writer.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, BUFFER)
+        writer.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, struct.pack("@ll", 0, int(WRITE_S * 1e6)))
+        os.dup2(writer.fileno(), 1)
+
+    def read() -> None:
+        with reader:  # if it ends, zenoh is told at once that nobody reads
+            _follow(reader.fileno(), stdout, refusals)
+
+    threading.Thread(target=read, name="audit", daemon=True).start()
     log_zenoh(DECISIONS if decisions else LOGINS)
 
 
@@ -136,10 +201,19 @@ def _follow(source: int, stdout: int, refusals: Refusals) -> None:
     rest = b""
     while data := os.read(source, 1 << 16):
         *lines, rest = (rest + data).split(b"\n")
+        rest = rest[:MOST_LINE]
         for line in lines:
-            if b" is authorized to " in line and b"Username" not in line:
+            head = line[:MOST_LINE]
+            at = head.find(b"authorized to ")
+            if at > 0 and head[at - 1 : at] == b" " and b"Username" not in head:
                 continue  # nearly all of them, when decisions are logged
-            if not refusals.line(line.decode("utf-8", "replace")):
-                # Whatever becomes of the line (the disk may be full), zenoh would wait for ever if nobody read on.
+            if not refusals.line(head.decode("utf-8", "replace")):
+                # Whatever becomes of the line (the disk may be full), zenoh would wait if nobody read on.
                 with suppress(OSError):
                     os.write(stdout, line + b"\n")
+
+
+def _thread(line: str) -> str:
+    """The thread that wrote a line of the log."""
+    found = _THREAD.search(line)
+    return "" if found is None else found[1]

@@ -1,22 +1,8 @@
-"""The one module that knows zenoh: sessions with our settings, puts, subscriptions, queries, tokens.
-
-Settings that matter, with the reasons:
-
-* `transport/unicast/lowlatency` with QoS off: 20-40 % less per round trip; our messages have one priority.
-* `transport/link/tx/lease` of one hour on loopback: at the 10 s default a merely suspended process loses its messages
-  silently and reconnects as if nothing had happened. Deaths show as process exits and closed sockets. Between hosts a
-  cable may be pulled, which closes no socket: there the lease is short, and `on_lost` tells that it has run out.
-* congestion control BLOCK and reliable: DROP loses messages silently. Grants bound what is in flight.
-* scouting and the admin space are off: a run is a closed box.
-* shared memory is off: our messages are far below its threshold, and it starts threads.
-* one runtime thread instead of five pools: a process has few sessions, and pools that wake each other cost more
-  than they do (bare barrier, N = 4: 165 us per tick against 290). With `lowlatency` sending happens on the calling
-  thread, so a receive task that waits for a full channel cannot hold a send back.
-"""
+"""The one module that knows zenoh: sessions, puts, subscriptions, queries, tokens. `netem.settings` says with which
+settings, and why."""
 
 from __future__ import annotations
 
-import base64
 import json
 import os
 import re
@@ -28,12 +14,6 @@ from threading import Thread
 from time import monotonic_ns
 from typing import Any, NamedTuple
 
-# Read by zenoh when its first session opens.
-os.environ.setdefault(
-    "ZENOH_RUNTIME",
-    "(rx: (handover: app), acc: (handover: app), tx: (handover: app), net: (handover: app), app: (worker_threads: 1))",
-)
-
 import zenoh
 
 from netem.access import LEASE_MS, Credentials, Door, access_control, observer_control
@@ -41,40 +21,29 @@ from netem.errors import BusError
 from netem.files import write_whole
 from netem.keys import Keys
 from netem.linger import never_linger
+from netem.settings import (
+    BASE,
+    MAX_BYTES,
+    OTHERS,
+    RUNTIME,
+    client_settings,
+    client_tls,
+    listening,
+    router_settings,
+    server_tls,
+)
 
-_TLS = "transport/link/tls"
-# The low-latency transport cannot fragment: a longer message vanishes without a word.
-MAX_BYTES = 48_000  # measured: 49,120 pass, 49,152 do not
+# Ours, whatever the environment says: zenoh has not read it yet.
+os.environ["ZENOH_RUNTIME"] = RUNTIME
 PART_BYTES = 32_000  # long messages of ours are split into parts of about this size
 Handler = Callable[[str, bytes], None]
 Respond = Callable[[bytes], None]
 QueryHandler = Callable[[str, bytes, Respond], None]
 
 
-_BASE: dict[str, Any] = {
-    "scouting/multicast/enabled": False,
-    "scouting/gossip/enabled": False,
-    "transport/unicast/lowlatency": True,
-    "transport/unicast/qos/enabled": False,
-    "transport/link/tx/lease": LEASE_MS,
-    "transport/shared_memory/enabled": False,
-    "adminspace/enabled": False,
-}
-
-
-def router_settings(vehicles: int, lease_ms: int) -> dict[str, Any]:
-    """Zenoh's settings, as paths, for a router of a run with so many vehicles; without users and endpoints."""
-    return _BASE | {
-        "transport/link/tx/lease": lease_ms,
-        # A fleet of 100 connects at once; zenoh refuses what exceeds this.
-        "transport/unicast/accept_pending": max(100, 2 * vehicles),
-        "transport/unicast/max_sessions": 1000 + vehicles,
-    }
-
-
 def _config(mode: str, settings: dict[str, Any]) -> zenoh.Config:
     config = zenoh.Config()
-    for key, value in ({"mode": mode} | _BASE | settings).items():
+    for key, value in ({"mode": mode} | BASE | settings).items():
         config.insert_json5(key, json.dumps(value))
     return config
 
@@ -174,15 +143,9 @@ class Bus:
             BusError: nobody listens there, or the credentials are refused.
         """
         settings = {
-            "connect/endpoints": endpoint.split(","),
-            "connect/timeout_ms": timeout_ms,
+            **client_settings(endpoint.split(","), credentials, timeout_ms),
             "transport/link/tx/lease": credentials.lease_ms,
-            **_client_tls(credentials),
-            "connect/exit_on_failure": True,
-            # Everyone starts at once; zenoh's own first retry comes after a whole second.
-            "connect/retry": {"period_init_ms": 20, "period_max_ms": 200, "period_increase_factor": 1.5},
-            "transport/auth/usrpwd/user": credentials.user,
-            "transport/auth/usrpwd/password": credentials.password,
+            **client_tls(credentials),
         }
         try:
             return cls(zenoh.open(_config("client", settings)), endpoint)
@@ -208,7 +171,7 @@ class Bus:
         Args:
             private: a directory of mode 0700; zenoh reads the users from a file there, which is removed
                 as soon as the session is open.
-            door: where it listens for other hosts, too.
+            door: where it listens for others than the run's own processes, too.
 
         Raises:
             BusError: the endpoint is taken or not ours to listen on.
@@ -219,12 +182,10 @@ class Bus:
         control = access_control(keys, vehicles, certified=certified)
         settings = {
             **router_settings(len(vehicles), door.lease_ms if door else LEASE_MS),
-            "listen/endpoints": endpoints,
-            "listen/exit_on_failure": True,
-            "listen/timeout_ms": 0,
+            **listening(endpoints),
             "transport/auth/usrpwd/dictionary_file": str(users),
             "access_control": control,
-            **({} if door is None else _server_tls(door)),
+            **({} if door is None else server_tls(door)),
         }
         try:
             bus = cls(zenoh.open(_config("router", settings)), endpoint)
@@ -252,7 +213,7 @@ class Bus:
     def publisher(self, key: str) -> Callable[[bytes], None]:
         """A function that puts bytes on `key`, reliably and in order.
 
-        The function raises BusError for more than MAX_BYTES bytes.
+        The function raises BusError for more than MAX_BYTES bytes, or when the link to the router has ended.
         """
         publisher = self._session.declare_publisher(
             key,
@@ -265,7 +226,10 @@ class Bus:
         def put(data: bytes) -> None:
             if len(data) > MAX_BYTES:
                 raise BusError(f"a message of {len(data)} bytes on {key}: the transport carries {MAX_BYTES}")
-            publisher.put(data)
+            try:
+                publisher.put(data)
+            except zenoh.ZError as error:
+                raise BusError(f"cannot put on {key}: {_first_line(error)}") from None
 
         return put
 
@@ -408,7 +372,7 @@ class OpenBus:
         Raises:
             BusError: the endpoint is taken or none.
         """
-        return cls._listen(endpoint, {})
+        return cls._listen(endpoint, OTHERS)
 
     @classmethod
     def host(cls, endpoint: str, keys: Keys, observer: Credentials, private: Path) -> OpenBus:
@@ -434,8 +398,7 @@ class OpenBus:
 
     @classmethod
     def _listen(cls, endpoint: str, settings: dict[str, Any]) -> OpenBus:
-        listen = {"listen/endpoints": [endpoint], "listen/exit_on_failure": True, "listen/timeout_ms": 0}
-        return cls._open("router", endpoint, listen | settings, "cannot listen on")
+        return cls._open("router", endpoint, listening([endpoint]) | settings, "cannot listen on")
 
     @classmethod
     def connect(cls, endpoint: str, credentials: Credentials | None = None, *, timeout_ms: int = 5000) -> OpenBus:
@@ -444,15 +407,7 @@ class OpenBus:
         Raises:
             BusError: nobody listens there, or the credentials are refused.
         """
-        settings: dict[str, Any] = {
-            "connect/endpoints": [endpoint],
-            "connect/timeout_ms": timeout_ms,
-            "connect/exit_on_failure": True,
-            "connect/retry": {"period_init_ms": 20, "period_max_ms": 200, "period_increase_factor": 1.5},
-        }
-        if credentials is not None:
-            settings["transport/auth/usrpwd/user"] = credentials.user
-            settings["transport/auth/usrpwd/password"] = credentials.password
+        settings = client_settings([endpoint], credentials, timeout_ms) | OTHERS
         return cls._open("client", endpoint, settings, "nobody answers, or lets us in, at")
 
     @classmethod
@@ -547,32 +502,6 @@ def _write_users(private: Path, credentials: Iterable[Credentials]) -> Path:
     users = private / "users"
     write_whole(users, "".join(f"{c.user}:{c.password}\n" for c in credentials).encode())
     return users
-
-
-def _client_tls(credentials: Credentials) -> dict[str, Any]:
-    """PEM goes into the session as it is, by way of base64: no file of it is needed."""
-    settings: dict[str, Any] = {}
-    if credentials.ca:
-        settings[f"{_TLS}/root_ca_certificate_base64"] = _base64(credentials.ca)
-    if credentials.certificate:
-        settings[f"{_TLS}/enable_mtls"] = True
-        settings[f"{_TLS}/connect_certificate_base64"] = _base64(credentials.certificate)
-        settings[f"{_TLS}/connect_private_key_base64"] = _base64(credentials.key)
-    return settings
-
-
-def _server_tls(door: Door) -> dict[str, Any]:
-    settings: dict[str, Any] = {}
-    if door.certificate:
-        settings[f"{_TLS}/root_ca_certificate_base64"] = _base64(door.ca)
-        settings[f"{_TLS}/listen_certificate_base64"] = _base64(door.certificate)
-        settings[f"{_TLS}/listen_private_key_base64"] = _base64(door.key)
-        settings[f"{_TLS}/enable_mtls"] = bool(door.certified)
-    return settings
-
-
-def _base64(text: str) -> str:
-    return base64.b64encode(text.encode()).decode()
 
 
 def _first_line(error: Exception) -> str:

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from netem.bus import MAX_BYTES
+from netem.settings import MAX_BYTES
 from netem.errors import BusError
 from netem.process import NetemProcess
 from world.process import WorldProcess

@@ -42,7 +42,7 @@ from fleet.reader import LogReader
 from fleet.recover import recover
 from fleet.run import Options, execute
 from fleet.scenario import load_scenario, parse_scenario, shipped
-from netem.bus import MAX_BYTES, PART_BYTES
+from netem.bus import PART_BYTES
 from netem.errors import MalformedMessage
 from netem.faults import NetFault, fault_values, read_faults
 from netem.freeprocess import FreeNetemProcess

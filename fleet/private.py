@@ -1,0 +1,83 @@
+"""Where the processes of a run meet: a Unix socket in a folder that nobody but this user can enter.
+
+A port on loopback is open to every user of the host. Who only holds connections to it, without ever logging in, takes
+the places of those who want to join; and who takes the port first is taken for the router.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import re
+import shutil
+import stat
+import tempfile
+from contextlib import suppress
+from pathlib import Path
+
+from fleet.errors import RunBroken
+
+PREFIX = "uuv-fleet-"
+_ROUTER = "router"
+_MOST_PATH = 107  # bytes that the system takes as the path of a socket
+_PLAIN = re.compile(r"[\w./+-]+", re.ASCII)  # zenoh gives other characters in an endpoint a meaning
+
+
+class PrivateFolder:
+    """One run's folder, mode 0700, from its beginning to its end."""
+
+    def __init__(self) -> None:
+        """Make it, and remove what runs have left here that were killed.
+
+        Raises:
+            RunBroken: there is no place for it.
+        """
+        place = _place()
+        _sweep(place)
+        try:
+            self.path = Path(tempfile.mkdtemp(prefix=PREFIX, dir=place))
+        except OSError as error:
+            raise RunBroken(
+                f"cannot make a folder in {place}: {error.strerror}; set TMPDIR to another place"
+            ) from error
+
+    @property
+    def endpoint(self) -> str:
+        """The run's router, as zenoh writes it."""
+        return f"unixsock-stream/{self.path / _ROUTER}"
+
+    def close(self) -> None:
+        """Nobody joins any more."""
+        shutil.rmtree(self.path, ignore_errors=True)
+
+
+def _place() -> Path:
+    places = dict.fromkeys((tempfile.gettempdir(), "/tmp"))
+    for place in places:
+        if _PLAIN.fullmatch(place) and len(f"{place}/{PREFIX}12345678/{_ROUTER}.lock") <= _MOST_PATH:
+            return Path(place)
+    raise RunBroken(
+        f"no place for the socket of the run: {' and '.join(places)} too long, or with other characters than letters, "
+        "digits and . / + - _; set TMPDIR to another one"
+    )
+
+
+def _sweep(place: Path) -> None:
+    """A run that was killed leaves its folder."""
+    for folder in place.glob(f"{PREFIX}*"):
+        with suppress(OSError):
+            found = folder.lstat()
+            if stat.S_ISDIR(found.st_mode) and found.st_uid == os.getuid() and _deserted(folder / _ROUTER):
+                shutil.rmtree(folder, ignore_errors=True)
+
+
+def _deserted(path: Path) -> bool:
+    """Whether there is a socket whose router is gone: zenoh locks a file beside it before it makes the socket."""
+    if not path.is_socket():
+        return False
+    with path.with_name(f"{path.name}.lock").open("rb") as lock:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return False
+    return True

@@ -1,0 +1,108 @@
+"""Zenoh's settings for our sessions, as paths and values, with the reasons.
+
+* `transport/unicast/lowlatency` with QoS off: 20-40 % less per round trip; our messages have one priority.
+* `transport/link/tx/lease` of one hour on loopback: at the 10 s default a merely suspended process loses its messages
+  silently and reconnects as if nothing had happened. Deaths show as process exits and closed sockets. Between hosts a
+  cable may be pulled, which closes no socket: there the lease is short, and `on_lost` tells that it has run out.
+* congestion control BLOCK and reliable: DROP loses messages silently. Grants bound what is in flight.
+* scouting and the admin space are off: a run is a closed box.
+* shared memory is off: our messages are far below its threshold, and it starts threads.
+* `transport/link/rx/max_message_size`: zenoh's default is 1 GiB, which anybody who is let in could make the world hold.
+  Our messages fit into one piece. Longer ones of who sends them in several are dropped; who announces a longer piece
+  is cut off. (Measured, 100 MB: the world grew by 200 MB, now by nothing.)
+* one runtime thread instead of five pools: a process has few sessions, and pools that wake each other cost more
+  than they do (bare barrier, N = 4: 165 us per tick against 290). With `lowlatency` sending happens on the calling
+  thread, so a receive task that waits for a full channel cannot hold a send back.
+"""
+
+from __future__ import annotations
+
+import base64
+from typing import Any
+
+from netem.access import LEASE_MS, Credentials, Door
+
+# ZENOH_RUNTIME, which zenoh reads when the first session of a process opens; it panics if that is malformed.
+RUNTIME = (
+    "(rx: (handover: app), acc: (handover: app), tx: (handover: app), net: (handover: app), app: (worker_threads: 1))"
+)
+# The low-latency transport cannot fragment: a longer message vanishes without a word.
+MAX_BYTES = 48_000  # measured: 49,120 pass, 49,152 do not
+PIECE_BYTES = 65_535  # what zenoh sends in one piece, at most
+_TLS = "transport/link/tls"
+
+BASE: dict[str, Any] = {
+    "scouting/multicast/enabled": False,
+    "scouting/gossip/enabled": False,
+    "transport/unicast/lowlatency": True,
+    "transport/unicast/qos/enabled": False,
+    "transport/link/tx/lease": LEASE_MS,
+    "transport/link/rx/max_message_size": PIECE_BYTES,
+    "transport/shared_memory/enabled": False,
+    "adminspace/enabled": False,
+}
+
+# Traffic of others that is played or recorded: a message may be an image or a point cloud.
+OTHERS = {"transport/link/rx/max_message_size": 64 << 20}
+
+# A connection that has not logged in holds one of so many places, for so long. All listeners share them.
+PENDING = 1000
+PENDING_MS = 5000
+
+
+def router_settings(vehicles: int, lease_ms: int) -> dict[str, Any]:
+    """Of a router of a run with so many vehicles; without users and endpoints."""
+    return BASE | {
+        "transport/link/tx/lease": lease_ms,
+        # A fleet of 100 connects at once; zenoh refuses what exceeds this.
+        "transport/unicast/accept_pending": max(PENDING, 2 * vehicles),
+        "transport/unicast/accept_timeout": PENDING_MS,
+        "transport/unicast/max_sessions": 1000 + vehicles,
+    }
+
+
+def client_settings(endpoints: list[str], credentials: Credentials | None, timeout_ms: int) -> dict[str, Any]:
+    """Of a session that joins a router."""
+    settings: dict[str, Any] = {
+        "connect/endpoints": endpoints,
+        "connect/timeout_ms": timeout_ms,
+        "connect/exit_on_failure": True,
+        # Everyone starts at once; zenoh's own first retry comes after a whole second.
+        "connect/retry": {"period_init_ms": 20, "period_max_ms": 200, "period_increase_factor": 1.5},
+    }
+    if credentials is not None:
+        settings["transport/auth/usrpwd/user"] = credentials.user
+        settings["transport/auth/usrpwd/password"] = credentials.password
+    return settings
+
+
+def client_tls(credentials: Credentials) -> dict[str, Any]:
+    """PEM goes into the session as it is, by way of base64: no file of it is needed."""
+    settings: dict[str, Any] = {}
+    if credentials.ca:
+        settings[f"{_TLS}/root_ca_certificate_base64"] = _base64(credentials.ca)
+    if credentials.certificate:
+        settings[f"{_TLS}/enable_mtls"] = True
+        settings[f"{_TLS}/connect_certificate_base64"] = _base64(credentials.certificate)
+        settings[f"{_TLS}/connect_private_key_base64"] = _base64(credentials.key)
+    return settings
+
+
+def server_tls(door: Door) -> dict[str, Any]:
+    """The other side of `client_tls`; nothing where the door has no certificate."""
+    settings: dict[str, Any] = {}
+    if door.certificate:
+        settings[f"{_TLS}/root_ca_certificate_base64"] = _base64(door.ca)
+        settings[f"{_TLS}/listen_certificate_base64"] = _base64(door.certificate)
+        settings[f"{_TLS}/listen_private_key_base64"] = _base64(door.key)
+        settings[f"{_TLS}/enable_mtls"] = bool(door.certified)
+    return settings
+
+
+def listening(endpoints: list[str]) -> dict[str, Any]:
+    """Of a router: where it listens, or fails at once."""
+    return {"listen/endpoints": endpoints, "listen/exit_on_failure": True, "listen/timeout_ms": 0}
+
+
+def _base64(text: str) -> str:
+    return base64.b64encode(text.encode()).decode()

@@ -8,9 +8,9 @@ from typing import Any
 
 import pytest
 
-from netem.settings import MAX_BYTES
 from netem.errors import BusError
 from netem.process import NetemProcess
+from netem.settings import MAX_BYTES
 from world.process import WorldProcess
 
 

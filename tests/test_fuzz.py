@@ -68,6 +68,7 @@ from netem.messages import (
 from netem.messages import Pace as Begins
 from netem.process import NetemProcess
 from netem.rounds import Rounds
+from netem.settings import MAX_BYTES
 from netem.shell import Item
 from world.freeprocess import FreeWorldProcess
 from world.lockstep import Lockstep

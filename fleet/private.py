@@ -18,6 +18,7 @@ from pathlib import Path
 from fleet.errors import RunBroken
 
 PREFIX = "uuv-fleet-"
+FALLBACK = "/tmp"
 _ROUTER = "router"
 _MOST_PATH = 107  # bytes that the system takes as the path of a socket
 _PLAIN = re.compile(r"[\w./+-]+", re.ASCII)  # zenoh gives other characters in an endpoint a meaning
@@ -52,13 +53,13 @@ class PrivateFolder:
 
 
 def _place() -> Path:
-    places = dict.fromkeys((tempfile.gettempdir(), "/tmp"))
+    places = dict.fromkeys((tempfile.gettempdir(), FALLBACK))
     for place in places:
         if _PLAIN.fullmatch(place) and len(f"{place}/{PREFIX}12345678/{_ROUTER}.lock") <= _MOST_PATH:
             return Path(place)
     raise RunBroken(
-        f"no place for the socket of the run: {' and '.join(places)} too long, or with other characters than letters, "
-        "digits and . / + - _; set TMPDIR to another one"
+        f"no place for the socket of the run: {' and '.join(places)} cannot be used, since the path is too long or has "
+        "other characters than letters, digits and . / + - _; set TMPDIR to another place"
     )
 
 

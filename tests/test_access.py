@@ -14,6 +14,7 @@ import stat
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -24,11 +25,12 @@ from waiting import wait_for
 import fleet.console
 import netem.access
 import netem.bus
+from fleet.private import PrivateFolder
 from fleet.reader import LogReader
 from fleet.run import Options, Status, execute
 from fleet.rundir import RunDirectory
 from fleet.scenario import load_scenario
-from netem.access import CONSOLE, NETEM, OPERATOR, Credentials, agent_role, generate
+from netem.access import CONSOLE, LEASE_MS, NETEM, OPERATOR, Credentials, Door, agent_role, generate
 from netem.bus import Bus, Respond
 from netem.errors import BusError
 from netem.keys import Keys
@@ -84,11 +86,14 @@ class Hall:
 
     def __init__(self, private: Path) -> None:
         self.credentials = generate(VEHICLES)
-        self.endpoint = f"tcp/127.0.0.1:{free_port()}"
+        self._folder = PrivateFolder()
+        self.endpoint = self._folder.endpoint
+        self.port = f"tcp/127.0.0.1:{free_port()}"  # for those who cannot use the socket
         self.heard: list[tuple[str, str, bytes]] = []  # listener, key, data
         self.tokens: list[str] = []
         self._marks = 0
-        world = Bus.host(self.endpoint, KEYS, VEHICLES, self.credentials, private)
+        door = Door((self.port,), LEASE_MS)
+        world = Bus.host(self.endpoint, KEYS, VEHICLES, self.credentials, private, door)
         self.sessions = {WORLD: world}
         for role in ROLES:
             self.sessions[role] = self.join(role)
@@ -105,7 +110,8 @@ class Hall:
                 self.until_heard(role, key, f"hello from {role} on {key}".encode(), listeners(key))
 
     def join(self, role: str) -> Bus:
-        return Bus.connect(self.endpoint, self.credentials[role])
+        """Agent 1 comes by the port, everybody else by the socket: the list is the same."""
+        return Bus.connect(self.port if role == "agent-1" else self.endpoint, self.credentials[role])
 
     def put(self, role: str, key: str, data: bytes) -> None:
         self.sessions[role]._session.put(key, data)
@@ -156,6 +162,7 @@ class Hall:
     def close(self) -> None:
         for session in reversed(self.sessions.values()):
             session.close()
+        self._folder.close()
 
 
 def _answer(text: str) -> Any:
@@ -362,16 +369,19 @@ def test_nobody_lives_for_another(guard: str, guarded: Hall) -> None:
 def test_wrong_credentials_are_refused(guarded: Hall) -> None:
     """A wrong password, another role's, an unknown user, none at all: refused in clear words without the password."""
     good = guarded.credentials
-    for credentials in (
-        Credentials("agent-1", "wrong-password"),
-        Credentials("agent-1", good["agent-2"].password),
-        Credentials("agent-9", good["agent-1"].password),
-        Credentials(WORLD, ""),
-        Credentials("", ""),
+    for endpoint, credentials in product(
+        (guarded.endpoint, guarded.port),
+        (
+            Credentials("agent-1", "wrong-password"),
+            Credentials("agent-1", good["agent-2"].password),
+            Credentials("agent-9", good["agent-1"].password),
+            Credentials(WORLD, ""),
+            Credentials("", ""),
+        ),
     ):
         with pytest.raises(BusError) as caught:
-            Bus.connect(guarded.endpoint, credentials, timeout_ms=300)
-        assert f"cannot join the run at {guarded.endpoint} as {credentials.user}:" in str(caught.value)
+            Bus.connect(endpoint, credentials, timeout_ms=300)
+        assert f"cannot join the run at {endpoint} as {credentials.user}:" in str(caught.value)
         assert not credentials.password or credentials.password not in str(caught.value)
 
 
@@ -448,8 +458,11 @@ def test_connection_file(tmp_path: Path) -> None:
         values = json.loads(path.read_text())
         assert set(values) == {"endpoint", "run", "scenario", "pid", "user", "password"}
         assert (values["user"], values["scenario"], values["pid"]) == (OPERATOR, "paper", run.pid)
-        assert values["endpoint"].startswith("tcp/127.0.0.1:")
+        assert values["endpoint"].startswith("unixsock-stream//")
         Bus.connect(values["endpoint"], Credentials(values["user"], values["password"])).close()
+        socket_path = Path(values["endpoint"].removeprefix("unixsock-stream/"))
+        assert stat.S_IMODE(socket_path.parent.stat().st_mode) == 0o700
         run.role("agent 1").kill()
         assert run.status() == 3
         assert not path.exists()
+        assert not socket_path.parent.exists()

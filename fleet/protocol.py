@@ -35,7 +35,8 @@ with `f = cos theta u + sin theta w`.
 ## Joining
 
 1. Read `join-<i>.json`: `endpoint` (perhaps several with commas between them: try them in turn), `run`, `vehicle`,
-   `user`, `password`, `version` (of this protocol), and maybe `lease_ms`, `ca`, `certificate` and `key`.
+   `user`, `password`, `version` (of this protocol), and maybe `lease_ms`, `ca`, `certificate` and `key`. On the
+   run's own host it is `unixsock-stream/PATH`, a Unix socket; a zenoh without them needs `fleet run --port`.
 2. Open one [zenoh](https://zenoh.io) 1.x session in mode `client`, connected to `endpoint`, with
    `transport/auth/usrpwd/user` and `password`, with `transport/unicast/lowlatency: true` and
    `transport/unicast/qos/enabled: false` as the router has them, and with `transport/link/tx/lease: {LEASE_MS}` ms, so

@@ -6,39 +6,62 @@ import signal
 import sys
 from types import FrameType
 
-INTERRUPTED = 130
+from fleet.errors import FleetError
+from fleet.interrupts import ENDING, ending, ending_status
+from fleet.output import OutputError, give_up_output, open_streams
+
+READER_GONE = 128 + signal.SIGPIPE  # what a shell shows for `seq 99999 | head -1`
 
 
 def main() -> None:
-    """The console script: the command line, with Ctrl-C and SIGTERM as a clean end at any moment."""
-    signal.signal(signal.SIGINT, _interrupt)
-    signal.signal(signal.SIGTERM, _interrupt)
+    """The console script: the command line, with Ctrl-C, SIGTERM and SIGHUP as a clean end at any moment."""
+    open_streams()
+    for number in ENDING:
+        if number != signal.SIGHUP or signal.getsignal(number) != signal.SIG_IGN:  # as `nohup` leaves it
+            signal.signal(number, _interrupt)
+    status = 0
     try:
-        import click
-
-        from fleet.cli import cli
-
-        try:
-            status = cli(standalone_mode=False)
-        except click.Abort:
-            status = INTERRUPTED
-        except click.ClickException as error:
-            error.show()
-            status = error.exit_code
-        except BrokenPipeError:
-            # The reader of our output, `head` for instance, has seen enough.
-            sys.stderr.close()
-            status = 0
-        sys.exit(status if isinstance(status, int) else 0)
-    except KeyboardInterrupt:
-        sys.exit(INTERRUPTED)
+        status = _command_line()
+        sys.stdout.flush()
+    except KeyboardInterrupt as error:
+        status = ending_status(error)
+    except OutputError as error:
+        # The reader of our output, `head` for instance, has seen enough: that needs no word.
+        status = READER_GONE if error.reader_gone else error.status
+        if not error.reader_gone:
+            sys.stderr.write(f"fleet: {error}\n")
+        give_up_output()
+    sys.exit(status)
 
 
-def _interrupt(_: int, __: FrameType | None) -> None:
+def _command_line() -> int:
+    """The exit status of what was asked for."""
+    import click
+
+    from fleet.cli import cli
+
+    try:
+        status = cli(standalone_mode=False)
+    except click.Abort as abort:
+        return ending_status(abort.__cause__)
+    except click.ClickException as error:
+        error.show()
+        return error.exit_code
+    except FleetError as error:
+        click.echo(f"fleet: {error}", err=True)
+        return error.status
+    except SystemExit as end:
+        if not isinstance(end.code, int | None):
+            raise
+        return end.code or 0
+    return status if isinstance(status, int) else 0
+
+
+def _interrupt(number: int, _: FrameType | None) -> None:
     # Once is enough: ending the processes takes a moment, and a second one would cut that short.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    signal.signal(signal.SIGTERM, signal.SIG_IGN)
-    raise KeyboardInterrupt
+    for other in ENDING:
+        signal.signal(other, signal.SIG_IGN)
+    raise ending(number)
 
 
 if __name__ == "__main__":

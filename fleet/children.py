@@ -27,6 +27,7 @@ from fleet.preload import CONSOLE_PID_VARIABLE
 from netem.errors import BusError
 
 GRACE_S = 1.0
+START_S = 20.0  # for the fork server, which imports everything first, on a busy machine
 FORKSERVER_LOST = 255  # multiprocessing's exit code for a child whose forkserver is gone
 TAIL_LINES = 12
 
@@ -76,6 +77,10 @@ class Children:
         """Start `target(*args)` as a process of its own, called `title` in `ps`, printing to `log_path`.
 
         It may take the role of one that has ended.
+
+        Raises:
+            TimeoutError: the fork server does nothing, and has been ended for it.
+            OSError, EOFError: it is gone, or there is no room for another process.
         """
         assert threading.current_thread() is threading.main_thread(), "PDEATHSIG follows the forking thread"
         os.environ[CONSOLE_PID_VARIABLE] = str(os.getpid())
@@ -86,8 +91,9 @@ class Children:
             target=_child, args=(title, str(log_path), target, args), name=role, daemon=True
         )
         # The forkserver starts this one first, which lifts the block of SIGINT set below.
-        resource_tracker.ensure_running()
-        with _without_main(), _without_interrupt():
+        with _blocked(signal.SIGHUP):
+            resource_tracker.ensure_running()
+        with _without_main(), _blocked(signal.SIGINT, signal.SIGHUP), _bounded_wait():
             process.start()
         self.by_role[role] = Child(role, process, log_path)
 
@@ -97,19 +103,21 @@ class Children:
         self._watcher.start()
 
     def stop(self) -> None:
-        """End every process: politely, then with SIGKILL, which also ends one that is stopped."""
+        """End every process: politely, then with SIGKILL, which also ends one that is stopped.
+
+        That they have ended is told by the fork server. One that does not tell is suspended, and goes as well.
+        """
         self._stopping.set()
         if self._watcher is not None:
             self._watcher.join()
         processes = [child.process for child in self.by_role.values()]
         for process in processes:
             process.terminate()
-        remaining: dict[Any, BaseProcess] = {process.sentinel: process for process in processes}
-        while remaining and (ended := wait(list(remaining), timeout=GRACE_S)):
-            for sentinel in ended:
-                remaining.pop(sentinel)
-        for process in remaining.values():
+        remaining = _left(processes)
+        for process in remaining:
             process.kill()
+        if _left(remaining):
+            _kill_forkserver()
         for process in processes:
             process.join(GRACE_S)
 
@@ -127,21 +135,91 @@ class Children:
                 self._on_exit(Exit(child.role, FORKSERVER_LOST if code is None else code, child.pid))
 
 
+def _left(processes: list[BaseProcess]) -> list[BaseProcess]:
+    """Those that have not ended when nobody has for a while."""
+    remaining: dict[Any, BaseProcess] = {process.sentinel: process for process in processes}
+    while remaining and (ended := wait(list(remaining), timeout=GRACE_S)):
+        for sentinel in ended:
+            remaining.pop(sentinel)
+    return list(remaining.values())
+
+
+@contextlib.contextmanager
+def _bounded_wait() -> Iterator[None]:
+    """To wait for a fork server that does nothing ends with a TimeoutError, and with the fork server."""
+    why: list[str] = []
+
+    def give_up() -> None:
+        pid = _forkserver_pid()
+        how = "is suspended" if pid and suspended(pid) else "does not answer"
+        why.append(f"the fork server (pid {pid}) {how}, for {START_S:g} s now")
+        _kill_forkserver()  # whoever waits for its answer gets an end of file
+
+    patience = threading.Timer(START_S, give_up)
+    patience.daemon = True
+    patience.start()
+    try:
+        yield
+    except (EOFError, OSError) as error:
+        if why:
+            raise TimeoutError(why[0]) from error
+        raise
+    finally:
+        patience.cancel()
+
+
+def _kill_forkserver() -> None:
+    """SIGKILL also ends one that is suspended, and with it what it has started (`fleet.deathsig`)."""
+    pid = _forkserver_pid()
+    if pid is not None:
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(pid, signal.SIGKILL)
+
+
+def _forkserver_pid() -> int | None:
+    return getattr(multiprocessing.forkserver._forkserver, "_forkserver_pid", None)
+
+
 def forkserver_death(patience_s: float = 0.0) -> str | None:
     """How the forkserver ended, or None while it lives; its sockets close a moment before it can be reaped."""
-    pid = getattr(multiprocessing.forkserver._forkserver, "_forkserver_pid", None)
+    pid = _forkserver_pid()
     if pid is None:
         return None
     deadline = time.monotonic() + patience_s
     try:
-        while not (found := os.waitpid(pid, os.WNOHANG))[0]:
+        # Without reaping it: its number stays its own, and multiprocessing sees that a next run needs another one.
+        while (found := os.waitid(os.P_PID, pid, os.WEXITED | os.WNOHANG | os.WNOWAIT)) is None:
             if time.monotonic() >= deadline:
                 return None
             time.sleep(0.005)
     except ChildProcessError:
         return f"the fork server (pid {pid}) is gone"
-    status = found[1]
-    return f"the fork server (pid {pid}) {describe_exit(os.waitstatus_to_exitcode(status))}"
+    code = found.si_status if found.si_code == os.CLD_EXITED else -found.si_status
+    return f"the fork server (pid {pid}) {describe_exit(code)}"
+
+
+def forkserver_suspended() -> str:
+    """That the fork server is suspended, in words; nothing if it is not. It alone tells who has ended."""
+    pid = _forkserver_pid()
+    return f"the fork server (pid {pid}) is suspended" if pid is not None and suspended(pid) else ""
+
+
+def suspended(pid: int) -> bool:
+    """Whether a process is stopped, by a SIGSTOP that somebody forgot for instance."""
+    return _state(pid) in ("T", "t")
+
+
+def ended(pid: int) -> bool:
+    """Whether a process that nobody has reaped is over."""
+    return _state(pid) == "Z"
+
+
+def _state(pid: int) -> str:
+    """The letter that `ps` shows; nothing if there is no such process."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0]
+    except (OSError, IndexError):
+        return ""
 
 
 def describe_exit(code: int) -> str:
@@ -167,10 +245,10 @@ def _without_main() -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def _without_interrupt() -> Iterator[None]:
-    # A child inherits the mask: Ctrl-C reaches the whole terminal group, and the console alone decides what it
-    # means, also while the forkserver is still importing.
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+def _blocked(*signals: signal.Signals) -> Iterator[None]:
+    # A child inherits the mask: Ctrl-C, and the end of a terminal, reach the whole group, and the console alone decides
+    # what they mean, also while the forkserver is still importing.
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, signals)
     try:
         yield
     finally:

@@ -17,8 +17,11 @@ from fleet.cli_trust import TrustingCommand, trust_option
 from fleet.cli_types import Duration
 from fleet.completion import scenarios
 from fleet.errors import FleetError, Problem, ScenarioError
+from fleet.output import OutputError, give_up_output
 
-EPILOG = "Exit status: 0 pass, 1 a check failed, 2 usage or bad scenario, 3 the run broke, 130 Ctrl-C."
+EPILOG = (
+    "Exit status: 0 pass, 1 a check failed, 2 usage or bad scenario, 3 the run broke, 129 terminal closed, 130 Ctrl-C."
+)
 
 
 class Speed(click.ParamType[float | None]):
@@ -194,7 +197,7 @@ def run(
         if show_config:
             click.echo(loaded.to_yaml(), nl=False)
             return
-        from fleet.run import Options, execute
+        from fleet.run import Options, Status, execute
         from fleet.table import show
 
         if not quiet:
@@ -250,7 +253,13 @@ def run(
             said = [f"fleet: {result.reason}", *result.lines] if result.reason else failed
             click.echo("\n".join([*said, str(result.directory)]), err=True)
     else:
-        show(result, Terminal(width=None if sys.stdout.isatty() else 120, soft_wrap=False))
+        try:
+            show(result, Terminal(width=None if sys.stdout.isatty() else 120, soft_wrap=False))
+            sys.stdout.flush()
+        except OutputError as error:
+            give_up_output()
+            click.echo(f"fleet: {error}; the results are in {result.directory}", err=True)
+            sys.exit(max(Status.BROKEN, result.status))
     sys.exit(int(result.status))
 
 

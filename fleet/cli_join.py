@@ -11,10 +11,11 @@ import click
 
 from agents.trust import Trust
 from fleet.cli_trust import TrustingCommand, trust_option
+from fleet.interrupts import ending_status
 
 _AGENT = (
     "Exit status: 0 the run is over; 2 it cannot join; 3 it had joined and its life ended before the run: a fault "
-    "killed it, its link ended, its law failed; 130 Ctrl-C."
+    "killed it, its link ended, its law failed; 129 terminal closed, 130 Ctrl-C."
 )
 
 
@@ -64,9 +65,9 @@ def agent(path: Path, trust: Trust, quiet: bool) -> None:
     except JoinError as error:
         click.echo(f"fleet: {error}", err=True)
         _leave(3 if joined else 2)
-    except KeyboardInterrupt:
+    except KeyboardInterrupt as error:
         tell("left the run")
-        _leave(130)
+        _leave(ending_status(error))
     except SystemExit:
         _leave(3)  # the law failed, and what it raised has been printed
     except Exception as error:

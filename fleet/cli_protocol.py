@@ -13,7 +13,7 @@ from fleet.cli_types import Duration
 from fleet.completion import scenarios
 from fleet.errors import FleetError
 
-_CHECK = "Exit status: 0 every check passed, 1 one did not, 2 usage, or nobody came, 130 Ctrl-C."
+_CHECK = "Exit status: 0 every check passed, 1 one did not, 2 usage, or nobody came, 129 terminal closed, 130 Ctrl-C."
 
 
 @click.group(invoke_without_command=True)

@@ -19,10 +19,11 @@ from rich.console import Console as Terminal
 
 from fleet.cli_types import Duration
 from fleet.errors import FleetError
+from fleet.interrupts import ending_status
 from fleet.quantities import Dimension, QuantityError, parse
 
 CLOSE_S = 2.0  # for what is still on the way to others
-EPILOG = "Exit status: 0 done, 2 usage or a bad file, 3 no connection or a full disk, 130 Ctrl-C."
+EPILOG = "Exit status: 0 done, 2 usage or a bad file, 3 no connection or a full disk, 129 terminal closed, 130 Ctrl-C."
 FILE_SIZE = Dimension("a size", "100 MB", {
     "MB": Fraction(10**6), "GB": Fraction(10**9), "kB": Fraction(1000), "B": Fraction(1),
     "MiB": Fraction(2**20), "GiB": Fraction(2**30), "kiB": Fraction(1024),
@@ -273,12 +274,12 @@ def _observer(directory: Path) -> tuple[str, Any, str]:
 
 @contextmanager
 def _ending() -> Iterator[list[Any]]:
-    """Ctrl-C, and SIGTERM in its place, end the command with 130. Sessions in the list are closed, whatever ends it."""
+    """Ctrl-C and the like end the command with their status. Sessions in the list are closed, whatever ends it."""
     sessions: list[Any] = []
     try:
         yield sessions
-    except KeyboardInterrupt:
-        sys.exit(130)
+    except KeyboardInterrupt as end:
+        sys.exit(ending_status(end))
     finally:
         error = sys.exc_info()[1]
         for bus in sessions:

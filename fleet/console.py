@@ -23,7 +23,17 @@ import msgpack
 import agents.process
 import netem.process
 import world.process
-from fleet.children import FORKSERVER_LOST, Child, Children, Exit, describe_exit, forkserver_death
+from fleet.children import (
+    FORKSERVER_LOST,
+    Child,
+    Children,
+    Exit,
+    describe_exit,
+    ended,
+    forkserver_death,
+    forkserver_suspended,
+    suspended,
+)
 from fleet.clock import Clock, LiveClock
 from fleet.control import Operator
 from fleet.errors import RunBroken, StoppedError, printable
@@ -211,6 +221,8 @@ class Console:
         title = f"fleet {role.replace('-', ' ')} [{self._scenario.name}]"
         try:
             self._children.start(role, title, self._directory.process_log(role), *target)
+        except TimeoutError as error:
+            raise RunBroken(f"{role} could not be started: {error}") from error
         except (EOFError, OSError) as error:
             why = forkserver_death(SETTLE_S) or str(error) or type(error).__name__
             raise RunBroken(f"{role} could not be started: {why}") from error
@@ -601,8 +613,6 @@ def _flat(target: tuple[Callable[..., None], tuple[Any, ...]]) -> tuple[Any, ...
 
 def _suspended(child: Child) -> str:
     """' (suspended)' when the process is stopped, so that a forgotten SIGSTOP is seen at once."""
-    try:
-        state = Path(f"/proc/{child.pid}/stat").read_text().rsplit(")", 1)[1].split()[0]
-    except (OSError, IndexError):
-        return ""
-    return f" (pid {child.pid} is suspended)" if state in "Tt" else ""
+    if ended(child.pid):  # and nobody has told
+        return f" (pid {child.pid} has ended; {forkserver_suspended() or 'it has not been reaped yet'})"
+    return f" (pid {child.pid} is suspended)" if suspended(child.pid) else ""

@@ -51,7 +51,8 @@ def main() -> None:
 
 
 def _publish() -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    for number in (signal.SIGINT, signal.SIGHUP):  # what they mean is the console's business
+        signal.signal(number, signal.SIG_IGN)
     quiet_zenoh()
     source = sys.stdin.buffer
     values = json.loads(source.readline())

@@ -155,7 +155,7 @@ class Recorder:
         writer: TrafficWriter,
         limits: Limits,
         line: StatusLine,
-        interrupted: Callable[[], bool] = lambda: False,
+        interrupted: Callable[[], KeyboardInterrupt | None] = lambda: None,
         over: Callable[[], bool] | None = None,
     ) -> bool:
         """Record until a limit is reached, nothing more can come, or an exception ends it.
@@ -174,8 +174,8 @@ class Recorder:
         seen, rate = 0, 0.0
         end = None if limits.duration_ns is None else began + limits.duration_ns
         while True:
-            if interrupted():
-                raise KeyboardInterrupt
+            if (interruption := interrupted()) is not None:
+                raise interruption
             now = time.monotonic_ns()
             if (end is not None and now >= end) or (limits.size is not None and writer.size >= limits.size):
                 return False

@@ -22,7 +22,7 @@ from fleet.errors import RunBroken, StoppedError
 from fleet.external import ExternalError, refuse
 from fleet.hosts import Meeting
 from fleet.inprocess import InProcess
-from fleet.interrupts import Unbroken
+from fleet.interrupts import HungUp, Unbroken
 from fleet.journal import Journal, Spell, frame_every
 from fleet.log import LogError, LogWriter
 from fleet.ports import free_port
@@ -43,6 +43,7 @@ class Status(IntEnum):
     CHECK_FAILED = 1
     USAGE = 2
     BROKEN = 3
+    HUNG_UP = 129
     INTERRUPTED = 130
 
 
@@ -150,6 +151,8 @@ def _execute(scenario: Scenario, options: Options, terminal: Terminal, whole: Un
         result.status, result.reason = Status.BROKEN, str(error)
     except LogError as error:
         result.status, result.reason = Status.BROKEN, str(error)
+    except HungUp:
+        result.status, result.reason = Status.HUNG_UP, "the terminal was closed"
     except KeyboardInterrupt:
         result.status, result.reason = Status.INTERRUPTED, "interrupted"
     except StoppedError:

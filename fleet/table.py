@@ -48,7 +48,7 @@ def show(result: Result, terminal: Terminal) -> None:
     )
     if hint := large_log_hint(values["log_bytes"] / 1e6):
         terminal.print(f"note  the log is large: {hint}", markup=False, highlight=False, soft_wrap=True)
-    if result.status in (Status.BROKEN, Status.INTERRUPTED):
+    if result.status in (Status.BROKEN, Status.INTERRUPTED, Status.HUNG_UP):
         terminal.print(f"[red]{'run broke' if result.status is Status.BROKEN else 'stopped'}[/]: ", end="")
         terminal.print(result.reason, markup=False, highlight=False, soft_wrap=True)
         for line in result.lines:

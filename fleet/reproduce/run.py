@@ -83,7 +83,8 @@ def _pool(jobs: int, context: Any, times: Any) -> Iterator[ProcessPoolExecutor]:
 def _begin(parent: int, times: Any) -> None:
     global _shared
     die_with_parent(parent)
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    for number in (signal.SIGINT, signal.SIGHUP):
+        signal.signal(number, signal.SIG_IGN)
     _shared = times
 
 

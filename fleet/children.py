@@ -83,7 +83,6 @@ class Children:
             OSError, EOFError: it is gone, or there is no room for another process.
         """
         assert threading.current_thread() is threading.main_thread(), "PDEATHSIG follows the forking thread"
-        os.environ[CONSOLE_PID_VARIABLE] = str(os.getpid())
         # Or the forkserver, a `python -c`, would take a `socket.py` in the current directory for Python's.
         os.environ["PYTHONSAFEPATH"] = "1"
         self._context.set_forkserver_preload(["fleet.preload"])
@@ -93,7 +92,7 @@ class Children:
         # The forkserver starts this one first, which lifts the block of SIGINT set below.
         with _blocked(signal.SIGHUP):
             resource_tracker.ensure_running()
-        with _without_main(), _blocked(signal.SIGINT, signal.SIGHUP), _bounded_wait():
+        with _without_main(), _blocked(signal.SIGINT, signal.SIGHUP), _bounded_wait(), _named_console():
             process.start()
         self.by_role[role] = Child(role, process, log_path)
 
@@ -142,6 +141,16 @@ def _left(processes: list[BaseProcess]) -> list[BaseProcess]:
         for sentinel in ended:
             remaining.pop(sentinel)
     return list(remaining.values())
+
+
+@contextlib.contextmanager
+def _named_console() -> Iterator[None]:
+    # For the fork server alone: whoever else had it in the environment would take us for a parent, and end at once.
+    os.environ[CONSOLE_PID_VARIABLE] = str(os.getpid())
+    try:
+        yield
+    finally:
+        del os.environ[CONSOLE_PID_VARIABLE]
 
 
 @contextlib.contextmanager

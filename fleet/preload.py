@@ -11,7 +11,7 @@ from fleet.deathsig import die_with_parent
 CONSOLE_PID_VARIABLE = "UUV_FLEET_CONSOLE_PID"
 
 if CONSOLE_PID_VARIABLE in os.environ:
-    die_with_parent(int(os.environ[CONSOLE_PID_VARIABLE]))
+    die_with_parent(int(os.environ.pop(CONSOLE_PID_VARIABLE)))  # what a law starts is no business of ours
 
 # After the tie to the parent, because it takes a while.
 for name in ("agents.process", "netem.process", "world.process"):

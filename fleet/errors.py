@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 _WIDTH = 100  # characters of a source line shown around the caret
+MOST_SHOWN = 200  # problems of one scenario; more are only counted
 
 
 class FleetError(Exception):
@@ -71,7 +72,9 @@ class ScenarioError(FleetError):
     def __str__(self) -> str:
         count = len(self.problems)
         tail = f"\n{count} problems" if count > 1 else ""
-        return "\n".join(str(problem) for problem in self.problems) + tail
+        if count > MOST_SHOWN:
+            tail += f"; the first {MOST_SHOWN} are shown"
+        return "\n".join(str(problem) for problem in self.problems[:MOST_SHOWN]) + tail
 
 
 def printable(text: str) -> str:

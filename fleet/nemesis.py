@@ -42,6 +42,11 @@ def unleash(spec: ScenarioSpec, links: Sequence[Link]) -> ScenarioSpec:
     return spec.model_copy(update={"faults": faults, "nemesis": None})
 
 
+def count(nemesis: NemesisSection, spec: ScenarioSpec) -> int:
+    """How many faults it would become."""
+    return len(_times(nemesis, spec))
+
+
 def _times(nemesis: NemesisSection, spec: ScenarioSpec) -> range:
     """When a fault begins [ns], so that each is over by the end of the nemesis."""
     first = nemesis.every if nemesis.start is None else nemesis.start

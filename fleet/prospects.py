@@ -114,10 +114,11 @@ def _too_old(scenario: Scenario) -> Iterator[str]:
 
 def _idle_faults(scenario: Scenario) -> Iterator[str]:
     m, tick_s = scenario.round_ticks, scenario.tick_ns / 1e9
-    named = dict.fromkeys(fault.id for fault in scenario.faults.network if fault.kind in BY_ROUND)
-    for name in named:
-        parts = [fault for fault in scenario.faults.network if fault.id == name]
-        begin, end = parts[0].begin, parts[0].end
+    times: dict[str, tuple[int, int | None]] = {}
+    for fault in scenario.faults.network:
+        if fault.kind in BY_ROUND:
+            times.setdefault(fault.id, (fault.begin, fault.end))
+    for name, (begin, end) in times.items():
         if end is not None and -(-begin // m) * m >= end:
             yield (
                 f"fault {name} does nothing: agents talk at round ticks, every {m * tick_s:g} s, and none lies between "

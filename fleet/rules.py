@@ -27,6 +27,7 @@ from fleet.faults import plan as fault_plan
 from fleet.fields import vehicle_numbers
 from fleet.formation import plans
 from fleet.graph import build, parse_edge
+from fleet.nemesis import count as nemesis_faults
 from fleet.nemesis import unleash
 from fleet.quantities import RATE, SPEED, QuantityError, Vec3, show, show_time, show_vector
 from fleet.reference import build as build_reference
@@ -44,6 +45,8 @@ Table = dict[str, Keys]
 Entries = tuple[str, ...]  # the keys of per_vehicle that name a vehicle
 _LINKS_SHOWN = 12
 _BLEND_SAMPLES = 40
+MOST_FAULTS = 5000  # of one scenario, those of its nemesis included: each is looked at in every tick
+MOST_TARGETS = 100_000  # faults times vehicles: each may be about all of them
 
 
 def _dotted(path: tuple[str | int, ...]) -> str:
@@ -62,12 +65,14 @@ class Report:
     folder: Path | None = None  # where the scenario's file lies
     problems: list[Problem] = field(default_factory=list)
     policy: Policy = READING
+    _added: set[Problem] = field(default_factory=set)
 
     def add(self, path: tuple[str | int, ...], message: str, hint: str = "", *, key: bool = False) -> None:
         """Report a mistake, once, at the value (or the key) at `path`, or at its nearest ancestor that is there."""
         path = self._written(path)
         problem = locate(self.root, path, key=key).problem(f"{_dotted(path)}: {message}", hint)
-        if problem not in self.problems:
+        if problem not in self._added:
+            self._added.add(problem)
             self.problems.append(problem)
 
     def refuse(self, path: tuple[str | int, ...], message: str, hint: str) -> None:
@@ -561,6 +566,9 @@ def _fault_names(spec: ScenarioSpec) -> tuple[list[str], set[str]]:
 
 
 def _faults(spec: ScenarioSpec, report: Report) -> None:
+    if len(spec.faults) > (most := _most_faults(spec)):
+        report.add(("faults",), f"{len(spec.faults)} faults, expected at most {most}")
+        return
     links = _graph_links(spec)
     seen: dict[str, int] = {}
     for index, fault in enumerate(spec.faults):
@@ -577,6 +585,10 @@ def _faults(spec: ScenarioSpec, report: Report) -> None:
         _fault_targets(spec, report, path, fault, links)
 
 
+def _most_faults(spec: ScenarioSpec) -> int:
+    return min(MOST_FAULTS, MOST_TARGETS // spec.vehicles)
+
+
 def _nemesis(spec: ScenarioSpec, report: Report) -> None:
     nemesis = spec.nemesis
     if nemesis is None:
@@ -590,6 +602,10 @@ def _nemesis(spec: ScenarioSpec, report: Report) -> None:
     if until - first < nemesis.for_:
         span = f"from {show_time(first)} to {show_time(until)}"
         report.add(("nemesis", "for"), f"no fault of {show_time(nemesis.for_)} fits: it acts {span}")
+    most = _most_faults(spec)
+    if (drawn := nemesis_faults(nemesis, spec)) + len(spec.faults) > most:
+        message = f"{drawn} faults, one every {show_time(nemesis.every)}, expected at most {most} in a scenario"
+        report.add(("nemesis", "every"), message, "make it rarer, or end it earlier with until")
     links = _graph_links(spec)
     for index, pick in enumerate(nemesis.pick):
         path = ("nemesis", "pick", index)

@@ -161,11 +161,15 @@ def _nearest_key(loc: Loc) -> str:
     hint = nearest(key, siblings)
     if hint:
         return hint
-    everywhere = list(_paths(ScenarioSpec, ""))
-    elsewhere = [path for path in everywhere if path.rpartition(".")[2] == key]
+    elsewhere = [path for path in _everywhere() if path.rpartition(".")[2] == key]
     if elsewhere:
         return f'did you mean "{elsewhere[0]}"?'
     return f"known here: {', '.join(siblings)}"
+
+
+@cache
+def _everywhere() -> list[str]:
+    return list(_paths(ScenarioSpec, ""))
 
 
 def _paths(section: type[Section], prefix: str) -> Iterator[str]:

@@ -29,8 +29,9 @@ class Lives:
     def __init__(self, absences: Iterable[Absence] = ()) -> None:
         self.absences: list[Absence] = []
         self._gaps: dict[int, list[tuple[float, float]]] = {}  # by vehicle: what the absences add up to, ascending
-        for absence in absences:
-            self.add(absence)
+        self.absences += absences
+        for i in {absence.vehicle for absence in self.absences}:
+            self._add_up(i)
 
     def without_agent(self, i: int, tick: int) -> bool:
         """Whether vehicle i has no agent at a tick."""

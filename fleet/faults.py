@@ -15,7 +15,7 @@ The named ones are Jepsen's. What is drawn depends on (seed, id of the fault) al
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -172,7 +172,7 @@ def parts(section: FaultSection, name: str, spec: ScenarioSpec, links: Sequence[
         case "down" | "up":
             return [NetFault(name, begin, end, kind, select(parse_selector(getattr(section, kind)), links))]
         case "partition":
-            cut = partition(section.partition or "", spec.vehicles, spec.seed, name)
+            cut = partition(section.partition or "", spec.vehicles, spec.seed, name, links)
             return [NetFault(name, begin, end, "partition", tuple(link for link in links if link in cut))]
         case "mute" | "deaf":
             return [NetFault(name, begin, end, kind, vehicles=who)]
@@ -265,37 +265,45 @@ def words(section: FaultAction) -> str:
     return f"{name} {value}"
 
 
-def partition(text: str, vehicles: int, seed: int, name: str) -> set[Link]:
-    """The directed links that a partition cuts, of all there could be.
+def partition(text: str, vehicles: int, seed: int, name: str, among: Iterable[Link] | None = None) -> set[Link]:
+    """The directed links that a partition cuts, of all there could be, or of those given.
 
     Raises:
         FaultError: the text names no partition of these vehicles.
     """
-    everyone = list(range(1, vehicles + 1))
+    cut = _cut(text, vehicles, seed, name)
+    return {(a, b) for a, b in (_all(vehicles) if among is None else among) if cut(a, b)}
+
+
+def _cut(text: str, vehicles: int, seed: int, name: str) -> Callable[[int, int], bool]:
+    """Whether a partition cuts the link from a to b."""
+    everyone = range(1, vehicles + 1)
     if "/" in text:
         groups = _groups(text, vehicles)
-        return _between([*groups, *([i] for i in everyone if not any(i in group for group in groups))])
+        return _between({i: number for number, group in enumerate(groups) for i in group})
     which, _, who = text.strip().partition(":")
-    drawn = sorted(everyone, key=lambda i: (uniform(seed, f"partition {which} {name}", i), i))
+    if which in ("one", "majority", "bridge", "ring"):
+        drawn = sorted(everyone, key=lambda i: (uniform(seed, f"partition {which} {name}", i), i))
     half = (vehicles + 1) // 2
     match which:
         case "halves":
-            return _between([everyone[:half], everyone[half:]])
+            return lambda a, b: (a <= half) != (b <= half)
         case "one":
-            return _between([drawn[:1], drawn[1:]])
+            return lambda a, b: (a == drawn[0]) != (b == drawn[0])
         case "majority":
-            minority = (vehicles - 1) // 2
-            return _between([drawn[:minority], drawn[minority:]])
+            minority = set(drawn[: (vehicles - 1) // 2])
+            return lambda a, b: (a in minority) != (b in minority)
         case "bridge":
             middle, rest = drawn[0], sorted(drawn[1:])
-            split = (len(rest) + 1) // 2
-            return _between([rest[:split], rest[split:]]) - {link for link in _all(everyone) if middle in link}
+            first = set(rest[: (len(rest) + 1) // 2])
+            return lambda a, b: middle not in (a, b) and (a in first) != (b in first)
         case "ring":
             reach = -(-(vehicles // 2) // 2)  # on each side: 2 reach + 1 is the least odd majority
             place = {i: n for n, i in enumerate(drawn)}
-            return {(a, b) for a, b in _all(everyone) if _apart(place[a], place[b], vehicles) > reach}
+            return lambda a, b: _apart(place[a], place[b], vehicles) > reach
         case "isolate" if who.strip().isdigit() and 1 <= int(who) <= vehicles:
-            return _between([[int(who)], [i for i in everyone if i != int(who)]])
+            alone = int(who)
+            return lambda a, b: (a == alone) != (b == alone)
     raise FaultError(
         f'"{text[:40]}" is no partition of vehicles 1 to {vehicles}',
         f'write groups such as "1,2 / 3,4", or one of {", ".join(NAMED_PARTITIONS)}',
@@ -318,13 +326,13 @@ def _groups(text: str, vehicles: int) -> list[list[int]]:
     return groups
 
 
-def _between(groups: Sequence[Iterable[int]]) -> set[Link]:
-    sets = [set(group) for group in groups]
-    return {(a, b) for x in sets for y in sets if x is not y for a in x for b in y}
+def _between(group: dict[int, int]) -> Callable[[int, int], bool]:
+    """Groups from each other, and those in none of them from all."""
+    return lambda a, b: group.get(a, -a) != group.get(b, -b)
 
 
-def _all(vehicles: list[int]) -> set[Link]:
-    return {(a, b) for a in vehicles for b in vehicles if a != b}
+def _all(vehicles: int) -> Iterator[Link]:
+    return ((a, b) for a in range(1, vehicles + 1) for b in range(1, vehicles + 1) if a != b)
 
 
 def _apart(a: int, b: int, n: int) -> int:

@@ -56,7 +56,7 @@ def _times(nemesis: NemesisSection, spec: ScenarioSpec) -> range:
 
 def _target(kind: DrawnKind, name: str, spec: ScenarioSpec, number: int, links: Sequence[Link]) -> str:
     if kind == "partition":
-        cuts = [p for p in PARTITIONS if partition(p, spec.vehicles, spec.seed, name) & set(links)] or ["halves"]
+        cuts = [p for p in PARTITIONS if partition(p, spec.vehicles, spec.seed, name, links)] or ["halves"]
         return cuts[_draw(spec, number, 1, len(cuts))]
     if kind == "down":
         pairs = sorted({(min(link), max(link)) for link in links})

@@ -636,12 +636,12 @@ def _fault_targets(
         return
     if kind == "partition":
         try:
-            cut = partition(fault.partition or "", spec.vehicles, spec.seed, "")
+            cut = partition(fault.partition or "", spec.vehicles, spec.seed, "", links)
         except FaultError as error:
             report.add((*path, kind), error.message, error.hint)
             return
         drawn = fault.partition in ("one", "majority", "ring", "bridge")  # may cut none, this time
-        if not cut & set(links) and not drawn:
+        if not cut and not drawn:
             report.add((*path, kind), "cuts no link of the graph")
         return
     if kind == "link" and not fault.link:

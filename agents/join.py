@@ -28,13 +28,14 @@ from agents.trust import NOTHING, Trust
 from netem.access import LEASE_MS, Credentials
 from netem.bus import Bus
 from netem.errors import BusError, MalformedMessage
-from netem.files import write_whole
+from netem.files import open_file, read_bounded, write_whole
 from netem.keys import Keys
 from netem.messages import PROTOCOL_VERSION, End
 from netem.shell import read_map
 
 CONNECT_MS = 3000
 MOST_TEXT = 200  # characters of a name or password
+MOST_BYTES = 1_000_000  # of a join file, with certificates
 ASK_S = 10.0
 # As zenoh writes it; the socket is that of a run on this host, of this user.
 _ENDPOINT = re.compile(r"(tcp|tls)/(?P<host>[^?#]+):(?P<port>[0-9]{1,5})([?#].*)?|unixsock-stream/(?P<path>/[^?#]+)")
@@ -89,9 +90,9 @@ class Joining:
             JoinError: it is not there, others can read it, it is no join file, or of another protocol version.
         """
         try:
-            with path.open("rb") as file:
+            with open_file(path) as file:
                 mode = stat.S_IMODE(os.fstat(file.fileno()).st_mode)
-                data = file.read(1_000_000)
+                data = read_bounded(file, MOST_BYTES)
         except FileNotFoundError:
             raise JoinError(
                 f"there is no {path}: a run writes it for each vehicle that is external, and removes it when it ends"

@@ -17,11 +17,12 @@ from pathlib import Path
 from typing import Any
 
 from fleet.errors import FleetError
-from netem.files import write_whole
+from netem.files import read_file, write_whole
 
 CA, SERVER = "ca", "server"
 OWN = "fleet"  # what the run's own processes show to a router that asks for certificates
 ALWAYS = ("localhost", "127.0.0.1")
+_MOST_BYTES = 1_000_000  # of a certificate or key
 _SKEW = timedelta(hours=1)  # a host's clock may be late
 _LABEL = re.compile(r"[A-Za-z0-9_]([A-Za-z0-9_-]{0,61}[A-Za-z0-9_])?")
 
@@ -254,7 +255,7 @@ def _again(directory: Path, agents: str = "") -> str:
 
 def _read(file: Path) -> str:
     try:
-        return file.read_text("ascii")
+        return read_file(file, _MOST_BYTES).decode("ascii")
     except FileNotFoundError:
         agents = f" --agents {who.group(1)}" if (who := re.match(r"agent-(\d+)", file.name)) else ""
         raise CertsError(f"{file} is missing; make it: {_again(file.parent, agents)}") from None

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import sys
 import threading
@@ -12,9 +11,10 @@ from contextlib import contextmanager
 from datetime import UTC, datetime
 from fractions import Fraction
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import click
+import msgspec
 from rich.console import Console as Terminal
 
 from fleet.cli_types import Duration
@@ -22,6 +22,7 @@ from fleet.errors import FleetError
 from fleet.interrupts import ending_status
 from fleet.quantities import Dimension, QuantityError, parse
 
+MOST_BYTES = 100_000  # of a file that says how to listen
 CLOSE_S = 2.0  # for what is still on the way to others
 EPILOG = "Exit status: 0 done, 2 usage or a bad file, 3 no connection or a full disk, 129 terminal closed, 130 Ctrl-C."
 FILE_SIZE = Dimension("a size", "100 MB", {
@@ -257,16 +258,26 @@ def _session(connect: str | None, listen: str | None, credentials: Any) -> Any:
         _fail(error, 3)
 
 
+class _Observed(msgspec.Struct):
+    """What the file of a published run says."""
+
+    endpoint: str
+    user: str
+    password: str
+    run: Annotated[str, msgspec.Meta(pattern=r"^[\w-]+$")]
+
+
 def _observer(directory: Path) -> tuple[str, Any, str]:
     """Endpoint, credentials and prefix of a run that is published."""
     from netem.access import Credentials
+    from netem.files import read_file
     from netem.keys import Keys
 
     path = directory / "observe.json"
     try:
-        values = json.loads(path.read_text("utf-8"))
-        return values["endpoint"], Credentials(values["user"], values["password"]), Keys(values["run"]).prefix
-    except (OSError, ValueError, KeyError, TypeError):
+        found = msgspec.json.decode(read_file(path, MOST_BYTES), type=_Observed)
+        return found.endpoint, Credentials(found.user, found.password), Keys(found.run).prefix
+    except (OSError, RecursionError, ValueError, msgspec.MsgspecError):
         raise click.BadParameter(
             f"{directory} is no live run that is published: there is no usable {path.name}", param_hint="--run"
         ) from None

@@ -9,6 +9,7 @@ from typing import Any
 
 from fleet import quantities as q
 from fleet.errors import FleetError
+from netem.files import read_file
 from netem.grammar import nearest
 
 _MAX_BYTES = 100_000
@@ -43,8 +44,7 @@ def find(kind: str, name: str, package: str, folder: Path | None) -> tuple[bytes
     places = [folder / name] if folder is not None else []
     for path in [*places, Path(name)]:
         try:
-            with path.open("rb") as file:
-                return file.read(_MAX_BYTES), str(path)
+            return read_file(path, _MAX_BYTES), str(path)
         except FileNotFoundError:
             continue
         except (OSError, ValueError) as error:  # ValueError: no name of a file

@@ -15,11 +15,13 @@ from fleet.certs import ALWAYS, OWN, SERVER, CertsError, Pair, host_name, read_c
 from fleet.certs import path as certificate_path
 from fleet.errors import FleetError
 from netem.access import Credentials, Door, agent_role, generate
+from netem.files import read_file
 from netem.keys import Keys
 
 # Between hosts. A pull of up to a third of it is carried: the last sign of life may be a quarter of the lease old when
 # it begins, and TCP's next attempt may come as late again as the pull was long.
 LEASE_MS = 20_000
+MOST_BYTES = 1_000_000  # of a credentials file
 IN_CLEAR = (
     "{endpoint} is not encrypted and is for other hosts: whoever sees the traffic reads every state and can take over "
     "an agent's connection. Use it on a network that you trust, or make certificates with fleet certs and use tls/"
@@ -230,7 +232,7 @@ def read_credentials(file: Path, vehicles: int) -> tuple[str, dict[str, Credenti
     """
     again = "make it with fleet acl SCENARIO -o DIR"
     try:
-        mode, values = file.stat().st_mode, json.loads(file.read_text("utf-8"))
+        mode, values = file.stat().st_mode, json.loads(read_file(file, MOST_BYTES))
         run, made_for, users = str(values["run"]), int(values["vehicles"]), values["users"]
         found = {role: Credentials(str(user), str(password)) for role, (user, password) in users.items()}
     except OSError as error:

@@ -14,6 +14,7 @@ from fleet.errors import FleetError
 from netem.access import LEASE_MS, Credentials
 from netem.bus import Bus
 from netem.errors import BusError
+from netem.files import read_file
 from netem.keys import Keys
 from netem.shell import read_map, request
 
@@ -139,9 +140,6 @@ class _Connection(msgspec.Struct):
 
 def _values(path: Path) -> _Connection | None:
     try:
-        if not path.is_file():  # a pipe would be waited for
-            return None
-        with path.open("rb") as file:
-            return msgspec.json.decode(file.read(MOST_BYTES), type=_Connection)
+        return msgspec.json.decode(read_file(path, MOST_BYTES), type=_Connection)
     except (OSError, RecursionError, ValueError, msgspec.MsgspecError):
         return None

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-import json
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
@@ -21,6 +20,7 @@ from fleet.pictures import PER_RUN, WHAT, Look, Run, draw
 from fleet.plotting import DPI
 from fleet.reader import digest
 from fleet.report_tables import links_table, mark, number, side_by_side, table
+from fleet.result_file import ResultError, read_result
 from netem.ages import Ages
 from netem.impairment import DELIVERED, IN_FLIGHT
 from netem.messages import Fate
@@ -138,18 +138,15 @@ def _network(run: Run) -> str:
 
 
 def _verdict(run: Run) -> Verdict:
-    path = run.log.path.parent / "result.json"
     found = digest(run.log.path)
     try:
-        values = json.loads(path.read_text("utf-8"))
-        if values["digest"] != found:
-            return Verdict(
-                None, "The result.json beside this log is of another log, so its verdicts are left out.", found
-            )
+        values = read_result(run.log.path)
     except FileNotFoundError:
         return Verdict(None, "There is no result.json beside this log, so there are no verdicts.", found)
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        return Verdict(None, f"The result.json beside this log cannot be read ({type(error).__name__}).", found)
+    except ResultError as error:
+        return Verdict(None, f"{error}; so there are no verdicts.", found)
+    if values["digest"] != found:
+        return Verdict(None, "The result.json beside this log is of another log, so its verdicts are left out.", found)
     return Verdict(values, "", found)
 
 
@@ -159,12 +156,12 @@ def _verdicts(verdict: Verdict) -> Iterator[str]:
         yield f'<p class="warn">{escape(verdict.word)}</p>'
         return
     values = verdict.values
-    status = str(values.get("status", ""))
-    yield f"<p>Status: {mark(status == 'pass', status.replace('_', ' '))} {escape(str(values.get('reason', '')))}</p>"
-    rows = []
-    for check in values.get("checks", []):
-        good = bool(check.get("passed"))
-        rows.append((check.get("check", ""), mark(good, "pass" if good else "FAIL"), check["asked"], check["found"]))
+    status = values["status"]
+    yield f"<p>Status: {mark(status == 'pass', status.replace('_', ' '))} {escape(values['reason'])}</p>"
+    rows = [
+        (check["check"], mark(check["passed"], "pass" if check["passed"] else "FAIL"), check["asked"], check["found"])
+        for check in values["checks"]
+    ]
     if rows:
         yield table(("check", "verdict", "asked", "found"), rows, "words")
     else:
@@ -173,7 +170,7 @@ def _verdicts(verdict: Verdict) -> Iterator[str]:
 
 def _tables(run: Run, verdict: Verdict) -> Iterator[str]:
     values = verdict.values
-    if values and values.get("vehicles"):
+    if values and values["vehicles"]:
         yield "<h3>Vehicles</h3>"
         headings = {
             "settle_10pct_s": "settle to 10 % [s]", "settle_5cm_s": "settle to 5 cm [s]",
@@ -181,7 +178,7 @@ def _tables(run: Run, verdict: Verdict) -> Iterator[str]:
             "effort_Ns": "surge effort [N s]", "u_cmd_max_mps": "max u_cmd [m/s]", "qp_failures": "QP failures",
             "payloads_rejected": "payloads rejected",
         }  # fmt: skip
-        rows = ((i, *(number(key, row.get(key)) for key in headings)) for i, row in values["vehicles"].items())
+        rows = ((i, *(number(key, row[key]) for key in headings)) for i, row in values["vehicles"].items())
         yield table(("UUV", *headings.values()), rows)
     elif any(f"uuv/{i}/error" in run.log for i in run.log.vehicles):
         yield "<h3>Vehicles at the end of the log</h3>"

@@ -25,18 +25,19 @@ def side_by_side(runs: Sequence[Run], results: Sequence[Mapping[str, Any] | None
         if values is None:
             rows.append([*row, *["-"] * (len(headings) - len(row))])
             continue
-        checks, status = values.get("checks", []), str(values.get("status", ""))
-        good = sum(bool(check.get("passed")) for check in checks)
+        checks, status = values["checks"], values["status"]
+        good = sum(check["passed"] for check in checks)
         row += [mark(status == "pass", status.replace("_", " ")), f"{good} of {len(checks)}" if checks else "-"]
-        vehicles = list(values.get("vehicles", {}).values())
-        settle = [vehicle.get("settle_10pct_s") for vehicle in vehicles]
+        vehicles = list(values["vehicles"].values())
+        settle = [vehicle["settle_10pct_s"] for vehicle in vehicles]
         row.append("-" if not settle else "not settled" if None in settle else f"{max(settle):.4g}")
-        row.append(f"{max(v['formation_final_m'] for v in vehicles):.4g}" if vehicles else "-")
-        row.append(f"{sum(v['effort_Ns'] for v in vehicles):.4g}" if vehicles else "-")
-        accounts = values.get("ledger", {}).values()
+        for key, of_all in (("formation_final_m", max), ("effort_Ns", sum)):
+            numbers = [vehicle[key] for vehicle in vehicles]
+            row.append("-" if None in numbers or not numbers else f"{of_all(numbers):.4g}")
+        accounts = values["ledger"].values()
         entered = sum(a["sent"] + a["duplicated"] - a["lost"].get(REPLACED, 0) for a in accounts)
         row.append(f"{sum(a['delivered'] for a in accounts) / entered:.1%}" if entered else "-")
-        age = values.get("ages", {}).get("*")
+        age = values["ages"].get("*")
         rows.append([*row, f"{age['max_s']:.4g}" if age else "-"])
     return table(headings, rows)
 

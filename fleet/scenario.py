@@ -30,13 +30,14 @@ from fleet.validation import validate
 from fleet.vehicles import shipped as shipped_vehicles
 from fleet.yaml_marks import Mapping, Scalar, Source, read
 from netem.config import Condition, Link, NetemConfig
+from netem.files import read_bounded, read_file
 from netem.grammar import nearest, parse_selector, select
 from netem.modem import AcousticConfig
 from world import disturbance
 from world.config import Harmonic, NavNoise, VehicleSetup, WorldConfig
 from world.vehicle import Vec3, Vec5
 
-_MAX_BYTES = 4_000_000  # more than yaml_marks takes, less than /dev/zero gives
+_MAX_BYTES = 4_000_000  # no fewer than yaml_marks takes characters
 
 
 @dataclass(frozen=True, slots=True)
@@ -367,8 +368,7 @@ def _text(name_or_path: str) -> tuple[str, str, Path | None]:
             return f"{name_or_path}.yaml", entry.read_text("utf-8"), None
         path = Path(name_or_path)
         if path.suffix or "/" in name_or_path or path.exists():
-            with path.open("rb") as file:
-                return name_or_path, file.read(_MAX_BYTES).decode("utf-8-sig"), path.parent
+            return name_or_path, _content(path).decode("utf-8-sig"), path.parent
     except UnicodeDecodeError as error:
         hint = "a log? fleet run --from goes on from one, fleet script makes a scenario of one"
         raise _unreadable(name_or_path, f"not UTF-8 text (byte {error.start})", hint) from None
@@ -381,6 +381,14 @@ def _text(name_or_path: str) -> tuple[str, str, Path | None]:
     hint = nearest(name_or_path, shipped()) or "a file needs its suffix, as in my-scenario.yaml"
     message = f"there is no such shipped scenario; there are {', '.join(shipped())}"
     raise _unreadable(name_or_path, message, hint)
+
+
+def _content(path: Path) -> bytes:
+    """Of a file, or of what is open already: /dev/stdin, or /dev/fd/63 as a shell writes <(command)."""
+    if path == Path("/dev/stdin") or path.parent in (Path("/dev/fd"), Path("/proc/self/fd")):
+        with path.open("rb") as file:
+            return read_bounded(file, _MAX_BYTES)
+    return read_file(path, _MAX_BYTES)
 
 
 def _unreadable(name: str, message: str, hint: str = "") -> ScenarioError:

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import errno
 import os
+import stat
 from pathlib import Path
 from secrets import token_hex
+from typing import IO
 
 
 def write_whole(path: Path, data: bytes, mode: int = 0o600) -> None:
@@ -22,3 +25,36 @@ def write_whole(path: Path, data: bytes, mode: int = 0o600) -> None:
     except OSError:
         temporary.unlink(missing_ok=True)
         raise
+
+
+def open_file(path: Path) -> IO[bytes]:
+    """A regular file to read. A pipe would be waited for, and some devices never end.
+
+    Raises:
+        OSError: it is none, or cannot be opened.
+    """
+    file = os.fdopen(os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOCTTY | os.O_CLOEXEC), "rb")
+    mode = os.fstat(file.fileno()).st_mode
+    if stat.S_ISREG(mode):
+        return file
+    file.close()
+    kind = "a pipe" if stat.S_ISFIFO(mode) else "a device" if stat.S_ISCHR(mode) or stat.S_ISBLK(mode) else "something"
+    raise OSError(errno.EINVAL, f"it is {kind}, not a file")
+
+
+def read_file(path: Path, most: int) -> bytes:
+    """What is in a regular file of at most so many bytes.
+
+    Raises:
+        OSError: it is none, it is larger, or it cannot be read.
+    """
+    with open_file(path) as file:
+        return read_bounded(file, most)
+
+
+def read_bounded(file: IO[bytes], most: int) -> bytes:
+    """What is left in an open file. Raises OSError: more than so many bytes."""
+    data = file.read(most + 1)
+    if len(data) > most:
+        raise OSError(errno.EFBIG, f"it is larger than {most / 1e6:g} MB")
+    return data

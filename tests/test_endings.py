@@ -139,10 +139,15 @@ def test_a_run_without_a_hang_up_outlives_its_terminal(tmp_path: Path) -> None:
 def test_a_hang_up_waits_for_the_end_of_a_write() -> None:
     before = signal.signal(signal.SIGHUP, signal.default_int_handler)
     try:
-        whole, written = Unbroken(), False
-        with whole.guarding(), pytest.raises(KeyboardInterrupt), whole:
-            signal.raise_signal(signal.SIGHUP)
-            written = True
+        whole, written = Unbroken(), []
+
+        def write() -> None:
+            with whole:
+                signal.raise_signal(signal.SIGHUP)
+                written.append("all of it")
+
+        with whole.guarding(), pytest.raises(KeyboardInterrupt):
+            write()
         assert written
         with holding_interrupts() as interrupted:
             assert interrupted() is None

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from typing import Any
@@ -17,6 +16,7 @@ from fleet.pictures.axes import MOST_NAMED, legend_of
 from fleet.pictures.runs import Look, NothingToDraw, Run
 from fleet.plotting import COLUMN_IN, STYLES, panels
 from fleet.reader import CLOCK, REAL
+from fleet.result_file import ResultError, read_timing
 
 GREY = "#999999"
 
@@ -66,11 +66,14 @@ def _timing(run: Run) -> dict[str, Any]:
     """What the run measured of itself, from the result beside its log."""
     if not on_wall_clock(run):
         raise NothingToDraw("the run was in lockstep, where nothing can be late; see fleet run --clock real")
-    path = run.log.path.parent / "result.json"
     try:
-        timing: dict[str, Any] = json.loads(path.read_text("utf-8"))["timing"]
-    except (OSError, ValueError, KeyError, TypeError):
-        raise NothingToDraw(f"{path} is not there, or holds no timing: the run did not end by itself") from None
+        timing = read_timing(run.log.path)
+    except FileNotFoundError as error:
+        raise NothingToDraw(f"{error.filename} is not there: the run did not end by itself") from None
+    except ResultError as error:
+        raise NothingToDraw(str(error)) from None
+    if missing := [i for i in run.log.vehicles if str(i) not in timing["vehicles"]]:
+        raise NothingToDraw(f"the result.json beside the log has no timing of vehicle {missing[0]}")
     return timing
 
 

@@ -74,7 +74,7 @@ class Scenario:
             plans=plans,
             graph=links,
             initial=formation.initial_states(spec.initial, places, trajectory.at(0.0), spec.seed),
-            conditions={k: conditions[k] for k in links.links if conditions.get(k, Condition()) != Condition()},
+            conditions={k: conditions[k] for k in links.links if k in conditions and conditions[k] != Condition()},
             faults=faults.plan(spec, links.links),
             acoustic=acoustics.compile_acoustic(spec.network, spec.vehicles, spec.tick, folder),
             controls=controls,

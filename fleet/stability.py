@@ -30,7 +30,6 @@ from fleet.connectivity import Connectivity
 from fleet.linear import NotLinear
 from fleet.scenario import Scenario
 from fleet.tuning import Control
-from netem.config import Condition
 from world.vehicle import Vec3
 
 
@@ -185,8 +184,7 @@ def oldest_s(scenario: Scenario) -> float:
     if scenario.ideal or not scenario.graph.links:
         return 0.0
     tick = scenario.tick_ns
-    delays = [scenario.conditions.get(link, Condition()) for link in scenario.graph.links]
-    worst = max(condition.delay_ns + condition.jitter_ns for condition in delays)
+    worst = max((condition.delay_ns + condition.jitter_ns for condition in scenario.conditions.values()), default=0)
     if scenario.acoustic is not None:
         age = acoustics.oldest_s(scenario.spec.network, scenario.acoustic, scenario.plans, tick)
         return age + worst / 1e9

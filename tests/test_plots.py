@@ -488,7 +488,7 @@ def test_report_says_what_is_missing(directories: dict[str, Path], tmp_path: Pat
     (other / "result.json").write_bytes((directories["faulty"] / "result.json").read_bytes())
     assert "is of another log" in " ".join(Page(page(load([other]), Look())).words)
     (other / "result.json").write_text("{")
-    assert "cannot be read" in " ".join(Page(page(load([other]), Look())).words)
+    assert "result.json is damaged: not JSON" in " ".join(Page(page(load([other]), Look())).words)
 
 
 def test_a_report_that_finds_no_room_leaves_nothing(

@@ -8,6 +8,7 @@ import os
 import random
 import subprocess
 import sys
+import tracemalloc
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -179,10 +180,8 @@ def test_absences_add_up_in_one_go() -> None:
 
 def test_links_without_a_condition_cost_nothing_to_look_at() -> None:
     """How old news can become took a list of one object per link: 130 MB for 1000 vehicles that all hear each other."""
-    import tracemalloc
-
     text = (
-        PAPER.replace("shape: path ", "shape: complete ").replace("  ahead: 1.0 ", "#").replace("  behind: 0.8 ", "#")
+        PAPER.replace("shape: path\n", "shape: complete\n").replace("  ahead: 1.0 ", "#").replace("  behind: 0.8 ", "#")
     )
     scenario = parse_scenario(text, "x.yaml", ["vehicles=100"])
     assert len(scenario.graph.links) == 9900

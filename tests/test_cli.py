@@ -104,8 +104,8 @@ def test_version() -> None:
 
 # --- exit status -----------------------------------------------------------
 
-# -89.99 deg of pitch: psi_dot = r / cos(theta) has no meaning there.
-VERTICAL = ["--set", "initial.1.pitch=89.99 deg", "--set", "on_death=abort"]
+# A force whose speed has no finite square.
+RUNAWAY = ["--set", "faults=[{at: 100 ms, wrench: {force: 1e200 1e200 0 N}}]", "--set", "on_death=abort"]
 
 
 @pytest.mark.parametrize(
@@ -133,7 +133,7 @@ VERTICAL = ["--set", "initial.1.pitch=89.99 deg", "--set", "on_death=abort"]
         (["run", "no/such/file.yaml"], 2, "No such file"),
         (["check", "paper", "--set", "vehicles=0"], 2, "vehicles"),
         (["info", "no/such.mcap"], 2, "No such file"),
-        (["run", "paper", *QUICK, *NO_CHECKS, *VERTICAL], 3, "vehicle 1, tick "),
+        (["run", "paper", *QUICK, *NO_CHECKS, *RUNAWAY], 3, "vehicle 1, tick "),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",
 )
@@ -189,7 +189,11 @@ def test_list_names_every_scenario() -> None:
 @pytest.mark.parametrize("name", SHIPPED)
 def test_check_accepts_what_ships(name: str) -> None:
     result = invoke("check", name)
-    assert (result.exit_code, result.stderr) == (0, "")
+    assert result.exit_code == 0
+    if name == "breakdown":  # theory expects what it is there to show
+        assert "the formation is not kept" in result.stderr
+    else:
+        assert result.stderr == ""
     assert result.stdout.startswith(f"{name}: valid. {load_scenario(name).vehicles} vehicles, ")
 
 
@@ -254,14 +258,14 @@ def test_result_file(tmp_path: Path) -> None:
     directory = run(tmp_path, "rough-sea", "--duration", "2 s", "--set", "checks={ledger: balanced}")
     values = json.loads((directory / "result.json").read_text())
     assert list(values) == [
-        "scenario", "seed", "status", "exit", "reason", "lines", "sim_s", "checks", "vehicles", "ledger",
-        "ages", "middleware_lost", "faults", "messages", "log_bytes", "digest", "python",
+        "scenario", "seed", "status", "exit", "reason", "lines", "sim_s", "checks", "vehicles", "formation", "tumbles",
+        "ledger", "ages", "middleware_lost", "faults", "messages", "log_bytes", "digest", "python",
         "wall", "rejected", "deaths", "notes",
     ]  # fmt: skip
     assert (values["scenario"], values["seed"], values["sim_s"]) == ("rough-sea", 1, 2.0)
     assert (values["status"], values["exit"], values["reason"], values["lines"]) == ("pass", 0, "", [])
-    (check,) = values["checks"]
-    assert check == {
+    assert [check["check"] for check in values["checks"]] == ["tumbled", "deaths", "qp_infeasible", "ledger"]
+    assert values["checks"][-1] == {
         "check": "ledger",
         "passed": True,
         "asked": "balanced",
@@ -271,7 +275,7 @@ def test_result_file(tmp_path: Path) -> None:
         "unit": "links",
     }
     assert list(values["vehicles"]) == ["1", "2", "3", "4"]
-    assert set(values["ledger"]) == {"1->2", "2->1", "2->3", "3->2", "3->4", "4->3"}
+    assert set(values["ledger"]) == {"1->2", "2->3", "3->4"}
     for account in values["ledger"].values():
         assert account["sent"] == 20  # 10 Hz for 2 s
         assert account["sent"] == account["delivered"] + sum(account["lost"].values()) + account["in_flight"]
@@ -336,7 +340,7 @@ def test_run_says_what_came_of_it(tmp_path: Path) -> None:
     assert done.returncode == 1
     lines = [line.rstrip() for line in done.stdout.splitlines()]
     assert "packets per directed link, age of what was heard last" in lines
-    assert any(line.startswith("FAIL  formation_error: below 0.15 m after 60 s; found ") for line in lines)
+    assert any(line.startswith("FAIL  formation_error: below 0.4 m after 60 s; found ") for line in lines)
     assert "pass  ledger: balanced; found balanced" in lines
     assert lines[-1] == str((tmp_path / "latest").resolve())
     assert "\x1b" not in done.stdout

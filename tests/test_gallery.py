@@ -52,8 +52,8 @@ def test_distributed_is_in_process(name: str, seconds: int, tmp_path: Path) -> N
         ("rough-sea", {"network.links": "{'*': delay 500ms 50ms loss 30%}"}, False),
         ("follow-the-leader", {"network.links": "{'*': delay 200ms 50ms loss 80%}"}, False),
         ("follow-the-leader", {"network.links": "{'*': delay 1s 200ms loss 30%}"}, False),
-        ("leader-lost", {"knows_reference": "true", "neighbours.drop_after": "0 s"}, True),  # what survey does
-        ("leader-lost-standby", {"graph.standby": "{vehicles: 2, after: 100 s}"}, False),
+        ("leader-lost", {"knows_reference": "true"}, True),  # as in the scenario survey
+        ("leader-lost-standby", {"graph.standby": "null"}, False),
     ],
     ids=lambda value: value if isinstance(value, str) else "",
 )
@@ -64,7 +64,7 @@ def test_in_these_the_network_matters(name: str, changes: dict[str, str], passes
     result = execute(thin, Options(tmp_path, in_process=True, quiet=True))
     failed = {verdict.check for verdict in result.verdicts if not verdict.passed}
     assert (result.status is Status.PASS) is passes, result.verdicts
-    assert failed <= {"formation_error", "tumbled"}
+    assert failed <= {"formation_error", "tumbled", "qp_infeasible"}  # nothing of ours
 
 
 def test_the_readme_says_what_each_teaches() -> None:

@@ -1,43 +1,35 @@
 """A log as numpy arrays, by topic and field: `fleet.open_log`.
 
-The file is read once, message by message, into one buffer of bytes per topic; a topic is decoded when one of its fields
-is first asked for, by the schema that the file itself carries. A message of doubles only has a fixed layout, so all of
-a topic's messages are one structured array; what has another layout is decoded by protobuf, message by message.
+The file is read once, in blocks, into one buffer of bytes per topic; a topic is decoded when one of its fields is first
+asked for, by the schema that the file itself carries. A message of doubles only has a fixed layout, so all of a topic's
+messages are one structured array; what has another layout is decoded by protobuf, message by message. If the buffers
+would take more than `MOST_HELD`, they are given up, and a topic is read again when it is asked for.
 """
 
 from __future__ import annotations
 
-import json
 import re
-from array import array
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from fnmatch import fnmatchcase
 from functools import cached_property
-from itertools import pairwise
+from math import inf
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from google.protobuf.descriptor import Descriptor, FieldDescriptor
-from google.protobuf.message import DecodeError
-from mcap.records import Channel, Schema
 
-from fleet.log_schemas import head
-from fleet.log_values import message_class
-from fleet.reader import LogReader, LogReadError, log_path
+import fleet.topic as held
+from fleet.reader import LogReader, LogReadError, Tell, log_path
+from fleet.records import Block
+from fleet.topic import LogKeyError, Topic
 from netem.grammar import nearest
 
 if TYPE_CHECKING:
     from fleet.scenario import Scenario
 
-Array = np.ndarray[Any, np.dtype[Any]]
-_TELL_EVERY = 20_000  # messages
-
-
-class LogKeyError(LogReadError, KeyError):
-    """The log has no such topic, or the topic no such field."""
-
-    __str__ = LogReadError.__str__  # KeyError's would put it in quotes
+MOST_EVENTS = 200_000  # of faults
+BUCKETS = 4000  # spans of time that a picture tells apart, at most
 
 
 class FaultInterval(NamedTuple):
@@ -47,160 +39,6 @@ class FaultInterval(NamedTuple):
     begin: float
     end: float
     what: str
-
-
-class Topic:
-    """The messages of one topic in the order of the file: `.t` [s] and one array per field.
-
-    A field is an attribute (`topic.x`) and an item (`topic["x"]`, also where its name is one of these here): shape
-    (samples,), or (samples, width) for a vector; text and bytes are arrays of objects.
-    """
-
-    def __init__(self, name: str, channel: Channel, schema: Schema | None) -> None:
-        self.name = name
-        self.schema = schema.name if schema is not None else ""
-        self._declared = schema if schema is not None and _is_protobuf(channel, schema) else None
-        self._data = bytearray()
-        self._lengths = array("I")
-        self._times = array("Q")  # log and publish time of each message [ns]
-        self._numbers = array("Q")
-        self._columns: dict[str, Array] | None = None
-        self._told: dict[str, tuple[str, str]] = _units(channel.metadata)
-
-    def add(self, log_ns: int, publish_ns: int, sequence: int, data: bytes) -> None:
-        """Take one more message, before the first look at the fields."""
-        self._times.extend((log_ns, publish_ns))
-        self._numbers.append(sequence)
-        self._lengths.append(len(data))
-        self._data += data
-
-    def __len__(self) -> int:
-        return len(self._numbers)
-
-    def __repr__(self) -> str:
-        units = self.units
-        shown = ", ".join(f"{name} [{units[name]}]" if units[name] else name for name in self.fields)
-        return f"<{self.name}: {len(self)} samples of {shown}>"
-
-    def __getitem__(self, field: str) -> Array:
-        columns = self._decoded
-        if field not in columns:
-            hint = nearest(field, list(columns))
-            raise LogKeyError(
-                f"{self.name} has no field {field!r}; {hint or 'it has ' + (', '.join(columns) or 'no message')}"
-            )
-        return columns[field]
-
-    def __getattr__(self, field: str) -> Array:
-        if field.startswith("_"):  # pickle, copy and notebooks ask for names of their own
-            raise AttributeError(field)
-        try:
-            return self[field]
-        except LogKeyError as error:
-            raise AttributeError(str(error)) from None
-
-    def __contains__(self, field: object) -> bool:
-        return field in self._decoded
-
-    def __dir__(self) -> Iterable[str]:
-        return [*super().__dir__(), *self.fields]
-
-    @property
-    def fields(self) -> tuple[str, ...]:
-        """The names of the fields, in the order of the schema."""
-        return tuple(self._decoded)
-
-    @cached_property
-    def t(self) -> Array:
-        """When each message was logged, in s of simulated time; of a packet, when it arrived or was lost."""
-        return self.log_ns / 1e9
-
-    @property
-    def log_ns(self) -> Array:
-        """The same in ns, exactly."""
-        return np.frombuffer(self._times, np.uint64)[0::2].astype(np.int64)
-
-    @property
-    def publish_ns(self) -> Array:
-        """When each message was sent, in ns."""
-        return np.frombuffer(self._times, np.uint64)[1::2].astype(np.int64)
-
-    @property
-    def sequence(self) -> Array:
-        """The number of each message: the tick, or of a packet its number on the link."""
-        return np.frombuffer(self._numbers, np.uint64).astype(np.int64)
-
-    @property
-    def units(self) -> dict[str, str]:
-        """The unit of each field as the log states it; "" for text, and where the log says nothing."""
-        return {name: self._told.get(name, ("", ""))[0] for name in self.fields}
-
-    @property
-    def meanings(self) -> dict[str, str]:
-        """What each field means, as the log states it."""
-        return {name: self._told.get(name, ("", ""))[1] for name in self.fields}
-
-    @property
-    def nested(self) -> bool:
-        """Whether a message holds lists of messages, which `fields` has as lists and no table has a place for."""
-        return any(
-            values.dtype == object and isinstance(value, list)
-            for values in self._decoded.values()
-            for value in values[:1]
-        )
-
-    @property
-    def _decoded(self) -> dict[str, Array]:
-        if self._columns is None:
-            self._columns = self._decode()
-            self._data = bytearray()
-        return self._columns
-
-    def _messages(self) -> Iterator[bytes]:
-        ends = np.cumsum(np.frombuffer(self._lengths, np.uint32), dtype=np.int64).tolist()
-        view = memoryview(self._data)
-        for begin, end in pairwise([0, *ends]):
-            yield bytes(view[begin:end])
-
-    def _decode(self) -> dict[str, Array]:
-        if self._declared is None:
-            return {"data": _objects(self._messages())}
-        try:
-            make = message_class(self._declared)
-        except (DecodeError, TypeError, KeyError) as error:
-            raise LogReadError(f"{self.name}: the log's schema {self.schema} cannot be used ({error})") from error
-        try:
-            quick = self._structured(make)
-            return _read(make, self._messages()) if quick is None else quick
-        except DecodeError as error:
-            raise LogReadError(f"{self.name}: a message is not what its schema {self.schema} says") from error
-
-    def _structured(self, make: Callable[[], Any]) -> dict[str, Array] | None:
-        """All messages at once if each has the same layout of doubles; None if not."""
-        lengths = np.frombuffer(self._lengths, np.uint32)
-        fields = sorted(make().DESCRIPTOR.fields, key=lambda field: field.number)
-        if not len(lengths) or any(field.type != FieldDescriptor.TYPE_DOUBLE for field in fields):
-            return None
-        first = make()
-        first.ParseFromString(bytes(self._data[: lengths[0]]))
-        places: dict[str, tuple[int, int]] = {}  # field: (first byte, width or 0)
-        heads: list[tuple[int, bytes]] = []
-        size = 0
-        for field in fields:
-            width = len(getattr(first, field.name)) if field.is_repeated else 0
-            heads.append((size, head(field.number, width if field.is_repeated else None)))
-            size += len(heads[-1][1])
-            places[field.name] = size, width
-            size += 8 * (width if field.is_repeated else 1)
-        if (lengths != size).any():
-            return None
-        rows = np.frombuffer(self._data, np.uint8).reshape(-1, size)
-        if any((rows[:, at : at + len(tag)] != np.frombuffer(tag, np.uint8)).any() for at, tag in heads):
-            return None
-        return {
-            field.name: _doubles(rows, *places[field.name], vector=field.is_repeated)
-            for field in make().DESCRIPTOR.fields
-        }
 
 
 class Log:
@@ -247,7 +85,7 @@ class Log:
     @cached_property
     def end(self) -> float:
         """Time of the last message [s]."""
-        return max((int(topic.log_ns.max()) for topic in self._topics.values() if len(topic)), default=0) / 1e9
+        return max((topic.last_ns for topic in self._topics.values() if len(topic)), default=0) / 1e9
 
     @property
     def vehicles(self) -> list[int]:
@@ -280,6 +118,10 @@ class Log:
         if "faults" not in self or not len(self["faults"]):
             return []
         topic = self["faults"]
+        if len(topic) > MOST_EVENTS:
+            raise LogReadError(
+                f"{self.path} holds {len(topic)} events of faults, more than the {MOST_EVENTS} that are read"
+            )
         found: dict[str, FaultInterval] = {}
         for at, name, action, what in zip(topic.t, topic["fault"], topic["action"], topic["what"], strict=True):
             if action == "begins":
@@ -290,130 +132,183 @@ class Log:
 
 
 def open_log(
-    path: str | Path, topics: Iterable[str] | None = None, progress: Callable[[float], None] = lambda _: None
+    path: str | Path,
+    topics: Iterable[str] | None = None,
+    progress: Callable[[float], None] = lambda _: None,
+    *,
+    start: float = 0.0,
+    end: float = inf,
+    every: int = 1,
+    share: Tell = lambda _: None,
 ) -> Log:
     """Read a log, whole or cut, into numpy arrays.
+
+    A log that is too large to be held is read again for each topic when that is first looked at; a topic that is too
+    large by itself is an error then, which says what to do.
 
     Args:
         path: an MCAP file, or a run directory.
         topics: keep only the topics that match one of these patterns, such as `uuv/*/state`; None: all.
         progress: told the simulated time [s] now and then.
+        start: keep only messages from this time on [s].
+        end: keep only messages up to this time [s].
+        every: keep only the first of so many messages of each topic.
+        share: told the share of the file that was read, now and then.
 
     Raises:
         LogReadError: there is no log to read.
     """
-    file = log_path(Path(path))
-    reader = LogReader(file)
-    wanted = None if topics is None else [topics] if isinstance(topics, str) else list(topics)
-    found: dict[str, Topic | None] = {}
+    if every < 1:
+        raise LogReadError(f"every={every}: it is the number of messages of which one is kept, 1 or more")
+    if not start <= end:
+        raise LogReadError(f"start={start:g} s, end={end:g} s: the start comes first")
+    return _Opening(log_path(Path(path)), topics, progress, share, Part(start, end, every)).read()
 
-    def keep(name: str) -> Topic | None:
-        if wanted is not None and not any(fnmatchcase(name, pattern) for pattern in wanted):
+
+def open_drawn(path: Path, topics: Iterable[str], share: Tell, fields: Mapping[str, frozenset[str]]) -> Log:
+    """Read a log for pictures. Of one that is too large to be held, as much of each signal as can be seen is kept: of
+    short spans of time the first and the last sample and the extremes. `fields` are all that is kept then of topics
+    that match a pattern.
+
+    Raises:
+        LogReadError: there is no log to read.
+    """
+    return _Opening(log_path(path), topics, lambda _: None, share, Part(), fields).read()
+
+
+def list_topics(path: Path, topics: Iterable[str] | None, share: Tell) -> Log:
+    """A log whose topics hold nothing yet: what there is, and how much; a topic is read when it is looked at.
+
+    Raises:
+        LogReadError: there is no log to read.
+    """
+    opening = _Opening(log_path(path), topics, lambda _: None, share, Part())
+    opening.hold_all = False
+    return opening.read()
+
+
+class Part(NamedTuple):
+    """Which messages of a log are kept."""
+
+    start: float = 0.0  # s
+    end: float = inf
+    every: int = 1
+
+    def within(self, block: Block) -> Block:
+        """Those of the time."""
+        if self.start <= 0.0 and self.end == inf:
+            return block
+        t = block.log_ns / 1e9
+        return block.take((t >= self.start) & (t <= self.end))
+
+    def thinned(self, block: Block, seen: int) -> Block:
+        """Of one topic's messages within the time those that are kept; `seen` came before."""
+        return block if self.every == 1 else block.take(np.arange(-seen % self.every, len(block), self.every))
+
+
+class _Opening:
+    """Reads a log once, and topics again if they could not all be held."""
+
+    def __init__(
+        self,
+        path: Path,
+        topics: Iterable[str] | None,
+        progress: Callable[[float], None],
+        share: Tell,
+        part: Part,
+        drawn: Mapping[str, frozenset[str]] | None = None,
+    ) -> None:
+        self._path, self._progress, self._share, self._part, self._drawn = path, progress, share, part, drawn
+        self._wanted = None if topics is None else [topics] if isinstance(topics, str) else list(topics)
+        self._topics: dict[str, Topic | None] = {}
+        self._held: list[Topic] = []  # those that were fetched, the oldest first
+        self._seen: Counter[str] = Counter()
+        self.hold_all = True
+
+    def read(self) -> Log:
+        """The log, with what could be held."""
+        reader = LogReader(self._path, self._share)
+        for block in reader.blocks():
+            for name, some in self._of(reader, block):
+                topic = self._topic(reader, name)
+                if topic is None:
+                    continue
+                topic.count(some)
+                if self.hold_all or (self._drawn is not None and not topic.too_many):
+                    topic.add(some)
+            self._progress(int(block.log_ns[-1]) / 1e9)
+            if (self.hold_all or self._drawn is not None) and self._cost() > held.MOST_HELD:
+                self._relieve()
+        # In the order of the channels, with those that hold nothing.
+        ordered = {channel.topic: None for channel in reader.channels.values()}
+        kept = {name: self._topic(reader, name) for name in ordered}
+        return Log(self._path, {name: topic for name, topic in kept.items() if topic is not None}, reader)
+
+    def _topic(self, reader: LogReader, name: str) -> Topic | None:
+        if name not in self._topics:
+            self._topics[name] = self._made(reader, name)
+        return self._topics[name]
+
+    def _made(self, reader: LogReader, name: str) -> Topic | None:
+        if self._wanted is not None and not any(fnmatchcase(name, pattern) for pattern in self._wanted):
             return None
         channel = next(channel for channel in reader.channels.values() if channel.topic == name)
-        return Topic(name, channel, reader.schemas.get(channel.schema_id))
+        topic = Topic(name, channel, reader.schemas.get(channel.schema_id))
+        topic.fetch = self._fetch
+        return topic
 
-    for number, (name, log_ns, publish_ns, sequence, data) in enumerate(reader):
-        if name not in found:
-            found[name] = keep(name)
-        topic = found[name]
-        if topic is not None:
-            topic.add(log_ns, publish_ns, sequence, data)
-        if number % _TELL_EVERY == 0:
-            progress(log_ns / 1e9)
-    # In the order of the channels, with those that hold nothing.
-    ordered = {channel.topic: None for channel in reader.channels.values()}
-    kept = {name: found[name] if name in found else keep(name) for name in ordered}
-    return Log(file, {name: topic for name, topic in kept.items() if topic is not None}, reader)
+    def _of(self, reader: LogReader, block: Block) -> Iterator[tuple[str, Block]]:
+        """The messages of a block by topic, as far as they are kept."""
+        for number, some in self._part.within(block).by_channel():
+            name = reader.channels[number].topic
+            kept = self._part.thinned(some, self._seen[name])
+            self._seen[name] += len(some)
+            if len(kept):
+                yield name, kept
 
+    def _cost(self) -> int:
+        return sum(topic.cost for topic in self._topics.values() if topic is not None)
 
-def _is_protobuf(channel: Channel, schema: Schema) -> bool:
-    return bool(channel.message_encoding == "protobuf" and schema.encoding == "protobuf")
+    def _relieve(self) -> None:
+        """Too much is held: forget all of it, or what a picture does not show."""
+        self.hold_all = False
+        topics = [topic for topic in self._topics.values() if topic is not None and not topic.too_many]
+        if self._drawn is None:
+            for topic in topics:
+                topic.drop()
+            return
+        for topic in topics:
+            for pattern, fields in self._drawn.items():
+                if fnmatchcase(topic.name, pattern):
+                    topic.fields_kept = fields
+            try:
+                topic.compact()
+            except LogReadError:
+                topic.refuse()
+                continue
+            if topic.doubles and len(topic):
+                topic.thin(max(50, min(BUCKETS, held.MOST_HELD // (5000 * len(topics)))))
+        for topic in sorted(topics, key=lambda topic: -topic.cost):
+            if self._cost() <= held.MOST_HELD // 4 * 3:
+                break
+            topic.refuse()
 
+    def _fetch(self, topic: Topic) -> None:
+        """Read one topic again.
 
-def _units(metadata: Mapping[str, str]) -> dict[str, tuple[str, str]]:
-    try:
-        return {name: (str(unit), str(meaning)) for name, (unit, meaning) in json.loads(metadata["units"]).items()}
-    except (KeyError, ValueError, TypeError, AttributeError):
-        return {}  # a channel that is not ours
-
-
-def _doubles(rows: Array, start: int, width: int, *, vector: bool) -> Array:
-    count = width if vector else 1
-    values = np.ascontiguousarray(rows[:, start : start + 8 * count]).view("<f8").astype(np.float64, copy=False)
-    return values.reshape(len(rows), count) if vector else values.reshape(len(rows))
-
-
-def _read(make: Callable[[], Any], messages: Iterable[bytes]) -> dict[str, Array]:
-    """Every field of messages of any layout; fields of messages within have names with dots."""
-    message = make()
-    columns = list(_columns(message.DESCRIPTOR, (), ()))
-    values: list[list[Any]] = [[] for _ in columns]
-    takers = [(taken.append, get) for taken, (_, get, _) in zip(values, columns, strict=True)]
-    for data in messages:
-        message = make()
-        message.ParseFromString(data)
-        for take, get in takers:
-            take(get(message))
-    return {name: _array(taken, kind) for taken, (name, _, kind) in zip(values, columns, strict=True)}
-
-
-_Getter = Callable[[Any], Any]
-_INTEGERS = {
-    getattr(FieldDescriptor, f"TYPE_{name}")
-    for name in ("INT32", "INT64", "UINT32", "SINT32", "SINT64", "FIXED32", "SFIXED32", "SFIXED64", "ENUM")
-}
-_NUMBERS = {FieldDescriptor.TYPE_DOUBLE: np.float64, FieldDescriptor.TYPE_FLOAT: np.float64}
-_BOOL = FieldDescriptor.TYPE_BOOL
-
-
-def _columns(
-    descriptor: Descriptor, above: tuple[str, ...], inside: tuple[str, ...]
-) -> Iterator[tuple[str, _Getter, type[Any]]]:
-    """(name, how to get it, what it is an array of) of every leaf of a message type."""
-    for field in descriptor.fields:
-        path = (*above, field.name)
-        name = ".".join(path)
-        kind = field.message_type
-        if kind is None:
-            dtype = np.int64 if field.type in _INTEGERS else np.bool_ if field.type == _BOOL else object
-            dtype = _NUMBERS.get(field.type, dtype)
-            yield name, _getter(path, tuple if field.is_repeated else None), dtype
-        elif field.is_repeated or kind.full_name in inside:
-            yield name, _getter(path, list if field.is_repeated else None), object
-        elif kind.full_name in ("google.protobuf.Timestamp", "google.protobuf.Duration"):
-            yield name, _getter(path, _seconds), np.float64
-        elif all(part.type == FieldDescriptor.TYPE_DOUBLE and not part.is_repeated for part in kind.fields):
-            yield name, _getter(path, _vector([part.name for part in kind.fields])), np.float64
-        else:
-            yield from _columns(kind, path, (*inside, descriptor.full_name))
-
-
-def _getter(path: tuple[str, ...], then: _Getter | None) -> _Getter:
-    def get(message: Any) -> Any:
-        for name in path:
-            message = getattr(message, name)
-        return message if then is None else then(message)
-
-    return get
-
-
-def _seconds(stamp: Any) -> float:
-    return float((stamp.seconds * 1_000_000_000 + stamp.nanos) / 1e9)
-
-
-def _vector(names: list[str]) -> _Getter:
-    return lambda message: tuple(getattr(message, name) for name in names)
-
-
-def _array(values: list[Any], kind: type[Any]) -> Array:
-    if kind is object or len({len(v) if isinstance(v, tuple) else -1 for v in values}) > 1:
-        return _objects(values)
-    return np.array(values, kind)
-
-
-def _objects(values: Iterable[Any]) -> Array:
-    listed = list(values)
-    found = np.empty(len(listed), object)
-    found[:] = listed
-    return found
+        Raises:
+            LogReadError: it is too large by itself.
+        """
+        while self._held and sum(topic.cost for topic in self._held) > held.MOST_HELD // 2:
+            self._held.pop(0).drop()
+        reader = LogReader(self._path, self._share)
+        self._seen.clear()
+        for block in reader.blocks():
+            for name, some in self._of(reader, block):
+                if name == topic.name:
+                    topic.add(some)
+                    topic.compact(held.STEP * 2)
+                    if topic.cost > held.MOST_HELD:
+                        topic.drop()
+                        raise topic.too_large()
+        self._held.append(topic)

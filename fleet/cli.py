@@ -187,8 +187,10 @@ def run(
         start = None
         if begin is not None:
             from fleet.resume import parse_from, prepare
+            from fleet.share import showing
 
-            loaded, start = prepare(*parse_from(begin), more, scenario, trust)
+            with showing(f"reading {begin}", quiet=quiet) as tell:
+                loaded, start = prepare(*parse_from(begin), more, scenario, trust, tell)
         elif scenario is None:
             raise click.UsageError("run what? A scenario, or --from a log; see fleet list")
         else:
@@ -458,9 +460,11 @@ def info(log: Path, as_json: bool) -> None:
       fleet info runs/latest/run.mcap --json
     """
     from fleet.info import describe, read_info
+    from fleet.share import showing
 
     try:
-        found = read_info(log)
+        with showing(f"reading {log}") as tell:
+            found = read_info(log, tell)
     except FleetError as error:
         _fail(error)
     click.echo(json.dumps(found.to_values(), indent=2) if as_json else describe(found))

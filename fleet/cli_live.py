@@ -247,9 +247,12 @@ def script(log: Path) -> None:
       fleet script runs/latest > again.yaml && fleet run again.yaml
     """
     from fleet.script import script as make
+    from fleet.share import showing
 
     try:
-        click.echo(make(log).to_yaml(), nl=False)
+        with showing(f"reading {log}") as tell:
+            made = make(log, tell)
+        click.echo(made.to_yaml(), nl=False)
     except (FleetError, ScenarioError) as error:
         click.echo(f"fleet: {error}", err=True)
         sys.exit(2)

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
 import click
-from rich.console import Console as Terminal
 
 from fleet.errors import FleetError
 
@@ -133,14 +131,16 @@ def plot(
     """
     from fleet.pictures import Look, check_look, load, write
     from fleet.reader import log_path
+    from fleet.share import showing
 
     said: list[str] = []
     try:
-        with _reading() as tell:
+        with showing("reading") as tell:
             runs = load([log, *compare], tell)
         look = Look(vehicles, log_scale, window)
         check_look(runs, look)
-        paths = write(what, runs, look, out or log_path(log).parent / "plots", formats, said.append)
+        with showing("drawing") as tell:
+            paths = write(what, runs, look, out or log_path(log).parent / "plots", formats, said.append, tell)
     except FleetError as error:
         _fail(error)
     for note in dict.fromkeys([*(f"{r.label}: {r.log.missing}" for r in runs if r.log.missing), *_notes(runs), *said]):
@@ -177,15 +177,16 @@ def export(log: Path, csv: Path | None, parquet: Path | None, topics: tuple[str,
       fleet export runs/latest --csv tables
       fleet export runs/latest --parquet tables --topics 'uuv/*/error' --topics 'link/*'
     """
-    from fleet.arrays import open_log
+    from fleet.arrays import list_topics
     from fleet.export import export as write
     from fleet.export import fits
+    from fleet.share import showing
 
     if csv is None and parquet is None:
         raise click.UsageError("say where the tables go: --csv DIR, --parquet DIR, or both")
     try:
-        with _reading() as tell:
-            found = open_log(log, topics or None, tell)
+        with showing(f"reading {log}") as tell:
+            found = list_topics(log, topics or None, tell)
         if topics and not len(found):
             raise click.BadParameter(f"no topic of {log} is like {', '.join(topics)}", param_hint="--topics")
         if found.missing:
@@ -194,8 +195,8 @@ def export(log: Path, csv: Path | None, parquet: Path | None, topics: tuple[str,
             click.echo(f"fleet: left out, being lists of messages and no tables: {', '.join(left)}", err=True)
         for form, folder in (("csv", csv), ("parquet", parquet)):
             if folder is not None:
-                with _writing(sum(fits(found[name]) for name in found)) as next_one:
-                    paths = write(found, folder, form, force=force, tell=next_one)
+                with showing(f"writing {folder}") as tell:
+                    paths = write(found, folder, form, force=force, share=tell)
                 for path in paths:
                     click.echo(path)
     except FleetError as error:
@@ -230,13 +231,15 @@ def report(
     """
     from fleet.pictures import Look, check_look, load
     from fleet.report import write
+    from fleet.share import showing
 
     try:
-        with _reading() as tell:
+        with showing("reading") as tell:
             runs = load(logs, tell)
         look = Look(vehicles, log_scale, window)
         check_look(runs, look)
-        write(out, runs, look)
+        with showing("drawing and adding up") as tell:
+            write(out, runs, look, tell)
     except FleetError as error:
         _fail(error)
     for run in runs:
@@ -246,28 +249,6 @@ def report(
 
 
 COMMANDS = (plot, export, report)
-
-
-@contextmanager
-def _reading() -> Iterator[Callable[[float], None]]:
-    """A line while a log is read, on a terminal; it stands on stderr, and goes away."""
-    terminal = Terminal(stderr=True)
-    with terminal.status("reading") as status:
-        yield lambda t: status.update(f"reading, t = {t:.1f} s")
-
-
-@contextmanager
-def _writing(count: int) -> Iterator[Callable[[str], None]]:
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
-
-    terminal = Terminal(stderr=True)
-    shown = Progress(
-        BarColumn(24), MofNCompleteColumn(), TextColumn("{task.description}", markup=False),
-        console=terminal, transient=True, disable=not terminal.is_terminal,
-    )  # fmt: skip
-    with shown as progress:
-        task = progress.add_task("", total=count)
-        yield lambda name: progress.update(task, advance=1, description=name)
 
 
 def _fail(error: FleetError) -> NoReturn:

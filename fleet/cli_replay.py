@@ -132,6 +132,7 @@ def replay(
     from fleet.keyboard import Keyboard
     from fleet.reader import log_path
     from fleet.replay import Replay, Wishes
+    from fleet.share import showing
     from fleet.status_line import StatusLine
     from fleet.tape import Tape
 
@@ -146,7 +147,8 @@ def replay(
     )  # fmt: skip
     terminal = Terminal(stderr=True)
     try:
-        tape = Tape(log_path(log))
+        with showing(f"reading {log}", quiet=quiet) as tell:
+            tape = Tape(log_path(log), tell)
         played = Replay(tape, wishes)
     except FleetError as error:
         _fail(error, 2)

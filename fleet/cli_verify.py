@@ -39,12 +39,16 @@ def verify(log: Path, trust: Trust, quiet: bool) -> None:
       fleet verify runs/latest
     """
     from fleet.progress import Counting
+    from fleet.share import showing
     from fleet.verify import NothingToVerify, describe
     from fleet.verify import verify as check
 
     try:
-        with Counting(Terminal(stderr=True), "verified", quiet=quiet) as tell:
-            found = check(log, tell, trust)
+        with (
+            showing(f"reading {log}", quiet=quiet) as reading,
+            Counting(Terminal(stderr=True), "verified", quiet=quiet) as tell,
+        ):
+            found = check(log, tell, trust, reading)
     except NothingToVerify as error:
         _fail(error, 3)
     except FleetError as error:
@@ -70,13 +74,13 @@ def diff(a: Path, b: Path, tolerance: float, everything: bool, quiet: bool) -> N
     """
     from fleet.deviation import compare, table
     from fleet.difference import besides_messages
-    from fleet.progress import Counting
     from fleet.reader import LogReader, log_path
+    from fleet.share import showing
 
-    left, right = LogReader(log_path(a)), LogReader(log_path(b))
     try:
-        with Counting(Terminal(stderr=True), "compared", quiet=quiet) as tell:
-            found = compare(left, right, tell=tell)
+        with showing(f"comparing {a} and {b}", quiet=quiet) as tell:
+            left, right = LogReader(log_path(a), tell), LogReader(log_path(b))
+            found = compare(left, right)
     except FleetError as error:
         _fail(error)
     for name, reader in (("a", left), ("b", right)):
@@ -110,9 +114,11 @@ def recover(log: Path, out: Path | None) -> None:
     """
     from fleet.recover import describe
     from fleet.recover import recover as write
+    from fleet.share import showing
 
     try:
-        found = write(log, out)
+        with showing(f"recovering {log}") as tell:
+            found = write(log, out, tell)
     except FleetError as error:
         _fail(error)
     click.echo(describe(found), err=found.nothing)

@@ -9,20 +9,24 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from itertools import islice
 from math import inf, isnan
 from typing import Any
 
+import numpy as np
+
 from fleet.difference import Difference, side
 from fleet.log_values import Decoder, Value
 from fleet.reader import LogReader, Record
+from fleet.records import Block, Message
 
+MOST_WAITING_BYTES = 64 << 20  # of them
+_STEP = 4096  # messages that are compared at once
 MOST_WAITING = 50_000  # messages of one log without their other half; beyond that the oldest count as missing
 _NUMBERS = re.compile(r"(?<=/)\d+(-\d+)?")
-Key = tuple[str, int, int]
-Waiting = dict[Key, list[Record]]  # of a key more than one: faults of one tick
+Key = tuple[str, int, int]  # of a key more than one: faults of one tick
 
 
 @dataclass(slots=True)
@@ -55,10 +59,8 @@ class Comparison:
         return all(deviation.value <= tolerance for deviation in self.signals.values())
 
 
-def compare(
-    a: LogReader, b: LogReader, names: tuple[str, str] = ("a", "b"), tell: Callable[[float], None] = lambda at_s: None
-) -> Comparison:
-    """Compare two logs to their ends; `tell` hears how far in sim time [s].
+def compare(a: LogReader, b: LogReader, names: tuple[str, str] = ("a", "b")) -> Comparison:
+    """Compare two logs to their ends.
 
     Raises:
         LogReadError: one of them is no log.
@@ -66,11 +68,16 @@ def compare(
     found = Comparison()
     readers = a, b
     decoders = Decoder(a), Decoder(b)
-    streams = iter(a), iter(b)
-    waiting: tuple[Waiting, Waiting] = ({}, {})
-    heads = [next(stream, None) for stream in streams]
+    streams = _Stream(a), _Stream(b)
+    waiting = _Waiting(), _Waiting()
     number = 0
-    while heads[0] is not None or heads[1] is not None:
+    while True:
+        if alike := streams[0].alike(streams[1]):
+            found.same += alike
+            number += alike
+        heads = [stream.head() for stream in streams]
+        if heads[0] is None and heads[1] is None:
+            break
         if heads[0] == heads[1]:
             found.same += 1
             turn: tuple[int, ...] = (0, 1)
@@ -86,34 +93,119 @@ def compare(
                 assert record is not None
                 _meet(found, decoders, waiting, k, record)
         for k in turn:
-            heads[k] = next(streams[k], None)
+            streams[k].step()
         number += 1
-        if not number % 1000:
-            tell(max(head.log_ns if head is not None else 0 for head in heads) / 1e9)
     for k, only in enumerate((found.only_a, found.only_b)):
-        only.update(record.topic for records in waiting[k].values() for record in records)
+        only.update(record.topic for records in waiting[k].records.values() for record in records)
     return found
+
+
+class _Stream:
+    """The messages of one log, one by one, or many of them at once where both logs hold the same."""
+
+    def __init__(self, reader: LogReader) -> None:
+        self._reader = reader
+        self._blocks = reader.blocks()
+        self._block: Block | None = next(self._blocks, None)
+        self._at = 0
+        self._slow = 0  # messages that are still to be compared one by one
+        self._records: list[Record] = []  # of those, the next ones, in reverse
+        self._topics: dict[int, str] = {}
+
+    def head(self) -> Record | None:
+        """The next message; None at the end."""
+        if not self._records and self._block is not None:
+            channels = self._reader.channels
+            some = self._block.take(np.arange(self._at, min(self._at + _STEP, len(self._block))))
+            self._records = [Record(channels[m.channel].topic, *_order(m)) for m in some.messages()]
+            self._records.reverse()
+        return self._records[-1] if self._records else None
+
+    def step(self) -> None:
+        """Go on behind it."""
+        self._records.pop()
+        self._slow -= 1
+        self._skip(1)
+
+    def _skip(self, count: int) -> None:
+        self._at += count
+        while self._block is not None and self._at >= len(self._block):
+            self._block, self._at = next(self._blocks, None), 0
+
+    def alike(self, other: _Stream) -> int:
+        """Go on behind messages that are the same in both; how many they were."""
+        skipped = 0
+        while self._slow <= 0 and other._slow <= 0 and not self._records and not other._records:
+            if self._block is None or other._block is None:
+                break
+            count = min(len(self._block) - self._at, len(other._block) - other._at, _STEP)
+            mine, theirs = (s._block.take(np.arange(s._at, s._at + count)) for s in (self, other) if s._block)
+            if not _equal(self._reader, mine, other._reader, theirs):
+                self._slow = other._slow = count
+                break
+            skipped += count
+            self._skip(count)
+            other._skip(count)
+        return skipped
+
+
+def _order(m: Message) -> tuple[int, int, int, bytes]:
+    return m.log_ns, m.publish_ns, m.sequence, m.data
+
+
+def _equal(a: LogReader, mine: Block, b: LogReader, theirs: Block) -> bool:
+    columns = ("channel", "sequence", "log_ns", "publish_ns")
+    if any(not np.array_equal(getattr(mine, name), getattr(theirs, name)) for name in columns):
+        return False
+    if any(a.channels[n].topic != b.channels[n].topic for n in np.unique(mine.channel).tolist()):
+        return False
+    same_lengths = np.array_equal(mine.end - mine.begin, theirs.end - theirs.begin)
+    return same_lengths and mine.payloads() == theirs.payloads()
+
+
+class _Waiting:
+    """Messages of one log whose other half did not come yet."""
+
+    def __init__(self) -> None:
+        self.records: dict[Key, list[Record]] = {}
+        self._bytes = 0
+
+    def add(self, key: Key, record: Record) -> Iterator[tuple[str, int]]:
+        """Keep a message; gives (topic, how many) of the oldest ones if there are too many now."""
+        self.records.setdefault(key, []).append(record)
+        self._bytes += len(record.data)
+        while len(self.records) > MOST_WAITING or self._bytes > MOST_WAITING_BYTES:
+            for old in list(islice(self.records, max(1, len(self.records) // 2))):
+                gone = self.records.pop(old)
+                self._bytes -= sum(len(record.data) for record in gone)
+                yield old[0], len(gone)
+
+    def take(self, key: Key) -> Record | None:
+        """A message that waits under a key."""
+        kept = self.records.get(key)
+        if kept is None:
+            return None
+        record = kept.pop(0)
+        self._bytes -= len(record.data)
+        if not kept:
+            del self.records[key]
+        return record
 
 
 def _meet(
     found: Comparison,
     decoders: tuple[Decoder, Decoder],
-    waiting: tuple[Waiting, Waiting],
+    waiting: tuple[_Waiting, _Waiting],
     k: int,
     record: Record,
 ) -> None:
     """A message of log k finds its other half, or waits for it."""
     key = _key(decoders[k], record)
-    others = waiting[1 - k].get(key)
-    if others is None:
-        waiting[k].setdefault(key, []).append(record)
-        if len(waiting[k]) > MOST_WAITING:
-            for old in list(islice(waiting[k], MOST_WAITING // 2)):
-                (found.only_a, found.only_b)[k][old[0]] += len(waiting[k].pop(old))
+    other = waiting[1 - k].take(key)
+    if other is None:
+        for topic, count in waiting[k].add(key, record):
+            (found.only_a, found.only_b)[k][topic] += count
         return
-    other = others.pop(0)
-    if not others:
-        del waiting[1 - k][key]
     left, right = (record, other) if k == 0 else (other, record)
     if left == right:
         found.same += 1

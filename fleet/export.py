@@ -11,17 +11,28 @@ from __future__ import annotations
 
 import csv
 import json
-from collections.abc import Callable, Iterable
+from array import array
+from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from importlib.util import find_spec
+from io import StringIO
+from itertools import islice
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import IO, Any, NamedTuple
 
 import numpy as np
 
-from fleet.arrays import Array, Log, Topic
+from fleet.arrays import Log
+from fleet.columns import Columns, objects
 from fleet.errors import FleetError
+from fleet.reader import LogReader, Tell
+from fleet.records import Array, Block
+from fleet.topic import Topic
 
 INDEX = "export.json"
+MOST_OPEN = 200  # tables that are written at once: Parquet keeps its files open
+_LARGE = 1 << 20  # bytes of a cell
+_HELD = 32 << 20  # bytes of messages that wait to be written
 
 
 class ExportError(FleetError):
@@ -43,19 +54,21 @@ class Column(NamedTuple):
 
 def columns(topic: Topic) -> list[Column]:
     """The table of a topic; the time comes first."""
-    found = [Column("t", "s", "when the message was logged, in simulated time", topic.t)]
-    units, meanings = topic.units, topic.meanings
-    for name in topic.fields:
-        values = topic[name]
+    return _table(topic, topic.t, {name: topic[name] for name in topic.fields})
+
+
+def _table(topic: Topic, t: Array, fields: Columns) -> list[Column]:
+    found = [Column("t", "s", "when the message was logged, in simulated time", t)]
+    for name, values in fields.items():
+        unit, meaning = topic.told(name)
         if values.ndim == 1:
-            found.append(Column(name, units[name], meanings[name], values))
+            found.append(Column(name, unit, meaning, values))
             continue
-        parts = [part.strip() for part in units[name].split(",")]
+        parts = [part.strip() for part in unit.split(",")]
         if len(parts) != values.shape[1]:
-            parts = [units[name]] * values.shape[1]
+            parts = [unit] * values.shape[1]
         found += [
-            Column(f"{name}_{k}", unit, meanings[name], np.ascontiguousarray(values[:, k]))
-            for k, unit in enumerate(parts)
+            Column(f"{name}_{k}", unit, meaning, np.ascontiguousarray(values[:, k])) for k, unit in enumerate(parts)
         ]
     return found
 
@@ -65,21 +78,20 @@ def fits(topic: Topic) -> bool:
     return bool(len(topic)) and not topic.nested
 
 
-def export(
-    log: Log, folder: Path, form: str, *, force: bool = False, tell: Callable[[str], None] = lambda _: None
-) -> list[Path]:
+def export(log: Log, folder: Path, form: str, *, force: bool = False, share: Tell = lambda _: None) -> list[Path]:
     """Write every topic that holds a message and fits a table into a folder, made if need be; returns the files.
+
+    The log is read again, and written as it is read. A table gets its name when all are written.
 
     Args:
         form: `csv` or `parquet`.
         force: replace files of the same names.
-        tell: told each topic before it is written.
+        share: told the share of the log that is done, now and then.
 
     Raises:
         ExportError: something is in the way, the place cannot be written, or pyarrow is not installed.
         LogReadError: a topic's messages are not what the log says they are.
     """
-    write = {"csv": _write_csv, "parquet": _write_parquet}[form]
     if form == "parquet" and find_spec("pyarrow") is None:
         raise ExportError(
             "Parquet needs pyarrow, which is not installed: pip install 'uuv-fleet[parquet]', or use --csv"
@@ -92,42 +104,206 @@ def export(
     there = [path.name for path in [*paths.values(), folder / INDEX] if path.exists()]
     if there and not force:
         raise ExportError(f"{folder} already holds {there[0]}; choose another place, or replace it with --force")
-    tables: dict[str, Any] = {}
+    sheets = {name: (CsvSheet if form == "csv" else ParquetSheet)(log[name], path) for name, path in paths.items()}
+    index_part = folder / f"{INDEX}.part"
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        for name, path in paths.items():
-            tell(name)
-            table = columns(log[name])
-            write(path, table)
-            tables[path.name] = {
-                "topic": name,
-                "schema": log[name].schema,
-                "rows": len(log[name]),
-                "columns": {column.name: [column.unit, column.meaning] for column in table},
-            }
+        for some in batched(sheets.values(), MOST_OPEN):
+            _stream(log.path, some, share)
+            if again := [sheet for sheet in some if sheet.begin_again()]:
+                _stream(log.path, again, share)
         index = {
             "log": str(log.path),
             "run": log.run,
             "missing": log.missing,
             "left_out": {name: f"a {log[name].schema} holds lists of messages" for name in left_out},
-            "tables": tables,
+            "tables": {path.name: sheets[name].about() for name, path in paths.items()},
         }
-        (folder / INDEX).write_text(json.dumps(index, indent=2) + "\n", "utf-8")
+        index_part.write_text(json.dumps(index, indent=2) + "\n", "utf-8")
+        for sheet in sheets.values():
+            sheet.part.replace(sheet.path)
+        index_part.replace(folder / INDEX)
     except OSError as error:
         raise ExportError(f"cannot write to {folder}: {error.strerror}") from error
+    finally:
+        for part in [index_part, *(sheet.part for sheet in sheets.values())]:
+            with suppress(OSError):
+                part.unlink(missing_ok=True)
     return [*paths.values(), folder / INDEX]
+
+
+def _stream(path: Path, sheets: Iterable[Sheet], share: Tell) -> None:
+    """Fill tables while the log is read."""
+    by_topic = {sheet.topic.name: sheet for sheet in sheets}
+    reader = LogReader(path, share)
+    held = 0
+    for block in reader.blocks():
+        for number, some in block.by_channel():
+            sheet = by_topic.get(reader.channels[number].topic)
+            if sheet is not None:
+                held += sheet.add(some)
+        if held > _HELD:
+            for sheet in by_topic.values():
+                sheet.flush()
+            held = 0
+    for sheet in by_topic.values():
+        sheet.flush()
+        sheet.close()
+
+
+class Sheet:
+    """One table that is written in parts, into a file with another name."""
+
+    def __init__(self, topic: Topic, path: Path) -> None:
+        self.topic, self.path, self.part = topic, path, path.with_name(f"{path.name}.part")
+        self._columnize = topic.columnizer()
+        self._mixed: set[str] = set()  # vectors that are not always as long, so that their parts are no columns
+        self._restart()
+
+    def _restart(self) -> None:
+        self._shapes: dict[str, tuple[int, ...]] | None = None
+        self._wrong = False
+        self._rows = 0
+        self._headings: dict[str, list[str]] = {}
+        self._empty()
+
+    def _empty(self) -> None:
+        self._data, self._lengths, self._times = bytearray(), array("I"), array("Q")
+
+    def add(self, block: Block) -> int:
+        """Take more messages; how many bytes they hold."""
+        data = block.payloads()
+        self._data += data
+        self._lengths.frombytes((block.end - block.begin).astype(np.uint32).tobytes())
+        self._times.frombytes(block.log_ns.tobytes())
+        return len(data) + 12 * len(block)
+
+    def flush(self) -> None:
+        """Write what there is."""
+        if not self._times:
+            return
+        t = np.array(self._times, np.uint64).astype(np.int64) / 1e9
+        fields = self._columnize(self._data, np.array(self._lengths, np.uint32))
+        self._empty()
+        for name in self._mixed & fields.keys():
+            if fields[name].ndim > 1:
+                fields[name] = objects(map(tuple, fields[name].tolist()))
+        shapes = {name: values.shape[1:] for name, values in fields.items()}
+        if self._shapes is not None and shapes != self._shapes:
+            self._wrong = True
+            self._mixed |= {name for name, shape in shapes.items() if shape != self._shapes[name]}
+        if self._wrong:
+            return
+        table = _table(self.topic, t, fields)
+        if self._shapes is None:
+            self._headings = {column.name: [column.unit, column.meaning] for column in table}
+            self._begin(table)
+        self._shapes = shapes
+        self._rows += len(t)
+        self._write(table)
+
+    def begin_again(self) -> bool:
+        """Whether the table must be written again: a vector turned out to have no fixed length."""
+        if self._wrong:
+            self._restart()
+            return True
+        return False
+
+    def about(self) -> dict[str, Any]:
+        """What the table holds."""
+        return {
+            "topic": self.topic.name, "schema": self.topic.schema, "rows": self._rows, "columns": self._headings,
+        }  # fmt: skip
+
+    def _begin(self, table: list[Column]) -> None:
+        raise NotImplementedError
+
+    def _write(self, table: list[Column]) -> None:
+        raise NotImplementedError
+
+    def close(self) -> None:
+        """Nothing follows."""
+
+
+class CsvSheet(Sheet):
+    """Text, opened anew for each part: there may be more tables than files may be open."""
+
+    def _begin(self, table: list[Column]) -> None:
+        with self.part.open("w", encoding="utf-8", newline="") as file:
+            csv.writer(file, lineterminator="\n").writerow([column.heading for column in table])
+
+    def _write(self, table: list[Column]) -> None:
+        with self.part.open("a", encoding="utf-8", newline="") as file:
+            if any(map(_has_large, table)):
+                for row in zip(*(column.values.tolist() for column in table), strict=True):
+                    _write_large(file, row)
+                return
+            # Python's shortest decimals: they read back to the same doubles.
+            csv.writer(file, lineterminator="\n").writerows(
+                zip(*(_plain(column.values) for column in table), strict=True)
+            )
+
+
+class ParquetSheet(Sheet):
+    """Parquet, a group of rows for each part."""
+
+    def _begin(self, table: list[Column]) -> None:
+        import pyarrow
+        import pyarrow.parquet
+
+        self._schema = pyarrow.schema([
+            pyarrow.field(
+                column.name, pyarrow.array(_arrow(column.values)).type,
+                metadata={"unit": column.unit, "meaning": column.meaning},
+            )
+            for column in table
+        ])  # fmt: skip
+        self._writer: Any = pyarrow.parquet.ParquetWriter(self.part, self._schema)
+
+    def _write(self, table: list[Column]) -> None:
+        import pyarrow
+
+        try:
+            arrays = [
+                pyarrow.array(_arrow(column.values), type=field.type)
+                for column, field in zip(table, self._schema, strict=True)
+            ]
+        except pyarrow.ArrowException as error:
+            raise ExportError(f"{self.topic.name}: a column holds values of different kinds: {error}") from None
+        self._writer.write_table(pyarrow.Table.from_arrays(arrays, schema=self._schema))
+
+    def close(self) -> None:
+        if self._shapes is not None:
+            self._writer.close()
+
+
+def batched(sheets: Iterable[Sheet], most: int) -> Iterator[list[Sheet]]:
+    """So many at a time."""
+    rest = iter(sheets)
+    while some := list(islice(rest, most)):
+        yield some
 
 
 def _file_name(topic: str) -> str:
     return "".join(c if c.isalnum() or c in "-_." else "-" for c in topic)
 
 
-def _write_csv(path: Path, table: list[Column]) -> None:
-    with path.open("w", encoding="utf-8", newline="") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow([column.heading for column in table])
-        # Python's shortest decimals: they read back to the same doubles.
-        writer.writerows(zip(*(_plain(column.values) for column in table), strict=True))
+def _has_large(column: Column) -> bool:
+    return column.values.dtype == object and any(isinstance(v, bytes) and len(v) > _LARGE for v in column.values)
+
+
+def _write_large(file: IO[str], row: Iterable[Any]) -> None:
+    """A row cell by cell: the library would put it together with four bytes for each character."""
+    for n, value in enumerate(row):
+        file.write("," if n else "")
+        if isinstance(value, bytes):
+            for at in range(0, len(value), _LARGE):
+                file.write(value[at : at + _LARGE].hex())
+        else:
+            cell = StringIO()
+            csv.writer(cell, lineterminator="").writerow([value, ""])
+            file.write(cell.getvalue()[:-1])
+    file.write("\n")
 
 
 def _plain(values: Array) -> Iterable[Any]:
@@ -135,18 +311,6 @@ def _plain(values: Array) -> Iterable[Any]:
         return [value.hex() if isinstance(value, bytes) else value for value in values]
     found: list[Any] = values.tolist()
     return found
-
-
-def _write_parquet(path: Path, table: list[Column]) -> None:
-    import pyarrow
-    import pyarrow.parquet
-
-    arrays = [pyarrow.array(_arrow(column.values)) for column in table]
-    fields = [
-        pyarrow.field(column.name, array.type, metadata={"unit": column.unit, "meaning": column.meaning})
-        for column, array in zip(table, arrays, strict=True)
-    ]
-    pyarrow.parquet.write_table(pyarrow.Table.from_arrays(arrays, schema=pyarrow.schema(fields)), path)
 
 
 def _arrow(values: Array) -> Any:

@@ -7,7 +7,9 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from fleet.reader import LogReader, log_path
+import numpy as np
+
+from fleet.reader import LogReader, Tell, log_path
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,21 +29,23 @@ class Info:
         return asdict(self)
 
 
-def read_info(path: Path) -> Info:
+def read_info(path: Path, tell: Tell = lambda _: None) -> Info:
     """Read a log, whole or cut.
 
     Raises:
         LogReadError: there is no log to read.
     """
     path = log_path(path)
-    reader = LogReader(path)
+    reader = LogReader(path, tell)
     counts: Counter[str] = Counter()
     first: int | None = None
     last = 0
-    for record in reader:
-        counts[record.topic] += 1
-        first = record.log_ns if first is None else min(first, record.log_ns)
-        last = max(last, record.log_ns)
+    for block in reader.blocks():
+        for channel, count in zip(*np.unique(block.channel, return_counts=True), strict=True):
+            counts[reader.channels[int(channel)].topic] += int(count)
+        earliest = int(block.log_ns.min())
+        first = earliest if first is None else min(first, earliest)
+        last = max(last, int(block.log_ns.max()))
     topics = {
         channel.topic: (
             # Traffic of others has no schema, but an encoding.

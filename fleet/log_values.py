@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterator
+from itertools import islice
 from typing import Any, NamedTuple
 
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
@@ -12,6 +13,9 @@ from google.protobuf.message import DecodeError, Message
 from mcap.records import Channel, Schema
 
 from fleet.reader import LogReader, Record
+
+MOST_DECODED = 8 << 20  # bytes of a message: decoded, it takes up to fifty times as much
+MOST_VALUES = 100_000  # of a message that is told field by field
 
 
 class Value(NamedTuple):
@@ -34,7 +38,10 @@ class Decoder:
         if message is None:
             return [Value("bytes", record.data, "")]
         units = self._known[record.topic][1]
-        return [Value(path, value, _unit(units, path)) for path, value in _flat(message)]
+        values = list(islice(_flat(message), MOST_VALUES + 1))
+        if len(values) > MOST_VALUES:
+            return [Value("bytes", record.data, "")]
+        return [Value(path, value, _unit(units, path)) for path, value in values]
 
     def message(self, record: Record) -> Any:
         """The protobuf message of a record; None if it is none."""
@@ -45,7 +52,7 @@ class Decoder:
             self._known[record.topic] = _class(self._reader.schemas.get(channel.schema_id)), _units(channel)
         cls = self._known[record.topic][0]
         try:
-            return cls.FromString(record.data) if cls is not None else None
+            return cls.FromString(record.data) if cls is not None and len(record.data) <= MOST_DECODED else None
         except DecodeError:
             return None
 

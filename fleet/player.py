@@ -7,6 +7,7 @@ seek) sets (p0, t0) anew. Rate 0 means as fast as possible. All times are intege
 from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
+from collections.abc import Callable
 from typing import Protocol
 
 LATE_NS = 5_000_000  # a message that is handed out so long after it was due has missed its deadline
@@ -39,11 +40,14 @@ class Player:
         loop: bool = False,
         paused: bool = False,
         now: int = 0,
+        before: Callable[[int], int] | None = None,
     ) -> None:
+        """`before`: how many messages are due before a time, from who knows it without a search through all times."""
         self._times = times
+        self._before = before or (lambda ns: bisect_left(times, ns))
         self.begin_ns, self.end_ns = begin_ns, max(begin_ns, end_ns)
-        self._first = bisect_left(times, begin_ns)
-        self._stop = bisect_right(times, self.end_ns)
+        self._first = self._before(begin_ns)
+        self._stop = self._before(self.end_ns + 1)
         self._next = self._first
         self._rate, self._loop, self._paused = rate, loop, paused
         self._origin = now, begin_ns
@@ -85,12 +89,11 @@ class Player:
             if self.over or self._wait_for(self.end_ns, now) > 0:
                 return range(0)
             self._lap(now)
-        if not self._rate:
-            ready = self._stop
-        else:
+        ready = min(self._stop, self._next + most)
+        if self._rate:
             wall, log = self._origin
-            ready = bisect_right(self._times, log + int((now - wall) * self._rate), self._next, self._stop)
-        found = range(self._next, min(ready, self._next + most))
+            ready = bisect_right(self._times, log + int((now - wall) * self._rate), self._next, ready)
+        found = range(self._next, ready)
         if found:
             self._count_missed(found, now)
             self._next = found.stop
@@ -131,7 +134,7 @@ class Player:
                 return range(0)
             self._lap(now)
         at = int(self._times[self._next])
-        found = range(self._next, bisect_right(self._times, at, self._next, self._stop))
+        found = range(self._next, min(self._before(at + 1), self._stop))
         self._next = found.stop
         self._origin = now, at
         return found
@@ -139,7 +142,7 @@ class Player:
     def seek(self, now: int, log_ns: int) -> None:
         """Go to a log time, or to the nearer end; a pause remains one. What is skipped is not handed out."""
         at = min(max(log_ns, self.begin_ns), self.end_ns)
-        self._next = bisect_left(self._times, at, self._first, self._stop)
+        self._next = min(max(self._before(at), self._first), self._stop)
         self._origin = now, at
 
     def set_rate(self, now: int, rate: float) -> None:

@@ -15,6 +15,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from fleet.colours import COLOURS
+from fleet.whole_file import whole_file
 
 STYLES = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)), (0, (1, 1)), (0, (7, 2)))
 COLUMN_IN, PAGE_IN = 3.5, 7.0  # widths of a column and of a page of a journal
@@ -99,6 +100,7 @@ def save(figure: Figure, stem: Path, formats: Sequence[str] = ("png",)) -> list[
         metadata: dict[str, Any] = {"png": {"Software": None}, "svg": {"Date": None}}.get(
             form, {"CreationDate": None, "ModDate": None}
         )
-        figure.savefig(path, dpi=DPI, metadata=metadata)
+        with whole_file(path) as part:
+            figure.savefig(part, format=form, dpi=DPI, metadata=metadata)
         paths.append(path)
     return paths

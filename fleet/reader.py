@@ -6,21 +6,26 @@ import hashlib
 import io
 import stat
 import struct
-from collections.abc import Iterator
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO, NamedTuple
 
-from mcap.records import Attachment, Channel, Metadata, Schema
+import numpy as np
+from mcap.records import Attachment, Channel, Header, Metadata, Schema
 
 from fleet.errors import FleetError
-from fleet.salvage import MAGIC, Damage, Item, Message, Salvage
+from fleet.records import MAGIC, Block
+from fleet.salvage import Damage, Item, Salvage
 
 CLOCK, REAL = "clock", "real"  # metadata of a run without lockstep: it would not come out the same again
 RECOVERY = "recovery"  # metadata of a file that `fleet recover` wrote
 LOST = "lost"  # in it: what is gone, in words
 GAPS = "gaps"  # in it: numbers of the messages before which something is gone
+MOST_KEPT = 256 << 20  # bytes of everything but messages: attachments, schemas, channels, metadata
+_ENTRY = 256  # bytes that an entry of metadata takes beside its text
 _TIMES = struct.Struct("<QQII").pack
+Tell = Callable[[float], None]  # hears now and then which share is done
 
 
 class LogReadError(FleetError):
@@ -46,50 +51,95 @@ class LogReader:
     """
 
     path: Path
+    tell: Tell = lambda _: None
+    profile: str = ""
     schemas: dict[int, Schema] = field(default_factory=dict)
     channels: dict[int, Channel] = field(default_factory=dict)
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)
     attachments: dict[str, bytes] = field(default_factory=dict)
+    last_ns: int = -1  # the latest time of a message so far; -1 without any
     missing: str = ""  # why the file is not whole; "" if it is
     cut: bool = False  # the file has no end: what follows its last complete chunk was never written
     damage: list[Damage] = field(default_factory=list)
+    _kept: dict[tuple[type, int | str], int] = field(default_factory=dict, init=False)  # bytes that each takes
+    _total: int = field(default=0, init=False)  # and all of them
 
     def __iter__(self) -> Iterator[Record]:
         """Every message of every complete chunk, in file order.
 
         Raises:
-            LogReadError: the file cannot be opened or is no MCAP file.
+            LogReadError: the file cannot be opened, is no MCAP file, or declares more than is kept.
         """
+        for block in self.blocks():
+            yield from self._records(block)
+
+    def of(self, topics: Collection[str]) -> Iterator[Record]:
+        """The messages of some topics alone; the others are passed over, fast. Raises as iteration does."""
+        for block in self.blocks():
+            some = [number for number in np.unique(block.channel).tolist() if self.channels[number].topic in topics]
+            if some:
+                yield from self._records(block.take(np.isin(block.channel, np.array(some, np.uint16))))
+
+    def _records(self, block: Block) -> Iterator[Record]:
+        topics: dict[int, str] = {}
+        for channel, sequence, log_ns, publish_ns, data in block.messages():
+            topic = topics.get(channel)
+            if topic is None:
+                topic = topics[channel] = self.channels[channel].topic
+            yield Record(topic, log_ns, publish_ns, sequence, data)
+
+    def blocks(self) -> Iterator[Block]:
+        """The same, many at a time; their channels are those declared by then. Raises as iteration does."""
         with open_file(self.path) as file:
-            salvage = Salvage(file)
-            topics: dict[int, str] = {}
+            salvage = Salvage(file, tell=self.tell)
             for item in salvage:
-                if isinstance(item, Message):
-                    topic = topics.get(item.channel)
-                    if topic is None:
-                        salvage.damage.append(
-                            Damage(file.tell(), f"a message on the undeclared channel {item.channel}")
-                        )
-                        break
-                    yield Record(topic, item.log_ns, item.publish_ns, item.sequence, item.data)
-                else:
-                    self._keep(item, topics)
+                if not isinstance(item, Block):
+                    self._keep(item)
+                    continue
+                known = np.isin(item.channel, np.fromiter(self.channels, np.uint16, len(self.channels)))
+                first = len(item) if known.all() else int(known.argmin())
+                if first:
+                    self.last_ns = max(self.last_ns, int(item.log_ns[:first].max()))
+                    yield item if first == len(item) else item.take(np.arange(first))
+                if first == len(item):
+                    continue
+                channel = int(item.channel[first])
+                salvage.damage.append(Damage(item.offset, f"a message on the undeclared channel {channel}"))
+                break
             self.cut, self.damage = salvage.cut, salvage.damage
             self.missing = missing(salvage)
             if not self.missing and (gone := self.metadata.get(RECOVERY, {}).get(LOST)):
                 self.missing = f"it was recovered from a damaged file, of which this is lost: {gone}"
 
-    def _keep(self, item: Item, topics: dict[int, str]) -> None:
+    def _keep(self, item: Item) -> None:
         match item:
+            case Header():
+                self.profile = item.profile
             case Schema():
+                self._count(Schema, item.id, len(item.data) + _ENTRY)
                 self.schemas[item.id] = item
             case Channel():
+                self._count(Channel, item.id, _size(item.metadata) + len(item.topic))
                 self.channels[item.id] = item
-                topics[item.id] = item.topic
             case Metadata():
+                self._count(Metadata, item.name, _size(item.metadata))
                 self.metadata[item.name] = dict(item.metadata)
             case Attachment():
+                self._count(Attachment, item.name, len(item.data))
                 self.attachments[item.name] = item.data
+
+    def _count(self, kind: type, name: int | str, size: int) -> None:
+        self._total += size - self._kept.get((kind, name), 0)
+        self._kept[kind, name] = size
+        if self._total > MOST_KEPT:
+            raise LogReadError(
+                f"{self.path} declares {self._total} bytes of attachments, metadata, schemas and channels, more than "
+                f"the {MOST_KEPT} that are kept: it is damaged, or not a log to be read here"
+            )
+
+
+def _size(entries: Mapping[str, str]) -> int:
+    return _ENTRY + sum(len(key) + len(value) + _ENTRY for key, value in entries.items())
 
 
 def missing(salvage: Salvage) -> str:
@@ -119,14 +169,14 @@ def digest_part(topic: bytes, log_ns: int, publish_ns: int, sequence: int, data:
     return topic + _TIMES(log_ns, publish_ns, sequence, len(data)) + data
 
 
-def digest(path: Path) -> str:
+def digest(path: Path, tell: Tell = lambda _: None) -> str:
     """SHA-256 over the ordered messages (topic, times, sequence, data), as `fleet run` prints it.
 
     Raises:
         LogReadError: see `LogReader`.
     """
     total = hashlib.sha256()
-    for r in LogReader(path):
+    for r in LogReader(path, tell):
         total.update(digest_part(r.topic.encode(), r.log_ns, r.publish_ns, r.sequence, r.data))
     return total.hexdigest()
 

@@ -14,8 +14,9 @@ from mcap.records import Attachment, Channel, Header, Metadata, Schema
 from mcap.writer import CompressionType, Writer
 
 from fleet.errors import FleetError
-from fleet.reader import GAPS, LOST, RECOVERY, log_path, lost, open_any
-from fleet.salvage import MAGIC, ChunkEnd, Item, Message, Salvage, declarations
+from fleet.reader import GAPS, LOST, RECOVERY, Tell, log_path, lost, open_any
+from fleet.records import MAGIC, Block, Message
+from fleet.salvage import ChunkEnd, Item, Salvage, declarations
 
 
 class RecoverError(FleetError):
@@ -40,7 +41,7 @@ class Recovered:
         return not self.messages
 
 
-def recover(path: Path, out: Path | None = None) -> Recovered:
+def recover(path: Path, out: Path | None = None, tell: Tell = lambda _: None) -> Recovered:
     """Write what can be read of a log to `out`, by default `<log>.recovered.mcap` beside it; nothing if nothing can.
 
     Raises:
@@ -56,11 +57,14 @@ def recover(path: Path, out: Path | None = None) -> Recovered:
         magic = source.read(len(MAGIC)) == MAGIC
         try:
             with part.open("wb") as target:
-                found = _copy(path, out, Salvage(source, beyond=True), target, magic)
+                found = _copy(path, out, Salvage(source, beyond=True, tell=tell), target, magic)
             if found.nothing:
                 part.unlink()
             else:
                 part.replace(out)
+        except KeyboardInterrupt:
+            _remove(part)
+            raise
         except OSError as error:
             _remove(part)
             raise RecoverError(f"cannot write {out}: {error.strerror or error}") from error
@@ -81,14 +85,18 @@ def _copy(path: Path, out: Path, salvage: Salvage, target: IO[bytes], magic: boo
     gaps: list[int] = []
     damaged = 0
     for item in salvage:
-        if len(salvage.damage) > damaged and isinstance(item, Message):
+        if not isinstance(item, Block):
+            copy.take(item)
+            continue
+        if len(salvage.damage) > damaged:
             gaps.append(found.messages)
             damaged = len(salvage.damage)
-        if isinstance(item, Message) and not known and not copy.declared(item):
-            known = True  # the chunk that declared it is damaged: the index repeats it
-            for declaration in declarations(salvage.file):
-                copy.take(declaration)
-        copy.take(item)
+        for message in item.messages():
+            if not known and not copy.declared(message):
+                known = True  # the chunk that declared it is damaged: the index repeats it
+                for declaration in declarations(salvage.file):
+                    copy.take(declaration)
+            copy.message(message)
     found.places = [str(damage) for damage in salvage.damage]
     gone = [*(["the first bytes (they are not those of MCAP)"] if not magic else []), lost(salvage)]
     if found.undeclared:
@@ -120,8 +128,6 @@ class Copy:
         if isinstance(item, Header) or not self._started:
             self._start(item)
         match item:
-            case Message():
-                self._message(item)
             case ChunkEnd():
                 self._writer.flush()  # type: ignore[no-untyped-call]
             case Schema() if item.id not in self._schemas:
@@ -136,6 +142,19 @@ class Copy:
                 self._writer.add_metadata(item.name, dict(item.metadata))
             case _:
                 pass
+
+    def message(self, message: Message) -> None:
+        """Write a message, or count it if nothing is known of its channel."""
+        if not self._started:
+            self._start(Header("", "uuv-fleet"))
+        channel = self._channels.get(message.channel)
+        if channel is None:
+            self._found.undeclared += 1
+            return
+        self._writer.add_message(channel, message.log_ns, message.data, message.publish_ns, message.sequence)
+        self._found.messages += 1
+        self.last_ns = max(self.last_ns, message.log_ns)
+        self._found.until_s = self.last_ns / 1e9
 
     def declared(self, message: Message) -> bool:
         """Whether its channel is known."""
@@ -155,16 +174,6 @@ class Copy:
         self._started = True
         header = item if isinstance(item, Header) else Header("", "uuv-fleet")
         self._writer.start(**asdict(header))
-
-    def _message(self, item: Message) -> None:
-        channel = self._channels.get(item.channel)
-        if channel is None:
-            self._found.undeclared += 1
-            return
-        self._writer.add_message(channel, item.log_ns, item.data, item.publish_ns, item.sequence)
-        self._found.messages += 1
-        self.last_ns = max(self.last_ns, item.log_ns)
-        self._found.until_s = self.last_ns / 1e9
 
 
 def describe(found: Recovered) -> str:

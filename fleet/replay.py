@@ -5,8 +5,6 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass
 
-import numpy as np
-
 from fleet.errors import FleetError
 from fleet.keyboard import Key, Keyboard
 from fleet.log_schemas import stamp_of
@@ -14,7 +12,7 @@ from fleet.player import RATE_STEP, SEEK_NS, Metronome, Pace, Player
 from fleet.selection import Renaming, chosen
 from fleet.stamp import Stamp, pack
 from fleet.status_line import StatusLine
-from fleet.tape import Numbers, Tape
+from fleet.tape import Tape, Track
 from fleet.traffic import ATTACHMENT, DELETE, ENCODING, KIND, zenoh_encoding
 from netem.bus import OpenBus, Publication
 from netem.keys import Keys
@@ -68,25 +66,24 @@ class Replay:
         rename.check()
         self.note = _merged({c.topic: self.key_of[n] for n, c in played.items() if n in self.key_of})
         self._deletes = {n for n in self.key_of if kinds[n] == DELETE}
-        wanted = np.isin(tape.channel_of, np.array(list(self.key_of), dtype=np.uint16))
-        self._numbers: Numbers = np.nonzero(wanted)[0]
+        self._attached = ATTACHMENT in kinds.values()
+        self._track = track = Track(tape, self.key_of)
         # Simulated time begins at 0, whatever is logged first; any other time with the first message.
-        self.zero_ns = 0 if self.ours else int(tape.times[0])
-        times = tape.times[self._numbers]
+        self.zero_ns = 0 if self.ours else tape.due(0)
         begin = self.zero_ns + wishes.start_ns
-        end = int(times[-1]) if len(times) else begin
+        end = track[len(track) - 1] if len(track) else begin
         if wishes.duration_ns is not None:
             end = min(end, begin + wishes.duration_ns)
         if wishes.until_ns is not None:
             end = min(end, self.zero_ns + wishes.until_ns)
-        first, stop = np.searchsorted(times, begin), np.searchsorted(times, end, "right")
+        first, stop = track.before(begin), track.before(end + 1)
         if first >= stop:
-            last = (int(tape.times[-1]) - self.zero_ns) / 1e9
+            last = (tape.end_ns - self.zero_ns) / 1e9
             raise ReplayError(
                 f"nothing to play: the log ends at {last:g} s, and no chosen message is in what was asked for"
             )
-        self._first, self.messages = int(first), int(stop - first)
-        self._times, self._begin, self._end = times, begin, end
+        self._first, self.messages = first, stop - first
+        self._begin, self._end = begin, end
         self._publications: dict[int, Publication] = {}
         self.published = 0
         self.player = self._player(0)
@@ -97,7 +94,8 @@ class Replay:
     def _player(self, now: int) -> Player:
         w = self._wishes
         return Player(
-            self._times, self._begin, self._end, rate=w.rate, loop=w.loop, paused=w.paused, now=now
+            self._track, self._begin, self._end, rate=w.rate, loop=w.loop, paused=w.paused, now=now,
+            before=self._track.before,
         )  # fmt: skip
 
     def open(self, bus: OpenBus) -> None:
@@ -128,7 +126,7 @@ class Replay:
     def play(self, keyboard: Keyboard, line: StatusLine) -> None:
         """Publish to the end, as the keyboard says."""
         self._wait(line)
-        self._tape[int(self._numbers[self._first])]  # decompressed before the clock starts
+        next(self._track.entries(range(self._first, self._first + 1)))  # decompressed before the clock starts
         self.player = player = self._player(time.monotonic_ns())
         pace = Pace()
         if self.note:
@@ -140,8 +138,7 @@ class Replay:
                 player.stood_still(away)
                 pace.restart()
             now = time.monotonic_ns()
-            for index in player.due(now, MOST):
-                self._publish(index)
+            self._publish(player.due(now, MOST))
             if beat is not None and beat.beats(now):
                 self._tell_time(player.position(now))
             if line.due():
@@ -177,8 +174,7 @@ class Replay:
             case Key.PAUSE:
                 player.toggle(now)
             case Key.STEP:
-                for index in player.step(now):
-                    self._publish(index)
+                self._publish(player.step(now))
             case Key.FASTER:
                 player.set_rate(now, player.rate * RATE_STEP)
             case Key.SLOWER:
@@ -188,27 +184,26 @@ class Replay:
             case Key.BACK:
                 player.seek(now, player.position(now) - SEEK_NS)
 
-    def _publish(self, index: int) -> None:
-        number = int(self._numbers[index])
-        entry = self._tape[number]
-        publication = self._publications[entry.channel.id]
-        if self.ours:
-            attachment: bytes | None = pack(Stamp(entry.log_ns, entry.publish_ns, entry.sequence, number))
-        else:
-            attachment = self._attachment(number, entry.sequence)
-        if entry.channel.id in self._deletes:
-            publication.delete(attachment)
-        else:
-            publication.put(entry.data, attachment)
-        self.published += 1
+    def _publish(self, some: range) -> None:
+        for number, entry in self._track.entries(some):
+            publication = self._publications[entry.channel.id]
+            if self.ours:
+                attachment: bytes | None = pack(Stamp(entry.log_ns, entry.publish_ns, entry.sequence, number))
+            else:
+                attachment = self._attachment(number, entry.sequence)
+            if entry.channel.id in self._deletes:
+                publication.delete(attachment)
+            else:
+                publication.put(entry.data, attachment)
+            self.published += 1
 
     def _attachment(self, number: int, sequence: int) -> bytes | None:
         """What was attached to a sample of other traffic: the message before it says so."""
-        before = int(self._tape.channel_of[number - 1]) if number else None
-        if before is None or self._tape.channels[before].metadata.get(KIND) != ATTACHMENT:
+        if not number or not self._attached:
             return None
         entry = self._tape[number - 1]
-        return entry.data if entry.sequence == sequence else None
+        attached = entry.channel.metadata.get(KIND) == ATTACHMENT and entry.sequence == sequence
+        return entry.data if attached else None
 
     def _tell_time(self, log_ns: int) -> None:
         stamp = stamp_of(log_ns)

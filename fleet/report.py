@@ -5,7 +5,6 @@ from __future__ import annotations
 import base64
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from html import escape
 from importlib.metadata import version
@@ -18,9 +17,10 @@ from matplotlib.figure import Figure
 from fleet.errors import FleetError
 from fleet.pictures import PER_RUN, WHAT, Look, Run, draw
 from fleet.plotting import DPI
-from fleet.reader import digest
+from fleet.reader import Tell, digest
 from fleet.report_tables import links_table, mark, number, side_by_side, table
 from fleet.result_file import ResultError, read_result
+from fleet.whole_file import whole_file
 from netem.ages import Ages
 from netem.impairment import DELIVERED, IN_FLIGHT
 from netem.messages import Fate
@@ -54,25 +54,22 @@ class Verdict:
     digest: str
 
 
-def write(path: Path, runs: Sequence[Run], look: Look) -> None:
-    """Write the page.
+def write(path: Path, runs: Sequence[Run], look: Look, share: Tell = lambda _: None) -> None:
+    """Write the page; `share` is told the share that is done of what is at hand: a log's digest, or pictures.
 
     Raises:
         ReportError: the place cannot be written.
         LogReadError: a log has gone meanwhile.
     """
-    there = path.exists()
     try:
-        path.open("a").close()  # before the pictures, which take a while
-        path.write_text(page(runs, look), "utf-8")
+        with whole_file(path) as part:
+            part.open("a").close()  # before the pictures, which take a while
+            part.write_text(page(runs, look, share), "utf-8")
     except OSError as error:
-        if not there:
-            with suppress(OSError):
-                path.unlink(missing_ok=True)
         raise ReportError(f"cannot write {path}: {error.strerror}; choose another place with -o FILE") from error
 
 
-def page(runs: Sequence[Run], look: Look) -> str:
+def page(runs: Sequence[Run], look: Look, share: Tell = lambda _: None) -> str:
     """The whole page."""
     title = "uuv-fleet: " + ", ".join(run.label for run in runs)
     parts = [
@@ -84,20 +81,20 @@ def page(runs: Sequence[Run], look: Look) -> str:
         f"<p>Made by <code>fleet report</code>, uuv-fleet {escape(version('uuv-fleet'))}. Times are simulated "
         "time; positions are north, east, down.</p>",
     ]
-    verdicts = [_verdict(run) for run in runs]
+    verdicts = [_verdict(run, share) for run in runs]
     if len(runs) > 1:
         parts += [
             "<h2>The runs together</h2>",
             side_by_side(runs, [verdict.values for verdict in verdicts]),
-            *_pictures([k for k in WHAT if k not in PER_RUN], runs, look),
+            *_pictures([k for k in WHAT if k not in PER_RUN], runs, look, share),
         ]
     for run, verdict in zip(runs, verdicts, strict=True):
         kinds = list(WHAT) if len(runs) == 1 else sorted(PER_RUN)
-        parts += _run(run, verdict, kinds, look)
+        parts += _run(run, verdict, kinds, look, share)
     return "\n".join([*parts, "</body></html>", ""])
 
 
-def _run(run: Run, verdict: Verdict, kinds: Sequence[str], look: Look) -> Iterator[str]:
+def _run(run: Run, verdict: Verdict, kinds: Sequence[str], look: Look, share: Tell) -> Iterator[str]:
     log = run.log
     yield f"<h2>{escape(run.label)}</h2>"
     if log.missing:
@@ -124,7 +121,7 @@ def _run(run: Run, verdict: Verdict, kinds: Sequence[str], look: Look) -> Iterat
             "last",
         )
     yield from _tables(run, verdict)
-    yield from _pictures(kinds, [run], look)
+    yield from _pictures(kinds, [run], look, share)
     yield from _again(run)
 
 
@@ -137,8 +134,8 @@ def _network(run: Run) -> str:
     return f"{'acoustic channel, ' if acoustic else ''}a round every {period:g} ms"
 
 
-def _verdict(run: Run) -> Verdict:
-    found = digest(run.log.path)
+def _verdict(run: Run, share: Tell) -> Verdict:
+    found = digest(run.log.path, share)
     try:
         values = read_result(run.log.path)
     except FileNotFoundError:
@@ -183,6 +180,7 @@ def _tables(run: Run, verdict: Verdict) -> Iterator[str]:
     elif any(f"uuv/{i}/error" in run.log for i in run.log.vehicles):
         yield "<h3>Vehicles at the end of the log</h3>"
         final = ((i, run.log[f"uuv/{i}/error"]) for i in run.log.vehicles if f"uuv/{i}/error" in run.log)
+        final = ((i, e) for i, e in final if not e.too_many)
         rows_ = ((i, f"{e['e_norm'][-1]:.4f}", f"{e['formation_norm'][-1]:.4f}") for i, e in final if len(e))
         yield table(("UUV", "consensus error [m]", "formation error [m]"), rows_)
     ledger, ages, where = (values["ledger"], values["ages"], "") if values else (*_from_log(run), ", from the log")
@@ -199,7 +197,7 @@ def _from_log(run: Run) -> tuple[dict[str, Any], dict[str, Any]]:
     ticks = round(run.log.end / tick_s) + 1 if tick_s else 0
     for src, dst in run.log.links:
         packets = run.log[f"link/{src}-{dst}"]
-        if not len(packets):
+        if not len(packets) or packets.too_many:
             continue
         fates = Counter(packets["fate"].tolist())
         ledger[f"{src}->{dst}"] = {
@@ -225,10 +223,10 @@ def _from_log(run: Run) -> tuple[dict[str, Any], dict[str, Any]]:
     return ledger, ages.summary(round(tick_s * 1e9)) if tick_s else {}
 
 
-def _pictures(kinds: Sequence[str], runs: Sequence[Run], look: Look) -> Iterator[str]:
+def _pictures(kinds: Sequence[str], runs: Sequence[Run], look: Look, share: Tell) -> Iterator[str]:
     yield "<h3>Pictures</h3>"
     missing = []
-    for name, title, figure in draw(kinds, runs, look):
+    for name, title, figure in draw(kinds, runs, look, share):
         if isinstance(figure, str):
             missing.append(f"{name}: {figure}")
         else:

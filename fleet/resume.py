@@ -13,7 +13,7 @@ from pathlib import Path
 from agents.controllers import laws
 from agents.trust import NOTHING, Trust
 from fleet.quantities import QuantityError, show_time, time_ns
-from fleet.reader import LogReader, digest, log_path
+from fleet.reader import LogReader, Tell, digest, log_path
 from fleet.scenario import Scenario, load_scenario
 from fleet.script import recorded as read
 from fleet.snapshot import START, Snapshot, SnapshotError, find
@@ -51,18 +51,20 @@ def prepare(
     overrides: Sequence[str] = (),
     name: str | None = None,
     trust: Trust = NOTHING,
+    tell: Tell = lambda _: None,
 ) -> tuple[Scenario, Start]:
     """The scenario that goes on, and where.
 
     Args:
         name: of another scenario than the log's own.
         trust: which modules of laws may run that are neither installed nor the user's own.
+        tell: hears how much of the log was read, three times from its beginning.
 
     Raises:
         LogReadError, ScriptError, ScenarioError: there is no log of ours, or the scenario is wrong.
         SnapshotError: the log has no such moment, or the changes are too great to go on from it.
     """
-    source = read(path)
+    source = read(path, tell)
     recorded = source.script()
     scenario = source.script(overrides, Policy(trust)) if name is None else load_scenario(name, overrides, trust)
     if recorded.external:
@@ -71,7 +73,7 @@ def prepare(
             f"vehicle {vehicles} is external in {source.path}: what its agent remembers is its own affair and not in "
             "the log, so nothing can go on from there"
         )
-    snapshot = find(path, at_ns)
+    snapshot = find(path, at_ns, tell)
     at = show_time(snapshot.tick * recorded.tick_ns)
     for what, ours, theirs in (
         ("the number of vehicles", scenario.vehicles, recorded.vehicles),
@@ -91,7 +93,9 @@ def prepare(
     anew = [i for i, (now, before) in pairs if laws(now) != laws(before)]
     if anew:
         notes.append(f"other laws: agents {', '.join(map(str, anew))} begin without memory")
-    return scenario, Start(snapshot, f"{log_path(path)}, digest {digest(log_path(path))}", tuple(anew), tuple(notes))
+    return scenario, Start(
+        snapshot, f"{log_path(path)}, digest {digest(log_path(path), tell)}", tuple(anew), tuple(notes)
+    )
 
 
 def begun(reader: LogReader) -> Start | None:

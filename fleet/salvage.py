@@ -9,46 +9,46 @@ from __future__ import annotations
 
 import os
 import zlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from struct import Struct
 from struct import error as struct_error
 from typing import IO, NamedTuple
 
-import zstandard
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, DataEnd, Header, Metadata, Schema
 
-MAGIC = b"\x89MCAP0\r\n"
-MOST_BYTES = 64 << 20  # of one record, packed or not; our own chunks hold 1 MiB and one message
-_HEAD = Struct("<BQ")
-_CHUNK = Struct("<QQQI")  # first and last time [ns], unpacked size, CRC
-_MESSAGE = Struct("<HIQQ")
-_FOOTER = _HEAD.size + 20  # [bytes]
-_U16, _U32, _U64 = Struct("<H"), Struct("<I"), Struct("<Q")
+from fleet.records import (
+    CHUNK,
+    HEAD,
+    MAGIC,
+    MESSAGE,
+    MOST_BYTES,
+    U32,
+    U64,
+    Block,
+    NonsenseError,
+    content,
+    inside,
+    parse,
+    span_of,
+)
+
+_FOOTER = HEAD.size + 20  # [bytes]
 _ZSTD = b"\x04\x00\x00\x00zstd"  # in a chunk, behind its lengths: what it is recognised by when the framing is lost
 _WINDOW = 1 << 20
+_LOOSE = 1 << 20  # bytes of messages outside chunks that make one block
+_TELL = 1 << 20  # bytes of the file between two words on how far it is
 _IN_DATA = frozenset({
     Opcode.HEADER, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.CHUNK, Opcode.MESSAGE_INDEX,
     Opcode.ATTACHMENT, Opcode.METADATA, Opcode.DATA_END,
 })  # fmt: skip
 
 
-class Message(NamedTuple):
-    """One message as it stands in a chunk, times in ns."""
-
-    channel: int
-    sequence: int
-    log_ns: int
-    publish_ns: int
-    data: bytes
-
-
 class ChunkEnd(NamedTuple):
     """Everything before it was in one chunk."""
 
 
-Item = Header | Schema | Channel | Message | ChunkEnd | Attachment | Metadata | DataEnd
+Item = Header | Schema | Channel | Block | ChunkEnd | Attachment | Metadata | DataEnd
 
 
 @dataclass(slots=True)
@@ -83,6 +83,8 @@ class Salvage:
 
     file: IO[bytes]
     beyond: bool = False
+    at: int = len(MAGIC)  # where the record at hand begins [byte]
+    tell: Callable[[float], None] = lambda _: None  # hears now and then which share of the file was read
     ended: bool = False  # the data section is there to its end
     indexed: bool = False  # and so is the summary behind it, undamaged
     cut: bool = False  # the file stops in the middle of a record or before its end was written
@@ -91,39 +93,78 @@ class Salvage:
     stated: int | None = None  # messages, as the summary counts them
     _chunked: bool = field(default=False, init=False)
     _lost_at: int = field(default=-1, init=False)  # where the chunk is damaged whose index is being read
+    _loose: bytearray = field(default_factory=bytearray, init=False)  # messages outside chunks, as they are
+    _loose_at: int = field(default=0, init=False)
+    _told: int = field(default=0, init=False)
 
     def __iter__(self) -> Iterator[Item]:
-        at = len(MAGIC)
+        for item in self._items():
+            if isinstance(item, Block):
+                self.messages += len(item)
+            yield item
+
+    def _items(self) -> Iterator[Item]:
         size = self._size()
         while not self.ended:
             try:
-                opcode, body, behind = self._record(at, size)
-                if opcode == Opcode.CHUNK:
-                    self._chunked = True
-                    yield from self._chunk(body)
-                elif opcode == Opcode.MESSAGE and self._chunked:
-                    # One bit turns an index into a message, which has no CRC of its own.
-                    raise _DamagedError("a message outside the chunks")
-                elif opcode == Opcode.MESSAGE_INDEX:
-                    count = _index_entries(body)
-                    if self.damage and self.damage[-1].offset == self._lost_at:
-                        self.damage[-1].messages += count
+                opcode, body, behind = self._record(self.at, size)
+                self._say(size)
+                if opcode == Opcode.MESSAGE and not self._chunked:
+                    if self._gather(body, behind):
+                        yield from self._gathered()
                 else:
-                    yield from self._plain(opcode, body)
+                    yield from self._gathered()
+                    yield from self._one(opcode, body)
                 if opcode != Opcode.MESSAGE_INDEX:
                     self._lost_at = -1
-                at = behind
+                self.at = behind
             except EOFError:
                 self.cut = True
+                yield from self._gathered()
                 return
             except _DamagedError as error:
-                self.damage.append(Damage(at, error.what, error.span_ns))
-                self._lost_at = at
-                found = self._behind(at, size) if self.beyond else None
+                yield from self._gathered()
+                self.damage.append(Damage(self.at, error.what, error.span_ns))
+                self._lost_at = self.at
+                found = self._behind(self.at, size) if self.beyond else None
                 if found is None:
                     return
-                at = found
-        self._summary(at, size)
+                self.at = found
+        self._summary(self.at, size)
+
+    def _one(self, opcode: int, body: bytes) -> Iterator[Item]:
+        if opcode == Opcode.CHUNK:
+            self._chunked = True
+            yield from self._chunk(body)
+        elif opcode == Opcode.MESSAGE:
+            # One bit turns an index into a message, which has no CRC of its own.
+            raise _DamagedError("a message outside the chunks")
+        elif opcode == Opcode.MESSAGE_INDEX:
+            count = _index_entries(body)
+            if self.damage and self.damage[-1].offset == self._lost_at:
+                self.damage[-1].messages += count
+        else:
+            yield from self._plain(opcode, body)
+
+    def _say(self, size: int) -> None:
+        if self.at - self._told >= _TELL or self._told == 0:
+            self._told = self.at
+            self.tell(self.at / size)
+
+    def _gather(self, body: bytes, behind: int) -> bool:
+        """Keep a message that is in no chunk until there are some; whether there are."""
+        if len(body) < MESSAGE.size:
+            raise _DamagedError("a damaged message")
+        if not self._loose:
+            self._loose_at = self.at
+        self._loose += HEAD.pack(Opcode.MESSAGE, len(body)) + body
+        return len(self._loose) >= _LOOSE
+
+    def _gathered(self) -> Iterator[Item]:
+        if self._loose:
+            data = bytes(self._loose)
+            self._loose.clear()
+            yield from inside(self._loose_at, data)
 
     def _size(self) -> int:
         return os.fstat(self.file.fileno()).st_size
@@ -134,13 +175,13 @@ class Salvage:
         Raises:
             EOFError: the file ends within it.
         """
-        head = self._read(at, _HEAD.size)
-        if len(head) < _HEAD.size:
+        head = self._read(at, HEAD.size)
+        if len(head) < HEAD.size:
             raise EOFError
-        opcode, length = _HEAD.unpack(head)
+        opcode, length = HEAD.unpack(head)
         if opcode not in _IN_DATA:
             raise _DamagedError(f"a record of unknown kind {opcode:#04x}")
-        begin = at + _HEAD.size
+        begin = at + HEAD.size
         if begin + length > size:
             # A writer that was killed leaves no end; in a file that has one the length itself is wrong.
             if self._read(max(0, size - len(MAGIC)), len(MAGIC)) == MAGIC or self._next_chunk(begin, size) is not None:
@@ -156,64 +197,31 @@ class Salvage:
         return self.file.read(length)
 
     def _chunk(self, body: bytes) -> Iterator[Item]:
-        span: tuple[int, int] | None = None
         try:
-            first, last, size, crc = _CHUNK.unpack_from(body)
-            span = (first, last) if first <= last else None
-            compression, at = _string(body, _CHUNK.size)
-            (length,) = _U64.unpack_from(body, at)
-            packed = body[at + _U64.size :]
-            if length != len(packed):
-                raise ValueError
-            data = _unpacked(compression, packed, size)
-            if crc and zlib.crc32(data) != crc:
-                raise ValueError
-        except (struct_error, ValueError, zstandard.ZstdError):
-            raise _DamagedError("a damaged chunk", span) from None
-        yield from self._inside(data)
+            data = content(body)
+        except ValueError as error:
+            raise _DamagedError(str(error) or "a damaged chunk", span_of(body)) from None
+        try:
+            yield from inside(self.at, data)
+        except NonsenseError:
+            raise _DamagedError("a chunk whose content makes no sense") from None
         yield ChunkEnd()
-
-    def _inside(self, data: bytes) -> Iterator[Item]:
-        at, size = 0, len(data)
-        message, head, fields = int(Opcode.MESSAGE), _HEAD.size, _MESSAGE.size  # looked up once, not per message
-        while at < size:
-            try:
-                opcode, length = _HEAD.unpack_from(data, at)
-                begin = at + head
-                at = begin + length
-                if at > size:
-                    raise ValueError
-                if opcode == message:
-                    if length < fields:
-                        raise ValueError
-                    self.messages += 1
-                    channel, sequence, log_ns, publish_ns = _MESSAGE.unpack_from(data, begin)
-                    item: Item = Message(channel, sequence, log_ns, publish_ns, data[begin + fields : at])
-                elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-                    item = _parse(opcode, data[begin:at])
-                else:
-                    continue
-            except (struct_error, ValueError):
-                raise _DamagedError("a chunk whose content makes no sense") from None
-            yield item
 
     def _plain(self, opcode: int, body: bytes) -> Iterator[Item]:
         try:
-            item = _parse(opcode, body)
+            item = parse(opcode, body)
         except (struct_error, ValueError):
             raise _DamagedError(f"a damaged {Opcode(opcode).name.lower().replace('_', ' ')}") from None
         if isinstance(item, DataEnd):
             self.ended = True
-        elif isinstance(item, Message):
-            self.messages += 1
         yield item
 
     def _behind(self, at: int, size: int) -> int | None:
         """Where to go on behind a damaged record."""
-        head = self._read(at, _HEAD.size)
-        if len(head) == _HEAD.size:
-            length: int = _HEAD.unpack(head)[1]
-            behind = at + _HEAD.size + length
+        head = self._read(at, HEAD.size)
+        if len(head) == HEAD.size:
+            length: int = HEAD.unpack(head)[1]
+            behind = at + HEAD.size + length
             if self._sound(behind, size):
                 return behind
         return self._next_chunk(at + 1, size)
@@ -221,20 +229,20 @@ class Salvage:
     def _sound(self, at: int, size: int) -> bool:
         """Whether records seem to follow on one another from here."""
         for _ in range(3):
-            head = self._read(at, _HEAD.size) if at < size else b""
-            if len(head) < _HEAD.size:
+            head = self._read(at, HEAD.size) if at < size else b""
+            if len(head) < HEAD.size:
                 return False
-            opcode, length = _HEAD.unpack(head)
-            if opcode not in _IN_DATA or length > size - at - _HEAD.size:
+            opcode, length = HEAD.unpack(head)
+            if opcode not in _IN_DATA or length > size - at - HEAD.size:
                 return False
             if opcode == Opcode.DATA_END:
-                return bool(length == _U32.size)
-            at += _HEAD.size + length
+                return bool(length == U32.size)
+            at += HEAD.size + length
         return True
 
     def _next_chunk(self, at: int, size: int) -> int | None:
         """Where the next chunk begins, known by its compression between two lengths that fit."""
-        before = _HEAD.size + _CHUNK.size
+        before = HEAD.size + CHUNK.size
         while at < size:
             window = self._read(at, _WINDOW)
             mark = window.find(_ZSTD)
@@ -242,10 +250,10 @@ class Salvage:
                 begin = at + mark - before
                 if begin >= at or mark >= before:
                     head = window[mark - before : mark]
-                    (packed,) = _U64.unpack(self._read(at + mark + len(_ZSTD), 8).ljust(8, b"\xff"))
-                    opcode, length = _HEAD.unpack_from(head)
-                    whole = _CHUNK.size + len(_ZSTD) + _U64.size + packed
-                    if opcode == Opcode.CHUNK and length == whole and begin + _HEAD.size + length <= size:
+                    (packed,) = U64.unpack(self._read(at + mark + len(_ZSTD), 8).ljust(8, b"\xff"))
+                    opcode, length = HEAD.unpack_from(head)
+                    whole = CHUNK.size + len(_ZSTD) + U64.size + packed
+                    if opcode == Opcode.CHUNK and length == whole and begin + HEAD.size + length <= size:
                         return begin
                 mark = window.find(_ZSTD, mark + 1)
             if len(window) < _WINDOW:
@@ -258,19 +266,19 @@ class Salvage:
         total = 0
         try:
             while True:
-                head = self._read(at, _HEAD.size)
-                opcode, length = _HEAD.unpack(head)
-                if length > min(size - at - _HEAD.size, MOST_BYTES):
+                head = self._read(at, HEAD.size)
+                opcode, length = HEAD.unpack(head)
+                if length > min(size - at - HEAD.size, MOST_BYTES):
                     return
-                body = self._read(at + _HEAD.size, length)
-                at += _HEAD.size + length
+                body = self._read(at + HEAD.size, length)
+                at += HEAD.size + length
                 if opcode == Opcode.FOOTER:
-                    crc = _U32.unpack_from(body, 16)[0]
+                    crc = U32.unpack_from(body, 16)[0]
                     whole = not crc or zlib.crc32(head + body[:16], total) == crc
                     self.indexed = whole and self._read(at, len(MAGIC) + 1) == MAGIC
                     return
                 if opcode == Opcode.STATISTICS:
-                    self.stated = _U64.unpack_from(body)[0]
+                    self.stated = U64.unpack_from(body)[0]
                 total = zlib.crc32(head + body, total)
         except struct_error:
             return
@@ -283,113 +291,32 @@ def declarations(file: IO[bytes]) -> list[Schema | Channel]:
         end = os.fstat(file.fileno()).st_size - len(MAGIC) - _FOOTER
         file.seek(end)
         footer = file.read(_FOOTER)
-        opcode, length = _HEAD.unpack_from(footer)
-        (at,), (crc,) = _U64.unpack_from(footer, _HEAD.size), _U32.unpack_from(footer, _FOOTER - _U32.size)
-        if opcode != Opcode.FOOTER or length != _FOOTER - _HEAD.size or not 0 < at <= end:
+        opcode, length = HEAD.unpack_from(footer)
+        (at,), (crc,) = U64.unpack_from(footer, HEAD.size), U32.unpack_from(footer, _FOOTER - U32.size)
+        if opcode != Opcode.FOOTER or length != _FOOTER - HEAD.size or not 0 < at <= end:
             return []
         file.seek(at)
         total = 0
         while at < end:
-            head = file.read(_HEAD.size)
-            opcode, length = _HEAD.unpack(head)
-            at += _HEAD.size + length
+            head = file.read(HEAD.size)
+            opcode, length = HEAD.unpack(head)
+            at += HEAD.size + length
             if at > end or length > MOST_BYTES:
                 return []
             body = file.read(length)
             total = zlib.crc32(head + body, total)
             if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-                item = _parse(opcode, body)
+                item = parse(opcode, body)
                 assert isinstance(item, Schema | Channel)
                 found.append(item)
-        if crc and zlib.crc32(footer[: -_U32.size], total) != crc:
+        if crc and zlib.crc32(footer[: -U32.size], total) != crc:
             return []
     except (OSError, struct_error, ValueError):
         return []
     return found
 
 
-def _unpacked(compression: str, packed: bytes, size: int) -> bytes:
-    if size > MOST_BYTES:
-        raise ValueError
-    if not size:
-        return b""
-    if compression == "zstd":
-        # The frame states its size too; unchecked it would be allocated.
-        if zstandard.get_frame_parameters(packed).content_size not in (size, zstandard.CONTENTSIZE_UNKNOWN):
-            raise ValueError
-        data = zstandard.ZstdDecompressor().decompress(packed, max_output_size=size)
-    elif not compression:
-        data = packed
-    else:
-        raise ValueError
-    if len(data) != size:
-        raise ValueError
-    return data
-
-
-def _parse(opcode: int, body: bytes) -> Item:
-    """A record from its content; raises `struct.error` or `ValueError` if it is none."""
-    match opcode:
-        case Opcode.HEADER:
-            profile, at = _string(body, 0)
-            library, at = _string(body, at)
-            return Header(profile, library)
-        case Opcode.SCHEMA:
-            name, at = _string(body, 2)
-            encoding, at = _string(body, at)
-            return Schema(id=_U16.unpack_from(body)[0], name=name, encoding=encoding, data=_prefixed(body, at)[0])
-        case Opcode.CHANNEL:
-            topic, at = _string(body, 4)
-            encoding, at = _string(body, at)
-            number, schema = _U16.unpack_from(body)[0], _U16.unpack_from(body, 2)[0]
-            return Channel(id=number, topic=topic, message_encoding=encoding, metadata=_map(body, at), schema_id=schema)
-        case Opcode.MESSAGE:
-            channel, sequence, log_ns, publish_ns = _MESSAGE.unpack_from(body)
-            return Message(channel, sequence, log_ns, publish_ns, body[_MESSAGE.size :])
-        case Opcode.METADATA:
-            name, at = _string(body, 0)
-            return Metadata(name=name, metadata=_map(body, at))
-        case Opcode.ATTACHMENT:
-            name, at = _string(body, 16)
-            media_type, at = _string(body, at)
-            (length,) = _U64.unpack_from(body, at)
-            data = body[at + 8 : at + 8 + length]
-            (crc,) = _U32.unpack(body[at + 8 + length :])
-            if len(data) != length or (crc and zlib.crc32(body[:-4]) != crc):
-                raise ValueError
-            log_time, create_time = _U64.unpack_from(body)[0], _U64.unpack_from(body, 8)[0]
-            return Attachment(create_time=create_time, log_time=log_time, name=name, media_type=media_type, data=data)
-        case Opcode.DATA_END:
-            return DataEnd(_U32.unpack(body)[0])
-    raise ValueError
-
-
-def _prefixed(body: bytes, at: int) -> tuple[bytes, int]:
-    (length,) = _U32.unpack_from(body, at)
-    end = at + 4 + length
-    if end > len(body):
-        raise ValueError
-    return body[at + 4 : end], end
-
-
-def _string(body: bytes, at: int) -> tuple[str, int]:
-    data, end = _prefixed(body, at)
-    return data.decode("utf-8"), end
-
-
-def _map(body: bytes, at: int) -> dict[str, str]:
-    data, end = _prefixed(body, at)
-    if end != len(body):
-        raise ValueError
-    found: dict[str, str] = {}
-    at = 0
-    while at < len(data):
-        key, at = _string(data, at)
-        found[key], at = _string(data, at)
-    return found
-
-
 def _index_entries(body: bytes) -> int:
-    if len(body) < 6 or _U32.unpack_from(body, 2)[0] != len(body) - 6 or (len(body) - 6) % 16:
+    if len(body) < 6 or U32.unpack_from(body, 2)[0] != len(body) - 6 or (len(body) - 6) % 16:
         raise _DamagedError("a damaged message index")
     return (len(body) - 6) // 16

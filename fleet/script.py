@@ -12,11 +12,14 @@ from fleet.errors import FleetError
 from fleet.faults import is_fault
 from fleet.log_values import Decoder
 from fleet.quantities import show_time
-from fleet.reader import CLOCK, REAL, LogReader, Record, log_path
+from fleet.reader import CLOCK, REAL, LogReader, Record, Tell, log_path
 from fleet.scenario import Scenario, parse_scenario
 from fleet.schema import EVERY
 from fleet.snapshot import START
 from fleet.trust import READING, Policy
+
+MOST_EVENTS = 200_000  # of faults: one begins and one ends every second for a day
+MOST_TEXT = 64 << 20  # bytes of all of them
 
 
 class ScriptError(FleetError):
@@ -60,7 +63,7 @@ class Recorded:
         return rerun(self.path, self.text, self.events, self.last_ns, overrides, policy)
 
 
-def recorded(path: Path) -> Recorded:
+def recorded(path: Path, tell: Tell = lambda _: None) -> Recorded:
     """Read a log.
 
     Raises:
@@ -68,27 +71,30 @@ def recorded(path: Path) -> Recorded:
         ScriptError: it holds no scenario of ours.
     """
     path = log_path(path)
-    reader = LogReader(path)
+    reader = LogReader(path, tell)
     happened: list[Record] = []
-    last_ns = -1
-    for record in reader:
-        last_ns = max(last_ns, record.log_ns)
-        if record.topic == "faults":
-            happened.append(record)
+    held = 0
+    for record in reader.of(["faults"]):
+        happened.append(record)
+        held += len(record.data)
+        if len(happened) > MOST_EVENTS or held > MOST_TEXT:
+            raise ScriptError(
+                f"{path} holds more than {MOST_EVENTS} events of faults, or {MOST_TEXT} bytes of them: that is no run"
+            )
     decode = Decoder(reader)
     events = [(record.log_ns, decode.message(record)) for record in happened]
     ours = [(at_ns, event) for at_ns, event in events if event is not None and event.DESCRIPTOR.name == "Fault"]
-    return Recorded(path, reader, _attached(path, reader), ours, last_ns)
+    return Recorded(path, reader, _attached(path, reader), ours, reader.last_ns)
 
 
-def script(path: Path) -> Scenario:
+def script(path: Path, tell: Tell = lambda _: None) -> Scenario:
     """The scenario of a log, its faults taken from what happened.
 
     Raises:
         LogReadError: there is no log to read.
         ScriptError: it holds no scenario of ours.
     """
-    return recorded(path).script()
+    return recorded(path, tell).script()
 
 
 def _attached(path: Path, reader: LogReader) -> str:

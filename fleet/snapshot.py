@@ -22,7 +22,7 @@ from agents.plugins import resumable
 from fleet.errors import FleetError
 from fleet.log_values import Decoder
 from fleet.quantities import show_time
-from fleet.reader import LogReader, log_path
+from fleet.reader import LogReader, Tell, log_path
 
 if TYPE_CHECKING:
     from fleet.schema import ScenarioSpec
@@ -115,7 +115,7 @@ def _resumable(kind: str, law: Law) -> bool:
         return False
 
 
-def find(path: Path, at_ns: int | None = None) -> Snapshot:
+def find(path: Path, at_ns: int | None = None, tell: Tell = lambda _: None) -> Snapshot:
     """The last snapshot of a log up to a time; None: the last there is.
 
     Raises:
@@ -123,17 +123,16 @@ def find(path: Path, at_ns: int | None = None) -> Snapshot:
         SnapshotError: it has no such snapshot.
     """
     path = log_path(path)
-    reader = LogReader(path)
+    reader = LogReader(path, tell)
     decode = Decoder(reader)
-    times: list[int] = []
+    first: int | None = None
     found: bytes | None = None
-    for record in reader:
-        if record.topic == TOPIC:
-            times.append(record.log_ns)
-            if at_ns is None or record.log_ns <= at_ns:
-                found = decode.message(record).state
+    for record in reader.of([TOPIC]):
+        first = record.log_ns if first is None else first
+        if at_ns is None or record.log_ns <= at_ns:
+            found = decode.message(record).state
     if found is None:
-        there = f"the first is at {show_time(times[0])}" if times else _none(reader)
+        there = f"the first is at {show_time(first)}" if first is not None else _none(reader)
         raise SnapshotError(
             f"{path} has no snapshot" + ("" if at_ns is None else f" up to {show_time(at_ns)}") + f": {there}"
         )

@@ -14,10 +14,11 @@ PLAIN_S = 5.0
 class StatusLine:
     """Ask `due` as often as you like, and `show` something when it is."""
 
-    def __init__(self, terminal: Terminal, *, quiet: bool) -> None:
+    def __init__(self, terminal: Terminal, *, quiet: bool, first_s: float | None = None) -> None:
+        """`first_s`: how long nothing is shown at first; by default nothing on a terminal, a while elsewhere."""
         self._terminal, self._quiet = terminal, quiet
         self._live = terminal.is_terminal
-        self._next = 0.0 if self._live else time.monotonic() + PLAIN_S
+        self._next = time.monotonic() + ((0.0 if self._live else PLAIN_S) if first_s is None else first_s)
         self._shown = False
 
     def __enter__(self) -> StatusLine:

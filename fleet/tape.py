@@ -1,39 +1,31 @@
-"""An MCAP file as a tape: every message by its number, without holding the payloads in memory.
+"""An MCAP file as a tape: every message by its number, without holding the file in memory.
 
-One pass over the file notes where each chunk lies and when each message is due, and checks the chunks; a message
-costs 10 bytes of memory, and a chunk is decompressed again when one of its messages is wanted. What cannot be read
-ends the tape there, with a word on what is missing.
+One pass over the file checks it, and notes where each stretch of it (a chunk, or many small ones) lies, how many
+messages it holds of which channels, and when they are due. A stretch is unpacked again when one of its messages is
+wanted. What cannot be read ends the tape there, with a word on what is missing.
 """
 
 from __future__ import annotations
 
-import io
-import struct
 from array import array
-from bisect import bisect_right
+from bisect import bisect_left, bisect_right
 from collections import OrderedDict
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from pathlib import Path
-from typing import IO, Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from mcap.data_stream import ReadDataStream
-from mcap.exceptions import McapError
-from mcap.opcode import Opcode
-from mcap.records import Channel, Chunk, Header, Metadata, Schema
-from mcap.stream_reader import CRCValidationError, get_chunk_data_stream
-from zstandard import ZstdError
+from mcap.records import Channel, Schema
 
-from fleet.reader import LogReadError, open_file
-from fleet.salvage import MAGIC
+from fleet.reader import LogReader, LogReadError, Tell, open_file
+from fleet.records import Array, Block, together
+from fleet.salvage import Salvage
 
-Times = np.ndarray[Any, np.dtype[np.int64]]
-Numbers = np.ndarray[Any, np.dtype[np.int64]]
-
-_HEAD = struct.Struct("<BQ")
-_MESSAGE = struct.Struct("<HIQQ")
-_DECODED = 3  # chunks kept decompressed: the one played, and both sides of it
-_CUT = "the file is cut: it was not closed, or is still being written"
+_STRETCH = 1 << 20  # bytes unpacked, at least, but at the end
+_LATEST = (1 << 64) - 1  # ns
+_CHOSEN = 4  # stretches of which a track knows what is chosen
+_EACH = 50  # bytes that a message of a stretch takes beside its record
+_HELD = 96 << 20  # bytes of stretches that are kept unpacked, beside the last two
 
 
 class Entry(NamedTuple):
@@ -46,154 +38,204 @@ class Entry(NamedTuple):
     data: bytes
 
 
-class _Block(NamedTuple):
-    """Where messages lie: a chunk of the file, or messages that stand outside chunks, as they are."""
+class _Stretch(NamedTuple):
+    """A part of the file, unpacked."""
 
-    offset: int
-    length: int
-    loose: bytes | None
+    block: Block
+    due: Array  # when each message is due [ns]: never earlier than one before it
+
+    @property
+    def size(self) -> int:
+        return len(self.block.data) + _EACH * len(self.block)
 
 
 class Tape:
     """The messages of an MCAP file in the order of the file."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, tell: Tell = lambda _: None) -> None:
         """Read it through.
 
         Raises:
             LogReadError: the file cannot be opened, is no MCAP file, or has no complete message.
         """
         self.path = path
-        self.profile = ""
-        self.schemas: dict[int, Schema] = {}
-        self.channels: dict[int, Channel] = {}
-        self.metadata: dict[str, dict[str, str]] = {}
-        self.missing = ""  # why the file is not whole; "" if it is
-        self._blocks: list[_Block] = []
-        self._firsts: list[int] = []  # number of each block's first message
-        self._times = array("q")
-        self._of = array("H")
-        self._loose = bytearray()
-        self._decoded: OrderedDict[int, tuple[bytes, list[tuple[int, int]]]] = OrderedDict()
-        try:
-            with open_file(path) as file:
-                self._scan(file)
-        except (CRCValidationError, ZstdError):
-            self.missing = "a chunk is damaged (a flipped bit, for instance); the tape ends before it"
-        # A cut or damaged file is any of these to mcap's parser.
-        except (McapError, struct.error, ValueError, KeyError, EOFError, MemoryError, OverflowError):
-            self.missing = _CUT
-        self._end_loose()
-        if not self._times:
+        self._reader = reader = LogReader(path, tell)
+        self._offsets = array("Q")  # where each stretch begins
+        self._firsts = array("Q")  # number of its first message
+        self._dues = array("Q")  # when that is due
+        self._floors = array("Q")  # when the message before it is due
+        self.counts: list[tuple[Array, Array]] = []  # channels of each stretch, and how many messages
+        self._open: OrderedDict[int, _Stretch] = OrderedDict()
+        total, latest = 0, 0
+        pending: list[Block] = []
+
+        def enter() -> None:
+            nonlocal total, latest
+            channel = np.concatenate([block.channel for block in pending])
+            self._offsets.append(pending[0].offset)
+            self._firsts.append(total)
+            self._floors.append(latest)
+            self._dues.append(max(latest, int(pending[0].log_ns[0])))
+            kinds, counts = np.unique(channel, return_counts=True)
+            self.counts.append((kinds, counts.astype(np.uint32)))
+            total += len(channel)
+            latest = max(latest, *(int(block.log_ns.max()) for block in pending))
+            pending.clear()
+
+        for block in reader.blocks():
+            if pending and block.offset != pending[-1].offset and _size(pending) >= _STRETCH:
+                enter()
+            pending.append(block)
+        if pending:
+            enter()
+        self.missing = reader.missing
+        if not total:
             raise LogReadError(f"{path} holds no message{f': {self.missing}' if self.missing else ''}")
-        # A message earlier than the one before it is due together with it: the order of the file is kept.
-        self.times: Times = np.maximum.accumulate(np.frombuffer(self._times, dtype=np.int64))
-        self.channel_of: np.ndarray[Any, np.dtype[np.uint16]] = np.frombuffer(self._of, dtype=np.uint16)
+        self._total, self.end_ns = total, latest
 
     def __len__(self) -> int:
-        return len(self._times)
+        return self._total
 
     def __getitem__(self, number: int) -> Entry:
         """Message `number`, from 0."""
-        block = bisect_right(self._firsts, number) - 1
-        data, places = self._open(block)
-        at, end = places[number - self._firsts[block]]
-        channel, sequence, log_ns, publish_ns = _MESSAGE.unpack_from(data, at)
-        return Entry(self.channels[channel], sequence, log_ns, publish_ns, data[at + _MESSAGE.size : end])
+        k, within = self._place(number)
+        return next(self.entries(k, np.array([within])))
 
-    def _scan(self, file: IO[bytes]) -> None:
-        size = self.path.stat().st_size
-        offset = len(MAGIC)
-        file.seek(offset)
-        while True:
-            opcode, length = _HEAD.unpack(file.read(_HEAD.size))
-            offset += _HEAD.size
-            if offset + length > size:
-                raise EOFError
-            if opcode == Opcode.DATA_END:
-                return
-            if opcode == Opcode.CHUNK:
-                self._end_loose()
-                content = _chunk(file, offset, length)
-                self._note(content, _Block(offset, length, None))
-            elif opcode in (Opcode.HEADER, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.METADATA, Opcode.MESSAGE):
-                record = file.read(length)
-                if opcode == Opcode.MESSAGE:
-                    self._loose += _HEAD.pack(opcode, length) + record
-                else:
-                    self._take(opcode, record)
-            offset += length
-            file.seek(offset)
+    def entries(self, k: int, numbers: Array) -> Iterator[Entry]:
+        """Messages of part `k` of the file, by their numbers there."""
+        block, channels = self.stretch(k).block, self.channels
+        some = block.take(numbers)
+        for message in some.messages():
+            yield Entry(channels[message.channel], *message[1:])
 
-    def _end_loose(self) -> None:
-        if self._loose:
-            content = bytes(self._loose)
-            self._loose.clear()
-            self._note(content, _Block(0, 0, content))
+    @property
+    def channels(self) -> dict[int, Channel]:
+        """By number."""
+        return self._reader.channels
 
-    def _note(self, content: bytes, block: _Block) -> None:
-        """Enter a block's messages, all or none."""
-        times, channels = array("q"), array("H")
-        for at, _ in _messages(content, self._take):
-            channel, _, log_ns, _ = _MESSAGE.unpack_from(content, at)
-            self.channels[channel]  # a message of no channel is damage: KeyError
-            times.append(log_ns)
-            channels.append(channel)
-        self._blocks.append(block)
-        self._firsts.append(len(self._times))
-        self._times += times
-        self._of += channels
+    @property
+    def schemas(self) -> dict[int, Schema]:
+        """By number."""
+        return self._reader.schemas
 
-    def _take(self, opcode: int, record: bytes) -> None:
-        stream = ReadDataStream(io.BytesIO(record))
-        match opcode:
-            case Opcode.HEADER:
-                self.profile = Header.read(stream).profile
-            case Opcode.SCHEMA:
-                schema = Schema.read(stream)
-                self.schemas[schema.id] = schema
-            case Opcode.CHANNEL:
-                channel = Channel.read(stream)
-                self.channels[channel.id] = channel
-            case Opcode.METADATA:
-                metadata = Metadata.read(stream)
-                self.metadata[metadata.name] = dict(metadata.metadata)
+    @property
+    def metadata(self) -> dict[str, dict[str, str]]:
+        """By name."""
+        return self._reader.metadata
 
-    def _open(self, number: int) -> tuple[bytes, list[tuple[int, int]]]:
-        if number in self._decoded:
-            self._decoded.move_to_end(number)
-            return self._decoded[number]
-        block = self._blocks[number]
-        content = block.loose
-        if content is None:
-            with open_file(self.path) as file:
-                content = _chunk(file, block.offset, block.length)
-        found = content, list(_messages(content, lambda opcode, record: None))
-        self._decoded[number] = found
-        if len(self._decoded) > _DECODED:
-            self._decoded.popitem(last=False)
+    @property
+    def profile(self) -> str:
+        """What kind of file it says it is."""
+        return self._reader.profile
+
+    def due(self, number: int) -> int:
+        """When message `number` is due [ns]: never earlier than one before it."""
+        k, within = self._place(number)
+        return int(self.stretch(k).due[within])
+
+    def _place(self, number: int) -> tuple[int, int]:
+        if not 0 <= number < self._total:
+            raise IndexError(number)
+        k = bisect_right(self._firsts, number) - 1
+        return k, number - self._firsts[k]
+
+    def first(self, k: int) -> int:
+        """The number of the first message of part `k` of the file."""
+        return self._firsts[k]
+
+    def stretch_before(self, ns: int) -> int:
+        """The last part of the file whose first message is due before a time; -1: none."""
+        return bisect_left(self._dues, ns) - 1
+
+    def stretch(self, k: int) -> _Stretch:
+        """Part `k` of the file, unpacked.
+
+        Raises:
+            LogReadError: the file is not what it was when it was read through.
+        """
+        if k in self._open:
+            self._open.move_to_end(k)
+            return self._open[k]
+        end = self._firsts[k + 1] if k + 1 < len(self._firsts) else self._total
+        wanted = end - self._firsts[k]
+        while len(self._open) > 1 and sum(stretch.size for stretch in self._open.values()) > _HELD:
+            self._open.popitem(last=False)
+        self._open[k] = found = _unpack(self.path, self._offsets[k], wanted, self._floors[k])
         return found
 
 
-def _chunk(file: IO[bytes], offset: int, length: int) -> bytes:
-    """What a chunk holds, decompressed and checked."""
-    file.seek(offset)
-    chunk = Chunk.read(ReadDataStream(io.BytesIO(file.read(length))))
-    stream, size = get_chunk_data_stream(chunk, validate_crc=True)
-    return bytes(stream.read(size))
+class Track:
+    """The messages of some channels of a tape, by their numbers among themselves, with the times when they are due."""
+
+    def __init__(self, tape: Tape, channels: Collection[int]) -> None:
+        self._tape = tape
+        self._channels = np.fromiter(channels, np.uint16, len(channels))
+        self._firsts = array("Q")
+        total = 0
+        for kinds, counts in tape.counts:
+            self._firsts.append(total)
+            total += int(counts[np.isin(kinds, self._channels)].sum())
+        self._total = total
+        self._chosen: OrderedDict[int, tuple[Array, Array]] = OrderedDict()
+
+    def __len__(self) -> int:
+        return self._total
+
+    def __getitem__(self, index: int) -> int:
+        """When message `index` is due [ns]; never earlier than one before it on the tape."""
+        k, within = self._place(index)
+        return int(self._of(k)[1][within])
+
+    def entries(self, some: range) -> Iterator[tuple[int, Entry]]:
+        """Messages that follow on one another, each with its number on the tape."""
+        at = some.start
+        while at < some.stop:
+            k, within = self._place(at)
+            numbers = self._of(k)[0][within : within + some.stop - at]
+            first = self._tape.first(k)
+            yield from zip((numbers + first).tolist(), self._tape.entries(k, numbers), strict=True)
+            at += len(numbers)
+
+    def before(self, ns: int) -> int:
+        """How many are due before a time."""
+        k = self._tape.stretch_before(ns)
+        if k < 0:
+            return 0
+        return self._firsts[k] + int(np.searchsorted(self._of(k)[1], np.uint64(min(max(ns, 0), _LATEST))))
+
+    def _place(self, index: int) -> tuple[int, int]:
+        if not 0 <= index < self._total:
+            raise IndexError(index)
+        k = bisect_right(self._firsts, index) - 1
+        return k, index - self._firsts[k]
+
+    def _of(self, k: int) -> tuple[Array, Array]:
+        """Numbers within a stretch, and due times, of those that are chosen."""
+        if k not in self._chosen:
+            stretch = self._tape.stretch(k)
+            numbers = np.flatnonzero(np.isin(stretch.block.channel, self._channels))
+            self._chosen[k] = numbers, stretch.due[numbers]
+            if len(self._chosen) > _CHOSEN:
+                self._chosen.popitem(last=False)
+        return self._chosen[k]
 
 
-def _messages(content: bytes, other: Any) -> Iterator[tuple[int, int]]:
-    """(begin, end) of every message record; `other(opcode, bytes)` is given the rest."""
-    at, size = 0, len(content)
-    while at < size:
-        opcode, length = _HEAD.unpack_from(content, at)
-        at += _HEAD.size
-        end = at + length
-        if end > size:
-            raise EOFError
-        if opcode == Opcode.MESSAGE:
-            yield at, end
-        else:
-            other(opcode, content[at:end])
-        at = end
+def _unpack(path: Path, offset: int, messages: int, floor: int) -> _Stretch:
+    blocks: list[Block] = []
+    found = 0
+    with open_file(path) as file:
+        for item in Salvage(file, at=offset):
+            if isinstance(item, Block):
+                blocks.append(item)
+                found += len(item)
+            if found >= messages:
+                break
+    if found < messages:
+        raise LogReadError(f"{path} is not what it was: something wrote to it meanwhile")
+    block = together(blocks).take(np.arange(messages))
+    # A message earlier than the one before it is due together with it: the order of the file is kept.
+    return _Stretch(block, np.maximum(np.maximum.accumulate(block.log_ns), np.uint64(floor)))
+
+
+def _size(blocks: list[Block]) -> int:
+    return sum({block.offset: len(block.data) for block in blocks}.values())

@@ -64,7 +64,12 @@ class Verification:
 Tell = Callable[[float, float], None]  # sim time that is verified, and up to which there is something to verify [s]
 
 
-def verify(path: Path, tell: Tell = lambda at_s, end_s: None, trust: Trust = NOTHING) -> Verification:
+def verify(
+    path: Path,
+    tell: Tell = lambda at_s, end_s: None,
+    trust: Trust = NOTHING,
+    reading: Callable[[float], None] = lambda share: None,
+) -> Verification:
     """Run a log again and compare.
 
     Args:
@@ -78,7 +83,7 @@ def verify(path: Path, tell: Tell = lambda at_s, end_s: None, trust: Trust = NOT
         NothingToVerify: no message of it is left.
         NotRecordedError: it has an external agent, but not all of its commands.
     """
-    source = recorded(path)
+    source = recorded(path, reading)
     path, reader, last_ns = source.path, source.reader, source.last_ns
     source.insist_on_lockstep("it does not come out the same again")
     if last_ns < 0:

@@ -20,7 +20,7 @@ from agents.plugins import admit
 from agents.trust import NOTHING, Trust
 from fleet.errors import FleetError
 from fleet.log_values import Decoder
-from fleet.reader import LogReader, log_path
+from fleet.reader import LogReader, Tell, log_path
 from fleet.scenario import Scenario
 from fleet.script import recorded as read
 from fleet.trust import A_LOG, Policy
@@ -71,7 +71,7 @@ def whatif(
 
     Args:
         overrides: `key=value`, as for `fleet run --set`; they concern this agent alone.
-        progress: told the share that is done, now and then.
+        progress: told the share that is done, now and then; of the two readings of the log, and then of the agent.
         trust: which modules of this agent's laws may run besides those that are installed and those in `overrides`.
 
     Raises:
@@ -80,7 +80,7 @@ def whatif(
         WhatIfError: the agent is not there, its navigation was thinned, or its law may not run, or failed.
     """
     path = log_path(path)
-    source = read(path)
+    source = read(path, progress)
     source.insist_on_lockstep("what an agent had heard when is not in it")
     scenario, recorded = source.script(overrides, Policy(trust, imports=False)), source.script()
     if scenario.vehicles != recorded.vehicles or scenario.tick_ns != recorded.tick_ns:
@@ -97,7 +97,7 @@ def whatif(
         scenario.layout(agent)
     except AgentError as error:
         raise WhatIfError(f"{path}: {error}") from None
-    navs, commands, deliveries = _read(path, agent, scenario.tick_ns)
+    navs, commands, deliveries = _read(path, agent, scenario.tick_ns, progress)
     if not navs:
         raise WhatIfError(f"{path} has no navigation of agent {agent}")
     lives = Lives(recorded.faults.absences)
@@ -156,13 +156,13 @@ class _Answers:
 
 
 def _read(
-    path: Path, agent: int, tick_ns: int
+    path: Path, agent: int, tick_ns: int, tell: Tell
 ) -> tuple[list[tuple[int, tuple[float, ...]]], dict[int, tuple[float, ...]], list[Delivery]]:
     """(tick, measured eta and nu) of every sample; the commands by tick; what was delivered, in order."""
     navs: list[tuple[int, tuple[float, ...]]] = []
     commands: dict[int, tuple[float, ...]] = {}
     deliveries: list[Delivery] = []
-    reader = LogReader(path)
+    reader = LogReader(path, tell)
     decode = Decoder(reader).message
     nav, command = f"uuv/{agent}/nav", f"uuv/{agent}/command"
     for record in reader:

@@ -266,8 +266,10 @@ def test_ages_are_those_of_the_result(name: str, runs: dict[str, Run], directori
     """An oracle: `netem.ages` counts them in closed form while the run goes on."""
     run = runs[name]
     result = json.loads((directories[name] / "result.json").read_text())["ages"]
+    ticks = round(run.log.end / run.tick_s) + 1
+    ticks = min(ticks, int(run.log.run["ticks"]))
     for link in run.log.links:
-        ages = exchange.age(run, link) * run.tick_s
+        ages = exchange.peak_ages(run, link, (np.arange(ticks + 1) - 0.5) * run.tick_s)
         told = result[f"{link[0]}->{link[1]}"]
         assert (ages.mean(), ages.max()) == pytest.approx((told["mean_s"], told["max_s"]))
 
@@ -377,7 +379,8 @@ def test_plot_command(directories: dict[str, Path], tmp_path: Path) -> None:
     what = ["--what", "error,links", "--format", "png,svg,pdf"]
     arguments = ["plot", str(directories["faulty"]), "-o", str(tmp_path), *what]
     result = CliRunner().invoke(cli, arguments, catch_exceptions=False)
-    assert (result.exit_code, result.stderr) == (0, "")
+    said = [line for line in result.stderr.splitlines() if not line.startswith(("reading: ", "drawing: "))]
+    assert (result.exit_code, said) == (0, [])
     assert result.stdout.split() == [
         str(tmp_path / f"{name}.{form}") for name in ("error", "formation", "links") for form in ("png", "svg", "pdf")
     ]
@@ -455,7 +458,8 @@ class Page(HTMLParser):
 def test_report_is_one_file_that_loads_nothing(directories: dict[str, Path], tmp_path: Path) -> None:
     out = tmp_path / "r.html"
     result = CliRunner().invoke(cli, ["report", str(directories["faulty"]), "-o", str(out)], catch_exceptions=False)
-    assert (result.exit_code, result.stdout, result.stderr) == (0, f"{out}\n", "")
+    said = [line for line in result.stderr.splitlines() if not line.endswith(" %")]  # progress of a slow machine
+    assert (result.exit_code, result.stdout, said) == (0, f"{out}\n", [])
     text = out.read_text("utf-8")
     found = Page(text)
     assert all(load.startswith("data:image/png;base64,") for load in found.loads)

@@ -25,10 +25,10 @@ from mcap.reader import make_reader
 from mcap.writer import Writer
 
 from fleet.cli import cli
-from fleet.reader import GAPS, LOST, MAGIC, RECOVERY, LogReader, LogReadError, Record
+from fleet.reader import GAPS, LOST, RECOVERY, LogReader, LogReadError, Record
+from fleet.records import MAGIC, MOST_BYTES
 from fleet.recover import Recovered, RecoverError, recover
 from fleet.run import Options, execute
-from fleet.salvage import MOST_BYTES
 from fleet.scenario import load_scenario
 
 TESTS = Path(__file__).parent

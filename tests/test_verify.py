@@ -22,12 +22,14 @@ from fleet.cli import cli
 from fleet.deviation import compare
 from fleet.log_values import Decoder
 from fleet.reader import LogReader, open_file
+from fleet.records import Block, Message
 from fleet.recover import Copy, Recovered, recover
 from fleet.run import Options, Status, execute
-from fleet.salvage import Item, Message, Salvage
+from fleet.salvage import Item, Salvage
 from fleet.scenario import load_scenario
 from fleet.verify import Verification, describe, verify
 
+Part = Item | Message
 ROUGH = "network.links={'*': 'delay 200ms 50ms loss 30%'}"
 FAULTS = (
     "faults=[{at: 300 ms, for: 400 ms, link 1<->2: delay 50ms 20ms loss gemodel 10% 30% duplicate 20% corrupt 10%}, "
@@ -65,22 +67,29 @@ def tool(*arguments: object) -> Result:
     return result
 
 
-def altered(log: Path, out: Path, change: Callable[[int, Item], Item | None]) -> Path:
+def altered(log: Path, out: Path, change: Callable[[int, Part], Part | None]) -> Path:
     """A copy of a log, each item changed, or left out; messages are numbered, everything else is -1."""
     number = 0
     with open_file(log) as source, out.open("wb") as target:
         copy = Copy(target, Recovered(log, out))
-        for item in Salvage(source):
+        for item in (part for found in Salvage(source) for part in parts(found)):
             is_message = isinstance(item, Message)
             changed = change(number if is_message else -1, item)
             number += is_message
-            if changed is not None:
+            if isinstance(changed, Message):
+                copy.message(changed)
+            elif changed is not None and not isinstance(changed, Block):
                 copy.take(changed)
         copy.finish({})
     return out
 
 
-def at(number: int, change: Callable[[Message], Message | None]) -> Callable[[int, Item], Item | None]:
+def parts(item: Item) -> list[Part]:
+    """The same, a block as its messages."""
+    return list(item.messages()) if isinstance(item, Block) else [item]
+
+
+def at(number: int, change: Callable[[Message], Message | None]) -> Callable[[int, Part], Part | None]:
     """A change of one message."""
     return lambda n, item: change(item) if n == number and isinstance(item, Message) else item
 
@@ -208,7 +217,7 @@ def test_a_message_less_or_more(log: Path, tmp_path: Path) -> None:
     twice = altered(log, tmp_path / "more", lambda n, item: item)
     last = list(LogReader(log))[-1]
 
-    def doubled(n: int, item: Item) -> Item:
+    def doubled(n: int, item: Part) -> Part:
         return item._replace(sequence=last.sequence + 1) if isinstance(item, Message) and n == count - 1 else item
 
     found = verify(altered(twice, tmp_path / "other", doubled))
@@ -218,7 +227,7 @@ def test_a_message_less_or_more(log: Path, tmp_path: Path) -> None:
 
 
 def test_metadata_that_contradict_the_scenario(log: Path, tmp_path: Path) -> None:
-    def change(n: int, item: Item) -> Item:
+    def change(n: int, item: Part) -> Part:
         return replace(item, metadata=item.metadata | {"seed": "7"}) if isinstance(item, Metadata) else item
 
     result = tool("verify", altered(log, tmp_path / "a", change))
@@ -227,7 +236,7 @@ def test_metadata_that_contradict_the_scenario(log: Path, tmp_path: Path) -> Non
 
 
 def test_another_seed_in_the_scenario(log: Path, tmp_path: Path) -> None:
-    def change(n: int, item: Item) -> Item:
+    def change(n: int, item: Part) -> Part:
         if isinstance(item, Attachment):
             return replace(item, data=item.data.replace(b"seed: 1", b"seed: 2"))
         return item
@@ -240,7 +249,7 @@ def test_other_versions_are_a_likely_reason(log: Path, tmp_path: Path) -> None:
     """Said only when something differs: by themselves they are no fault."""
     older = {"piqp": "0.5.0", "law my:Law": "sha256 abc"}
 
-    def change(n: int, item: Item) -> Item:
+    def change(n: int, item: Part) -> Part:
         if isinstance(item, Metadata):
             return replace(item, metadata=item.metadata | older)
         return flipped(item) if isinstance(item, Message) and n == 50 else item
@@ -273,7 +282,7 @@ def test_a_recovered_log_with_a_gap(log: Path, tmp_path: Path) -> None:
 def test_scenarios_that_do_not_run_here(log: Path, tmp_path: Path) -> None:
     """A law that is not installed, a key of another version: status 2 and what is wrong."""
 
-    def change(n: int, item: Item) -> Item:
+    def change(n: int, item: Part) -> Part:
         if isinstance(item, Attachment):
             return replace(item, data=item.data + b"\nno_such_key: 1\n")
         return item

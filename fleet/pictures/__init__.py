@@ -11,6 +11,8 @@ from fleet.errors import FleetError
 from fleet.pictures import exchange, signals, timing, track
 from fleet.pictures.runs import Look, NothingToDraw, Run, check_look, load
 from fleet.plotting import save
+from fleet.reader import Tell
+from fleet.topic import TooLargeError
 
 Draw = Callable[[Sequence[Run], Look], Figure]
 
@@ -36,10 +38,17 @@ WHAT: dict[str, tuple[tuple[str, str, Draw], ...]] = {
 PER_RUN = frozenset({"links", "messages", "timing"})  # those that show one run only: of several, each has its own
 
 
-def draw(what: Sequence[str], runs: Sequence[Run], look: Look) -> Iterator[tuple[str, str, Figure | str]]:
-    """(file name, what it shows, the figure or why there is none) of everything that is asked for."""
+def draw(
+    what: Sequence[str], runs: Sequence[Run], look: Look, share: Tell = lambda _: None
+) -> Iterator[tuple[str, str, Figure | str]]:
+    """(file name, what it shows, the figure or why there is none) of everything that is asked for.
+
+    Args:
+        share: told before each how much is done.
+    """
     asked_for_all = set(what) == set(WHAT)
-    for kind in what:
+    for number, kind in enumerate(what):
+        share(number / len(what))
         if kind == "timing" and asked_for_all and not any(map(timing.on_wall_clock, runs)):
             continue
         for name, title, make in WHAT[kind]:
@@ -49,7 +58,7 @@ def draw(what: Sequence[str], runs: Sequence[Run], look: Look) -> Iterator[tuple
                 shown = title if len(each) == 1 else f"{title}: {some[0].label}"
                 try:
                     yield called, shown, make(some, look)
-                except NothingToDraw as reason:
+                except (NothingToDraw, TooLargeError) as reason:
                     yield called, shown, str(reason)
 
 
@@ -60,11 +69,13 @@ def write(
     folder: Path,
     formats: Sequence[str],
     tell: Callable[[str], None],
+    share: Tell = lambda _: None,
 ) -> list[Path]:
     """Draw into a folder, which is made if need be; returns the files.
 
     Args:
         tell: told in a sentence what could not be drawn.
+        share: told before each picture how much is done.
 
     Raises:
         PictureError: the folder cannot be written.
@@ -72,7 +83,7 @@ def write(
     paths: list[Path] = []
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        for name, _, figure in draw(what, runs, look):
+        for name, _, figure in draw(what, runs, look, share):
             if isinstance(figure, str):
                 tell(f"{name}: not drawn: {figure}")
             else:

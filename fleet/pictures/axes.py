@@ -13,11 +13,12 @@ from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from fleet.arrays import Array, FaultInterval
+from fleet.arrays import FaultInterval
 from fleet.colours import COLOURS
 from fleet.faults import is_fault
 from fleet.pictures.runs import Look, NothingToDraw, Run, first_words
 from fleet.plotting import COLUMN_IN, STYLES, panels
+from fleet.records import Array
 
 LABEL_PT = 6.0
 LABEL_ROWS = 6  # of names of faults; what does not fit there is shaded without its name

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -13,12 +13,12 @@ from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from fleet.arrays import Array
 from fleet.colours import COLOURS
 from fleet.fields import vehicle_numbers
 from fleet.pictures.axes import SPAN_IN, finish, legend_of, marks_legend, over_time
 from fleet.pictures.runs import Look, NothingToDraw, Run
 from fleet.plotting import plain_decades
+from fleet.records import Array
 from netem.config import Link
 from netem.impairment import DELIVERED, IN_FLIGHT, REPLACED
 
@@ -45,6 +45,7 @@ FATES: dict[str, tuple[str, str]] = {
     "dead receiver": ("H", "#E69F00"),
 }
 _RASTER = 4000  # marks; more are drawn as an image within a vector file
+_MOST_MARKS = 10_000  # of one fate in a row: a picture is not so many points wide
 _BINS = 300  # of the time axis of the ages, at most; twice as many where every tooth can be seen
 _ROUNDS = 12  # shown by the space-time diagram unless a window is given
 _MOST_NAMED = 36  # rows
@@ -86,12 +87,16 @@ def timeline(runs: Sequence[Run], look: Look) -> Figure:
     tall = float(np.clip(72.0 * height / len(links) * 0.6, 1.6, 6.0))
     rows = {link: k for k, link in enumerate(links)}
     by_fate: dict[str, list[tuple[Array, Array]]] = {}
+    counts: Counter[str] = Counter()
     total = 0
     for link in links:
         sent, _, fate, _ = _fates(run, link)
         inside = (sent >= first) & (sent <= last)
         for name in set(fate[inside]):
             at = sent[inside & (fate == name)]
+            counts[name] += len(at)
+            if len(sent) > _MOST_MARKS:  # as close to one another as that, they are one mark
+                at = at[np.unique(np.floor((at - first) / (last - first) * _MOST_MARKS), return_index=True)[1]]
             by_fate.setdefault(name, []).append((at, np.full(len(at), rows[link])))
             total += len(at)
     if not by_fate:
@@ -108,7 +113,7 @@ def timeline(runs: Sequence[Run], look: Look) -> Figure:
             zorder=1.5 if behind else 2 if thin else 3, rasterized=total > _RASTER, gid=f"fate-{name}",
         )  # fmt: skip
         handles.append(
-            Line2D([], [], linestyle="", marker=mark, color=colour, markersize=5, label=f"{name} ({len(x)})")
+            Line2D([], [], linestyle="", marker=mark, color=colour, markersize=5, label=f"{name} ({counts[name]})")
         )
     ax.set_ylim(len(links) - 0.4, -0.6)
     _name_rows(ax, links)
@@ -141,9 +146,8 @@ def spacetime(runs: Sequence[Run], look: Look) -> Figure:
     lines: dict[str, list[Any]] = {}
     ends: dict[str, list[tuple[float, float]]] = {}
     for (a, b), (sent, due, fate, _) in packets.items():
-        for s, d, name in zip(sent, due, fate, strict=True):
-            if s > last or max(s, d) < first:
-                continue
+        shown = (sent <= last) & (np.maximum(sent, due) >= first)
+        for s, d, name in zip(sent[shown], due[shown], fate[shown], strict=True):
             # A lost one turns off before it arrives; one whose due time is its sending time has a slope all the same.
             lost = name not in (DELIVERED, CORRUPTED, IN_FLIGHT)
             share = 0.45 if lost else 1.0
@@ -212,17 +216,37 @@ def _numbers(text: str) -> Sequence[int]:
         return ()
 
 
-def age(run: Run, link: Link) -> Array:
-    """The age of information on a link at every tick that was started, in ticks: see `netem.ages`."""
+def peak_ages(run: Run, link: Link, edges: Array) -> Array:
+    """The largest age [s] of information on a link in each interval between two edges [s]: see `netem.ages`.
+
+    Only ticks that were started count; NaN where there is none. The age grows until something newer arrives, so that
+    the largest of an interval is at its last tick, or at the tick before an arrival.
+    """
     ticks = int(run.log.run.get("ticks", 0))
     count = min(round(run.log.end / run.tick_s) + 1, ticks) if ticks else round(run.log.end / run.tick_s) + 1
     sent, due, fate, _ = _fates(run, link)
     good = fate == DELIVERED
-    heard = np.zeros(count, np.int64)
     arrived = np.rint(due[good] / run.tick_s).astype(np.int64)
-    inside = arrived < count
-    np.maximum.at(heard, arrived[inside], np.rint(sent[good] / run.tick_s).astype(np.int64)[inside])
-    return np.arange(count) - np.maximum.accumulate(heard)
+    order = np.argsort(arrived, kind="stable")
+    arrived = arrived[order]
+    heard = np.maximum.accumulate(np.rint(sent[good] / run.tick_s).astype(np.int64)[order])
+
+    def age(at: Array) -> Array:
+        known = np.searchsorted(arrived, at, "right")
+        return at - np.where(known > 0, np.append(heard, 0)[known - 1], 0)
+
+    near = np.ceil(edges / run.tick_s)  # the first tick from an edge on, but for a rounding
+    near = near - ((near - 1) * run.tick_s >= edges) + (near * run.tick_s < edges)
+    begins = np.clip(near, 0, count).astype(np.int64)
+    first, behind = begins[:-1], begins[1:]
+    some = behind > first
+    found = np.full(len(edges) - 1, np.nan)
+    found[some] = age(behind[some] - 1)
+    before = arrived[(arrived > 0) & (arrived < count)] - 1
+    place = np.searchsorted(begins, before, "right") - 1
+    inside = (place >= 0) & (place < len(found))
+    np.fmax.at(found, place[inside], age(before[inside]).astype(float))
+    return found * run.tick_s
 
 
 def ages(runs: Sequence[Run], look: Look) -> Figure:
@@ -232,7 +256,7 @@ def ages(runs: Sequence[Run], look: Look) -> Figure:
     figure, axes = over_time(1 + len(runs), runs, look, sum(heights) + 1.2 + 0.2 * len(runs), heights)
     first, last = axes[0].get_xlim()
     edges = np.linspace(first, last, _bins(tables, last - first) + 1)
-    peaks = [np.array([_peaks(age(run, link), run.tick_s, edges) for link in links]) for run, links in tables]
+    peaks = [np.array([peak_ages(run, link, edges) for link in links]) for run, links in tables]
     finite = np.concatenate([table[np.isfinite(table)] for table in peaks])
     if not len(finite):
         raise NothingToDraw("the log holds no tick of that time")
@@ -287,13 +311,3 @@ def _bins(tables: Sequence[tuple[Run, Sequence[Link]]], span: float) -> int:
     if tooth > 8.0 * span / _BINS:
         return 2 * _BINS
     return max(1, min(_BINS, int(span / (2.0 * tooth)))) if tooth else _BINS
-
-
-def _peaks(ticks: Array, tick_s: float, edges: Array) -> Array:
-    """The largest age [s] in each interval between two edges [s]; NaN where there is no tick."""
-    begins = np.clip(np.searchsorted(np.arange(len(ticks)) * tick_s, edges), 0, len(ticks))
-    found = np.full(len(edges) - 1, np.nan)
-    for k, (a, b) in enumerate(pairwise(begins)):
-        if b > a:
-            found[k] = ticks[a:b].max() * tick_s
-    return found

@@ -7,13 +7,15 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from math import inf
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from fleet.arrays import Array, Log, open_log
+from fleet.arrays import Log, open_drawn
 from fleet.errors import FleetError
+from fleet.records import Array
 from fleet.scenario import Scenario
 
 GAP = 1.5  # times the usual distance of two samples: more, and the line is broken
@@ -78,8 +80,11 @@ class Run:
             NothingToDraw: the log is not one of ours.
         """
         try:
-            return int(self.log.run["tick_ns"]) / 1e9
-        except (KeyError, ValueError):
+            tick_s = int(self.log.run["tick_ns"]) / 1e9
+            if not 0.0 < tick_s < inf:
+                raise ValueError
+            return tick_s
+        except (KeyError, ValueError, OverflowError):
             raise NothingToDraw(f"{self.label} is not a log of uuv-fleet: it says nothing of a run") from None
 
     def vehicles(self, look: Look) -> list[int]:
@@ -92,17 +97,20 @@ class Run:
         if topic not in self.log or not len(self.log[topic]) or name not in self.log[topic]:
             return None
         t, values = self.log[topic].t, self.log[topic][name]
-        return with_gaps(t, values.reshape(len(t), -1))
+        return with_gaps(t, values.reshape(len(t), -1), self.log[topic].step_ns / 1e9)
 
 
-def load(paths: Sequence[Path], progress: Callable[[float], None] = lambda _: None) -> list[Run]:
+def load(paths: Sequence[Path], share: Callable[[float], None] = lambda _: None) -> list[Run]:
     """Read logs; each is called after its scenario, or its directory where that would not tell them apart.
+
+    Args:
+        share: told the share of each file that was read, now and then.
 
     Raises:
         LogReadError: one of them cannot be read.
     """
     # Poses are states in another form.
-    logs = [open_log(path, _WANTED, progress) for path in paths]
+    logs = [open_drawn(path, _WANTED, share, _DRAWN) for path in paths]
     names = [_name(log) for log in logs]
     often = Counter(names)
     labels = [name if often[name] == 1 else _place(log) for name, log in zip(names, logs, strict=True)]
@@ -117,6 +125,9 @@ def load(paths: Sequence[Path], progress: Callable[[float], None] = lambda _: No
 _WANTED = ["uuv/*/state", "uuv/*/command", "uuv/*/guidance", "uuv/*/control", "uuv/*/error", "faults", "link/*"]
 
 
+_DRAWN = {"link/*": frozenset({"seq", "copy", "sent", "due", "fate", "corrupted"})}  # without payloads
+
+
 def _name(log: Log) -> str:
     return log.run.get("scenario", "") or log.path.stem
 
@@ -126,12 +137,15 @@ def _place(log: Log) -> str:
     return path.parent.name if path.name == "run.mcap" else path.stem
 
 
-def with_gaps(t: Array, values: Array) -> tuple[Array, Array]:
-    """The same with a NaN wherever samples are missing, so that no line is drawn across: an agent was dead."""
+def with_gaps(t: Array, values: Array, step: float = 0.0) -> tuple[Array, Array]:
+    """The same with a NaN wherever samples are missing, so that no line is drawn across: an agent was dead.
+
+    Samples may be `step` [s] apart, or as far as they usually are.
+    """
     if len(t) < 3:
         return t, values
     steps = np.diff(t)
-    holes = np.flatnonzero(steps > GAP * np.median(steps))
+    holes = np.flatnonzero(steps > GAP * max(step, float(np.median(steps))))
     if not len(holes):
         return t, values
     return np.insert(t, holes + 1, np.nan), np.insert(values, holes + 1, np.nan, axis=0)

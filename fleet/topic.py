@@ -1,0 +1,261 @@
+"""One topic of a log: its messages as they stand in the file, and as numpy columns when somebody looks at them."""
+
+from __future__ import annotations
+
+import json
+from array import array
+from collections.abc import Callable, Iterable, Mapping
+from functools import cached_property
+
+import numpy as np
+from mcap.records import Channel, Schema
+
+from fleet.columns import Columnizer, Columns, cost, extremes, joined
+from fleet.reader import LogReadError
+from fleet.records import Array, Block
+from netem.grammar import nearest
+
+MOST_HELD = 320 << 20  # bytes of a log that are held at once
+STEP = 8 << 20  # bytes that are decoded at once
+
+
+class LogKeyError(LogReadError, KeyError):
+    """The log has no such topic, or the topic no such field."""
+
+    __str__ = LogReadError.__str__  # KeyError's would put it in quotes
+
+
+class TooLargeError(LogReadError):
+    """More than can be held; says what to do."""
+
+
+class Topic:
+    """The messages of one topic in the order of the file: `.t` [s] and one array per field.
+
+    A field is an attribute (`topic.x`) and an item (`topic["x"]`, also where its name is one of these here): shape
+    (samples,), or (samples, width) for a vector; text and bytes are arrays of objects.
+    """
+
+    def __init__(self, name: str, channel: Channel, schema: Schema | None) -> None:
+        self.name = name
+        self.schema = schema.name if schema is not None else ""
+        self.size = 0  # bytes of all its messages in the log
+        self.last_ns = -1  # the latest time of one
+        self.step_ns = 0  # a picture's samples are so far apart; 0: all are there
+        self._count = 0
+        self._declared = schema if schema is not None and _is_protobuf(channel, schema) else None
+        self._told: dict[str, tuple[str, str]] = _units(channel.metadata)
+        self.fetch: Callable[[Topic], None] | None = None  # reads what is not held
+        self.fields_kept: frozenset[str] | None = None  # None: all
+        self._columnizer: Columnizer | None = None
+        self.drop()
+
+    def drop(self) -> None:
+        """Hold nothing any more."""
+        self._held = False
+        self._data = bytearray()
+        self._lengths = array("I")
+        self._log_ns, self._publish_ns, self._numbers = array("Q"), array("Q"), array("Q")
+        self._parts: list[Columns] = []
+        self._cost = 0  # bytes that the parts take
+        self._columns: Columns | None = None
+        self.__dict__.pop("t", None)
+
+    def refuse(self) -> None:
+        """Hold nothing, and say so to whoever looks."""
+        self.drop()
+        self.fetch = _refuse
+
+    def count(self, block: Block) -> None:
+        """Take notice of more messages."""
+        self._count += len(block)
+        self.size += int((block.end - block.begin).sum())
+        self.last_ns = max(self.last_ns, int(block.log_ns.max()))
+
+    def add(self, block: Block) -> None:
+        """Hold more messages, before the first look at the fields."""
+        self._held = True
+        self._log_ns.frombytes(block.log_ns.tobytes())
+        self._publish_ns.frombytes(block.publish_ns.tobytes())
+        self._numbers.frombytes(block.sequence.astype(np.uint64).tobytes())
+        self._lengths.frombytes((block.end - block.begin).astype(np.uint32).tobytes())
+        self._data += block.payloads()
+
+    @property
+    def cost(self) -> int:
+        """Bytes that it takes now."""
+        return len(self._data) + 28 * len(self._numbers) + self._cost
+
+    def compact(self, most: int = 0) -> None:
+        """Decode what is held as bytes if they are at least so many: the columns take less.
+
+        Raises:
+            LogReadError: they cannot be decoded.
+        """
+        if len(self._data) < most:
+            return
+        if self._columnizer is None:
+            self._columnizer = self.columnizer()
+        lengths = np.frombuffer(self._lengths, np.uint32)
+        ends = np.cumsum(lengths, dtype=np.int64)
+        at = first = 0
+        while first < len(lengths) or not self._parts:
+            stop = max(first + 1, int(np.searchsorted(ends, at + STEP, "right")))
+            behind = int(ends[stop - 1]) if first < len(lengths) else at
+            part = self._columnizer(bytes(memoryview(self._data)[at:behind]), lengths[first:stop])
+            self._parts.append(part)
+            self._cost += cost(part, behind - at)
+            if self._cost > MOST_HELD:
+                raise self.too_large()
+            at, first = behind, stop
+        del lengths
+        self._data, self._lengths = bytearray(), array("I")
+
+    def thin(self, buckets: int) -> None:
+        """Keep the first, the last and each column's extremes of so many spans of time."""
+        self.compact()
+        columns = joined(self._parts)
+        log_ns = np.array(self._log_ns, np.int64)
+        span = int(log_ns.max() - log_ns.min()) + 1
+        self.step_ns = max(self.step_ns, -(-span // buckets), 1)
+        kept = extremes(log_ns // self.step_ns, columns.values())
+        self._parts = [{name: values[kept] for name, values in columns.items()}]
+        self._cost = sum(values.nbytes for values in self._parts[0].values())
+        for held in (self._log_ns, self._publish_ns, self._numbers):
+            some = np.frombuffer(held, np.uint64)[kept].tobytes()
+            del held[:]
+            held.frombytes(some)
+
+    @property
+    def too_many(self) -> bool:
+        """Whether it was too large for a picture, even without its payloads."""
+        return self.fetch is _refuse
+
+    @property
+    def doubles(self) -> bool:
+        """Whether all that is held are numbers."""
+        return bool(self._parts) and all(v.dtype == np.float64 for part in self._parts for v in part.values())
+
+    def too_large(self) -> TooLargeError:
+        """What to say of more than can be held."""
+        every = max(2, -(-4 * self.size // MOST_HELD))
+        return TooLargeError(
+            f"{self.name} holds {self._count} messages of {self.size / 1e6:.0f} MB, more than is held at once: open "
+            f"one of {every} messages, or a part: open_log(path, [{self.name!r}], every={every}) or (..., start=0, "
+            f"end={max(0, self.last_ns) / 1e9 / every:.3g}) [s]"
+        )
+
+    def __len__(self) -> int:
+        return len(self._numbers) if self._held else self._count
+
+    def __repr__(self) -> str:
+        units = self.units
+        shown = ", ".join(f"{name} [{units[name]}]" if units[name] else name for name in self.fields)
+        return f"<{self.name}: {len(self)} samples of {shown}>"
+
+    def __getitem__(self, field: str) -> Array:
+        columns = self._decoded
+        if field not in columns:
+            hint = nearest(field, list(columns))
+            raise LogKeyError(
+                f"{self.name} has no field {field!r}; {hint or 'it has ' + (', '.join(columns) or 'no message')}"
+            )
+        return columns[field]
+
+    def __getattr__(self, field: str) -> Array:
+        if field.startswith("_"):  # pickle, copy and notebooks ask for names of their own
+            raise AttributeError(field)
+        try:
+            return self[field]
+        except LogKeyError as error:
+            raise AttributeError(str(error)) from None
+
+    def __contains__(self, field: object) -> bool:
+        return field in self._decoded
+
+    def __dir__(self) -> Iterable[str]:
+        return [*super().__dir__(), *self.fields]
+
+    @property
+    def fields(self) -> tuple[str, ...]:
+        """The names of the fields, in the order of the schema."""
+        return tuple(self._decoded)
+
+    @cached_property
+    def t(self) -> Array:
+        """When each message was logged, in s of simulated time; of a packet, when it arrived or was lost."""
+        return self.log_ns / 1e9
+
+    @property
+    def log_ns(self) -> Array:
+        """The same in ns, exactly."""
+        return self._stored("_log_ns")
+
+    @property
+    def publish_ns(self) -> Array:
+        """When each message was sent, in ns."""
+        return self._stored("_publish_ns")
+
+    @property
+    def sequence(self) -> Array:
+        """The number of each message: the tick, or of a packet its number on the link."""
+        return self._stored("_numbers")
+
+    def _stored(self, name: str) -> Array:
+        self._need()
+        return np.array(getattr(self, name), np.uint64).astype(np.int64)
+
+    def _need(self) -> None:
+        if not self._held and self._count and self.fetch is not None:
+            self.fetch(self)
+
+    def told(self, field: str) -> tuple[str, str]:
+        """Unit and meaning of a field, as the log states them; "" where it says nothing."""
+        return self._told.get(field, ("", ""))
+
+    def columnizer(self) -> Columnizer:
+        """What decodes its messages.
+
+        Raises:
+            LogReadError: the log's schema cannot be used.
+        """
+        return Columnizer(self.name, self._declared, self.fields_kept)
+
+    @property
+    def units(self) -> dict[str, str]:
+        """The unit of each field as the log states it; "" for text, and where the log says nothing."""
+        return {name: self.told(name)[0] for name in self.fields}
+
+    @property
+    def meanings(self) -> dict[str, str]:
+        """What each field means, as the log states it."""
+        return {name: self.told(name)[1] for name in self.fields}
+
+    @property
+    def nested(self) -> bool:
+        """Whether a message holds lists of messages, which `fields` has as lists and no table has a place for."""
+        return self.columnizer().nested
+
+    @property
+    def _decoded(self) -> Columns:
+        if self._columns is None:
+            self._need()
+            self.compact()
+            self._columns = joined(self._parts)
+            self._parts = []
+        return self._columns
+
+
+def _refuse(topic: Topic) -> None:
+    raise topic.too_large()
+
+
+def _is_protobuf(channel: Channel, schema: Schema) -> bool:
+    return bool(channel.message_encoding == "protobuf" and schema.encoding == "protobuf")
+
+
+def _units(metadata: Mapping[str, str]) -> dict[str, tuple[str, str]]:
+    try:
+        return {name: (str(unit), str(meaning)) for name, (unit, meaning) in json.loads(metadata["units"]).items()}
+    except (KeyError, ValueError, TypeError, AttributeError):
+        return {}  # a channel that is not ours

@@ -389,7 +389,7 @@ def test_who_comes_back_after_his_death_is_sent_away(tmp_path: Path) -> None:
         "--speed",
         "2",
         "--set",
-        "checks={}",
+        "checks={tumbled: waived, deaths: {at_most: 1}}",
         "--set",
         "per_vehicle={1: {external: true}}",
     ]

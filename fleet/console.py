@@ -387,12 +387,14 @@ class Console:
         )
 
     def _close(self, bus: Bus) -> dict[str, Any]:
+        journal = self._journal
+        if self._pace is None:
+            # Nobody waits for the last round: the world may be at the end before netem has what belongs to it.
+            m = self._scenario.round_ticks
+            last = (self._scenario.ticks - 1) // m * m
+            self._take_until(lambda: journal.reported >= last, "netem did not report its last round")
         answer = self._control(bus, NETEM, "close", timeout_s=CLOSE_S, tick=self._scenario.ticks)
-        deadline = time.monotonic() + 5.0
-        while not self._journal.complete:
-            self._take(0.1)
-            if time.monotonic() > deadline:
-                raise RunBroken("netem did not close its books")
+        self._take_until(lambda: journal.complete, "netem did not close its books")
         sea = self._control(bus, WORLD, "close", timeout_s=CLOSE_S)
         counts = {"world": sea.get("counts", {}), "netem": answer.get("counts", {}), "console": self._received}
         self.middleware_lost = lost_messages(counts, barrier=self._pace is None)
@@ -410,6 +412,13 @@ class Console:
             return {}
         sea, network = self._control(bus, WORLD, "close"), self._control(bus, NETEM, "timing")
         return {**sea["timing"], "netem": network["timing"]} if sea and network else {}
+
+    def _take_until(self, done: Callable[[], bool], otherwise: str) -> None:
+        deadline = time.monotonic() + CLOSE_S
+        while not done():
+            self._take(0.1)
+            if time.monotonic() > deadline:
+                raise RunBroken(otherwise)
 
     def _take(self, timeout_s: float) -> None:
         """Handle the next event, and all that are there already."""

@@ -51,6 +51,7 @@ _DECISION = re.compile(
 )
 _STAMP = re.compile(r"\d{4}-\d\d-\d\dT[\d:.]+Z ")
 _OPENED = re.compile(r"New transport opened between \w+ and (\w+) - .* lowlatency: false")
+CUT_OFF = f"cut off, as what came is no message or one of more than {PIECE_BYTES} bytes"
 _TOO_LONG = re.compile(r"Rx task finished with result Err\(Batch len is invalid\. ")
 _CUT_OFF = re.compile(r"<on rx exit> finalizing transport with peer: (\w+)")
 _USER = re.compile(r"Username\(([^)]*)\)")
@@ -126,7 +127,7 @@ class Refusals:
             self._too_long.add(_thread(line))
         elif (found := _CUT_OFF.search(line)) is not None and _thread(line) in self._too_long:
             self._too_long.discard(_thread(line))
-            self._count(f"{self._name(found[1])}: cut off, with a message of more than {PIECE_BYTES} bytes")
+            self._count(f"{self._name(found[1])}: {CUT_OFF}")
 
     def _name(self, session: str) -> str:
         return self._users.get(session, "somebody")

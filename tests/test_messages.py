@@ -28,6 +28,7 @@ from netem.messages import (
     Life,
     Message,
     Nav,
+    Tumble,
     VehicleFrame,
     declared,
     decode,
@@ -36,7 +37,7 @@ from netem.messages import (
 )
 from netem.shell import expect, read_map
 
-RECORDS = {record.__name__: record for record in (Arrival, Delivery, Fate, Frame, Life, VehicleFrame)}
+RECORDS = {record.__name__: record for record in (Arrival, Delivery, Fate, Frame, Life, Tumble, VehicleFrame)}
 KINDS = sorted(declared())
 UINTS = st.one_of(st.integers(0, 300), st.integers(0, 2**64 - 1))
 REALS = st.floats(allow_nan=False, allow_infinity=False)

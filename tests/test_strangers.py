@@ -32,6 +32,7 @@ from fleet.run import Options, Result, Status, execute
 from fleet.rundir import RunDirectory
 from fleet.scenario import load_scenario
 from netem.access import Credentials
+from netem.audit import CUT_OFF
 from netem.bus import Bus, OpenBus
 from netem.keys import Keys
 from netem.settings import PIECE_BYTES
@@ -84,7 +85,7 @@ def test_a_huge_message(session: type[Bus | OpenBus], monkeypatch: pytest.Monkey
     result = attacked(huge, monkeypatch, tmp_path / "runs", audit=True)
     assert_unharmed(result, tmp_path)
     assert peak[0] < 100e6
-    cut, pieces = f"cut off, with a message of more than {PIECE_BYTES} bytes", "its session is not low-latency"
+    cut, pieces = CUT_OFF, "its session is not low-latency"
     told = result.values["rejected"]
     assert [what for what in told if what.startswith(f"agent-3: {cut if session is Bus else pieces}")], told
 

@@ -22,7 +22,9 @@ LINKS = 'network.links={"*": delay 60ms 30ms loss 20% duplicate 20% corrupt 20%}
 
 
 def run(folder: Path, name: str, *overrides: str) -> Path:
-    result = execute(load_scenario(name, ["checks={}", *overrides]), Options(folder, in_process=True, quiet=True))
+    result = execute(
+        load_scenario(name, ["checks={tumbled: waived}", *overrides]), Options(folder, in_process=True, quiet=True)
+    )
     assert result.status is Status.PASS, result.reason
     return result.directory
 

@@ -29,7 +29,7 @@ from fleet.run import Options, execute
 from fleet.scenario import load_scenario, parse_scenario
 from netem.messages import PROTOCOL_VERSION
 
-SHORT = ["duration=3 s", "checks={}"]
+SHORT = ["duration=3 s", "checks={tumbled: waived}"]
 EXTERNAL = "per_vehicle={3: {external: true}}"
 READY_S = 30.0
 
@@ -131,7 +131,7 @@ def test_a_killed_one_is_sent_away_and_another_life_joins(tmp_path: Path) -> Non
 @pytest.mark.parametrize("policy", ["continue", "restart", "abort"])
 def test_one_that_leaves(policy: str, tmp_path: Path) -> None:
     """Ctrl-C at `fleet agent`: its token goes, and `on_death` says what follows."""
-    arguments = sets("duration=4 s", "checks={}", EXTERNAL, f"on_death={policy}")
+    arguments = sets("duration=4 s", "checks={tumbled: waived, deaths: {at_most: 1}}", EXTERNAL, f"on_death={policy}")
     with LiveRun(tmp_path / "runs", "paper", *arguments, "--speed", "0.3") as run:
         first = agent(join_file(run))
         wait_for(lambda: "agent 3 (external) has joined" in run.printed, READY_S, "agent 3")

@@ -42,6 +42,7 @@ from fleet.reader import LogReader
 from fleet.recover import recover
 from fleet.run import Options, execute
 from fleet.scenario import load_scenario, parse_scenario, shipped
+from fleet.trust import Policy
 from netem.bus import PART_BYTES
 from netem.errors import MalformedMessage
 from netem.faults import NetFault, fault_values, read_faults
@@ -571,7 +572,7 @@ TEXTS = {name: load_scenario(name).to_yaml() for name in shipped()}
 def test_no_scenario_text_crashes_the_loader(name: str, seed: int) -> None:
     """A worn scenario is a scenario still, or every mistake of it is told; nothing else is raised."""
     try:
-        scenario = parse_scenario(worn(TEXTS[name], random.Random(seed)), "worn.yaml")
+        scenario = parse_scenario(worn(TEXTS[name], random.Random(seed)), "worn.yaml", policy=Policy())
     except ScenarioError as error:
         assert str(error)  # noqa: PT017
     else:

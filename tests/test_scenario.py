@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import fields
+from dataclasses import fields, replace
 from itertools import pairwise
 from math import pi
 from pathlib import Path
@@ -103,7 +103,8 @@ def test_disturbance_of_the_paper() -> None:
 def test_rough_sea_and_ideal() -> None:
     rough = load_scenario("rough-sea")
     assert rough.conditions == dict.fromkeys(rough.graph.links, Condition(200_000_000, 50_000_000, 0.3))
-    assert rough.agent_config(1).guidance == profile("hardened")[0]
+    bounds = {"rho_lo": (-1.8, -1.8, -1.0), "rho_hi": (1.8, 1.8, 1.0)}
+    assert rough.agent_config(1).guidance == replace(profile("hardened")[0], **bounds)
     ideal = load_scenario("ideal")
     assert ideal.netem_config().ideal
     assert ideal.round_ticks == 1
@@ -319,7 +320,7 @@ def test_scaling(name: str, vehicles: int) -> None:
     assert s.vehicles == len(s.plans) == len(s.initial) == len(s.world_config().vehicles) == vehicles
     assert places(s) == grid(vehicles, 10.0)
     assert len(s.graph.links) == 2 * (vehicles - 1)
-    assert {nu0[0] for _, nu0 in s.initial} == {0.1}
+    assert {nu0[0] for _, nu0 in s.initial} == {load_scenario(name).initial[0][1][0]}
     assert set(s.graph.weights.values()) <= {1.0, 0.8}
 
 

@@ -109,9 +109,11 @@ class AgentConfig:
     def desired(self, t: float) -> Motion:
         """Where this vehicle should be at time t [s], and how it should move: pd_i = eta_1^d + p_i and its rate.
 
-        Of an agent that knows the reference.
+        Raises:
+            ValueError: this agent does not know the reference.
         """
-        assert self.reference is not None
+        if self.reference is None:
+            raise ValueError(f"agent {self.id} is not told the reference (knows_reference: false), only what it hears")
         reference = self.reference.at(t)
         if not self.offset.changes:
             return Motion(plus(reference.position, self.offset.start), reference.velocity)

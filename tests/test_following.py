@@ -78,6 +78,8 @@ def test_the_slice_of_such_an_agent_does_not_hold_the_trajectory() -> None:
     standby = load_scenario("leader-lost-standby")
     assert [standby.agent_config(i).reference is None for i in (1, 2, 3, 4)] == [False, False, True, True]
     assert [standby.agent_config(i).standby_for for i in (1, 2, 3)] == [(), (1,), ()]
+    with pytest.raises(ValueError, match="agent 3 is not told the reference"):
+        scenario.agent_config(3).desired(0.0)
     informed = load_scenario("follow-the-leader", ["per_vehicle={3: {knows_reference: true}}"])
     assert informed.agent_config(3).reference is not None
 

@@ -97,7 +97,7 @@ def test_who_sends_too_much_is_named() -> None:
         f"{link}<on rx exit> finalizing transport with peer: {Z}",
     ) == {"agent-1: cut off, as what came is no message or one of more than 65535 bytes": 1}  # fmt: skip
     assert refusals(  # seen at one in five commands of an operator
-        f"{link}Rx task finished with result Err(Batch len is invalid. Received 196610 but negotiated max len is 65535.)",
+        f"{link}Rx task finished with result Err(Batch len is invalid. Received 196610 but negotiated max is 9.)",
         f"{link}<on rx exit> finalizing transport with peer: {Z}",
     ) == {}  # fmt: skip
     pieces = "its session is not low-latency, and long messages of it are dropped"

@@ -251,7 +251,7 @@ def run(
         _fail(error)
     if quiet:
         failed = [f"FAIL  {v.check}: {v.asked}; found {v.found}" for v in result.verdicts if not v.passed]
-        if result.reason or failed:
+        if result.reason or (failed and result.status):  # not where it was meant to fail
             said = [f"fleet: {result.reason}", *result.lines] if result.reason else failed
             click.echo("\n".join([*said, str(result.directory)]), err=True)
     else:

@@ -353,6 +353,14 @@ def test_ideal_network_says_that_it_runs_in_one_process(tmp_path: Path) -> None:
     assert "network: ideal has no latency and so runs in one process" in done.stderr
 
 
+def test_quiet_says_nothing_of_a_failure_that_is_meant(tmp_path: Path) -> None:
+    short = ["--duration", "500 ms", "--out", tmp_path, "--quiet", "--set", "checks={formation_error: {below: 1 mm}}"]
+    done = shell("run", "ideal", *short, "--set", "expect=fail")
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+    done = shell("run", "ideal", *short)
+    assert (done.returncode, "FAIL  formation_error" in done.stderr) == (1, True)
+
+
 def test_quiet_is_quiet(tmp_path: Path) -> None:
     done = shell("run", "ideal", "--duration", "500 ms", "--out", tmp_path, *NO_CHECKS, "--quiet")
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")

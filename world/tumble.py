@@ -7,8 +7,8 @@
 | limit | |pitch| beyond which the vehicle tumbles; upside down is beyond | rad |
 
 The criterion does not depend on where ticks fall: between two ticks theta is the cubic through both pitches with
-both rates, and its peak counts. The tumble ends when |pitch| is HYSTERESIS_RAD below the limit, so that a vehicle that
-sways about the limit tumbles once.
+both rates, and its peak counts. The tumble ends when |pitch| is HYSTERESIS_RAD below the limit (half the limit, where
+that is less), so that a vehicle that sways about the limit tumbles once.
 """
 
 from __future__ import annotations

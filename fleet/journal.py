@@ -96,9 +96,7 @@ class Journal:
             self._happens(self._events.popleft())
         for i, *_, state, _ in snapshot.world["vehicles"]:
             if state == DIVERGED:
-                self.diverged[i] = Event(tick, f"{DIVERGED}-{i}", "begins", f"{DIVERGED} {i}")
-                self.died.append(self.diverged[i])
-                self._happens(self.diverged[i])
+                self._happens(self._diverges(i, tick))
             elif state and state[0]:
                 _, number, since = state
                 self._happens(self._tumbles_from(i, since, number))
@@ -204,9 +202,7 @@ class Journal:
             elif not life.begins and life.tick < self._last and (i, life.tick) not in self._told_deaths:
                 if life.diverged:
                     # Whoever runs the scenario again sees it again: nobody did it.
-                    self.diverged[i] = Event(life.tick, f"{DIVERGED}-{i}", "begins", f"{DIVERGED} {i}")
-                    self.add_event(self.diverged[i])
-                    self.died.append(self.diverged[i])
+                    self.add_event(self._diverges(i, life.tick))
                     continue
                 self.deaths[i] = Event(life.tick, self._name(f"death-{i}"), "begins", f"kill {i}")
                 self.died.append(self.deaths[i])
@@ -225,6 +221,11 @@ class Journal:
             event = self._events.popleft()
             self._happens(event)
             self.log.event(event)
+
+    def _diverges(self, i: int, tick: int) -> Event:
+        self.diverged[i] = event = Event(tick, f"{DIVERGED}-{i}", "begins", f"{DIVERGED} {i}")
+        self.died.append(event)
+        return event
 
     def _tumbles_from(self, i: int, tick: int, number: int) -> Event:
         self.tumbles.append(Spell(i, tick))

@@ -85,7 +85,6 @@ class Metrics:
         self._disturbance = scenario.disturbance
         self.times = array("d")
         self.series = {i: Series() for i in range(1, scenario.vehicles + 1)}
-        self.formation = Spread()
 
     def frame(self, frame: Frame, commands: Mapping[int, Command]) -> dict[int, VehicleError]:
         """Take one frame with its decoded commands; returns the errors of every vehicle in it."""
@@ -114,10 +113,16 @@ class Metrics:
                     series.qp_counted = count
                 if places.rejected is not None:
                     series.payloads_rejected = _count(telemetry[places.rejected], series.payloads_rejected)
-        off = {i: error.formation_norm for i, error in errors.items()}
-        worst = max(off, key=off.__getitem__)
-        self.formation = Spread(off[worst], worst, median(off.values()), len(off))
         return errors
+
+    @property
+    def formation(self) -> Spread:
+        """The formation errors of the newest frame."""
+        off = {i: series.formation[-1] for i, series in self.series.items() if series.formation}
+        if not off:
+            return Spread()
+        worst = max(off, key=off.__getitem__)
+        return Spread(off[worst], worst, median(off.values()), len(off))
 
     def _error(self, i: int, positions: dict[int, tuple[float, ...]], desired: dict[int, Vec3]) -> VehicleError:
         """e_i = sum_j a_ij ((x_i - d_i) - (x_j - d_j)) + b_i (x_i - d_i): Delta_ij is d_i - d_j."""

@@ -349,24 +349,22 @@ def _followers(spec: ScenarioSpec, report: Report) -> None:
 
 def _knowledge(spec: ScenarioSpec, report: Report) -> None:
     """Who follows the reference or stands by to must hear whom it stands by for; who does not know it cannot use it."""
-    followers = range(1, spec.vehicles + 1) if spec.graph.reference == "all" else spec.graph.reference
+    followers = set(range(1, spec.vehicles + 1) if spec.graph.reference == "all" else spec.graph.reference)
     standby = vehicle_numbers(spec.graph.standby.vehicles) if spec.graph.standby else []
-    heard: dict[int, set[int]] = {}
-    for src, dst in _graph_links(spec):
-        heard.setdefault(dst, set()).add(src)
+    hear_one = {dst for src, dst in _graph_links(spec) if src in followers} if standby else set()
     path = ("graph", "standby", "vehicles")
     for i in standby:
         if not 1 <= i <= spec.vehicles:
             report.add(path, f"there is no vehicle {i}: they are 1 to {spec.vehicles}")
         elif i in followers:
             report.add(path, f"vehicle {i} follows the reference itself (graph.reference)")
-        elif not heard.get(i, set()) & set(followers):
+        elif i not in hear_one:
             text = f"vehicle {i} hears none of those that follow the reference, and so cannot tell when they are silent"
             report.add(path, text, "let it hear one of graph.reference, or choose another vehicle")
-    for i in range(1, spec.vehicles + 1):
+    for i in sorted(set(range(1, spec.vehicles + 1)) - followers - set(standby)):
         choice = merged(spec, i)
         assert choice.neighbours is not None
-        told = choice.knows_reference is not False or i in {*followers, *standby}
+        told = choice.knows_reference is not False
         if not told and choice.neighbours.extrapolate == "reference" and choice.agent is None:
             entries = tuple(n for n in spec.per_vehicle if i in vehicle_numbers(n))
             at = report.origin(entries, "neighbours", "extrapolate") or ("knows_reference",)

@@ -11,9 +11,8 @@ from rich.progress import BarColumn, Progress, TextColumn
 
 from fleet.journal import Journal
 from fleet.scenario import Scenario
+from fleet.status_line import PLAIN_S, REFRESH_S, StatusLine
 
-REFRESH_S = 0.1
-PLAIN_S = 5.0
 STILL_S = 60.0  # between lines when nothing moves
 MOST_FAULTS = 4  # shown by name
 
@@ -104,10 +103,8 @@ class Counting:
     """Progress of something that goes through sim time; call it with where it is and where it ends [s]."""
 
     def __init__(self, terminal: Terminal, doing: str, *, quiet: bool = False) -> None:
-        self._terminal, self._doing, self._quiet = terminal, doing, quiet
-        self._live = terminal.is_terminal
-        self._every = REFRESH_S if self._live else PLAIN_S
-        self._next = time.monotonic() + self._every
+        self._doing = doing
+        self._line = StatusLine(terminal, quiet=quiet, first_s=REFRESH_S if terminal.is_terminal else PLAIN_S)
 
     def __enter__(self) -> Counting:
         return self
@@ -115,14 +112,10 @@ class Counting:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        if self._live and not self._quiet:
-            self._terminal.print(" " * 60, end="\r")
+        self._line.__exit__(kind, error, trace)
 
     def __call__(self, at_s: float, end_s: float | None = None) -> None:
         """Say so if it is time to."""
-        if self._quiet or (now := time.monotonic()) < self._next:
-            return
-        self._next = now + self._every
-        end = "\r" if self._live else "\n"
-        whole = "" if end_s is None else f" / {end_s:g}"
-        self._terminal.print(f"{self._doing} t = {at_s:.1f}{whole} s", end=end, highlight=False)
+        if self._line.due():
+            whole = "" if end_s is None else f" / {end_s:g}"
+            self._line.show(f"{self._doing} t = {at_s:.1f}{whole} s")

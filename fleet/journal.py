@@ -97,7 +97,7 @@ class Journal:
         for i, *_, state, _ in snapshot.world["vehicles"]:
             if state == DIVERGED:
                 self._happens(self._diverges(i, tick))
-            elif state and state[0]:
+            elif isinstance(state, list) and state[0]:
                 _, number, since = state
                 self._happens(self._tumbles_from(i, since, number))
 

@@ -168,7 +168,7 @@ class Lockstep:
             self._late[i] = {k: (x, y, z) for k, (x, y, z) in late}
             if state == DIVERGED:
                 self._diverged.add(i)
-            elif state:
+            elif isinstance(state, list):  # older logs have a plain yes for a vehicle that was given up: it goes on
                 tumbled, *spell = state
                 self._spells[i] = (spell[0], spell[1])
                 self._tumbled |= {i} if tumbled else set()

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from agents.freeloop import FreeLoop
 from agents.process import AgentProcess
-from netem.bus import Bus, Stamped
+from netem.bus import Bus
 from netem.errors import MalformedMessage, OutOfPlace
 from netem.keys import Keys
 from netem.messages import End, Hello, Inbox, Nav
+from netem.queues import Stamped
 from netem.shell import expect
 
 

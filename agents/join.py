@@ -22,8 +22,8 @@ from typing import Any
 from agents.config import AgentConfig
 from agents.controllers import BUILT_IN, laws
 from agents.errors import AgentError, PluginError
+from agents.main import begin_life
 from agents.plugins import admit
-from agents.process import begin_life
 from agents.trust import NOTHING, Trust
 from netem.access import LEASE_MS, Credentials
 from netem.bus import Bus

@@ -9,17 +9,15 @@ from collections.abc import Callable
 from time import monotonic, sleep
 from typing import NoReturn
 
-from agents.agent import make_agent
-from agents.config import AgentConfig
 from agents.errors import AgentError, ControllerError
-from agents.freeloop import FreeLoop
-from agents.loop import AgentCore, AgentLoop, Answer
-from netem.access import Credentials, agent_role
-from netem.bus import Bus, Channel, Stamped, quiet_zenoh
+from agents.loop import AgentLoop, Answer
+from netem.access import agent_role
+from netem.bus import Bus
 from netem.errors import BusError, MalformedMessage, OutOfPlace
 from netem.keys import Keys
 from netem.messages import PROTOCOL_VERSION, End, Hello, Inbox, Message, Nav, Receipt, Transmission, encode
-from netem.shell import Shell, end_with_link, expect, read_map
+from netem.queues import Channel, Stamped
+from netem.shell import Shell, expect
 
 log = logging.getLogger(__name__)
 
@@ -27,44 +25,6 @@ READY_TIMEOUT_S = 30.0
 RETRY_S = 0.02
 POLL_S = 0.001
 CONTROLLER_FAILED = 70  # exit status: a law failed, and the scenario says that the run shall end
-
-
-def run(
-    endpoint: str, run_id: str, vehicle: int, credentials: Credentials, incarnation: int = 0, begin: int = 0
-) -> None:
-    """Join a run as agent `vehicle` and answer navs, from tick `begin` on, until the process is told to end.
-
-    Raises:
-        BusError: the run cannot be joined.
-        Exception: whatever the controller raised; the console has been told by then.
-    """
-    quiet_zenoh()
-    keys = Keys(run_id)
-    bus = Bus.connect(endpoint, credentials)
-    end_with_link(bus, credentials)
-    config, clock = _ask_config(bus, keys, vehicle)
-    begin_life(bus, keys, config, clock, incarnation, begin).serve()
-
-
-def begin_life(bus: Bus, keys: Keys, config: AgentConfig, clock: str, incarnation: int, begin: int) -> AgentProcess:
-    """An agent that is made, and known to world and netem.
-
-    Args:
-        clock: lockstep or real.
-
-    Raises:
-        BusError: world or netem does not answer.
-        SystemExit: a law cannot be made; the console has been told by then.
-    """
-    vehicle = config.id
-    try:
-        core = make_agent(config)
-    except AgentError as error:
-        role = agent_role(vehicle)
-        _give_up(Shell(bus, role, keys.note(role)), vehicle, begin, error)
-    process = _process(bus, keys, vehicle, core, config, clock, incarnation, begin)
-    process.get_ready()
-    return process
 
 
 class AgentProcess:
@@ -165,27 +125,3 @@ def _give_up(shell: Shell, vehicle: int, tick: int, error: AgentError) -> NoRetu
         traceback.print_exception(error.__cause__)
     sys.stderr.writelines(traceback.format_exception_only(error))
     sys.exit(CONTROLLER_FAILED)
-
-
-def _process(
-    bus: Bus, keys: Keys, vehicle: int, core: AgentCore, config: AgentConfig, clock: str, incarnation: int, begin: int
-) -> AgentProcess:
-    m = config.round_ticks
-    if clock == "real":
-        from agents.freeprocess import FreeAgentProcess
-
-        return FreeAgentProcess(bus, keys, vehicle, FreeLoop(core, m, incarnation=incarnation, begin=begin))
-    ticks = config.memory_ticks
-    loop = AgentLoop(core, m, incarnation=incarnation, begin=begin, memory_ticks=ticks)
-    return AgentProcess(bus, keys, vehicle, loop)
-
-
-def _ask_config(bus: Bus, keys: Keys, vehicle: int) -> tuple[AgentConfig, str]:
-    deadline = monotonic() + READY_TIMEOUT_S
-    while monotonic() < deadline:
-        answer = bus.ask(keys.cfg(vehicle))
-        if answer is not None:
-            values = read_map(answer)
-            return AgentConfig.from_values(values["agent"]), str(values.get("clock", "lockstep"))
-        sleep(RETRY_S)  # nobody to ask yet: zenoh says so at once
-    raise BusError(f"the console did not answer on {keys.cfg(vehicle)} within {READY_TIMEOUT_S:.0f} s")

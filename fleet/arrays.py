@@ -23,7 +23,7 @@ import fleet.topic as held
 from fleet.reader import LogReader, LogReadError, Tell, log_path
 from fleet.records import Block
 from fleet.topic import LogKeyError, Topic
-from netem.grammar import nearest
+from netem.parsing import nearest
 
 if TYPE_CHECKING:
     from fleet.scenario import Scenario

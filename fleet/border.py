@@ -38,7 +38,7 @@ import numpy as np
 
 from fleet.linear import Array, Flight, Linear, NotLinear, linearise
 from fleet.scenario import Scenario
-from netem.config import Condition
+from netem.condition import Condition
 from world.vehicle import Vec3
 
 MOST_VEHICLES = 12  # beyond it the computation takes seconds, and only the rules of thumb are told

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from fleet.scenario import Scenario
-from netem.config import Condition
+from netem.condition import Condition
 from netem.faults import NetFault
 from world.faults import WorldFault
 

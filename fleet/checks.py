@@ -11,7 +11,7 @@ from fleet.journal import Journal
 from fleet.scenario import Scenario
 from fleet.schema import EVERY, AtMost, Below, Connected, MaxAge, MinSeparation, Recovery, Standing, Tumbled
 from fleet.stability import names
-from netem.grammar import parse_selector, select
+from netem.selectors import parse_selector, select
 
 
 @dataclass(frozen=True, slots=True)

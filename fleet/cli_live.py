@@ -152,7 +152,7 @@ def inject(what: tuple[str, ...], run: Path | None, out: Path, lasts: str | None
       fleet inject efficiency vehicles=2 surge='50 %' --for 20s
     """
     from fleet.faults import ACTIONS
-    from netem.grammar import nearest
+    from netem.parsing import nearest
 
     kind, rest = what[0], what[1:]
     if kind not in ACTIONS:

@@ -31,7 +31,7 @@ class Words(click.ParamType[tuple[str, ...]]):
             return self._words
         for word in asked:
             if word not in self._words:
-                from netem.grammar import nearest
+                from netem.parsing import nearest
 
                 known = [*self._words, *filter(None, [self._everything])]
                 hint = nearest(word, known) or f"there are {', '.join(known)}"

@@ -19,8 +19,8 @@ from typing import NamedTuple
 
 from fleet.fields import vehicle_numbers
 from fleet.scenario import Scenario
-from netem.config import Link
-from netem.impairment import DELIVERED
+from netem.causes import DELIVERED
+from netem.condition import Link
 from netem.messages import Fate
 
 

@@ -19,8 +19,11 @@ from typing import Any
 
 import msgpack
 
+import agents.main
 import agents.process
+import netem.main
 import netem.process
+import world.main
 import world.process
 from fleet.children import (
     FORKSERVER_LOST,
@@ -46,11 +49,12 @@ from fleet.private import PrivateFolder
 from fleet.rundir import RunDirectory
 from fleet.scenario import Scenario
 from netem.access import CONSOLE, LEASE_MS, NETEM, OPERATOR, Credentials, Door, agent_role, generate
-from netem.bus import Bus, Quota, Respond
+from netem.bus import Bus, Respond
 from netem.errors import BusError, MalformedMessage, OutOfPlace
 from netem.faults import NetFault, fault_values
 from netem.keys import Keys
 from netem.messages import PROTOCOL_VERSION, RUN_OVER, Ailments, Frames, Grant, Hello, LinkReport, Note, encode
+from netem.queues import Quota
 from netem.settings import PENDING
 from netem.shell import expect, read_map, request, vehicle_of
 from world.faults import WorldFault
@@ -180,17 +184,17 @@ class Console:
         sea = scenario.world_config(), frame_every(scenario), self._pace
         network = scenario.netem_config(), self._pace is not None
         targets: dict[str, tuple[Callable[..., None], tuple[Any, ...]]] = {
-            WORLD: (world.process.run, (endpoint, keys.run, clients, private.path, *sea, door, self._audit)),
-            NETEM: (netem.process.run, (endpoint, keys.run, credentials[NETEM], *network)),
+            WORLD: (world.main.run, (endpoint, keys.run, clients, private.path, *sea, door, self._audit)),
+            NETEM: (netem.main.run, (endpoint, keys.run, credentials[NETEM], *network)),
         }
         if meeting.router:
-            targets[WORLD] = world.process.join, (endpoint, keys.run, credentials[WORLD], *sea)
+            targets[WORLD] = world.main.join, (endpoint, keys.run, credentials[WORLD], *sea)
         for i in self._vehicles:
             role = agent_role(i)
             if i in self._joins.vehicles:
                 continue
             self._agent_arguments[i] = (endpoint, keys.run, i, credentials[role])
-            targets[role] = (agents.process.run, self._agent_arguments[i])
+            targets[role] = (agents.main.run, self._agent_arguments[i])
         order = list(targets)
         if self._start_order is not None:
             order = self._start_order(order)
@@ -486,7 +490,7 @@ class Console:
             self._joins.expect(i, incarnation, begin)
             return
         role = agent_role(i)
-        self._start_process(role, agents.process.run, *self._agent_arguments[i], incarnation, begin)
+        self._start_process(role, agents.main.run, *self._agent_arguments[i], incarnation, begin)
 
     def _hear_note(self, role: str, data: bytes) -> None:
         """A note, from whom the router let onto the key of `role`: nobody speaks for another."""

@@ -10,7 +10,7 @@ from typing import Any
 from fleet import quantities as q
 from fleet.errors import FleetError
 from netem.files import read_file
-from netem.grammar import nearest
+from netem.parsing import nearest
 
 _MAX_BYTES = 100_000
 

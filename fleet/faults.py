@@ -21,11 +21,12 @@ from typing import TYPE_CHECKING
 
 from fleet.fields import vehicle_numbers
 from fleet.schema import FaultAction, FaultSection, ScenarioSpec
-from netem.config import Link
+from netem.condition import Link
 from netem.draws import uniform
 from netem.faults import NetFault
-from netem.grammar import parse_selector, print_condition, select
+from netem.grammar import print_condition
 from netem.lives import Absence
+from netem.selectors import parse_selector, select
 from world.faults import WorldFault
 
 if TYPE_CHECKING:

@@ -16,8 +16,10 @@ from pydantic import Field, GetCoreSchemaHandler, InstanceOf
 from pydantic_core import CoreSchema, PydanticCustomError, core_schema
 
 from fleet import quantities as q
-from netem.config import Condition
-from netem.grammar import GrammarError, parse_condition, parse_selector, print_condition
+from netem.condition import Condition
+from netem.grammar import parse_condition, print_condition
+from netem.parsing import GrammarError
+from netem.selectors import parse_selector
 
 Vec3 = q.Vec3
 

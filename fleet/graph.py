@@ -14,7 +14,7 @@ from math import dist
 
 from fleet.schema import GraphSection
 from fleet.shapes import DEFAULT_NEAREST, DEFAULT_PROBABILITY
-from netem.config import Link
+from netem.condition import Link
 from netem.draws import uniform
 from world.vehicle import Vec3
 

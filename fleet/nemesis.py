@@ -10,9 +10,9 @@ from collections.abc import Sequence
 
 from fleet.faults import partition
 from fleet.schema import DrawnKind, FaultSection, NemesisSection, ScenarioSpec
-from netem.config import Link
+from netem.condition import Link
 from netem.draws import bits
-from netem.grammar import Selector
+from netem.selectors import Selector
 
 PARTITIONS = ("halves", "one", "majority", "ring", "bridge")
 

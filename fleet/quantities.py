@@ -13,7 +13,7 @@ from decimal import Decimal
 from fractions import Fraction
 from typing import Any
 
-from netem.grammar import exact_number, nearest
+from netem.parsing import exact_number, nearest
 
 Vec3 = tuple[float, float, float]
 

@@ -22,7 +22,7 @@ from fleet.report_tables import links_table, mark, number, side_by_side, table
 from fleet.result_file import ResultError, read_result
 from fleet.whole_file import whole_file
 from netem.ages import Ages
-from netem.impairment import DELIVERED, IN_FLIGHT
+from netem.causes import DELIVERED, IN_FLIGHT
 from netem.messages import Fate
 
 _STYLE = """

@@ -7,7 +7,7 @@ from html import escape
 from typing import Any
 
 from fleet.pictures import Run
-from netem.impairment import REPLACED
+from netem.causes import REPLACED
 
 MOST_ROWS = 40  # of a table of links
 _ONLY_IF_ANY = ("duplicated", "in flight", "corrupted")  # columns that are left out where every link has a 0

@@ -38,8 +38,9 @@ from fleet.trust import READING, Policy
 from fleet.tuning import given, law_names, merged, qp_period_ns, used, vehicle, wrong_model
 from fleet.vehicles import VehicleFileError, mass_problems
 from fleet.yaml_marks import Mapping, locate
-from netem.config import Link
-from netem.grammar import GrammarError, nearest, parse_selector, select
+from netem.condition import Link
+from netem.parsing import GrammarError, nearest
+from netem.selectors import parse_selector, select
 
 Table = dict[str, Keys]
 Entries = tuple[str, ...]  # the keys of per_vehicle that name a vehicle

@@ -32,7 +32,7 @@ from fleet.resume import Start
 from fleet.rundir import RunDirectory
 from fleet.scenario import Scenario
 from fleet.timing import MOST_MISSED
-from netem.config import Link
+from netem.condition import Link
 from world.errors import WorldError
 
 

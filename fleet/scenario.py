@@ -29,10 +29,12 @@ from fleet.tuning import Control
 from fleet.validation import validate
 from fleet.vehicles import shipped as shipped_vehicles
 from fleet.yaml_marks import Mapping, Scalar, Source, read
-from netem.config import Condition, Link, NetemConfig
+from netem.condition import Condition, Link
+from netem.config import NetemConfig
 from netem.files import read_bounded, read_file
-from netem.grammar import nearest, parse_selector, select
 from netem.modem import AcousticConfig
+from netem.parsing import nearest
+from netem.selectors import parse_selector, select
 from world import disturbance
 from world.config import Harmonic, NavNoise, VehicleSetup, WorldConfig
 from world.vehicle import Vec3, Vec5

@@ -31,8 +31,8 @@ from fleet.colours import COLOURS
 from fleet.scenario import Scenario
 from fleet.snapshot import Snapshot
 from fleet.transforms import NO_TURN, REFERENCE, enu, stamp_at
-from netem.config import Link
-from netem.impairment import DEAD_RECEIVER, DEAD_SENDER, DEAF, DELIVERED, DOWN, IN_FLIGHT, MUTE, PARTITION
+from netem.causes import DEAD_RECEIVER, DEAD_SENDER, DEAF, DELIVERED, DOWN, IN_FLIGHT, MUTE, PARTITION
+from netem.condition import Link
 from netem.messages import Fate, Frame
 from world.vehicle import Vec3
 

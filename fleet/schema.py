@@ -72,7 +72,8 @@ from fleet.fields import (
     vehicle_numbers,
 )
 from fleet.quantities import QuantityError, describe, show_time
-from netem.grammar import nearest, print_condition
+from netem.grammar import print_condition
+from netem.parsing import nearest
 from world.config import DEFAULT_SUBSTEPS
 
 

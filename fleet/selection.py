@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterable, Sequence
 
 from fleet.errors import FleetError
-from netem.grammar import nearest
+from netem.parsing import nearest
 
 
 class SelectionError(FleetError):

@@ -12,7 +12,7 @@ from fleet.metrics import Spread
 from fleet.prospects import large_log_hint
 from fleet.run import Result, Status
 from fleet.timing import summary
-from netem.impairment import REPLACED
+from netem.causes import REPLACED
 
 MOST_ROWS = 20
 

@@ -13,7 +13,7 @@ from mcap.records import Channel, Schema
 from fleet.columns import Columnizer, Columns, cost, extremes, joined
 from fleet.reader import LogReadError
 from fleet.records import Array, Block
-from netem.grammar import nearest
+from netem.parsing import nearest
 
 MOST_HELD = 320 << 20  # bytes of a log that are held at once
 STEP = 8 << 20  # bytes that are decoded at once

@@ -17,7 +17,7 @@ from fleet.rules import Report, UnknownValueError, check
 from fleet.schema import ScenarioSpec, Section
 from fleet.trust import READING, Policy
 from fleet.yaml_marks import Items, Mapping, Node, locate, plain, text_place
-from netem.grammar import nearest
+from netem.parsing import nearest
 
 Loc = tuple[str | int, ...]
 

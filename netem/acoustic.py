@@ -37,10 +37,7 @@ from dataclasses import dataclass, field
 from math import sqrt
 from typing import Any, NamedTuple
 
-from netem.config import NetemConfig
-from netem.draws import uniform
-from netem.faults import Weather, weather
-from netem.impairment import (
+from netem.causes import (
     COLLISION,
     DEAD_RECEIVER,
     DEAD_SENDER,
@@ -52,6 +49,9 @@ from netem.impairment import (
     REPLACED,
     SNR,
 )
+from netem.config import NetemConfig
+from netem.draws import uniform
+from netem.faults import Weather, weather
 from netem.messages import Fate
 from netem.network import Exchange, Netem, Packet
 from netem.underwater import decibels, power

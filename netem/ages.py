@@ -19,8 +19,8 @@ from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 
-from netem.config import Link
-from netem.impairment import DELIVERED
+from netem.causes import DELIVERED
+from netem.condition import Link
 from netem.messages import Fate
 
 

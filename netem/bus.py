@@ -6,12 +6,9 @@ from __future__ import annotations
 import json
 import os
 import re
-from collections import Counter
 from collections.abc import Callable, Iterable
 from pathlib import Path
-from queue import Empty, SimpleQueue
 from threading import Thread
-from time import monotonic_ns
 from typing import Any, NamedTuple
 
 import zenoh
@@ -21,6 +18,7 @@ from netem.errors import BusError
 from netem.files import write_whole
 from netem.keys import Keys
 from netem.linger import never_linger
+from netem.queues import Channel, Stamped
 from netem.settings import (
     BASE,
     MAX_BYTES,
@@ -48,80 +46,7 @@ def _config(mode: str, settings: dict[str, Any]) -> zenoh.Config:
     return config
 
 
-class Channel:
-    """What came in on a key expression, in order."""
-
-    def __init__(self, subscriber: Any) -> None:
-        self._subscriber = subscriber
-
-    def get(self) -> tuple[str, bytes]:
-        """The next (key, bytes); waits for it."""
-        sample = self._subscriber.recv()
-        return str(sample.key_expr), sample.payload.to_bytes()
-
-    def poll(self) -> tuple[str, bytes] | None:
-        """The next (key, bytes), or None when there is none yet."""
-        sample = self._subscriber.try_recv()
-        return None if sample is None else (str(sample.key_expr), sample.payload.to_bytes())
-
-
 CLOSE_S = 3.0
-MOST_WAITING = 1000  # puts on one key of those who are not to wait; a fleet that works has a few
-
-
-class Quota:
-    """How many may wait per key, so that a flood of one takes no room from the others, nor all the memory.
-
-    One thread lets in and one takes out; each writes a count of its own.
-    """
-
-    def __init__(self, most: int = MOST_WAITING) -> None:
-        self._most = most
-        self._came: Counter[str] = Counter()
-        self._taken: Counter[str] = Counter()
-
-    def admit(self, key: str) -> bool:
-        """Whether there is room for one more, which then waits."""
-        if self._came[key] - self._taken[key] >= self._most:
-            return False
-        self._came[key] += 1
-        return True
-
-    def release(self, key: str) -> None:
-        """One of them waits no longer."""
-        self._taken[key] += 1
-
-
-class Stamped:
-    """What came in on a key expression, in order, each with the time at which it did [ns, CLOCK_MONOTONIC]."""
-
-    def __init__(self) -> None:
-        self._queue: SimpleQueue[tuple[str, bytes, int]] = SimpleQueue()
-        self._quota = Quota()
-        self.flooded: Counter[str] = Counter()  # puts by key that were dropped, since as many wait as may
-
-    def put(self, key: str, data: bytes) -> None:
-        """Called on a zenoh thread."""
-        if self._quota.admit(key):
-            self._queue.put((key, data, monotonic_ns()))
-        else:
-            self.flooded[key] += 1
-
-    def get(self, timeout_s: float | None = None) -> tuple[str, bytes, int] | None:
-        """The next (key, bytes, time); waits for it, or None when none came in time."""
-        try:
-            item = self._queue.get(timeout=timeout_s)
-        except Empty:
-            return None
-        self._quota.release(item[0])
-        return item
-
-    def poll(self) -> tuple[str, bytes, int] | None:
-        """The next (key, bytes, time), or None when there is none yet."""
-        return self.get(0.0) if self._queue.qsize() else None
-
-    def __len__(self) -> int:
-        return self._queue.qsize()
 
 
 class Bus:

@@ -16,7 +16,7 @@ from __future__ import annotations
 from math import exp, pi, sin
 from typing import NamedTuple
 
-from netem.config import Condition
+from netem.condition import Condition
 
 _TERMS = 4096
 _NEGLIGIBLE = 1e-12

@@ -11,7 +11,7 @@ from typing import Any, Literal, NamedTuple, get_type_hints
 
 import msgspec
 
-from netem.config import Condition, Link, condition_from_values, condition_values
+from netem.condition import Condition, Link, condition_from_values, condition_values
 from netem.errors import MalformedMessage
 
 FaultKind = Literal["link", "down", "up", "partition", "mute", "deaf", "slow"]

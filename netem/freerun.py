@@ -12,7 +12,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from netem.acoustic import AcousticNetem
-from netem.config import Link, NetemConfig
+from netem.condition import Link
+from netem.config import NetemConfig
 from netem.errors import OutOfPlace
 from netem.lives import Lives
 from netem.messages import Delivery, Fate, Inbox, LinkReport, Receipt, Round, Transmission

@@ -26,23 +26,19 @@ Selectors say which directed links are meant; an arrow points the way the payloa
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable
 from decimal import Decimal
-from difflib import get_close_matches
 from fractions import Fraction
 from typing import Any
 
-from netem.config import DEFAULT_LIMIT, Condition, FourState, GilbertElliott, Link
-from netem.errors import NetemError
+from netem.condition import DEFAULT_LIMIT, Condition, FourState, GilbertElliott
+from netem.parsing import LONGEST_NUMBER, NUMBER, GrammarError, exact_number, nearest, quoted
 
-_NUMBER = re.compile(r"[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d{1,3})?", re.ASCII)
-_VALUE = re.compile(rf"({_NUMBER.pattern})\s*([^\W\d_]+|%)?(?=\s|$)", re.ASCII)
+_VALUE = re.compile(rf"({NUMBER.pattern})\s*([^\W\d_]+|%)?(?=\s|$)", re.ASCII)
 _WORD = re.compile(r"\S+")
 _TIME_NS = {"us": 10**3, "ms": 10**6, "s": 10**9}
 _RATE_BIT = {"bit": 1, "kbit": 10**3, "mbit": 10**6, "gbit": 10**9, "bps": 8, "kbps": 8000, "mbps": 8 * 10**6,
              "gbps": 8 * 10**9, "kibit": 1024, "mibit": 1024**2, "gibit": 1024**3}  # fmt: skip
-_LONGEST_NUMBER = 40  # characters: keeps exact arithmetic cheap whatever the text
 _LONGEST_TIME_NS = 10**9 * 86_400
 _MOST_PACKETS = 10**6
 
@@ -52,30 +48,6 @@ REFUSED = {
     "ecn": "payloads here carry no congestion marks",
 }
 _INNER = ("distribution", "random", "state", "gemodel", "gap")
-
-
-class GrammarError(NetemError):
-    """Text that is no condition or selector; `column` counts from 0 within the text."""
-
-    def __init__(self, message: str, column: int = 0, hint: str = "") -> None:
-        super().__init__(message)
-        self.message = message
-        self.column = column
-        self.hint = hint
-
-
-def exact_number(text: str) -> Fraction | None:
-    """The decimal number that `text` is, exactly, or None: no text, however long, takes long."""
-    if len(text) > _LONGEST_NUMBER or not _NUMBER.fullmatch(text):
-        return None
-    return Fraction(Decimal(text))
-
-
-def nearest(word: str, known: Iterable[str]) -> str:
-    """`did you mean "delay"?` when one of the known words is near, else nothing."""
-    lower = {name.lower(): name for name in known}
-    found = get_close_matches(word.lower()[:60], lower, n=1, cutoff=0.6)
-    return f'did you mean "{lower[found[0]]}"?' if found else ""
 
 
 class _Reader:
@@ -156,7 +128,7 @@ def _delay(reader: _Reader) -> dict[str, Any]:
         name_column, name = reader.at, reader.word()
         if name not in _DISTRIBUTIONS:
             hint = nearest(name, _DISTRIBUTIONS) or f"known: {', '.join(_DISTRIBUTIONS)}"
-            raise GrammarError(f"no distribution is called {_quoted(name)}", name_column, hint)
+            raise GrammarError(f"no distribution is called {quoted(name)}", name_column, hint)
         if not found.get("jitter_ns"):
             raise GrammarError("a distribution has no effect without a jitter", column, "write delay 200ms 50ms ...")
         found["distribution"] = name
@@ -215,7 +187,7 @@ def _rate(reader: _Reader) -> dict[str, Any]:
     got = reader.peek()
     value = reader.value()
     if value is None:
-        raise GrammarError(f'expected a rate such as "1kbit", got {_quoted(got)}', column)
+        raise GrammarError(f'expected a rate such as "1kbit", got {quoted(got)}', column)
     number, unit, column = value
     if unit.lower() not in _RATE_BIT:
         text = "has no unit" if not unit else f'takes bit, kbit, mbit (bits) or bps, kbps, mbps (bytes), got "{unit}"'
@@ -256,7 +228,7 @@ def _whole(reader: _Reader, what: str, example: str, least: int, most: int = _MO
     value = reader.value()
     if value is None or value[1] or value[0].denominator != 1 or not least <= value[0] <= most:
         raise GrammarError(
-            f'the {what} takes a whole number from {least} to {most} such as "{example}", got {_quoted(got)}', column
+            f'the {what} takes a whole number from {least} to {most} such as "{example}", got {quoted(got)}', column
         )
     return value[0].numerator
 
@@ -276,10 +248,10 @@ def _percent(reader: _Reader, what: str) -> float:
     got = reader.peek()
     value = reader.value()
     if value is None:
-        raise GrammarError(f'expected a {what} such as "30%", got {_quoted(got)}', column)
+        raise GrammarError(f'expected a {what} such as "30%", got {quoted(got)}', column)
     number, unit, column = value
     if unit != "%":
-        raise GrammarError(f'the {what} takes a percentage such as "30%", got {_quoted(got)}', column)
+        raise GrammarError(f'the {what} takes a percentage such as "30%", got {quoted(got)}', column)
     if not 0 <= number <= 100:
         raise GrammarError(f'the {what} must be between 0% and 100%, got "{got}"', column)
     return float(number / 100)
@@ -290,7 +262,7 @@ def _time(reader: _Reader, what: str, example: str) -> int:
     got = reader.peek()
     value = reader.value()
     if value is None:
-        raise GrammarError(f'expected a {what} such as "{example}", got {_quoted(got)}', column)
+        raise GrammarError(f'expected a {what} such as "{example}", got {quoted(got)}', column)
     number, unit, column = value
     if not unit:
         raise GrammarError(
@@ -315,10 +287,6 @@ def _unknown(word: str, column: int) -> GrammarError:
         return GrammarError(f'"{word}" belongs behind another word of tc-netem', column, f"first: {', '.join(WORDS)}")
     hint = nearest(word, WORDS) or f"known: {', '.join(WORDS)}"
     return GrammarError(f'unknown link condition "{word[:40]}"', column, hint)
-
-
-def _quoted(text: str) -> str:
-    return f'"{text[:40]}"' if text else "nothing"
 
 
 def print_condition(condition: Condition) -> str:
@@ -379,51 +347,4 @@ def _print_time(ns: int) -> str:
 
 def _plain(number: Decimal) -> str:
     text = f"{number.normalize():f}"
-    return text if len(text) < _LONGEST_NUMBER else str(number.normalize())
-
-
-@dataclass(frozen=True, slots=True)
-class Selector:
-    """A set of directed links: from `src` to `dst` (None: any vehicle), and back if `both`."""
-
-    src: int | None
-    dst: int | None
-    both: bool = False
-
-    def __str__(self) -> str:
-        if self.src is None and self.dst is None:
-            return "*"
-        side = ["*" if end is None else str(end) for end in (self.src, self.dst)]
-        return side[0] + ("<->" if self.both else "->") + side[1]
-
-    def matches(self, link: Link) -> bool:
-        return self._one_way(link) or (self.both and self._one_way((link[1], link[0])))
-
-    def _one_way(self, link: Link) -> bool:
-        return self.src in (None, link[0]) and self.dst in (None, link[1])
-
-
-_SELECTOR = re.compile(r"\s*(\*|\d{1,9})\s*(<?->)\s*(\*|\d{1,9})\s*", re.ASCII)
-
-
-def parse_selector(text: str) -> Selector:
-    """The links that `text` names.
-
-    Raises:
-        GrammarError: the text is no selector.
-    """
-    if text.strip() == "*":
-        return Selector(None, None)
-    match = _SELECTOR.fullmatch(text)
-    if match is None:
-        raise GrammarError(f'{_quoted(text)} is no link: write "*", "1->2", "1<->2", "1->*" or "*->2"')
-    src, arrow, dst = match.groups()
-    if src == dst and src != "*":
-        raise GrammarError(f"vehicle {src} has no link to itself")
-    ends = [None if side == "*" else int(side) for side in (src, dst)]
-    return Selector(ends[0], ends[1], arrow == "<->" and ends != [None, None])
-
-
-def select(selector: Selector, links: Sequence[Link]) -> tuple[Link, ...]:
-    """Those of `links` that the selector names, in the order given."""
-    return tuple(link for link in links if selector.matches(link))
+    return text if len(text) < LONGEST_NUMBER else str(number.normalize())

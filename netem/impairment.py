@@ -21,20 +21,9 @@ from dataclasses import dataclass, field
 from statistics import NormalDist
 from typing import Any, NamedTuple
 
-from netem.config import Condition, FourState, GilbertElliott, Link
+from netem.causes import DOWN, LOSS, QUEUE
+from netem.condition import Condition, FourState, GilbertElliott, Link
 from netem.draws import bits, uniform
-
-# The declared causes of a loss, in the order of the ledger's columns.
-LOSS, DOWN, QUEUE = "loss", "down", "queue"
-PARTITION, MUTE, DEAF, DEAD_RECEIVER = "partition", "mute", "deaf", "dead receiver"
-REPLACED, MTU, RANGE, HALF_DUPLEX = "replaced", "mtu", "range", "half duplex"
-COLLISION, SNR, DEAD_SENDER = "collision", "snr", "dead sender"
-CAUSES: tuple[str, ...] = (
-    LOSS, DOWN, PARTITION, MUTE, QUEUE,
-    REPLACED, MTU, RANGE, HALF_DUPLEX, COLLISION, SNR, DEAD_SENDER,  # of the acoustic channel
-    DEAF, DEAD_RECEIVER,
-)  # fmt: skip
-DELIVERED, IN_FLIGHT = "delivered", "in flight"
 
 GOOD, BAD = 0, 1  # of Gilbert and Elliott
 GAP, BURST, LOST_IN_BURST, LOST_ALONE = 1, 2, 3, 4  # of the four-state model

@@ -9,8 +9,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Any
 
-from netem.config import Link
-from netem.impairment import CAUSES, DELIVERED, IN_FLIGHT, REPLACED
+from netem.causes import CAUSES, DELIVERED, IN_FLIGHT, REPLACED
+from netem.condition import Link
 from netem.messages import Fate
 
 

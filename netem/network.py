@@ -12,9 +12,11 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any, NamedTuple
 
-from netem.config import Condition, Link, NetemConfig, condition_from_values, condition_values
+from netem.causes import DEAD_RECEIVER, DEAF, DELIVERED, IN_FLIGHT, MUTE
+from netem.condition import Condition, Link, condition_from_values, condition_values
+from netem.config import NetemConfig
 from netem.faults import Weather, fault_from_values, fault_values, weather
-from netem.impairment import DEAD_RECEIVER, DEAF, DELIVERED, IN_FLIGHT, MUTE, LinkModel, LinkState, Verdict
+from netem.impairment import LinkModel, LinkState, Verdict
 from netem.ledger import Ledger
 from netem.messages import Delivery, Fate
 

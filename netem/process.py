@@ -9,8 +9,8 @@ from typing import Any
 import msgpack
 import msgspec
 
-from netem.access import NETEM, Credentials
-from netem.bus import PART_BYTES, Bus, Respond, quiet_zenoh
+from netem.access import NETEM
+from netem.bus import PART_BYTES, Bus, Respond
 from netem.config import NetemConfig
 from netem.errors import MalformedMessage, OutOfPlace
 from netem.faults import read_faults
@@ -34,30 +34,13 @@ from netem.messages import (
     split,
 )
 from netem.rounds import Rounds
-from netem.shell import Item, Probes, Shell, end_with_link, expect, read_map, vehicle_of
+from netem.shell import Item, Probes, Shell, expect, read_map, vehicle_of
 
 log = logging.getLogger(__name__)
 
 RECORD_BYTES = 80  # a fate or delivery without its payload, generously
 
 _ECHO = encode(Hello(NETEM, 0, 0, PROTOCOL_VERSION, True))
-
-
-def run(endpoint: str, run_id: str, credentials: Credentials, config: NetemConfig, real: bool) -> None:
-    """Serve the network of a run until the process is ended; `real`: on a wall clock, not in lockstep."""
-    quiet_zenoh()
-    keys = Keys(run_id)
-    bus = Bus.connect(endpoint, credentials)
-    end_with_link(bus, credentials)
-    _process(bus, keys, config, real).serve()
-
-
-def _process(bus: Bus, keys: Keys, config: NetemConfig, real: bool) -> NetemProcess:
-    if not real:
-        return NetemProcess(bus, keys, config, Rounds(config))
-    from netem.freeprocess import FreeNetemProcess  # which is one of these
-
-    return FreeNetemProcess(bus, keys, config, FreeRounds(config))
 
 
 class NetemProcess:

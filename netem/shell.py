@@ -19,9 +19,10 @@ from typing import Any, NamedTuple
 import msgpack
 
 from netem.access import LEASE_MS, Credentials
-from netem.bus import Bus, Quota, Respond
+from netem.bus import Bus, Respond
 from netem.errors import MalformedMessage, OutOfPlace
 from netem.messages import Message, Note, decode, encode
+from netem.queues import Quota
 
 log = logging.getLogger(__name__)
 

@@ -12,9 +12,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from netem.acoustic import AcousticNetem
-from netem.config import Condition, Link, NetemConfig
+from netem.causes import CAUSES
+from netem.condition import Condition, Link
+from netem.config import NetemConfig
 from netem.faults import NetFault
-from netem.impairment import CAUSES
 from netem.ledger import Ledger
 from netem.messages import Delivery, Fate, Round, Transmission
 from netem.modem import AcousticConfig, Modem

@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 from fleet.connectivity import Connectivity
 from fleet.separation import Separation
 from netem.ages import Age, Ages
-from netem.config import Condition, NetemConfig
+from netem.condition import Condition
+from netem.config import NetemConfig
 from netem.faults import NetFault
 from netem.messages import Fate, Frame, VehicleFrame
 from netem.network import Netem

@@ -26,10 +26,11 @@ from fleet.run import Options, Result, Status, execute
 from fleet.rundir import RunDirectory
 from fleet.scenario import load_scenario
 from netem.access import CONSOLE, OBSERVER, OPERATOR, Credentials, generate
-from netem.bus import MOST_WAITING, Bus, OpenBus
+from netem.bus import Bus, OpenBus
 from netem.errors import BusError
 from netem.keys import Keys
 from netem.messages import Command, Hello, Note, encode
+from netem.queues import MOST_WAITING
 from netem.shell import Shell, request
 
 SCENARIO = ["duration=1 s", "checks={}"]

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from netem.config import Condition, GilbertElliott
+from netem.condition import Condition, GilbertElliott
 from netem.correlation import effective, share_below
 from netem.impairment import LinkModel
 

@@ -23,7 +23,8 @@ from fleet.faults import FaultError, partition
 from fleet.run import Options, Result, Status, execute
 from fleet.scenario import load_scenario, parse_scenario
 from fleet.stability import analyse
-from netem.config import Condition, NetemConfig
+from netem.condition import Condition
+from netem.config import NetemConfig
 from netem.faults import CALM, NetFault, weather
 from netem.lives import Absence
 from netem.network import Netem

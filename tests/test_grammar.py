@@ -6,18 +6,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from netem.config import DEFAULT_LIMIT, Condition, FourState, GilbertElliott
+from netem.condition import DEFAULT_LIMIT, Condition, FourState, GilbertElliott
 from netem.errors import NetemError
-from netem.grammar import (
-    REFUSED,
-    GrammarError,
-    Selector,
-    exact_number,
-    parse_condition,
-    parse_selector,
-    print_condition,
-    select,
-)
+from netem.grammar import REFUSED, parse_condition, print_condition
+from netem.parsing import GrammarError, exact_number
+from netem.selectors import Selector, parse_selector, select
 
 DAY_NS = 86_400 * 10**9
 

@@ -13,14 +13,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_grammar import conditions
 
-from netem.config import (
-    Condition,
-    FourState,
-    GilbertElliott,
-    NetemConfig,
-    condition_from_values,
-    condition_values,
-)
+from netem.condition import Condition, FourState, GilbertElliott, condition_from_values, condition_values
+from netem.config import NetemConfig
 from netem.impairment import LinkModel, LinkState, Verdict
 from netem.network import Netem
 

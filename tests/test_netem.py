@@ -11,7 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from test_grammar import conditions as any_conditions
 
-from netem.config import Condition, Link, NetemConfig
+from netem.condition import Condition, Link
+from netem.config import NetemConfig
 from netem.draws import normal, uniform
 from netem.errors import OutOfPlace
 from netem.ledger import Ledger

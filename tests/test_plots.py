@@ -31,7 +31,7 @@ from fleet.report import write as write_report
 from fleet.report_tables import links_table
 from fleet.run import Options, execute
 from fleet.scenario import load_scenario
-from netem.impairment import CAUSES, DELIVERED, IN_FLIGHT
+from netem.causes import CAUSES, DELIVERED, IN_FLIGHT
 
 ROOT = Path(__file__).parent.parent
 

@@ -22,7 +22,7 @@ from fleet.scenario import Scenario, list_scenarios, load_scenario, parse_scenar
 from fleet.schema import GuidanceSection, ScenarioSpec, Section, TrackingSection
 from fleet.snapshot import DRAWN_GROUPS, LOG_GROUPS
 from fleet.yaml_marks import Mapping, Source, plain, read, resolve
-from netem.config import Condition
+from netem.condition import Condition
 
 EXPECTED = Path(__file__).parent / "expected"
 SHIPPED = [name for name, *_ in list_scenarios()]

@@ -24,7 +24,7 @@ from fleet.run import Options, Result, execute
 from fleet.scenario import load_scenario
 from fleet.scene import CUTS, HISTORY, LINKS, LinkHistories, Scene, diameter, hull
 from fleet.transforms import quaternion
-from netem.impairment import CAUSES, DELIVERED, IN_FLIGHT
+from netem.causes import CAUSES, DELIVERED, IN_FLIGHT
 from netem.messages import Fate, Frame, VehicleFrame
 
 ROOT = Path(__file__).parent.parent

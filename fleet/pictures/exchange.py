@@ -19,8 +19,8 @@ from fleet.pictures.axes import SPAN_IN, finish, legend_of, marks_legend, over_t
 from fleet.pictures.runs import Look, NothingToDraw, Run
 from fleet.plotting import plain_decades
 from fleet.records import Array
-from netem.config import Link
-from netem.impairment import DELIVERED, IN_FLIGHT, REPLACED
+from netem.causes import DELIVERED, IN_FLIGHT, REPLACED
+from netem.condition import Link
 
 CORRUPTED = "corrupted"
 # Fate -> (mark, colour). Every one has a mark of its own, so that colour is never the only difference; what tends to

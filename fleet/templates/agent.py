@@ -7,8 +7,8 @@ from collections.abc import Iterable
 from math import atan2, hypot
 from typing import Any
 
-from agents.agent import Nav
 from agents.api import AgentConfig, Signal
+from agents.brain import Nav
 from agents.filters import wrap
 from agents.kinematics import earth_velocity
 from agents.neighbours import Delivery

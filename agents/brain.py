@@ -1,0 +1,119 @@
+"""What both kinds of agent share: what they are told, what they decide, and how they keep what they heard."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from math import isfinite
+from typing import NamedTuple, Protocol
+
+from agents.config import AgentConfig
+from agents.controllers import HEARD, layout
+from agents.errors import ControllerError
+from agents.neighbours import Delivery
+from agents.signals import Layout
+from world.vehicle import Vec3, Vec5
+
+HEARD_SIZE = sum(signal.width for signal in HEARD)
+
+
+class Nav(Protocol):
+    """What the agent measures of its own vehicle at a tick."""
+
+    @property
+    def tick(self) -> int: ...
+    @property
+    def eta(self) -> tuple[float, ...]: ...
+    @property
+    def nu(self) -> tuple[float, ...]: ...
+
+
+class Decision(NamedTuple):
+    """The answer to one sample: tau within its limits [N, N m], and the values that the layout declares."""
+
+    tau: Vec3
+    telemetry: tuple[float, ...]
+
+
+class Step(NamedTuple):
+    """A decision, and what to send to the neighbours: nothing between round ticks."""
+
+    tau: Vec3
+    telemetry: tuple[float, ...]
+    payloads: tuple[bytes, ...]
+
+
+class Brain:
+    """What every agent does: limits, order of time, and what follows when a law fails."""
+
+    def __init__(self, config: AgentConfig) -> None:
+        self.config = config
+        self.layout: Layout = layout(config)
+        self._tick_s = config.tick_ns / 1e9
+        self._last_tick: int | None = None
+        self._failed = False
+        self._notes: list[tuple[int, str]] = []
+        x, y, z = config.tau_max
+        self._tau_limits: tuple[Vec3, Vec3] = ((-x, -y, -z), (x, y, z))
+
+    def step(self, nav: Nav, deliveries: Iterable[Delivery]) -> Step:
+        """One sample: the own state is sent on round ticks, what was heard is absorbed, tau is decided.
+
+        Args:
+            nav: own state at this tick.
+            deliveries: what became due at this tick, ordered by (due_tick, sent_tick, src, seq).
+
+        Raises:
+            ControllerError: the measurement is not finite, time went back, or a law failed and `on_error` is not coast.
+        """
+        payloads = self.transmit(nav) if nav.tick % self.config.round_ticks == 0 else ()
+        tau, telemetry = self.decide(nav, deliveries)
+        return Step(tau, telemetry, payloads)
+
+    def transmit(self, nav: Nav) -> tuple[bytes, ...]:
+        """The payloads to every neighbour."""
+        raise NotImplementedError
+
+    def decide(self, nav: Nav, deliveries: Iterable[Delivery]) -> Decision:
+        """The same as `step` without the sending."""
+        raise NotImplementedError
+
+    def take_notes(self) -> list[tuple[int, str]]:
+        """(tick, text) of what a person should know, once."""
+        taken = self._notes.copy()
+        self._notes.clear()
+        return taken
+
+    def _measured(self, nav: Nav) -> tuple[Vec5, Vec5]:
+        x, y, z, theta, psi = nav.eta
+        u, v, w, q, r = nav.nu
+        if not isfinite(x + y + z + theta + psi + u + v + w + q + r):
+            raise ControllerError(self.config.id, nav.tick, f"the measured state is {(nav.eta, nav.nu)!r}")
+        return (x, y, z, theta, psi), (u, v, w, q, r)
+
+    def _elapsed(self, tick: int) -> float:
+        """Time since the previous sample [s]; Ts at the first, more after samples that were missed."""
+        last = self._last_tick
+        if last is None:
+            return self._tick_s
+        if tick <= last:
+            raise ControllerError(self.config.id, tick, f"the tick of the sample before was {last}")
+        return (tick - last) * self._tick_s
+
+    def _coast(self, error: ControllerError) -> None:
+        """From here on the vehicle coasts; or this agent ends, as the scenario says, and perhaps the run with it."""
+        if self.config.on_error != "coast":
+            raise error
+        self._failed = True
+        where = f" ({error.where})" if error.where else ""
+        self._notes.append((error.tick, f"{error.problem}{where}; it is not called again, the vehicle coasts"))
+
+    def _check(self, tick: int, demand: Vec3, telemetry: tuple[float, ...]) -> None:
+        """Raise for the first value that is not finite, if there is one."""
+        if isfinite(sum(telemetry) + sum(demand)):
+            return
+        for group, signal, place in self.layout.signals():
+            values = telemetry[place]
+            if not all(map(isfinite, values)):
+                raise ControllerError(self.config.id, tick, f"{group}.{signal.name} is {values!r}")
+        if not all(map(isfinite, demand)):
+            raise ControllerError(self.config.id, tick, f"tau is {demand!r}")

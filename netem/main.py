@@ -1,0 +1,29 @@
+"""The netem process: connects, and serves the network of a run in lockstep or on a wall clock."""
+
+from __future__ import annotations
+
+from netem.access import Credentials
+from netem.bus import Bus, quiet_zenoh
+from netem.config import NetemConfig
+from netem.freerun import FreeRounds
+from netem.keys import Keys
+from netem.process import NetemProcess
+from netem.rounds import Rounds
+from netem.shell import end_with_link
+
+
+def run(endpoint: str, run_id: str, credentials: Credentials, config: NetemConfig, real: bool) -> None:
+    """Serve the network of a run until the process is ended; `real`: on a wall clock, not in lockstep."""
+    quiet_zenoh()
+    keys = Keys(run_id)
+    bus = Bus.connect(endpoint, credentials)
+    end_with_link(bus, credentials)
+    _process(bus, keys, config, real).serve()
+
+
+def _process(bus: Bus, keys: Keys, config: NetemConfig, real: bool) -> NetemProcess:
+    if not real:
+        return NetemProcess(bus, keys, config, Rounds(config))
+    from netem.freeprocess import FreeNetemProcess  # which is one of these
+
+    return FreeNetemProcess(bus, keys, config, FreeRounds(config))

@@ -1,0 +1,57 @@
+"""Which directed links a text means; an arrow points the way the payload travels."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from netem.condition import Link
+from netem.parsing import GrammarError, quoted
+
+
+@dataclass(frozen=True, slots=True)
+class Selector:
+    """A set of directed links: from `src` to `dst` (None: any vehicle), and back if `both`."""
+
+    src: int | None
+    dst: int | None
+    both: bool = False
+
+    def __str__(self) -> str:
+        if self.src is None and self.dst is None:
+            return "*"
+        side = ["*" if end is None else str(end) for end in (self.src, self.dst)]
+        return side[0] + ("<->" if self.both else "->") + side[1]
+
+    def matches(self, link: Link) -> bool:
+        return self._one_way(link) or (self.both and self._one_way((link[1], link[0])))
+
+    def _one_way(self, link: Link) -> bool:
+        return self.src in (None, link[0]) and self.dst in (None, link[1])
+
+
+_SELECTOR = re.compile(r"\s*(\*|\d{1,9})\s*(<?->)\s*(\*|\d{1,9})\s*", re.ASCII)
+
+
+def parse_selector(text: str) -> Selector:
+    """The links that `text` names.
+
+    Raises:
+        GrammarError: the text is no selector.
+    """
+    if text.strip() == "*":
+        return Selector(None, None)
+    match = _SELECTOR.fullmatch(text)
+    if match is None:
+        raise GrammarError(f'{quoted(text)} is no link: write "*", "1->2", "1<->2", "1->*" or "*->2"')
+    src, arrow, dst = match.groups()
+    if src == dst and src != "*":
+        raise GrammarError(f"vehicle {src} has no link to itself")
+    ends = [None if side == "*" else int(side) for side in (src, dst)]
+    return Selector(ends[0], ends[1], arrow == "<->" and ends != [None, None])
+
+
+def select(selector: Selector, links: Sequence[Link]) -> tuple[Link, ...]:
+    """Those of `links` that the selector names, in the order given."""
+    return tuple(link for link in links if selector.matches(link))

@@ -1,0 +1,80 @@
+"""The world process: hosts or joins the router, and serves the sea in lockstep or on a wall clock."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from netem.access import WORLD as WORLD
+from netem.access import Credentials, Door
+from netem.audit import Refusals, listen
+from netem.bus import Bus, quiet_zenoh
+from netem.keys import Keys
+from netem.shell import end_with_link
+from world.config import WorldConfig
+from world.lockstep import Lockstep
+from world.process import WorldProcess
+
+
+def run(
+    endpoint: str,
+    run_id: str,
+    credentials: dict[str, Credentials],
+    private: Path,
+    config: WorldConfig,
+    frame_every: int,
+    speed: float | None,
+    door: Door | None = None,
+    audit: bool = False,
+) -> None:
+    """Host the router and serve the sea of a run until the process is ended.
+
+    Args:
+        speed: ticks begin by the wall clock, so many times as fast as real; None: in lockstep.
+        audit: tell also which messages the router refuses, not only which logins.
+    """
+    keys = Keys(run_id)
+    bus, refusals = host(endpoint, keys, credentials, private, config, door, audit=audit)
+    _process(bus, keys, config, frame_every, speed, refusals).serve()
+
+
+def host(
+    endpoint: str,
+    keys: Keys,
+    credentials: dict[str, Credentials],
+    private: Path,
+    config: WorldConfig,
+    door: Door | None,
+    *,
+    audit: bool,
+) -> tuple[Bus, Refusals]:
+    """The run's router, and what it refuses."""
+    refusals = Refusals()
+    listen(refusals, decisions=audit)
+    bus = Bus.host(endpoint, keys, tuple(setup.id for setup in config.vehicles), credentials, private, door)
+    if audit:
+        bus.watch_ends(refusals.end)
+    return bus, refusals
+
+
+def join(
+    endpoint: str, run_id: str, credentials: Credentials, config: WorldConfig, frame_every: int, speed: float | None
+) -> None:
+    """Serve the sea of a run through a router that is there already; as `run` otherwise.
+
+    Raises:
+        BusError: the router does not let us in.
+    """
+    quiet_zenoh()
+    bus = Bus.connect(endpoint, credentials)
+    end_with_link(bus, credentials)
+    _process(bus, Keys(run_id), config, frame_every, speed).serve()
+
+
+def _process(
+    bus: Bus, keys: Keys, config: WorldConfig, frame_every: int, speed: float | None, refusals: Refusals | None = None
+) -> WorldProcess:
+    if speed is None:
+        return WorldProcess(bus, keys, Lockstep(config, frame_every=frame_every), refusals)
+    from world.freeprocess import FreeWorldProcess  # which is one of these
+
+    return FreeWorldProcess(bus, keys, config, frame_every, speed, refusals)

@@ -7,10 +7,10 @@ from math import isfinite
 from typing import NamedTuple, Protocol
 
 from agents.config import AgentConfig
-from agents.controllers import HEARD, layout
+from agents.controllers import layout
 from agents.errors import ControllerError
 from agents.neighbours import Delivery
-from agents.signals import Layout
+from agents.signals import HEARD, Layout
 from world.vehicle import Vec3, Vec5
 
 HEARD_SIZE = sum(signal.width for signal in HEARD)

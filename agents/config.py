@@ -9,7 +9,8 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass, field
 from typing import Any, Literal
 
-from agents.trajectory import Motion, Offset, Reference, plus, reference_from_values
+from agents.offset import Offset
+from agents.trajectory import Motion, Reference, plus, reference_from_values
 from world.vehicle import Vec3, VehicleParams
 
 Extrapolation = Literal["hold", "neighbour", "reference"]

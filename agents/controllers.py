@@ -16,7 +16,7 @@ from agents.command import direction_command, floor_speed
 from agents.config import AgentConfig, Law
 from agents.guard import FencedLaw
 from agents.guidance import FixedGuidance, OptimalGuidance
-from agents.signals import Layout, Signal
+from agents.signals import COMMANDED, HEARD, Layout
 from world.vehicle import Vec3
 
 GUIDANCE: dict[str, type[OptimalGuidance] | type[FixedGuidance]] = {
@@ -55,20 +55,6 @@ BUILT_IN: dict[str, Mapping[str, type[Any]]] = {
     "controller": {},
     "agent": {},
 }
-
-# What every agent that hears neighbours reports, whatever its controller.
-HEARD = (
-    Signal("e_used", "m", "consensus error from what the agent knows of its neighbours, NED", 3),
-    Signal("neighbours_heard", "1", "neighbours heard at least once"),
-    Signal("payloads_rejected", "1", "payloads refused by the codec since the start"),
-)
-# What every agent with a guidance law reports besides.
-COMMANDED = (
-    Signal("rho", "m/s", "commanded velocity, NED", 3),
-    Signal("u_cmd", "m/s", "commanded speed after the floor"),
-    Signal("theta_cmd", "rad", "commanded pitch of the velocity"),
-    Signal("psi_cmd", "rad", "commanded course of the velocity"),
-)
 
 
 class Lawful(Protocol):

@@ -15,7 +15,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 
 from agents.api import NeighbourState
-from agents.trajectory import Motion, Offset
+from agents.offset import Offset
+from agents.trajectory import Motion
 from world.vehicle import Vec3
 
 

@@ -23,7 +23,8 @@ from typing import Any
 from agents.api import Sample
 from agents.config import AgentConfig, Law
 from agents.errors import ControllerError
-from agents.plugins import MOST_NUMBERS, in_library, place_of, place_of_line, place_of_method, resumable, words_of
+from agents.plugin_checks import MOST_NUMBERS, resumable
+from agents.plugin_places import in_library, place_of, place_of_line, place_of_method, words_of
 from agents.signals import Signal
 from world.vehicle import Vec3
 

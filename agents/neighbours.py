@@ -27,8 +27,9 @@ from agents.api import NeighbourState
 from agents.compact import decode as decode_compact
 from agents.config import Codec, Extrapolation, Neighbour
 from agents.errors import PayloadError
+from agents.offset import Offset
 from agents.payload import CAUSES, StateMessage, decode
-from agents.trajectory import Offset, Reference, minus, plus
+from agents.trajectory import Reference, minus, plus
 from world.vehicle import Vec3
 
 

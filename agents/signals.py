@@ -44,3 +44,18 @@ class Layout(NamedTuple):
         """Where the values of a group are."""
         first = sum(signal.width for signal in self.guidance)
         return slice(0, first) if name == "guidance" else slice(first, self.size)
+
+
+# What every agent that hears neighbours reports, whatever its controller.
+HEARD = (
+    Signal("e_used", "m", "consensus error from what the agent knows of its neighbours, NED", 3),
+    Signal("neighbours_heard", "1", "neighbours heard at least once"),
+    Signal("payloads_rejected", "1", "payloads refused by the codec since the start"),
+)
+# What every agent with a guidance law reports besides.
+COMMANDED = (
+    Signal("rho", "m/s", "commanded velocity, NED", 3),
+    Signal("u_cmd", "m/s", "commanded speed after the floor"),
+    Signal("theta_cmd", "rad", "commanded pitch of the velocity"),
+    Signal("psi_cmd", "rad", "commanded course of the velocity"),
+)

@@ -14,7 +14,7 @@ at a corner, and a formation changes along a blend whose velocity and accelerati
 from __future__ import annotations
 
 from bisect import bisect_right
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from math import atan2, cos, hypot, pi, sin, tan
 from typing import Any, Literal, NamedTuple
@@ -240,53 +240,6 @@ _REFERENCES: dict[str, type[Line] | type[Circle] | type[Path]] = {"line": Line, 
 def reference_from_values(values: dict[str, Any]) -> Reference:
     """The inverse of `dataclasses.asdict` on a reference."""
     return _REFERENCES[values["kind"]](**values)
-
-
-@dataclass(frozen=True, slots=True)
-class Change:
-    """From `begin` [s] on the offset moves to `offset` [m, NED], where it arrives `blend` [s] later."""
-
-    begin: float
-    blend: float
-    offset: Vec3
-
-
-@dataclass(frozen=True, slots=True)
-class Offset:
-    """An offset that may change: p_i(t), or Delta_ij(t) = p_i(t) - p_j(t)."""
-
-    start: Vec3  # m, NED
-    changes: tuple[Change, ...] = field(default=())  # in order of time, none before the one before is complete
-
-    def at(self, t: float) -> Motion:
-        """The offset [m, NED] and its rate [m/s] at time t [s].
-
-        A blend follows 10 x^3 - 15 x^4 + 6 x^5: at rest at both ends, with a continuous acceleration, and at most
-        1.875 times as fast as a straight change.
-        """
-        offset = self.start
-        for change in self.changes:
-            if t >= change.begin + change.blend:
-                offset = change.offset
-            elif t > change.begin:
-                x = (t - change.begin) / change.blend
-                way = x * x * x * (10.0 + x * (6.0 * x - 15.0))
-                rate = 30.0 * x * x * (1.0 - x) * (1.0 - x) / change.blend
-                step = minus(change.offset, offset)
-                return Motion(_add(offset, step, way), _scale(step, rate))
-            else:
-                break
-        return Motion(offset, ZERO)
-
-    @property
-    def moving(self) -> bool:
-        """Whether it ever changes."""
-        return bool(self.changes)
-
-    @classmethod
-    def from_values(cls, values: dict[str, Any]) -> Offset:
-        """The inverse of `dataclasses.asdict`."""
-        return cls(values["start"], tuple(Change(**change) for change in values["changes"]))
 
 
 def plus(a: Vec3, b: Vec3) -> Vec3:

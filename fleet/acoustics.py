@@ -19,7 +19,7 @@ from pathlib import Path
 
 from agents import compact, payload
 from agents.config import Codec
-from agents.trajectory import Offset
+from agents.offset import Offset
 from fleet.aloha import Talking, talking
 from fleet.modems import NUMBERS, load_modem, modem_of, modem_problems
 from fleet.schema import AcousticSection, NetworkSection

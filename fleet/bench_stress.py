@@ -21,7 +21,7 @@ from typing import Any
 
 from rich.table import Table
 
-from agents.join import Joining
+from agents.join_file import Joining
 from fleet.bench_soak import Soak, result_of
 from netem.bus import Bus
 from netem.errors import BusError

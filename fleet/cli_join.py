@@ -42,7 +42,8 @@ def agent(path: Path, trust: Trust, quiet: bool) -> None:
     """
     import setproctitle
 
-    from agents.join import JoinError, Joining, serve
+    from agents.join import serve
+    from agents.join_file import JoinError, Joining
     from netem.bus import quiet_zenoh
     from netem.messages import RUN_OVER
 

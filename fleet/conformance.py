@@ -19,7 +19,7 @@ from secrets import token_hex
 import msgpack
 
 from agents import payload
-from agents.join import Joining
+from agents.join_file import Joining
 from fleet.counterpart import Counterpart
 from fleet.errors import FleetError
 from fleet.ports import free_port

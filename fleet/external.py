@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-from agents.join import Joining
+from agents.join_file import Joining
 from fleet.errors import FleetError
 from fleet.rundir import RunDirectory
 from fleet.scenario import Scenario

@@ -12,7 +12,8 @@ from __future__ import annotations
 import math
 from math import cos, pi, sin
 
-from agents.trajectory import Change, Motion, Offset, plus
+from agents.offset import Change, Offset
+from agents.trajectory import Motion, plus
 from fleet.schema import FormationSection, FormationShape, InitialSection
 from fleet.shapes import DEFAULT_SPACING_M
 from netem.draws import uniform

@@ -15,10 +15,11 @@ from typing import Any
 from agents.config import Law
 from agents.controllers import BUILT_IN, CONTROLLERS
 from agents.errors import PluginError, UntrustedError
+from agents.offset import Offset
 from agents.plugins import load
 from agents.profiles import profile
-from agents.trajectory import Offset, PathError
 from agents.trajectory import Path as Path_
+from agents.trajectory import PathError
 from fleet import acoustics
 from fleet.datafiles import DataFileError
 from fleet.errors import Problem

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from agents.config import AgentConfig, GuidanceParams, Law, Neighbour, TrackingParams
-from agents.trajectory import Change, Circle, Line, Offset, Path
+from agents.offset import Change, Offset
+from agents.trajectory import Circle, Line, Path
 from world.vehicle import VehicleParams
 
 Meaning = tuple[str, str, str]  # type, unit, meaning

@@ -13,9 +13,10 @@ from typing import Any
 
 import numpy as np
 
-from agents.agent import Agent, PluggedAgent, make_agent
+from agents.agent import Agent, make_agent
 from agents.controllers import BUILT_IN, laws
 from agents.errors import AgentError
+from agents.plugged_agent import PluggedAgent
 from agents.plugins import admit
 from agents.trust import NOTHING, Trust
 from fleet.errors import FleetError

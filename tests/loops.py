@@ -13,8 +13,9 @@ from typing import NamedTuple
 from agents.agent import Agent
 from agents.config import AgentConfig, Extrapolation, Law, Neighbour
 from agents.controllers import CONTROLLERS
+from agents.offset import Offset
 from agents.profiles import profile
-from agents.trajectory import Line, Offset, minus
+from agents.trajectory import Line, minus
 from world.config import DEFAULT_SUBSTEPS, Harmonic, VehicleSetup, WorldConfig
 from world.sea import World
 from world.vehicle import Vec3, Vec5, VehicleParams

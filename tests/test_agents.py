@@ -29,10 +29,11 @@ from agents.errors import AgentError, ControllerError, PayloadError, UnknownName
 from agents.filters import AngleRateFilter, wrap
 from agents.kinematics import earth_velocity, flow_angles
 from agents.neighbours import NeighbourTable
+from agents.offset import Offset
 from agents.payload import SIZE, StateMessage, decode, encode
 from agents.profiles import PROFILES, profile
 from agents.shunting import shunting_step
-from agents.trajectory import Motion, Offset
+from agents.trajectory import Motion
 from world.disturbance import NO_FORCE, PAPER
 from world.dynamics import coefficients, derivative
 from world.sea import World

@@ -21,7 +21,7 @@ from live import LiveRun
 from test_live import tool as op
 from waiting import wait_for
 
-from agents.join import JoinError, Joining
+from agents.join_file import JoinError, Joining
 from fleet.cli import cli
 from fleet.external import ExternalError
 from fleet.reader import digest

@@ -14,8 +14,8 @@ from agents.agent import Agent
 from agents.api import NeighbourState
 from agents.config import AgentConfig
 from agents.following import followed
+from agents.offset import Change, Offset
 from agents.payload import StateMessage, encode
-from agents.trajectory import Change, Offset
 from fleet.chance import chances
 from fleet.errors import ScenarioError
 from fleet.resume import prepare

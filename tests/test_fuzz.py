@@ -28,8 +28,8 @@ from test_messages import ANY_MESSAGE, messages
 
 import fleet
 from agents.agent import make_agent
-from agents.join import JoinError, Joining
 from agents.join import serve as serve_agent
+from agents.join_file import JoinError, Joining
 from agents.loop import AgentLoop
 from agents.payload import StateMessage
 from agents.payload import encode as state_payload

@@ -27,7 +27,7 @@ from hypothesis import strategies as st
 from live import LiveRun
 from waiting import wait_for
 
-from agents.join import Joining
+from agents.join_file import Joining
 from fleet import acl, certs
 from fleet.certs import CertsError
 from fleet.cli import cli

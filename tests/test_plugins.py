@@ -29,8 +29,8 @@ from mcap_protobuf.decoder import DecoderFactory
 from agents import plugins
 from agents.agent import Agent, make_agent
 from agents.config import Law
-from agents.controllers import COMMANDED, HEARD
 from agents.errors import ControllerError, PluginError
+from agents.signals import COMMANDED, HEARD
 from fleet.cli import cli
 from fleet.errors import ScenarioError
 from fleet.new import KINDS

@@ -14,8 +14,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from agents.config import GuidanceParams, Neighbour, TrackingParams
+from agents.offset import Offset
 from agents.profiles import PROFILES, profile
-from agents.trajectory import Line, Offset
+from agents.trajectory import Line
 from fleet.errors import FleetError, ScenarioError
 from fleet.formation import grid
 from fleet.scenario import Scenario, list_scenarios, load_scenario, parse_scenario

@@ -17,7 +17,7 @@ from typing import Any
 import pytest
 from live import Stopwatch
 
-from agents.join import JoinError, Joining
+from agents.join_file import JoinError, Joining
 from fleet.certs import CertsError
 from fleet.certs import _read as read_pem
 from fleet.cli import cli

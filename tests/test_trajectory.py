@@ -15,8 +15,9 @@ from loops import agent_config
 
 from agents.config import AgentConfig, Neighbour
 from agents.neighbours import NeighbourTable
+from agents.offset import Change, Offset
 from agents.payload import StateMessage, encode
-from agents.trajectory import Change, Circle, Line, Offset, Path, PathError, Reference, minus, plus
+from agents.trajectory import Circle, Line, Path, PathError, Reference, minus, plus
 from netem.messages import Delivery
 
 coordinate = st.floats(-200.0, 200.0)

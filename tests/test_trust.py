@@ -20,7 +20,8 @@ import fleet
 from agents import plugins, trust
 from agents.config import Law
 from agents.errors import PluginError
-from agents.join import JoinError, _admit
+from agents.join import _admit
+from agents.join_file import JoinError
 from agents.trust import Trust
 from fleet.cli import cli
 from fleet.errors import ScenarioError

@@ -1,0 +1,80 @@
+"""An agent whose protocol is a user's own."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from math import nan
+from typing import Any
+
+from agents import plugin_checks, plugins
+from agents.brain import Brain, Decision, Nav
+from agents.command import clip
+from agents.config import AgentConfig, Law
+from agents.errors import ControllerError
+from agents.guard import MAX_PAYLOAD_BYTES, Fence, shown
+from agents.neighbours import Delivery
+from world.vehicle import Vec3
+
+
+class PluggedAgent(Brain):
+    """A user's whole agent: what it hears are raw payloads, what it sends is its own affair."""
+
+    def __init__(self, config: AgentConfig, law: Law) -> None:
+        super().__init__(config)
+        self._fence = Fence(config, law, self._notes)
+        found = plugins.load("agent", law)
+        self._resumable = plugin_checks.resumable(found)
+        self._user = self._fence.make(found, config, law)
+
+    def transmit(self, nav: Nav) -> tuple[bytes, ...]:
+        """The payloads to every neighbour; none once it has failed."""
+        if self._failed:
+            return ()
+        fence, method = self._fence, self._user.transmit
+        try:
+            payloads = fence.call(nav.tick, method, nav)
+            if not isinstance(payloads, (list, tuple)) or not all(isinstance(p, bytes) for p in payloads):
+                raise fence.wrong(nav.tick, method, f"returned {shown(payloads)}: expected a list of bytes")
+            if (size := sum(map(len, payloads))) > MAX_PAYLOAD_BYTES:
+                text = f"returned {size} bytes: at most {MAX_PAYLOAD_BYTES} fit into a round"
+                raise fence.wrong(nav.tick, method, text)
+        except ControllerError as error:
+            self._coast(error)
+            return ()
+        return tuple(payloads)
+
+    def decide(self, nav: Nav, deliveries: Iterable[Delivery]) -> Decision:
+        """Forces from what it measures and hears; none once it has failed."""
+        tick = nav.tick
+        self._elapsed(tick)
+        self._last_tick = tick
+        demand: Vec3 = (0.0, 0.0, 0.0)
+        telemetry = (nan,) * self.layout.size
+        if not self._failed:
+            fence, method = self._fence, self._user.decide
+            try:
+                answer = fence.call(tick, method, nav, list(deliveries))
+                if not isinstance(answer, tuple) or len(answer) != 2:
+                    text = f"returned {shown(answer)}: expected ((tau1, tau2, tau3), telemetry)"
+                    raise fence.wrong(tick, method, text)
+                demand = fence.vector(tick, method, "(tau1, tau2, tau3)", answer[0])
+                telemetry = fence.telemetry(tick, method, self.layout.control, answer[1])
+            except ControllerError as error:
+                self._coast(error)
+                demand = (0.0, 0.0, 0.0)
+        return Decision(clip(demand, *self._tau_limits), telemetry)
+
+    def counters(self) -> dict[str, int]:
+        return {}
+
+    def state(self) -> dict[str, Any]:
+        """Everything that the next sample depends on; the agent's own is None when it has no state()."""
+        own = self._user.state() if self._resumable else None
+        return {"last_tick": self._last_tick, "failed": self._failed, "agent": own}
+
+    def restore(self, values: dict[str, Any]) -> None:
+        """Continue from `state()`."""
+        self._last_tick = values["last_tick"]
+        self._failed = values["failed"]
+        if self._resumable:
+            self._user.restore(values["agent"])

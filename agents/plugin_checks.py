@@ -1,0 +1,108 @@
+"""What a class must be able to do to be used as a law, and what it may report."""
+
+from __future__ import annotations
+
+import inspect
+import re
+from typing import Any
+
+from agents.config import Law
+from agents.errors import PluginError
+from agents.plugin_places import place_of_method
+from agents.signals import Signal
+
+# What a class of each kind must be able to do, and with what it is called.
+METHODS: dict[str, dict[str, tuple[str, ...]]] = {
+    "controller": {"step": ("sample",)},
+    "guidance": {"step": ("sample",)},
+    "tracking": {"step": ("sample", "command")},
+    "agent": {"transmit": ("nav",), "decide": ("nav", "deliveries")},
+}
+MOST_NUMBERS = 1000  # of one signal
+_UNITLESS = "1"
+
+
+def resumable(found: type[Any]) -> bool:
+    """Whether a law can give and take back its state."""
+    return callable(getattr(found, "state", None)) and callable(getattr(found, "restore", None))
+
+
+def check_law(kind: str, law: Law, found: Any) -> None:
+    name = law.name
+    if not inspect.isclass(found):
+        raise PluginError(kind, name, f"expected a class, got {type(found).__name__}")
+    for method, arguments in METHODS[kind].items():
+        if not callable(getattr(found, method, None)):
+            article = "an" if kind == "agent" else "a"
+            hint = f"{article} {kind} needs {' and '.join(METHODS[kind])}"
+            raise PluginError(kind, name, f"it has no method {method}", hint)
+        _check_method(kind, name, found, method, arguments)
+    if abstract := sorted(getattr(found, "__abstractmethods__", ())):
+        raise PluginError(kind, name, f"it is abstract: it lacks {', '.join(abstract)}")
+    if callable(getattr(found, "state", None)) != callable(getattr(found, "restore", None)):
+        raise PluginError(kind, name, "it has only one of state and restore", "write both, or neither")
+    _check_signals(kind, name, getattr(found, "signals", None))
+    try:
+        signature = inspect.signature(found)
+    except ValueError:  # written in C: making it will tell
+        return
+    try:
+        signature.bind(None, **law.parameters)
+    except TypeError as error:
+        if "too many positional" in str(error):
+            hint = "write def __init__(self, config, ...): config is the agent's own slice of the scenario"
+            raise PluginError(kind, name, "it is made with the agent's configuration, and takes none", hint) from None
+        own = list(signature.parameters.values())[1:]
+        shown = ", ".join(str(parameter.replace(annotation=inspect.Parameter.empty)) for parameter in own)
+        hint = f"its parameters: {shown}" if shown else "it takes no parameters"
+        raise PluginError(kind, name, f"cannot be made with these parameters: {error}", hint) from None
+
+
+def _check_method(kind: str, name: str, found: type[Any], method: str, arguments: tuple[str, ...]) -> None:
+    """A method that cannot be called, or does not answer at once, is found before the run."""
+    function = inspect.getattr_static(found, method)
+    if not inspect.isfunction(function):  # decorated, or written in C: calling it will tell
+        return
+    place = place_of_method(function)
+    if inspect.iscoroutinefunction(function) or inspect.isgeneratorfunction(function):
+        raise PluginError(kind, name, f"its {method} must return its answer, not await or yield", place)
+    try:
+        inspect.signature(function).bind(None, *arguments)
+    except TypeError as error:
+        text = f"its {method} cannot be called as {method}({', '.join(arguments)}): {error}"
+        raise PluginError(kind, name, text, place) from None
+
+
+def _check_signals(kind: str, name: str, signals: Any) -> None:
+    """What is declared can be logged."""
+    # Here, because agents.controllers is built on this module.
+    from agents.signals import COMMANDED, HEARD
+
+    if not isinstance(signals, tuple) or not all(isinstance(signal, Signal) for signal in signals):
+        raise PluginError(
+            kind, name, f"expected signals as a tuple of agents.api.Signal, got {signals!r:.80}", "() reports nothing"
+        )
+    # A guidance law's signals share their topic with what every agent reports.
+    taken = {signal.name for signal in (*HEARD, *COMMANDED)} if kind == "guidance" else set()
+    seen: dict[str, str] = {}  # name in JSON -> name
+    for signal in signals:
+        # As in protobuf, whose names are ASCII and differ also as JSON writes them: a_b is aB there.
+        if not isinstance(signal.name, str) or not signal.name.isascii() or not signal.name.isidentifier():
+            raise PluginError(kind, name, f"signal {signal.name!r} is not a name", "names are a-z, A-Z, digits and _")
+        if signal.name in taken:
+            hint = f"these are: {', '.join(sorted(taken))}"
+            raise PluginError(kind, name, f"signal {signal.name!r} is reported already by every agent", hint)
+        in_json = re.sub(r"_+(.?)", lambda match: match[1].upper(), signal.name)
+        if seen.get(in_json) == signal.name:
+            raise PluginError(kind, name, f"signal {signal.name!r} is declared twice")
+        if in_json in seen:
+            text = f"signals {seen[in_json]!r} and {signal.name!r} are both {in_json!r} in JSON"
+            raise PluginError(kind, name, text, "rename one")
+        if not isinstance(signal.unit, str) or not signal.unit:
+            hint = f'write "{_UNITLESS}" for a number without'
+            raise PluginError(kind, name, f"signal {signal.name!r} has no unit", hint)
+        if not isinstance(signal.meaning, str):
+            raise PluginError(kind, name, f"signal {signal.name!r} has meaning {signal.meaning!r:.80}, not a text")
+        if not isinstance(signal.width, int) or not 1 <= signal.width <= MOST_NUMBERS:
+            raise PluginError(kind, name, f"signal {signal.name!r} has width {signal.width!r}", f"1 to {MOST_NUMBERS}")
+        seen[in_json] = signal.name

@@ -30,7 +30,7 @@ from agents.kinematics import earth_velocity
 from agents.neighbours import Delivery, NeighbourTable
 from agents.payload import StateMessage, encode
 from agents.plugged_agent import PluggedAgent
-from world.vehicle import Vec3
+from world.vectors import Vec3
 
 
 class Agent(Brain):

@@ -22,7 +22,7 @@ from typing import ClassVar, NamedTuple, Protocol
 from agents.config import AgentConfig
 from agents.signals import Signal
 from agents.trajectory import Motion
-from world.vehicle import Vec3, Vec5
+from world.vectors import Vec3, Vec5
 
 __all__ = ["AgentConfig", "Controller", "Guidance", "Motion", "NeighbourState", "Sample", "Signal", "Tracking"]
 

@@ -29,7 +29,7 @@ from agents.filters import AngleRateFilter, RateFilter, wrap
 from agents.kinematics import flow_angles
 from agents.shunting import shunting_step
 from agents.signals import Signal
-from world.vehicle import Vec3
+from world.vectors import Vec3
 
 _ERRORS = (
     Signal("u_err", "m/s", "speed minus commanded speed"),

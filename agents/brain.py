@@ -11,7 +11,7 @@ from agents.controllers import layout
 from agents.errors import ControllerError
 from agents.neighbours import Delivery
 from agents.signals import HEARD, Layout
-from world.vehicle import Vec3, Vec5
+from world.vectors import Vec3, Vec5
 
 HEARD_SIZE = sum(signal.width for signal in HEARD)
 

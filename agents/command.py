@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from math import atan2, hypot, sqrt
 
-from world.vehicle import Vec3
+from world.vectors import Vec3
 
 
 def virtual_control(e: Vec3, K: Vec3, v_d: Vec3) -> Vec3:

@@ -10,8 +10,9 @@ from dataclasses import asdict, dataclass, field
 from typing import Any, Literal
 
 from agents.offset import Offset
-from agents.trajectory import Motion, Reference, plus, reference_from_values
-from world.vehicle import Vec3, VehicleParams
+from agents.trajectory import Motion, Reference, reference_from_values
+from world.vectors import Vec3, plus
+from world.vehicle import VehicleParams
 
 Extrapolation = Literal["hold", "neighbour", "reference"]
 Cost = Literal["printed", "consistent"]

@@ -14,7 +14,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from agents.api import NeighbourState
-from world.vehicle import Vec3
+from world.vectors import Vec3
 
 
 def consensus_error(position: Vec3, desired: Vec3, b: float, heard: Iterable[NeighbourState]) -> tuple[Vec3, float]:

@@ -17,7 +17,7 @@ from agents.config import AgentConfig, Law
 from agents.guard import FencedLaw
 from agents.guidance import FixedGuidance, OptimalGuidance
 from agents.signals import COMMANDED, HEARD, Layout
-from world.vehicle import Vec3
+from world.vectors import Vec3
 
 GUIDANCE: dict[str, type[OptimalGuidance] | type[FixedGuidance]] = {
     "optimal": OptimalGuidance,

@@ -17,7 +17,7 @@ from collections.abc import Iterable, Mapping
 from agents.api import NeighbourState
 from agents.offset import Offset
 from agents.trajectory import Motion
-from world.vehicle import Vec3
+from world.vectors import Vec3
 
 
 def followed(position: Vec3, heard: Iterable[NeighbourState], offsets: Mapping[int, Offset], t: float) -> Motion:

@@ -31,7 +31,7 @@ import numpy as np
 import piqp
 
 from agents.config import GuidanceParams
-from world.vehicle import Vec3
+from world.vectors import Vec3
 
 # A bound that is only just active leaves an interior point sqrt(tolerance) away from it. Measured on random
 # problems: 1e-12 misses the gain by up to 1e-4, 1e-14 by 3e-6 (and rho by 6e-11) for 11 iterations instead of

@@ -26,7 +26,7 @@ from agents.errors import ControllerError
 from agents.plugin_checks import MOST_NUMBERS, resumable
 from agents.plugin_places import in_library, place_of, place_of_line, place_of_method, words_of
 from agents.signals import Signal
-from world.vehicle import Vec3
+from world.vectors import Vec3
 
 MAX_PAYLOAD_BYTES = 40_000  # of one round; the transport carries 48 kB in a message
 

@@ -17,7 +17,7 @@ from agents.command import clip, slew, virtual_control
 from agents.config import AgentConfig
 from agents.gain_qp import NoSolution, build_qp, solve
 from agents.signals import Signal
-from world.vehicle import Vec3
+from world.vectors import Vec3
 
 HELD, SOLVED, NO_SOLUTION = 0, 1, 2
 

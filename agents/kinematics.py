@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from math import atan2, cos, hypot, sin, sqrt
 
-from world.vehicle import Vec3, Vec5
+from world.vectors import Vec3, Vec5
 
 
 def earth_velocity(eta: Vec5, nu: Vec5) -> Vec3:

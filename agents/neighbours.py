@@ -29,8 +29,8 @@ from agents.config import Codec, Extrapolation, Neighbour
 from agents.errors import PayloadError
 from agents.offset import Offset
 from agents.payload import CAUSES, StateMessage, decode
-from agents.trajectory import Reference, minus, plus
-from world.vehicle import Vec3
+from agents.trajectory import Reference
+from world.vectors import Vec3, minus, plus
 
 
 class Delivery(Protocol):

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any
 
-from agents.trajectory import ZERO, Motion, _add, _scale, minus
-from world.vehicle import Vec3
+from agents.trajectory import Motion
+from world.vectors import ZERO, Vec3, minus, moved, scale
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +40,7 @@ class Offset:
                 way = x * x * x * (10.0 + x * (6.0 * x - 15.0))
                 rate = 30.0 * x * x * (1.0 - x) * (1.0 - x) / change.blend
                 step = minus(change.offset, offset)
-                return Motion(_add(offset, step, way), _scale(step, rate))
+                return Motion(moved(offset, step, way), scale(step, rate))
             else:
                 break
         return Motion(offset, ZERO)

@@ -20,7 +20,7 @@ from typing import NamedTuple
 from zlib import crc32
 
 from agents.errors import PayloadError
-from world.vehicle import Vec3
+from world.vectors import Vec3
 
 VERSION = 1
 MOST = 1e9  # m and m/s, added up; with more the squares in a law of the receiver may overflow

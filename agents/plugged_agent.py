@@ -13,7 +13,7 @@ from agents.config import AgentConfig, Law
 from agents.errors import ControllerError
 from agents.guard import MAX_PAYLOAD_BYTES, Fence, shown
 from agents.neighbours import Delivery
-from world.vehicle import Vec3
+from world.vectors import Vec3
 
 
 class PluggedAgent(Brain):

@@ -9,6 +9,8 @@ import traceback
 from pathlib import Path
 from typing import Any
 
+import agents
+
 _MOST_TEXT = 300  # characters of what an error of the user's says
 _LIBRARIES = tuple({sysconfig.get_path(name) + os.sep for name in ("stdlib", "platstdlib", "purelib", "platlib")})
 _SITE = "-packages" + os.sep  # site-packages, and Debian's dist-packages
@@ -56,7 +58,7 @@ def place_of_method(method: Any) -> str:
 
 
 def _ours(filename: str) -> bool:
-    return Path(filename).parent == Path(__file__).parent or filename.startswith("<frozen importlib")
+    return Path(agents.__file__).parent in Path(filename).parents or filename.startswith("<frozen importlib")
 
 
 def shown_path(filename: str) -> str:

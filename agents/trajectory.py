@@ -19,9 +19,7 @@ from functools import cached_property
 from math import atan2, cos, hypot, pi, sin, tan
 from typing import Any, Literal, NamedTuple
 
-from world.vehicle import Vec3
-
-ZERO: Vec3 = (0.0, 0.0, 0.0)
+from world.vectors import ZERO, Vec3, dot, minus, moved, perpendicular, scale
 
 # Directions closer than this [rad] need no arc between them.
 STRAIGHT = 1e-9
@@ -141,11 +139,11 @@ class Path:
         piece, along = pieces[index], s - starts[index]
         ahead = piece.ahead
         if piece.radius == 0.0:
-            return Motion(_add(piece.origin, ahead, along), _scale(ahead, self.speed))
+            return Motion(moved(piece.origin, ahead, along), scale(ahead, self.speed))
         angle = along / piece.radius
         c, sn = cos(angle), sin(angle)
-        position = _add(_add(piece.origin, piece.inward, -piece.radius * c), ahead, piece.radius * sn)
-        return Motion(position, _scale(_add(_scale(ahead, c), piece.inward, sn), self.speed))
+        position = moved(moved(piece.origin, piece.inward, -piece.radius * c), ahead, piece.radius * sn)
+        return Motion(position, scale(moved(scale(ahead, c), piece.inward, sn), self.speed))
 
     def displacement(self, begin: float, span: float) -> Vec3:
         """How far the reference moves [m, NED] in `span` from time `begin` [s]."""
@@ -164,7 +162,7 @@ class Path:
     def velocity_bounds(self) -> tuple[Vec3, Vec3]:
         """Smallest and largest velocity on each axis [m/s, NED]; sampled along the arcs, to a degree."""
         starts, pieces, length = self._pieces
-        low, high = list(_scale(pieces[0].ahead, self.speed)), list(_scale(pieces[0].ahead, self.speed))
+        low, high = list(scale(pieces[0].ahead, self.speed)), list(scale(pieces[0].ahead, self.speed))
         for start, end, piece in zip(starts, [*starts[1:], length], pieces, strict=True):
             steps = max(1, round((end - start) / piece.radius * 180.0 / pi)) if piece.radius else 1
             for step in range(steps + 1):
@@ -192,7 +190,7 @@ class Path:
             length = hypot(*step)
             if length < 1e-6:
                 raise PathError(number, "two consecutive points are the same")
-            directions.append(_scale(step, 1.0 / length))
+            directions.append(scale(step, 1.0 / length))
             lengths.append(length)
         # How much of each leg the arc at its end takes from it, and from the next one.
         tangents = [0.0] * len(legs)
@@ -200,7 +198,7 @@ class Path:
         for n in range(len(legs) if self.closed else len(legs) - 1):
             ahead, following = directions[n], directions[(n + 1) % len(legs)]
             # Not acos, which takes a rounding error of 1e-16 in the cosine for a turn of 1e-8.
-            turn = atan2(hypot(*_across(following, ahead)), _dot(following, ahead))
+            turn = atan2(hypot(*perpendicular(following, ahead)), dot(following, ahead))
             if turn > pi - 1e-3:
                 raise PathError(n + 1, "turns back on itself, which no arc can follow: put a point beside it")
             if turn > STRAIGHT:
@@ -219,15 +217,15 @@ class Path:
                 )
             ahead = directions[n]
             starts.append(s)
-            pieces.append(_Piece(_add(a, ahead, before), 0.0, ahead, ZERO))
+            pieces.append(_Piece(moved(a, ahead, before), 0.0, ahead, ZERO))
             s += max(0.0, straight)
             if turns[n]:
                 following = directions[(n + 1) % len(legs)]
-                across = _across(following, ahead)
-                inward = _scale(across, 1.0 / hypot(*across))
-                entry = _add(a, ahead, lengths[n] - tangents[n])
+                across = perpendicular(following, ahead)
+                inward = scale(across, 1.0 / hypot(*across))
+                entry = moved(a, ahead, lengths[n] - tangents[n])
                 starts.append(s)
-                pieces.append(_Piece(_add(entry, inward, self.radius), self.radius, ahead, inward))
+                pieces.append(_Piece(moved(entry, inward, self.radius), self.radius, ahead, inward))
                 s += self.radius * turns[n]
         return starts, pieces, s
 
@@ -240,30 +238,3 @@ _REFERENCES: dict[str, type[Line] | type[Circle] | type[Path]] = {"line": Line, 
 def reference_from_values(values: dict[str, Any]) -> Reference:
     """The inverse of `dataclasses.asdict` on a reference."""
     return _REFERENCES[values["kind"]](**values)
-
-
-def plus(a: Vec3, b: Vec3) -> Vec3:
-    """a + b."""
-    return a[0] + b[0], a[1] + b[1], a[2] + b[2]
-
-
-def minus(a: Vec3, b: Vec3) -> Vec3:
-    """a - b."""
-    return a[0] - b[0], a[1] - b[1], a[2] - b[2]
-
-
-def _add(a: Vec3, direction: Vec3, length: float) -> Vec3:
-    return a[0] + direction[0] * length, a[1] + direction[1] * length, a[2] + direction[2] * length
-
-
-def _scale(a: Vec3, factor: float) -> Vec3:
-    return a[0] * factor, a[1] * factor, a[2] * factor
-
-
-def _across(a: Vec3, ahead: Vec3) -> Vec3:
-    """The part of a across a unit vector."""
-    return _add(a, ahead, -_dot(a, ahead))
-
-
-def _dot(a: Vec3, b: Vec3) -> float:
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]

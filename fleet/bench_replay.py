@@ -14,7 +14,7 @@ from rich.table import Table
 from fleet.clock import Clock
 from fleet.faults import Event
 from fleet.inprocess import InProcess
-from fleet.journal import Journal, frame_every
+from fleet.journal import Journal
 from fleet.keyboard import Keyboard
 from fleet.log import LogWriter
 from fleet.metrics import VehicleError
@@ -22,7 +22,7 @@ from fleet.ports import free_port
 from fleet.reader import LogReader
 from fleet.record import Limits, Recorder, TrafficWriter
 from fleet.replay import Replay, Wishes
-from fleet.scenario import Scenario
+from fleet.scenario import Scenario, frame_every
 from fleet.snapshot import Snapshot
 from fleet.status_line import StatusLine
 from fleet.tape import Tape

@@ -39,7 +39,7 @@ import numpy as np
 from fleet.linear import Array, Flight, Linear, NotLinear, linearise
 from fleet.scenario import Scenario
 from netem.condition import Condition
-from world.vehicle import Vec3
+from world.vectors import Vec3
 
 MOST_VEHICLES = 12  # beyond it the computation takes seconds, and only the rules of thumb are told
 LEAST_GAIN, MOST_GAIN = 1e-3, 50.0  # 1/s, between which a border is looked for

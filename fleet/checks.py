@@ -6,8 +6,8 @@ from dataclasses import asdict, dataclass
 from math import inf, isfinite
 from typing import Any
 
-from fleet.fields import vehicle_numbers
 from fleet.journal import Journal
+from fleet.quantities import vehicle_numbers
 from fleet.scenario import Scenario
 from fleet.schema import EVERY, AtMost, Below, Connected, MaxAge, MinSeparation, Recovery, Standing, Tumbled
 from fleet.stability import names

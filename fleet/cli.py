@@ -299,8 +299,8 @@ def check(scenario: str, overrides: tuple[str, ...], trust: Trust) -> None:
     except ScenarioError as error:
         _fail(error)
     from fleet.chance import HINT, NOTHING, chances
-    from fleet.faults import timeline
     from fleet.prospects import doubts
+    from fleet.scenario import timeline
     from fleet.stability import analyse, report
 
     links = loaded.graph.links

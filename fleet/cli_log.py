@@ -67,7 +67,7 @@ class Vehicles(click.ParamType[tuple[int, ...]]):
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[int, ...]:
         if isinstance(value, tuple):
             return value
-        from fleet.fields import vehicle_numbers
+        from fleet.quantities import vehicle_numbers
 
         try:
             return tuple(vehicle_numbers(str(value)))

@@ -67,7 +67,8 @@ def faults(context: click.Context) -> Iterable[str]:
 @_words
 def injection(context: click.Context) -> Iterable[str]:
     """What may come next in `fleet inject`."""
-    from fleet.faults import ACTIONS, NAMED_PARTITIONS
+    from fleet.faults import ACTIONS
+    from fleet.partitions import NAMED_PARTITIONS
     from fleet.schema import FaultSection
     from fleet.validation import section_of
 

@@ -17,7 +17,7 @@ from collections import deque
 from collections.abc import Iterable
 from typing import NamedTuple
 
-from fleet.fields import vehicle_numbers
+from fleet.quantities import vehicle_numbers
 from fleet.scenario import Scenario
 from netem.causes import DELIVERED
 from netem.condition import Link

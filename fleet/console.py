@@ -42,12 +42,12 @@ from fleet.errors import RunBroken, StoppedError, printable
 from fleet.external import Joins
 from fleet.guardian import Guardian
 from fleet.hosts import Meeting
-from fleet.journal import Journal, frame_every
+from fleet.journal import Journal
 from fleet.limits import allow_open_files
 from fleet.ports import free_port
 from fleet.private import PrivateFolder
 from fleet.rundir import RunDirectory
-from fleet.scenario import Scenario
+from fleet.scenario import Scenario, frame_every
 from netem.access import CONSOLE, LEASE_MS, NETEM, OPERATOR, Credentials, Door, agent_role, generate
 from netem.bus import Bus, Respond
 from netem.errors import BusError, MalformedMessage, OutOfPlace

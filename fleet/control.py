@@ -17,7 +17,6 @@ from fleet.clock import LiveClock
 from fleet.faults import (
     ACTIONS,
     Event,
-    FaultError,
     Kill,
     Part,
     action,
@@ -28,6 +27,7 @@ from fleet.faults import (
     words,
 )
 from fleet.journal import Journal
+from fleet.partitions import FaultError
 from fleet.scenario import Scenario
 from fleet.schema import FaultEntry, FaultSection
 from netem.faults import NetFault

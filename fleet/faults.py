@@ -15,14 +15,14 @@ The named ones are Jepsen's. What is drawn depends on (seed, id of the fault) al
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from fleet.fields import vehicle_numbers
+from fleet.partitions import partition
+from fleet.quantities import vehicle_numbers
 from fleet.schema import FaultAction, FaultSection, ScenarioSpec
 from netem.condition import Link
-from netem.draws import uniform
 from netem.faults import NetFault
 from netem.grammar import print_condition
 from netem.lives import Absence
@@ -30,9 +30,8 @@ from netem.selectors import parse_selector, select
 from world.faults import WorldFault
 
 if TYPE_CHECKING:
-    from fleet.scenario import Scenario
+    pass
 
-NAMED_PARTITIONS = ("halves", "one", "majority", "ring", "bridge", "isolate:N")
 OF_THE_NETWORK = ("link", "down", "up", "partition", "mute", "deaf", "slow")
 OF_AGENTS = ("kill", "pause")
 OF_THE_WORLD = (
@@ -42,15 +41,6 @@ OF_THE_WORLD = (
 TUMBLED, DIVERGED = "tumbled", "diverged"  # in the log: what happened to a vehicle, which no scenario asks for
 MOST_RESTARTS = 3  # of one agent that nobody killed on purpose: its next life would end the same way
 ACTIONS = (*OF_THE_NETWORK, *OF_AGENTS, *OF_THE_WORLD)
-
-
-class FaultError(ValueError):
-    """A partition that cannot be made; `hint` says what to write."""
-
-    def __init__(self, message: str, hint: str = "") -> None:
-        super().__init__(message)
-        self.message = message
-        self.hint = hint
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,14 +128,6 @@ def event_order(event: Event) -> tuple[int, bool, str]:
     """In the log, ends stand before what begins at the same tick; what begins keeps the scenario's order."""
     begins = event.action == "begins"
     return event.tick, begins, "" if begins else event.fault
-
-
-def timeline(scenario: Scenario) -> list[tuple[str, float, float, str]]:
-    """(id, begin [s], end [s], what in the scenario's words) of each fault, in the order in which they begin."""
-    tick_s = scenario.tick_ns / 1e9
-    ends = {event.fault: event.tick for event in scenario.faults.events if event.action == "ends"}
-    begun = (event for event in scenario.faults.events if event.action == "begins")
-    return [(e.fault, e.tick * tick_s, ends[e.fault] * tick_s, e.what) for e in begun]
 
 
 def begin_and_end(of_this: Sequence[Part], section: FaultSection, last: int) -> tuple[Event, Event]:
@@ -264,77 +246,3 @@ def words(section: FaultAction) -> str:
     if isinstance(value, dict):
         return f"{name} {{{', '.join(f'{key}: {inner}' for key, inner in value.items())}}}"
     return f"{name} {value}"
-
-
-def partition(text: str, vehicles: int, seed: int, name: str, among: Iterable[Link] | None = None) -> set[Link]:
-    """The directed links that a partition cuts, of all there could be, or of those given.
-
-    Raises:
-        FaultError: the text names no partition of these vehicles.
-    """
-    cut = _cut(text, vehicles, seed, name)
-    return {(a, b) for a, b in (_all(vehicles) if among is None else among) if cut(a, b)}
-
-
-def _cut(text: str, vehicles: int, seed: int, name: str) -> Callable[[int, int], bool]:
-    """Whether a partition cuts the link from a to b."""
-    everyone = range(1, vehicles + 1)
-    if "/" in text:
-        groups = _groups(text, vehicles)
-        return _between({i: number for number, group in enumerate(groups) for i in group})
-    which, _, who = text.strip().partition(":")
-    if which in ("one", "majority", "bridge", "ring"):
-        drawn = sorted(everyone, key=lambda i: (uniform(seed, f"partition {which} {name}", i), i))
-    half = (vehicles + 1) // 2
-    match which:
-        case "halves":
-            return lambda a, b: (a <= half) != (b <= half)
-        case "one":
-            return lambda a, b: (a == drawn[0]) != (b == drawn[0])
-        case "majority":
-            minority = set(drawn[: (vehicles - 1) // 2])
-            return lambda a, b: (a in minority) != (b in minority)
-        case "bridge":
-            middle, rest = drawn[0], sorted(drawn[1:])
-            first = set(rest[: (len(rest) + 1) // 2])
-            return lambda a, b: middle not in (a, b) and (a in first) != (b in first)
-        case "ring":
-            reach = -(-(vehicles // 2) // 2)  # on each side: 2 reach + 1 is the least odd majority
-            place = {i: n for n, i in enumerate(drawn)}
-            return lambda a, b: _apart(place[a], place[b], vehicles) > reach
-        case "isolate" if who.strip().isdigit() and 1 <= int(who) <= vehicles:
-            alone = int(who)
-            return lambda a, b: (a == alone) != (b == alone)
-    raise FaultError(
-        f'"{text[:40]}" is no partition of vehicles 1 to {vehicles}',
-        f'write groups such as "1,2 / 3,4", or one of {", ".join(NAMED_PARTITIONS)}',
-    )
-
-
-def _groups(text: str, vehicles: int) -> list[list[int]]:
-    groups: list[list[int]] = []
-    for part in text.split("/"):
-        try:
-            group = vehicle_numbers(part)
-        except ValueError as error:
-            raise FaultError(str(error), 'write groups such as "1,2 / 3,4"') from None
-        for i in group:
-            if not 1 <= i <= vehicles:
-                raise FaultError(f"there is no vehicle {i}: they are 1 to {vehicles}")
-            if any(i in other for other in groups):
-                raise FaultError(f"vehicle {i} is in two groups")
-        groups.append(group)
-    return groups
-
-
-def _between(group: dict[int, int]) -> Callable[[int, int], bool]:
-    """Groups from each other, and those in none of them from all."""
-    return lambda a, b: group.get(a, -a) != group.get(b, -b)
-
-
-def _all(vehicles: int) -> Iterator[Link]:
-    return ((a, b) for a in range(1, vehicles + 1) for b in range(1, vehicles + 1) if a != b)
-
-
-def _apart(a: int, b: int, n: int) -> int:
-    return min((a - b) % n, (b - a) % n)

@@ -16,6 +16,7 @@ from pydantic import Field, GetCoreSchemaHandler, InstanceOf
 from pydantic_core import CoreSchema, PydanticCustomError, core_schema
 
 from fleet import quantities as q
+from fleet.quantities import vehicle_numbers
 from netem.condition import Condition
 from netem.grammar import parse_condition, print_condition
 from netem.parsing import GrammarError
@@ -98,19 +99,6 @@ def _bytes(value: Any) -> int:
     if number.denominator != 1 or number > 10**9:
         raise q.QuantityError(f"{q.describe(value)} is not a whole number of bytes")
     return number.numerator
-
-
-def vehicle_numbers(text: str) -> list[int]:
-    """The vehicles that `2-4, 7` stands for, in order. Raises QuantityError."""
-    found: list[int] = []
-    for part in text.split(","):
-        match = re.fullmatch(r"\s*(\d{1,4})\s*(?:-\s*(\d{1,4})\s*)?", part, re.ASCII)
-        if match is None:
-            raise q.QuantityError(f'expected vehicle numbers such as "3" or "2-4, 7", got {q.describe(text)}')
-        found += range(int(match[1]), int(match[2] or match[1]) + 1)
-    if not found:
-        raise q.QuantityError(f"names no vehicle: {q.describe(text)}")
-    return found
 
 
 def _numbers(value: Any) -> str:

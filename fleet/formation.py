@@ -13,11 +13,11 @@ import math
 from math import cos, pi, sin
 
 from agents.offset import Change, Offset
-from agents.trajectory import Motion, plus
+from agents.trajectory import Motion
 from fleet.schema import FormationSection, FormationShape, InitialSection
 from fleet.shapes import DEFAULT_SPACING_M
 from netem.draws import uniform
-from world.vehicle import Vec3, Vec5
+from world.vectors import Vec3, Vec5, plus
 
 
 def plans(formation: FormationSection, vehicles: int) -> tuple[Offset, ...]:

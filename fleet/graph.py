@@ -16,7 +16,7 @@ from fleet.schema import GraphSection
 from fleet.shapes import DEFAULT_NEAREST, DEFAULT_PROBABILITY
 from netem.condition import Link
 from netem.draws import uniform
-from world.vehicle import Vec3
+from world.vectors import Vec3
 
 _EDGE = re.compile(r"\s*(\d{1,9})\s*->\s*(\d{1,9})\s*", re.ASCII)
 

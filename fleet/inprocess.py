@@ -20,9 +20,9 @@ from fleet.clock import Clock
 from fleet.errors import RunBroken
 from fleet.faults import MOST_RESTARTS
 from fleet.fed import Feed
-from fleet.journal import Journal, frame_every
+from fleet.journal import Journal
 from fleet.resume import Start
-from fleet.scenario import Scenario
+from fleet.scenario import Scenario, frame_every
 from netem.errors import MalformedMessage, OutOfPlace
 from netem.lives import Absence
 from netem.messages import (

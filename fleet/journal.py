@@ -11,7 +11,6 @@ from collections.abc import Iterable, Mapping
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from itertools import count
-from math import gcd
 from typing import NamedTuple, Protocol
 
 import msgpack
@@ -19,7 +18,7 @@ import msgpack
 from fleet.connectivity import Connectivity
 from fleet.faults import DIVERGED, TUMBLED, Event, event_order
 from fleet.metrics import Metrics, VehicleError
-from fleet.scenario import Scenario
+from fleet.scenario import Scenario, frame_every
 from fleet.separation import Separation
 from fleet.snapshot import Snapshot
 from netem.ages import Ages
@@ -266,8 +265,3 @@ def _command(data: bytes) -> Command:
     command = decode(data)
     assert isinstance(command, Command)  # the world checked it before it went into the frame
     return command
-
-
-def frame_every(scenario: Scenario) -> int:
-    """Ticks between the frames that the log needs: the greatest common divisor of its rates."""
-    return gcd(*scenario.log_every.values())

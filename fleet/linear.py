@@ -33,7 +33,8 @@ from agents.kinematics import earth_velocity
 from agents.trajectory import Motion
 from fleet.errors import FleetError
 from world.dynamics import coefficients, rk4_step
-from world.vehicle import Vec3, Vec5, VehicleParams
+from world.vectors import Vec3, Vec5
+from world.vehicle import VehicleParams
 
 Array = np.ndarray[Any, np.dtype[np.float64]]
 

@@ -18,11 +18,10 @@ from statistics import median
 from typing import Any, NamedTuple
 
 from agents.signals import Layout
-from agents.trajectory import plus
 from fleet.scenario import Scenario
 from fleet.settling import below_from, least_s, settling_time, stayed
 from netem.messages import Command, Frame
-from world.vehicle import Vec3
+from world.vectors import Vec3, plus
 
 RMS_WINDOW_S = 10.0
 SETTLE_M = 0.05

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from fleet.faults import partition
+from fleet.partitions import partition
 from fleet.schema import DrawnKind, FaultSection, NemesisSection, ScenarioSpec
 from netem.condition import Link
 from netem.draws import bits

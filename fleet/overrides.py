@@ -16,8 +16,7 @@ import re
 from collections.abc import Sequence
 
 from fleet.errors import Problem
-from fleet.fields import vehicle_numbers
-from fleet.quantities import QuantityError, describe
+from fleet.quantities import QuantityError, describe, vehicle_numbers
 from fleet.shapes import DEFAULT_SPACING_M
 from fleet.yaml_marks import Items, Mapping, Node, Place, Scalar, Source, plain, read
 

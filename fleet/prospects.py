@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from itertools import combinations
 from math import dist
 
-from fleet.fields import vehicle_numbers
+from fleet.quantities import vehicle_numbers
 from fleet.scenario import Scenario
 from fleet.schema import EVERY
 from fleet.settling import least_s

@@ -21,6 +21,7 @@ from pathlib import Path
 from struct import Struct
 from typing import IO, Any
 
+import fleet
 from fleet.errors import FleetError
 from fleet.log_schemas import Schema
 from netem.access import OBSERVER, Credentials
@@ -85,7 +86,7 @@ class LivePublisher:
         }
         # A group of its own: Ctrl-C is the console's business. It ends with the pipe, also when we are killed.
         self._process = process = subprocess.Popen(
-            [sys.executable, "-P", "-c", _MAIN, str(Path(__file__).parent.parent)],
+            [sys.executable, "-P", "-c", _MAIN, str(Path(fleet.__file__).parent.parent)],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             process_group=0,

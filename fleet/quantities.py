@@ -8,11 +8,13 @@ nearest to the exact decimal value in SI units (angles: radians).
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import dataclass
 from decimal import Decimal
 from fractions import Fraction
 from typing import Any
 
+from fleet import quantities as q
 from netem.parsing import exact_number, nearest
 
 Vec3 = tuple[float, float, float]
@@ -239,3 +241,16 @@ def _float(number: Fraction) -> float:
 
 def _short(text: str) -> str:
     return text if len(text) <= 40 else text[:37] + "..."
+
+
+def vehicle_numbers(text: str) -> list[int]:
+    """The vehicles that `2-4, 7` stands for, in order. Raises QuantityError."""
+    found: list[int] = []
+    for part in text.split(","):
+        match = re.fullmatch(r"\s*(\d{1,4})\s*(?:-\s*(\d{1,4})\s*)?", part, re.ASCII)
+        if match is None:
+            raise q.QuantityError(f'expected vehicle numbers such as "3" or "2-4, 7", got {q.describe(text)}')
+        found += range(int(match[1]), int(match[2] or match[1]) + 1)
+    if not found:
+        raise q.QuantityError(f"names no vehicle: {q.describe(text)}")
+    return found

@@ -16,9 +16,9 @@ from fleet.clock import Clock
 from fleet.errors import RunBroken
 from fleet.faults import Event
 from fleet.inprocess import InProcess
-from fleet.journal import Journal, frame_every
+from fleet.journal import Journal
 from fleet.metrics import VehicleError
-from fleet.scenario import Scenario
+from fleet.scenario import Scenario, frame_every
 from fleet.snapshot import Snapshot
 from netem.messages import Command, Fate, Frame
 from world.errors import WorldError

@@ -6,7 +6,7 @@ from math import cos, sin
 
 from agents.trajectory import Circle, Line, Path, Reference
 from fleet.schema import ReferenceSection
-from world.vehicle import Vec3
+from world.vectors import Vec3
 
 
 def build(section: ReferenceSection) -> Reference:

@@ -23,14 +23,14 @@ from agents.trajectory import PathError
 from fleet import acoustics
 from fleet.datafiles import DataFileError
 from fleet.errors import Problem
-from fleet.faults import ACTIONS, OF_THE_WORLD, FaultError, action, does_nothing, partition, vehicles_of
+from fleet.faults import ACTIONS, OF_THE_WORLD, action, does_nothing, vehicles_of
 from fleet.faults import plan as fault_plan
-from fleet.fields import vehicle_numbers
 from fleet.formation import plans
 from fleet.graph import build, parse_edge
 from fleet.nemesis import count as nemesis_faults
 from fleet.nemesis import unleash
-from fleet.quantities import RATE, SPEED, QuantityError, Vec3, show, show_time, show_vector
+from fleet.partitions import FaultError, partition
+from fleet.quantities import RATE, SPEED, QuantityError, Vec3, show, show_time, show_vector, vehicle_numbers
 from fleet.reference import build as build_reference
 from fleet.schema import EVERY, FaultAction, FormationShape, GuidanceSection, ScenarioSpec, VehicleOverrides
 from fleet.shapes import FORMATION, GRAPH, REFERENCE, Keys

@@ -23,14 +23,14 @@ from fleet.external import ExternalError, refuse
 from fleet.hosts import Meeting
 from fleet.inprocess import InProcess
 from fleet.interrupts import HungUp, Unbroken
-from fleet.journal import Journal, Spell, frame_every
+from fleet.journal import Journal, Spell
 from fleet.log import LogError, LogWriter
 from fleet.ports import free_port
 from fleet.progress import ProgressLine
 from fleet.publish import LivePublisher, PublishError
 from fleet.resume import Start
 from fleet.rundir import RunDirectory
-from fleet.scenario import Scenario
+from fleet.scenario import Scenario, frame_every
 from fleet.timing import MOST_MISSED
 from netem.condition import Link
 from world.errors import WorldError

@@ -9,20 +9,21 @@ import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from importlib import resources
+from math import gcd
 from pathlib import Path
 
 from agents.config import AgentConfig, Law, Neighbour
 from agents.controllers import BUILT_IN, laws, layout
 from agents.offset import Change, Offset
 from agents.signals import Layout
-from agents.trajectory import Reference, minus
+from agents.trajectory import Reference
 from agents.trust import NOTHING, Trust
 from fleet import acoustics, emit, faults, formation, graph, nemesis, reference, tuning
 from fleet.errors import Problem, ScenarioError
-from fleet.fields import vehicle_numbers
 from fleet.graph import Graph
 from fleet.modems import shipped as shipped_modems
 from fleet.overrides import apply, override_name
+from fleet.quantities import vehicle_numbers
 from fleet.schema import CurrentSection, ScenarioSpec, VehicleSection
 from fleet.snapshot import log_every, memory_ticks
 from fleet.trust import READING, Policy, stranger
@@ -38,7 +39,7 @@ from netem.parsing import nearest
 from netem.selectors import parse_selector, select
 from world import disturbance
 from world.config import Harmonic, NavNoise, VehicleSetup, WorldConfig
-from world.vehicle import Vec3, Vec5
+from world.vectors import Vec3, Vec5, minus
 
 _MAX_BYTES = 4_000_000  # no fewer than yaml_marks takes characters
 
@@ -396,3 +397,16 @@ def _content(path: Path) -> bytes:
 
 def _unreadable(name: str, message: str, hint: str = "") -> ScenarioError:
     return ScenarioError([Problem(name or '""', 0, 0, message, hint)])
+
+
+def timeline(scenario: Scenario) -> list[tuple[str, float, float, str]]:
+    """(id, begin [s], end [s], what in the scenario's words) of each fault, in the order in which they begin."""
+    tick_s = scenario.tick_ns / 1e9
+    ends = {event.fault: event.tick for event in scenario.faults.events if event.action == "ends"}
+    begun = (event for event in scenario.faults.events if event.action == "begins")
+    return [(e.fault, e.tick * tick_s, ends[e.fault] * tick_s, e.what) for e in begun]
+
+
+def frame_every(scenario: Scenario) -> int:
+    """Ticks between the frames that the log needs: the greatest common divisor of its rates."""
+    return gcd(*scenario.log_every.values())

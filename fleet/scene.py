@@ -34,7 +34,7 @@ from fleet.transforms import NO_TURN, REFERENCE, enu, stamp_at
 from netem.causes import DEAD_RECEIVER, DEAD_SENDER, DEAF, DELIVERED, DOWN, IN_FLIGHT, MUTE, PARTITION
 from netem.condition import Link
 from netem.messages import Fate, Frame
-from world.vehicle import Vec3
+from world.vectors import Vec3
 
 SCENE_UNITS = {
     "entities": ["m", "lengths and positions in each entity's frame; thickness and font_size in pixels"],

@@ -69,9 +69,8 @@ from fleet.fields import (
     Velocity,
     Weights,
     mistake,
-    vehicle_numbers,
 )
-from fleet.quantities import QuantityError, describe, show_time
+from fleet.quantities import QuantityError, describe, show_time, vehicle_numbers
 from netem.grammar import print_condition
 from netem.parsing import nearest
 from world.config import DEFAULT_SUBSTEPS

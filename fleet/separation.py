@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fleet.fields import vehicle_numbers
+from fleet.quantities import vehicle_numbers
 from fleet.scenario import Scenario
 from netem.messages import Frame
 

@@ -30,7 +30,7 @@ from fleet.connectivity import Connectivity
 from fleet.linear import NotLinear
 from fleet.scenario import Scenario
 from fleet.tuning import Control
-from world.vehicle import Vec3
+from world.vectors import Vec3
 
 
 @dataclass(frozen=True, slots=True)

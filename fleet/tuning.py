@@ -12,7 +12,7 @@ from agents.config import Extrapolation, GuidanceParams, Law, TrackingParams
 from agents.controllers import CONTROLLERS, GUIDANCE, TRACKING
 from agents.profiles import profile
 from fleet import vehicles
-from fleet.fields import vehicle_numbers
+from fleet.quantities import vehicle_numbers
 from fleet.schema import (
     GuidanceSection,
     LawSection,
@@ -24,7 +24,8 @@ from fleet.schema import (
     VehicleSection,
 )
 from world.tumble import LIMIT_RAD
-from world.vehicle import Vec3, VehicleParams
+from world.vectors import Vec3
+from world.vehicle import VehicleParams
 
 # The profiles count the QP's period in ticks of this length; a scenario with another tick keeps the period.
 _PROFILE_TICK_NS = 10_000_000

@@ -19,7 +19,8 @@ from pathlib import Path
 from fleet import datafiles
 from fleet import quantities as q
 from fleet.datafiles import DataFileError, table
-from world.vehicle import Vec3, VehicleParams
+from world.vectors import Vec3
+from world.vehicle import VehicleParams
 
 _PACKAGE = "world.vehicles"
 PARAMETERS: dict[str, q.Dimension] = {

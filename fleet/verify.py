@@ -22,12 +22,12 @@ from fleet.errors import FleetError, RunBroken
 from fleet.external import named
 from fleet.fed import NotRecordedError, feeds
 from fleet.inprocess import InProcess
-from fleet.journal import Journal, frame_every
+from fleet.journal import Journal
 from fleet.log import LogWriter, run_metadata
 from fleet.log_values import Decoder
 from fleet.reader import GAPS, RECOVERY, LogReader, Record
 from fleet.resume import Start, begun
-from fleet.scenario import Scenario, parse_scenario
+from fleet.scenario import Scenario, frame_every, parse_scenario
 from fleet.script import Recorded, recorded
 from fleet.trust import Policy
 from world.errors import WorldError

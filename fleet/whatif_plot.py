@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 from fleet.arrays import FaultInterval
-from fleet.faults import timeline
 from fleet.pictures.axes import shade
 from fleet.plotting import FORMATS, legend, limit, line, panels, save
+from fleet.scenario import timeline
 from fleet.whatif import COMPONENTS, WhatIf, WhatIfError
 
 

@@ -15,10 +15,11 @@ from agents.config import AgentConfig, Extrapolation, Law, Neighbour
 from agents.controllers import CONTROLLERS
 from agents.offset import Offset
 from agents.profiles import profile
-from agents.trajectory import Line, minus
+from agents.trajectory import Line
 from world.config import DEFAULT_SUBSTEPS, Harmonic, VehicleSetup, WorldConfig
 from world.sea import World
-from world.vehicle import Vec3, Vec5, VehicleParams
+from world.vectors import Vec3, Vec5, minus
+from world.vehicle import VehicleParams
 
 TICK_NS = 10_000_000
 OFFSETS: tuple[Vec3, ...] = ((0.0, 0.0, 0.0), (0.0, -10.0, 0.0), (10.0, -10.0, 0.0), (10.0, 0.0, 0.0))

@@ -26,7 +26,7 @@ from world.errors import (
     UnknownVehicleError,
 )
 from world.sea import World
-from world.vehicle import Vec3
+from world.vectors import Vec3
 
 K = coefficients(PARAMS)
 NO_DAMPING = coefficients(replace(PARAMS, beta_u=0.0, beta_v=0.0, beta_w=0.0, beta_q=0.0, beta_r=0.0, beta_b=0.0))

@@ -19,7 +19,7 @@ from mcap_protobuf.decoder import DecoderFactory
 from test_scenario import only_problem, small
 
 from fleet.errors import ScenarioError
-from fleet.faults import FaultError, partition
+from fleet.partitions import FaultError, partition
 from fleet.run import Options, Result, Status, execute
 from fleet.scenario import load_scenario, parse_scenario
 from fleet.stability import analyse

@@ -31,13 +31,13 @@ from fleet import timing
 from fleet.cli import cli
 from fleet.clock import Clock
 from fleet.inprocess import InProcess
-from fleet.journal import Journal, frame_every
+from fleet.journal import Journal
 from fleet.log import LogWriter
 from fleet.pictures import Look, NothingToDraw, load
 from fleet.pictures.timing import punctuality
 from fleet.remote import RemoteError
 from fleet.run import Options, Status, execute
-from fleet.scenario import Scenario, load_scenario
+from fleet.scenario import Scenario, frame_every, load_scenario
 from fleet.script import ScriptError
 from fleet.verify import verify
 from fleet.whatif import whatif

@@ -16,7 +16,7 @@ from agents import gain_qp
 from agents.config import GuidanceParams
 from agents.gain_qp import GainProblem, NoSolution, Solution, build_qp, solve
 from agents.profiles import PROFILES, profile
-from world.vehicle import Vec3
+from world.vectors import Vec3
 
 RHO_D = (0.7, 0.1, 0.0)
 PAPER = profile("paper")[0]

@@ -17,8 +17,9 @@ from agents.config import AgentConfig, Neighbour
 from agents.neighbours import NeighbourTable
 from agents.offset import Change, Offset
 from agents.payload import StateMessage, encode
-from agents.trajectory import Circle, Line, Path, PathError, Reference, minus, plus
+from agents.trajectory import Circle, Line, Path, PathError, Reference
 from netem.messages import Delivery
+from world.vectors import minus, plus
 
 coordinate = st.floats(-200.0, 200.0)
 points = st.tuples(coordinate, coordinate, st.floats(0.0, 50.0))

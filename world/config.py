@@ -7,7 +7,8 @@ from dataclasses import dataclass, field
 from netem.lives import Absence
 from world.faults import WorldFault
 from world.tumble import LIMIT_RAD
-from world.vehicle import Vec3, Vec5, VehicleParams
+from world.vectors import Vec3, Vec5
+from world.vehicle import VehicleParams
 
 # RK4 steps per tick. At a tick of 10 ms one step stays within 4e-7 of a converged velocity in the paper's
 # disturbed runs, two within 3e-8, four within 7e-9; each step costs about 7 us per vehicle.

@@ -15,7 +15,7 @@ from __future__ import annotations
 from math import cos, exp, pi, sqrt
 
 from netem.draws import normal
-from world.vehicle import Vec3
+from world.vectors import Vec3
 
 
 class GaussMarkov:

@@ -10,7 +10,7 @@ from __future__ import annotations
 from math import pi, sin
 
 from world.config import Harmonic
-from world.vehicle import Vec5
+from world.vectors import Vec5
 
 NO_FORCE: Vec5 = (0.0, 0.0, 0.0, 0.0, 0.0)
 

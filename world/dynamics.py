@@ -20,7 +20,8 @@ from __future__ import annotations
 from math import cos, sin
 from typing import NamedTuple
 
-from world.vehicle import Vec3, Vec5, VehicleParams
+from world.vectors import Vec3, Vec5
+from world.vehicle import VehicleParams
 
 State = tuple[float, float, float, float, float, float, float, float, float, float]
 

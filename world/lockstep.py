@@ -18,7 +18,7 @@ from world.config import WorldConfig
 from world.errors import IntegrationError
 from world.sea import World
 from world.tumble import tumbles
-from world.vehicle import Vec3
+from world.vectors import Vec3
 
 STILL: Vec3 = (0.0, 0.0, 0.0)
 DIVERGED = "diverged"  # in a memory

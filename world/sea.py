@@ -20,7 +20,7 @@ from world.dynamics import Coefficients, State, coefficients, rk4_step
 from world.errors import CommandError, NonFiniteStateError, UnknownVehicleError
 from world.faults import WorldFault
 from world.sensors import measure
-from world.vehicle import Vec3, Vec5
+from world.vectors import Vec3, Vec5, plus
 
 Stages = tuple[tuple[Vec5, Vec5, Vec5], ...]  # the disturbance at start, middle and end of each RK4 step
 
@@ -160,7 +160,7 @@ class World:
         state = self._states[i]
         current = self.config.current
         if self.config.drift is not None:
-            current = _plus(current, self._drift("", *self.config.drift).at(tick))
+            current = plus(current, self._drift("", *self.config.drift).at(tick))
         h = self._h
         forces = self._stage_forces(tick)
         if self.faults:
@@ -181,13 +181,13 @@ class World:
         for fault in self._active(i, tick):
             if fault.kind == "current":
                 x, y, z, *sigma, time_constant = fault.values
-                current = _plus(current, (x, y, z))
+                current = plus(current, (x, y, z))
                 if any(sigma):
                     drift = self._drift(fault.id, (sigma[0], sigma[1], sigma[2]), time_constant)
-                    current = _plus(current, drift.at(tick - fault.begin))
+                    current = plus(current, drift.at(tick - fault.begin))
             elif fault.kind == "gust":
                 x, y, z, over_s = fault.values
-                current = _plus(current, gust((x, y, z), over_s, (tick - fault.begin) * self._tick_s))
+                current = plus(current, gust((x, y, z), over_s, (tick - fault.begin) * self._tick_s))
             elif fault.kind == "wrench":
                 w1, w2, w3, w4, w5 = fault.values
                 start, middle, end = (
@@ -260,10 +260,6 @@ class World:
         t = tick * config.tick_ns / 1e9
         d = [disturbance(config.disturbance, t + j * 0.5 * self._h) for j in range(2 * n + 1)]
         return tuple((d[2 * j], d[2 * j + 1], d[2 * j + 2]) for j in range(n))
-
-
-def _plus(a: Vec3, b: Vec3) -> Vec3:
-    return a[0] + b[0], a[1] + b[1], a[2] + b[2]
 
 
 def _halves(values: Sequence[float]) -> tuple[Vec5, Vec5]:

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from netem.draws import normal
 from world.config import NavNoise
-from world.vehicle import Vec5
+from world.vectors import Vec5
 
 PURPOSE = "nav noise"
 

@@ -12,8 +12,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-Vec3 = tuple[float, float, float]
-Vec5 = tuple[float, float, float, float, float]
+from world.vectors import Vec5
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,0 +1,99 @@
+"""The partitions that a fault may name or write, as the links that each cuts."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from typing import TYPE_CHECKING
+
+from fleet.quantities import vehicle_numbers
+from netem.condition import Link
+from netem.draws import uniform
+
+if TYPE_CHECKING:
+    pass
+
+
+NAMED_PARTITIONS = ("halves", "one", "majority", "ring", "bridge", "isolate:N")
+
+
+class FaultError(ValueError):
+    """A partition that cannot be made; `hint` says what to write."""
+
+    def __init__(self, message: str, hint: str = "") -> None:
+        super().__init__(message)
+        self.message = message
+        self.hint = hint
+
+
+def partition(text: str, vehicles: int, seed: int, name: str, among: Iterable[Link] | None = None) -> set[Link]:
+    """The directed links that a partition cuts, of all there could be, or of those given.
+
+    Raises:
+        FaultError: the text names no partition of these vehicles.
+    """
+    cut = _cut(text, vehicles, seed, name)
+    return {(a, b) for a, b in (_all(vehicles) if among is None else among) if cut(a, b)}
+
+
+def _cut(text: str, vehicles: int, seed: int, name: str) -> Callable[[int, int], bool]:
+    """Whether a partition cuts the link from a to b."""
+    everyone = range(1, vehicles + 1)
+    if "/" in text:
+        groups = _groups(text, vehicles)
+        return _between({i: number for number, group in enumerate(groups) for i in group})
+    which, _, who = text.strip().partition(":")
+    if which in ("one", "majority", "bridge", "ring"):
+        drawn = sorted(everyone, key=lambda i: (uniform(seed, f"partition {which} {name}", i), i))
+    half = (vehicles + 1) // 2
+    match which:
+        case "halves":
+            return lambda a, b: (a <= half) != (b <= half)
+        case "one":
+            return lambda a, b: (a == drawn[0]) != (b == drawn[0])
+        case "majority":
+            minority = set(drawn[: (vehicles - 1) // 2])
+            return lambda a, b: (a in minority) != (b in minority)
+        case "bridge":
+            middle, rest = drawn[0], sorted(drawn[1:])
+            first = set(rest[: (len(rest) + 1) // 2])
+            return lambda a, b: middle not in (a, b) and (a in first) != (b in first)
+        case "ring":
+            reach = -(-(vehicles // 2) // 2)  # on each side: 2 reach + 1 is the least odd majority
+            place = {i: n for n, i in enumerate(drawn)}
+            return lambda a, b: _apart(place[a], place[b], vehicles) > reach
+        case "isolate" if who.strip().isdigit() and 1 <= int(who) <= vehicles:
+            alone = int(who)
+            return lambda a, b: (a == alone) != (b == alone)
+    raise FaultError(
+        f'"{text[:40]}" is no partition of vehicles 1 to {vehicles}',
+        f'write groups such as "1,2 / 3,4", or one of {", ".join(NAMED_PARTITIONS)}',
+    )
+
+
+def _groups(text: str, vehicles: int) -> list[list[int]]:
+    groups: list[list[int]] = []
+    for part in text.split("/"):
+        try:
+            group = vehicle_numbers(part)
+        except ValueError as error:
+            raise FaultError(str(error), 'write groups such as "1,2 / 3,4"') from None
+        for i in group:
+            if not 1 <= i <= vehicles:
+                raise FaultError(f"there is no vehicle {i}: they are 1 to {vehicles}")
+            if any(i in other for other in groups):
+                raise FaultError(f"vehicle {i} is in two groups")
+        groups.append(group)
+    return groups
+
+
+def _between(group: dict[int, int]) -> Callable[[int, int], bool]:
+    """Groups from each other, and those in none of them from all."""
+    return lambda a, b: group.get(a, -a) != group.get(b, -b)
+
+
+def _all(vehicles: int) -> Iterator[Link]:
+    return ((a, b) for a in range(1, vehicles + 1) for b in range(1, vehicles + 1) if a != b)
+
+
+def _apart(a: int, b: int, n: int) -> int:
+    return min((a - b) % n, (b - a) % n)

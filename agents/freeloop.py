@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 from agents.loop import AgentCore, AgentLoop, Answer
 from netem.errors import OutOfPlace
-from netem.messages import Arrival, Command, Inbox, Nav, Receipt, Transmission
+from netem.wire.messages import Arrival, Command, Inbox, Nav, Receipt, Transmission
 
 
 class FreeLoop(AgentLoop):

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from agents.freeloop import FreeLoop
 from agents.process import AgentProcess
-from netem.bus import Bus
 from netem.errors import MalformedMessage, OutOfPlace
-from netem.keys import Keys
-from netem.messages import End, Hello, Inbox, Nav
-from netem.queues import Stamped
-from netem.shell import expect
+from netem.wire.bus import Bus
+from netem.wire.keys import Keys
+from netem.wire.messages import End, Hello, Inbox, Nav
+from netem.wire.queues import Stamped
+from netem.wire.shell import expect
 
 
 class FreeAgentProcess(AgentProcess):

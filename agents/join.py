@@ -20,11 +20,11 @@ from agents.join_file import _ENDPOINT, JoinError, Joining
 from agents.main import begin_life
 from agents.plugins import admit
 from agents.trust import NOTHING, Trust
-from netem.bus import Bus
 from netem.errors import BusError, MalformedMessage
-from netem.keys import Keys
-from netem.messages import End
-from netem.shell import read_map
+from netem.wire.bus import Bus
+from netem.wire.keys import Keys
+from netem.wire.messages import End
+from netem.wire.shell import read_map
 
 CONNECT_MS = 3000
 ASK_S = 10.0

@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import Any
 
 from agents.errors import AgentError
-from netem.access import LEASE_MS, Credentials
 from netem.files import open_file, read_bounded, write_whole
-from netem.messages import PROTOCOL_VERSION
+from netem.wire.access import LEASE_MS, Credentials
+from netem.wire.messages import PROTOCOL_VERSION
 
 MOST_TEXT = 200  # characters of a name or password
 MOST_BYTES = 1_000_000  # of a join file, with certificates

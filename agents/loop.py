@@ -11,7 +11,7 @@ from typing import Any, Protocol
 import msgpack
 
 from netem.errors import OutOfPlace
-from netem.messages import Command, Delivery, Inbox, Memory, Nav, Receipt, Transmission
+from netem.wire.messages import Command, Delivery, Inbox, Memory, Nav, Receipt, Transmission
 
 Answer = Memory | Transmission | Command | Receipt  # a receipt only on a wall clock
 

@@ -10,11 +10,11 @@ from agents.errors import AgentError
 from agents.freeloop import FreeLoop
 from agents.loop import AgentCore, AgentLoop
 from agents.process import READY_TIMEOUT_S, RETRY_S, AgentProcess, _give_up
-from netem.access import Credentials, agent_role
-from netem.bus import Bus, quiet_zenoh
 from netem.errors import BusError
-from netem.keys import Keys
-from netem.shell import Shell, end_with_link, read_map
+from netem.wire.access import Credentials, agent_role
+from netem.wire.bus import Bus, quiet_zenoh
+from netem.wire.keys import Keys
+from netem.wire.shell import Shell, end_with_link, read_map
 
 
 def run(

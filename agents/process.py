@@ -11,13 +11,13 @@ from typing import NoReturn
 
 from agents.errors import AgentError, ControllerError
 from agents.loop import AgentLoop, Answer
-from netem.access import agent_role
-from netem.bus import Bus
 from netem.errors import BusError, MalformedMessage, OutOfPlace
-from netem.keys import Keys
-from netem.messages import PROTOCOL_VERSION, End, Hello, Inbox, Message, Nav, Receipt, Transmission, encode
-from netem.queues import Channel, Stamped
-from netem.shell import Shell, expect
+from netem.wire.access import agent_role
+from netem.wire.bus import Bus
+from netem.wire.keys import Keys
+from netem.wire.messages import PROTOCOL_VERSION, End, Hello, Inbox, Message, Nav, Receipt, Transmission, encode
+from netem.wire.queues import Channel, Stamped
+from netem.wire.shell import Shell, expect
 
 log = logging.getLogger(__name__)
 

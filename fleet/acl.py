@@ -8,10 +8,10 @@ from typing import Any
 
 from fleet.certs import CA, OWN, SERVER, path
 from fleet.hosts import HostsError, new_credentials
-from netem.access import CONSOLE, NETEM, OPERATOR, WORLD, access_control, agent_role
 from netem.files import write_whole
-from netem.keys import Keys
-from netem.settings import router_settings
+from netem.wire.access import CONSOLE, NETEM, OPERATOR, WORLD, access_control, agent_role
+from netem.wire.keys import Keys
+from netem.wire.settings import router_settings
 
 CONFIG, USERS, CREDENTIALS = "router.json5", "users", "credentials.json"
 

@@ -29,9 +29,9 @@ from fleet.children import Children
 from fleet.private import PrivateFolder
 from fleet.run import Options, Status, execute
 from fleet.scenario import Scenario, load_scenario
-from netem.access import agent_role, generate
-from netem.bus import Bus
-from netem.keys import Keys
+from netem.wire.access import agent_role, generate
+from netem.wire.bus import Bus
+from netem.wire.keys import Keys
 
 TICK_S = 0.01
 MESSAGE = b"x" * 100

@@ -22,7 +22,7 @@ from agents.payload import StateMessage
 from agents.payload import encode as encode_payload
 from fleet.recording import record
 from fleet.scenario import load_scenario
-from netem.messages import Delivery, Nav
+from netem.wire.messages import Delivery, Nav
 
 VEHICLE = 2  # two neighbours
 GOALS_US = {"agent step": 40.0, "agent step with QP": 80.0}

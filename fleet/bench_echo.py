@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from multiprocessing.connection import Connection
 
-from netem.access import Credentials
-from netem.bus import Bus
-from netem.keys import Keys
+from netem.wire.access import Credentials
+from netem.wire.bus import Bus
+from netem.wire.keys import Keys
 
 
 def echo_bus(endpoint: str, run_id: str, vehicle: int, credentials: Credentials) -> None:

@@ -10,8 +10,8 @@ from fleet.inprocess import InProcess
 from fleet.journal import Journal
 from fleet.scenario import Scenario, frame_every, load_scenario
 from netem.config import NetemConfig
-from netem.messages import Fate
 from netem.network import Exchange, Netem
+from netem.wire.messages import Fate
 
 AGENTS = 100
 SHARE_AT = 20

@@ -26,8 +26,8 @@ from fleet.scenario import Scenario, frame_every
 from fleet.snapshot import Snapshot
 from fleet.status_line import StatusLine
 from fleet.tape import Tape
-from netem.bus import OpenBus
-from netem.messages import Command, Fate, Frame
+from netem.wire.bus import OpenBus
+from netem.wire.messages import Command, Fate, Frame
 
 PATIENCE_S = 60.0
 

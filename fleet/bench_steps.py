@@ -14,7 +14,7 @@ from fleet.inprocess import InProcess
 from fleet.journal import Journal
 from fleet.log import LogWriter
 from fleet.scenario import load_scenario
-from netem.messages import Command, Nav, decode, encode
+from netem.wire.messages import Command, Nav, decode, encode
 from world.sea import World
 
 

@@ -23,10 +23,10 @@ from rich.table import Table
 
 from agents.join_file import Joining
 from fleet.bench_soak import Soak, result_of
-from netem.bus import Bus
 from netem.errors import BusError
-from netem.keys import Keys
-from netem.messages import PROTOCOL_VERSION, Hello, Note, encode
+from netem.wire.bus import Bus
+from netem.wire.keys import Keys
+from netem.wire.messages import PROTOCOL_VERSION, Hello, Note, encode
 
 READY_S = 60.0
 CHECKS = "checks={ledger: balanced, middleware_loss: {at_most: 0}, tumbled: waived}"

@@ -44,8 +44,8 @@ def agent(path: Path, trust: Trust, quiet: bool) -> None:
 
     from agents.join import serve
     from agents.join_file import JoinError, Joining
-    from netem.bus import quiet_zenoh
-    from netem.messages import RUN_OVER
+    from netem.wire.bus import quiet_zenoh
+    from netem.wire.messages import RUN_OVER
 
     def tell(text: str) -> None:
         if not quiet:

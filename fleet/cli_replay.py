@@ -246,8 +246,8 @@ def record(
 
 def _session(connect: str | None, listen: str | None, credentials: Any) -> Any:
     from fleet.ports import free_port
-    from netem.bus import OpenBus, quiet_zenoh
     from netem.errors import BusError
+    from netem.wire.bus import OpenBus, quiet_zenoh
 
     if connect and listen:
         raise click.UsageError("either --connect or --listen")
@@ -271,9 +271,9 @@ class _Observed(msgspec.Struct):
 
 def _observer(directory: Path) -> tuple[str, Any, str]:
     """Endpoint, credentials and prefix of a run that is published."""
-    from netem.access import Credentials
     from netem.files import read_file
-    from netem.keys import Keys
+    from netem.wire.access import Credentials
+    from netem.wire.keys import Keys
 
     path = directory / "observe.json"
     try:

@@ -24,10 +24,10 @@ from fleet.counterpart import Counterpart
 from fleet.errors import FleetError
 from fleet.ports import free_port
 from fleet.scenario import Scenario
-from netem.access import agent_role, generate
 from netem.errors import BusError, MalformedMessage, OutOfPlace
-from netem.keys import Keys
-from netem.messages import (
+from netem.wire.access import agent_role, generate
+from netem.wire.keys import Keys
+from netem.wire.messages import (
     PROTOCOL_VERSION,
     RUN_OVER,
     Command,

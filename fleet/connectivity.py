@@ -21,7 +21,7 @@ from fleet.quantities import vehicle_numbers
 from fleet.scenario import Scenario
 from netem.causes import DELIVERED
 from netem.condition import Link
-from netem.messages import Fate
+from netem.wire.messages import Fate
 
 
 class Outage(NamedTuple):

@@ -48,15 +48,15 @@ from fleet.ports import free_port
 from fleet.private import PrivateFolder
 from fleet.rundir import RunDirectory
 from fleet.scenario import Scenario, frame_every
-from netem.access import CONSOLE, LEASE_MS, NETEM, OPERATOR, Credentials, Door, agent_role, generate
-from netem.bus import Bus, Respond
 from netem.errors import BusError, MalformedMessage, OutOfPlace
 from netem.faults import NetFault, fault_values
-from netem.keys import Keys
-from netem.messages import PROTOCOL_VERSION, RUN_OVER, Ailments, Frames, Grant, Hello, LinkReport, Note, encode
-from netem.queues import Quota
-from netem.settings import PENDING
-from netem.shell import expect, read_map, request, vehicle_of
+from netem.wire.access import CONSOLE, LEASE_MS, NETEM, OPERATOR, Credentials, Door, agent_role, generate
+from netem.wire.bus import Bus, Respond
+from netem.wire.keys import Keys
+from netem.wire.messages import PROTOCOL_VERSION, RUN_OVER, Ailments, Frames, Grant, Hello, LinkReport, Note, encode
+from netem.wire.queues import Quota
+from netem.wire.settings import PENDING
+from netem.wire.shell import expect, read_map, request, vehicle_of
 from world.faults import WorldFault
 
 WORLD = world.process.WORLD

@@ -10,12 +10,12 @@ from typing import Any
 
 import msgpack
 
-from netem.access import Credentials, agent_role
-from netem.bus import Bus, Respond
 from netem.errors import MalformedMessage
-from netem.keys import Keys
-from netem.messages import PROTOCOL_VERSION, Command, Hello, Memory, Message, Note, Transmission, decode, encode
-from netem.shell import Probes
+from netem.wire.access import Credentials, agent_role
+from netem.wire.bus import Bus, Respond
+from netem.wire.keys import Keys
+from netem.wire.messages import PROTOCOL_VERSION, Command, Hello, Memory, Message, Note, Transmission, decode, encode
+from netem.wire.shell import Probes
 
 MOST_NOTES = 100
 KINDS = {"cmd": (Hello, Command, Memory), "tx": (Hello, Transmission), "note": (Note,)}

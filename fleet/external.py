@@ -15,8 +15,8 @@ from agents.join_file import Joining
 from fleet.errors import FleetError
 from fleet.rundir import RunDirectory
 from fleet.scenario import Scenario
-from netem.access import Credentials, agent_role
-from netem.messages import PROTOCOL_VERSION
+from netem.wire.access import Credentials, agent_role
+from netem.wire.messages import PROTOCOL_VERSION
 
 
 class ExternalError(FleetError):

@@ -19,8 +19,8 @@ from fleet.reader import LogReader
 from fleet.scenario import Scenario
 from fleet.snapshot import TOPIC, Snapshot
 from netem.impairment import LinkModel
-from netem.messages import Delivery, Memory, Nav
 from netem.network import PERFECT
+from netem.wire.messages import Delivery, Memory, Nav
 
 TAU = 3  # values of a command in the log; those that were applied follow
 

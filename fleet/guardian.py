@@ -21,9 +21,9 @@ from fleet.external import Joins
 from fleet.faults import MOST_RESTARTS, Kill
 from fleet.journal import Journal
 from fleet.scenario import Scenario
-from netem.access import NETEM, agent_role
 from netem.lives import Absence, Lives
-from netem.messages import Death, Restart, encode
+from netem.wire.access import NETEM, agent_role
+from netem.wire.messages import Death, Restart, encode
 
 WORLD = world.process.WORLD
 CONTROLLER_FAILED = agents.process.CONTROLLER_FAILED

@@ -14,9 +14,9 @@ from typing import Any
 from fleet.certs import ALWAYS, OWN, SERVER, CertsError, Pair, host_name, read_ca, read_client, read_server
 from fleet.certs import path as certificate_path
 from fleet.errors import FleetError
-from netem.access import Credentials, Door, agent_role, generate
 from netem.files import read_file
-from netem.keys import Keys
+from netem.wire.access import Credentials, Door, agent_role, generate
+from netem.wire.keys import Keys
 
 # Between hosts. A pull of up to a third of it is carried: the last sign of life may be a quarter of the lease old when
 # it begins, and TCP's next attempt may come as late again as the pull was long.

@@ -25,7 +25,8 @@ from fleet.resume import Start
 from fleet.scenario import Scenario, frame_every
 from netem.errors import MalformedMessage, OutOfPlace
 from netem.lives import Absence
-from netem.messages import (
+from netem.rounds import Rounds
+from netem.wire.messages import (
     Command,
     Frame,
     Frames,
@@ -39,7 +40,6 @@ from netem.messages import (
     decode,
     encode,
 )
-from netem.rounds import Rounds
 from world.lockstep import Lockstep, NavTo
 
 WORLD, NETEM, CONSOLE = 0, -1, -2  # addresses; agents have their positive numbers

@@ -25,7 +25,7 @@ from netem.ages import Ages
 from netem.errors import OutOfPlace
 from netem.ledger import Ledger
 from netem.lives import Absence
-from netem.messages import Command, Fate, Frame, Life, LinkReport, Tumble, VehicleFrame, decode
+from netem.wire.messages import Command, Fate, Frame, Life, LinkReport, Tumble, VehicleFrame, decode
 
 
 class Spell(NamedTuple):

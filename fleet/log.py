@@ -51,7 +51,7 @@ from fleet.scenario import Scenario
 from fleet.scene import SCENE_UNITS, Scene
 from fleet.snapshot import START, TOPIC, Snapshot, forgetful
 from fleet.transforms import NED, TRANSFORMS_UNITS, quaternion, transforms
-from netem.messages import Command, Fate, Frame, VehicleFrame
+from netem.wire.messages import Command, Fate, Frame, VehicleFrame
 
 SECOND_NS = 1_000_000_000
 

@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 from agents.signals import Layout
 from fleet.scenario import Scenario
 from fleet.settling import below_from, least_s, settling_time, stayed
-from netem.messages import Command, Frame
+from netem.wire.messages import Command, Frame
 from world.vectors import Vec3, plus
 
 RMS_WINDOW_S = 10.0

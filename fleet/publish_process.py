@@ -25,10 +25,10 @@ from fleet.ports import free_port
 from fleet.publish import ENTRY, LENGTH
 from fleet.stamp import Stamp, pack
 from fleet.traffic import zenoh_encoding
-from netem.access import Credentials
-from netem.bus import OpenBus, quiet_zenoh
 from netem.errors import BusError
-from netem.keys import Keys
+from netem.wire.access import Credentials
+from netem.wire.bus import OpenBus, quiet_zenoh
+from netem.wire.keys import Keys
 
 POLL_S = 0.02
 SETTLE_S = 0.1  # whoever subscribes to several keys does so one after another

@@ -14,7 +14,7 @@ from mcap.writer import CompressionType, Writer
 from fleet.errors import FleetError
 from fleet.status_line import StatusLine
 from fleet.traffic import ATTACHMENT, DELETE, ENCODING, KIND, PROFILE, PUT, message_encoding
-from netem.bus import OpenBus, Sample, sample_of
+from netem.wire.bus import OpenBus, Sample, sample_of
 
 FLUSH_NS = 1_000_000_000  # a recorder that is killed loses so much at most
 POLL_S = 0.1

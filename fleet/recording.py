@@ -20,7 +20,7 @@ from fleet.journal import Journal
 from fleet.metrics import VehicleError
 from fleet.scenario import Scenario, frame_every
 from fleet.snapshot import Snapshot
-from netem.messages import Command, Fate, Frame
+from netem.wire.messages import Command, Fate, Frame
 from world.errors import WorldError
 
 Array = np.ndarray[Any, np.dtype[np.float64]]

@@ -11,12 +11,12 @@ from typing import Annotated, Any
 import msgspec
 
 from fleet.errors import FleetError
-from netem.access import LEASE_MS, Credentials
-from netem.bus import Bus
 from netem.errors import BusError
 from netem.files import read_file
-from netem.keys import Keys
-from netem.shell import read_map, request
+from netem.wire.access import LEASE_MS, Credentials
+from netem.wire.bus import Bus
+from netem.wire.keys import Keys
+from netem.wire.shell import read_map, request
 
 ASK_S = 5.0
 MOST_BYTES = 100_000  # of a connection file, with certificates

@@ -14,8 +14,8 @@ from fleet.stamp import Stamp, pack
 from fleet.status_line import StatusLine
 from fleet.tape import Tape, Track
 from fleet.traffic import ATTACHMENT, DELETE, ENCODING, KIND, zenoh_encoding
-from netem.bus import OpenBus, Publication
-from netem.keys import Keys
+from netem.wire.bus import OpenBus, Publication
+from netem.wire.keys import Keys
 
 MOST = 256  # messages between two looks at the keyboard
 NAP_S = 0.05  # the longest wait without a look at the clock

@@ -23,7 +23,7 @@ from fleet.result_file import ResultError, read_result
 from fleet.whole_file import whole_file
 from netem.ages import Ages
 from netem.causes import DELIVERED, IN_FLIGHT
-from netem.messages import Fate
+from netem.wire.messages import Fate
 
 _STYLE = """
 body { font: 15px/1.5 system-ui, sans-serif; color: #222; max-width: 66rem; margin: 2rem auto; padding: 0 1rem; }

@@ -33,7 +33,7 @@ from fleet.snapshot import Snapshot
 from fleet.transforms import NO_TURN, REFERENCE, enu, stamp_at
 from netem.causes import DEAD_RECEIVER, DEAD_SENDER, DEAF, DELIVERED, DOWN, IN_FLIGHT, MUTE, PARTITION
 from netem.condition import Link
-from netem.messages import Fate, Frame
+from netem.wire.messages import Fate, Frame
 from world.vectors import Vec3
 
 SCENE_UNITS = {

@@ -10,7 +10,7 @@ import numpy as np
 
 from fleet.quantities import vehicle_numbers
 from fleet.scenario import Scenario
-from netem.messages import Frame
+from netem.wire.messages import Frame
 
 
 class Nearest(NamedTuple):

@@ -22,7 +22,7 @@ from google.protobuf.timestamp_pb2 import Timestamp
 
 from fleet.log_schemas import stamp_of
 from fleet.scenario import Scenario
-from netem.messages import Frame
+from netem.wire.messages import Frame
 from world.vectors import Vec3
 
 MAP, NED, REFERENCE = "map", "ned", "reference"

@@ -26,7 +26,7 @@ from fleet.scenario import Scenario
 from fleet.script import recorded as read
 from fleet.trust import A_LOG, Policy
 from netem.lives import Lives
-from netem.messages import Delivery, Nav
+from netem.wire.messages import Delivery, Nav
 
 Array = np.ndarray[Any, np.dtype[np.float64]]
 COMPONENTS = (("surge force", "N"), ("pitch moment", "N m"), ("yaw moment", "N m"))

@@ -21,7 +21,7 @@ from dataclasses import dataclass, field
 
 from netem.causes import DELIVERED
 from netem.condition import Link
-from netem.messages import Fate
+from netem.wire.messages import Fate
 
 
 @dataclass(slots=True)

@@ -8,8 +8,8 @@ from time import monotonic_ns
 from typing import cast
 
 from netem.freerun import FreeRounds
-from netem.messages import Message, Pace, Receipt, Round, Transmission
 from netem.process import NetemProcess
+from netem.wire.messages import Message, Pace, Receipt, Round, Transmission
 
 
 class FreeNetemProcess(NetemProcess):

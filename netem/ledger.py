@@ -11,7 +11,7 @@ from typing import Any
 
 from netem.causes import CAUSES, DELIVERED, IN_FLIGHT, REPLACED
 from netem.condition import Link
-from netem.messages import Fate
+from netem.wire.messages import Fate
 
 
 @dataclass(slots=True)

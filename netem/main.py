@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from netem.access import Credentials
-from netem.bus import Bus, quiet_zenoh
 from netem.config import NetemConfig
 from netem.freerun import FreeRounds
-from netem.keys import Keys
 from netem.process import NetemProcess
 from netem.rounds import Rounds
-from netem.shell import end_with_link
+from netem.wire.access import Credentials
+from netem.wire.bus import Bus, quiet_zenoh
+from netem.wire.keys import Keys
+from netem.wire.shell import end_with_link
 
 
 def run(endpoint: str, run_id: str, credentials: Credentials, config: NetemConfig, real: bool) -> None:

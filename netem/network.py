@@ -18,7 +18,7 @@ from netem.config import NetemConfig
 from netem.faults import Weather, fault_from_values, fault_values, weather
 from netem.impairment import LinkModel, LinkState, Verdict
 from netem.ledger import Ledger
-from netem.messages import Delivery, Fate
+from netem.wire.messages import Delivery, Fate
 
 PERFECT = Condition()
 

@@ -9,15 +9,16 @@ from typing import Any
 import msgpack
 import msgspec
 
-from netem.access import NETEM
-from netem.bus import PART_BYTES, Bus, Respond
 from netem.config import NetemConfig
 from netem.errors import MalformedMessage, OutOfPlace
 from netem.faults import read_faults
 from netem.freerun import FreeRounds
-from netem.keys import Keys
 from netem.lives import Absence, Lives
-from netem.messages import (
+from netem.rounds import Rounds
+from netem.wire.access import NETEM
+from netem.wire.bus import PART_BYTES, Bus, Respond
+from netem.wire.keys import Keys
+from netem.wire.messages import (
     PROTOCOL_VERSION,
     Delivery,
     Fate,
@@ -33,8 +34,7 @@ from netem.messages import (
     pieces,
     split,
 )
-from netem.rounds import Rounds
-from netem.shell import Item, Probes, Shell, expect, read_map, vehicle_of
+from netem.wire.shell import Item, Probes, Shell, expect, read_map, vehicle_of
 
 log = logging.getLogger(__name__)
 

@@ -15,8 +15,8 @@ from netem.acoustic import AcousticNetem
 from netem.config import NetemConfig
 from netem.errors import OutOfPlace
 from netem.lives import Lives
-from netem.messages import Inbox, LinkReport, Round, Transmission
 from netem.network import PERFECT, Netem
+from netem.wire.messages import Inbox, LinkReport, Round, Transmission
 
 
 class Rounds:

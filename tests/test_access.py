@@ -23,17 +23,17 @@ from live import LiveRun
 from waiting import wait_for
 
 import fleet.console
-import netem.access
-import netem.bus
+import netem.wire.access
+import netem.wire.bus
 from fleet.private import PrivateFolder
 from fleet.reader import LogReader
 from fleet.run import Options, Status, execute
 from fleet.rundir import RunDirectory
 from fleet.scenario import load_scenario
-from netem.access import CONSOLE, LEASE_MS, NETEM, OPERATOR, Credentials, Door, agent_role, generate
-from netem.bus import Bus, Respond
 from netem.errors import BusError
-from netem.keys import Keys
+from netem.wire.access import CONSOLE, LEASE_MS, NETEM, OPERATOR, Credentials, Door, agent_role, generate
+from netem.wire.bus import Bus, Respond
+from netem.wire.keys import Keys
 
 RUN = "5ec7e7"
 KEYS = Keys(RUN)
@@ -191,7 +191,7 @@ def without(flow: str) -> Any:
     rule = {"permission": "allow", "flows": [flow], "messages": messages, "key_exprs": ["**"]}
 
     def access_control(keys: Keys, vehicles: tuple[int, ...], **how: Any) -> dict[str, Any]:
-        block = netem.access.access_control(keys, vehicles, **how)
+        block = netem.wire.access.access_control(keys, vehicles, **how)
         block["rules"].append({"id": "open", **rule})
         for policy in block["policies"]:
             policy["rules"].append("open")
@@ -201,7 +201,7 @@ def without(flow: str) -> Any:
 
 
 GUARDS: dict[str, Any] = {
-    "as in every run": netem.access.access_control,
+    "as in every run": netem.wire.access.access_control,
     "incoming only": without("egress"),
     "outgoing only": without("ingress"),
     "none": lambda keys, vehicles, **how: {"enabled": False},
@@ -216,7 +216,7 @@ def guard(request: pytest.FixtureRequest) -> str:
 
 @pytest.fixture
 def guarded(guard: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Hall]:
-    monkeypatch.setattr(netem.bus, "access_control", GUARDS[guard])
+    monkeypatch.setattr(netem.wire.bus, "access_control", GUARDS[guard])
     with hall(tmp_path) as opened:
         yield opened
 
@@ -224,7 +224,7 @@ def guarded(guard: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iter
 @pytest.fixture
 def unguarded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Hall]:
     """A router without the list."""
-    monkeypatch.setattr(netem.bus, "access_control", GUARDS["none"])
+    monkeypatch.setattr(netem.wire.bus, "access_control", GUARDS["none"])
     with hall(tmp_path) as opened:
         yield opened
 

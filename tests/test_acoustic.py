@@ -17,10 +17,10 @@ from netem.condition import Condition, Link
 from netem.config import NetemConfig
 from netem.faults import NetFault
 from netem.ledger import Ledger
-from netem.messages import Delivery, Fate, Round, Transmission
 from netem.modem import AcousticConfig, Modem
 from netem.network import Netem
 from netem.rounds import Rounds
+from netem.wire.messages import Delivery, Fate, Round, Transmission
 
 TICK_NS = 10_000_000
 ROUND = 100  # ticks: one second

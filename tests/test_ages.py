@@ -15,8 +15,8 @@ from netem.ages import Age, Ages
 from netem.condition import Condition
 from netem.config import NetemConfig
 from netem.faults import NetFault
-from netem.messages import Fate, Frame, VehicleFrame
 from netem.network import Netem
+from netem.wire.messages import Fate, Frame, VehicleFrame
 
 LINKS = ((1, 2), (2, 1), (2, 3), (3, 2))
 TICK_NS = 10_000_000

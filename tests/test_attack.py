@@ -25,13 +25,13 @@ from fleet.reader import LogReader
 from fleet.run import Options, Result, Status, execute
 from fleet.rundir import RunDirectory
 from fleet.scenario import load_scenario
-from netem.access import CONSOLE, OBSERVER, OPERATOR, Credentials, generate
-from netem.bus import Bus, OpenBus
 from netem.errors import BusError
-from netem.keys import Keys
-from netem.messages import Command, Hello, Note, encode
-from netem.queues import MOST_WAITING
-from netem.shell import Shell, request
+from netem.wire.access import CONSOLE, OBSERVER, OPERATOR, Credentials, generate
+from netem.wire.bus import Bus, OpenBus
+from netem.wire.keys import Keys
+from netem.wire.messages import Command, Hello, Note, encode
+from netem.wire.queues import MOST_WAITING
+from netem.wire.shell import Shell, request
 
 SCENARIO = ["duration=1 s", "checks={}"]
 SHORT = ["duration=400 ms", "checks={}"]

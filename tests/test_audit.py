@@ -11,7 +11,7 @@ from time import monotonic
 import pytest
 from waiting import wait_for
 
-from netem.audit import MOST_ENDED, MOST_KEY, MOST_KINDS, Refusals, _follow
+from netem.wire.audit import MOST_ENDED, MOST_KEY, MOST_KINDS, Refusals, _follow
 
 Z = "4bfa"  # a zenoh id, shortened
 STAMP = "\x1b[2m2026-11-21T11:00:00.000000Z\x1b[0m \x1b[35mTRACE\x1b[0m app-0 ThreadId(02) \x1b[1mdemux\x1b[0m: "
@@ -125,7 +125,7 @@ def test_nobody_waits_for_the_reader() -> None:
     """If the log is not read at all, a write ends after a moment; whoever wrote goes on."""
     script = """
 import os, sys, threading, time
-import netem.audit as audit
+import netem.wire.audit as audit
 audit._follow = lambda *_: threading.Event().wait()
 audit.log_zenoh = lambda levels: None
 audit.listen(audit.Refusals(), decisions=True)

@@ -20,7 +20,7 @@ from fleet.scenario import Scenario, frame_every, load_scenario, parse_scenario
 from fleet.script import script
 from fleet.stability import analyse
 from fleet.table import MOST_ROWS, show
-from netem.messages import Fate, Frame, Life, LinkReport, Tumble, VehicleFrame
+from netem.wire.messages import Fate, Frame, Life, LinkReport, Tumble, VehicleFrame
 
 Link = tuple[int, int]
 

@@ -14,7 +14,7 @@ from agents.agent import Agent
 from agents.compact import PER_METRE, PER_MPS, ROUNDS, SIZE, OutOfRange, decode, encode
 from agents.errors import PayloadError
 from agents.payload import StateMessage
-from netem.messages import Delivery, Nav
+from netem.wire.messages import Delivery, Nav
 
 M = 10  # ticks per round
 

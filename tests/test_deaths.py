@@ -30,10 +30,10 @@ from fleet.reader import LogReader
 from fleet.run import Options, Result, Status, execute
 from fleet.rundir import RunDirectory
 from fleet.scenario import load_scenario
-from netem.access import Credentials
-from netem.bus import Bus
-from netem.keys import Keys
-from netem.messages import Command, Frames, Hello, LinkReport, Nav, Note, Transmission, encode
+from netem.wire.access import Credentials
+from netem.wire.bus import Bus
+from netem.wire.keys import Keys
+from netem.wire.messages import Command, Frames, Hello, LinkReport, Nav, Note, Transmission, encode
 
 END_S = 5.0  # promised: 2 s
 # Of which the first seconds are seen; what follows a death unless the scenario says otherwise is tested further down.

@@ -27,7 +27,7 @@ from fleet.external import ExternalError
 from fleet.reader import digest
 from fleet.run import Options, execute
 from fleet.scenario import load_scenario, parse_scenario
-from netem.messages import PROTOCOL_VERSION
+from netem.wire.messages import PROTOCOL_VERSION
 
 SHORT = ["duration=3 s", "checks={tumbled: waived}"]
 EXTERNAL = "per_vehicle={3: {external: true}}"

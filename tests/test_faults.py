@@ -263,7 +263,7 @@ def test_an_ideal_network_has_no_faults() -> None:
 
 def drive(lockstep: Lockstep, until: int, answer: set[int]) -> list[WorldOut]:
     """Grant, and answer the navs of the living until nothing more happens."""
-    from netem.messages import Command
+    from netem.wire.messages import Command
 
     seen: list[WorldOut] = []
     todo = lockstep.grant(until)
@@ -291,7 +291,7 @@ def test_a_scripted_kill_and_an_end_at_the_same_tick_are_the_same() -> None:
     lockstep.grant(18)
     natural += [out for out in lockstep.end(2, 0) if not isinstance(out, NavTo)]
     # Those whose nav went out with the grant answer now.
-    from netem.messages import Command
+    from netem.wire.messages import Command
 
     for i, tick in lockstep.waiting_for:
         natural += lockstep.command(i, Command(0, tick, (1.0, 0.0, 0.0), ()))

@@ -21,7 +21,7 @@ from fleet.errors import ScenarioError
 from fleet.resume import prepare
 from fleet.run import Options, execute
 from fleet.scenario import Scenario, load_scenario
-from netem.messages import Nav
+from netem.wire.messages import Nav
 
 SHORT = ["duration=3 s", "checks={}", "log.snapshot=500 ms", "log.every=10 ticks"]
 

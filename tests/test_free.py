@@ -44,8 +44,9 @@ from fleet.whatif import whatif
 from netem.errors import OutOfPlace
 from netem.freeprocess import FreeNetemProcess
 from netem.freerun import FreeRounds
-from netem.keys import Keys
-from netem.messages import (
+from netem.spread import Spread
+from netem.wire.keys import Keys
+from netem.wire.messages import (
     Arrival,
     Command,
     Delivery,
@@ -58,9 +59,8 @@ from netem.messages import (
     decode,
     encode,
 )
-from netem.messages import Pace as Begins
-from netem.shell import Item, request
-from netem.spread import Spread
+from netem.wire.messages import Pace as Begins
+from netem.wire.shell import Item, request
 from world.freerun import FreeRun
 from world.lockstep import NavTo
 from world.pace import Pace

@@ -43,14 +43,16 @@ from fleet.recover import recover
 from fleet.run import Options, execute
 from fleet.scenario import load_scenario, parse_scenario, shipped
 from fleet.trust import Policy
-from netem.bus import PART_BYTES
 from netem.errors import MalformedMessage
 from netem.faults import NetFault, fault_values, read_faults
 from netem.freeprocess import FreeNetemProcess
 from netem.freerun import FreeRounds
 from netem.grammar import parse_condition
-from netem.keys import Keys
-from netem.messages import (
+from netem.process import NetemProcess
+from netem.rounds import Rounds
+from netem.wire.bus import PART_BYTES
+from netem.wire.keys import Keys
+from netem.wire.messages import (
     PROTOCOL_VERSION,
     Command,
     Delivery,
@@ -66,11 +68,9 @@ from netem.messages import (
     decode,
     encode,
 )
-from netem.messages import Pace as Begins
-from netem.process import NetemProcess
-from netem.rounds import Rounds
-from netem.settings import MAX_BYTES
-from netem.shell import Item
+from netem.wire.messages import Pace as Begins
+from netem.wire.settings import MAX_BYTES
+from netem.wire.shell import Item
 from world.freeprocess import FreeWorldProcess
 from world.lockstep import Lockstep
 from world.process import WorldProcess

@@ -17,7 +17,7 @@ from fleet.run import Options, execute
 from fleet.scenario import load_scenario
 from fleet.script import script
 from netem.lives import Absence
-from netem.messages import Command, Frame
+from netem.wire.messages import Command, Frame
 from world.lockstep import Lockstep, NavTo
 
 CHECKS = "checks={ledger: balanced, tumbled: waived, deaths: waived}"

@@ -35,13 +35,13 @@ from fleet.cli_hosts import meeting
 from fleet.hosts import HostsError, Meeting, listening, parse_endpoint, read_credentials, run_id, through_router
 from fleet.remote import ask, find
 from fleet.scenario import load_scenario
-from netem.access import Credentials, Door, agent_role, generate
-from netem.bus import Bus
 from netem.errors import BusError
 from netem.files import write_whole
-from netem.keys import Keys
-from netem.linger import never_linger
-from netem.messages import End, decode
+from netem.wire.access import Credentials, Door, agent_role, generate
+from netem.wire.bus import Bus
+from netem.wire.keys import Keys
+from netem.wire.linger import never_linger
+from netem.wire.messages import End, decode
 
 x509 = pytest.importorskip("cryptography.x509", reason="cryptography is not installed: pip install 'uuv-fleet[hosts]'")
 ROOT = Path(__file__).parents[1]

@@ -89,7 +89,7 @@ def test_a_suspended_agent_gets_no_navs_and_its_vehicle_holds_the_last_command()
 
 
 def test_commands_of_a_slow_agent_take_effect_later() -> None:
-    from netem.messages import Command
+    from netem.wire.messages import Command
 
     slow = WorldFault("f", 10, 20, "slow", (2,), (3.0,))
     lockstep = Lockstep(world(faults=(slow,)))

@@ -15,7 +15,7 @@ from fleet.journal import Journal
 from fleet.log import LogWriter
 from fleet.scenario import load_scenario
 from netem.errors import OutOfPlace
-from netem.messages import Command, Delivery, Frame, Inbox, LinkReport, Nav, Round, Transmission
+from netem.wire.messages import Command, Delivery, Frame, Inbox, LinkReport, Nav, Round, Transmission
 from world.lockstep import Lockstep, NavTo
 
 SCENARIO = load_scenario("paper", ["duration=300 ms", "checks={}"])

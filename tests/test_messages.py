@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 from hypothesis.strategies import SearchStrategy
 
 from netem.errors import MalformedMessage
-from netem.messages import (
+from netem.wire.messages import (
     Arrival,
     Command,
     Delivery,
@@ -35,7 +35,7 @@ from netem.messages import (
     encode,
     fields_of,
 )
-from netem.shell import expect, read_map
+from netem.wire.shell import expect, read_map
 
 RECORDS = {record.__name__: record for record in (Arrival, Delivery, Fate, Frame, Life, Tumble, VehicleFrame)}
 KINDS = sorted(declared())

@@ -16,9 +16,9 @@ from netem.config import NetemConfig
 from netem.draws import normal, uniform
 from netem.errors import OutOfPlace
 from netem.ledger import Ledger
-from netem.messages import Fate, Round, Transmission, split
 from netem.network import Netem
 from netem.rounds import Rounds
+from netem.wire.messages import Fate, Round, Transmission, split
 
 TICK_NS = 10_000_000
 ALL_LINKS: tuple[Link, ...] = tuple((j, i) for j in (1, 2, 3) for i in (1, 2, 3) if i != j)

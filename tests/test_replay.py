@@ -41,10 +41,10 @@ from fleet.selection import Renaming, SelectionError, chosen, pattern
 from fleet.stamp import Stamp, pack, unpack
 from fleet.tape import Tape
 from fleet.traffic import ATTACHMENT, ENCODING, KIND, message_encoding, zenoh_encoding
-from netem.access import Credentials
-from netem.bus import OpenBus, Sample, sample_of
 from netem.errors import BusError
-from netem.keys import Keys
+from netem.wire.access import Credentials
+from netem.wire.bus import OpenBus, Sample, sample_of
+from netem.wire.keys import Keys
 
 LIMIT_S = 30.0
 ROOT = Path(__file__).parent.parent
@@ -778,7 +778,7 @@ def test_bad_options_of_record(
 
 
 def test_nobody_there(log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("netem.bus.OpenBus.connect.__func__.__kwdefaults__", {"timeout_ms": 200}, raising=False)
+    monkeypatch.setattr("netem.wire.bus.OpenBus.connect.__func__.__kwdefaults__", {"timeout_ms": 200}, raising=False)
     for arguments in (["replay", log], ["record", "-k", "x", "-o", tmp_path / "x.mcap"]):
         code, said = invoke(*arguments, "--connect", endpoint())
         assert code == 3 and "nobody answers" in said and ".rs:" not in said

@@ -25,7 +25,7 @@ from fleet.scenario import load_scenario
 from fleet.scene import CUTS, HISTORY, LINKS, LinkHistories, Scene, diameter, hull
 from fleet.transforms import quaternion
 from netem.causes import CAUSES, DELIVERED, IN_FLIGHT
-from netem.messages import Fate, Frame, VehicleFrame
+from netem.wire.messages import Fate, Frame, VehicleFrame
 
 ROOT = Path(__file__).parent.parent
 FAULTS = "faults=[{at: 1.5 s, for: 1 s, partition: halves}, {at: 2 s, for: 600 ms, kill: 4}, {at: 2.2 s, pause: 1}]"

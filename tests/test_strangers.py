@@ -31,11 +31,11 @@ from fleet.private import PREFIX, PrivateFolder
 from fleet.run import Options, Result, Status, execute
 from fleet.rundir import RunDirectory
 from fleet.scenario import load_scenario
-from netem.access import Credentials
-from netem.audit import CUT_OFF
-from netem.bus import Bus, OpenBus
-from netem.keys import Keys
-from netem.settings import PIECE_BYTES
+from netem.wire.access import Credentials
+from netem.wire.audit import CUT_OFF
+from netem.wire.bus import Bus, OpenBus
+from netem.wire.keys import Keys
+from netem.wire.settings import PIECE_BYTES
 
 HUGE = 150_000_000
 

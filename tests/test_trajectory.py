@@ -18,7 +18,7 @@ from agents.neighbours import NeighbourTable
 from agents.offset import Change, Offset
 from agents.payload import StateMessage, encode
 from agents.trajectory import Circle, Line, Path, PathError, Reference
-from netem.messages import Delivery
+from netem.wire.messages import Delivery
 from world.vectors import minus, plus
 
 coordinate = st.floats(-200.0, 200.0)

@@ -17,7 +17,7 @@ from fleet.arrays import open_log
 from fleet.resume import prepare
 from fleet.run import Options, Result, Status, execute
 from fleet.scenario import load_scenario
-from netem.messages import Frame, Tumble
+from netem.wire.messages import Frame, Tumble
 from world.config import VehicleSetup
 from world.lockstep import Lockstep
 from world.tumble import HYSTERESIS_RAD, LIMIT_RAD, tumbles

@@ -5,13 +5,13 @@ from __future__ import annotations
 from time import monotonic_ns
 from typing import Any
 
-from netem.audit import Refusals
-from netem.bus import Bus
-from netem.keys import Keys
-from netem.messages import Pace as Begins
-from netem.messages import encode
-from netem.shell import tail
 from netem.spread import Spread
+from netem.wire.audit import Refusals
+from netem.wire.bus import Bus
+from netem.wire.keys import Keys
+from netem.wire.messages import Pace as Begins
+from netem.wire.messages import encode
+from netem.wire.shell import tail
 from world.config import WorldConfig
 from world.freerun import FreeRun
 from world.pace import Pace

@@ -24,7 +24,7 @@ from typing import Any
 
 from netem.errors import OutOfPlace
 from netem.lives import Absence
-from netem.messages import Command, Memory, Nav, Round, VehicleFrame, encode
+from netem.wire.messages import Command, Memory, Nav, Round, VehicleFrame, encode
 from world.config import WorldConfig
 from world.lockstep import STILL, Lockstep, NavTo, Out
 

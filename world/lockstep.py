@@ -13,7 +13,7 @@ import msgpack
 
 from netem.errors import OutOfPlace
 from netem.lives import Absence, Lives
-from netem.messages import Command, Frame, Life, Memory, Nav, Round, Tumble, VehicleFrame, encode
+from netem.wire.messages import Command, Frame, Life, Memory, Nav, Round, Tumble, VehicleFrame, encode
 from world.config import WorldConfig
 from world.errors import IntegrationError
 from world.sea import World

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from netem.access import WORLD as WORLD
-from netem.access import Credentials, Door
-from netem.audit import Refusals, listen
-from netem.bus import Bus, quiet_zenoh
-from netem.keys import Keys
-from netem.shell import end_with_link
+from netem.wire.access import WORLD as WORLD
+from netem.wire.access import Credentials, Door
+from netem.wire.audit import Refusals, listen
+from netem.wire.bus import Bus, quiet_zenoh
+from netem.wire.keys import Keys
+from netem.wire.shell import end_with_link
 from world.config import WorldConfig
 from world.lockstep import Lockstep
 from world.process import WorldProcess

@@ -8,14 +8,14 @@ from typing import Any
 
 import msgpack
 
-from netem.access import WORLD as WORLD
-from netem.access import agent_role
-from netem.audit import Refusals
-from netem.bus import PART_BYTES, Bus, Respond
 from netem.errors import MalformedMessage, OutOfPlace
-from netem.keys import Keys
 from netem.lives import Absence
-from netem.messages import (
+from netem.wire.access import WORLD as WORLD
+from netem.wire.access import agent_role
+from netem.wire.audit import Refusals
+from netem.wire.bus import PART_BYTES, Bus, Respond
+from netem.wire.keys import Keys
+from netem.wire.messages import (
     PROTOCOL_VERSION,
     Ailments,
     Command,
@@ -34,7 +34,7 @@ from netem.messages import (
     pieces,
     split,
 )
-from netem.shell import Probes, Shell, expect, read_map, vehicle_of
+from netem.wire.shell import Probes, Shell, expect, read_map, vehicle_of
 from world.faults import WorldFault
 from world.lockstep import Lockstep, NavTo, Out
 

@@ -18,11 +18,11 @@ from typing import Any, NamedTuple
 
 import msgpack
 
-from netem.access import LEASE_MS, Credentials
-from netem.bus import Bus, Respond
 from netem.errors import MalformedMessage, OutOfPlace
-from netem.messages import Message, Note, decode, encode
-from netem.queues import Quota
+from netem.wire.access import LEASE_MS, Credentials
+from netem.wire.bus import Bus, Respond
+from netem.wire.messages import Message, Note, decode, encode
+from netem.wire.queues import Quota
 
 log = logging.getLogger(__name__)
 

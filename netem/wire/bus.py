@@ -1,4 +1,4 @@
-"""The one module that knows zenoh: sessions, puts, subscriptions, queries, tokens. `netem.settings` says with which
+"""The one module that knows zenoh: sessions, puts, subscriptions, queries, tokens. `netem.wire.settings` says with which
 settings, and why."""
 
 from __future__ import annotations
@@ -13,13 +13,13 @@ from typing import Any, NamedTuple
 
 import zenoh
 
-from netem.access import LEASE_MS, Credentials, Door, access_control, observer_control
 from netem.errors import BusError
 from netem.files import write_whole
-from netem.keys import Keys
-from netem.linger import never_linger
-from netem.queues import Channel, Stamped
-from netem.settings import (
+from netem.wire.access import LEASE_MS, Credentials, Door, access_control, observer_control
+from netem.wire.keys import Keys
+from netem.wire.linger import never_linger
+from netem.wire.queues import Channel, Stamped
+from netem.wire.settings import (
     BASE,
     MAX_BYTES,
     OTHERS,

@@ -20,7 +20,7 @@ from __future__ import annotations
 import base64
 from typing import Any
 
-from netem.access import LEASE_MS, Credentials, Door
+from netem.wire.access import LEASE_MS, Credentials, Door
 
 # ZENOH_RUNTIME, which zenoh reads when the first session of a process opens; it panics if that is malformed.
 RUNTIME = (

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, fields
 from types import MappingProxyType
 from typing import Any
 
-from netem.keys import Keys
+from netem.wire.keys import Keys
 
 CONSOLE, NETEM, OPERATOR, WORLD = "console", "netem", "operator", "world"
 OBSERVER = "observer"  # of a published run: it has a router of its own, and may read the journal there

@@ -23,8 +23,8 @@ from collections.abc import Callable
 from contextlib import suppress
 from queue import SimpleQueue
 
-from netem.bus import log_zenoh
-from netem.settings import PIECE_BYTES
+from netem.wire.bus import log_zenoh
+from netem.wire.settings import PIECE_BYTES
 
 log = logging.getLogger(__name__)
 

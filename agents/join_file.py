@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from agents.errors import AgentError
-from netem.files import open_file, read_bounded, write_whole
+from netem.whole_file import open_file, read_bounded, write_whole
 from netem.wire.access import LEASE_MS, Credentials
 from netem.wire.messages import PROTOCOL_VERSION
 

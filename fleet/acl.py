@@ -8,7 +8,7 @@ from typing import Any
 
 from fleet.certs import CA, OWN, SERVER, path
 from fleet.hosts import HostsError, new_credentials
-from netem.files import write_whole
+from netem.whole_file import write_whole
 from netem.wire.access import CONSOLE, NETEM, OPERATOR, WORLD, access_control, agent_role
 from netem.wire.keys import Keys
 from netem.wire.settings import router_settings

@@ -24,7 +24,7 @@ from fleet.aloha import Talking, talking
 from fleet.modems import NUMBERS, load_modem, modem_of, modem_problems
 from fleet.schema import AcousticSection, NetworkSection
 from netem.modem import DEFAULT_GUARD_NS, SOUND_SPEED, AcousticConfig, Modem
-from netem.underwater import sound_speed
+from netem.propagation import sound_speed
 
 DEFAULT_MODEM: str = AcousticSection().modem
 SIZES: dict[Codec, int] = {"full": payload.SIZE, "compact": compact.SIZE}

@@ -271,7 +271,7 @@ class _Observed(msgspec.Struct):
 
 def _observer(directory: Path) -> tuple[str, Any, str]:
     """Endpoint, credentials and prefix of a run that is published."""
-    from netem.files import read_file
+    from netem.whole_file import read_file
     from netem.wire.access import Credentials
     from netem.wire.keys import Keys
 

@@ -9,8 +9,8 @@ from typing import Any
 
 from fleet import quantities as q
 from fleet.errors import FleetError
-from netem.files import read_file
 from netem.parsing import nearest
+from netem.whole_file import read_file
 
 _MAX_BYTES = 100_000
 

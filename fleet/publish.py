@@ -24,7 +24,7 @@ from typing import IO, Any
 import fleet
 from fleet.errors import FleetError
 from fleet.log_schemas import Schema
-from netem.files import write_whole
+from netem.whole_file import write_whole
 from netem.wire.access import OBSERVER, Credentials
 
 ENTRY = Struct("<HIQQQI")  # channel, sequence, log time, publish time, number in the log, bytes that follow

@@ -12,7 +12,7 @@ import msgspec
 
 from fleet.errors import FleetError
 from netem.errors import BusError
-from netem.files import read_file
+from netem.whole_file import read_file
 from netem.wire.access import LEASE_MS, Credentials
 from netem.wire.bus import Bus
 from netem.wire.keys import Keys

@@ -13,7 +13,7 @@ from typing import Annotated, Any
 import msgspec
 
 from fleet.errors import FleetError
-from netem.files import read_file
+from netem.whole_file import read_file
 
 _MOST_BYTES = 20_000_000
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from fleet.errors import FleetError
-from netem.files import write_whole
+from netem.whole_file import write_whole
 
 LATEST = "latest"
 

@@ -33,10 +33,10 @@ from fleet.vehicles import shipped as shipped_vehicles
 from fleet.yaml_marks import Mapping, Scalar, Source, read
 from netem.condition import Condition, Link
 from netem.config import NetemConfig
-from netem.files import read_bounded, read_file
 from netem.modem import AcousticConfig
 from netem.parsing import nearest
 from netem.selectors import parse_selector, select
+from netem.whole_file import read_bounded, read_file
 from world import disturbance
 from world.config import Harmonic, NavNoise, VehicleSetup, WorldConfig
 from world.vectors import Vec3, Vec5, minus

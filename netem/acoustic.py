@@ -53,7 +53,7 @@ from netem.config import NetemConfig
 from netem.draws import uniform
 from netem.faults import Weather, weather
 from netem.network import Exchange, Netem, Packet
-from netem.underwater import decibels, power
+from netem.propagation import decibels, power
 from netem.wire.messages import Fate
 
 Place = tuple[float, ...]  # x, y, z [m, NED]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from netem import underwater
+from netem import propagation
 
 Mac = Literal["aloha", "tdma"]
 
@@ -62,17 +62,17 @@ class AcousticConfig:
 
     def noise_level(self) -> float:
         """Noise in the modem's band [dB re 1 uPa]."""
-        return underwater.noise_level(self.modem.carrier / 1e3, self.modem.bandwidth, self.shipping, self.wind)
+        return propagation.noise_level(self.modem.carrier / 1e3, self.modem.bandwidth, self.shipping, self.wind)
 
     def received_level(self, range_m: float) -> float:
         """The level [dB re 1 uPa] of a modem's signal at a range [m]."""
-        loss = underwater.transmission_loss(range_m, self.modem.carrier / 1e3, self.spreading)
+        loss = propagation.transmission_loss(range_m, self.modem.carrier / 1e3, self.spreading)
         return self.modem.source_level - loss
 
     def packet_error_rate(self, range_m: float, size: int) -> float:
         """The probability that noise alone makes a payload of `size` bytes undecodable at a range [m]."""
         modem = self.modem
-        return underwater.packet_error_rate(self.snr(range_m), 8 * size, modem.lost_below, modem.clear_above)
+        return propagation.packet_error_rate(self.snr(range_m), 8 * size, modem.lost_below, modem.clear_above)
 
     def snr(self, range_m: float) -> float:
         """The signal-to-noise ratio [dB] at a range [m]."""

@@ -12,8 +12,8 @@ import msgspec
 from netem.config import NetemConfig
 from netem.errors import MalformedMessage, OutOfPlace
 from netem.faults import read_faults
-from netem.freerun import FreeRounds
 from netem.lives import Absence, Lives
+from netem.realtime_rounds import FreeRounds
 from netem.rounds import Rounds
 from netem.wire.access import NETEM
 from netem.wire.bus import PART_BYTES, Bus, Respond

@@ -42,9 +42,9 @@ from fleet.script import ScriptError
 from fleet.verify import verify
 from fleet.whatif import whatif
 from netem.errors import OutOfPlace
-from netem.freeprocess import FreeNetemProcess
-from netem.freerun import FreeRounds
-from netem.spread import Spread
+from netem.histogram import Spread
+from netem.realtime_process import FreeNetemProcess
+from netem.realtime_rounds import FreeRounds
 from netem.wire.keys import Keys
 from netem.wire.messages import (
     Arrival,

@@ -45,10 +45,10 @@ from fleet.scenario import load_scenario, parse_scenario, shipped
 from fleet.trust import Policy
 from netem.errors import MalformedMessage
 from netem.faults import NetFault, fault_values, read_faults
-from netem.freeprocess import FreeNetemProcess
-from netem.freerun import FreeRounds
 from netem.grammar import parse_condition
 from netem.process import NetemProcess
+from netem.realtime_process import FreeNetemProcess
+from netem.realtime_rounds import FreeRounds
 from netem.rounds import Rounds
 from netem.wire.bus import PART_BYTES
 from netem.wire.keys import Keys

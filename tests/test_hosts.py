@@ -36,7 +36,7 @@ from fleet.hosts import HostsError, Meeting, listening, parse_endpoint, read_cre
 from fleet.remote import ask, find
 from fleet.scenario import load_scenario
 from netem.errors import BusError
-from netem.files import write_whole
+from netem.whole_file import write_whole
 from netem.wire.access import Credentials, Door, agent_role, generate
 from netem.wire.bus import Bus
 from netem.wire.keys import Keys
@@ -140,7 +140,7 @@ def test_a_file_that_cannot_be_written_leaves_nothing_behind(tmp_path: Path, mon
     def full(*_: object) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("netem.files.os.replace", full)
+    monkeypatch.setattr("netem.whole_file.os.replace", full)
     with pytest.raises(OSError, match="No space"):
         write_whole(file, b"new")
     assert [(path.name, path.read_bytes()) for path in tmp_path.iterdir()] == [("key.pem", b"old")]

@@ -32,8 +32,8 @@ from fleet.run import Options, execute
 from fleet.scenario import load_scenario, parse_scenario
 from fleet.stability import oldest_s
 from fleet.vehicles import load_vehicle
-from netem.files import read_file
 from netem.lives import Absence, Lives
+from netem.whole_file import read_file
 
 PAPER = (Path(__file__).parent.parent / "fleet" / "scenarios" / "paper.yaml").read_text("utf-8")
 

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from netem import underwater as uw
+from netem import propagation as uw
 
 
 def test_mackenzie_at_the_published_check_points() -> None:

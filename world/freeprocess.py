@@ -5,7 +5,7 @@ from __future__ import annotations
 from time import monotonic_ns
 from typing import Any
 
-from netem.spread import Spread
+from netem.histogram import Spread
 from netem.wire.audit import Refusals
 from netem.wire.bus import Bus
 from netem.wire.keys import Keys

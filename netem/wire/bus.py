@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import zenoh
 
 from netem.errors import BusError
-from netem.files import write_whole
+from netem.whole_file import write_whole
 from netem.wire.access import LEASE_MS, Credentials, Door, access_control, observer_control
 from netem.wire.keys import Keys
 from netem.wire.linger import never_linger

@@ -15,9 +15,9 @@ from netem.acoustic import AcousticNetem
 from netem.condition import Link
 from netem.config import NetemConfig
 from netem.errors import OutOfPlace
+from netem.histogram import Spread
 from netem.lives import Lives
 from netem.network import Netem
-from netem.spread import Spread
 from netem.wire.messages import Delivery, Fate, Inbox, LinkReport, Receipt, Round, Transmission
 
 FAR_ROUNDS = 20  # by which what an agent sends may be ahead of a network that is late

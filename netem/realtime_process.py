@@ -7,8 +7,8 @@ from queue import Empty
 from time import monotonic_ns
 from typing import cast
 
-from netem.freerun import FreeRounds
 from netem.process import NetemProcess
+from netem.realtime_rounds import FreeRounds
 from netem.wire.messages import Message, Pace, Receipt, Round, Transmission
 
 

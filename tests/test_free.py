@@ -61,9 +61,9 @@ from netem.wire.messages import (
 )
 from netem.wire.messages import Pace as Begins
 from netem.wire.shell import Item, request
-from world.freerun import FreeRun
 from world.lockstep import NavTo
 from world.pace import Pace
+from world.realtime import FreeRun
 
 KEYS = Keys("5ea")
 PERIOD_NS = 10_000_000

@@ -71,9 +71,9 @@ from netem.wire.messages import (
 from netem.wire.messages import Pace as Begins
 from netem.wire.settings import MAX_BYTES
 from netem.wire.shell import Item
-from world.freeprocess import FreeWorldProcess
 from world.lockstep import Lockstep
 from world.process import WorldProcess
+from world.realtime_process import FreeWorldProcess
 
 EXAMPLES = int(os.environ.get("FUZZ_EXAMPLES", "40"))
 fuzz = settings(

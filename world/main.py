@@ -75,6 +75,6 @@ def _process(
 ) -> WorldProcess:
     if speed is None:
         return WorldProcess(bus, keys, Lockstep(config, frame_every=frame_every), refusals)
-    from world.freeprocess import FreeWorldProcess  # which is one of these
+    from world.realtime_process import FreeWorldProcess  # which is one of these
 
     return FreeWorldProcess(bus, keys, config, frame_every, speed, refusals)

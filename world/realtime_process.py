@@ -13,9 +13,9 @@ from netem.wire.messages import Pace as Begins
 from netem.wire.messages import encode
 from netem.wire.shell import tail
 from world.config import WorldConfig
-from world.freerun import FreeRun
 from world.pace import Pace
 from world.process import WorldProcess
+from world.realtime import FreeRun
 
 AHEAD_NS = 50_000_000  # from the first grant to the first tick
 PATIENCE_NS = 500_000_000  # without an answer, after which an agent is silent

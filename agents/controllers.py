@@ -11,11 +11,11 @@ from typing import Any, NamedTuple, Protocol
 
 from agents import plugins
 from agents.api import Command, Sample
-from agents.backstepping import BacksteppingTracking, NeurodynamicTracking, SlidingModeTracking
-from agents.command import direction_command, floor_speed
 from agents.config import AgentConfig, Law
 from agents.guard import FencedLaw
-from agents.guidance import FixedGuidance, OptimalGuidance
+from agents.laws.backstepping import BacksteppingTracking, NeurodynamicTracking, SlidingModeTracking
+from agents.laws.guidance import FixedGuidance, OptimalGuidance
+from agents.laws.velocity_command import direction_command, floor_speed
 from agents.signals import COMMANDED, HEARD, Layout
 from world.vectors import Vec3
 

@@ -8,10 +8,10 @@ from typing import Any
 
 from agents import plugin_checks, plugins
 from agents.brain import Brain, Decision, Nav
-from agents.command import clip
 from agents.config import AgentConfig, Law
 from agents.errors import ControllerError
 from agents.guard import MAX_PAYLOAD_BYTES, Fence, shown
+from agents.laws.velocity_command import clip
 from agents.neighbours import Delivery
 from world.vectors import Vec3
 

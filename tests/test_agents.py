@@ -17,22 +17,22 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from loops import PARAMS, REFERENCE, WEIGHTS, Delivery, Link, Nav, agent_config, run_loop, world_config
 
-from agents import gain_qp
 from agents.agent import Agent
 from agents.api import Command, NeighbourState, Sample
-from agents.backstepping import NeurodynamicTracking
-from agents.command import clip, direction_command, floor_speed, slew, virtual_control
 from agents.config import AgentConfig, Neighbour
-from agents.consensus import consensus_error
 from agents.controllers import CONTROLLERS
 from agents.errors import AgentError, ControllerError, PayloadError, UnknownNameError
-from agents.filters import AngleRateFilter, wrap
-from agents.kinematics import earth_velocity, flow_angles
+from agents.laws import gain_qp
+from agents.laws.backstepping import NeurodynamicTracking
+from agents.laws.consensus import consensus_error
+from agents.laws.filters import AngleRateFilter, wrap
+from agents.laws.kinematics import earth_velocity, flow_angles
+from agents.laws.shunting import shunting_step
+from agents.laws.velocity_command import clip, direction_command, floor_speed, slew, virtual_control
 from agents.neighbours import NeighbourTable
 from agents.offset import Offset
 from agents.payload import SIZE, StateMessage, decode, encode
 from agents.profiles import PROFILES, profile
-from agents.shunting import shunting_step
 from agents.trajectory import Motion
 from world.disturbance import NO_FORCE, PAPER
 from world.dynamics import coefficients, derivative

@@ -12,9 +12,9 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from agents import gain_qp
 from agents.config import GuidanceParams
-from agents.gain_qp import GainProblem, NoSolution, Solution, build_qp, solve
+from agents.laws import gain_qp
+from agents.laws.gain_qp import GainProblem, NoSolution, Solution, build_qp, solve
 from agents.profiles import PROFILES, profile
 from world.vectors import Vec3
 

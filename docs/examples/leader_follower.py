@@ -3,7 +3,7 @@
 from math import atan2, hypot
 
 from agents.api import AgentConfig, Sample, Signal
-from agents.filters import wrap
+from agents.laws.filters import wrap
 
 
 class LeaderFollower:

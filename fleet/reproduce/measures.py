@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from agents.kinematics import earth_velocity
+from agents.laws.kinematics import earth_velocity
 from fleet.metrics import SETTLE_FRACTION, SETTLE_M
 from fleet.recording import Array, Recording
 from fleet.settling import settling_time

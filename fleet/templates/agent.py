@@ -9,8 +9,8 @@ from typing import Any
 
 from agents.api import AgentConfig, Signal
 from agents.brain import Nav
-from agents.filters import wrap
-from agents.kinematics import earth_velocity
+from agents.laws.filters import wrap
+from agents.laws.kinematics import earth_velocity
 from agents.neighbours import Delivery
 
 PAYLOAD = struct.Struct("<3f")  # what we tell our neighbours: our position, in single precision

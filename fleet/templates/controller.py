@@ -6,7 +6,7 @@ from math import atan2, hypot
 from typing import Any
 
 from agents.api import AgentConfig, Sample, Signal
-from agents.filters import wrap
+from agents.laws.filters import wrap
 
 
 class TheLaw:

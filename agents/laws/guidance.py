@@ -13,9 +13,9 @@ from collections.abc import Sequence
 from typing import Any, ClassVar
 
 from agents.api import Sample
-from agents.command import clip, slew, virtual_control
 from agents.config import AgentConfig
-from agents.gain_qp import NoSolution, build_qp, solve
+from agents.laws.gain_qp import NoSolution, build_qp, solve
+from agents.laws.velocity_command import clip, slew, virtual_control
 from agents.signals import Signal
 from world.vectors import Vec3
 

@@ -25,9 +25,9 @@ from typing import Any, ClassVar
 
 from agents.api import Command, Sample
 from agents.config import AgentConfig
-from agents.filters import AngleRateFilter, RateFilter, wrap
-from agents.kinematics import flow_angles
-from agents.shunting import shunting_step
+from agents.laws.filters import AngleRateFilter, RateFilter, wrap
+from agents.laws.kinematics import flow_angles
+from agents.laws.shunting import shunting_step
 from agents.signals import Signal
 from world.vectors import Vec3
 

@@ -1,0 +1,1 @@
+"""The paper's control laws: pure functions and little state."""

@@ -9,13 +9,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, NamedTuple, Protocol
 
-from agents import plugins
 from agents.api import Command, Sample
 from agents.config import AgentConfig, Law
-from agents.guard import FencedLaw
 from agents.laws.backstepping import BacksteppingTracking, NeurodynamicTracking, SlidingModeTracking
 from agents.laws.guidance import FixedGuidance, OptimalGuidance
 from agents.laws.velocity_command import direction_command, floor_speed
+from agents.plugins import loading
+from agents.plugins.fence import FencedLaw
 from agents.signals import COMMANDED, HEARD, Layout
 from world.vectors import Vec3
 
@@ -72,7 +72,7 @@ def law_class(kind: str, law: Law) -> type[Any]:
         PluginError: there is none, or it cannot be used.
     """
     ours = BUILT_IN[kind].get(law.name)
-    return ours if ours is not None else plugins.load(kind, law)
+    return ours if ours is not None else loading.load(kind, law)
 
 
 class Choice(Protocol):
@@ -115,7 +115,7 @@ class Controller:
     """A user's controller in the agent."""
 
     def __init__(self, config: AgentConfig, law: Law, notes: Notes) -> None:
-        self._law = FencedLaw(config, law, plugins.load("controller", law), "(tau1, tau2, tau3)", notes)
+        self._law = FencedLaw(config, law, loading.load("controller", law), "(tau1, tau2, tau3)", notes)
 
     def step(self, sample: Sample) -> tuple[Vec3, tuple[float, ...]]:
         """Forces [N, N m] before the limits, and the telemetry."""
@@ -177,5 +177,5 @@ def build(config: AgentConfig, notes: Notes) -> Cascade | Controller:
 
 def _make(kind: str, config: AgentConfig, law: Law, what: str, notes: Notes) -> Lawful:
     ours = BUILT_IN[kind].get(law.name)
-    found: Lawful = ours(config) if ours is not None else FencedLaw(config, law, plugins.load(kind, law), what, notes)
+    found: Lawful = ours(config) if ours is not None else FencedLaw(config, law, loading.load(kind, law), what, notes)
     return found

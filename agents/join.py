@@ -18,8 +18,8 @@ from agents.controllers import BUILT_IN, laws
 from agents.errors import PluginError
 from agents.join_file import _ENDPOINT, JoinError, Joining
 from agents.main import begin_life
-from agents.plugins import admit
-from agents.trust import NOTHING, Trust
+from agents.plugins.loading import admit
+from agents.plugins.trust import NOTHING, Trust
 from netem.errors import BusError, MalformedMessage
 from netem.wire.bus import Bus
 from netem.wire.keys import Keys

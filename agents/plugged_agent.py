@@ -6,13 +6,13 @@ from collections.abc import Iterable
 from math import nan
 from typing import Any
 
-from agents import plugin_checks, plugins
 from agents.brain import Brain, Decision, Nav
 from agents.config import AgentConfig, Law
 from agents.errors import ControllerError
-from agents.guard import MAX_PAYLOAD_BYTES, Fence, shown
 from agents.laws.velocity_command import clip
 from agents.neighbours import Delivery
+from agents.plugins import checks, loading
+from agents.plugins.fence import MAX_PAYLOAD_BYTES, Fence, shown
 from world.vectors import Vec3
 
 
@@ -22,8 +22,8 @@ class PluggedAgent(Brain):
     def __init__(self, config: AgentConfig, law: Law) -> None:
         super().__init__(config)
         self._fence = Fence(config, law, self._notes)
-        found = plugins.load("agent", law)
-        self._resumable = plugin_checks.resumable(found)
+        found = loading.load("agent", law)
+        self._resumable = checks.resumable(found)
         self._user = self._fence.make(found, config, law)
 
     def transmit(self, nav: Nav) -> tuple[bytes, ...]:

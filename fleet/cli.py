@@ -11,7 +11,7 @@ from typing import Any
 import click
 from rich.console import Console as Terminal
 
-from agents.trust import Trust
+from agents.plugins.trust import Trust
 from fleet import cli_bench, cli_hosts, cli_join, cli_live, cli_log, cli_protocol, cli_replay, cli_verify, cli_whatif
 from fleet.cli_trust import TrustingCommand, trust_option
 from fleet.cli_types import Duration

@@ -9,7 +9,7 @@ from typing import NoReturn
 
 import click
 
-from agents.trust import Trust
+from agents.plugins.trust import Trust
 from fleet.cli_trust import TrustingCommand, trust_option
 from fleet.interrupts import ending_status
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from agents.trust import Trust
+from agents.plugins.trust import Trust
 from fleet.cli_trust import TrustingCommand, trust_option
 from fleet.cli_types import Duration
 from fleet.completion import scenarios

@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 
 import click
 
-from agents.trust import SHA256, Trust
+from agents.plugins.trust import SHA256, Trust
 
 F = TypeVar("F", bound=Callable[..., Any])
 _EVERYTHING = "all"

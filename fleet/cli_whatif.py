@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from agents.trust import Trust
+from agents.plugins.trust import Trust
 from fleet.cli_trust import TrustingCommand, trust_option
 from fleet.errors import FleetError
 

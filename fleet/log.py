@@ -23,7 +23,7 @@ from mcap.writer import CompressionType, Writer
 
 from agents.config import AgentConfig
 from agents.controllers import law_class, laws
-from agents.plugins import fingerprint
+from agents.plugins.loading import fingerprint
 from agents.signals import Layout
 from fleet.errors import FleetError
 from fleet.faults import Event

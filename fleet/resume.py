@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from agents.controllers import laws
-from agents.trust import NOTHING, Trust
+from agents.plugins.trust import NOTHING, Trust
 from fleet.quantities import QuantityError, show_time, time_ns
 from fleet.reader import LogReader, Tell, digest, log_path
 from fleet.scenario import Scenario, load_scenario

@@ -16,7 +16,7 @@ from agents.config import Law
 from agents.controllers import BUILT_IN, CONTROLLERS
 from agents.errors import PluginError, UntrustedError
 from agents.offset import Offset
-from agents.plugins import load
+from agents.plugins.loading import load
 from agents.profiles import profile
 from agents.trajectory import Path as Path_
 from agents.trajectory import PathError

@@ -15,9 +15,9 @@ from pathlib import Path
 from agents.config import AgentConfig, Law, Neighbour
 from agents.controllers import BUILT_IN, laws, layout
 from agents.offset import Change, Offset
+from agents.plugins.trust import NOTHING, Trust
 from agents.signals import Layout
 from agents.trajectory import Reference
-from agents.trust import NOTHING, Trust
 from fleet import acoustics, emit, faults, formation, graph, nemesis, reference, tuning
 from fleet.errors import Problem, ScenarioError
 from fleet.graph import Graph

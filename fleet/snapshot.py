@@ -18,7 +18,7 @@ import msgpack
 from agents.config import Law
 from agents.controllers import law_class
 from agents.errors import PluginError
-from agents.plugin_checks import resumable
+from agents.plugins.checks import resumable
 from fleet.errors import FleetError
 from fleet.log_values import Decoder
 from fleet.quantities import show_time

@@ -1,4 +1,4 @@
-"""Whose scenario it is, and so which modules it may have imported; see `agents.trust` for what that means.
+"""Whose scenario it is, and so which modules it may have imported; see `agents.plugins.trust` for what that means.
 
 What the user types on the command line is his own. A scenario file is his own if it lies in the current directory or
 below it. A log, the scenario in a run directory and a file from elsewhere are a stranger's.
@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from agents.config import Law
-from agents.plugins import admit
-from agents.trust import NOTHING, Trust
+from agents.plugins.loading import admit
+from agents.plugins.trust import NOTHING, Trust
 from fleet.errors import Problem
 
 A_LOG = "a log names it"

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import IO, Any
 
 from agents.errors import AgentError
-from agents.trust import NOTHING, Trust
+from agents.plugins.trust import NOTHING, Trust
 from fleet.clock import Clock
 from fleet.difference import Difference, Side, side
 from fleet.errors import FleetError, RunBroken

@@ -17,8 +17,8 @@ from agents.agent import Agent, make_agent
 from agents.controllers import BUILT_IN, laws
 from agents.errors import AgentError
 from agents.plugged_agent import PluggedAgent
-from agents.plugins import admit
-from agents.trust import NOTHING, Trust
+from agents.plugins.loading import admit
+from agents.plugins.trust import NOTHING, Trust
 from fleet.errors import FleetError
 from fleet.log_values import Decoder
 from fleet.reader import LogReader, Tell, log_path

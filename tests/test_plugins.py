@@ -26,10 +26,10 @@ from loops import agent_config
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
-from agents import plugins
 from agents.agent import Agent, make_agent
 from agents.config import Law
 from agents.errors import ControllerError, PluginError
+from agents.plugins import loading
 from agents.signals import COMMANDED, HEARD
 from fleet.cli import cli
 from fleet.errors import ScenarioError
@@ -138,13 +138,13 @@ def nav(tick: int) -> Any:
 
 def test_import_path_and_entry_point(module: Callable[[str], str], monkeypatch: pytest.MonkeyPatch) -> None:
     name = module(GOOD)
-    by_path = plugins.load("controller", Law(f"{name}:Law"))
-    point = EntryPoint("my-law", f"{name}:Law", plugins.GROUP)
-    monkeypatch.setattr(plugins, "entry_points", lambda group: [point] if group == plugins.GROUP else [])
-    assert plugins.load("controller", Law("my-law")) is by_path
+    by_path = loading.load("controller", Law(f"{name}:Law"))
+    point = EntryPoint("my-law", f"{name}:Law", loading.GROUP)
+    monkeypatch.setattr(loading, "entry_points", lambda group: [point] if group == loading.GROUP else [])
+    assert loading.load("controller", Law("my-law")) is by_path
     assert scenario("controller=my-law").agent_config(1).controller == Law("my-law")
     with pytest.raises(PluginError, match="installed: my-law"):
-        plugins.load("controller", Law("other"))
+        loading.load("controller", Law("other"))
 
 
 def without(line: str, text: str = GOOD) -> str:
@@ -202,7 +202,7 @@ def test_what_cannot_be_used_says_why_and_where(
     """Before anything runs, with the line of the scenario that names the law."""
     name = name.format(module(code))
     with pytest.raises(PluginError) as caught:
-        plugins.load("controller", Law(name, parameters))
+        loading.load("controller", Law(name, parameters))
     assert problem in caught.value.problem
     assert hint in caught.value.hint
     path = tmp_path / "s.yaml"
@@ -276,8 +276,8 @@ def test_an_entry_point_that_cannot_be_used(
 ) -> None:
     """It exists: to say that there is no such controller would send its author the wrong way."""
     value = f"{module(code)}:{attribute}"
-    point = EntryPoint("my-law", value, plugins.GROUP)
-    monkeypatch.setattr(plugins, "entry_points", lambda group: [point])
+    point = EntryPoint("my-law", value, loading.GROUP)
+    monkeypatch.setattr(loading, "entry_points", lambda group: [point])
     with pytest.raises(ScenarioError) as refused:
         scenario("controller=my-law")
     assert f"controller.law: my-law: its entry point {value} {problem}" in str(refused.value)
@@ -287,9 +287,9 @@ def test_an_entry_point_that_cannot_be_used(
 def test_a_guidance_law_leaves_our_signals_alone(name: str, module: Callable[[str], str]) -> None:
     """They share a topic, and a message has each field once. A controller's signals have a topic of their own."""
     law = Law(f"{module(GOOD.replace('count', name))}:Law")
-    plugins.load("controller", law)
+    loading.load("controller", law)
     with pytest.raises(PluginError, match=f"signal '{name}' is reported already by every agent"):
-        plugins.load("guidance", law)
+        loading.load("guidance", law)
 
 
 def test_what_a_module_prints_is_no_data(module: Callable[[str], str]) -> None:
@@ -701,6 +701,6 @@ def test_the_worked_example_in_processes(tmp_path: Path) -> None:
 def test_the_worked_example_is_short(monkeypatch: pytest.MonkeyPatch) -> None:
     """The page promises some thirty lines."""
     monkeypatch.syspath_prepend(str(Path(EXAMPLE).parent))
-    found = plugins.load("controller", Law("leader_follower:LeaderFollower"))
+    found = loading.load("controller", Law("leader_follower:LeaderFollower"))
     source = inspect.getsource(found.step)
     assert len([line for line in source.splitlines() if line.strip() and not line.strip().startswith("#")]) <= 30

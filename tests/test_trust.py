@@ -17,12 +17,12 @@ import pytest
 from click.testing import CliRunner, Result
 
 import fleet
-from agents import plugins, trust
 from agents.config import Law
 from agents.errors import PluginError
 from agents.join import _admit
 from agents.join_file import JoinError
-from agents.trust import Trust
+from agents.plugins import loading, trust
+from agents.plugins.trust import Trust
 from fleet.cli import cli
 from fleet.errors import ScenarioError
 from fleet.pictures import load
@@ -384,7 +384,7 @@ def test_programs_and_python_itself_are_no_laws(name: str) -> None:
     """They are installed, and to import them does something."""
     module = name.partition(":")[0]
     with pytest.raises(PluginError, match="not a module with a law"):
-        plugins.load("controller", Law(name))
+        loading.load("controller", Law(name))
     assert module not in sys.modules
 
 
@@ -401,10 +401,10 @@ def test_packages_are_found_without_running_them(tmp_path: Path, monkeypatch: py
     sums = [hashlib.sha256(Path(file).read_bytes()).hexdigest() for file in place.files]
     arguments = ("controller", f"{package}.law:Main")
     with pytest.raises(PluginError, match=f"would run {package}/__init__.py and {package}/law.py"):
-        plugins.admit(*arguments, Trust(fingerprints=frozenset(sums[1:])), elsewhere=[tmp_path])
+        loading.admit(*arguments, Trust(fingerprints=frozenset(sums[1:])), elsewhere=[tmp_path])
     assert not list(tmp_path.rglob("*.mark"))
-    plugins.admit(*arguments, Trust(fingerprints=frozenset(sums)), elsewhere=[tmp_path])
-    assert plugins.load("controller", Law(f"{package}.law:Main")).__name__ == "Main"
+    loading.admit(*arguments, Trust(fingerprints=frozenset(sums)), elsewhere=[tmp_path])
+    assert loading.load("controller", Law(f"{package}.law:Main")).__name__ == "Main"
 
 
 def test_a_join_file_names_no_module_of_mine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -424,7 +424,7 @@ def test_a_join_file_names_no_module_of_mine(tmp_path: Path, monkeypatch: pytest
         _admit(config, Trust())
     assert not (tmp_path / "here" / f"{name}.mark").exists()
     _admit(config, Trust(everything=True))
-    assert plugins.load("controller", Law(f"{name}:Main"))
+    assert loading.load("controller", Law(f"{name}:Main"))
     assert (tmp_path / "here" / f"{name}.mark").exists()
 
 

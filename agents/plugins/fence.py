@@ -23,8 +23,8 @@ from typing import Any
 from agents.api import Sample
 from agents.config import AgentConfig, Law
 from agents.errors import ControllerError
-from agents.plugin_checks import MOST_NUMBERS, resumable
-from agents.plugin_places import in_library, place_of, place_of_line, place_of_method, words_of
+from agents.plugins.checks import MOST_NUMBERS, resumable
+from agents.plugins.places import in_library, place_of, place_of_line, place_of_method, words_of
 from agents.signals import Signal
 from world.vectors import Vec3
 

@@ -8,7 +8,7 @@ from typing import Any
 
 from agents.config import Law
 from agents.errors import PluginError
-from agents.plugin_places import place_of_method
+from agents.plugins.places import place_of_method
 from agents.signals import Signal
 
 # What a class of each kind must be able to do, and with what it is called.

@@ -14,9 +14,9 @@ from typing import Any
 
 from agents.config import Law
 from agents.errors import PluginError
-from agents.plugin_checks import check_law
-from agents.plugin_places import place_of, shown_path, words_of
-from agents.trust import NOTHING, Trust, permit
+from agents.plugins.checks import check_law
+from agents.plugins.places import place_of, shown_path, words_of
+from agents.plugins.trust import NOTHING, Trust, permit
 
 GROUP = "uuv_fleet.controllers"
 
@@ -57,7 +57,7 @@ def admit(
     elsewhere: Iterable[Path] = (),
     because: str = "nobody allowed it",
 ) -> None:
-    """Let the module of a law be imported if it may run; see `agents.trust.permit`.
+    """Let the module of a law be imported if it may run; see `agents.plugins.trust.permit`.
 
     Raises:
         UntrustedError: it may not.

@@ -1,0 +1,1 @@
+"""Somebody else's laws: found, allowed, checked and fenced in."""

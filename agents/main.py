@@ -7,9 +7,9 @@ from time import monotonic, sleep
 from agents.agent import make_agent
 from agents.config import AgentConfig
 from agents.errors import AgentError
-from agents.freeloop import FreeLoop
 from agents.loop import AgentCore, AgentLoop
 from agents.process import READY_TIMEOUT_S, RETRY_S, AgentProcess, _give_up
+from agents.realtime_loop import FreeLoop
 from netem.errors import BusError
 from netem.wire.access import Credentials, agent_role
 from netem.wire.bus import Bus, quiet_zenoh
@@ -60,7 +60,7 @@ def _process(
 ) -> AgentProcess:
     m = config.round_ticks
     if clock == "real":
-        from agents.freeprocess import FreeAgentProcess
+        from agents.realtime_process import FreeAgentProcess
 
         return FreeAgentProcess(bus, keys, vehicle, FreeLoop(core, m, incarnation=incarnation, begin=begin))
     ticks = config.memory_ticks

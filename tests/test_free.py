@@ -26,7 +26,7 @@ from live import LiveRun
 from nowhere import Nowhere, serve
 
 from agents.agent import make_agent
-from agents.freeloop import FreeLoop
+from agents.realtime_loop import FreeLoop
 from fleet import timing
 from fleet.cli import cli
 from fleet.clock import Clock

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from agents.freeloop import FreeLoop
 from agents.process import AgentProcess
+from agents.realtime_loop import FreeLoop
 from netem.errors import MalformedMessage, OutOfPlace
 from netem.wire.bus import Bus
 from netem.wire.keys import Keys

@@ -1,5 +1,7 @@
-"""The one module that knows zenoh: sessions, puts, subscriptions, queries, tokens. `netem.wire.settings` says with which
-settings, and why."""
+"""Zenoh as the processes of a run use it: sessions, puts, subscriptions, queries, tokens.
+
+`netem.wire.settings` says with which settings, and why.
+"""
 
 from __future__ import annotations
 

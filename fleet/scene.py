@@ -27,7 +27,7 @@ from foxglove_schemas_protobuf.TextPrimitive_pb2 import TextPrimitive
 from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
 from google.protobuf.timestamp_pb2 import Timestamp
 
-from fleet.colours import COLOURS
+from fleet.palette import COLOURS
 from fleet.scenario import Scenario
 from fleet.snapshot import Snapshot
 from fleet.transforms import NO_TURN, REFERENCE, enu, stamp_at

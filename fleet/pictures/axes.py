@@ -14,8 +14,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from fleet.arrays import FaultInterval
-from fleet.colours import COLOURS
 from fleet.faults import is_fault
+from fleet.palette import COLOURS
 from fleet.pictures.runs import Look, NothingToDraw, Run, first_words
 from fleet.plotting import COLUMN_IN, STYLES, panels
 from fleet.records import Array

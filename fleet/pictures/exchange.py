@@ -13,7 +13,7 @@ from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from fleet.colours import COLOURS
+from fleet.palette import COLOURS
 from fleet.pictures.axes import SPAN_IN, finish, legend_of, marks_legend, over_time
 from fleet.pictures.runs import Look, NothingToDraw, Run
 from fleet.plotting import plain_decades

@@ -11,7 +11,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from fleet.colours import COLOURS
+from fleet.palette import COLOURS
 from fleet.plotting import legend, limit, panels, save
 from fleet.reproduce.cases import NAMES, D, Outcome, U
 from fleet.reproduce.topology import topology

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from fleet.colours import COLOURS
+from fleet.palette import COLOURS
 from fleet.plotting import panels
 from fleet.reproduce.cases import CASES, Outcome
 

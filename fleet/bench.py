@@ -25,8 +25,8 @@ from fleet.bench_echo import echo_bus, echo_pipe
 from fleet.bench_netem import SHARE, SHARE_GOAL, netem_figures
 from fleet.bench_replay import measure_recorder
 from fleet.bench_steps import steps
-from fleet.children import Children
-from fleet.private import PrivateFolder
+from fleet.processes.children import Children
+from fleet.processes.private_folder import PrivateFolder
 from fleet.run import Options, Status, execute
 from fleet.scenario import Scenario, load_scenario
 from netem.wire.access import agent_role, generate

@@ -18,7 +18,7 @@ from fleet.journal import Journal
 from fleet.keyboard import Keyboard
 from fleet.log import LogWriter
 from fleet.metrics import VehicleError
-from fleet.ports import free_port
+from fleet.processes.ports import free_port
 from fleet.reader import LogReader
 from fleet.record import Limits, Recorder, TrafficWriter
 from fleet.replay import Replay, Wishes

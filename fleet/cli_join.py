@@ -11,7 +11,7 @@ import click
 
 from agents.plugins.trust import Trust
 from fleet.cli_trust import TrustingCommand, trust_option
-from fleet.interrupts import ending_status
+from fleet.processes.interrupts import ending_status
 
 _AGENT = (
     "Exit status: 0 the run is over; 2 it cannot join; 3 it had joined and its life ended before the run: a fault "

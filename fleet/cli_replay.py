@@ -19,7 +19,7 @@ from rich.console import Console as Terminal
 
 from fleet.cli_types import Duration
 from fleet.errors import FleetError
-from fleet.interrupts import ending_status
+from fleet.processes.interrupts import ending_status
 from fleet.quantities import Dimension, QuantityError, parse
 
 MOST_BYTES = 100_000  # of a file that says how to listen
@@ -203,7 +203,7 @@ def record(
       fleet record --key 'robot/**' --key 'base/*/status' --listen tcp/0.0.0.0:7447 --duration '10 min'
       fleet record --run runs/latest -o journal.mcap
     """
-    from fleet.interrupts import holding_interrupts
+    from fleet.processes.interrupts import holding_interrupts
     from fleet.record import Gone, Limits, Recorder, TrafficWriter
     from fleet.status_line import StatusLine
 
@@ -245,7 +245,7 @@ def record(
 
 
 def _session(connect: str | None, listen: str | None, credentials: Any) -> Any:
-    from fleet.ports import free_port
+    from fleet.processes.ports import free_port
     from netem.errors import BusError
     from netem.wire.bus import OpenBus, quiet_zenoh
 

@@ -22,7 +22,7 @@ from agents import payload
 from agents.join_file import Joining
 from fleet.counterpart import Counterpart
 from fleet.errors import FleetError
-from fleet.ports import free_port
+from fleet.processes.ports import free_port
 from fleet.scenario import Scenario
 from netem.errors import BusError, MalformedMessage, OutOfPlace
 from netem.wire.access import agent_role, generate

@@ -25,7 +25,14 @@ import netem.main
 import netem.process
 import world.main
 import world.process
-from fleet.children import (
+from fleet.clock import Clock, LiveClock
+from fleet.control import Operator
+from fleet.errors import RunBroken, StoppedError, printable
+from fleet.external import Joins
+from fleet.guardian import Guardian
+from fleet.hosts import Meeting
+from fleet.journal import Journal
+from fleet.processes.children import (
     FORKSERVER_LOST,
     Child,
     Children,
@@ -36,16 +43,9 @@ from fleet.children import (
     forkserver_suspended,
     suspended,
 )
-from fleet.clock import Clock, LiveClock
-from fleet.control import Operator
-from fleet.errors import RunBroken, StoppedError, printable
-from fleet.external import Joins
-from fleet.guardian import Guardian
-from fleet.hosts import Meeting
-from fleet.journal import Journal
-from fleet.limits import allow_open_files
-from fleet.ports import free_port
-from fleet.private import PrivateFolder
+from fleet.processes.open_files import allow_open_files
+from fleet.processes.ports import free_port
+from fleet.processes.private_folder import PrivateFolder
 from fleet.rundir import RunDirectory
 from fleet.scenario import Scenario, frame_every
 from netem.errors import BusError, MalformedMessage, OutOfPlace

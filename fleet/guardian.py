@@ -15,11 +15,11 @@ from typing import Any
 
 import agents.process
 import world.process
-from fleet.children import FORKSERVER_LOST, Children, Exit, describe_exit
 from fleet.errors import RunBroken
 from fleet.external import Joins
 from fleet.faults import MOST_RESTARTS, Kill
 from fleet.journal import Journal
+from fleet.processes.children import FORKSERVER_LOST, Children, Exit, describe_exit
 from fleet.scenario import Scenario
 from netem.lives import Absence, Lives
 from netem.wire.access import NETEM, agent_role

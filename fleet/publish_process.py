@@ -21,7 +21,7 @@ from typing import IO, Any
 import setproctitle
 
 from fleet.errors import RunBroken
-from fleet.ports import free_port
+from fleet.processes.ports import free_port
 from fleet.publish import ENTRY, LENGTH
 from fleet.stamp import Stamp, pack
 from fleet.traffic import zenoh_encoding

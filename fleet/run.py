@@ -22,10 +22,10 @@ from fleet.errors import RunBroken, StoppedError
 from fleet.external import ExternalError, refuse
 from fleet.hosts import Meeting
 from fleet.inprocess import InProcess
-from fleet.interrupts import HungUp, Unbroken
 from fleet.journal import Journal, Spell
 from fleet.log import LogError, LogWriter
-from fleet.ports import free_port
+from fleet.processes.interrupts import HungUp, Unbroken
+from fleet.processes.ports import free_port
 from fleet.progress import ProgressLine
 from fleet.publish import LivePublisher, PublishError
 from fleet.resume import Start

@@ -25,7 +25,7 @@ from waiting import wait_for
 import fleet.console
 import netem.wire.access
 import netem.wire.bus
-from fleet.private import PrivateFolder
+from fleet.processes.private_folder import PrivateFolder
 from fleet.reader import LogReader
 from fleet.run import Options, Status, execute
 from fleet.rundir import RunDirectory

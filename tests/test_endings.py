@@ -17,9 +17,9 @@ import pytest
 from live import FORKSERVER, LiveRun, Stopwatch, gone
 from waiting import wait_for
 
-from fleet import children
-from fleet.children import Children
-from fleet.interrupts import HungUp, Unbroken, holding_interrupts
+from fleet.processes import children
+from fleet.processes.children import Children
+from fleet.processes.interrupts import HungUp, Unbroken, holding_interrupts
 from fleet.reader import LogReader
 
 FLEET = [sys.executable, "-m", "fleet"]

@@ -30,8 +30,8 @@ from waiting import wait_for
 
 from fleet.cli import cli
 from fleet.info import describe, read_info
-from fleet.interrupts import holding_interrupts
-from fleet.ports import free_port
+from fleet.processes.interrupts import holding_interrupts
+from fleet.processes.ports import free_port
 from fleet.reader import LogReader, LogReadError, Record
 from fleet.record import Gone, TrafficWriter
 from fleet.replay import Replay, Wishes

@@ -24,10 +24,10 @@ from test_attack import SCENARIO, Attack
 from waiting import wait_for
 
 import fleet.console
-import fleet.private
-from fleet.children import Children, Exit
+import fleet.processes.private_folder
 from fleet.errors import RunBroken
-from fleet.private import PREFIX, PrivateFolder
+from fleet.processes.children import Children, Exit
+from fleet.processes.private_folder import PREFIX, PrivateFolder
 from fleet.run import Options, Result, Status, execute
 from fleet.rundir import RunDirectory
 from fleet.scenario import load_scenario
@@ -154,7 +154,7 @@ def test_half_open_connections_keep_nobody_out(tmp_path: Path) -> None:
 
 def test_what_a_killed_run_leaves_is_removed_by_the_next(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A folder whose router is gone; not one whose router is there, and not one that is no run's."""
-    monkeypatch.setattr(fleet.private.tempfile, "gettempdir", lambda: str(tmp_path))
+    monkeypatch.setattr(fleet.processes.private_folder.tempfile, "gettempdir", lambda: str(tmp_path))
     left, live, other = (tmp_path / f"{PREFIX}{name}" for name in ("left", "live", "other"))
     for folder in (left, live, other):
         folder.mkdir()
@@ -173,10 +173,10 @@ def test_what_a_killed_run_leaves_is_removed_by_the_next(tmp_path: Path, monkeyp
 @pytest.mark.parametrize("place", ["/tmp/" + "long" * 30, "/tmp/what?", "/tmp/a#b", "/tmp/a,b", "/tmp/ä b"])
 def test_a_place_that_the_socket_cannot_have(place: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Too long for a socket, or with characters that mean something in an endpoint: another one is taken, or named."""
-    monkeypatch.setattr(fleet.private.tempfile, "gettempdir", lambda: place)
+    monkeypatch.setattr(fleet.processes.private_folder.tempfile, "gettempdir", lambda: place)
     with closing(PrivateFolder()) as folder:
         assert folder.path.parent == Path("/tmp")
-    monkeypatch.setattr(fleet.private, "FALLBACK", place)
+    monkeypatch.setattr(fleet.processes.private_folder, "FALLBACK", place)
     with pytest.raises(RunBroken, match="set TMPDIR"):
         PrivateFolder()
 

@@ -15,8 +15,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from fleet.deathsig import die_with_parent
 from fleet.errors import FleetError
+from fleet.processes.parent_death import die_with_parent
 from fleet.reproduce.cases import CASES, Outcome, U, run_case
 from fleet.reproduce.claims import judge
 from fleet.reproduce.figures import FIGURES, draw

@@ -6,7 +6,7 @@ import gc
 import importlib
 import os
 
-from fleet.deathsig import die_with_parent
+from fleet.processes.parent_death import die_with_parent
 
 CONSOLE_PID_VARIABLE = "UUV_FLEET_CONSOLE_PID"
 

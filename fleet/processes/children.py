@@ -23,7 +23,7 @@ from typing import Any
 
 import setproctitle
 
-from fleet.preload import CONSOLE_PID_VARIABLE
+from fleet.processes.preload import CONSOLE_PID_VARIABLE
 from netem.errors import BusError
 
 GRACE_S = 1.0
@@ -85,7 +85,7 @@ class Children:
         assert threading.current_thread() is threading.main_thread(), "PDEATHSIG follows the forking thread"
         # Or the forkserver, a `python -c`, would take a `socket.py` in the current directory for Python's.
         os.environ["PYTHONSAFEPATH"] = "1"
-        self._context.set_forkserver_preload(["fleet.preload"])
+        self._context.set_forkserver_preload(["fleet.processes.preload"])
         process = self._context.Process(
             target=_child, args=(title, str(log_path), target, args), name=role, daemon=True
         )
@@ -178,7 +178,7 @@ def _bounded_wait() -> Iterator[None]:
 
 
 def _kill_forkserver() -> None:
-    """SIGKILL also ends one that is suspended, and with it what it has started (`fleet.deathsig`)."""
+    """SIGKILL also ends one that is suspended, and with it what it has started (`fleet.processes.parent_death`)."""
     pid = _forkserver_pid()
     if pid is not None:
         with contextlib.suppress(ProcessLookupError):
@@ -265,8 +265,8 @@ def _blocked(*signals: signal.Signals) -> Iterator[None]:
 
 
 def _child(title: str, log_path: str, target: Callable[..., None], args: tuple[Any, ...]) -> None:
-    from fleet.deathsig import die_with_parent
-    from fleet.preload import FORKSERVER_PID
+    from fleet.processes.parent_death import die_with_parent
+    from fleet.processes.preload import FORKSERVER_PID
 
     die_with_parent(FORKSERVER_PID)
     setproctitle.setproctitle(title)

@@ -1,0 +1,1 @@
+"""Child processes: started cheaply, noticed when they end, never left behind."""

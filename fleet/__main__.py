@@ -7,8 +7,8 @@ import sys
 from types import FrameType
 
 from fleet.errors import FleetError
-from fleet.output import OutputError, give_up_output, open_streams
 from fleet.processes.interrupts import ENDING, ending, ending_status
+from fleet.terminal.output import OutputError, give_up_output, open_streams
 
 READER_GONE = 128 + signal.SIGPIPE  # what a shell shows for `seq 99999 | head -1`
 

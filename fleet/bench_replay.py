@@ -15,7 +15,6 @@ from fleet.clock import Clock
 from fleet.faults import Event
 from fleet.inprocess import InProcess
 from fleet.journal import Journal
-from fleet.keyboard import Keyboard
 from fleet.log import LogWriter
 from fleet.metrics import VehicleError
 from fleet.processes.ports import free_port
@@ -24,8 +23,9 @@ from fleet.record import Limits, Recorder, TrafficWriter
 from fleet.replay import Replay, Wishes
 from fleet.scenario import Scenario, frame_every
 from fleet.snapshot import Snapshot
-from fleet.status_line import StatusLine
 from fleet.tape import Tape
+from fleet.terminal.keyboard import Keyboard
+from fleet.terminal.status_line import StatusLine
 from netem.wire.bus import OpenBus
 from netem.wire.messages import Command, Fate, Frame
 

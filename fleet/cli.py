@@ -17,7 +17,7 @@ from fleet.cli_trust import TrustingCommand, trust_option
 from fleet.cli_types import Duration
 from fleet.completion import scenarios
 from fleet.errors import FleetError, Problem, ScenarioError
-from fleet.output import OutputError, give_up_output
+from fleet.terminal.output import OutputError, give_up_output
 
 EPILOG = (
     "Exit status: 0 pass, 1 a check failed, 2 usage or bad scenario, 3 the run broke, 129 terminal closed, 130 Ctrl-C."
@@ -187,7 +187,7 @@ def run(
         start = None
         if begin is not None:
             from fleet.resume import parse_from, prepare
-            from fleet.share import showing
+            from fleet.terminal.share_done import showing
 
             with showing(f"reading {begin}", quiet=quiet) as tell:
                 loaded, start = prepare(*parse_from(begin), more, scenario, trust, tell)
@@ -460,7 +460,7 @@ def info(log: Path, as_json: bool) -> None:
       fleet info runs/latest/run.mcap --json
     """
     from fleet.info import describe, read_info
-    from fleet.share import showing
+    from fleet.terminal.share_done import showing
 
     try:
         with showing(f"reading {log}") as tell:

@@ -247,7 +247,7 @@ def script(log: Path) -> None:
       fleet script runs/latest > again.yaml && fleet run again.yaml
     """
     from fleet.script import script as make
-    from fleet.share import showing
+    from fleet.terminal.share_done import showing
 
     try:
         with showing(f"reading {log}") as tell:

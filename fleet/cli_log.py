@@ -131,7 +131,7 @@ def plot(
     """
     from fleet.pictures import Look, check_look, load, write
     from fleet.reader import log_path
-    from fleet.share import showing
+    from fleet.terminal.share_done import showing
 
     said: list[str] = []
     try:
@@ -180,7 +180,7 @@ def export(log: Path, csv: Path | None, parquet: Path | None, topics: tuple[str,
     from fleet.arrays import list_topics
     from fleet.export import export as write
     from fleet.export import fits
-    from fleet.share import showing
+    from fleet.terminal.share_done import showing
 
     if csv is None and parquet is None:
         raise click.UsageError("say where the tables go: --csv DIR, --parquet DIR, or both")
@@ -231,7 +231,7 @@ def report(
     """
     from fleet.pictures import Look, check_look, load
     from fleet.report import write
-    from fleet.share import showing
+    from fleet.terminal.share_done import showing
 
     try:
         with showing("reading") as tell:

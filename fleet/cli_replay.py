@@ -129,12 +129,12 @@ def replay(
       fleet replay runs/latest -r 0 --wait-for-subscribers --topics 'uuv/*/pose'
       fleet replay robot.mcap --loop --remap robot:=twin --connect tcp/127.0.0.1:7447
     """
-    from fleet.keyboard import Keyboard
     from fleet.reader import log_path
     from fleet.replay import Replay, Wishes
-    from fleet.share import showing
-    from fleet.status_line import StatusLine
     from fleet.tape import Tape
+    from fleet.terminal.keyboard import Keyboard
+    from fleet.terminal.share_done import showing
+    from fleet.terminal.status_line import StatusLine
 
     if not run_id or set(run_id) & set("/*$?#"):
         raise click.BadParameter(f"expected one part of a key, without / * $ ? #, got {run_id!r}", param_hint="--run")
@@ -205,7 +205,7 @@ def record(
     """
     from fleet.processes.interrupts import holding_interrupts
     from fleet.record import Gone, Limits, Recorder, TrafficWriter
-    from fleet.status_line import StatusLine
+    from fleet.terminal.status_line import StatusLine
 
     credentials = None
     if run is not None:

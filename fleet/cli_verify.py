@@ -39,7 +39,7 @@ def verify(log: Path, trust: Trust, quiet: bool) -> None:
       fleet verify runs/latest
     """
     from fleet.progress import Counting
-    from fleet.share import showing
+    from fleet.terminal.share_done import showing
     from fleet.verify import NothingToVerify, describe
     from fleet.verify import verify as check
 
@@ -75,7 +75,7 @@ def diff(a: Path, b: Path, tolerance: float, everything: bool, quiet: bool) -> N
     from fleet.deviation import compare, table
     from fleet.difference import besides_messages
     from fleet.reader import LogReader, log_path
-    from fleet.share import showing
+    from fleet.terminal.share_done import showing
 
     try:
         with showing(f"comparing {a} and {b}", quiet=quiet) as tell:
@@ -114,7 +114,7 @@ def recover(log: Path, out: Path | None) -> None:
     """
     from fleet.recover import describe
     from fleet.recover import recover as write
-    from fleet.share import showing
+    from fleet.terminal.share_done import showing
 
     try:
         with showing(f"recovering {log}") as tell:

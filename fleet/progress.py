@@ -11,7 +11,7 @@ from rich.progress import BarColumn, Progress, TextColumn
 
 from fleet.journal import Journal
 from fleet.scenario import Scenario
-from fleet.status_line import PLAIN_S, REFRESH_S, StatusLine
+from fleet.terminal.status_line import PLAIN_S, REFRESH_S, StatusLine
 
 STILL_S = 60.0  # between lines when nothing moves
 MOST_FAULTS = 4  # shown by name

@@ -12,7 +12,7 @@ from typing import IO, Any
 from mcap.writer import CompressionType, Writer
 
 from fleet.errors import FleetError
-from fleet.status_line import StatusLine
+from fleet.terminal.status_line import StatusLine
 from fleet.traffic import ATTACHMENT, DELETE, ENCODING, KIND, PROFILE, PUT, message_encoding
 from netem.wire.bus import OpenBus, Sample, sample_of
 

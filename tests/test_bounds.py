@@ -22,12 +22,13 @@ from test_open_log import foreign
 from waiting import wait_for
 
 import fleet
-from fleet import arrays, columns, deviation, export, log_values, reader, records, share, tape, topic
+from fleet import arrays, columns, deviation, export, log_values, reader, records, tape, topic
 from fleet.cli import cli
 from fleet.pictures import Look, draw, load
 from fleet.reader import LogReader, LogReadError
 from fleet.run import Options, execute
 from fleet.scenario import load_scenario
+from fleet.terminal import share_done
 from fleet.whole_file import whole_file
 
 MIB = 1 << 20
@@ -315,7 +316,7 @@ def test_equal_logs_are_compared_in_blocks(long: Path, monkeypatch: pytest.Monke
 
 @pytest.mark.parametrize("command", ["info", "script", "diff", "recover", "export", "plot", "report"])
 def test_progress_is_told_on_stderr(command: str, run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(share, "FIRST_S", 0.0)
+    monkeypatch.setattr(share_done, "FIRST_S", 0.0)
     out = {
         "recover": ["-o", tmp_path / "a"], "export": ["--csv", tmp_path / "t", "--topics", "faults"],
         "plot": ["-o", tmp_path, "--what", "error"], "report": ["-o", tmp_path / "r.html"], "diff": [run],

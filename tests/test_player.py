@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fleet.keyboard import Key, decode
 from fleet.player import LATE_NS, Metronome, Pace, Player
+from fleet.terminal.keyboard import Key, decode
 
 S = 1_000_000_000
 ALL = 10**9

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 
 from rich.console import Console as Terminal
 
-from fleet.status_line import StatusLine
+from fleet.terminal.status_line import StatusLine
 
 FIRST_S = 2.0  # what is done by then says nothing
 

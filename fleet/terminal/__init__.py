@@ -1,0 +1,1 @@
+"""The terminal: output, one status line, and keys."""

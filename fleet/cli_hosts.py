@@ -16,7 +16,7 @@ from fleet.completion import scenarios
 from fleet.errors import FleetError
 
 if TYPE_CHECKING:
-    from fleet.hosts import Meeting
+    from fleet.hosts.rendezvous import Meeting
     from fleet.scenario import Scenario
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -54,7 +54,7 @@ def meeting(scenario: Scenario, options: dict[str, Any], *, in_process: bool) ->
     given = [name for name in ("listen", "router", "certs", "advertise", "mutual_tls", "credentials") if options[name]]
     if not given:
         return None
-    from fleet.hosts import HostsError, check_free, listening, through_router
+    from fleet.hosts.rendezvous import HostsError, check_free, listening, through_router
 
     listen, router, lease_ms = options["listen"], options["router"], options["lease"] // 1_000_000
     spelt = "--" + given[0].replace("_", "-")
@@ -107,7 +107,7 @@ def certs(directory: Path, hosts: tuple[str, ...], agents: int, days: int, force
       fleet certs certs --host sea.example.org --host 192.0.2.7
       fleet certs certs --host 192.0.2.7 --agents 4      also client certificates, for --mutual-tls
     """
-    from fleet.certs import ALWAYS, make
+    from fleet.hosts.certificates import ALWAYS, make
 
     try:
         make(directory, hosts, agents=agents, days=days, force=force)
@@ -156,8 +156,8 @@ def acl(
       zenohd -c acl/router.json5                       on the router's host
       fleet run paper --router tls/sea.example.org:7447 --credentials acl/credentials.json --certs certs
     """
-    from fleet import acl as lists
-    from fleet.hosts import HostsError, parse_endpoint, run_id
+    from fleet.hosts import router_config as lists
+    from fleet.hosts.rendezvous import HostsError, parse_endpoint, run_id
     from fleet.scenario import load_scenario
 
     try:

@@ -30,7 +30,7 @@ from fleet.control import Operator
 from fleet.errors import RunBroken, StoppedError, printable
 from fleet.external import Joins
 from fleet.guardian import Guardian
-from fleet.hosts import Meeting
+from fleet.hosts.rendezvous import Meeting
 from fleet.journal import Journal
 from fleet.processes.children import (
     FORKSERVER_LOST,

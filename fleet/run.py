@@ -20,7 +20,7 @@ from fleet.clock import WINDOW_NS, Clock
 from fleet.console import JOIN_TIMEOUT_S, Console
 from fleet.errors import RunBroken, StoppedError
 from fleet.external import ExternalError, refuse
-from fleet.hosts import Meeting
+from fleet.hosts.rendezvous import Meeting
 from fleet.inprocess import InProcess
 from fleet.journal import Journal, Spell
 from fleet.log import LogError, LogWriter

@@ -28,11 +28,19 @@ from live import LiveRun
 from waiting import wait_for
 
 from agents.join_file import Joining
-from fleet import acl, certs
-from fleet.certs import CertsError
 from fleet.cli import cli
 from fleet.cli_hosts import meeting
-from fleet.hosts import HostsError, Meeting, listening, parse_endpoint, read_credentials, run_id, through_router
+from fleet.hosts import certificates, router_config
+from fleet.hosts.certificates import CertsError
+from fleet.hosts.rendezvous import (
+    HostsError,
+    Meeting,
+    listening,
+    parse_endpoint,
+    read_credentials,
+    run_id,
+    through_router,
+)
 from fleet.remote import ask, find
 from fleet.scenario import load_scenario
 from netem.errors import BusError
@@ -52,7 +60,7 @@ LIMIT_S = 20.0
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     directory = tmp_path_factory.mktemp("pki") / "certs"
-    certs.make(directory, ["Sea.example.org", "192.0.2.7", "2001:db8::7"], agents=2)
+    certificates.make(directory, ["Sea.example.org", "192.0.2.7", "2001:db8::7"], agents=2)
     return directory
 
 
@@ -67,7 +75,7 @@ def free_port() -> int:
 
 
 def test_certificates_are_for_the_hosts_and_keys_are_ours_alone(made: Path) -> None:
-    server = certs.read_server(made)
+    server = certificates.read_server(made)
     assert server.hosts == ("sea.example.org", "192.0.2.7", "2001:db8::7", "localhost", "127.0.0.1")
     keys = sorted(file.name for file in made.glob("*-key.pem"))
     assert keys == ["agent-1-key.pem", "agent-2-key.pem", "fleet-key.pem", "server-key.pem"]  # and none of the CA
@@ -83,17 +91,17 @@ def test_certificates_are_for_the_hosts_and_keys_are_ours_alone(made: Path) -> N
 def test_nothing_is_replaced_unless_forced(made: Path, tmp_path: Path) -> None:
     before = {file.name: file.read_bytes() for file in made.iterdir()}
     with pytest.raises(CertsError, match=r"holds ca\.pem, server\.pem.*--force"):
-        certs.make(made)
+        certificates.make(made)
     assert before == {file.name: file.read_bytes() for file in made.iterdir()}
-    certs.make(tmp_path / "a")
+    certificates.make(tmp_path / "a")
     first = (tmp_path / "a" / "ca.pem").read_bytes()
-    certs.make(tmp_path / "a", force=True)
+    certificates.make(tmp_path / "a", force=True)
     assert (tmp_path / "a" / "ca.pem").read_bytes() != first
-    assert certs.read_server(tmp_path / "a").hosts == certs.ALWAYS
+    assert certificates.read_server(tmp_path / "a").hosts == certificates.ALWAYS
 
 
 def _other_ca(directory: Path) -> None:
-    certs.make(directory.parent / "other")
+    certificates.make(directory.parent / "other")
     (directory / "ca.pem").write_bytes((directory.parent / "other" / "ca.pem").read_bytes())
 
 
@@ -114,11 +122,11 @@ DAMAGES: dict[str, tuple[Any, str]] = {
 
 @pytest.mark.parametrize("damage", DAMAGES)
 def test_certificates_that_cannot_work_are_refused_with_the_cure(damage: str, tmp_path: Path) -> None:
-    certs.make(tmp_path / "c", agents=1)
+    certificates.make(tmp_path / "c", agents=1)
     act, words = DAMAGES[damage]
     act(tmp_path / "c")
     with pytest.raises(CertsError, match=words):
-        certs.read_server(tmp_path / "c")
+        certificates.read_server(tmp_path / "c")
 
 
 def test_a_certificate_out_of_date_is_refused(made: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -127,9 +135,9 @@ def test_a_certificate_out_of_date_is_refused(made: Path, monkeypatch: pytest.Mo
         def now(cls, tz: Any = None) -> Later:
             return cls.fromtimestamp(datetime.now(tz).timestamp() + 366 * 86400, tz)  # noqa: TID251
 
-    monkeypatch.setattr(certs, "datetime", Later)
+    monkeypatch.setattr(certificates, "datetime", Later)
     with pytest.raises(CertsError, match=r"is valid from .* now it is .*--force"):
-        certs.read_server(made)
+        certificates.read_server(made)
 
 
 def test_a_file_that_cannot_be_written_leaves_nothing_behind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -149,7 +157,7 @@ def test_a_file_that_cannot_be_written_leaves_nothing_behind(tmp_path: Path, mon
 @pytest.mark.parametrize("text", ["", "a b", "tls/x:1", "x:7447", "0.0.0.0", "::", "1.2.3", "-x", "a..b", "é"])
 def test_what_is_no_host_is_refused(text: str, tmp_path: Path) -> None:
     with pytest.raises(CertsError):
-        certs.make(tmp_path / "c", [text])
+        certificates.make(tmp_path / "c", [text])
     assert not (tmp_path / "c").exists()
 
 
@@ -243,26 +251,28 @@ def test_acl_prints_no_password_and_writes_them_for_us_alone(made: Path, tmp_pat
     printed = CliRunner().invoke(cli, arguments)
     written = CliRunner().invoke(cli, [*arguments, "-o", str(out)])
     assert printed.exit_code == written.exit_code == 0, printed.output + written.output
-    run, credentials = read_credentials(out / acl.CREDENTIALS, 4)
+    run, credentials = read_credentials(out / router_config.CREDENTIALS, 4)
     assert run == "trial" and credentials["agent-3"].user == "trial-agent-3"
-    users = dict(line.split(":") for line in (out / acl.USERS).read_text().splitlines())
+    users = dict(line.split(":") for line in (out / router_config.USERS).read_text().splitlines())
     assert users == {c.user: c.password for c in credentials.values()}
     secrets = [*users.values(), (made / "server-key.pem").read_text().splitlines()[1]]
-    public = printed.output + written.output + (out / acl.CONFIG).read_text()
+    public = printed.output + written.output + (out / router_config.CONFIG).read_text()
     assert len(set(secrets)) == 9 and not [secret for secret in secrets if secret in public]
-    assert {stat.S_IMODE((out / name).stat().st_mode) for name in (acl.USERS, acl.CREDENTIALS)} == {0o600}
+    assert {stat.S_IMODE((out / name).stat().st_mode) for name in (router_config.USERS, router_config.CREDENTIALS)} == {
+        0o600
+    }
     again = CliRunner().invoke(cli, [*arguments, "-o", str(out)])
     assert again.exit_code == 2 and "--force" in again.output
-    assert read_credentials(out / acl.CREDENTIALS, 4)[1] == credentials
+    assert read_credentials(out / router_config.CREDENTIALS, 4)[1] == credentials
 
 
 def test_credentials_of_another_run_are_refused(tmp_path: Path) -> None:
-    acl.write(tmp_path, "a", 3, "")
+    router_config.write(tmp_path, "a", 3, "")
     with pytest.raises(HostsError, match="made for 3 vehicles, and the scenario has 4"):
-        read_credentials(tmp_path / acl.CREDENTIALS, 4)
-    (tmp_path / acl.CREDENTIALS).chmod(0o640)
+        read_credentials(tmp_path / router_config.CREDENTIALS, 4)
+    (tmp_path / router_config.CREDENTIALS).chmod(0o640)
     with pytest.raises(HostsError, match="others than you may read"):
-        read_credentials(tmp_path / acl.CREDENTIALS, 3)
+        read_credentials(tmp_path / router_config.CREDENTIALS, 3)
     for text in (
         "",
         "[]",
@@ -310,14 +320,22 @@ def test_a_run_through_a_router_has_the_digest_of_one_without(made: Path, tmp_pa
         cli, ["acl", "paper", "-o", str(out), "--listen", endpoint, "--certs", str(made), "--mutual-tls"]
     )
     assert written.exit_code == 0, written.output
-    through = ["--router", endpoint, "--credentials", str(out / acl.CREDENTIALS), "--certs", str(made), "--mutual-tls"]
-    with router(out / acl.CONFIG):
+    through = [
+        "--router",
+        endpoint,
+        "--credentials",
+        str(out / router_config.CREDENTIALS),
+        "--certs",
+        str(made),
+        "--mutual-tls",
+    ]
+    with router(out / router_config.CONFIG):
         run = [sys.executable, "-m", "fleet", "run", *common, *through]
         done = subprocess.run(run, capture_output=True, text=True, timeout=60, check=False)
         assert done.returncode == 0, done.stderr
     result = json.loads((tmp_path / "runs" / "latest" / "result.json").read_text())
     left = b"".join(file.read_bytes() for file in (tmp_path / "runs").rglob("*") if file.is_file())
-    _, credentials = read_credentials(out / acl.CREDENTIALS, 4)
+    _, credentials = read_credentials(out / router_config.CREDENTIALS, 4)
     assert not [c.user for c in credentials.values() if c.password.encode() in left]
     alone = [sys.executable, "-m", "fleet", "run", *common, "--in-process"]
     assert subprocess.run(alone, capture_output=True, timeout=60, check=False).returncode == 0
@@ -326,41 +344,43 @@ def test_a_run_through_a_router_has_the_digest_of_one_without(made: Path, tmp_pa
 
 def test_a_router_asks_each_role_for_its_certificate(made: Path, tmp_path: Path) -> None:
     endpoint, out = f"tls/127.0.0.1:{free_port()}", tmp_path / "acl"
-    text = acl.config("sea", 2, endpoint, str(out / acl.USERS), made, mutual=True, lease_ms=20_000)
-    acl.write(out, "sea", 2, text)
-    _, known = read_credentials(out / acl.CREDENTIALS, 2)
+    text = router_config.config("sea", 2, endpoint, str(out / router_config.USERS), made, mutual=True, lease_ms=20_000)
+    router_config.write(out, "sea", 2, text)
+    _, known = read_credentials(out / router_config.CREDENTIALS, 2)
     keys, ca = Keys("sea"), (made / "ca.pem").read_text()
 
     def connect(role: str, shows: str) -> Bus:
-        pair = certs.read_client(made, shows)
+        pair = certificates.read_client(made, shows)
         who = Credentials(known[role].user, known[role].password, ca, pair.certificate, pair.key)
         return Bus.connect(endpoint, who)
 
-    with router(out / acl.CONFIG):
-        console = connect("console", certs.OWN)
+    with router(out / router_config.CONFIG):
+        console = connect("console", certificates.OWN)
         console.answer(keys.cfg("*"), lambda key, _, respond: respond(b"the slice"))
         asked = {}
-        for shows in ("agent-1", certs.OWN, "agent-2"):
+        for shows in ("agent-1", certificates.OWN, "agent-2"):
             agent = connect("agent-1", shows)
             asked[shows] = agent.ask(keys.cfg(1), timeout_s=1.0)
             agent.close()
         console.close()
-    assert asked == {"agent-1": b"the slice", certs.OWN: b"the slice", "agent-2": None}
+    assert asked == {"agent-1": b"the slice", certificates.OWN: b"the slice", "agent-2": None}
 
 
 def test_a_router_serves_one_run_of_an_id_at_a_time(tmp_path: Path) -> None:
     """The second would mix its messages with the first's."""
     endpoint = f"tcp/127.0.0.1:{free_port()}"
-    text = acl.config("twice", 1, endpoint, str(tmp_path / acl.USERS), None, mutual=False, lease_ms=20_000)
-    acl.write(tmp_path, "twice", 1, text)
-    found = through_router(endpoint, tmp_path / acl.CREDENTIALS, 1)
+    text = router_config.config(
+        "twice", 1, endpoint, str(tmp_path / router_config.USERS), None, mutual=False, lease_ms=20_000
+    )
+    router_config.write(tmp_path, "twice", 1, text)
+    found = through_router(endpoint, tmp_path / router_config.CREDENTIALS, 1)
     assert found.credentials
-    with router(tmp_path / acl.CONFIG):
+    with router(tmp_path / router_config.CONFIG):
         world, console = (Bus.connect(endpoint, found.credentials[role]) for role in ("world", "console"))
         world.token(Keys("twice").alive("world"))
         wait_for(lambda: console.tokens(Keys("twice").alive("*")), LIMIT_S, "the world's token")
         out = ["--set", "vehicles=1", "--out", str(tmp_path / "runs"), "--quiet"]
-        run = ["run", "paper", "--router", endpoint, "--credentials", str(tmp_path / acl.CREDENTIALS), *out]
+        run = ["run", "paper", "--router", endpoint, "--credentials", str(tmp_path / router_config.CREDENTIALS), *out]
         done = subprocess.run([sys.executable, "-m", "fleet", *run], capture_output=True, timeout=60, check=False)
         assert done.returncode == 3 and b"run twice is going on" in done.stderr, done.stderr
         world.close()
@@ -458,7 +478,7 @@ class Port:
     """A run's router that also listens for other hosts, behind an eavesdropper."""
 
     def __init__(self, protocol: str, made: Path, private: Path, certified: tuple[str, ...] = ()) -> None:
-        self.port, server = free_port(), certs.read_server(made)
+        self.port, server = free_port(), certificates.read_server(made)
         self.credentials = generate((1, 2))
         door = Door((f"{protocol}/127.0.0.1:{self.port}",), 20_000)
         if protocol == "tls":
@@ -509,11 +529,11 @@ def test_over_tls_an_eavesdropper_sees_nothing_and_over_tcp_no_password(made: Pa
 
 
 def test_over_tls_only_who_has_the_certificates_is_let_in(made: Path, tmp_path: Path) -> None:
-    certs.make(tmp_path / "other", agents=2)
+    certificates.make(tmp_path / "other", agents=2)
     ca = (made / "ca.pem").read_text()
 
     def shows(directory: Path, who: str) -> dict[str, str]:
-        pair = certs.read_client(directory, who)
+        pair = certificates.read_client(directory, who)
         return {"certificate": pair.certificate, "key": pair.key}
 
     with opened("tls", made, tmp_path, certified=("agent-1",)) as port:

@@ -19,7 +19,7 @@ import pytest
 from live import LiveRun
 from waiting import wait_for
 
-from fleet import certs
+from fleet.hosts import certificates
 from fleet.run import Options, execute
 from fleet.scenario import load_scenario
 from fleet.verify import verify
@@ -119,7 +119,7 @@ def hosts() -> Iterator[Hosts]:
 @pytest.fixture
 def pki(tmp_path: Path) -> Path:
     directory = tmp_path / "certs"
-    certs.make(directory, [f"{network}.1" for network in ADDRESSES.values()], agents=4)
+    certificates.make(directory, [f"{network}.1" for network in ADDRESSES.values()], agents=4)
     return directory
 
 

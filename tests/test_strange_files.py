@@ -18,11 +18,11 @@ import pytest
 from live import Stopwatch
 
 from agents.join_file import JoinError, Joining
-from fleet.certs import CertsError
-from fleet.certs import _read as read_pem
 from fleet.cli import cli
 from fleet.errors import ScenarioError
-from fleet.hosts import HostsError, read_credentials
+from fleet.hosts.certificates import CertsError
+from fleet.hosts.certificates import _read as read_pem
+from fleet.hosts.rendezvous import HostsError, read_credentials
 from fleet.modems import load_modem
 from fleet.pictures import Look, Run, load
 from fleet.remote import live_runs

@@ -11,9 +11,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from fleet.certs import ALWAYS, OWN, SERVER, CertsError, Pair, host_name, read_ca, read_client, read_server
-from fleet.certs import path as certificate_path
 from fleet.errors import FleetError
+from fleet.hosts.certificates import ALWAYS, OWN, SERVER, CertsError, Pair, host_name, read_ca, read_client, read_server
+from fleet.hosts.certificates import path as certificate_path
 from netem.whole_file import read_file
 from netem.wire.access import Credentials, Door, agent_role, generate
 from netem.wire.keys import Keys

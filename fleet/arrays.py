@@ -26,7 +26,7 @@ from fleet.topic import LogKeyError, Topic
 from netem.parsing import nearest
 
 if TYPE_CHECKING:
-    from fleet.scenario import Scenario
+    from fleet.scenario.scenario import Scenario
 
 MOST_EVENTS = 200_000  # of faults
 BUCKETS = 4000  # spans of time that a picture tells apart, at most
@@ -106,7 +106,7 @@ class Log:
             LogReadError: the log holds none.
             ScenarioError: another version wrote it, and it is none for this one.
         """
-        from fleet.scenario import parse_scenario
+        from fleet.scenario.scenario import parse_scenario
 
         if not self.scenario_text:
             raise LogReadError(f"{self.path} holds no scenario: it was not written by fleet run, or cut at its start")

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from fleet.clock import Clock
 from fleet.inprocess import InProcess
 from fleet.journal import Journal
-from fleet.scenario import Scenario, frame_every, load_scenario
+from fleet.scenario.scenario import Scenario, frame_every, load_scenario
 from netem.config import NetemConfig
 from netem.network import Exchange, Netem
 from netem.wire.messages import Fate

@@ -16,7 +16,7 @@ from rich.table import Table
 
 from fleet.errors import FleetError
 from fleet.run import Options, Result, Status, execute
-from fleet.scenario import Scenario, load_scenario
+from fleet.scenario.scenario import Scenario, load_scenario
 from fleet.timing import MOST_MISSED, missed_share, moved_share
 
 

@@ -12,7 +12,6 @@ from rich.console import Console as Terminal
 from rich.table import Table
 
 from fleet.clock import Clock
-from fleet.faults import Event
 from fleet.inprocess import InProcess
 from fleet.journal import Journal
 from fleet.log import LogWriter
@@ -21,7 +20,8 @@ from fleet.processes.ports import free_port
 from fleet.reader import LogReader
 from fleet.record import Limits, Recorder, TrafficWriter
 from fleet.replay import Replay, Wishes
-from fleet.scenario import Scenario, frame_every
+from fleet.scenario.scenario import Scenario, frame_every
+from fleet.scenario.sections.timeline import Event
 from fleet.snapshot import Snapshot
 from fleet.tape import Tape
 from fleet.terminal.keyboard import Keyboard

@@ -13,7 +13,7 @@ from fleet.clock import Clock
 from fleet.inprocess import InProcess
 from fleet.journal import Journal
 from fleet.log import LogWriter
-from fleet.scenario import load_scenario
+from fleet.scenario.scenario import load_scenario
 from netem.wire.messages import Command, Nav, decode, encode
 from world.sea import World
 

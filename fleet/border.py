@@ -37,7 +37,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from fleet.linear import Array, Flight, Linear, NotLinear, linearise
-from fleet.scenario import Scenario
+from fleet.scenario.scenario import Scenario
 from netem.condition import Condition
 from world.vectors import Vec3
 

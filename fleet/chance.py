@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from fleet.scenario import Scenario
+from fleet.scenario.scenario import Scenario
 from netem.condition import Condition
 from netem.faults import NetFault
 from world.faults import WorldFault

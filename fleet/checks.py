@@ -8,8 +8,18 @@ from typing import Any
 
 from fleet.journal import Journal
 from fleet.quantities import vehicle_numbers
-from fleet.scenario import Scenario
-from fleet.schema import EVERY, AtMost, Below, Connected, MaxAge, MinSeparation, Recovery, Standing, Tumbled
+from fleet.scenario.scenario import Scenario
+from fleet.scenario.schema.spec import (
+    EVERY,
+    AtMost,
+    Below,
+    Connected,
+    MaxAge,
+    MinSeparation,
+    Recovery,
+    Standing,
+    Tumbled,
+)
 from fleet.stability import names
 from netem.selectors import parse_selector, select
 

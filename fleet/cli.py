@@ -173,7 +173,7 @@ def run(
       fleet run paper --clock real --speed 2
       fleet run --from runs/latest@20s --set controller=bsmc
     """
-    from fleet.scenario import load_scenario
+    from fleet.scenario.scenario import load_scenario
 
     if wait_for_subscribers and not publish:
         raise click.UsageError("--wait-for-subscribers needs --publish: nobody could subscribe")
@@ -291,7 +291,7 @@ def check(scenario: str, overrides: tuple[str, ...], trust: Trust) -> None:
       fleet check my.yaml
       fleet check paper --set vehicles=20
     """
-    from fleet.scenario import load_scenario
+    from fleet.scenario.scenario import load_scenario
 
     refused: list[Problem] = []
     try:
@@ -300,7 +300,7 @@ def check(scenario: str, overrides: tuple[str, ...], trust: Trust) -> None:
         _fail(error)
     from fleet.chance import HINT, NOTHING, chances
     from fleet.prospects import doubts
-    from fleet.scenario import timeline
+    from fleet.scenario.scenario import timeline
     from fleet.stability import analyse, report
 
     links = loaded.graph.links
@@ -438,7 +438,7 @@ def list_() -> None:
     """List the scenarios that ship with the package."""
     from rich.table import Table
 
-    from fleet.scenario import list_scenarios
+    from fleet.scenario.scenario import list_scenarios
 
     table = Table(box=None, pad_edge=False)
     for heading in ("scenario", "vehicles", "duration", "meant to", "what one learns"):

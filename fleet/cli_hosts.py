@@ -17,7 +17,7 @@ from fleet.errors import FleetError
 
 if TYPE_CHECKING:
     from fleet.hosts.rendezvous import Meeting
-    from fleet.scenario import Scenario
+    from fleet.scenario.scenario import Scenario
 
 F = TypeVar("F", bound=Callable[..., Any])
 # Half of what it is between processes of one host, which do not end with their link.
@@ -158,7 +158,7 @@ def acl(
     """
     from fleet.hosts import router_config as lists
     from fleet.hosts.rendezvous import HostsError, parse_endpoint, run_id
-    from fleet.scenario import load_scenario
+    from fleet.scenario.scenario import load_scenario
 
     try:
         vehicles = load_scenario(scenario, overrides, imports=False).vehicles

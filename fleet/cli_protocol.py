@@ -54,7 +54,7 @@ def check(vehicle: int, scenario: str, trust: Trust, join_file: Path | None, tim
     """
     from fleet.conformance import Examination
     from fleet.errors import printable
-    from fleet.scenario import load_scenario
+    from fleet.scenario.scenario import load_scenario
     from netem.wire.bus import quiet_zenoh
 
     quiet_zenoh()

@@ -23,7 +23,7 @@ from agents.join_file import Joining
 from fleet.counterpart import Counterpart
 from fleet.errors import FleetError
 from fleet.processes.ports import free_port
-from fleet.scenario import Scenario
+from fleet.scenario.scenario import Scenario
 from netem.errors import BusError, MalformedMessage, OutOfPlace
 from netem.wire.access import agent_role, generate
 from netem.wire.keys import Keys

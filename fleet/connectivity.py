@@ -18,7 +18,7 @@ from collections.abc import Iterable
 from typing import NamedTuple
 
 from fleet.quantities import vehicle_numbers
-from fleet.scenario import Scenario
+from fleet.scenario.scenario import Scenario
 from netem.causes import DELIVERED
 from netem.condition import Link
 from netem.wire.messages import Fate

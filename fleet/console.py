@@ -47,7 +47,7 @@ from fleet.processes.open_files import allow_open_files
 from fleet.processes.ports import free_port
 from fleet.processes.private_folder import PrivateFolder
 from fleet.rundir import RunDirectory
-from fleet.scenario import Scenario, frame_every
+from fleet.scenario.scenario import Scenario, frame_every
 from netem.errors import BusError, MalformedMessage, OutOfPlace
 from netem.faults import NetFault, fault_values
 from netem.wire.access import CONSOLE, LEASE_MS, NETEM, OPERATOR, Credentials, Door, agent_role, generate

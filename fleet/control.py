@@ -14,7 +14,11 @@ from typing import Any
 from pydantic import TypeAdapter, ValidationError
 
 from fleet.clock import LiveClock
-from fleet.faults import (
+from fleet.journal import Journal
+from fleet.scenario.scenario import Scenario
+from fleet.scenario.schema.spec import FaultEntry, FaultSection
+from fleet.scenario.sections.partitions import FaultError
+from fleet.scenario.sections.timeline import (
     ACTIONS,
     Event,
     Kill,
@@ -26,10 +30,6 @@ from fleet.faults import (
     vehicles_of,
     words,
 )
-from fleet.journal import Journal
-from fleet.partitions import FaultError
-from fleet.scenario import Scenario
-from fleet.schema import FaultEntry, FaultSection
 from netem.faults import NetFault
 from netem.lives import WHENEVER
 from world.faults import WorldFault

@@ -16,7 +16,7 @@ from fleet.errors import FleetError
 from fleet.log_schemas import COMMAND, DoublesEncoder, signal_columns
 from fleet.log_values import Decoder
 from fleet.reader import LogReader
-from fleet.scenario import Scenario
+from fleet.scenario.scenario import Scenario
 from fleet.snapshot import TOPIC, Snapshot
 from netem.impairment import LinkModel
 from netem.network import PERFECT

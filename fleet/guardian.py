@@ -17,10 +17,10 @@ import agents.process
 import world.process
 from fleet.errors import RunBroken
 from fleet.external import Joins
-from fleet.faults import MOST_RESTARTS, Kill
 from fleet.journal import Journal
 from fleet.processes.children import FORKSERVER_LOST, Children, Exit, describe_exit
-from fleet.scenario import Scenario
+from fleet.scenario.scenario import Scenario
+from fleet.scenario.sections.timeline import MOST_RESTARTS, Kill
 from netem.lives import Absence, Lives
 from netem.wire.access import NETEM, agent_role
 from netem.wire.messages import Death, Restart, encode

@@ -18,11 +18,11 @@ from agents.errors import ControllerError
 from agents.loop import AgentLoop, Answer
 from fleet.clock import Clock
 from fleet.errors import RunBroken
-from fleet.faults import MOST_RESTARTS
 from fleet.fed import Feed
 from fleet.journal import Journal
 from fleet.resume import Start
-from fleet.scenario import Scenario, frame_every
+from fleet.scenario.scenario import Scenario, frame_every
+from fleet.scenario.sections.timeline import MOST_RESTARTS
 from netem.errors import MalformedMessage, OutOfPlace
 from netem.lives import Absence
 from netem.rounds import Rounds

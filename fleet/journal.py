@@ -16,9 +16,9 @@ from typing import NamedTuple, Protocol
 import msgpack
 
 from fleet.connectivity import Connectivity
-from fleet.faults import DIVERGED, TUMBLED, Event, event_order
 from fleet.metrics import Metrics, VehicleError
-from fleet.scenario import Scenario, frame_every
+from fleet.scenario.scenario import Scenario, frame_every
+from fleet.scenario.sections.timeline import DIVERGED, TUMBLED, Event, event_order
 from fleet.separation import Separation
 from fleet.snapshot import Snapshot
 from netem.ages import Ages

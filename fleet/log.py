@@ -26,7 +26,6 @@ from agents.controllers import law_class, laws
 from agents.plugins.loading import fingerprint
 from agents.signals import Layout
 from fleet.errors import FleetError
-from fleet.faults import Event
 from fleet.log_schemas import (
     COMMAND,
     ERROR,
@@ -47,7 +46,8 @@ from fleet.log_schemas import (
 from fleet.metrics import VehicleError
 from fleet.reader import CLOCK, REAL, digest_part
 from fleet.resume import Start
-from fleet.scenario import Scenario
+from fleet.scenario.scenario import Scenario
+from fleet.scenario.sections.timeline import Event
 from fleet.scene import SCENE_UNITS, Scene
 from fleet.snapshot import START, TOPIC, Snapshot, forgetful
 from fleet.transforms import NED, TRANSFORMS_UNITS, quaternion, transforms

@@ -18,7 +18,7 @@ from statistics import median
 from typing import Any, NamedTuple
 
 from agents.signals import Layout
-from fleet.scenario import Scenario
+from fleet.scenario.scenario import Scenario
 from fleet.settling import below_from, least_s, settling_time, stayed
 from netem.wire.messages import Command, Frame
 from world.vectors import Vec3, plus

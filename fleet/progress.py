@@ -10,7 +10,7 @@ from rich.console import Console as Terminal
 from rich.progress import BarColumn, Progress, TextColumn
 
 from fleet.journal import Journal
-from fleet.scenario import Scenario
+from fleet.scenario.scenario import Scenario
 from fleet.terminal.status_line import PLAIN_S, REFRESH_S, StatusLine
 
 STILL_S = 60.0  # between lines when nothing moves

@@ -30,7 +30,7 @@ from fleet.progress import ProgressLine
 from fleet.publish import LivePublisher, PublishError
 from fleet.resume import Start
 from fleet.rundir import RunDirectory
-from fleet.scenario import Scenario, frame_every
+from fleet.scenario.scenario import Scenario, frame_every
 from fleet.timing import MOST_MISSED
 from netem.condition import Link
 from world.errors import WorldError

@@ -9,14 +9,14 @@ from pathlib import Path
 from typing import Any
 
 from fleet.errors import FleetError
-from fleet.faults import is_fault
 from fleet.log_values import Decoder
 from fleet.quantities import show_time
 from fleet.reader import CLOCK, REAL, LogReader, Record, Tell, log_path
-from fleet.scenario import Scenario, parse_scenario
-from fleet.schema import EVERY
+from fleet.scenario.scenario import Scenario, parse_scenario
+from fleet.scenario.schema.spec import EVERY
+from fleet.scenario.sections.timeline import is_fault
+from fleet.scenario.trust import READING, Policy
 from fleet.snapshot import START
-from fleet.trust import READING, Policy
 
 MOST_EVENTS = 200_000  # of faults: one begins and one ends every second for a day
 MOST_TEXT = 64 << 20  # bytes of all of them

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fleet.quantities import vehicle_numbers
-from fleet.scenario import Scenario
+from fleet.scenario.scenario import Scenario
 from netem.wire.messages import Frame
 
 

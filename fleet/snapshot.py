@@ -25,7 +25,7 @@ from fleet.quantities import show_time
 from fleet.reader import LogReader, Tell, log_path
 
 if TYPE_CHECKING:
-    from fleet.schema import ScenarioSpec
+    from fleet.scenario.schema.spec import ScenarioSpec
 
 SNAPSHOT_NS = 10_000_000_000
 TOPIC = "snapshot"

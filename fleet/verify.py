@@ -27,9 +27,9 @@ from fleet.log import LogWriter, run_metadata
 from fleet.log_values import Decoder
 from fleet.reader import GAPS, RECOVERY, LogReader, Record
 from fleet.resume import Start, begun
-from fleet.scenario import Scenario, frame_every, parse_scenario
+from fleet.scenario.scenario import Scenario, frame_every, parse_scenario
+from fleet.scenario.trust import Policy
 from fleet.script import Recorded, recorded
-from fleet.trust import Policy
 from world.errors import WorldError
 
 _VERSIONS = ("uuv-fleet", "python", "piqp")  # that may change a bit without anybody's mistake

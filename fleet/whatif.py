@@ -22,9 +22,9 @@ from agents.plugins.trust import NOTHING, Trust
 from fleet.errors import FleetError
 from fleet.log_values import Decoder
 from fleet.reader import LogReader, Tell, log_path
-from fleet.scenario import Scenario
+from fleet.scenario.scenario import Scenario
+from fleet.scenario.trust import A_LOG, Policy
 from fleet.script import recorded as read
-from fleet.trust import A_LOG, Policy
 from netem.lives import Lives
 from netem.wire.messages import Delivery, Nav
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from fleet.arrays import FaultInterval
 from fleet.pictures.axes import shade
 from fleet.plotting import FORMATS, legend, limit, line, panels, save
-from fleet.scenario import timeline
+from fleet.scenario.scenario import timeline
 from fleet.whatif import COMPONENTS, WhatIf, WhatIfError
 
 

@@ -29,7 +29,7 @@ from fleet.processes.private_folder import PrivateFolder
 from fleet.reader import LogReader
 from fleet.run import Options, Status, execute
 from fleet.rundir import RunDirectory
-from fleet.scenario import load_scenario
+from fleet.scenario.scenario import load_scenario
 from netem.errors import BusError
 from netem.wire.access import CONSOLE, LEASE_MS, NETEM, OPERATOR, Credentials, Door, agent_role, generate
 from netem.wire.bus import Bus, Respond

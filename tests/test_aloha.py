@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from fleet.aloha import talking
+from fleet.scenario.sections.aloha import talking
 from netem.acoustic import AcousticNetem
 from netem.config import NetemConfig
 from netem.modem import AcousticConfig, Modem

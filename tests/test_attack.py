@@ -24,7 +24,7 @@ import fleet.console
 from fleet.reader import LogReader
 from fleet.run import Options, Result, Status, execute
 from fleet.rundir import RunDirectory
-from fleet.scenario import load_scenario
+from fleet.scenario.scenario import load_scenario
 from netem.errors import BusError
 from netem.wire.access import CONSOLE, OBSERVER, OPERATOR, Credentials, generate
 from netem.wire.bus import Bus, OpenBus

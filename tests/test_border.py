@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from fleet.border import LinearFleet, Link, Member, linear_fleet
 from fleet.linear import NotLinear
-from fleet.scenario import load_scenario
+from fleet.scenario.scenario import load_scenario
 from fleet.stability import analyse, report
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "docs" / "examples"))

@@ -27,7 +27,7 @@ from fleet.cli import cli
 from fleet.pictures import Look, draw, load
 from fleet.reader import LogReader, LogReadError
 from fleet.run import Options, execute
-from fleet.scenario import load_scenario
+from fleet.scenario.scenario import load_scenario
 from fleet.terminal import share_done
 from fleet.whole_file import whole_file
 

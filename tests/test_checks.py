@@ -16,7 +16,7 @@ from fleet.checks import Verdict, judge
 from fleet.errors import ScenarioError
 from fleet.journal import Journal
 from fleet.run import Options, Result, Status, execute
-from fleet.scenario import Scenario, frame_every, load_scenario, parse_scenario
+from fleet.scenario.scenario import Scenario, frame_every, load_scenario, parse_scenario
 from fleet.script import script
 from fleet.stability import analyse
 from fleet.table import MOST_ROWS, show

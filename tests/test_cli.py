@@ -22,7 +22,7 @@ from fleet.cli import cli
 from fleet.log import LogError
 from fleet.publish import PublishError
 from fleet.reader import digest
-from fleet.scenario import list_scenarios, load_scenario
+from fleet.scenario.scenario import list_scenarios, load_scenario
 
 ROOT = Path(__file__).parent.parent
 EXPECTED = Path(__file__).parent / "expected"

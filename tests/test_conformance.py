@@ -22,7 +22,7 @@ from waiting import wait_for
 from fleet import conformance
 from fleet.cli import cli
 from fleet.conformance import CHECKS, Check, ConformanceError, Examination
-from fleet.scenario import load_scenario
+from fleet.scenario.scenario import load_scenario
 from fleet.verify import describe, verify
 
 EXAMPLE = Path(__file__).parents[1] / "docs" / "examples" / "foreign_agent.py"

@@ -29,7 +29,7 @@ from agents.errors import ControllerError
 from fleet.reader import LogReader
 from fleet.run import Options, Result, Status, execute
 from fleet.rundir import RunDirectory
-from fleet.scenario import load_scenario
+from fleet.scenario.scenario import load_scenario
 from netem.wire.access import Credentials
 from netem.wire.bus import Bus
 from netem.wire.keys import Keys

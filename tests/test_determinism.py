@@ -20,7 +20,7 @@ from mcap.stream_reader import StreamReader
 from fleet.reader import LogReader, digest
 from fleet.run import Options, Status, execute
 from fleet.rundir import RunDirectory
-from fleet.scenario import load_scenario
+from fleet.scenario.scenario import load_scenario
 
 CHECKS = "checks={qp_infeasible: {at_most: 0}, ledger: balanced, middleware_loss: {at_most: 0}}"
 NOISE = [

@@ -26,7 +26,7 @@ from fleet.cli import cli
 from fleet.external import ExternalError
 from fleet.reader import digest
 from fleet.run import Options, execute
-from fleet.scenario import load_scenario, parse_scenario
+from fleet.scenario.scenario import load_scenario, parse_scenario
 from netem.wire.messages import PROTOCOL_VERSION
 
 SHORT = ["duration=3 s", "checks={tumbled: waived}"]

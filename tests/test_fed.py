@@ -19,7 +19,7 @@ from fleet.cli import cli
 from fleet.fed import NotRecordedError
 from fleet.log_schemas import Column, DoublesEncoder
 from fleet.run import Options, Status, execute
-from fleet.scenario import load_scenario
+from fleet.scenario.scenario import load_scenario
 from fleet.verify import describe, verify
 
 EXTERNAL = "per_vehicle={3: {external: true}}"

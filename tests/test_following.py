@@ -20,7 +20,7 @@ from fleet.chance import chances
 from fleet.errors import ScenarioError
 from fleet.resume import prepare
 from fleet.run import Options, execute
-from fleet.scenario import Scenario, load_scenario
+from fleet.scenario.scenario import Scenario, load_scenario
 from netem.wire.messages import Nav
 
 SHORT = ["duration=3 s", "checks={}", "log.snapshot=500 ms", "log.every=10 ticks"]

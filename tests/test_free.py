@@ -37,7 +37,7 @@ from fleet.pictures import Look, NothingToDraw, load
 from fleet.pictures.timing import punctuality
 from fleet.remote import RemoteError
 from fleet.run import Options, Status, execute
-from fleet.scenario import Scenario, frame_every, load_scenario
+from fleet.scenario.scenario import Scenario, frame_every, load_scenario
 from fleet.script import ScriptError
 from fleet.verify import verify
 from fleet.whatif import whatif

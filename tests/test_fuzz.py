@@ -41,8 +41,8 @@ from fleet.journal import Journal
 from fleet.reader import LogReader
 from fleet.recover import recover
 from fleet.run import Options, execute
-from fleet.scenario import load_scenario, parse_scenario, shipped
-from fleet.trust import Policy
+from fleet.scenario.scenario import load_scenario, parse_scenario, shipped
+from fleet.scenario.trust import Policy
 from netem.errors import MalformedMessage
 from netem.faults import NetFault, fault_values, read_faults
 from netem.grammar import parse_condition

@@ -14,7 +14,7 @@ from waiting import wait_for
 from fleet.reader import digest
 from fleet.remote import RemoteError, ask
 from fleet.run import Options, execute
-from fleet.scenario import load_scenario
+from fleet.scenario.scenario import load_scenario
 from fleet.script import script
 from netem.lives import Absence
 from netem.wire.messages import Command, Frame

@@ -19,7 +19,7 @@ from fleet.clock import Clock, LiveClock
 from fleet.reader import digest
 from fleet.remote import RemoteError, find, live_runs
 from fleet.run import Options, execute
-from fleet.scenario import parse_scenario
+from fleet.scenario.scenario import parse_scenario
 from fleet.script import script
 
 TICK_NS = 10_000_000

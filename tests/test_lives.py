@@ -19,7 +19,7 @@ from test_scenario import only_problem, small
 
 from fleet.reader import digest
 from fleet.run import Options, Result, Status, execute
-from fleet.scenario import load_scenario, parse_scenario
+from fleet.scenario.scenario import load_scenario, parse_scenario
 from fleet.script import script
 from netem.lives import WHENEVER, Absence, Lives
 from world.faults import WorldFault

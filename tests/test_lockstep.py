@@ -13,7 +13,7 @@ from agents.loop import AgentLoop
 from fleet.clock import Clock
 from fleet.journal import Journal
 from fleet.log import LogWriter
-from fleet.scenario import load_scenario
+from fleet.scenario.scenario import load_scenario
 from netem.errors import OutOfPlace
 from netem.wire.messages import Command, Delivery, Frame, Inbox, LinkReport, Nav, Round, Transmission
 from world.lockstep import Lockstep, NavTo

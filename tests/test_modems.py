@@ -11,12 +11,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fleet import acoustics, stability
-from fleet.datafiles import DataFileError
+from fleet import stability
 from fleet.errors import ScenarioError
-from fleet.modems import NUMBERS, load_modem, parse_modem, shipped
-from fleet.scenario import Scenario, load_scenario, parse_scenario
-from fleet.schema import AcousticSection
+from fleet.scenario.scenario import Scenario, load_scenario, parse_scenario
+from fleet.scenario.schema.spec import AcousticSection
+from fleet.scenario.sections import acoustic as acoustics
+from fleet.scenario.sections.data_files import DataFileError
+from fleet.scenario.sections.modem_files import NUMBERS, load_modem, parse_modem, shipped
 from netem.modem import AcousticConfig
 
 SMALL = """\

@@ -21,7 +21,7 @@ from waiting import wait_for
 
 from fleet.hosts import certificates
 from fleet.run import Options, execute
-from fleet.scenario import load_scenario
+from fleet.scenario.scenario import load_scenario
 from fleet.verify import verify
 
 pytest.importorskip("cryptography", reason="cryptography is not installed: pip install 'uuv-fleet[hosts]'")

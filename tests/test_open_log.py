@@ -23,7 +23,7 @@ from fleet.errors import ScenarioError
 from fleet.log_schemas import Column, _descriptor_set, flat_schema
 from fleet.reader import LogReadError
 from fleet.run import Options, execute
-from fleet.scenario import load_scenario
+from fleet.scenario.scenario import load_scenario
 
 
 def logged(out: Path, name: str, *overrides: str) -> Path:

@@ -30,7 +30,7 @@ from fleet.report import ReportError, _from_log, page
 from fleet.report import write as write_report
 from fleet.report_tables import links_table
 from fleet.run import Options, execute
-from fleet.scenario import load_scenario
+from fleet.scenario.scenario import load_scenario
 from netem.causes import CAUSES, DELIVERED, IN_FLIGHT
 
 ROOT = Path(__file__).parent.parent

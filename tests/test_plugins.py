@@ -35,7 +35,7 @@ from fleet.cli import cli
 from fleet.errors import ScenarioError
 from fleet.new import KINDS
 from fleet.run import Options, Result, Status, execute
-from fleet.scenario import Scenario, load_scenario
+from fleet.scenario.scenario import Scenario, load_scenario
 
 ROOT = Path(__file__).parent.parent
 EXAMPLE = str(ROOT / "docs" / "examples" / "leader_follower.yaml")

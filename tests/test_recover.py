@@ -29,7 +29,7 @@ from fleet.reader import GAPS, LOST, RECOVERY, LogReader, LogReadError, Record
 from fleet.records import MAGIC, MOST_BYTES
 from fleet.recover import Recovered, RecoverError, recover
 from fleet.run import Options, execute
-from fleet.scenario import load_scenario
+from fleet.scenario.scenario import load_scenario
 
 TESTS = Path(__file__).parent
 # Three chunks, as small as they get.

@@ -36,7 +36,7 @@ from fleet.reader import LogReader, LogReadError, Record
 from fleet.record import Gone, TrafficWriter
 from fleet.replay import Replay, Wishes
 from fleet.run import Options, Status, execute
-from fleet.scenario import load_scenario
+from fleet.scenario.scenario import load_scenario
 from fleet.selection import Renaming, SelectionError, chosen, pattern
 from fleet.stamp import Stamp, pack, unpack
 from fleet.tape import Tape

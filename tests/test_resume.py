@@ -17,7 +17,7 @@ from fleet.cli import cli
 from fleet.reader import LogReader, Record
 from fleet.resume import Start, parse_from, prepare
 from fleet.run import Options, Result, Status, execute
-from fleet.scenario import Scenario, load_scenario
+from fleet.scenario.scenario import Scenario, load_scenario
 from fleet.script import script
 from fleet.snapshot import Snapshot, SnapshotError, find
 from fleet.verify import describe, verify

@@ -21,7 +21,7 @@ from fleet.log_values import _unit
 from fleet.reader import LogReader
 from fleet.resume import prepare
 from fleet.run import Options, Result, execute
-from fleet.scenario import load_scenario
+from fleet.scenario.scenario import load_scenario
 from fleet.scene import CUTS, HISTORY, LINKS, LinkHistories, Scene, diameter, hull
 from fleet.transforms import quaternion
 from netem.causes import CAUSES, DELIVERED, IN_FLIGHT

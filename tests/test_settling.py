@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from rich.console import Console as Terminal
 
 from fleet.run import Options, execute
-from fleet.scenario import load_scenario
+from fleet.scenario.scenario import load_scenario
 from fleet.settling import least_s, settling_time
 from fleet.table import show
 from world.config import Harmonic

@@ -16,14 +16,14 @@ from mcap.reader import make_reader
 from test_scenario import SMALL, only_problem, places, small
 
 from fleet.errors import ScenarioError
-from fleet.formation import SHAPES, offsets
-from fleet.graph import build
 from fleet.run import Options, Status, execute
-from fleet.scenario import Scenario, load_scenario, parse_scenario
-from fleet.schema import FormationShape, GraphSection
-from fleet.shapes import GRAPH
+from fleet.scenario.scenario import Scenario, load_scenario, parse_scenario
+from fleet.scenario.schema.shapes import GRAPH
+from fleet.scenario.schema.spec import FormationShape, GraphSection
+from fleet.scenario.sections.formation import SHAPES, offsets
+from fleet.scenario.sections.graph import build
+from fleet.scenario.sections.vehicle_files import load_vehicle
 from fleet.stability import analyse
-from fleet.vehicles import load_vehicle
 
 # --- formations ------------------------------------------------------------
 

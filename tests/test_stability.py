@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fleet.scenario import Scenario, load_scenario, parse_scenario
+from fleet.scenario.scenario import Scenario, load_scenario, parse_scenario
 from fleet.stability import analyse, matrices, oldest_s, report
 
 SMALL = """\

@@ -23,15 +23,15 @@ from fleet.errors import ScenarioError
 from fleet.hosts.certificates import CertsError
 from fleet.hosts.certificates import _read as read_pem
 from fleet.hosts.rendezvous import HostsError, read_credentials
-from fleet.modems import load_modem
 from fleet.pictures import Look, Run, load
 from fleet.remote import live_runs
 from fleet.report import page
 from fleet.result_file import ResultError, read_result, read_timing
 from fleet.run import Options, execute
-from fleet.scenario import load_scenario, parse_scenario
+from fleet.scenario.scenario import load_scenario, parse_scenario
+from fleet.scenario.sections.modem_files import load_modem
+from fleet.scenario.sections.vehicle_files import load_vehicle
 from fleet.stability import oldest_s
-from fleet.vehicles import load_vehicle
 from netem.lives import Absence, Lives
 from netem.whole_file import read_file
 
@@ -105,7 +105,10 @@ def test_a_file_that_is_too_large(tmp_path: Path) -> None:
 
 def test_a_scenario_from_a_command() -> None:
     """What is open already is read: stdin, and what a shell makes of <(command)."""
-    for script in ('"$@" /dev/stdin < fleet/scenarios/paper.yaml', '"$@" <(cat fleet/scenarios/paper.yaml)'):
+    for script in (
+        '"$@" /dev/stdin < fleet/scenario/shipped/paper.yaml',
+        '"$@" <(cat fleet/scenario/shipped/paper.yaml)',
+    ):
         done = subprocess.run(
             ["bash", "-c", script, "bash", sys.executable, "-m", "fleet", "check"],
             cwd=Path(__file__).parent.parent, capture_output=True, text=True, check=False, timeout=60,

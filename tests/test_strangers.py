@@ -30,7 +30,7 @@ from fleet.processes.children import Children, Exit
 from fleet.processes.private_folder import PREFIX, PrivateFolder
 from fleet.run import Options, Result, Status, execute
 from fleet.rundir import RunDirectory
-from fleet.scenario import load_scenario
+from fleet.scenario.scenario import load_scenario
 from netem.wire.access import Credentials
 from netem.wire.audit import CUT_OFF
 from netem.wire.bus import Bus, OpenBus

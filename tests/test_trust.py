@@ -26,7 +26,7 @@ from agents.plugins.trust import Trust
 from fleet.cli import cli
 from fleet.errors import ScenarioError
 from fleet.pictures import load
-from fleet.scenario import load_scenario
+from fleet.scenario.scenario import load_scenario
 
 ROOT = Path(__file__).parent.parent
 # A law of every kind; whoever imports it leaves a mark beside it.
@@ -171,7 +171,7 @@ def test_replay_knows_no_scenario() -> None:
     """It cannot import what a scenario names if it cannot read one; so do the commands that look at a running one."""
     code = (
         "import sys, fleet.cli, fleet.cli_replay, fleet.replay, fleet.player, fleet.record, fleet.info, fleet.remote, "
-        "fleet.recover, fleet.deviation; sys.exit('fleet.scenario' in sys.modules)"
+        "fleet.recover, fleet.deviation; sys.exit('fleet.scenario.scenario' in sys.modules)"
     )
     assert subprocess.run([sys.executable, "-P", "-c", code], timeout=60).returncode == 0
 

@@ -16,7 +16,7 @@ from fleet import recording
 from fleet.arrays import open_log
 from fleet.resume import prepare
 from fleet.run import Options, Result, Status, execute
-from fleet.scenario import load_scenario
+from fleet.scenario.scenario import load_scenario
 from netem.wire.messages import Frame, Tumble
 from world.config import VehicleSetup
 from world.lockstep import Lockstep

@@ -26,7 +26,7 @@ from fleet.records import Block, Message
 from fleet.recover import Copy, Recovered, recover
 from fleet.run import Options, Status, execute
 from fleet.salvage import Item, Salvage
-from fleet.scenario import load_scenario
+from fleet.scenario.scenario import load_scenario
 from fleet.verify import Verification, describe, verify
 
 Part = Item | Message

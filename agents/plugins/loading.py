@@ -43,7 +43,7 @@ def load(kind: str, law: Law) -> type[Any]:
     try:
         check_law(kind, law, found)
     except PluginError as error:
-        # By the words "does not load" fleet.rules knows that there is one.
+        # By the words "does not load" fleet.scenario.rules.apply knows that there is one.
         text = f"its entry point {value} does not load as a law: {error.problem}"
         raise PluginError(kind, law.name, text, error.hint) from None
     return found  # type: ignore[no-any-return]

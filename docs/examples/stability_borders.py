@@ -21,7 +21,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fleet.recording import record
-from fleet.scenario import Scenario, parse_scenario
+from fleet.scenario.scenario import Scenario, parse_scenario
 from fleet.stability import analyse
 
 GRAPHS = {

@@ -14,11 +14,11 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from fleet.arrays import FaultInterval
-from fleet.faults import is_fault
 from fleet.palette import COLOURS
 from fleet.pictures.runs import Look, NothingToDraw, Run, first_words
 from fleet.plotting import COLUMN_IN, STYLES, panels
 from fleet.records import Array
+from fleet.scenario.sections.timeline import is_fault
 
 LABEL_PT = 6.0
 LABEL_ROWS = 6  # of names of faults; what does not fit there is shaded without its name

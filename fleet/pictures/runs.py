@@ -16,7 +16,7 @@ import numpy as np
 from fleet.arrays import Log, open_drawn
 from fleet.errors import FleetError
 from fleet.records import Array
-from fleet.scenario import Scenario
+from fleet.scenario.scenario import Scenario
 
 GAP = 1.5  # times the usual distance of two samples: more, and the line is broken
 

@@ -13,7 +13,7 @@ from fleet.pictures.axes import bounds as draw_bounds
 from fleet.pictures.runs import Look, Run
 from fleet.plotting import plain_decades
 from fleet.records import Array
-from fleet.tuning import Control
+from fleet.scenario.sections.per_vehicle import Control
 
 FORCES = (("surge force", "N"), ("pitch moment", "N m"), ("yaw moment", "N m"))
 NED = ("north", "east", "down")

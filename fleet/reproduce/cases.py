@@ -10,7 +10,7 @@ import numpy as np
 from agents.controllers import CONTROLLERS
 from fleet.recording import Array, record
 from fleet.reproduce.measures import measure
-from fleet.scenario import Scenario, load_scenario
+from fleet.scenario.scenario import Scenario, load_scenario
 
 U, D = "undisturbed", "disturbed"
 SEAS = (U, D)

@@ -16,9 +16,9 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
-from fleet import datafiles
 from fleet import quantities as q
-from fleet.datafiles import DataFileError, table
+from fleet.scenario.sections import data_files
+from fleet.scenario.sections.data_files import DataFileError, table
 from world.vectors import Vec3
 from world.vehicle import VehicleParams
 
@@ -54,7 +54,7 @@ class Vehicle:
 
 def shipped() -> list[str]:
     """The vehicles that come with the package."""
-    return datafiles.shipped(_PACKAGE)
+    return data_files.shipped(_PACKAGE)
 
 
 def load_vehicle(name: str, folder: Path | None = None) -> Vehicle:
@@ -66,14 +66,14 @@ def load_vehicle(name: str, folder: Path | None = None) -> Vehicle:
     if name in shipped():
         return _shipped(name)
     try:
-        return parse_vehicle(*datafiles.find("vehicle", name, _PACKAGE, folder))
+        return parse_vehicle(*data_files.find("vehicle", name, _PACKAGE, folder))
     except DataFileError as error:
         raise VehicleFileError(name, error.problems) from None
 
 
 @cache
 def _shipped(name: str) -> Vehicle:
-    return parse_vehicle(*datafiles.find("vehicle", name, _PACKAGE, None), shipped=True)
+    return parse_vehicle(*data_files.find("vehicle", name, _PACKAGE, None), shipped=True)
 
 
 def parse_vehicle(data: bytes, name: str, *, shipped: bool = False) -> Vehicle:
@@ -83,7 +83,7 @@ def parse_vehicle(data: bytes, name: str, *, shipped: bool = False) -> Vehicle:
         VehicleFileError: with every mistake that was found.
     """
     try:
-        values = datafiles.read("vehicle", data, name)
+        values = data_files.read("vehicle", data, name)
     except DataFileError as error:
         raise VehicleFileError(name, error.problems) from None
     problems = [f"unknown key {key!r}" for key in values if key not in ("name", "title", "parameters", "limits")]

@@ -17,9 +17,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from fleet import datafiles
 from fleet import quantities as q
-from fleet.datafiles import DataFileError, table
+from fleet.scenario.sections import data_files
+from fleet.scenario.sections.data_files import DataFileError, table
 from netem.modem import Modem
 
 _PACKAGE = "netem.modems"
@@ -65,7 +65,7 @@ class ModemFile:
 
 def shipped() -> list[str]:
     """The modems that come with the package."""
-    return datafiles.shipped(_PACKAGE)
+    return data_files.shipped(_PACKAGE)
 
 
 def load_modem(name: str, folder: Path | None = None) -> ModemFile:
@@ -74,7 +74,7 @@ def load_modem(name: str, folder: Path | None = None) -> ModemFile:
     Raises:
         DataFileError: with every mistake that was found.
     """
-    return parse_modem(*datafiles.find("modem", name, _PACKAGE, folder))
+    return parse_modem(*data_files.find("modem", name, _PACKAGE, folder))
 
 
 def parse_modem(data: bytes, name: str) -> ModemFile:
@@ -83,7 +83,7 @@ def parse_modem(data: bytes, name: str) -> ModemFile:
     Raises:
         DataFileError: with every mistake that was found.
     """
-    values = datafiles.read("modem", data, name)
+    values = data_files.read("modem", data, name)
     problems = [f"unknown key {key!r}" for key in values if key not in ("name", "title", "modem")]
     numbers = table(values, "modem", NUMBERS, problems)
     problems = problems or modem_problems(numbers)

@@ -20,25 +20,32 @@ from agents.plugins.loading import load
 from agents.profiles import profile
 from agents.trajectory import Path as Path_
 from agents.trajectory import PathError
-from fleet import acoustics
-from fleet.datafiles import DataFileError
 from fleet.errors import Problem
-from fleet.faults import ACTIONS, OF_THE_WORLD, action, does_nothing, vehicles_of
-from fleet.faults import plan as fault_plan
-from fleet.formation import plans
-from fleet.graph import build, parse_edge
-from fleet.nemesis import count as nemesis_faults
-from fleet.nemesis import unleash
-from fleet.partitions import FaultError, partition
 from fleet.quantities import RATE, SPEED, QuantityError, Vec3, show, show_time, show_vector, vehicle_numbers
-from fleet.reference import build as build_reference
-from fleet.schema import EVERY, FaultAction, FormationShape, GuidanceSection, ScenarioSpec, VehicleOverrides
-from fleet.shapes import FORMATION, GRAPH, REFERENCE, Keys
+from fleet.scenario.schema.shapes import FORMATION, GRAPH, REFERENCE, Keys
+from fleet.scenario.schema.spec import (
+    EVERY,
+    FaultAction,
+    FormationShape,
+    GuidanceSection,
+    ScenarioSpec,
+    VehicleOverrides,
+)
+from fleet.scenario.sections import acoustic
+from fleet.scenario.sections.data_files import DataFileError
+from fleet.scenario.sections.formation import plans
+from fleet.scenario.sections.graph import build, parse_edge
+from fleet.scenario.sections.nemesis import count as nemesis_faults
+from fleet.scenario.sections.nemesis import unleash
+from fleet.scenario.sections.partitions import FaultError, partition
+from fleet.scenario.sections.per_vehicle import given, law_names, merged, qp_period_ns, used, vehicle, wrong_model
+from fleet.scenario.sections.reference import build as build_reference
+from fleet.scenario.sections.timeline import ACTIONS, OF_THE_WORLD, action, does_nothing, vehicles_of
+from fleet.scenario.sections.timeline import plan as fault_plan
+from fleet.scenario.sections.vehicle_files import VehicleFileError, mass_problems
+from fleet.scenario.text.yaml_reader import Mapping, locate
+from fleet.scenario.trust import READING, Policy
 from fleet.snapshot import snapshot_grid
-from fleet.trust import READING, Policy
-from fleet.tuning import given, law_names, merged, qp_period_ns, used, vehicle, wrong_model
-from fleet.vehicles import VehicleFileError, mass_problems
-from fleet.yaml_marks import Mapping, locate
 from netem.condition import Link
 from netem.parsing import GrammarError, nearest
 from netem.selectors import parse_selector, select
@@ -430,7 +437,7 @@ def _acoustic(spec: ScenarioSpec, report: Report) -> None:
     if section.wind > 100.0:
         report.add((*at, "wind"), f"must be at most 100 m/s, is {section.wind:g}")
     try:
-        wrong = acoustics.problems(section, report.folder)
+        wrong = acoustic.problems(section, report.folder)
     except DataFileError as error:
         wrong = error.problems
     for problem in wrong:
@@ -444,15 +451,15 @@ def _talking(spec: ScenarioSpec, report: Report) -> None:
         return
     at = ("network", "acoustic")
     try:
-        if acoustics.problems(section, report.folder):
+        if acoustic.problems(section, report.folder):
             return
-        modem = acoustics.modem(section, report.folder)
+        modem = acoustic.modem(section, report.folder)
     except DataFileError:
         return  # reported already
-    codec, size = spec.network.payload, acoustics.SIZES[spec.network.payload]
+    codec, size = spec.network.payload, acoustic.SIZES[spec.network.payload]
     ours = any(choice.agent is None for _, choice in _choices(spec))
     if ours and size > modem.mtu:
-        compact = acoustics.SIZES["compact"]
+        compact = acoustic.SIZES["compact"]
         hint = f"network.payload: compact has {compact} bytes" if codec == "full" and compact <= modem.mtu else ""
         report.add(
             (*at, "modem"), f"the {codec} payload of {size} bytes is longer than its mtu, {modem.mtu} bytes", hint
@@ -460,15 +467,15 @@ def _talking(spec: ScenarioSpec, report: Report) -> None:
         return
     if section.mac != "tdma" or section.slot is None:
         return
-    airtime, guard = modem.airtime_ns(size) if ours else modem.airtime_ns(0), acoustics.guard_ns(section)
+    airtime, guard = modem.airtime_ns(size) if ours else modem.airtime_ns(0), acoustic.guard_ns(section)
     if airtime + guard > section.slot:
         text = (
             f"{show_time(section.slot)} are too short: {size} bytes are {airtime / 1e9:g} s on the air, "
             f"and the guard is {show_time(guard)}"
         )
         report.add((*at, "slot"), text, f"at least {(airtime + guard) / 1e9:g} s")
-    extent = acoustics.extent_m(_plans(spec))
-    crossing = extent / acoustics.speed_of_sound(section)
+    extent = acoustic.extent_m(_plans(spec))
+    crossing = extent / acoustic.speed_of_sound(section)
     if crossing * 1e9 > guard:
         text = (
             f"{show_time(guard)} are too short: sound takes {crossing:.4g} s over the {extent:.4g} m of the formation"

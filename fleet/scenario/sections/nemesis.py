@@ -8,8 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from fleet.partitions import partition
-from fleet.schema import DrawnKind, FaultSection, NemesisSection, ScenarioSpec
+from fleet.scenario.schema.spec import DrawnKind, FaultSection, NemesisSection, ScenarioSpec
+from fleet.scenario.sections.partitions import partition
 from netem.condition import Link
 from netem.draws import bits
 from netem.selectors import Selector

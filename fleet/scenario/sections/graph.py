@@ -12,8 +12,8 @@ import re
 from dataclasses import dataclass
 from math import dist
 
-from fleet.schema import GraphSection
-from fleet.shapes import DEFAULT_NEAREST, DEFAULT_PROBABILITY
+from fleet.scenario.schema.shapes import DEFAULT_NEAREST, DEFAULT_PROBABILITY
+from fleet.scenario.schema.spec import GraphSection
 from netem.condition import Link
 from netem.draws import uniform
 from world.vectors import Vec3
@@ -44,7 +44,7 @@ def parse_edge(text: str) -> Link | None:
 
 
 def build(section: GraphSection, places: tuple[Vec3, ...], seed: int) -> Graph:
-    """The graph of a valid section (`fleet.rules` has looked at it).
+    """The graph of a valid section (`fleet.scenario.rules.apply` has looked at it).
 
     Args:
         places: the offsets at the start [m, NED], for `nearest`.

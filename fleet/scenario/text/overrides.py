@@ -17,8 +17,8 @@ from collections.abc import Sequence
 
 from fleet.errors import Problem
 from fleet.quantities import QuantityError, describe, vehicle_numbers
-from fleet.shapes import DEFAULT_SPACING_M
-from fleet.yaml_marks import Items, Mapping, Node, Place, Scalar, Source, plain, read
+from fleet.scenario.schema.shapes import DEFAULT_SPACING_M
+from fleet.scenario.text.yaml_reader import Items, Mapping, Node, Place, Scalar, Source, plain, read
 
 _MAX_STEPS = 10
 # The tuning "paper" is fragile in its disturbance: 20 vehicles survive this start, at 1 m one of them tumbles,

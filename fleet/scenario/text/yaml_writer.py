@@ -10,10 +10,18 @@ import json
 import re
 from typing import Any
 
-from fleet.schema import ScenarioSpec, VehicleSection
-from fleet.tuning import control, given, guidance_section, inlined, law_names, merged, tracking_section
-from fleet.vehicles import LIMITS
-from fleet.yaml_marks import resolve
+from fleet.scenario.schema.spec import ScenarioSpec, VehicleSection
+from fleet.scenario.sections.per_vehicle import (
+    control,
+    given,
+    guidance_section,
+    inlined,
+    law_names,
+    merged,
+    tracking_section,
+)
+from fleet.scenario.sections.vehicle_files import LIMITS
+from fleet.scenario.text.yaml_reader import resolve
 
 # Plain scalars: nothing that could begin or end a YAML construct. Anything else is quoted.
 _PLAIN = re.compile(r"(?:[A-Za-z0-9]|-?[0-9.])(?:[A-Za-z0-9 ._/%^<>+-]*[A-Za-z0-9._/%^])?")

@@ -18,19 +18,34 @@ from agents.offset import Change, Offset
 from agents.plugins.trust import NOTHING, Trust
 from agents.signals import Layout
 from agents.trajectory import Reference
-from fleet import acoustics, emit, faults, formation, graph, nemesis, reference, tuning
 from fleet.errors import Problem, ScenarioError
-from fleet.graph import Graph
-from fleet.modems import shipped as shipped_modems
-from fleet.overrides import apply, override_name
 from fleet.quantities import vehicle_numbers
-from fleet.schema import CurrentSection, ScenarioSpec, VehicleSection
+from fleet.scenario.schema.spec import CurrentSection, ScenarioSpec, VehicleSection
+from fleet.scenario.sections import (
+    acoustic as acoustics,
+)
+from fleet.scenario.sections import (
+    formation,
+    graph,
+    nemesis,
+    reference,
+)
+from fleet.scenario.sections import (
+    per_vehicle as tuning,
+)
+from fleet.scenario.sections import (
+    timeline as faults,
+)
+from fleet.scenario.sections.graph import Graph
+from fleet.scenario.sections.modem_files import shipped as shipped_modems
+from fleet.scenario.sections.per_vehicle import Control
+from fleet.scenario.sections.vehicle_files import shipped as shipped_vehicles
+from fleet.scenario.text import yaml_writer
+from fleet.scenario.text.overrides import apply, override_name
+from fleet.scenario.text.yaml_reader import Mapping, Scalar, Source, read
+from fleet.scenario.trust import READING, Policy, stranger
+from fleet.scenario.validation import validate
 from fleet.snapshot import log_every, memory_ticks
-from fleet.trust import READING, Policy, stranger
-from fleet.tuning import Control
-from fleet.validation import validate
-from fleet.vehicles import shipped as shipped_vehicles
-from fleet.yaml_marks import Mapping, Scalar, Source, read
 from netem.condition import Condition, Link
 from netem.config import NetemConfig
 from netem.modem import AcousticConfig
@@ -62,7 +77,7 @@ class Scenario:
 
     @classmethod
     def compile(cls, spec: ScenarioSpec, source: str = "", folder: Path | None = None) -> Scenario:
-        """The scenario of a specification that `fleet.validation` accepted; `folder` is where its file lies."""
+        """The scenario of a specification that `fleet.scenario.validation` accepted; `folder` is where its file lies."""
         plans = formation.plans(spec.formation, spec.vehicles)
         places = tuple(plan.start for plan in plans)
         links = graph.build(spec.graph, places, spec.seed)
@@ -249,7 +264,7 @@ class Scenario:
 
     def to_yaml(self) -> str:
         """The merged scenario, with units; it loads to an equal scenario."""
-        return emit.scenario_yaml(self.spec)
+        return yaml_writer.scenario_yaml(self.spec)
 
 
 def _others(controls: Iterable[Control]) -> tuple[tuple[str, Law], ...]:
@@ -303,7 +318,7 @@ def load_scenario(
     """The scenario of a shipped name or of a file, with `key.path=value` overrides applied.
 
     Args:
-        trust: which modules may run that are neither installed nor the user's own; see `fleet.trust`.
+        trust: which modules may run that are neither installed nor the user's own; see `fleet.scenario.trust`.
         imports: whether the laws that the file names are imported, to see if they can be used.
         refused: gets the laws that may not run, in place of an error.
 
@@ -360,7 +375,7 @@ def list_scenarios() -> list[tuple[str, str, int, float, str]]:
 
 def shipped() -> list[str]:
     """The names of the scenarios that come with the package."""
-    folder = resources.files("fleet.scenarios")
+    folder = resources.files("fleet.scenario.shipped")
     return sorted(entry.name.removesuffix(".yaml") for entry in folder.iterdir() if entry.name.endswith(".yaml"))
 
 
@@ -368,7 +383,7 @@ def _text(name_or_path: str) -> tuple[str, str, Path | None]:
     """What to call the source, its text and its folder. A suffix or a slash makes a path of an unknown name."""
     try:
         if name_or_path in shipped():
-            entry = resources.files("fleet.scenarios") / f"{name_or_path}.yaml"
+            entry = resources.files("fleet.scenario.shipped") / f"{name_or_path}.yaml"
             return f"{name_or_path}.yaml", entry.read_text("utf-8"), None
         path = Path(name_or_path)
         if path.suffix or "/" in name_or_path or path.exists():

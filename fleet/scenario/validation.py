@@ -13,10 +13,10 @@ from pydantic_core import ErrorDetails
 
 from fleet.errors import Problem
 from fleet.quantities import describe
-from fleet.rules import Report, UnknownValueError, check
-from fleet.schema import ScenarioSpec, Section
-from fleet.trust import READING, Policy
-from fleet.yaml_marks import Items, Mapping, Node, locate, plain, text_place
+from fleet.scenario.rules.apply import Report, UnknownValueError, check
+from fleet.scenario.schema.spec import ScenarioSpec, Section
+from fleet.scenario.text.yaml_reader import Items, Mapping, Node, locate, plain, text_place
+from fleet.scenario.trust import READING, Policy
 from netem.parsing import nearest
 
 Loc = tuple[str | int, ...]

@@ -1,7 +1,7 @@
 """What a scenario file may say: every key, its meaning, its unit, its default.
 
 The models hold validated values in SI units (times: integer ns) and print themselves with units. What needs
-two keys at once is checked in `fleet.rules`.
+two keys at once is checked in `fleet.scenario.rules.apply`.
 """
 
 from __future__ import annotations
@@ -21,7 +21,8 @@ from pydantic import (
 from pydantic_core import CoreSchema, core_schema
 
 from agents.config import Angles, Codec, Cost, Extrapolation, OnError
-from fleet.fields import (
+from fleet.quantities import QuantityError, describe, show_time, vehicle_numbers
+from fleet.scenario.schema.value_types import (
     Acceleration,
     Angle,
     AngularRate,
@@ -70,7 +71,6 @@ from fleet.fields import (
     Weights,
     mistake,
 )
-from fleet.quantities import QuantityError, describe, show_time, vehicle_numbers
 from netem.grammar import print_condition
 from netem.parsing import nearest
 from world.config import DEFAULT_SUBSTEPS
@@ -88,7 +88,7 @@ class Section(BaseModel):
 
 
 class ReferenceSection(Section):
-    """The trajectory that the fleet follows, the paper's eta_1^d(t); which keys a shape takes is in `fleet.shapes`."""
+    """The trajectory that the fleet follows, the paper's eta_1^d(t); which keys a shape takes is in `fleet.scenario.schema.shapes`."""
 
     shape: Literal["line", "circle", "helix", "lawn-mower", "waypoints"] | None = None  # line
     start: Position | None = None  # NED: north, east, down

@@ -19,9 +19,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from fleet.partitions import partition
 from fleet.quantities import vehicle_numbers
-from fleet.schema import FaultAction, FaultSection, ScenarioSpec
+from fleet.scenario.schema.spec import FaultAction, FaultSection, ScenarioSpec
+from fleet.scenario.sections.partitions import partition
 from netem.condition import Link
 from netem.faults import NetFault
 from netem.grammar import print_condition

@@ -11,9 +11,8 @@ from typing import Any, TypeVar
 from agents.config import Extrapolation, GuidanceParams, Law, TrackingParams
 from agents.controllers import CONTROLLERS, GUIDANCE, TRACKING
 from agents.profiles import profile
-from fleet import vehicles
 from fleet.quantities import vehicle_numbers
-from fleet.schema import (
+from fleet.scenario.schema.spec import (
     GuidanceSection,
     LawSection,
     ModelErrorSection,
@@ -23,6 +22,7 @@ from fleet.schema import (
     VehicleOverrides,
     VehicleSection,
 )
+from fleet.scenario.sections import vehicle_files
 from world.tumble import LIMIT_RAD
 from world.vectors import Vec3
 from world.vehicle import VehicleParams
@@ -142,12 +142,12 @@ def _law(section: LawSection | None) -> Law | None:
 
 def vehicle(section: VehicleSection, folder: Path | None) -> tuple[VehicleParams, Vec3]:
     """The parameters of a vehicle and its limits [N, N m, N m]. Raises VehicleFileError."""
-    model = vehicles.load_vehicle(section.model or "paper", folder)
+    model = vehicle_files.load_vehicle(section.model or "paper", folder)
     changes = given(section)
-    params = replace(model.params, **{key: changes[key] for key in vehicles.PARAMETERS.keys() & changes.keys()})
+    params = replace(model.params, **{key: changes[key] for key in vehicle_files.PARAMETERS.keys() & changes.keys()})
     x, y, z = (
         limit if getattr(section, key) is None else getattr(section, key)
-        for key, limit in zip(vehicles.LIMITS, model.tau_max, strict=True)
+        for key, limit in zip(vehicle_files.LIMITS, model.tau_max, strict=True)
     )
     return params, (x, y, z)
 
@@ -221,7 +221,7 @@ def _only(values: dict[str, Any], keys: frozenset[str]) -> dict[str, Any]:
 def inlined(section: VehicleSection, folder: Path | None) -> VehicleSection:
     """The same vehicle with every number written out, so that it no longer needs its file."""
     params, limits = vehicle(section, folder)
-    values: dict[str, Any] = {key: getattr(params, key) for key in vehicles.PARAMETERS}
-    values |= zip(vehicles.LIMITS, limits, strict=True)
+    values: dict[str, Any] = {key: getattr(params, key) for key in vehicle_files.PARAMETERS}
+    values |= zip(vehicle_files.LIMITS, limits, strict=True)
     values["tumble_pitch"] = section.tumble_pitch
     return VehicleSection.model_construct(**values)

@@ -5,12 +5,12 @@ from __future__ import annotations
 from math import cos, sin
 
 from agents.trajectory import Circle, Line, Path, Reference
-from fleet.schema import ReferenceSection
+from fleet.scenario.schema.spec import ReferenceSection
 from world.vectors import Vec3
 
 
 def build(section: ReferenceSection) -> Reference:
-    """The trajectory of a section whose keys fit its shape (`fleet.rules` has looked at it).
+    """The trajectory of a section whose keys fit its shape (`fleet.scenario.rules.apply` has looked at it).
 
     A path is not walked here: `Path.length` raises PathError if its arcs do not fit.
     """

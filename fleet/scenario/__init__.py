@@ -1,0 +1,1 @@
+"""A scenario: read, checked, and compiled into what each core is told."""

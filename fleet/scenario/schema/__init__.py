@@ -1,0 +1,1 @@
+"""What a scenario may say: its sections, keys, units and defaults."""

@@ -459,7 +459,7 @@ def info(log: Path, as_json: bool) -> None:
       fleet info runs/latest
       fleet info runs/latest/run.mcap --json
     """
-    from fleet.info import describe, read_info
+    from fleet.logs.info import describe, read_info
     from fleet.terminal.share_done import showing
 
     try:

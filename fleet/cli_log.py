@@ -129,8 +129,8 @@ def plot(
       fleet plot runs/latest --what messages --window 20s..22s
       fleet plot runs/a --compare runs/b --what error -o compared
     """
+    from fleet.logs.reader import log_path
     from fleet.pictures import Look, check_look, load, write
-    from fleet.reader import log_path
     from fleet.terminal.share_done import showing
 
     said: list[str] = []
@@ -177,9 +177,9 @@ def export(log: Path, csv: Path | None, parquet: Path | None, topics: tuple[str,
       fleet export runs/latest --csv tables
       fleet export runs/latest --parquet tables --topics 'uuv/*/error' --topics 'link/*'
     """
-    from fleet.arrays import list_topics
-    from fleet.export import export as write
-    from fleet.export import fits
+    from fleet.logs.export import export as write
+    from fleet.logs.export import fits
+    from fleet.logs.open_log import list_topics
     from fleet.terminal.share_done import showing
 
     if csv is None and parquet is None:

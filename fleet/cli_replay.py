@@ -129,9 +129,9 @@ def replay(
       fleet replay runs/latest -r 0 --wait-for-subscribers --topics 'uuv/*/pose'
       fleet replay robot.mcap --loop --remap robot:=twin --connect tcp/127.0.0.1:7447
     """
-    from fleet.reader import log_path
+    from fleet.logs.reader import log_path
+    from fleet.logs.tape import Tape
     from fleet.replay import Replay, Wishes
-    from fleet.tape import Tape
     from fleet.terminal.keyboard import Keyboard
     from fleet.terminal.share_done import showing
     from fleet.terminal.status_line import StatusLine

@@ -72,9 +72,9 @@ def diff(a: Path, b: Path, tolerance: float, everything: bool, quiet: bool) -> N
       fleet diff runs/paper-1-20261121-120000 runs/latest
       fleet diff a.mcap b.mcap --tolerance 1e-9
     """
-    from fleet.deviation import compare, table
-    from fleet.difference import besides_messages
-    from fleet.reader import LogReader, log_path
+    from fleet.logs.deviation import compare, table
+    from fleet.logs.first_difference import besides_messages
+    from fleet.logs.reader import LogReader, log_path
     from fleet.terminal.share_done import showing
 
     try:
@@ -112,8 +112,8 @@ def recover(log: Path, out: Path | None) -> None:
       fleet recover runs/latest
       fleet recover cut.mcap -o clean.mcap
     """
-    from fleet.recover import describe
-    from fleet.recover import recover as write
+    from fleet.logs.recover import describe
+    from fleet.logs.recover import recover as write
     from fleet.terminal.share_done import showing
 
     try:

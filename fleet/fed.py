@@ -13,9 +13,9 @@ from typing import Any
 from agents.loop import AgentLoop
 from agents.signals import Layout
 from fleet.errors import FleetError
-from fleet.log_schemas import COMMAND, DoublesEncoder, signal_columns
-from fleet.log_values import Decoder
-from fleet.reader import LogReader
+from fleet.logs.decoder import Decoder
+from fleet.logs.reader import LogReader
+from fleet.logs.schemas import COMMAND, DoublesEncoder, signal_columns
 from fleet.scenario.scenario import Scenario
 from fleet.snapshot import TOPIC, Snapshot
 from netem.impairment import LinkModel

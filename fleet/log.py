@@ -26,7 +26,8 @@ from agents.controllers import law_class, laws
 from agents.plugins.loading import fingerprint
 from agents.signals import Layout
 from fleet.errors import FleetError
-from fleet.log_schemas import (
+from fleet.logs.reader import CLOCK, REAL, digest_part
+from fleet.logs.schemas import (
     COMMAND,
     ERROR,
     FAULT,
@@ -44,7 +45,6 @@ from fleet.log_schemas import (
     stamp_of,
 )
 from fleet.metrics import VehicleError
-from fleet.reader import CLOCK, REAL, digest_part
 from fleet.resume import Start
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.sections.timeline import Event

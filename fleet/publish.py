@@ -23,7 +23,7 @@ from typing import IO, Any
 
 import fleet
 from fleet.errors import FleetError
-from fleet.log_schemas import Schema
+from fleet.logs.schemas import Schema
 from netem.whole_file import write_whole
 from netem.wire.access import OBSERVER, Credentials
 

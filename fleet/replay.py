@@ -6,11 +6,11 @@ import time
 from dataclasses import dataclass
 
 from fleet.errors import FleetError
-from fleet.log_schemas import stamp_of
+from fleet.logs.schemas import stamp_of
+from fleet.logs.tape import Tape, Track
 from fleet.player import RATE_STEP, SEEK_NS, Metronome, Pace, Player
 from fleet.selection import Renaming, chosen
 from fleet.stamp import Stamp, pack
-from fleet.tape import Tape, Track
 from fleet.terminal.keyboard import Key, Keyboard
 from fleet.terminal.status_line import StatusLine
 from fleet.traffic import ATTACHMENT, DELETE, ENCODING, KIND, zenoh_encoding

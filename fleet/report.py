@@ -15,11 +15,11 @@ from typing import Any
 from matplotlib.figure import Figure
 
 from fleet.errors import FleetError
+from fleet.logs.reader import Tell, digest
+from fleet.logs.result_file import ResultError, read_result
 from fleet.pictures import PER_RUN, WHAT, Look, Run, draw
 from fleet.plotting import DPI
-from fleet.reader import Tell, digest
 from fleet.report_tables import links_table, mark, number, side_by_side, table
-from fleet.result_file import ResultError, read_result
 from fleet.whole_file import whole_file
 from netem.ages import Ages
 from netem.causes import DELIVERED, IN_FLIGHT

@@ -12,8 +12,8 @@ from pathlib import Path
 
 from agents.controllers import laws
 from agents.plugins.trust import NOTHING, Trust
+from fleet.logs.reader import LogReader, Tell, digest, log_path
 from fleet.quantities import QuantityError, show_time, time_ns
-from fleet.reader import LogReader, Tell, digest, log_path
 from fleet.scenario.scenario import Scenario, load_scenario
 from fleet.scenario.trust import Policy
 from fleet.script import recorded as read

@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from fleet.errors import FleetError
-from fleet.log_values import Decoder
+from fleet.logs.decoder import Decoder
+from fleet.logs.reader import CLOCK, REAL, LogReader, Record, Tell, log_path
 from fleet.quantities import show_time
-from fleet.reader import CLOCK, REAL, LogReader, Record, Tell, log_path
 from fleet.scenario.scenario import Scenario, parse_scenario
 from fleet.scenario.schema.spec import EVERY
 from fleet.scenario.sections.timeline import is_fault

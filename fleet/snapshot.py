@@ -20,9 +20,9 @@ from agents.controllers import law_class
 from agents.errors import PluginError
 from agents.plugins.checks import resumable
 from fleet.errors import FleetError
-from fleet.log_values import Decoder
+from fleet.logs.decoder import Decoder
+from fleet.logs.reader import LogReader, Tell, log_path
 from fleet.quantities import show_time
-from fleet.reader import LogReader, Tell, log_path
 
 if TYPE_CHECKING:
     from fleet.scenario.schema.spec import ScenarioSpec

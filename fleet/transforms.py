@@ -20,7 +20,7 @@ from foxglove_schemas_protobuf.Quaternion_pb2 import Quaternion
 from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
 from google.protobuf.timestamp_pb2 import Timestamp
 
-from fleet.log_schemas import stamp_of
+from fleet.logs.schemas import stamp_of
 from fleet.scenario.scenario import Scenario
 from netem.wire.messages import Frame
 from world.vectors import Vec3

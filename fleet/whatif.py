@@ -20,8 +20,8 @@ from agents.plugged_agent import PluggedAgent
 from agents.plugins.loading import admit
 from agents.plugins.trust import NOTHING, Trust
 from fleet.errors import FleetError
-from fleet.log_values import Decoder
-from fleet.reader import LogReader, Tell, log_path
+from fleet.logs.decoder import Decoder
+from fleet.logs.reader import LogReader, Tell, log_path
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.trust import A_LOG, Policy
 from fleet.script import recorded as read

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from fleet.arrays import FaultInterval
+from fleet.logs.open_log import FaultInterval
 from fleet.pictures.axes import shade
 from fleet.plotting import FORMATS, legend, limit, line, panels, save
 from fleet.scenario.scenario import timeline

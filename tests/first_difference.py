@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from fleet.difference import besides_messages, framing
-from fleet.difference import first_difference as first
-from fleet.log_values import Decoder
-from fleet.reader import LogReader, Record
+from fleet.logs.decoder import Decoder
+from fleet.logs.first_difference import besides_messages, framing
+from fleet.logs.first_difference import first_difference as first
+from fleet.logs.reader import LogReader, Record
 
 
 def assert_same_bytes(a: Path, b: Path) -> None:

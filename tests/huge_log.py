@@ -22,7 +22,7 @@ import numpy as np
 import zstandard
 from mcap.opcode import Opcode
 
-from fleet.records import MAGIC
+from fleet.logs.records import MAGIC
 
 HEAD, MESSAGE = struct.Struct("<BQ"), struct.Struct("<HIQQ")
 

@@ -25,8 +25,8 @@ from waiting import wait_for
 import fleet.console
 import netem.wire.access
 import netem.wire.bus
+from fleet.logs.reader import LogReader
 from fleet.processes.private_folder import PrivateFolder
-from fleet.reader import LogReader
 from fleet.run import Options, Status, execute
 from fleet.rundir import RunDirectory
 from fleet.scenario.scenario import load_scenario

@@ -21,7 +21,7 @@ from test_access import free_port
 from waiting import wait_for
 
 import fleet.console
-from fleet.reader import LogReader
+from fleet.logs.reader import LogReader
 from fleet.run import Options, Result, Status, execute
 from fleet.rundir import RunDirectory
 from fleet.scenario.scenario import load_scenario

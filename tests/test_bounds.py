@@ -22,10 +22,10 @@ from test_open_log import foreign
 from waiting import wait_for
 
 import fleet
-from fleet import arrays, columns, deviation, export, log_values, reader, records, tape, topic
 from fleet.cli import cli
+from fleet.logs import columns, decoder, deviation, export, open_log, reader, records, tape, topic
+from fleet.logs.reader import LogReader, LogReadError
 from fleet.pictures import Look, draw, load
-from fleet.reader import LogReader, LogReadError
 from fleet.run import Options, execute
 from fleet.scenario.scenario import load_scenario
 from fleet.terminal import share_done
@@ -119,12 +119,12 @@ def test_what_a_log_declares_is_bounded(tmp_path: Path, monkeypatch: pytest.Monk
 
 def test_a_message_of_too_many_values_is_bytes(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     path = foreign(tmp_path / "x.mcap")
-    monkeypatch.setattr(log_values, "MOST_VALUES", 1)
+    monkeypatch.setattr(decoder, "MOST_VALUES", 1)
     log = LogReader(path)
-    decode = log_values.Decoder(log)
+    decode = decoder.Decoder(log)
     found = {r.topic: [value.path for value in decode(r)] for r in log}
     assert found["odd"] == ["bytes"]  # the last one has three
-    monkeypatch.setattr(log_values, "MOST_DECODED", 3)
+    monkeypatch.setattr(decoder, "MOST_DECODED", 3)
     assert decode.message(reader.Record("odd", 0, 0, 0, struct_pb2.Struct().SerializeToString() + bytes(10))) is None
 
 
@@ -220,7 +220,7 @@ def test_pictures_of_a_log_that_cannot_be_held(run: Path, monkeypatch: pytest.Mo
     """Every extreme is there, packets are counted, and what is drawn takes little."""
     (whole,) = load([run])
     monkeypatch.setattr(topic, "MOST_HELD", 600_000)
-    monkeypatch.setattr(arrays, "BUCKETS", 20)
+    monkeypatch.setattr(open_log, "BUCKETS", 20)
     (thin,) = load([run])
     state, full = thin.log["uuv/1/state"], whole.log["uuv/1/state"]
     assert 20 < len(state.x) < len(full.x) / 1.5

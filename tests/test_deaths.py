@@ -26,7 +26,7 @@ from waiting import wait_for
 
 import fleet.console
 from agents.errors import ControllerError
-from fleet.reader import LogReader
+from fleet.logs.reader import LogReader
 from fleet.run import Options, Result, Status, execute
 from fleet.rundir import RunDirectory
 from fleet.scenario.scenario import load_scenario

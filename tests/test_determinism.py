@@ -17,7 +17,7 @@ from first_difference import assert_same_bytes, decode, first_difference
 from mcap.records import Attachment, Channel, Message, Metadata, Schema
 from mcap.stream_reader import StreamReader
 
-from fleet.reader import LogReader, digest
+from fleet.logs.reader import LogReader, digest
 from fleet.run import Options, Status, execute
 from fleet.rundir import RunDirectory
 from fleet.scenario.scenario import load_scenario

@@ -17,10 +17,10 @@ import pytest
 from live import FORKSERVER, LiveRun, Stopwatch, gone
 from waiting import wait_for
 
+from fleet.logs.reader import LogReader
 from fleet.processes import children
 from fleet.processes.children import Children
 from fleet.processes.interrupts import HungUp, Unbroken, holding_interrupts
-from fleet.reader import LogReader
 
 FLEET = [sys.executable, "-m", "fleet"]
 LONG = ["--duration", "60 s", "--speed", "5"]

@@ -24,7 +24,7 @@ from waiting import wait_for
 from agents.join_file import JoinError, Joining
 from fleet.cli import cli
 from fleet.external import ExternalError
-from fleet.reader import digest
+from fleet.logs.reader import digest
 from fleet.run import Options, execute
 from fleet.scenario.scenario import load_scenario, parse_scenario
 from netem.wire.messages import PROTOCOL_VERSION

@@ -17,7 +17,7 @@ from agents.agent import make_agent
 from agents.config import AgentConfig
 from fleet.cli import cli
 from fleet.fed import NotRecordedError
-from fleet.log_schemas import Column, DoublesEncoder
+from fleet.logs.schemas import Column, DoublesEncoder
 from fleet.run import Options, Status, execute
 from fleet.scenario.scenario import load_scenario
 from fleet.verify import describe, verify

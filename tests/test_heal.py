@@ -11,7 +11,7 @@ from hand import Hand
 from live import LiveRun
 from waiting import wait_for
 
-from fleet.reader import digest
+from fleet.logs.reader import digest
 from fleet.remote import RemoteError, ask
 from fleet.run import Options, execute
 from fleet.scenario.scenario import load_scenario

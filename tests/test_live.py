@@ -16,7 +16,7 @@ from live import LiveRun
 
 from fleet.cli import cli
 from fleet.clock import Clock, LiveClock
-from fleet.reader import digest
+from fleet.logs.reader import digest
 from fleet.remote import RemoteError, find, live_runs
 from fleet.run import Options, execute
 from fleet.scenario.scenario import parse_scenario

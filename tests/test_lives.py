@@ -17,7 +17,7 @@ from test_plugins import failing
 from test_plugins import module as module  # a fixture
 from test_scenario import only_problem, small
 
-from fleet.reader import digest
+from fleet.logs.reader import digest
 from fleet.run import Options, Result, Status, execute
 from fleet.scenario.scenario import load_scenario, parse_scenario
 from fleet.script import script

@@ -18,10 +18,10 @@ from mcap.writer import Writer
 from mcap_protobuf.decoder import DecoderFactory
 
 import fleet
-from fleet.arrays import FaultInterval, LogKeyError
 from fleet.errors import ScenarioError
-from fleet.log_schemas import Column, _descriptor_set, flat_schema
-from fleet.reader import LogReadError
+from fleet.logs.open_log import FaultInterval, LogKeyError
+from fleet.logs.reader import LogReadError
+from fleet.logs.schemas import Column, _descriptor_set, flat_schema
 from fleet.run import Options, execute
 from fleet.scenario.scenario import load_scenario
 

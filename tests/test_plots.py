@@ -18,10 +18,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 import fleet
-from fleet.arrays import FaultInterval
 from fleet.cli import cli
 from fleet.cli_log import KINDS
-from fleet.export import ExportError, columns, export
+from fleet.logs.export import ExportError, columns, export
+from fleet.logs.open_log import FaultInterval
 from fleet.pictures import PER_RUN, WHAT, Look, draw, exchange, load, signals
 from fleet.pictures.axes import shade
 from fleet.pictures.runs import NothingToDraw, Run, with_gaps

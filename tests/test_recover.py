@@ -25,9 +25,9 @@ from mcap.reader import make_reader
 from mcap.writer import Writer
 
 from fleet.cli import cli
-from fleet.reader import GAPS, LOST, RECOVERY, LogReader, LogReadError, Record
-from fleet.records import MAGIC, MOST_BYTES
-from fleet.recover import Recovered, RecoverError, recover
+from fleet.logs.reader import GAPS, LOST, RECOVERY, LogReader, LogReadError, Record
+from fleet.logs.records import MAGIC, MOST_BYTES
+from fleet.logs.recover import Recovered, RecoverError, recover
 from fleet.run import Options, execute
 from fleet.scenario.scenario import load_scenario
 

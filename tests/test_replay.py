@@ -29,17 +29,17 @@ from mcap.writer import CompressionType, Writer
 from waiting import wait_for
 
 from fleet.cli import cli
-from fleet.info import describe, read_info
+from fleet.logs.info import describe, read_info
+from fleet.logs.reader import LogReader, LogReadError, Record
+from fleet.logs.tape import Tape
 from fleet.processes.interrupts import holding_interrupts
 from fleet.processes.ports import free_port
-from fleet.reader import LogReader, LogReadError, Record
 from fleet.record import Gone, TrafficWriter
 from fleet.replay import Replay, Wishes
 from fleet.run import Options, Status, execute
 from fleet.scenario.scenario import load_scenario
 from fleet.selection import Renaming, SelectionError, chosen, pattern
 from fleet.stamp import Stamp, pack, unpack
-from fleet.tape import Tape
 from fleet.traffic import ATTACHMENT, ENCODING, KIND, message_encoding, zenoh_encoding
 from netem.errors import BusError
 from netem.wire.access import Credentials

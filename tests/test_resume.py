@@ -14,7 +14,7 @@ from test_plugins import module as module  # a fixture
 from test_scenario import only_problem, small
 
 from fleet.cli import cli
-from fleet.reader import LogReader, Record
+from fleet.logs.reader import LogReader, Record
 from fleet.resume import Start, parse_from, prepare
 from fleet.run import Options, Result, Status, execute
 from fleet.scenario.scenario import Scenario, load_scenario

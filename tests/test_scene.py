@@ -17,8 +17,8 @@ from mcap_protobuf.decoder import DecoderFactory
 from test_scenario import only_problem, small
 
 import fleet
-from fleet.log_values import _unit
-from fleet.reader import LogReader
+from fleet.logs.decoder import _unit
+from fleet.logs.reader import LogReader
 from fleet.resume import prepare
 from fleet.run import Options, Result, execute
 from fleet.scenario.scenario import load_scenario

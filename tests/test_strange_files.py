@@ -23,10 +23,10 @@ from fleet.errors import ScenarioError
 from fleet.hosts.certificates import CertsError
 from fleet.hosts.certificates import _read as read_pem
 from fleet.hosts.rendezvous import HostsError, read_credentials
+from fleet.logs.result_file import ResultError, read_result, read_timing
 from fleet.pictures import Look, Run, load
 from fleet.remote import live_runs
 from fleet.report import page
-from fleet.result_file import ResultError, read_result, read_timing
 from fleet.run import Options, execute
 from fleet.scenario.scenario import load_scenario, parse_scenario
 from fleet.scenario.sections.modem_files import load_modem

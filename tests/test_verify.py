@@ -17,15 +17,15 @@ from mcap.records import Attachment, Metadata
 from test_live import tool as op
 from waiting import wait_for
 
-import fleet.deviation
+import fleet.logs.deviation
 from fleet.cli import cli
-from fleet.deviation import compare
-from fleet.log_values import Decoder
-from fleet.reader import LogReader, open_file
-from fleet.records import Block, Message
-from fleet.recover import Copy, Recovered, recover
+from fleet.logs.decoder import Decoder
+from fleet.logs.deviation import compare
+from fleet.logs.reader import LogReader, open_file
+from fleet.logs.records import Block, Message
+from fleet.logs.recover import Copy, Recovered, recover
+from fleet.logs.salvage import Item, Salvage
 from fleet.run import Options, Status, execute
-from fleet.salvage import Item, Salvage
 from fleet.scenario.scenario import load_scenario
 from fleet.verify import Verification, describe, verify
 
@@ -357,7 +357,7 @@ def test_missing_messages_and_topics_are_counted(log: Path, tmp_path: Path) -> N
 
 def test_memory_is_bounded(log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Of a log that stops early the other's messages cannot all wait for their halves."""
-    monkeypatch.setattr(fleet.deviation, "MOST_WAITING", 20)
+    monkeypatch.setattr(fleet.logs.deviation, "MOST_WAITING", 20)
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(log.read_bytes()[: log.stat().st_size * 2 // 3])
     found = compare(LogReader(log), LogReader(cut))
@@ -371,7 +371,7 @@ def test_memory_is_bounded(log: Path, tmp_path: Path, monkeypatch: pytest.Monkey
 
 @pytest.mark.parametrize(("a", "b", "apart"), [(nan, nan, 0.0), (nan, 1.0, inf), (inf, inf, 0.0), (1.5, 1.0, 0.5)])
 def test_distance_of_what_is_no_number(a: float, b: float, apart: float) -> None:
-    assert fleet.deviation._apart(a, b) == apart
+    assert fleet.logs.deviation._apart(a, b) == apart
 
 
 def test_units_of_fields(log: Path) -> None:

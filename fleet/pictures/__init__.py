@@ -8,11 +8,11 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 from fleet.errors import FleetError
+from fleet.logs.reader import Tell
+from fleet.logs.topic import TooLargeError
 from fleet.pictures import exchange, signals, timing, track
 from fleet.pictures.runs import Look, NothingToDraw, Run, check_look, load
 from fleet.plotting import save
-from fleet.reader import Tell
-from fleet.topic import TooLargeError
 
 Draw = Callable[[Sequence[Run], Look], Figure]
 

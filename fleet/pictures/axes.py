@@ -13,11 +13,11 @@ from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from fleet.arrays import FaultInterval
+from fleet.logs.open_log import FaultInterval
+from fleet.logs.records import Array
 from fleet.palette import COLOURS
 from fleet.pictures.runs import Look, NothingToDraw, Run, first_words
 from fleet.plotting import COLUMN_IN, STYLES, panels
-from fleet.records import Array
 from fleet.scenario.sections.timeline import is_fault
 
 LABEL_PT = 6.0

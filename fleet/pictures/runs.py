@@ -13,9 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from fleet.arrays import Log, open_drawn
 from fleet.errors import FleetError
-from fleet.records import Array
+from fleet.logs.open_log import Log, open_drawn
+from fleet.logs.records import Array
 from fleet.scenario.scenario import Scenario
 
 GAP = 1.5  # times the usual distance of two samples: more, and the line is broken

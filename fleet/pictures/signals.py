@@ -8,11 +8,11 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from fleet.logs.records import Array
 from fleet.pictures.axes import Get, draw_lines, finish, over_time
 from fleet.pictures.axes import bounds as draw_bounds
 from fleet.pictures.runs import Look, Run
 from fleet.plotting import plain_decades
-from fleet.records import Array
 from fleet.scenario.sections.per_vehicle import Control
 
 FORCES = (("surge force", "N"), ("pitch moment", "N m"), ("yaw moment", "N m"))

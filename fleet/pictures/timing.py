@@ -11,12 +11,12 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from fleet.logs.reader import CLOCK, REAL
+from fleet.logs.result_file import ResultError, read_timing
 from fleet.palette import COLOURS
 from fleet.pictures.axes import MOST_NAMED, legend_of
 from fleet.pictures.runs import Look, NothingToDraw, Run
 from fleet.plotting import COLUMN_IN, STYLES, panels
-from fleet.reader import CLOCK, REAL
-from fleet.result_file import ResultError, read_timing
 
 GREY = "#999999"
 

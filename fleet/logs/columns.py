@@ -12,10 +12,10 @@ from google.protobuf.descriptor import Descriptor, FieldDescriptor
 from google.protobuf.message import DecodeError
 from mcap.records import Schema
 
-from fleet.log_schemas import head
-from fleet.log_values import MOST_DECODED, message_class
-from fleet.reader import LogReadError
-from fleet.records import Array
+from fleet.logs.decoder import MOST_DECODED, message_class
+from fleet.logs.reader import LogReadError
+from fleet.logs.records import Array
+from fleet.logs.schemas import head
 
 _WORDS = 4096  # different texts of a column that are held once only
 _NESTED = 20  # times as large as its bytes is a message that is held as an object, about

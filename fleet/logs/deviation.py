@@ -17,10 +17,10 @@ from typing import Any
 
 import numpy as np
 
-from fleet.difference import Difference, side
-from fleet.log_values import Decoder, Value
-from fleet.reader import LogReader, Record
-from fleet.records import Block, Message
+from fleet.logs.decoder import Decoder, Value
+from fleet.logs.first_difference import Difference, side
+from fleet.logs.reader import LogReader, Record
+from fleet.logs.records import Block, Message
 
 MOST_WAITING_BYTES = 64 << 20  # of them
 _STEP = 4096  # messages that are compared at once

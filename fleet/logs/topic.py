@@ -10,9 +10,9 @@ from functools import cached_property
 import numpy as np
 from mcap.records import Channel, Schema
 
-from fleet.columns import Columnizer, Columns, cost, extremes, joined
-from fleet.reader import LogReadError
-from fleet.records import Array, Block
+from fleet.logs.columns import Columnizer, Columns, cost, extremes, joined
+from fleet.logs.reader import LogReadError
+from fleet.logs.records import Array, Block
 from netem.parsing import nearest
 
 MOST_HELD = 320 << 20  # bytes of a log that are held at once

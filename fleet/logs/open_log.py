@@ -19,10 +19,10 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-import fleet.topic as held
-from fleet.reader import LogReader, LogReadError, Tell, log_path
-from fleet.records import Block
-from fleet.topic import LogKeyError, Topic
+import fleet.logs.topic as held
+from fleet.logs.reader import LogReader, LogReadError, Tell, log_path
+from fleet.logs.records import Block
+from fleet.logs.topic import LogKeyError, Topic
 from netem.parsing import nearest
 
 if TYPE_CHECKING:

@@ -9,8 +9,8 @@ from math import isfinite
 from pathlib import Path
 from typing import Any
 
-from fleet.log_values import Decoder, Value
-from fleet.reader import LogReader, Record
+from fleet.logs.decoder import Decoder, Value
+from fleet.logs.reader import LogReader, Record
 
 _MOST_BYTES = 24  # of a payload, shown
 

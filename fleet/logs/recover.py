@@ -14,9 +14,9 @@ from mcap.records import Attachment, Channel, Header, Metadata, Schema
 from mcap.writer import CompressionType, Writer
 
 from fleet.errors import FleetError
-from fleet.reader import GAPS, LOST, RECOVERY, Tell, log_path, lost, open_any
-from fleet.records import MAGIC, Block, Message
-from fleet.salvage import ChunkEnd, Item, Salvage, declarations
+from fleet.logs.reader import GAPS, LOST, RECOVERY, Tell, log_path, lost, open_any
+from fleet.logs.records import MAGIC, Block, Message
+from fleet.logs.salvage import ChunkEnd, Item, Salvage, declarations
 
 
 class RecoverError(FleetError):

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from fleet.reader import LogReader, Tell, log_path
+from fleet.logs.reader import LogReader, Tell, log_path
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,7 +17,7 @@ from typing import IO, NamedTuple
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, DataEnd, Header, Metadata, Schema
 
-from fleet.records import (
+from fleet.logs.records import (
     CHUNK,
     HEAD,
     MAGIC,

@@ -22,12 +22,12 @@ from typing import IO, Any, NamedTuple
 
 import numpy as np
 
-from fleet.arrays import Log
-from fleet.columns import Columns, objects
 from fleet.errors import FleetError
-from fleet.reader import LogReader, Tell
-from fleet.records import Array, Block
-from fleet.topic import Topic
+from fleet.logs.columns import Columns, objects
+from fleet.logs.open_log import Log
+from fleet.logs.reader import LogReader, Tell
+from fleet.logs.records import Array, Block
+from fleet.logs.topic import Topic
 
 INDEX = "export.json"
 MOST_OPEN = 200  # tables that are written at once: Parquet keeps its files open

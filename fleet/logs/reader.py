@@ -15,8 +15,8 @@ import numpy as np
 from mcap.records import Attachment, Channel, Header, Metadata, Schema
 
 from fleet.errors import FleetError
-from fleet.records import MAGIC, Block
-from fleet.salvage import Damage, Item, Salvage
+from fleet.logs.records import MAGIC, Block
+from fleet.logs.salvage import Damage, Item, Salvage
 
 CLOCK, REAL = "clock", "real"  # metadata of a run without lockstep: it would not come out the same again
 RECOVERY = "recovery"  # metadata of a file that `fleet recover` wrote
@@ -46,7 +46,7 @@ class Record(NamedTuple):
 class LogReader:
     """Iterates the messages of a log once; what else it holds is there when the iteration is over.
 
-    It stops at the first damaged place, so that what it yields is how the run began, without a gap; `fleet.recover`
+    It stops at the first damaged place, so that what it yields is how the run began, without a gap; `fleet.logs.recover`
     goes on behind.
     """
 

@@ -17,9 +17,9 @@ from typing import NamedTuple
 import numpy as np
 from mcap.records import Channel, Schema
 
-from fleet.reader import LogReader, LogReadError, Tell, open_file
-from fleet.records import Array, Block, together
-from fleet.salvage import Salvage
+from fleet.logs.reader import LogReader, LogReadError, Tell, open_file
+from fleet.logs.records import Array, Block, together
+from fleet.logs.salvage import Salvage
 
 _STRETCH = 1 << 20  # bytes unpacked, at least, but at the end
 _LATEST = (1 << 64) - 1  # ns

@@ -12,7 +12,7 @@ from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 from google.protobuf.message import DecodeError, Message
 from mcap.records import Channel, Schema
 
-from fleet.reader import LogReader, Record
+from fleet.logs.reader import LogReader, Record
 
 MOST_DECODED = 8 << 20  # bytes of a message: decoded, it takes up to fifty times as much
 MOST_VALUES = 100_000  # of a message that is told field by field

@@ -1,0 +1,1 @@
+"""Reading logs, whole, cut or damaged, as messages, arrays or tables."""

@@ -27,7 +27,7 @@ def protocol(context: click.Context) -> None:
       fleet protocol check --id 3
     """
     if context.invoked_subcommand is None:
-        from fleet.protocol import page
+        from fleet.protocol.page import page
 
         click.echo(page(), nl=False)
 
@@ -52,8 +52,8 @@ def check(vehicle: int, scenario: str, trust: Trust, join_file: Path | None, tim
       fleet protocol check --id 3
       fleet protocol check --id 2 --scenario rough-sea --join-file /tmp/join-2.json
     """
-    from fleet.conformance import Examination
     from fleet.errors import printable
+    from fleet.protocol.conformance import Examination
     from fleet.scenario.scenario import load_scenario
     from netem.wire.bus import quiet_zenoh
 

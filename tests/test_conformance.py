@@ -19,9 +19,9 @@ from click.testing import CliRunner
 from live import LiveRun
 from waiting import wait_for
 
-from fleet import conformance
 from fleet.cli import cli
-from fleet.conformance import CHECKS, Check, ConformanceError, Examination
+from fleet.protocol import conformance
+from fleet.protocol.conformance import CHECKS, Check, ConformanceError, Examination
 from fleet.scenario.scenario import load_scenario
 from fleet.verify import describe, verify
 

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from fleet import slice_fields
-from fleet.protocol import page
+from fleet.protocol import slice_fields
+from fleet.protocol.page import page
 
 ROOT = Path(__file__).parent.parent
 

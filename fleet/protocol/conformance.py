@@ -20,9 +20,9 @@ import msgpack
 
 from agents import payload
 from agents.join_file import Joining
-from fleet.counterpart import Counterpart
 from fleet.errors import FleetError
 from fleet.processes.ports import free_port
+from fleet.protocol.counterpart import Counterpart
 from fleet.scenario.scenario import Scenario
 from netem.errors import BusError, MalformedMessage, OutOfPlace
 from netem.wire.access import agent_role, generate

@@ -5,7 +5,7 @@ from __future__ import annotations
 from inspect import getdoc
 
 from agents import compact, payload
-from fleet import slice_fields
+from fleet.protocol import slice_fields
 from netem.wire.access import LEASE_MS
 from netem.wire.messages import PROTOCOL_VERSION, Arrival, Delivery, Fate, Frame, VehicleFrame, declared, fields_of
 from netem.wire.settings import MAX_BYTES

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 
 from fleet.clock import Clock
 from fleet.inprocess import InProcess
-from fleet.journal import Journal
+from fleet.recorder.journal import Journal
 from fleet.scenario.scenario import Scenario, frame_every, load_scenario
 from netem.config import NetemConfig
 from netem.network import Exchange, Netem

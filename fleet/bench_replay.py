@@ -13,17 +13,17 @@ from rich.table import Table
 
 from fleet.clock import Clock
 from fleet.inprocess import InProcess
-from fleet.journal import Journal
-from fleet.log import LogWriter
 from fleet.logs.reader import LogReader
 from fleet.logs.tape import Tape
-from fleet.metrics import VehicleError
 from fleet.processes.ports import free_port
 from fleet.record import Limits, Recorder, TrafficWriter
+from fleet.recorder.journal import Journal
+from fleet.recorder.metrics import VehicleError
+from fleet.recorder.snapshot import Snapshot
+from fleet.recorder.writer import LogWriter
 from fleet.replay import Replay, Wishes
 from fleet.scenario.scenario import Scenario, frame_every
 from fleet.scenario.sections.timeline import Event
-from fleet.snapshot import Snapshot
 from fleet.terminal.keyboard import Keyboard
 from fleet.terminal.status_line import StatusLine
 from netem.wire.bus import OpenBus

@@ -11,8 +11,8 @@ from statistics import median
 from fleet.bench_agent import agent_steps
 from fleet.clock import Clock
 from fleet.inprocess import InProcess
-from fleet.journal import Journal
-from fleet.log import LogWriter
+from fleet.recorder.journal import Journal
+from fleet.recorder.writer import LogWriter
 from fleet.scenario.scenario import load_scenario
 from netem.wire.messages import Command, Nav, decode, encode
 from world.sea import World

@@ -6,8 +6,8 @@ from dataclasses import asdict, dataclass
 from math import inf, isfinite
 from typing import Any
 
-from fleet.journal import Journal
 from fleet.quantities import vehicle_numbers
+from fleet.recorder.journal import Journal
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.schema.spec import (
     EVERY,

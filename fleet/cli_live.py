@@ -89,7 +89,7 @@ def status(run: Path | None, out: Path, watch: bool) -> None:
       fleet status
       fleet status -w --run runs/paper-1-20261121-120000
     """
-    from fleet.metrics import Spread
+    from fleet.recorder.metrics import Spread
     from fleet.remote import RemoteError, find, is_live
     from fleet.remote import ask as ask_run
 

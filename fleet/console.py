@@ -31,7 +31,6 @@ from fleet.errors import RunBroken, StoppedError, printable
 from fleet.external import Joins
 from fleet.guardian import Guardian
 from fleet.hosts.rendezvous import Meeting
-from fleet.journal import Journal
 from fleet.processes.children import (
     FORKSERVER_LOST,
     Child,
@@ -46,6 +45,7 @@ from fleet.processes.children import (
 from fleet.processes.open_files import allow_open_files
 from fleet.processes.ports import free_port
 from fleet.processes.private_folder import PrivateFolder
+from fleet.recorder.journal import Journal
 from fleet.rundir import RunDirectory
 from fleet.scenario.scenario import Scenario, frame_every
 from netem.errors import BusError, MalformedMessage, OutOfPlace

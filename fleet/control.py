@@ -14,7 +14,7 @@ from typing import Any
 from pydantic import TypeAdapter, ValidationError
 
 from fleet.clock import LiveClock
-from fleet.journal import Journal
+from fleet.recorder.journal import Journal
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.schema.spec import FaultEntry, FaultSection
 from fleet.scenario.sections.partitions import FaultError

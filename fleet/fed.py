@@ -16,8 +16,8 @@ from fleet.errors import FleetError
 from fleet.logs.decoder import Decoder
 from fleet.logs.reader import LogReader
 from fleet.logs.schemas import COMMAND, DoublesEncoder, signal_columns
+from fleet.recorder.snapshot import TOPIC, Snapshot
 from fleet.scenario.scenario import Scenario
-from fleet.snapshot import TOPIC, Snapshot
 from netem.impairment import LinkModel
 from netem.network import PERFECT
 from netem.wire.messages import Delivery, Memory, Nav

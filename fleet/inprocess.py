@@ -19,7 +19,7 @@ from agents.loop import AgentLoop, Answer
 from fleet.clock import Clock
 from fleet.errors import RunBroken
 from fleet.fed import Feed
-from fleet.journal import Journal
+from fleet.recorder.journal import Journal
 from fleet.resume import Start
 from fleet.scenario.scenario import Scenario, frame_every
 from fleet.scenario.sections.timeline import MOST_RESTARTS

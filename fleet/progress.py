@@ -9,7 +9,7 @@ from types import TracebackType
 from rich.console import Console as Terminal
 from rich.progress import BarColumn, Progress, TextColumn
 
-from fleet.journal import Journal
+from fleet.recorder.journal import Journal
 from fleet.scenario.scenario import Scenario
 from fleet.terminal.status_line import PLAIN_S, REFRESH_S, StatusLine
 

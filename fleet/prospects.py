@@ -7,9 +7,9 @@ from itertools import combinations
 from math import dist
 
 from fleet.quantities import vehicle_numbers
+from fleet.recorder.settling import least_s
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.schema.spec import EVERY
-from fleet.settling import least_s
 from fleet.stability import oldest_s
 from netem.correlation import effective
 

@@ -45,7 +45,7 @@ class PublishError(FleetError):
 
 
 class LivePublisher:
-    """What the log writer tells of each message; see `fleet.log.Tap`. `open` starts the process."""
+    """What the log writer tells of each message; see `fleet.recorder.writer.Tap`. `open` starts the process."""
 
     def __init__(self, run: str, observe: Path, *, wait: bool = False) -> None:
         """`observe`: the file that says, while the run lives, where and as whom to listen; `wait`: for `heard`."""

@@ -15,11 +15,11 @@ from agents.errors import AgentError
 from fleet.clock import Clock
 from fleet.errors import RunBroken
 from fleet.inprocess import InProcess
-from fleet.journal import Journal
-from fleet.metrics import VehicleError
+from fleet.recorder.journal import Journal
+from fleet.recorder.metrics import VehicleError
+from fleet.recorder.snapshot import Snapshot
 from fleet.scenario.scenario import Scenario, frame_every
 from fleet.scenario.sections.timeline import Event
-from fleet.snapshot import Snapshot
 from netem.wire.messages import Command, Fate, Frame
 from world.errors import WorldError
 

@@ -22,12 +22,12 @@ from fleet.errors import RunBroken, StoppedError
 from fleet.external import ExternalError, refuse
 from fleet.hosts.rendezvous import Meeting
 from fleet.inprocess import InProcess
-from fleet.journal import Journal, Spell
-from fleet.log import LogError, LogWriter
 from fleet.processes.interrupts import HungUp, Unbroken
 from fleet.processes.ports import free_port
 from fleet.progress import ProgressLine
 from fleet.publish import LivePublisher, PublishError
+from fleet.recorder.journal import Journal, Spell
+from fleet.recorder.writer import LogError, LogWriter
 from fleet.resume import Start
 from fleet.rundir import RunDirectory
 from fleet.scenario.scenario import Scenario, frame_every

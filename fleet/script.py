@@ -12,11 +12,11 @@ from fleet.errors import FleetError
 from fleet.logs.decoder import Decoder
 from fleet.logs.reader import CLOCK, REAL, LogReader, Record, Tell, log_path
 from fleet.quantities import show_time
+from fleet.recorder.snapshot import START
 from fleet.scenario.scenario import Scenario, parse_scenario
 from fleet.scenario.schema.spec import EVERY
 from fleet.scenario.sections.timeline import is_fault
 from fleet.scenario.trust import READING, Policy
-from fleet.snapshot import START
 
 MOST_EVENTS = 200_000  # of faults: one begins and one ends every second for a day
 MOST_TEXT = 64 << 20  # bytes of all of them

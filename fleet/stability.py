@@ -25,8 +25,8 @@ from typing import Any
 import numpy as np
 
 from fleet.border import MOST_DELAY_S, LinearFleet, Mode, linear_fleet
-from fleet.connectivity import Connectivity
 from fleet.linear import NotLinear
+from fleet.recorder.connectivity import Connectivity
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.sections import acoustic as acoustics
 from fleet.scenario.sections.per_vehicle import Control

@@ -21,11 +21,11 @@ from fleet.errors import FleetError, RunBroken
 from fleet.external import named
 from fleet.fed import NotRecordedError, feeds
 from fleet.inprocess import InProcess
-from fleet.journal import Journal
-from fleet.log import LogWriter, run_metadata
 from fleet.logs.decoder import Decoder
 from fleet.logs.first_difference import Difference, Side, side
 from fleet.logs.reader import GAPS, RECOVERY, LogReader, Record
+from fleet.recorder.journal import Journal
+from fleet.recorder.writer import LogWriter, run_metadata
 from fleet.resume import Start, begun
 from fleet.scenario.scenario import Scenario, frame_every, parse_scenario
 from fleet.scenario.trust import Policy

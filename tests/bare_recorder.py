@@ -18,8 +18,8 @@ from typing import Any
 
 from fleet.clock import Clock
 from fleet.inprocess import InProcess
-from fleet.journal import Journal
-from fleet.log import LogWriter
+from fleet.recorder.journal import Journal
+from fleet.recorder.writer import LogWriter
 from fleet.scenario.scenario import Scenario, frame_every, load_scenario
 
 OVERRIDES = ["vehicles=3", "duration=4 s", "checks={}", "network.links={'*': 'delay 200ms 50ms loss 30%'}"]

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fleet.connectivity import Connectivity
-from fleet.separation import Separation
+from fleet.recorder.connectivity import Connectivity
+from fleet.recorder.separation import Separation
 from netem.ages import Age, Ages
 from netem.condition import Condition
 from netem.config import NetemConfig

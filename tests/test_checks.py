@@ -14,7 +14,7 @@ from test_scenario import SMALL, WILD, small
 
 from fleet.checks import Verdict, judge
 from fleet.errors import ScenarioError
-from fleet.journal import Journal
+from fleet.recorder.journal import Journal
 from fleet.run import Options, Result, Status, execute
 from fleet.scenario.scenario import Scenario, frame_every, load_scenario, parse_scenario
 from fleet.script import script

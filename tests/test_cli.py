@@ -19,9 +19,9 @@ from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
 from fleet.cli import cli
-from fleet.log import LogError
 from fleet.logs.reader import digest
 from fleet.publish import PublishError
+from fleet.recorder.writer import LogError
 from fleet.scenario.scenario import list_scenarios, load_scenario
 
 ROOT = Path(__file__).parent.parent

@@ -31,10 +31,10 @@ from fleet import timing
 from fleet.cli import cli
 from fleet.clock import Clock
 from fleet.inprocess import InProcess
-from fleet.journal import Journal
-from fleet.log import LogWriter
 from fleet.pictures import Look, NothingToDraw, load
 from fleet.pictures.timing import punctuality
+from fleet.recorder.journal import Journal
+from fleet.recorder.writer import LogWriter
 from fleet.remote import RemoteError
 from fleet.run import Options, Status, execute
 from fleet.scenario.scenario import Scenario, frame_every, load_scenario

@@ -37,9 +37,9 @@ from fleet.cli import cli
 from fleet.clock import Clock, LiveClock
 from fleet.control import Operator
 from fleet.errors import FleetError, ScenarioError
-from fleet.journal import Journal
 from fleet.logs.reader import LogReader
 from fleet.logs.recover import recover
+from fleet.recorder.journal import Journal
 from fleet.run import Options, execute
 from fleet.scenario.scenario import load_scenario, parse_scenario, shipped
 from fleet.scenario.trust import Policy

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from agents.loop import AgentLoop
 from fleet.clock import Clock
-from fleet.journal import Journal
-from fleet.log import LogWriter
+from fleet.recorder.journal import Journal
+from fleet.recorder.writer import LogWriter
 from fleet.scenario.scenario import load_scenario
 from netem.errors import OutOfPlace
 from netem.wire.messages import Command, Delivery, Frame, Inbox, LinkReport, Nav, Round, Transmission

@@ -19,11 +19,11 @@ from test_scenario import only_problem, small
 import fleet
 from fleet.logs.decoder import _unit
 from fleet.logs.reader import LogReader
+from fleet.recorder.scene import CUTS, HISTORY, LINKS, LinkHistories, Scene, diameter, hull
+from fleet.recorder.transforms import quaternion
 from fleet.resume import prepare
 from fleet.run import Options, Result, execute
 from fleet.scenario.scenario import load_scenario
-from fleet.scene import CUTS, HISTORY, LINKS, LinkHistories, Scene, diameter, hull
-from fleet.transforms import quaternion
 from netem.causes import CAUSES, DELIVERED, IN_FLIGHT
 from netem.wire.messages import Fate, Frame, VehicleFrame
 

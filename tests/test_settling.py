@@ -11,9 +11,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rich.console import Console as Terminal
 
+from fleet.recorder.settling import least_s, settling_time
 from fleet.run import Options, execute
 from fleet.scenario.scenario import load_scenario
-from fleet.settling import least_s, settling_time
 from fleet.table import show
 from world.config import Harmonic
 from world.disturbance import PAPER

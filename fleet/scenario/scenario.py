@@ -20,6 +20,7 @@ from agents.signals import Layout
 from agents.trajectory import Reference
 from fleet.errors import Problem, ScenarioError
 from fleet.quantities import vehicle_numbers
+from fleet.recorder.snapshot import log_every, memory_ticks
 from fleet.scenario.schema.spec import CurrentSection, ScenarioSpec, VehicleSection
 from fleet.scenario.sections import (
     acoustic as acoustics,
@@ -45,7 +46,6 @@ from fleet.scenario.text.overrides import apply, override_name
 from fleet.scenario.text.yaml_reader import Mapping, Scalar, Source, read
 from fleet.scenario.trust import READING, Policy, stranger
 from fleet.scenario.validation import validate
-from fleet.snapshot import log_every, memory_ticks
 from netem.condition import Condition, Link
 from netem.config import NetemConfig
 from netem.modem import AcousticConfig

@@ -22,6 +22,7 @@ from agents.trajectory import Path as Path_
 from agents.trajectory import PathError
 from fleet.errors import Problem
 from fleet.quantities import RATE, SPEED, QuantityError, Vec3, show, show_time, show_vector, vehicle_numbers
+from fleet.recorder.snapshot import snapshot_grid
 from fleet.scenario.schema.shapes import FORMATION, GRAPH, REFERENCE, Keys
 from fleet.scenario.schema.spec import (
     EVERY,
@@ -45,7 +46,6 @@ from fleet.scenario.sections.timeline import plan as fault_plan
 from fleet.scenario.sections.vehicle_files import VehicleFileError, mass_problems
 from fleet.scenario.text.yaml_reader import Mapping, locate
 from fleet.scenario.trust import READING, Policy
-from fleet.snapshot import snapshot_grid
 from netem.condition import Link
 from netem.parsing import GrammarError, nearest
 from netem.selectors import parse_selector, select

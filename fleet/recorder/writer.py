@@ -44,13 +44,13 @@ from fleet.logs.schemas import (
     signal_columns,
     stamp_of,
 )
-from fleet.metrics import VehicleError
+from fleet.recorder.metrics import VehicleError
+from fleet.recorder.scene import SCENE_UNITS, Scene
+from fleet.recorder.snapshot import START, TOPIC, Snapshot, forgetful
+from fleet.recorder.transforms import NED, TRANSFORMS_UNITS, quaternion, transforms
 from fleet.resume import Start
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.sections.timeline import Event
-from fleet.scene import SCENE_UNITS, Scene
-from fleet.snapshot import START, TOPIC, Snapshot, forgetful
-from fleet.transforms import NED, TRANSFORMS_UNITS, quaternion, transforms
 from netem.wire.messages import Command, Fate, Frame, VehicleFrame
 
 SECOND_NS = 1_000_000_000

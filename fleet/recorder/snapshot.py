@@ -47,7 +47,7 @@ class Snapshot:
     world: dict[str, Any]  # of world.lockstep, the agents' memories in it
     network: dict[str, Any]  # of netem.network
     heard: list[list[int]]  # [src, dst, newest tick of sending that arrived] of each link
-    drawn: list[list[Any]] = field(default_factory=list)  # what became of the last packets; see `fleet.scene`
+    drawn: list[list[Any]] = field(default_factory=list)  # what became of the last packets; see `fleet.recorder.scene`
 
     def to_bytes(self) -> bytes:
         packed: bytes = msgpack.packb([_FORMAT, self.tick, self.world, self.network, self.heard, self.drawn])

@@ -15,12 +15,12 @@ from typing import NamedTuple, Protocol
 
 import msgpack
 
-from fleet.connectivity import Connectivity
-from fleet.metrics import Metrics, VehicleError
+from fleet.recorder.connectivity import Connectivity
+from fleet.recorder.metrics import Metrics, VehicleError
+from fleet.recorder.separation import Separation
+from fleet.recorder.snapshot import Snapshot
 from fleet.scenario.scenario import Scenario, frame_every
 from fleet.scenario.sections.timeline import DIVERGED, TUMBLED, Event, event_order
-from fleet.separation import Separation
-from fleet.snapshot import Snapshot
 from netem.ages import Ages
 from netem.errors import OutOfPlace
 from netem.ledger import Ledger

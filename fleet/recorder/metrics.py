@@ -4,7 +4,7 @@
 |---|---|---|---|
 | e_i | consensus error from true positions | m | paper eq. (8) |
 | formation error | position minus desired position eta_1^d(t) + p_i | m | docs/paper.md, G12 |
-| settle | first time after which a quantity stays below its limit to the end, for long enough | s | `fleet.settling` |
+| settle | first time after which a quantity stays below its limit to the end, for long enough | s | `fleet.recorder.settling` |
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from statistics import median
 from typing import Any, NamedTuple
 
 from agents.signals import Layout
+from fleet.recorder.settling import below_from, least_s, settling_time, stayed
 from fleet.scenario.scenario import Scenario
-from fleet.settling import below_from, least_s, settling_time, stayed
 from netem.wire.messages import Command, Frame
 from world.vectors import Vec3, plus
 

@@ -28,9 +28,9 @@ from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
 from google.protobuf.timestamp_pb2 import Timestamp
 
 from fleet.palette import COLOURS
+from fleet.recorder.snapshot import Snapshot
+from fleet.recorder.transforms import NO_TURN, REFERENCE, enu, stamp_at
 from fleet.scenario.scenario import Scenario
-from fleet.snapshot import Snapshot
-from fleet.transforms import NO_TURN, REFERENCE, enu, stamp_at
 from netem.causes import DEAD_RECEIVER, DEAD_SENDER, DEAF, DELIVERED, DOWN, IN_FLIGHT, MUTE, PARTITION
 from netem.condition import Link
 from netem.wire.messages import Fate, Frame

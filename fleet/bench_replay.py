@@ -16,12 +16,12 @@ from fleet.inprocess import InProcess
 from fleet.logs.reader import LogReader
 from fleet.logs.tape import Tape
 from fleet.processes.ports import free_port
-from fleet.record import Limits, Recorder, TrafficWriter
 from fleet.recorder.journal import Journal
 from fleet.recorder.metrics import VehicleError
 from fleet.recorder.snapshot import Snapshot
 from fleet.recorder.writer import LogWriter
-from fleet.replay import Replay, Wishes
+from fleet.replay.capture import Limits, Recorder, TrafficWriter
+from fleet.replay.playback import Replay, Wishes
 from fleet.scenario.scenario import Scenario, frame_every
 from fleet.scenario.sections.timeline import Event
 from fleet.terminal.keyboard import Keyboard

@@ -59,7 +59,7 @@ class Endpoint(click.ParamType[str]):
 
 
 def _rate(ctx: click.Context, param: click.Parameter, value: float) -> float:
-    from fleet.player import FASTEST, SLOWEST
+    from fleet.replay.player import FASTEST, SLOWEST
 
     if value and not SLOWEST <= value <= FASTEST:
         raise click.BadParameter(f"expected 0 or {SLOWEST:g} to {FASTEST:g}, got {value:g}")
@@ -131,7 +131,7 @@ def replay(
     """
     from fleet.logs.reader import log_path
     from fleet.logs.tape import Tape
-    from fleet.replay import Replay, Wishes
+    from fleet.replay.playback import Replay, Wishes
     from fleet.terminal.keyboard import Keyboard
     from fleet.terminal.share_done import showing
     from fleet.terminal.status_line import StatusLine
@@ -204,7 +204,7 @@ def record(
       fleet record --run runs/latest -o journal.mcap
     """
     from fleet.processes.interrupts import holding_interrupts
-    from fleet.record import Gone, Limits, Recorder, TrafficWriter
+    from fleet.replay.capture import Gone, Limits, Recorder, TrafficWriter
     from fleet.terminal.status_line import StatusLine
 
     credentials = None

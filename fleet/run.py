@@ -25,9 +25,9 @@ from fleet.inprocess import InProcess
 from fleet.processes.interrupts import HungUp, Unbroken
 from fleet.processes.ports import free_port
 from fleet.progress import ProgressLine
-from fleet.publish import LivePublisher, PublishError
 from fleet.recorder.journal import Journal, Spell
 from fleet.recorder.writer import LogError, LogWriter
+from fleet.replay.publisher import LivePublisher, PublishError
 from fleet.resume import Start
 from fleet.rundir import RunDirectory
 from fleet.scenario.scenario import Scenario, frame_every

@@ -20,8 +20,8 @@ from mcap_protobuf.decoder import DecoderFactory
 
 from fleet.cli import cli
 from fleet.logs.reader import digest
-from fleet.publish import PublishError
 from fleet.recorder.writer import LogError
+from fleet.replay.publisher import PublishError
 from fleet.scenario.scenario import list_scenarios, load_scenario
 
 ROOT = Path(__file__).parent.parent

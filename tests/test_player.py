@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fleet.player import LATE_NS, Metronome, Pace, Player
+from fleet.replay.player import LATE_NS, Metronome, Pace, Player
 from fleet.terminal.keyboard import Key, decode
 
 S = 1_000_000_000

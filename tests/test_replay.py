@@ -34,13 +34,13 @@ from fleet.logs.reader import LogReader, LogReadError, Record
 from fleet.logs.tape import Tape
 from fleet.processes.interrupts import holding_interrupts
 from fleet.processes.ports import free_port
-from fleet.record import Gone, TrafficWriter
-from fleet.replay import Replay, Wishes
+from fleet.replay.attachment import Stamp, pack, unpack
+from fleet.replay.capture import Gone, TrafficWriter
+from fleet.replay.capture_format import ATTACHMENT, ENCODING, KIND, message_encoding, zenoh_encoding
+from fleet.replay.playback import Replay, Wishes
+from fleet.replay.selection import Renaming, SelectionError, chosen, pattern
 from fleet.run import Options, Status, execute
 from fleet.scenario.scenario import load_scenario
-from fleet.selection import Renaming, SelectionError, chosen, pattern
-from fleet.stamp import Stamp, pack, unpack
-from fleet.traffic import ATTACHMENT, ENCODING, KIND, message_encoding, zenoh_encoding
 from netem.errors import BusError
 from netem.wire.access import Credentials
 from netem.wire.bus import OpenBus, Sample, sample_of
@@ -615,7 +615,7 @@ def test_recording_of_a_run_ends_with_it(tmp_path: Path) -> None:
 def test_whether_the_other_side_is_gone(monkeypatch: pytest.MonkeyPatch) -> None:
     """A connection that comes back within a second was not lost."""
     now = [0.0]
-    monkeypatch.setattr("fleet.record.time.monotonic", lambda: now[0])
+    monkeypatch.setattr("fleet.replay.capture.time.monotonic", lambda: now[0])
     there = [True]
     gone = Gone(lambda: there[0])
     said = []

@@ -1,6 +1,6 @@
 """The process that publishes a live run's journal: from a pipe to zenoh, dropping what subscribers cannot take.
 
-Started by `fleet.publish`. Stdin: one line of JSON, then batches as `fleet.publish` packs them; stdout: one line of
+Started by `fleet.replay.publisher`. Stdin: one line of JSON, then batches as `fleet.replay.publisher` packs them; stdout: one line of
 JSON when it listens, one when somebody subscribes if that is waited for, one when it ends.
 """
 
@@ -22,9 +22,9 @@ import setproctitle
 
 from fleet.errors import RunBroken
 from fleet.processes.ports import free_port
-from fleet.publish import ENTRY, LENGTH
-from fleet.stamp import Stamp, pack
-from fleet.traffic import zenoh_encoding
+from fleet.replay.attachment import Stamp, pack
+from fleet.replay.capture_format import zenoh_encoding
+from fleet.replay.publisher import ENTRY, LENGTH
 from netem.errors import BusError
 from netem.wire.access import Credentials
 from netem.wire.bus import OpenBus, quiet_zenoh

@@ -33,7 +33,7 @@ PIPE_BYTES = 1 << 20  # the most that Linux gives an ordinary user
 BATCH_BYTES = 1 << 16
 READY_S = 20.0
 # With `-m` a file in the current directory could take the place of a module, a user's `signal.py` for instance.
-_MAIN = "import sys; sys.path.append(sys.argv[1]); from fleet.publish_process import main; main()"
+_MAIN = "import sys; sys.path.append(sys.argv[1]); from fleet.replay.publisher_process import main; main()"
 DRAIN_S = 10.0  # for the process to take and publish what it was given, which waits for no subscriber
 CLOSE_S = 2.0  # for what is then still on the way to subscribers
 

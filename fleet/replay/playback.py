@@ -8,12 +8,12 @@ from dataclasses import dataclass
 from fleet.errors import FleetError
 from fleet.logs.schemas import stamp_of
 from fleet.logs.tape import Tape, Track
-from fleet.player import RATE_STEP, SEEK_NS, Metronome, Pace, Player
-from fleet.selection import Renaming, chosen
-from fleet.stamp import Stamp, pack
+from fleet.replay.attachment import Stamp, pack
+from fleet.replay.capture_format import ATTACHMENT, DELETE, ENCODING, KIND, zenoh_encoding
+from fleet.replay.player import RATE_STEP, SEEK_NS, Metronome, Pace, Player
+from fleet.replay.selection import Renaming, chosen
 from fleet.terminal.keyboard import Key, Keyboard
 from fleet.terminal.status_line import StatusLine
-from fleet.traffic import ATTACHMENT, DELETE, ENCODING, KIND, zenoh_encoding
 from netem.wire.bus import OpenBus, Publication
 from netem.wire.keys import Keys
 

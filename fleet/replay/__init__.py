@@ -1,0 +1,1 @@
+"""Logs and zenoh: a log played again, a run's log published live, other traffic captured."""

@@ -230,7 +230,7 @@ def report(
       fleet report runs/a runs/b -o compared.html --log-scale
     """
     from fleet.pictures import Look, check_look, load
-    from fleet.report import write
+    from fleet.pictures.report import write
     from fleet.terminal.share_done import showing
 
     try:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from fleet.logs.open_log import FaultInterval
 from fleet.pictures.axes import shade
-from fleet.plotting import FORMATS, legend, limit, line, panels, save
+from fleet.pictures.style import FORMATS, legend, limit, line, panels, save
 from fleet.scenario.scenario import timeline
 from fleet.whatif import COMPONENTS, WhatIf, WhatIfError
 

@@ -26,10 +26,10 @@ from fleet.cli import cli
 from fleet.logs import columns, decoder, deviation, export, open_log, reader, records, tape, topic
 from fleet.logs.reader import LogReader, LogReadError
 from fleet.pictures import Look, draw, load
+from fleet.pictures.whole_file import whole_file
 from fleet.run import Options, execute
 from fleet.scenario.scenario import load_scenario
 from fleet.terminal import share_done
-from fleet.whole_file import whole_file
 
 MIB = 1 << 20
 LIMIT_S = 60.0

@@ -24,11 +24,11 @@ from fleet.logs.export import ExportError, columns, export
 from fleet.logs.open_log import FaultInterval
 from fleet.pictures import PER_RUN, WHAT, Look, draw, exchange, load, signals
 from fleet.pictures.axes import shade
+from fleet.pictures.report import ReportError, _from_log, page
+from fleet.pictures.report import write as write_report
+from fleet.pictures.report_tables import links_table
 from fleet.pictures.runs import NothingToDraw, Run, with_gaps
-from fleet.plotting import panels, plain_decades
-from fleet.report import ReportError, _from_log, page
-from fleet.report import write as write_report
-from fleet.report_tables import links_table
+from fleet.pictures.style import panels, plain_decades
 from fleet.run import Options, execute
 from fleet.scenario.scenario import load_scenario
 from netem.causes import CAUSES, DELIVERED, IN_FLIGHT
@@ -477,7 +477,7 @@ def test_report_is_one_file_that_loads_nothing(directories: dict[str, Path], tmp
 @pytest.fixture
 def few(monkeypatch: pytest.MonkeyPatch) -> None:
     """Reports with few pictures, which take most of the time."""
-    monkeypatch.setattr("fleet.report.WHAT", {key: WHAT[key] for key in ("gains", "ages")})
+    monkeypatch.setattr("fleet.pictures.report.WHAT", {key: WHAT[key] for key in ("gains", "ages")})
 
 
 @pytest.mark.usefixtures("few")
@@ -501,7 +501,7 @@ def test_a_report_that_finds_no_room_leaves_nothing(
     def full(*_: object) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr("fleet.report.page", full)
+    monkeypatch.setattr("fleet.pictures.report.page", full)
     with pytest.raises(ReportError, match="No space left"):
         write_report(tmp_path / "r.html", load([directories["one"]]), Look())
     assert list(tmp_path.iterdir()) == []

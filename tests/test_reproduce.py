@@ -420,7 +420,7 @@ def test_command_refuses_what_is_not_there(tmp_path: Path) -> None:
 
 
 def test_pictures_repeat_to_the_byte(tmp_path: Path) -> None:
-    from fleet.plotting import line, panels, save
+    from fleet.pictures.style import line, panels, save
 
     for name in ("a", "b"):
         figure, axes = panels(1, 1)

@@ -25,8 +25,8 @@ from fleet.hosts.certificates import _read as read_pem
 from fleet.hosts.rendezvous import HostsError, read_credentials
 from fleet.logs.result_file import ResultError, read_result, read_timing
 from fleet.pictures import Look, Run, load
+from fleet.pictures.report import page
 from fleet.remote import live_runs
-from fleet.report import page
 from fleet.run import Options, execute
 from fleet.scenario.scenario import load_scenario, parse_scenario
 from fleet.scenario.sections.modem_files import load_modem
@@ -251,8 +251,8 @@ def _places(values: Any) -> Iterator[tuple[Any, Any]]:
 
 def test_no_result_stops_a_report(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     """500 variants: the page is made, with the verdicts or with what is wrong where; and tables from the log."""
-    monkeypatch.setattr("fleet.report.WHAT", {})
-    monkeypatch.setattr("fleet.report.PER_RUN", set())
+    monkeypatch.setattr("fleet.pictures.report.WHAT", {})
+    monkeypatch.setattr("fleet.pictures.report.PER_RUN", set())
     path = run.log.path.parent / "result.json"
     whole = path.read_text()
     used = told = 0

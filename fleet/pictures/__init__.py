@@ -12,7 +12,7 @@ from fleet.logs.reader import Tell
 from fleet.logs.topic import TooLargeError
 from fleet.pictures import exchange, signals, timing, track
 from fleet.pictures.runs import Look, NothingToDraw, Run, check_look, load
-from fleet.plotting import save
+from fleet.pictures.style import save
 
 Draw = Callable[[Sequence[Run], Look], Figure]
 

@@ -17,7 +17,7 @@ from fleet.logs.open_log import FaultInterval
 from fleet.logs.records import Array
 from fleet.palette import COLOURS
 from fleet.pictures.runs import Look, NothingToDraw, Run, first_words
-from fleet.plotting import COLUMN_IN, STYLES, panels
+from fleet.pictures.style import COLUMN_IN, STYLES, panels
 from fleet.scenario.sections.timeline import is_fault
 
 LABEL_PT = 6.0

@@ -17,7 +17,7 @@ from fleet.logs.records import Array
 from fleet.palette import COLOURS
 from fleet.pictures.axes import SPAN_IN, finish, legend_of, marks_legend, over_time
 from fleet.pictures.runs import Look, NothingToDraw, Run
-from fleet.plotting import plain_decades
+from fleet.pictures.style import plain_decades
 from fleet.quantities import vehicle_numbers
 from netem.causes import DELIVERED, IN_FLIGHT, REPLACED
 from netem.condition import Link

@@ -12,7 +12,7 @@ from fleet.logs.records import Array
 from fleet.pictures.axes import Get, draw_lines, finish, over_time
 from fleet.pictures.axes import bounds as draw_bounds
 from fleet.pictures.runs import Look, Run
-from fleet.plotting import plain_decades
+from fleet.pictures.style import plain_decades
 from fleet.scenario.sections.per_vehicle import Control
 
 FORCES = (("surge force", "N"), ("pitch moment", "N m"), ("yaw moment", "N m"))

@@ -16,7 +16,7 @@ from fleet.logs.result_file import ResultError, read_timing
 from fleet.palette import COLOURS
 from fleet.pictures.axes import MOST_NAMED, legend_of
 from fleet.pictures.runs import Look, NothingToDraw, Run
-from fleet.plotting import COLUMN_IN, STYLES, panels
+from fleet.pictures.style import COLUMN_IN, STYLES, panels
 
 GREY = "#999999"
 

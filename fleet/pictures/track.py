@@ -14,7 +14,7 @@ from matplotlib.ticker import MaxNLocator
 from fleet.logs.records import Array
 from fleet.pictures.axes import MOST_NAMED, colours, legend_of, vehicle_bar
 from fleet.pictures.runs import Look, NothingToDraw, Run
-from fleet.plotting import COLUMN_IN, STYLES
+from fleet.pictures.style import COLUMN_IN, STYLES
 
 SHAPES = 5  # moments at which the formation is drawn
 _MOST_EDGES = 60  # of the graph that are drawn as the formation's shape

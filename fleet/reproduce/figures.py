@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from fleet.palette import COLOURS
-from fleet.plotting import legend, limit, panels, save
+from fleet.pictures.style import legend, limit, panels, save
 from fleet.reproduce.cases import NAMES, D, Outcome, U
 from fleet.reproduce.topology import topology
 

@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from fleet.palette import COLOURS
-from fleet.plotting import panels
+from fleet.pictures.style import panels
 from fleet.reproduce.cases import CASES, Outcome
 
 Point = tuple[float, float]

@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from fleet.palette import COLOURS
-from fleet.whole_file import whole_file
+from fleet.pictures.whole_file import whole_file
 
 STYLES = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)), (0, (1, 1)), (0, (7, 2)))
 COLUMN_IN, PAGE_IN = 3.5, 7.0  # widths of a column and of a page of a journal

@@ -18,9 +18,9 @@ from fleet.errors import FleetError
 from fleet.logs.reader import Tell, digest
 from fleet.logs.result_file import ResultError, read_result
 from fleet.pictures import PER_RUN, WHAT, Look, Run, draw
-from fleet.plotting import DPI
-from fleet.report_tables import links_table, mark, number, side_by_side, table
-from fleet.whole_file import whole_file
+from fleet.pictures.report_tables import links_table, mark, number, side_by_side, table
+from fleet.pictures.style import DPI
+from fleet.pictures.whole_file import whole_file
 from netem.ages import Ages
 from netem.causes import DELIVERED, IN_FLIGHT
 from netem.wire.messages import Fate

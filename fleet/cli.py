@@ -203,9 +203,9 @@ def run(
         from fleet.table import show
 
         if not quiet:
-            from fleet.chance import HINT, NOTHING, chances
-            from fleet.prospects import doubts
-            from fleet.stability import analyse
+            from fleet.analysis.preflight import doubts
+            from fleet.analysis.seed import HINT, NOTHING, chances
+            from fleet.analysis.stability import analyse
 
             idle = [f"--seed: {NOTHING}; {HINT}"] if seed is not None and not chances(loaded) else []
             for warning in [*analyse(loaded).warnings, *doubts(loaded), *idle]:
@@ -298,10 +298,10 @@ def check(scenario: str, overrides: tuple[str, ...], trust: Trust) -> None:
         loaded = load_scenario(scenario, overrides, trust, refused=refused)
     except ScenarioError as error:
         _fail(error)
-    from fleet.chance import HINT, NOTHING, chances
-    from fleet.prospects import doubts
+    from fleet.analysis.preflight import doubts
+    from fleet.analysis.seed import HINT, NOTHING, chances
+    from fleet.analysis.stability import analyse, report
     from fleet.scenario.scenario import timeline
-    from fleet.stability import analyse, report
 
     links = loaded.graph.links
     word = "valid as far as it was checked" if refused else "valid"

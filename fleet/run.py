@@ -14,8 +14,9 @@ from typing import Any
 from rich.console import Console as Terminal
 
 from agents.errors import AgentError
-from fleet import timing
-from fleet.checks import Verdict, judge, judge_expected
+from fleet.analysis import punctuality
+from fleet.analysis.punctuality import MOST_MISSED
+from fleet.analysis.verdicts import Verdict, judge, judge_expected
 from fleet.clock import WINDOW_NS, Clock
 from fleet.console import JOIN_TIMEOUT_S, Console
 from fleet.errors import RunBroken, StoppedError
@@ -31,7 +32,6 @@ from fleet.replay.publisher import LivePublisher, PublishError
 from fleet.resume import Start
 from fleet.rundir import RunDirectory
 from fleet.scenario.scenario import Scenario, frame_every
-from fleet.timing import MOST_MISSED
 from netem.condition import Link
 from world.errors import WorldError
 
@@ -169,7 +169,7 @@ def _execute(scenario: Scenario, options: Options, terminal: Terminal, whole: Un
         if result.status is Status.PASS:
             result.verdicts = judge(scenario, journal, middleware_lost=fleet.middleware_lost)
             if options.pace is not None:
-                result.verdicts.append(timing.verdict(closing["timing"], options.most_missed))
+                result.verdicts.append(punctuality.verdict(closing["timing"], options.most_missed))
             expected = judge_expected(scenario, result.verdicts)
             if expected is not None:
                 result.verdicts.append(expected)
@@ -191,7 +191,7 @@ def _execute(scenario: Scenario, options: Options, terminal: Terminal, whole: Un
         if publisher is not None:
             result.values["published"] = {"messages": publisher.published, "dropped": publisher.dropped}
         if options.pace is not None and (measured := closing.get("timing") or getattr(fleet, "timing", {})):
-            name, reasons = timing.label(measured)
+            name, reasons = punctuality.label(measured)
             result.values["timing"] = {"clock": "real", "speed": options.pace, "label": name, "reasons": reasons}
             result.values["timing"] |= measured
         result.values["rejected"] = closing["rejected"]

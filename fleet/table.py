@@ -8,10 +8,10 @@ from rich.console import Console as Terminal
 from rich.markup import escape
 from rich.table import Table
 
-from fleet.prospects import large_log_hint
+from fleet.analysis.preflight import large_log_hint
+from fleet.analysis.punctuality import summary
 from fleet.recorder.metrics import Spread
 from fleet.run import Result, Status
-from fleet.timing import summary
 from netem.causes import REPLACED
 
 MOST_ROWS = 20

@@ -10,10 +10,10 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from fleet.border import LinearFleet, Link, Member, linear_fleet
-from fleet.linear import NotLinear
+from fleet.analysis.border import LinearFleet, Link, Member, linear_fleet
+from fleet.analysis.linear import NotLinear
+from fleet.analysis.stability import analyse, report
 from fleet.scenario.scenario import load_scenario
-from fleet.stability import analyse, report
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "docs" / "examples"))
 from stability_borders import Case, delay_row, gain_row, line

@@ -12,13 +12,13 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from test_scenario import SMALL, WILD, small
 
-from fleet.checks import Verdict, judge
+from fleet.analysis.stability import analyse
+from fleet.analysis.verdicts import Verdict, judge
 from fleet.errors import ScenarioError
 from fleet.recorder.journal import Journal
 from fleet.run import Options, Result, Status, execute
 from fleet.scenario.scenario import Scenario, frame_every, load_scenario, parse_scenario
 from fleet.script import script
-from fleet.stability import analyse
 from fleet.table import MOST_ROWS, show
 from netem.wire.messages import Fate, Frame, Life, LinkReport, Tumble, VehicleFrame
 

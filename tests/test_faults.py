@@ -18,11 +18,11 @@ from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 from test_scenario import only_problem, small
 
+from fleet.analysis.stability import analyse
 from fleet.errors import ScenarioError
 from fleet.run import Options, Result, Status, execute
 from fleet.scenario.scenario import load_scenario, parse_scenario
 from fleet.scenario.sections.partitions import FaultError, partition
-from fleet.stability import analyse
 from netem.condition import Condition
 from netem.config import NetemConfig
 from netem.faults import CALM, NetFault, weather

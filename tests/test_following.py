@@ -16,7 +16,7 @@ from agents.config import AgentConfig
 from agents.following import followed
 from agents.offset import Change, Offset
 from agents.payload import StateMessage, encode
-from fleet.chance import chances
+from fleet.analysis.seed import chances
 from fleet.errors import ScenarioError
 from fleet.resume import prepare
 from fleet.run import Options, execute

@@ -27,7 +27,7 @@ from nowhere import Nowhere, serve
 
 from agents.agent import make_agent
 from agents.realtime_loop import FreeLoop
-from fleet import timing
+from fleet.analysis import punctuality as timing
 from fleet.cli import cli
 from fleet.clock import Clock
 from fleet.inprocess import InProcess

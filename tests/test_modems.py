@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fleet import stability
+from fleet.analysis import stability
 from fleet.errors import ScenarioError
 from fleet.scenario.scenario import Scenario, load_scenario, parse_scenario
 from fleet.scenario.schema.spec import AcousticSection

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from test_scenario import small
 
-from fleet.prospects import LARGE_MB, doubts, log_mb
+from fleet.analysis.preflight import LARGE_MB, doubts, log_mb
 from fleet.run import Options, execute
 from fleet.scenario.scenario import list_scenarios, load_scenario
 

@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from mcap.reader import make_reader
 from test_scenario import SMALL, only_problem, places, small
 
+from fleet.analysis.stability import analyse
 from fleet.errors import ScenarioError
 from fleet.run import Options, Status, execute
 from fleet.scenario.scenario import Scenario, load_scenario, parse_scenario
@@ -23,7 +24,6 @@ from fleet.scenario.schema.spec import FormationShape, GraphSection
 from fleet.scenario.sections.formation import SHAPES, offsets
 from fleet.scenario.sections.graph import build
 from fleet.scenario.sections.vehicle_files import load_vehicle
-from fleet.stability import analyse
 
 # --- formations ------------------------------------------------------------
 

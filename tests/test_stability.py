@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from fleet.analysis.stability import analyse, matrices, oldest_s, report
 from fleet.scenario.scenario import Scenario, load_scenario, parse_scenario
-from fleet.stability import analyse, matrices, oldest_s, report
 
 SMALL = """\
 title: A fleet

@@ -18,6 +18,7 @@ import pytest
 from live import Stopwatch
 
 from agents.join_file import JoinError, Joining
+from fleet.analysis.stability import oldest_s
 from fleet.cli import cli
 from fleet.errors import ScenarioError
 from fleet.hosts.certificates import CertsError
@@ -31,7 +32,6 @@ from fleet.run import Options, execute
 from fleet.scenario.scenario import load_scenario, parse_scenario
 from fleet.scenario.sections.modem_files import load_modem
 from fleet.scenario.sections.vehicle_files import load_vehicle
-from fleet.stability import oldest_s
 from netem.lives import Absence, Lives
 from netem.whole_file import read_file
 

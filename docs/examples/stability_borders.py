@@ -20,9 +20,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from fleet.analysis.stability import analyse
 from fleet.recording import record
 from fleet.scenario.scenario import Scenario, parse_scenario
-from fleet.stability import analyse
 
 GRAPHS = {
     "path": "{shape: path, ahead: 1.0, behind: 0.8}",

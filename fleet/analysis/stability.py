@@ -11,7 +11,7 @@
 Two rules of thumb follow from simplified loops (docs/paper.md, G11 and "What a network does to it"): with the shunting
 model in the surge loop K lambda_max(L + B) < a, by Routh on s^3 + a s^2 + k b s + k b K lambda; and dead reckoning with
 the neighbours' velocities is a neutral loop, which needs K tau rho(A) < 1. They are necessary, not sufficient: course
-and pitch loops, sampling and rounds take their share. The limits of the whole linear loop are those of `fleet.border`.
+and pitch loops, sampling and rounds take their share. The limits of the whole linear loop are those of `fleet.analysis.border`.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ from typing import Any
 
 import numpy as np
 
-from fleet.border import MOST_DELAY_S, LinearFleet, Mode, linear_fleet
-from fleet.linear import NotLinear
+from fleet.analysis.border import MOST_DELAY_S, LinearFleet, Mode, linear_fleet
+from fleet.analysis.linear import NotLinear
 from fleet.recorder.connectivity import Connectivity
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.sections import acoustic as acoustics

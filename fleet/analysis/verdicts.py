@@ -6,6 +6,7 @@ from dataclasses import asdict, dataclass
 from math import inf, isfinite
 from typing import Any
 
+from fleet.analysis.stability import names
 from fleet.quantities import vehicle_numbers
 from fleet.recorder.journal import Journal
 from fleet.scenario.scenario import Scenario
@@ -20,7 +21,6 @@ from fleet.scenario.schema.spec import (
     Standing,
     Tumbled,
 )
-from fleet.stability import names
 from netem.selectors import parse_selector, select
 
 

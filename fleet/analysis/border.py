@@ -3,7 +3,7 @@
 | symbol | meaning | unit |
 |---|---|---|
 | s_i, y_i = (p_i, v_i) | deviation of vehicle i and its laws; of the position and velocity that it sends | path axes |
-| F, G, C | one vehicle over one tick, `fleet.linear` | |
+| F, G, C | one vehicle over one tick, `fleet.analysis.linear` | |
 | K | gain of the virtual control | 1/s |
 | c_i = sum_j a_ij + b_i | total weight of the consensus error | 1 |
 | m, d | ticks per round, delay of a link in ticks | tick |
@@ -36,7 +36,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fleet.linear import Array, Flight, Linear, NotLinear, linearise
+from fleet.analysis.linear import Array, Flight, Linear, NotLinear, linearise
 from fleet.scenario.scenario import Scenario
 from netem.condition import Condition
 from world.vectors import Vec3

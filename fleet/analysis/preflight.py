@@ -6,11 +6,11 @@ from collections.abc import Iterator
 from itertools import combinations
 from math import dist
 
+from fleet.analysis.stability import oldest_s
 from fleet.quantities import vehicle_numbers
 from fleet.recorder.settling import least_s
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.schema.spec import EVERY
-from fleet.stability import oldest_s
 from netem.correlation import effective
 
 LARGE_MB = 50.0  # from which on a log is worth a word

@@ -27,7 +27,7 @@ from fleet.bench_replay import measure_recorder
 from fleet.bench_steps import steps
 from fleet.processes.children import Children
 from fleet.processes.private_folder import PrivateFolder
-from fleet.run import Options, Status, execute
+from fleet.run.execute import Options, Status, execute
 from fleet.scenario.scenario import Scenario, load_scenario
 from netem.wire.access import agent_role, generate
 from netem.wire.bus import Bus

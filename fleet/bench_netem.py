@@ -5,9 +5,9 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping
 
-from fleet.clock import Clock
-from fleet.inprocess import InProcess
 from fleet.recorder.journal import Journal
+from fleet.run.clock import Clock
+from fleet.run.in_process import InProcess
 from fleet.scenario.scenario import Scenario, frame_every, load_scenario
 from netem.config import NetemConfig
 from netem.network import Exchange, Netem

@@ -16,7 +16,7 @@ from rich.table import Table
 
 from fleet.analysis.punctuality import MOST_MISSED, missed_share, moved_share
 from fleet.errors import FleetError
-from fleet.run import Options, Result, Status, execute
+from fleet.run.execute import Options, Result, Status, execute
 from fleet.scenario.scenario import Scenario, load_scenario
 
 

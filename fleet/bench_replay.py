@@ -11,8 +11,6 @@ from pathlib import Path
 from rich.console import Console as Terminal
 from rich.table import Table
 
-from fleet.clock import Clock
-from fleet.inprocess import InProcess
 from fleet.logs.reader import LogReader
 from fleet.logs.tape import Tape
 from fleet.processes.ports import free_port
@@ -22,6 +20,8 @@ from fleet.recorder.snapshot import Snapshot
 from fleet.recorder.writer import LogWriter
 from fleet.replay.capture import Limits, Recorder, TrafficWriter
 from fleet.replay.playback import Replay, Wishes
+from fleet.run.clock import Clock
+from fleet.run.in_process import InProcess
 from fleet.scenario.scenario import Scenario, frame_every
 from fleet.scenario.sections.timeline import Event
 from fleet.terminal.keyboard import Keyboard

@@ -9,10 +9,10 @@ from pathlib import Path
 from statistics import median
 
 from fleet.bench_agent import agent_steps
-from fleet.clock import Clock
-from fleet.inprocess import InProcess
 from fleet.recorder.journal import Journal
 from fleet.recorder.writer import LogWriter
+from fleet.run.clock import Clock
+from fleet.run.in_process import InProcess
 from fleet.scenario.scenario import load_scenario
 from netem.wire.messages import Command, Nav, decode, encode
 from world.sea import World

@@ -199,7 +199,7 @@ def run(
         if show_config:
             click.echo(loaded.to_yaml(), nl=False)
             return
-        from fleet.run import Options, Status, execute
+        from fleet.run.execute import Options, Status, execute
         from fleet.table import show
 
         if not quiet:

@@ -50,7 +50,7 @@ def which(command: F) -> F:
 
 
 def _ask(run: Path | None, out: Path, op: str, **fields: Any) -> dict[str, Any]:
-    from fleet.remote import ask, find
+    from fleet.run.connection import ask, find
 
     try:
         return ask(find(run, out), op, **fields)
@@ -64,7 +64,7 @@ def _ask(run: Path | None, out: Path, op: str, **fields: Any) -> dict[str, Any]:
               help="Where run directories are.")  # fmt: skip
 def ps(out: Path) -> None:
     """List the live runs: directory, scenario, process, endpoint and simulated time."""
-    from fleet.remote import RemoteError, ask, live_runs
+    from fleet.run.connection import RemoteError, ask, live_runs
 
     runs = live_runs(out)
     if not runs:
@@ -90,8 +90,8 @@ def status(run: Path | None, out: Path, watch: bool) -> None:
       fleet status -w --run runs/paper-1-20261121-120000
     """
     from fleet.recorder.metrics import Spread
-    from fleet.remote import RemoteError, find, is_live
-    from fleet.remote import ask as ask_run
+    from fleet.run.connection import RemoteError, find, is_live
+    from fleet.run.connection import ask as ask_run
 
     shown = 0
     try:

@@ -38,7 +38,7 @@ def verify(log: Path, trust: Trust, quiet: bool) -> None:
     Examples:
       fleet verify runs/latest
     """
-    from fleet.progress import Counting
+    from fleet.run.progress import Counting
     from fleet.terminal.share_done import showing
     from fleet.verify import NothingToVerify, describe
     from fleet.verify import verify as check

@@ -51,7 +51,7 @@ def scenarios(context: click.Context, parameter: click.Parameter, typed: str) ->
 @_words
 def runs(context: click.Context) -> Iterable[str]:
     """Directories of live runs."""
-    from fleet.remote import live_runs
+    from fleet.run.connection import live_runs
 
     return [str(found.directory) for found in live_runs(_out(context))]
 
@@ -59,7 +59,7 @@ def runs(context: click.Context) -> Iterable[str]:
 @_words
 def faults(context: click.Context) -> Iterable[str]:
     """Ids of the faults that are active in a live run."""
-    from fleet.remote import ask
+    from fleet.run.connection import ask
 
     return [fault["id"] for fault in ask(_run(context), "faults")["faults"] if fault["active"]]
 
@@ -102,7 +102,7 @@ def _targets(context: click.Context) -> tuple[int, tuple[tuple[int, int], ...]]:
 
 
 def _run(context: click.Context) -> Any:
-    from fleet.remote import find
+    from fleet.run.connection import find
 
     run = context.params.get("run")
     return find(None if run is None else Path(run), _out(context))

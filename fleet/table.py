@@ -11,7 +11,7 @@ from rich.table import Table
 from fleet.analysis.preflight import large_log_hint
 from fleet.analysis.punctuality import summary
 from fleet.recorder.metrics import Spread
-from fleet.run import Result, Status
+from fleet.run.execute import Result, Status
 from netem.causes import REPLACED
 
 MOST_ROWS = 20

@@ -16,17 +16,17 @@ from typing import IO, Any
 
 from agents.errors import AgentError
 from agents.plugins.trust import NOTHING, Trust
-from fleet.clock import Clock
 from fleet.errors import FleetError, RunBroken
-from fleet.external import named
 from fleet.fed import NotRecordedError, feeds
-from fleet.inprocess import InProcess
 from fleet.logs.decoder import Decoder
 from fleet.logs.first_difference import Difference, Side, side
 from fleet.logs.reader import GAPS, RECOVERY, LogReader, Record
 from fleet.recorder.journal import Journal
 from fleet.recorder.writer import LogWriter, run_metadata
 from fleet.resume import Start, begun
+from fleet.run.clock import Clock
+from fleet.run.external_agents import named
+from fleet.run.in_process import InProcess
 from fleet.scenario.scenario import Scenario, frame_every, parse_scenario
 from fleet.scenario.trust import Policy
 from fleet.script import Recorded, recorded

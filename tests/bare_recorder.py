@@ -16,10 +16,10 @@ import time
 from pathlib import Path
 from typing import Any
 
-from fleet.clock import Clock
-from fleet.inprocess import InProcess
 from fleet.recorder.journal import Journal
 from fleet.recorder.writer import LogWriter
+from fleet.run.clock import Clock
+from fleet.run.in_process import InProcess
 from fleet.scenario.scenario import Scenario, frame_every, load_scenario
 
 OVERRIDES = ["vehicles=3", "duration=4 s", "checks={}", "network.links={'*': 'delay 200ms 50ms loss 30%'}"]

@@ -7,7 +7,7 @@ from typing import Any
 
 from waiting import wait_for
 
-from fleet.remote import ask, find
+from fleet.run.connection import ask, find
 
 
 class Hand:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from first_difference import assert_same_bytes
 
-from fleet.run import Options, Result, Status, execute
+from fleet.run.execute import Options, Result, Status, execute
 from fleet.scenario.scenario import load_scenario
 
 

@@ -20,10 +20,10 @@ import pytest
 from test_access import free_port
 from waiting import wait_for
 
-import fleet.console
+import fleet.run.console
 from fleet.logs.reader import LogReader
-from fleet.run import Options, Result, Status, execute
-from fleet.rundir import RunDirectory
+from fleet.run.directory import RunDirectory
+from fleet.run.execute import Options, Result, Status, execute
 from fleet.scenario.scenario import load_scenario
 from netem.errors import BusError
 from netem.wire.access import CONSOLE, OBSERVER, OPERATOR, Credentials, generate
@@ -152,7 +152,7 @@ def attacked(tmp_path_factory: pytest.TempPathFactory) -> tuple[Attack, Result]:
 
     before = os.umask(0)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(fleet.console, "generate", attack.generate)
+        patch.setattr(fleet.run.console, "generate", attack.generate)
         patch.setattr(RunDirectory, "write_connection", write_and_attack)
         try:
             options = Options(tmp_path_factory.mktemp("attacked"), quiet=True, audit=True)
@@ -264,7 +264,7 @@ def test_a_flood_changes_nothing(monkeypatch: pytest.MonkeyPatch, tmp_path: Path
         threads.append(threading.Thread(target=flood, daemon=True))
         threads[0].start()
 
-    monkeypatch.setattr(fleet.console, "generate", attack.generate)
+    monkeypatch.setattr(fleet.run.console, "generate", attack.generate)
     monkeypatch.setattr(RunDirectory, "write_connection", write_and_flood)
     try:
         flooded = execute(load_scenario("paper", SHORT), Options(tmp_path / "a", quiet=True))

@@ -27,7 +27,7 @@ from fleet.logs import columns, decoder, deviation, export, open_log, reader, re
 from fleet.logs.reader import LogReader, LogReadError
 from fleet.pictures import Look, draw, load
 from fleet.pictures.whole_file import whole_file
-from fleet.run import Options, execute
+from fleet.run.execute import Options, execute
 from fleet.scenario.scenario import load_scenario
 from fleet.terminal import share_done
 

@@ -16,7 +16,7 @@ from fleet.analysis.stability import analyse
 from fleet.analysis.verdicts import Verdict, judge
 from fleet.errors import ScenarioError
 from fleet.recorder.journal import Journal
-from fleet.run import Options, Result, Status, execute
+from fleet.run.execute import Options, Result, Status, execute
 from fleet.scenario.scenario import Scenario, frame_every, load_scenario, parse_scenario
 from fleet.script import script
 from fleet.table import MOST_ROWS, show
@@ -542,7 +542,7 @@ def test_what_was_replaced_is_not_called_lost(tmp_path: Path, capsys: pytest.Cap
     """Payloads that news overtook in the modem have a column of their own, and do not count on the progress line."""
     from rich.console import Console
 
-    from fleet.progress import ProgressLine
+    from fleet.run.progress import ProgressLine
 
     water = "network={period: 1 s, payload: compact, acoustic: {modem: mfsk-1066, mac: tdma, slot: 1500 ms}}"
     scenario = small("duration=8 s", water)

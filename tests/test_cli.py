@@ -369,8 +369,12 @@ def test_quiet_is_quiet(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("where", "error", "words"),
     [
-        ("fleet.run.LivePublisher.open", PublishError("no port is free"), "no port is free"),
-        ("fleet.run.LogWriter", LogError("cannot write the log: No space left on device"), "cannot write the log"),
+        ("fleet.run.execute.LivePublisher.open", PublishError("no port is free"), "no port is free"),
+        (
+            "fleet.run.execute.LogWriter",
+            LogError("cannot write the log: No space left on device"),
+            "cannot write the log",
+        ),
         ("pathlib.Path.write_text", OSError(errno.ENOSPC, "No space left on device"), "scenario.yaml: No space left"),
     ],
 )

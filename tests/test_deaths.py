@@ -24,11 +24,11 @@ from first_difference import assert_same_bytes
 from live import FORKSERVER, LiveRun, Stopwatch
 from waiting import wait_for
 
-import fleet.console
+import fleet.run.console
 from agents.errors import ControllerError
 from fleet.logs.reader import LogReader
-from fleet.run import Options, Result, Status, execute
-from fleet.rundir import RunDirectory
+from fleet.run.directory import RunDirectory
+from fleet.run.execute import Options, Result, Status, execute
 from fleet.scenario.scenario import load_scenario
 from netem.wire.access import Credentials
 from netem.wire.bus import Bus
@@ -399,7 +399,7 @@ class Intruder:
         self._over = Event()
         self._thread: Thread | None = None
         self.rounds = 0
-        generate, write = fleet.console.generate, RunDirectory.write_connection
+        generate, write = fleet.run.console.generate, RunDirectory.write_connection
 
         def generate_and_leak(vehicles: tuple[int, ...]) -> dict[str, Credentials]:
             self._credentials = generate(vehicles)
@@ -410,7 +410,7 @@ class Intruder:
             self._thread = Thread(target=self._talk, args=(values["endpoint"], values["run"]))
             self._thread.start()
 
-        monkeypatch.setattr(fleet.console, "generate", generate_and_leak)
+        monkeypatch.setattr(fleet.run.console, "generate", generate_and_leak)
         monkeypatch.setattr(RunDirectory, "write_connection", write_and_join)
 
     def _talk(self, endpoint: str, run: str) -> None:

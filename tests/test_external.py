@@ -23,9 +23,9 @@ from waiting import wait_for
 
 from agents.join_file import JoinError, Joining
 from fleet.cli import cli
-from fleet.external import ExternalError
 from fleet.logs.reader import digest
-from fleet.run import Options, execute
+from fleet.run.execute import Options, execute
+from fleet.run.external_agents import ExternalError
 from fleet.scenario.scenario import load_scenario, parse_scenario
 from netem.wire.messages import PROTOCOL_VERSION
 

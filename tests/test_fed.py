@@ -11,14 +11,14 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
-import fleet.inprocess
-import fleet.run
+import fleet.run.execute
+import fleet.run.in_process
 from agents.agent import make_agent
 from agents.config import AgentConfig
 from fleet.cli import cli
 from fleet.fed import NotRecordedError
 from fleet.logs.schemas import Column, DoublesEncoder
-from fleet.run import Options, Status, execute
+from fleet.run.execute import Options, Status, execute
 from fleet.scenario.scenario import load_scenario
 from fleet.verify import describe, verify
 
@@ -40,7 +40,7 @@ def log(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.Monk
     """The log of a case, in this process as if somebody had joined; from then on there is no agent 3 of ours."""
     name, overrides = CASES[request.param]
     with monkeypatch.context() as patch:
-        patch.setattr(fleet.run, "refuse", lambda *_: None)
+        patch.setattr(fleet.run.execute, "refuse", lambda *_: None)
         scenario = load_scenario(name, ["checks={}", EXTERNAL, *overrides])
         result = execute(scenario, Options(tmp_path, in_process=True, quiet=True))
     assert result.status is Status.PASS, result.reason
@@ -49,7 +49,7 @@ def log(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.Monk
         assert config.id != 3
         return make_agent(config)
 
-    monkeypatch.setattr(fleet.inprocess, "make_agent", others)
+    monkeypatch.setattr(fleet.run.in_process, "make_agent", others)
     return result.directory / "run.mcap"
 
 
@@ -88,7 +88,7 @@ def test_nothing_goes_on_from_it_and_whatif_says_whose_it_is(log: Path) -> None:
 
 
 def test_thinned_commands_cannot_be_said_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(fleet.run, "refuse", lambda *_: None)
+    monkeypatch.setattr(fleet.run.execute, "refuse", lambda *_: None)
     scenario = load_scenario("paper", ["duration=1 s", "checks={}", EXTERNAL, "log.every=10 ticks"])
     result = execute(scenario, Options(tmp_path, in_process=True, quiet=True))
     with pytest.raises(NotRecordedError, match=r"has every 10th command only: .*\(log\.command: 1 tick\)$"):

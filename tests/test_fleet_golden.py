@@ -15,7 +15,7 @@ import pytest
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
-from fleet.run import Options, Status, execute
+from fleet.run.execute import Options, Status, execute
 from fleet.scenario.scenario import load_scenario
 
 GOLDEN = Path(__file__).parent / "golden"

@@ -29,14 +29,14 @@ from agents.agent import make_agent
 from agents.realtime_loop import FreeLoop
 from fleet.analysis import punctuality as timing
 from fleet.cli import cli
-from fleet.clock import Clock
-from fleet.inprocess import InProcess
 from fleet.pictures import Look, NothingToDraw, load
 from fleet.pictures.timing import punctuality
 from fleet.recorder.journal import Journal
 from fleet.recorder.writer import LogWriter
-from fleet.remote import RemoteError
-from fleet.run import Options, Status, execute
+from fleet.run.clock import Clock
+from fleet.run.connection import RemoteError
+from fleet.run.execute import Options, Status, execute
+from fleet.run.in_process import InProcess
 from fleet.scenario.scenario import Scenario, frame_every, load_scenario
 from fleet.script import ScriptError
 from fleet.verify import verify

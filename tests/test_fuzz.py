@@ -34,13 +34,13 @@ from agents.loop import AgentLoop
 from agents.payload import StateMessage
 from agents.payload import encode as state_payload
 from fleet.cli import cli
-from fleet.clock import Clock, LiveClock
-from fleet.control import Operator
 from fleet.errors import FleetError, ScenarioError
 from fleet.logs.reader import LogReader
 from fleet.logs.recover import recover
 from fleet.recorder.journal import Journal
-from fleet.run import Options, execute
+from fleet.run.clock import Clock, LiveClock
+from fleet.run.execute import Options, execute
+from fleet.run.operator import Operator
 from fleet.scenario.scenario import load_scenario, parse_scenario, shipped
 from fleet.scenario.trust import Policy
 from netem.errors import MalformedMessage

@@ -12,8 +12,8 @@ from live import LiveRun
 from waiting import wait_for
 
 from fleet.logs.reader import digest
-from fleet.remote import RemoteError, ask
-from fleet.run import Options, execute
+from fleet.run.connection import RemoteError, ask
+from fleet.run.execute import Options, execute
 from fleet.scenario.scenario import load_scenario
 from fleet.script import script
 from netem.lives import Absence

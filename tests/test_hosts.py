@@ -41,7 +41,7 @@ from fleet.hosts.rendezvous import (
     run_id,
     through_router,
 )
-from fleet.remote import ask, find
+from fleet.run.connection import ask, find
 from fleet.scenario.scenario import load_scenario
 from netem.errors import BusError
 from netem.whole_file import write_whole

@@ -15,10 +15,10 @@ from hand import Hand
 from live import LiveRun
 
 from fleet.cli import cli
-from fleet.clock import Clock, LiveClock
 from fleet.logs.reader import digest
-from fleet.remote import RemoteError, find, live_runs
-from fleet.run import Options, execute
+from fleet.run.clock import Clock, LiveClock
+from fleet.run.connection import RemoteError, find, live_runs
+from fleet.run.execute import Options, execute
 from fleet.scenario.scenario import parse_scenario
 from fleet.script import script
 

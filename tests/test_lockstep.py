@@ -10,9 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from agents.loop import AgentLoop
-from fleet.clock import Clock
 from fleet.recorder.journal import Journal
 from fleet.recorder.writer import LogWriter
+from fleet.run.clock import Clock
 from fleet.scenario.scenario import load_scenario
 from netem.errors import OutOfPlace
 from netem.wire.messages import Command, Delivery, Frame, Inbox, LinkReport, Nav, Round, Transmission

@@ -20,7 +20,7 @@ from live import LiveRun
 from waiting import wait_for
 
 from fleet.hosts import certificates
-from fleet.run import Options, execute
+from fleet.run.execute import Options, execute
 from fleet.scenario.scenario import load_scenario
 from fleet.verify import verify
 

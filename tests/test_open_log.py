@@ -22,7 +22,7 @@ from fleet.errors import ScenarioError
 from fleet.logs.open_log import FaultInterval, LogKeyError
 from fleet.logs.reader import LogReadError
 from fleet.logs.schemas import Column, _descriptor_set, flat_schema
-from fleet.run import Options, execute
+from fleet.run.execute import Options, execute
 from fleet.scenario.scenario import load_scenario
 
 

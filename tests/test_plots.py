@@ -29,7 +29,7 @@ from fleet.pictures.report import write as write_report
 from fleet.pictures.report_tables import links_table
 from fleet.pictures.runs import NothingToDraw, Run, with_gaps
 from fleet.pictures.style import panels, plain_decades
-from fleet.run import Options, execute
+from fleet.run.execute import Options, execute
 from fleet.scenario.scenario import load_scenario
 from netem.causes import CAUSES, DELIVERED, IN_FLIGHT
 

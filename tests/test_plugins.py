@@ -34,7 +34,7 @@ from agents.signals import COMMANDED, HEARD
 from fleet.cli import cli
 from fleet.errors import ScenarioError
 from fleet.new import KINDS
-from fleet.run import Options, Result, Status, execute
+from fleet.run.execute import Options, Result, Status, execute
 from fleet.scenario.scenario import Scenario, load_scenario
 
 ROOT = Path(__file__).parent.parent

@@ -28,7 +28,7 @@ from fleet.cli import cli
 from fleet.logs.reader import GAPS, LOST, RECOVERY, LogReader, LogReadError, Record
 from fleet.logs.records import MAGIC, MOST_BYTES
 from fleet.logs.recover import Recovered, RecoverError, recover
-from fleet.run import Options, execute
+from fleet.run.execute import Options, execute
 from fleet.scenario.scenario import load_scenario
 
 TESTS = Path(__file__).parent

@@ -14,7 +14,7 @@ from time import sleep
 import pytest
 from live import LiveRun
 
-from fleet.run import Options, execute
+from fleet.run.execute import Options, execute
 from fleet.scenario.scenario import load_scenario
 
 CHECKS = "checks={ledger: balanced, middleware_loss: {at_most: 0}, tumbled: waived, deaths: waived}"

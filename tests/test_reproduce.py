@@ -12,7 +12,6 @@ from click.testing import CliRunner
 
 from agents.controllers import CONTROLLERS
 from fleet.cli import cli
-from fleet.recording import record
 from fleet.reproduce.cases import CASES, NAMES, D, Outcome, U, run_case
 from fleet.reproduce.claims import CORRECTED, NO_K_MAX, PRINTED, judge
 from fleet.reproduce.figures import DASHED, FIGURES, OF_CONTROLLERS, OF_VEHICLES, TAU_MAX, consensus_errors, inputs
@@ -21,6 +20,7 @@ from fleet.reproduce.report import write
 from fleet.reproduce.table1 import HEADINGS, chosen, table_1
 from fleet.reproduce.topology import topology
 from fleet.reproduce.verdicts import Check, Claim
+from fleet.run.in_memory import record
 from fleet.scenario.scenario import load_scenario
 
 

@@ -17,7 +17,7 @@ from fleet.cli import cli
 from fleet.logs.reader import LogReader, Record
 from fleet.recorder.snapshot import Snapshot, SnapshotError, find
 from fleet.resume import Start, parse_from, prepare
-from fleet.run import Options, Result, Status, execute
+from fleet.run.execute import Options, Result, Status, execute
 from fleet.scenario.scenario import Scenario, load_scenario
 from fleet.script import script
 from fleet.verify import describe, verify

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from rich.console import Console as Terminal
 
 from fleet.recorder.settling import least_s, settling_time
-from fleet.run import Options, execute
+from fleet.run.execute import Options, execute
 from fleet.scenario.scenario import load_scenario
 from fleet.table import show
 from world.config import Harmonic

@@ -17,7 +17,7 @@ from test_scenario import SMALL, only_problem, places, small
 
 from fleet.analysis.stability import analyse
 from fleet.errors import ScenarioError
-from fleet.run import Options, Status, execute
+from fleet.run.execute import Options, Status, execute
 from fleet.scenario.scenario import Scenario, load_scenario, parse_scenario
 from fleet.scenario.schema.shapes import GRAPH
 from fleet.scenario.schema.spec import FormationShape, GraphSection

@@ -23,13 +23,13 @@ from test_access import free_port
 from test_attack import SCENARIO, Attack
 from waiting import wait_for
 
-import fleet.console
 import fleet.processes.private_folder
+import fleet.run.console
 from fleet.errors import RunBroken
 from fleet.processes.children import Children, Exit
 from fleet.processes.private_folder import PREFIX, PrivateFolder
-from fleet.run import Options, Result, Status, execute
-from fleet.rundir import RunDirectory
+from fleet.run.directory import RunDirectory
+from fleet.run.execute import Options, Result, Status, execute
 from fleet.scenario.scenario import load_scenario
 from netem.wire.access import Credentials
 from netem.wire.audit import CUT_OFF
@@ -53,7 +53,7 @@ def attacked(
         thief.wait_until_up(keys, values["endpoint"])
         attack(thief, keys, values["endpoint"])
 
-    patch.setattr(fleet.console, "generate", thief.generate)
+    patch.setattr(fleet.run.console, "generate", thief.generate)
     patch.setattr(RunDirectory, "write_connection", write_and_attack)
     try:
         return execute(load_scenario("paper", SCENARIO), Options(out, quiet=True, audit=audit))

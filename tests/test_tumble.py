@@ -12,10 +12,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from loops import NU0, PARAMS, TAU_MAX, world_config
 
-from fleet import recording
 from fleet.logs.open_log import open_log
 from fleet.resume import prepare
-from fleet.run import Options, Result, Status, execute
+from fleet.run import in_memory
+from fleet.run.execute import Options, Result, Status, execute
 from fleet.scenario.scenario import load_scenario
 from netem.wire.messages import Frame, Tumble
 from world.config import VehicleSetup
@@ -149,7 +149,7 @@ def test_a_vehicle_that_an_older_version_gave_up_goes_on(tmp_path: Path) -> None
 @pytest.mark.parametrize("every", ["1 tick", "10 ticks"])
 def test_a_recording_holds_losses_and_thin_logs(every: str) -> None:
     scenario = load_scenario("paper", ["duration=3 s", KILLED, f"log.every={every}"])
-    found = recording.record(scenario)
+    found = in_memory.record(scenario)
     assert not found.broken
     assert found.t[-1] == 3.0
     theta = found["eta"][:, 2, 3]

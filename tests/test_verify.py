@@ -25,7 +25,7 @@ from fleet.logs.reader import LogReader, open_file
 from fleet.logs.records import Block, Message
 from fleet.logs.recover import Copy, Recovered, recover
 from fleet.logs.salvage import Item, Salvage
-from fleet.run import Options, Status, execute
+from fleet.run.execute import Options, Status, execute
 from fleet.scenario.scenario import load_scenario
 from fleet.verify import Verification, describe, verify
 

@@ -14,7 +14,7 @@ from test_plugins import module as module  # a fixture
 
 from fleet.cli import cli
 from fleet.errors import ScenarioError
-from fleet.run import Options, Status, execute
+from fleet.run.execute import Options, Status, execute
 from fleet.scenario.scenario import load_scenario
 from fleet.whatif import WhatIfError, whatif
 

@@ -21,7 +21,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fleet.analysis.stability import analyse
-from fleet.recording import record
+from fleet.run.in_memory import record
 from fleet.scenario.scenario import Scenario, parse_scenario
 
 GRAPHS = {

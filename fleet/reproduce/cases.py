@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from agents.controllers import CONTROLLERS
-from fleet.recording import Array, record
 from fleet.reproduce.measures import measure
+from fleet.run.in_memory import Array, record
 from fleet.scenario.scenario import Scenario, load_scenario
 
 U, D = "undisturbed", "disturbed"

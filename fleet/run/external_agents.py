@@ -13,7 +13,7 @@ from typing import Any
 
 from agents.join_file import Joining
 from fleet.errors import FleetError
-from fleet.rundir import RunDirectory
+from fleet.run.directory import RunDirectory
 from fleet.scenario.scenario import Scenario
 from netem.wire.access import Credentials, agent_role
 from netem.wire.messages import PROTOCOL_VERSION

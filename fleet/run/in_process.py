@@ -16,11 +16,11 @@ from agents.agent import make_agent
 from agents.config import AgentConfig
 from agents.errors import ControllerError
 from agents.loop import AgentLoop, Answer
-from fleet.clock import Clock
 from fleet.errors import RunBroken
 from fleet.fed import Feed
 from fleet.recorder.journal import Journal
 from fleet.resume import Start
+from fleet.run.clock import Clock
 from fleet.scenario.scenario import Scenario, frame_every
 from fleet.scenario.sections.timeline import MOST_RESTARTS
 from netem.errors import MalformedMessage, OutOfPlace

@@ -16,9 +16,9 @@ from typing import Any
 import agents.process
 import world.process
 from fleet.errors import RunBroken
-from fleet.external import Joins
 from fleet.processes.children import FORKSERVER_LOST, Children, Exit, describe_exit
 from fleet.recorder.journal import Journal
+from fleet.run.external_agents import Joins
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.sections.timeline import MOST_RESTARTS, Kill
 from netem.lives import Absence, Lives

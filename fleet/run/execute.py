@@ -17,20 +17,20 @@ from agents.errors import AgentError
 from fleet.analysis import punctuality
 from fleet.analysis.punctuality import MOST_MISSED
 from fleet.analysis.verdicts import Verdict, judge, judge_expected
-from fleet.clock import WINDOW_NS, Clock
-from fleet.console import JOIN_TIMEOUT_S, Console
 from fleet.errors import RunBroken, StoppedError
-from fleet.external import ExternalError, refuse
 from fleet.hosts.rendezvous import Meeting
-from fleet.inprocess import InProcess
 from fleet.processes.interrupts import HungUp, Unbroken
 from fleet.processes.ports import free_port
-from fleet.progress import ProgressLine
 from fleet.recorder.journal import Journal, Spell
 from fleet.recorder.writer import LogError, LogWriter
 from fleet.replay.publisher import LivePublisher, PublishError
 from fleet.resume import Start
-from fleet.rundir import RunDirectory
+from fleet.run.clock import WINDOW_NS, Clock
+from fleet.run.console import JOIN_TIMEOUT_S, Console
+from fleet.run.directory import RunDirectory
+from fleet.run.external_agents import ExternalError, refuse
+from fleet.run.in_process import InProcess
+from fleet.run.progress import ProgressLine
 from fleet.scenario.scenario import Scenario, frame_every
 from netem.condition import Link
 from world.errors import WorldError

@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 
 from agents.errors import AgentError
-from fleet.clock import Clock
 from fleet.errors import RunBroken
-from fleet.inprocess import InProcess
 from fleet.recorder.journal import Journal
 from fleet.recorder.metrics import VehicleError
 from fleet.recorder.snapshot import Snapshot
+from fleet.run.clock import Clock
+from fleet.run.in_process import InProcess
 from fleet.scenario.scenario import Scenario, frame_every
 from fleet.scenario.sections.timeline import Event
 from netem.wire.messages import Command, Fate, Frame

@@ -25,11 +25,7 @@ import netem.main
 import netem.process
 import world.main
 import world.process
-from fleet.clock import Clock, LiveClock
-from fleet.control import Operator
 from fleet.errors import RunBroken, StoppedError, printable
-from fleet.external import Joins
-from fleet.guardian import Guardian
 from fleet.hosts.rendezvous import Meeting
 from fleet.processes.children import (
     FORKSERVER_LOST,
@@ -46,7 +42,11 @@ from fleet.processes.open_files import allow_open_files
 from fleet.processes.ports import free_port
 from fleet.processes.private_folder import PrivateFolder
 from fleet.recorder.journal import Journal
-from fleet.rundir import RunDirectory
+from fleet.run.clock import Clock, LiveClock
+from fleet.run.directory import RunDirectory
+from fleet.run.external_agents import Joins
+from fleet.run.operator import Operator
+from fleet.run.supervisor import Guardian
 from fleet.scenario.scenario import Scenario, frame_every
 from netem.errors import BusError, MalformedMessage, OutOfPlace
 from netem.faults import NetFault, fault_values

@@ -13,8 +13,8 @@ from typing import Any
 
 from pydantic import TypeAdapter, ValidationError
 
-from fleet.clock import LiveClock
 from fleet.recorder.journal import Journal
+from fleet.run.clock import LiveClock
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.schema.spec import FaultEntry, FaultSection
 from fleet.scenario.sections.partitions import FaultError

@@ -1,0 +1,1 @@
+"""One run, in one process or as a fleet of processes."""

@@ -186,7 +186,7 @@ def run(
     try:
         start = None
         if begin is not None:
-            from fleet.resume import parse_from, prepare
+            from fleet.repeat.resume import parse_from, prepare
             from fleet.terminal.share_done import showing
 
             with showing(f"reading {begin}", quiet=quiet) as tell:

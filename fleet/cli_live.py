@@ -246,7 +246,7 @@ def script(log: Path) -> None:
     Examples:
       fleet script runs/latest > again.yaml && fleet run again.yaml
     """
-    from fleet.script import script as make
+    from fleet.repeat.recorded_run import script as make
     from fleet.terminal.share_done import showing
 
     try:

@@ -38,10 +38,10 @@ def verify(log: Path, trust: Trust, quiet: bool) -> None:
     Examples:
       fleet verify runs/latest
     """
+    from fleet.repeat.verify import NothingToVerify, describe
+    from fleet.repeat.verify import verify as check
     from fleet.run.progress import Counting
     from fleet.terminal.share_done import showing
-    from fleet.verify import NothingToVerify, describe
-    from fleet.verify import verify as check
 
     try:
         with (

@@ -14,7 +14,7 @@ from fleet.cli_trust import TrustingCommand, trust_option
 from fleet.errors import FleetError
 
 if TYPE_CHECKING:
-    from fleet.whatif import WhatIf
+    from fleet.repeat.what_if import WhatIf
 
 
 @click.command(cls=TrustingCommand, name="whatif")
@@ -48,7 +48,7 @@ def command(
     from rich.console import Console
     from rich.status import Status
 
-    from fleet.whatif import whatif
+    from fleet.repeat.what_if import whatif
 
     changes = [*overrides, *([f"controller={controller}"] if controller is not None else [])]
     terminal = Console(stderr=True)
@@ -57,7 +57,7 @@ def command(
             tell = lambda share: status.update(f"agent {agent}: {100 * share:.0f} %")  # noqa: E731
             found = whatif(log, agent, changes, tell, trust)
         if plot is not None:
-            from fleet.whatif_plot import draw
+            from fleet.repeat.what_if_picture import draw
 
             draw(found, plot)
     except FleetError as error:
@@ -73,7 +73,7 @@ def command(
 
 def values(found: WhatIf) -> dict[str, Any]:
     """The comparison as plain values, SI units."""
-    from fleet.whatif import COMPONENTS
+    from fleet.repeat.what_if import COMPONENTS
 
     away = abs(found.found - found.recorded)
     return {

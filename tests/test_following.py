@@ -18,7 +18,7 @@ from agents.offset import Change, Offset
 from agents.payload import StateMessage, encode
 from fleet.analysis.seed import chances
 from fleet.errors import ScenarioError
-from fleet.resume import prepare
+from fleet.repeat.resume import prepare
 from fleet.run.execute import Options, execute
 from fleet.scenario.scenario import Scenario, load_scenario
 from netem.wire.messages import Nav

@@ -33,14 +33,14 @@ from fleet.pictures import Look, NothingToDraw, load
 from fleet.pictures.timing import punctuality
 from fleet.recorder.journal import Journal
 from fleet.recorder.writer import LogWriter
+from fleet.repeat.recorded_run import ScriptError
+from fleet.repeat.verify import verify
+from fleet.repeat.what_if import whatif
 from fleet.run.clock import Clock
 from fleet.run.connection import RemoteError
 from fleet.run.execute import Options, Status, execute
 from fleet.run.in_process import InProcess
 from fleet.scenario.scenario import Scenario, frame_every, load_scenario
-from fleet.script import ScriptError
-from fleet.verify import verify
-from fleet.whatif import whatif
 from netem.errors import OutOfPlace
 from netem.histogram import Spread
 from netem.realtime_process import FreeNetemProcess

@@ -12,10 +12,10 @@ from live import LiveRun
 from waiting import wait_for
 
 from fleet.logs.reader import digest
+from fleet.repeat.recorded_run import script
 from fleet.run.connection import RemoteError, ask
 from fleet.run.execute import Options, execute
 from fleet.scenario.scenario import load_scenario
-from fleet.script import script
 from netem.lives import Absence
 from netem.wire.messages import Command, Frame
 from world.lockstep import Lockstep, NavTo

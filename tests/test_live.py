@@ -16,11 +16,11 @@ from live import LiveRun
 
 from fleet.cli import cli
 from fleet.logs.reader import digest
+from fleet.repeat.recorded_run import script
 from fleet.run.clock import Clock, LiveClock
 from fleet.run.connection import RemoteError, find, live_runs
 from fleet.run.execute import Options, execute
 from fleet.scenario.scenario import parse_scenario
-from fleet.script import script
 
 TICK_NS = 10_000_000
 CHECKS = "checks={ledger: balanced, middleware_loss: {at_most: 0}, tumbled: waived, deaths: waived}"

@@ -20,9 +20,9 @@ from live import LiveRun
 from waiting import wait_for
 
 from fleet.hosts import certificates
+from fleet.repeat.verify import verify
 from fleet.run.execute import Options, execute
 from fleet.scenario.scenario import load_scenario
-from fleet.verify import verify
 
 pytest.importorskip("cryptography", reason="cryptography is not installed: pip install 'uuv-fleet[hosts]'")
 ADDRESSES = {"east": "10.231.1", "west": "10.231.2"}  # of the cable's ends: .1 is the sea

@@ -21,7 +21,7 @@ from fleet.logs.decoder import _unit
 from fleet.logs.reader import LogReader
 from fleet.recorder.scene import CUTS, HISTORY, LINKS, LinkHistories, Scene, diameter, hull
 from fleet.recorder.transforms import quaternion
-from fleet.resume import prepare
+from fleet.repeat.resume import prepare
 from fleet.run.execute import Options, Result, execute
 from fleet.scenario.scenario import load_scenario
 from netem.causes import CAUSES, DELIVERED, IN_FLIGHT

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from loops import NU0, PARAMS, TAU_MAX, world_config
 
 from fleet.logs.open_log import open_log
-from fleet.resume import prepare
+from fleet.repeat.resume import prepare
 from fleet.run import in_memory
 from fleet.run.execute import Options, Result, Status, execute
 from fleet.scenario.scenario import load_scenario

@@ -25,9 +25,9 @@ from fleet.logs.reader import LogReader, open_file
 from fleet.logs.records import Block, Message
 from fleet.logs.recover import Copy, Recovered, recover
 from fleet.logs.salvage import Item, Salvage
+from fleet.repeat.verify import Verification, describe, verify
 from fleet.run.execute import Options, Status, execute
 from fleet.scenario.scenario import load_scenario
-from fleet.verify import Verification, describe, verify
 
 Part = Item | Message
 ROUGH = "network.links={'*': 'delay 200ms 50ms loss 30%'}"

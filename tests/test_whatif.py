@@ -14,9 +14,9 @@ from test_plugins import module as module  # a fixture
 
 from fleet.cli import cli
 from fleet.errors import ScenarioError
+from fleet.repeat.what_if import WhatIfError, whatif
 from fleet.run.execute import Options, Status, execute
 from fleet.scenario.scenario import load_scenario
-from fleet.whatif import WhatIfError, whatif
 
 LINKS = 'network.links={"*": delay 60ms 30ms loss 20% duplicate 20% corrupt 20%}'
 

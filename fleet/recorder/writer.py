@@ -48,7 +48,7 @@ from fleet.recorder.metrics import VehicleError
 from fleet.recorder.scene import SCENE_UNITS, Scene
 from fleet.recorder.snapshot import START, TOPIC, Snapshot, forgetful
 from fleet.recorder.transforms import NED, TRANSFORMS_UNITS, quaternion, transforms
-from fleet.resume import Start
+from fleet.repeat.resume import Start
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.sections.timeline import Event
 from netem.wire.messages import Command, Fate, Frame, VehicleFrame

@@ -17,9 +17,9 @@ from agents.config import AgentConfig
 from agents.errors import ControllerError
 from agents.loop import AgentLoop, Answer
 from fleet.errors import RunBroken
-from fleet.fed import Feed
 from fleet.recorder.journal import Journal
-from fleet.resume import Start
+from fleet.repeat.recorded_agent import Feed
+from fleet.repeat.resume import Start
 from fleet.run.clock import Clock
 from fleet.scenario.scenario import Scenario, frame_every
 from fleet.scenario.sections.timeline import MOST_RESTARTS

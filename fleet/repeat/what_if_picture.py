@@ -7,8 +7,8 @@ from pathlib import Path
 from fleet.logs.open_log import FaultInterval
 from fleet.pictures.axes import shade
 from fleet.pictures.style import FORMATS, legend, limit, line, panels, save
+from fleet.repeat.what_if import COMPONENTS, WhatIf, WhatIfError
 from fleet.scenario.scenario import timeline
-from fleet.whatif import COMPONENTS, WhatIf, WhatIfError
 
 
 def draw(found: WhatIf, path: Path) -> None:

@@ -22,9 +22,9 @@ from agents.plugins.trust import NOTHING, Trust
 from fleet.errors import FleetError
 from fleet.logs.decoder import Decoder
 from fleet.logs.reader import LogReader, Tell, log_path
+from fleet.repeat.recorded_run import recorded as read
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.trust import A_LOG, Policy
-from fleet.script import recorded as read
 from netem.lives import Lives
 from netem.wire.messages import Delivery, Nav
 

@@ -15,9 +15,9 @@ from agents.plugins.trust import NOTHING, Trust
 from fleet.logs.reader import LogReader, Tell, digest, log_path
 from fleet.quantities import QuantityError, show_time, time_ns
 from fleet.recorder.snapshot import START, Snapshot, SnapshotError, find
+from fleet.repeat.recorded_run import recorded as read
 from fleet.scenario.scenario import Scenario, load_scenario
 from fleet.scenario.trust import Policy
-from fleet.script import recorded as read
 
 
 @dataclass(frozen=True, slots=True)

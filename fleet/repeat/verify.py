@@ -17,19 +17,19 @@ from typing import IO, Any
 from agents.errors import AgentError
 from agents.plugins.trust import NOTHING, Trust
 from fleet.errors import FleetError, RunBroken
-from fleet.fed import NotRecordedError, feeds
 from fleet.logs.decoder import Decoder
 from fleet.logs.first_difference import Difference, Side, side
 from fleet.logs.reader import GAPS, RECOVERY, LogReader, Record
 from fleet.recorder.journal import Journal
 from fleet.recorder.writer import LogWriter, run_metadata
-from fleet.resume import Start, begun
+from fleet.repeat.recorded_agent import NotRecordedError, feeds
+from fleet.repeat.recorded_run import Recorded, recorded
+from fleet.repeat.resume import Start, begun
 from fleet.run.clock import Clock
 from fleet.run.external_agents import named
 from fleet.run.in_process import InProcess
 from fleet.scenario.scenario import Scenario, frame_every, parse_scenario
 from fleet.scenario.trust import Policy
-from fleet.script import Recorded, recorded
 from world.errors import WorldError
 
 _VERSIONS = ("uuv-fleet", "python", "piqp")  # that may change a bit without anybody's mistake

@@ -1,0 +1,1 @@
+"""A recorded run once more: verified, continued, or with another agent."""

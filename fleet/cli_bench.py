@@ -73,8 +73,8 @@ def bench(context: click.Context, agents: list[int], json_path: Path | None, qui
     """
     if context.invoked_subcommand is not None:
         return
-    from fleet.bench import measure
-    from fleet.bench_table import show
+    from fleet.bench.fleets import measure
+    from fleet.bench.tables import show
 
     figures = measure(agents, quick=quick, say=_say)
     show(figures, _terminal())
@@ -97,7 +97,7 @@ def real(agents: list[int], speeds: list[float], json_path: Path | None, quick: 
       fleet bench real
       fleet bench real --agents 4,100 --speed 0.5,1
     """
-    from fleet.bench_real import measure, table
+    from fleet.bench.wall_clock import measure, table
 
     try:
         rows = measure(agents, speeds, seconds=1.0 if quick else 10.0, say=_say)
@@ -123,7 +123,7 @@ def stress(agents: list[int], suspend: float, json_path: Path | None) -> None:
       fleet bench stress
       fleet bench stress --agents 20 --suspend 1
     """
-    from fleet.bench_stress import measure, table, verdicts
+    from fleet.bench.stress import measure, table, verdicts
 
     rows = measure(agents, suspend, _say)
     _terminal().print(table(rows))
@@ -150,7 +150,7 @@ def soak(vehicles: int, duration: float, distributed: float, json_path: Path | N
       fleet bench soak
       fleet bench soak --vehicles 6 --duration 120 --distributed 60
     """
-    from fleet.bench_soak import measure, table, verdicts
+    from fleet.bench.soak import measure, table, verdicts
 
     rows = measure(vehicles, duration, distributed, _say)
     _terminal().print(table(rows))

@@ -6,10 +6,10 @@ from io import StringIO
 
 from rich.console import Console as Terminal
 
-from fleet.bench import measure, netem_targets, step_targets, targets
-from fleet.bench_netem import SHARE
-from fleet.bench_real import measure as measure_real
-from fleet.bench_real import table
+from fleet.bench.fleets import measure, netem_targets, step_targets, targets
+from fleet.bench.network_core import SHARE
+from fleet.bench.wall_clock import measure as measure_real
+from fleet.bench.wall_clock import table
 
 
 def test_quick_bench_reports_every_figure() -> None:

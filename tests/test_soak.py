@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from fleet.bench_soak import measure, verdicts
+from fleet.bench.soak import measure, verdicts
 
 
 def test_two_minutes_of_random_faults() -> None:

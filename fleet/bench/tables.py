@@ -7,8 +7,8 @@ from typing import Any
 from rich.console import Console as Terminal
 from rich.table import Table
 
-from fleet.bench import netem_targets, step_targets, targets
-from fleet.bench_replay import show_rows
+from fleet.bench.fleets import netem_targets, step_targets, targets
+from fleet.bench.journal import show_rows
 
 
 def show(figures: dict[str, Any], terminal: Terminal) -> None:

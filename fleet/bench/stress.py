@@ -22,7 +22,7 @@ from typing import Any
 from rich.table import Table
 
 from agents.join_file import Joining
-from fleet.bench_soak import Soak, result_of
+from fleet.bench.soak import Soak, result_of
 from netem.errors import BusError
 from netem.wire.bus import Bus
 from netem.wire.keys import Keys

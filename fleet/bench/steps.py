@@ -8,7 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 from statistics import median
 
-from fleet.bench_agent import agent_steps
+from fleet.bench.agent_step import agent_steps
 from fleet.recorder.journal import Journal
 from fleet.recorder.writer import LogWriter
 from fleet.run.clock import Clock

@@ -20,11 +20,11 @@ from multiprocessing.connection import Connection, Pipe
 from pathlib import Path
 from typing import Any
 
-from fleet.bench_agent import GOALS_US
-from fleet.bench_echo import echo_bus, echo_pipe
-from fleet.bench_netem import SHARE, SHARE_GOAL, netem_figures
-from fleet.bench_replay import measure_recorder
-from fleet.bench_steps import steps
+from fleet.bench.agent_step import GOALS_US
+from fleet.bench.echo import echo_bus, echo_pipe
+from fleet.bench.journal import measure_recorder
+from fleet.bench.network_core import SHARE, SHARE_GOAL, netem_figures
+from fleet.bench.steps import steps
 from fleet.processes.children import Children
 from fleet.processes.private_folder import PrivateFolder
 from fleet.run.execute import Options, Status, execute

@@ -1,0 +1,1 @@
+"""What the emulator costs: measurements that print a table."""

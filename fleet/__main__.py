@@ -38,7 +38,7 @@ def _command_line() -> int:
     """The exit status of what was asked for."""
     import click
 
-    from fleet.cli import cli
+    from fleet.cli.main import cli
 
     try:
         status = cli(standalone_mode=False)

@@ -22,7 +22,7 @@ from test_open_log import foreign
 from waiting import wait_for
 
 import fleet
-from fleet.cli import cli
+from fleet.cli.main import cli
 from fleet.logs import columns, decoder, deviation, export, open_log, reader, records, tape, topic
 from fleet.logs.reader import LogReader, LogReadError
 from fleet.pictures import Look, draw, load

@@ -14,12 +14,12 @@ from test_scenario import SMALL, WILD, small
 
 from fleet.analysis.stability import analyse
 from fleet.analysis.verdicts import Verdict, judge
+from fleet.cli.result_table import MOST_ROWS, show
 from fleet.errors import ScenarioError
 from fleet.recorder.journal import Journal
 from fleet.repeat.recorded_run import script
 from fleet.run.execute import Options, Result, Status, execute
 from fleet.scenario.scenario import Scenario, frame_every, load_scenario, parse_scenario
-from fleet.table import MOST_ROWS, show
 from netem.wire.messages import Fate, Frame, Life, LinkReport, Tumble, VehicleFrame
 
 Link = tuple[int, int]

@@ -18,7 +18,7 @@ from click.testing import CliRunner, Result
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
-from fleet.cli import cli
+from fleet.cli.main import cli
 from fleet.logs.reader import digest
 from fleet.recorder.writer import LogError
 from fleet.replay.publisher import PublishError

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
-from fleet.cli import cli
+from fleet.cli.main import cli
 from fleet.scenario.scenario import load_scenario
 
 

@@ -19,7 +19,7 @@ from click.testing import CliRunner
 from live import LiveRun
 from waiting import wait_for
 
-from fleet.cli import cli
+from fleet.cli.main import cli
 from fleet.protocol import conformance
 from fleet.protocol.conformance import CHECKS, Check, ConformanceError, Examination
 from fleet.repeat.verify import describe, verify

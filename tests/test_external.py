@@ -22,7 +22,7 @@ from test_live import tool as op
 from waiting import wait_for
 
 from agents.join_file import JoinError, Joining
-from fleet.cli import cli
+from fleet.cli.main import cli
 from fleet.logs.reader import digest
 from fleet.run.execute import Options, execute
 from fleet.run.external_agents import ExternalError

@@ -15,7 +15,7 @@ import fleet.run.execute
 import fleet.run.in_process
 from agents.agent import make_agent
 from agents.config import AgentConfig
-from fleet.cli import cli
+from fleet.cli.main import cli
 from fleet.logs.schemas import Column, DoublesEncoder
 from fleet.repeat.recorded_agent import NotRecordedError
 from fleet.repeat.verify import describe, verify

@@ -28,7 +28,7 @@ from nowhere import Nowhere, serve
 from agents.agent import make_agent
 from agents.realtime_loop import FreeLoop
 from fleet.analysis import punctuality as timing
-from fleet.cli import cli
+from fleet.cli.main import cli
 from fleet.pictures import Look, NothingToDraw, load
 from fleet.pictures.timing import punctuality
 from fleet.recorder.journal import Journal

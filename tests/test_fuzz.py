@@ -33,7 +33,7 @@ from agents.join_file import JoinError, Joining
 from agents.loop import AgentLoop
 from agents.payload import StateMessage
 from agents.payload import encode as state_payload
-from fleet.cli import cli
+from fleet.cli.main import cli
 from fleet.errors import FleetError, ScenarioError
 from fleet.logs.reader import LogReader
 from fleet.logs.recover import recover

@@ -28,8 +28,8 @@ from live import LiveRun
 from waiting import wait_for
 
 from agents.join_file import Joining
-from fleet.cli import cli
-from fleet.cli_hosts import meeting
+from fleet.cli.hosts import meeting
+from fleet.cli.main import cli
 from fleet.hosts import certificates, router_config
 from fleet.hosts.certificates import CertsError
 from fleet.hosts.rendezvous import (

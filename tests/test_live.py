@@ -14,7 +14,7 @@ from click.testing import CliRunner
 from hand import Hand
 from live import LiveRun
 
-from fleet.cli import cli
+from fleet.cli.main import cli
 from fleet.logs.reader import digest
 from fleet.repeat.recorded_run import script
 from fleet.run.clock import Clock, LiveClock

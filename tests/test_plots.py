@@ -18,8 +18,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 import fleet
-from fleet.cli import cli
-from fleet.cli_log import KINDS
+from fleet.cli.logs import KINDS
+from fleet.cli.main import cli
 from fleet.logs.export import ExportError, columns, export
 from fleet.logs.open_log import FaultInterval
 from fleet.pictures import PER_RUN, WHAT, Look, draw, exchange, load, signals

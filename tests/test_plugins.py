@@ -31,9 +31,9 @@ from agents.config import Law
 from agents.errors import ControllerError, PluginError
 from agents.plugins import loading
 from agents.signals import COMMANDED, HEARD
-from fleet.cli import cli
+from fleet.cli.main import cli
+from fleet.cli.new import KINDS
 from fleet.errors import ScenarioError
-from fleet.new import KINDS
 from fleet.run.execute import Options, Result, Status, execute
 from fleet.scenario.scenario import Scenario, load_scenario
 

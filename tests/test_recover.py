@@ -24,7 +24,7 @@ from mcap.opcode import Opcode
 from mcap.reader import make_reader
 from mcap.writer import Writer
 
-from fleet.cli import cli
+from fleet.cli.main import cli
 from fleet.logs.reader import GAPS, LOST, RECOVERY, LogReader, LogReadError, Record
 from fleet.logs.records import MAGIC, MOST_BYTES
 from fleet.logs.recover import Recovered, RecoverError, recover

@@ -28,7 +28,7 @@ from live import LiveRun
 from mcap.writer import CompressionType, Writer
 from waiting import wait_for
 
-from fleet.cli import cli
+from fleet.cli.main import cli
 from fleet.logs.info import describe, read_info
 from fleet.logs.reader import LogReader, LogReadError, Record
 from fleet.logs.tape import Tape

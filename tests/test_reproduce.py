@@ -11,7 +11,7 @@ import pytest
 from click.testing import CliRunner
 
 from agents.controllers import CONTROLLERS
-from fleet.cli import cli
+from fleet.cli.main import cli
 from fleet.reproduce.cases import CASES, NAMES, D, Outcome, U, run_case
 from fleet.reproduce.claims import CORRECTED, NO_K_MAX, PRINTED, judge
 from fleet.reproduce.figures import DASHED, FIGURES, OF_CONTROLLERS, OF_VEHICLES, TAU_MAX, consensus_errors, inputs

@@ -13,7 +13,7 @@ from test_plugins import failing
 from test_plugins import module as module  # a fixture
 from test_scenario import only_problem, small
 
-from fleet.cli import cli
+from fleet.cli.main import cli
 from fleet.logs.reader import LogReader, Record
 from fleet.recorder.snapshot import Snapshot, SnapshotError, find
 from fleet.repeat.recorded_run import script

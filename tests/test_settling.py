@@ -11,10 +11,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rich.console import Console as Terminal
 
+from fleet.cli.result_table import show
 from fleet.recorder.settling import least_s, settling_time
 from fleet.run.execute import Options, execute
 from fleet.scenario.scenario import load_scenario
-from fleet.table import show
 from world.config import Harmonic
 from world.disturbance import PAPER
 

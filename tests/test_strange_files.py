@@ -19,7 +19,7 @@ from live import Stopwatch
 
 from agents.join_file import JoinError, Joining
 from fleet.analysis.stability import oldest_s
-from fleet.cli import cli
+from fleet.cli.main import cli
 from fleet.errors import ScenarioError
 from fleet.hosts.certificates import CertsError
 from fleet.hosts.certificates import _read as read_pem

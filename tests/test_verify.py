@@ -18,7 +18,7 @@ from test_live import tool as op
 from waiting import wait_for
 
 import fleet.logs.deviation
-from fleet.cli import cli
+from fleet.cli.main import cli
 from fleet.logs.decoder import Decoder
 from fleet.logs.deviation import compare
 from fleet.logs.reader import LogReader, open_file

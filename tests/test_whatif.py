@@ -12,7 +12,7 @@ from test_lives import EVERYTHING
 from test_plugins import failing
 from test_plugins import module as module  # a fixture
 
-from fleet.cli import cli
+from fleet.cli.main import cli
 from fleet.errors import ScenarioError
 from fleet.repeat.what_if import WhatIfError, whatif
 from fleet.run.execute import Options, Status, execute

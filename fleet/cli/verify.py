@@ -10,7 +10,7 @@ import click
 from rich.console import Console as Terminal
 
 from agents.plugins.trust import Trust
-from fleet.cli_trust import TrustingCommand, trust_option
+from fleet.cli.trust import TrustingCommand, trust_option
 from fleet.errors import FleetError, ScenarioError
 
 _VERIFY = "Exit status: 0 reproduced, 1 not, 2 no log of ours or it cannot be run here, 3 no message is left in it."

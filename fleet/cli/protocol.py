@@ -8,9 +8,9 @@ from pathlib import Path
 import click
 
 from agents.plugins.trust import Trust
-from fleet.cli_trust import TrustingCommand, trust_option
-from fleet.cli_types import Duration
-from fleet.completion import scenarios
+from fleet.cli.completion import scenarios
+from fleet.cli.trust import TrustingCommand, trust_option
+from fleet.cli.types import Duration
 from fleet.errors import FleetError
 
 _CHECK = "Exit status: 0 every check passed, 1 one did not, 2 usage, or nobody came, 129 terminal closed, 130 Ctrl-C."

@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 import click
 from click.shell_completion import get_completion_class
 
-from fleet import completion
+from fleet.cli import completion
 from fleet.errors import FleetError, ScenarioError
 
 F = TypeVar("F", bound=Callable[..., Any])

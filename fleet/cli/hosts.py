@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from fleet.cli_types import Duration
-from fleet.completion import scenarios
+from fleet.cli.completion import scenarios
+from fleet.cli.types import Duration
 from fleet.errors import FleetError
 
 if TYPE_CHECKING:

@@ -12,10 +12,11 @@ import click
 from rich.console import Console as Terminal
 
 from agents.plugins.trust import Trust
-from fleet import cli_bench, cli_hosts, cli_join, cli_live, cli_log, cli_protocol, cli_replay, cli_verify, cli_whatif
-from fleet.cli_trust import TrustingCommand, trust_option
-from fleet.cli_types import Duration
-from fleet.completion import scenarios
+from fleet.cli import bench, join, live, logs, protocol, replay, verify, what_if
+from fleet.cli import hosts as cli_hosts
+from fleet.cli.completion import scenarios
+from fleet.cli.trust import TrustingCommand, trust_option
+from fleet.cli.types import Duration
 from fleet.errors import FleetError, Problem, ScenarioError
 from fleet.terminal.output import OutputError, give_up_output
 
@@ -199,8 +200,8 @@ def run(
         if show_config:
             click.echo(loaded.to_yaml(), nl=False)
             return
+        from fleet.cli.result_table import show
         from fleet.run.execute import Options, Status, execute
-        from fleet.table import show
 
         if not quiet:
             from fleet.analysis.preflight import doubts
@@ -422,7 +423,7 @@ def controller(name: str, kind: str, folder: Path) -> None:
       fleet new controller pid
       fleet new controller swarm --kind guidance --dir laws
     """
-    from fleet.new import write_law
+    from fleet.cli.new import write_law
 
     try:
         law, scenario = write_law(kind, name, folder)
@@ -470,7 +471,7 @@ def info(log: Path, as_json: bool) -> None:
     click.echo(json.dumps(found.to_values(), indent=2) if as_json else describe(found))
 
 
-_GROUPS = (cli_bench, cli_hosts, cli_join, cli_live, cli_log, cli_protocol, cli_replay, cli_verify, cli_whatif)
+_GROUPS = (bench, cli_hosts, join, live, logs, protocol, replay, verify, what_if)
 for _command in (command for group in _GROUPS for command in group.COMMANDS):
     cli.add_command(_command)
 

@@ -17,7 +17,7 @@ import click
 import msgspec
 from rich.console import Console as Terminal
 
-from fleet.cli_types import Duration
+from fleet.cli.types import Duration
 from fleet.errors import FleetError
 from fleet.processes.interrupts import ending_status
 from fleet.quantities import Dimension, QuantityError, parse

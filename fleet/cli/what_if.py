@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from agents.plugins.trust import Trust
-from fleet.cli_trust import TrustingCommand, trust_option
+from fleet.cli.trust import TrustingCommand, trust_option
 from fleet.errors import FleetError
 
 if TYPE_CHECKING:

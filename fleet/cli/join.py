@@ -10,7 +10,7 @@ from typing import NoReturn
 import click
 
 from agents.plugins.trust import Trust
-from fleet.cli_trust import TrustingCommand, trust_option
+from fleet.cli.trust import TrustingCommand, trust_option
 from fleet.processes.interrupts import ending_status
 
 _AGENT = (

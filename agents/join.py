@@ -22,9 +22,9 @@ from agents.plugins.loading import admit
 from agents.plugins.trust import NOTHING, Trust
 from netem.errors import BusError, MalformedMessage
 from netem.wire.bus import Bus
+from netem.wire.control import read_map
 from netem.wire.keys import Keys
 from netem.wire.messages import End
-from netem.wire.shell import read_map
 
 CONNECT_MS = 3000
 ASK_S = 10.0

@@ -13,8 +13,10 @@ from agents.realtime_loop import FreeLoop
 from netem.errors import BusError
 from netem.wire.access import Credentials, agent_role
 from netem.wire.bus import Bus, quiet_zenoh
+from netem.wire.control import read_map
 from netem.wire.keys import Keys
-from netem.wire.shell import Shell, end_with_link, read_map
+from netem.wire.link_loss import end_with_link
+from netem.wire.shell import Shell
 
 
 def run(

@@ -37,18 +37,7 @@ from dataclasses import dataclass, field
 from math import sqrt
 from typing import Any, NamedTuple
 
-from netem.causes import (
-    COLLISION,
-    DEAD_RECEIVER,
-    DEAD_SENDER,
-    HALF_DUPLEX,
-    IN_FLIGHT,
-    MTU,
-    MUTE,
-    RANGE,
-    REPLACED,
-    SNR,
-)
+from netem.causes import COLLISION, DEAD_RECEIVER, DEAD_SENDER, HALF_DUPLEX, IN_FLIGHT, MTU, MUTE, RANGE, REPLACED, SNR
 from netem.config import NetemConfig
 from netem.draws import uniform
 from netem.faults import Weather, weather

@@ -9,7 +9,7 @@ from netem.rounds import Rounds
 from netem.wire.access import Credentials
 from netem.wire.bus import Bus, quiet_zenoh
 from netem.wire.keys import Keys
-from netem.wire.shell import end_with_link
+from netem.wire.link_loss import end_with_link
 
 
 def run(endpoint: str, run_id: str, credentials: Credentials, config: NetemConfig, real: bool) -> None:

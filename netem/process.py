@@ -17,7 +17,8 @@ from netem.realtime_rounds import FreeRounds
 from netem.rounds import Rounds
 from netem.wire.access import NETEM
 from netem.wire.bus import PART_BYTES, Bus, Respond
-from netem.wire.keys import Keys
+from netem.wire.control import read_map
+from netem.wire.keys import Keys, vehicle_of
 from netem.wire.messages import (
     PROTOCOL_VERSION,
     Delivery,
@@ -34,7 +35,7 @@ from netem.wire.messages import (
     pieces,
     split,
 )
-from netem.wire.shell import Item, Probes, Shell, expect, read_map, vehicle_of
+from netem.wire.shell import Item, Probes, Shell, expect
 
 log = logging.getLogger(__name__)
 

@@ -20,7 +20,8 @@ from fleet.recorder.journal import Journal
 from fleet.recorder.writer import LogWriter
 from fleet.run.clock import Clock
 from fleet.run.in_process import InProcess
-from fleet.scenario.scenario import Scenario, frame_every, load_scenario
+from fleet.scenario.loading import load_scenario
+from fleet.scenario.scenario import Scenario, frame_every
 
 OVERRIDES = ["vehicles=3", "duration=4 s", "checks={}", "network.links={'*': 'delay 200ms 50ms loss 30%'}"]
 

@@ -29,7 +29,7 @@ from fleet.logs.reader import LogReader
 from fleet.processes.private_folder import PrivateFolder
 from fleet.run.directory import RunDirectory
 from fleet.run.execute import Options, Status, execute
-from fleet.scenario.scenario import load_scenario
+from fleet.scenario.loading import load_scenario
 from netem.errors import BusError
 from netem.wire.access import CONSOLE, LEASE_MS, NETEM, OPERATOR, Credentials, Door, agent_role, generate
 from netem.wire.bus import Bus, Respond

@@ -7,7 +7,7 @@ from pathlib import Path
 from first_difference import assert_same_bytes
 
 from fleet.run.execute import Options, Result, Status, execute
-from fleet.scenario.scenario import load_scenario
+from fleet.scenario.loading import load_scenario
 
 
 def run(out: Path, name: str, *overrides: str, in_process: bool = True) -> Result:

@@ -24,14 +24,16 @@ import fleet.run.console
 from fleet.logs.reader import LogReader
 from fleet.run.directory import RunDirectory
 from fleet.run.execute import Options, Result, Status, execute
-from fleet.scenario.scenario import load_scenario
+from fleet.scenario.loading import load_scenario
 from netem.errors import BusError
 from netem.wire.access import CONSOLE, OBSERVER, OPERATOR, Credentials, generate
-from netem.wire.bus import Bus, OpenBus
+from netem.wire.bus import Bus
+from netem.wire.control import request
 from netem.wire.keys import Keys
 from netem.wire.messages import Command, Hello, Note, encode
+from netem.wire.open_bus import OpenBus
 from netem.wire.queues import MOST_WAITING
-from netem.wire.shell import Shell, request
+from netem.wire.shell import Shell
 
 SCENARIO = ["duration=1 s", "checks={}"]
 SHORT = ["duration=400 ms", "checks={}"]

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from fleet.analysis.border import LinearFleet, Link, Member, linear_fleet
 from fleet.analysis.linear import NotLinear
 from fleet.analysis.stability import analyse, report
-from fleet.scenario.scenario import load_scenario
+from fleet.scenario.loading import load_scenario
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "docs" / "examples"))
 from stability_borders import Case, delay_row, gain_row, line

@@ -25,10 +25,11 @@ import fleet
 from fleet.cli.main import cli
 from fleet.logs import columns, decoder, deviation, export, open_log, reader, records, tape, topic
 from fleet.logs.reader import LogReader, LogReadError
-from fleet.pictures import Look, draw, load
+from fleet.pictures.gallery import draw
+from fleet.pictures.runs import Look, load
 from fleet.pictures.whole_file import whole_file
 from fleet.run.execute import Options, execute
-from fleet.scenario.scenario import load_scenario
+from fleet.scenario.loading import load_scenario
 from fleet.terminal import share_done
 
 MIB = 1 << 20

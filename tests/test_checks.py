@@ -19,7 +19,8 @@ from fleet.errors import ScenarioError
 from fleet.recorder.journal import Journal
 from fleet.repeat.recorded_run import script
 from fleet.run.execute import Options, Result, Status, execute
-from fleet.scenario.scenario import Scenario, frame_every, load_scenario, parse_scenario
+from fleet.scenario.loading import load_scenario, parse_scenario
+from fleet.scenario.scenario import Scenario, frame_every
 from netem.wire.messages import Fate, Frame, Life, LinkReport, Tumble, VehicleFrame
 
 Link = tuple[int, int]

@@ -22,7 +22,7 @@ from fleet.cli.main import cli
 from fleet.logs.reader import digest
 from fleet.recorder.writer import LogError
 from fleet.replay.publisher import PublishError
-from fleet.scenario.scenario import list_scenarios, load_scenario
+from fleet.scenario.loading import list_scenarios, load_scenario
 
 ROOT = Path(__file__).parent.parent
 EXPECTED = Path(__file__).parent / "expected"

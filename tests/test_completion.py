@@ -10,7 +10,7 @@ import pytest
 from click.testing import CliRunner
 
 from fleet.cli.main import cli
-from fleet.scenario.scenario import load_scenario
+from fleet.scenario.loading import load_scenario
 
 
 def offered(monkeypatch: pytest.MonkeyPatch, *words: str, shell: str = "zsh") -> list[str]:

@@ -23,7 +23,7 @@ from fleet.cli.main import cli
 from fleet.protocol import conformance
 from fleet.protocol.conformance import CHECKS, Check, ConformanceError, Examination
 from fleet.repeat.verify import describe, verify
-from fleet.scenario.scenario import load_scenario
+from fleet.scenario.loading import load_scenario
 
 EXAMPLE = Path(__file__).parents[1] / "docs" / "examples" / "foreign_agent.py"
 SOURCE = EXAMPLE.read_text("utf-8")

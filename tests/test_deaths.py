@@ -29,7 +29,7 @@ from agents.errors import ControllerError
 from fleet.logs.reader import LogReader
 from fleet.run.directory import RunDirectory
 from fleet.run.execute import Options, Result, Status, execute
-from fleet.scenario.scenario import load_scenario
+from fleet.scenario.loading import load_scenario
 from netem.wire.access import Credentials
 from netem.wire.bus import Bus
 from netem.wire.keys import Keys

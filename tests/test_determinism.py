@@ -20,7 +20,7 @@ from mcap.stream_reader import StreamReader
 from fleet.logs.reader import LogReader, digest
 from fleet.run.directory import RunDirectory
 from fleet.run.execute import Options, Status, execute
-from fleet.scenario.scenario import load_scenario
+from fleet.scenario.loading import load_scenario
 
 CHECKS = "checks={qp_infeasible: {at_most: 0}, ledger: balanced, middleware_loss: {at_most: 0}}"
 NOISE = [

@@ -19,12 +19,7 @@ from loops import PARAMS, TAU_MAX, world_config
 from world.config import NavNoise, VehicleSetup, WorldConfig
 from world.disturbance import NO_FORCE, PAPER, disturbance
 from world.dynamics import CALM, NEAR_VERTICAL, State, coefficients, derivative, rk4_step, turn_per_yaw
-from world.errors import (
-    CommandError,
-    IntegrationError,
-    NonFiniteStateError,
-    UnknownVehicleError,
-)
+from world.errors import CommandError, IntegrationError, NonFiniteStateError, UnknownVehicleError
 from world.sea import World
 from world.vectors import Vec3
 

@@ -26,7 +26,7 @@ from fleet.cli.main import cli
 from fleet.logs.reader import digest
 from fleet.run.execute import Options, execute
 from fleet.run.external_agents import ExternalError
-from fleet.scenario.scenario import load_scenario, parse_scenario
+from fleet.scenario.loading import load_scenario, parse_scenario
 from netem.wire.messages import PROTOCOL_VERSION
 
 SHORT = ["duration=3 s", "checks={tumbled: waived}"]

@@ -21,7 +21,7 @@ from test_scenario import only_problem, small
 from fleet.analysis.stability import analyse
 from fleet.errors import ScenarioError
 from fleet.run.execute import Options, Result, Status, execute
-from fleet.scenario.scenario import load_scenario, parse_scenario
+from fleet.scenario.loading import load_scenario, parse_scenario
 from fleet.scenario.sections.partitions import FaultError, partition
 from netem.condition import Condition
 from netem.config import NetemConfig

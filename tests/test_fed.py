@@ -20,7 +20,7 @@ from fleet.logs.schemas import Column, DoublesEncoder
 from fleet.repeat.recorded_agent import NotRecordedError
 from fleet.repeat.verify import describe, verify
 from fleet.run.execute import Options, Status, execute
-from fleet.scenario.scenario import load_scenario
+from fleet.scenario.loading import load_scenario
 
 EXTERNAL = "per_vehicle={3: {external: true}}"
 LINKS = "'*': 'delay 200ms 50ms loss 20% duplicate 10% corrupt 20%', '3->4': 'corrupt 100%', '3->2': 'down'"

@@ -16,7 +16,7 @@ from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
 from fleet.run.execute import Options, Status, execute
-from fleet.scenario.scenario import load_scenario
+from fleet.scenario.loading import load_scenario
 
 GOLDEN = Path(__file__).parent / "golden"
 EVERY = "log.every=10 ticks"  # the trajectories hold every tenth sample

@@ -20,7 +20,8 @@ from fleet.analysis.seed import chances
 from fleet.errors import ScenarioError
 from fleet.repeat.resume import prepare
 from fleet.run.execute import Options, execute
-from fleet.scenario.scenario import Scenario, load_scenario
+from fleet.scenario.loading import load_scenario
+from fleet.scenario.scenario import Scenario
 from netem.wire.messages import Nav
 
 SHORT = ["duration=3 s", "checks={}", "log.snapshot=500 ms", "log.every=10 ticks"]

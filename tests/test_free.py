@@ -29,7 +29,7 @@ from agents.agent import make_agent
 from agents.realtime_loop import FreeLoop
 from fleet.analysis import punctuality as timing
 from fleet.cli.main import cli
-from fleet.pictures import Look, NothingToDraw, load
+from fleet.pictures.runs import Look, NothingToDraw, load
 from fleet.pictures.timing import punctuality
 from fleet.recorder.journal import Journal
 from fleet.recorder.writer import LogWriter
@@ -40,11 +40,13 @@ from fleet.run.clock import Clock
 from fleet.run.connection import RemoteError
 from fleet.run.execute import Options, Status, execute
 from fleet.run.in_process import InProcess
-from fleet.scenario.scenario import Scenario, frame_every, load_scenario
+from fleet.scenario.loading import load_scenario
+from fleet.scenario.scenario import Scenario, frame_every
 from netem.errors import OutOfPlace
 from netem.histogram import Spread
 from netem.realtime_process import FreeNetemProcess
 from netem.realtime_rounds import FreeRounds
+from netem.wire.control import request
 from netem.wire.keys import Keys
 from netem.wire.messages import (
     Arrival,
@@ -60,7 +62,7 @@ from netem.wire.messages import (
     encode,
 )
 from netem.wire.messages import Pace as Begins
-from netem.wire.shell import Item, request
+from netem.wire.shell import Item
 from world.lockstep import NavTo
 from world.pace import Pace
 from world.realtime import FreeRun

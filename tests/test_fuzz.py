@@ -41,7 +41,7 @@ from fleet.recorder.journal import Journal
 from fleet.run.clock import Clock, LiveClock
 from fleet.run.execute import Options, execute
 from fleet.run.operator import Operator
-from fleet.scenario.scenario import load_scenario, parse_scenario, shipped
+from fleet.scenario.loading import load_scenario, parse_scenario, shipped
 from fleet.scenario.trust import Policy
 from netem.errors import MalformedMessage
 from netem.faults import NetFault, fault_values, read_faults

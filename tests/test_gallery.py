@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from fleet.run.execute import Options, Status, execute
-from fleet.scenario.scenario import list_scenarios, load_scenario
+from fleet.scenario.loading import list_scenarios, load_scenario
 
 # name: how long the distributed run is [s]; what happens to a fleet there has happened by then
 GALLERY = {

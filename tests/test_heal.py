@@ -15,7 +15,7 @@ from fleet.logs.reader import digest
 from fleet.repeat.recorded_run import script
 from fleet.run.connection import RemoteError, ask
 from fleet.run.execute import Options, execute
-from fleet.scenario.scenario import load_scenario
+from fleet.scenario.loading import load_scenario
 from netem.lives import Absence
 from netem.wire.messages import Command, Frame
 from world.lockstep import Lockstep, NavTo

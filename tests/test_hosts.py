@@ -42,7 +42,7 @@ from fleet.hosts.rendezvous import (
     through_router,
 )
 from fleet.run.connection import ask, find
-from fleet.scenario.scenario import load_scenario
+from fleet.scenario.loading import load_scenario
 from netem.errors import BusError
 from netem.whole_file import write_whole
 from netem.wire.access import Credentials, Door, agent_role, generate

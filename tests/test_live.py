@@ -20,7 +20,7 @@ from fleet.repeat.recorded_run import script
 from fleet.run.clock import Clock, LiveClock
 from fleet.run.connection import RemoteError, find, live_runs
 from fleet.run.execute import Options, execute
-from fleet.scenario.scenario import parse_scenario
+from fleet.scenario.loading import parse_scenario
 
 TICK_NS = 10_000_000
 CHECKS = "checks={ledger: balanced, middleware_loss: {at_most: 0}, tumbled: waived, deaths: waived}"

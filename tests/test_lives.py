@@ -20,7 +20,7 @@ from test_scenario import only_problem, small
 from fleet.logs.reader import digest
 from fleet.repeat.recorded_run import script
 from fleet.run.execute import Options, Result, Status, execute
-from fleet.scenario.scenario import load_scenario, parse_scenario
+from fleet.scenario.loading import load_scenario, parse_scenario
 from netem.lives import WHENEVER, Absence, Lives
 from world.faults import WorldFault
 from world.lockstep import Lockstep, NavTo

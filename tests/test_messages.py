@@ -18,6 +18,7 @@ from hypothesis import strategies as st
 from hypothesis.strategies import SearchStrategy
 
 from netem.errors import MalformedMessage
+from netem.wire.control import read_map
 from netem.wire.messages import (
     Arrival,
     Command,
@@ -35,7 +36,7 @@ from netem.wire.messages import (
     encode,
     fields_of,
 )
-from netem.wire.shell import expect, read_map
+from netem.wire.shell import expect
 
 RECORDS = {record.__name__: record for record in (Arrival, Delivery, Fate, Frame, Life, Tumble, VehicleFrame)}
 KINDS = sorted(declared())

@@ -13,8 +13,9 @@ from hypothesis import strategies as st
 
 from fleet.analysis import stability
 from fleet.errors import ScenarioError
-from fleet.scenario.scenario import Scenario, load_scenario, parse_scenario
-from fleet.scenario.schema.spec import AcousticSection
+from fleet.scenario.loading import load_scenario, parse_scenario
+from fleet.scenario.scenario import Scenario
+from fleet.scenario.schema.network import AcousticSection
 from fleet.scenario.sections import acoustic as acoustics
 from fleet.scenario.sections.data_files import DataFileError
 from fleet.scenario.sections.modem_files import NUMBERS, load_modem, parse_modem, shipped

@@ -22,7 +22,7 @@ from waiting import wait_for
 from fleet.hosts import certificates
 from fleet.repeat.verify import verify
 from fleet.run.execute import Options, execute
-from fleet.scenario.scenario import load_scenario
+from fleet.scenario.loading import load_scenario
 
 pytest.importorskip("cryptography", reason="cryptography is not installed: pip install 'uuv-fleet[hosts]'")
 ADDRESSES = {"east": "10.231.1", "west": "10.231.2"}  # of the cable's ends: .1 is the sea

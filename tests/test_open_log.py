@@ -23,7 +23,7 @@ from fleet.logs.open_log import FaultInterval, LogKeyError
 from fleet.logs.reader import LogReadError
 from fleet.logs.schemas import Column, _descriptor_set, flat_schema
 from fleet.run.execute import Options, execute
-from fleet.scenario.scenario import load_scenario
+from fleet.scenario.loading import load_scenario
 
 
 def logged(out: Path, name: str, *overrides: str) -> Path:

@@ -22,15 +22,16 @@ from fleet.cli.logs import KINDS
 from fleet.cli.main import cli
 from fleet.logs.export import ExportError, columns, export
 from fleet.logs.open_log import FaultInterval
-from fleet.pictures import PER_RUN, WHAT, Look, draw, exchange, load, signals
+from fleet.pictures import exchange, signals
 from fleet.pictures.axes import shade
+from fleet.pictures.gallery import PER_RUN, WHAT, draw
 from fleet.pictures.report import ReportError, _from_log, page
 from fleet.pictures.report import write as write_report
 from fleet.pictures.report_tables import links_table
-from fleet.pictures.runs import NothingToDraw, Run, with_gaps
+from fleet.pictures.runs import Look, NothingToDraw, Run, load, with_gaps
 from fleet.pictures.style import panels, plain_decades
 from fleet.run.execute import Options, execute
-from fleet.scenario.scenario import load_scenario
+from fleet.scenario.loading import load_scenario
 from netem.causes import CAUSES, DELIVERED, IN_FLIGHT
 
 ROOT = Path(__file__).parent.parent

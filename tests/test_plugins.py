@@ -35,7 +35,8 @@ from fleet.cli.main import cli
 from fleet.cli.new import KINDS
 from fleet.errors import ScenarioError
 from fleet.run.execute import Options, Result, Status, execute
-from fleet.scenario.scenario import Scenario, load_scenario
+from fleet.scenario.loading import load_scenario
+from fleet.scenario.scenario import Scenario
 
 ROOT = Path(__file__).parent.parent
 EXAMPLE = str(ROOT / "docs" / "examples" / "leader_follower.yaml")

@@ -9,7 +9,7 @@ from test_scenario import small
 
 from fleet.analysis.preflight import LARGE_MB, doubts, log_mb
 from fleet.run.execute import Options, execute
-from fleet.scenario.scenario import list_scenarios, load_scenario
+from fleet.scenario.loading import list_scenarios, load_scenario
 
 WATER = "network={period: 1 s, payload: compact, acoustic: {modem: mfsk-1066, mac: tdma, slot: 1500 ms, guard: 200 ms}}"
 

@@ -29,7 +29,7 @@ from fleet.logs.reader import GAPS, LOST, RECOVERY, LogReader, LogReadError, Rec
 from fleet.logs.records import MAGIC, MOST_BYTES
 from fleet.logs.recover import Recovered, RecoverError, recover
 from fleet.run.execute import Options, execute
-from fleet.scenario.scenario import load_scenario
+from fleet.scenario.loading import load_scenario
 
 TESTS = Path(__file__).parent
 # Three chunks, as small as they get.

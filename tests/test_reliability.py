@@ -15,7 +15,7 @@ import pytest
 from live import LiveRun
 
 from fleet.run.execute import Options, execute
-from fleet.scenario.scenario import load_scenario
+from fleet.scenario.loading import load_scenario
 
 CHECKS = "checks={ledger: balanced, middleware_loss: {at_most: 0}, tumbled: waived, deaths: waived}"
 

@@ -40,11 +40,11 @@ from fleet.replay.capture_format import ATTACHMENT, ENCODING, KIND, message_enco
 from fleet.replay.playback import Replay, Wishes
 from fleet.replay.selection import Renaming, SelectionError, chosen, pattern
 from fleet.run.execute import Options, Status, execute
-from fleet.scenario.scenario import load_scenario
+from fleet.scenario.loading import load_scenario
 from netem.errors import BusError
 from netem.wire.access import Credentials
-from netem.wire.bus import OpenBus, Sample, sample_of
 from netem.wire.keys import Keys
+from netem.wire.open_bus import OpenBus, Sample, sample_of
 
 LIMIT_S = 30.0
 ROOT = Path(__file__).parent.parent
@@ -778,7 +778,9 @@ def test_bad_options_of_record(
 
 
 def test_nobody_there(log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("netem.wire.bus.OpenBus.connect.__func__.__kwdefaults__", {"timeout_ms": 200}, raising=False)
+    monkeypatch.setattr(
+        "netem.wire.open_bus.OpenBus.connect.__func__.__kwdefaults__", {"timeout_ms": 200}, raising=False
+    )
     for arguments in (["replay", log], ["record", "-k", "x", "-o", tmp_path / "x.mcap"]):
         code, said = invoke(*arguments, "--connect", endpoint())
         assert code == 3 and "nobody answers" in said and ".rs:" not in said

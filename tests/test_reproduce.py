@@ -21,7 +21,7 @@ from fleet.reproduce.table1 import HEADINGS, chosen, table_1
 from fleet.reproduce.topology import topology
 from fleet.reproduce.verdicts import Check, Claim
 from fleet.run.in_memory import record
-from fleet.scenario.scenario import load_scenario
+from fleet.scenario.loading import load_scenario
 
 
 def test_every_case_is_a_scenario_of_its_own() -> None:

@@ -15,12 +15,13 @@ from test_scenario import only_problem, small
 
 from fleet.cli.main import cli
 from fleet.logs.reader import LogReader, Record
-from fleet.recorder.snapshot import Snapshot, SnapshotError, find
+from fleet.recorder.snapshot import Snapshot, SnapshotError, Start, find
 from fleet.repeat.recorded_run import script
-from fleet.repeat.resume import Start, parse_from, prepare
+from fleet.repeat.resume import parse_from, prepare
 from fleet.repeat.verify import describe, verify
 from fleet.run.execute import Options, Result, Status, execute
-from fleet.scenario.scenario import Scenario, load_scenario
+from fleet.scenario.loading import load_scenario
+from fleet.scenario.scenario import Scenario
 
 LINKS = 'network.links={"*": delay 60ms 30ms 20% loss gemodel 10% 30% duplicate 20% corrupt 20% rate 20kbit}'
 NEMESIS = (

@@ -18,10 +18,13 @@ from agents.offset import Offset
 from agents.profiles import PROFILES, profile
 from agents.trajectory import Line
 from fleet.errors import FleetError, ScenarioError
-from fleet.recorder.snapshot import DRAWN_GROUPS, LOG_GROUPS
-from fleet.scenario.scenario import Scenario, list_scenarios, load_scenario, parse_scenario
-from fleet.scenario.schema.spec import GuidanceSection, ScenarioSpec, Section, TrackingSection
+from fleet.scenario.loading import list_scenarios, load_scenario, parse_scenario
+from fleet.scenario.scenario import Scenario
+from fleet.scenario.schema.control import GuidanceSection, TrackingSection
+from fleet.scenario.schema.section import Section
+from fleet.scenario.schema.spec import ScenarioSpec
 from fleet.scenario.sections.formation import grid
+from fleet.scenario.sections.log_rates import DRAWN_GROUPS, LOG_GROUPS
 from fleet.scenario.text.yaml_reader import Mapping, Source, plain, read, resolve
 from netem.condition import Condition
 

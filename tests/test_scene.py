@@ -23,7 +23,7 @@ from fleet.recorder.scene import CUTS, HISTORY, LINKS, LinkHistories, Scene, dia
 from fleet.recorder.transforms import quaternion
 from fleet.repeat.resume import prepare
 from fleet.run.execute import Options, Result, execute
-from fleet.scenario.scenario import load_scenario
+from fleet.scenario.loading import load_scenario
 from netem.causes import CAUSES, DELIVERED, IN_FLIGHT
 from netem.wire.messages import Fate, Frame, VehicleFrame
 

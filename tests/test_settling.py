@@ -14,7 +14,7 @@ from rich.console import Console as Terminal
 from fleet.cli.result_table import show
 from fleet.recorder.settling import least_s, settling_time
 from fleet.run.execute import Options, execute
-from fleet.scenario.scenario import load_scenario
+from fleet.scenario.loading import load_scenario
 from world.config import Harmonic
 from world.disturbance import PAPER
 

@@ -18,9 +18,10 @@ from test_scenario import SMALL, only_problem, places, small
 from fleet.analysis.stability import analyse
 from fleet.errors import ScenarioError
 from fleet.run.execute import Options, Status, execute
-from fleet.scenario.scenario import Scenario, load_scenario, parse_scenario
+from fleet.scenario.loading import load_scenario, parse_scenario
+from fleet.scenario.scenario import Scenario
+from fleet.scenario.schema.motion import FormationShape, GraphSection
 from fleet.scenario.schema.shapes import GRAPH
-from fleet.scenario.schema.spec import FormationShape, GraphSection
 from fleet.scenario.sections.formation import SHAPES, offsets
 from fleet.scenario.sections.graph import build
 from fleet.scenario.sections.vehicle_files import load_vehicle

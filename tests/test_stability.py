@@ -8,7 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fleet.analysis.stability import analyse, matrices, oldest_s, report
-from fleet.scenario.scenario import Scenario, load_scenario, parse_scenario
+from fleet.scenario.loading import load_scenario, parse_scenario
+from fleet.scenario.scenario import Scenario
 
 SMALL = """\
 title: A fleet

@@ -25,11 +25,11 @@ from fleet.hosts.certificates import CertsError
 from fleet.hosts.certificates import _read as read_pem
 from fleet.hosts.rendezvous import HostsError, read_credentials
 from fleet.logs.result_file import ResultError, read_result, read_timing
-from fleet.pictures import Look, Run, load
 from fleet.pictures.report import page
+from fleet.pictures.runs import Look, Run, load
 from fleet.run.connection import live_runs
 from fleet.run.execute import Options, execute
-from fleet.scenario.scenario import load_scenario, parse_scenario
+from fleet.scenario.loading import load_scenario, parse_scenario
 from fleet.scenario.sections.modem_files import load_modem
 from fleet.scenario.sections.vehicle_files import load_vehicle
 from netem.lives import Absence, Lives

@@ -30,11 +30,12 @@ from fleet.processes.children import Children, Exit
 from fleet.processes.private_folder import PREFIX, PrivateFolder
 from fleet.run.directory import RunDirectory
 from fleet.run.execute import Options, Result, Status, execute
-from fleet.scenario.scenario import load_scenario
+from fleet.scenario.loading import load_scenario
 from netem.wire.access import Credentials
 from netem.wire.audit import CUT_OFF
-from netem.wire.bus import Bus, OpenBus
+from netem.wire.bus import Bus
 from netem.wire.keys import Keys
+from netem.wire.open_bus import OpenBus
 from netem.wire.settings import PIECE_BYTES
 
 HUGE = 150_000_000

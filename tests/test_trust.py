@@ -25,8 +25,8 @@ from agents.plugins import loading, trust
 from agents.plugins.trust import Trust
 from fleet.cli.main import cli
 from fleet.errors import ScenarioError
-from fleet.pictures import load
-from fleet.scenario.scenario import load_scenario
+from fleet.pictures.runs import load
+from fleet.scenario.loading import load_scenario
 
 ROOT = Path(__file__).parent.parent
 # A law of every kind; whoever imports it leaves a mark beside it.
@@ -170,8 +170,9 @@ def test_a_matplotlibrc_that_lies_about_does_not_count(victim: tuple[str, Path, 
 def test_replay_knows_no_scenario() -> None:
     """It cannot import what a scenario names if it cannot read one; so do the commands that look at a running one."""
     code = (
-        "import sys, fleet.cli.main, fleet.cli.replay, fleet.replay.playback, fleet.replay.playback.player, fleet.replay.capture, fleet.logs.info, fleet.run.connection, "
-        "fleet.logs.recover, fleet.logs.deviation; sys.exit('fleet.scenario.scenario' in sys.modules)"
+        "import sys, fleet.cli.main, fleet.cli.replay, fleet.replay.playback, fleet.replay.player, "
+        "fleet.replay.capture, fleet.logs.info, fleet.run.connection, fleet.logs.recover, fleet.logs.deviation; "
+        "sys.exit('fleet.scenario.scenario' in sys.modules)"
     )
     assert subprocess.run([sys.executable, "-P", "-c", code], timeout=60).returncode == 0
 

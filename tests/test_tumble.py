@@ -16,7 +16,7 @@ from fleet.logs.open_log import open_log
 from fleet.repeat.resume import prepare
 from fleet.run import in_memory
 from fleet.run.execute import Options, Result, Status, execute
-from fleet.scenario.scenario import load_scenario
+from fleet.scenario.loading import load_scenario
 from netem.wire.messages import Frame, Tumble
 from world.config import VehicleSetup
 from world.lockstep import Lockstep

@@ -27,7 +27,7 @@ from fleet.logs.recover import Copy, Recovered, recover
 from fleet.logs.salvage import Item, Salvage
 from fleet.repeat.verify import Verification, describe, verify
 from fleet.run.execute import Options, Status, execute
-from fleet.scenario.scenario import load_scenario
+from fleet.scenario.loading import load_scenario
 
 Part = Item | Message
 ROUGH = "network.links={'*': 'delay 200ms 50ms loss 30%'}"

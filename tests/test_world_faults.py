@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from loops import world_config
 from test_scenario import only_problem, small
 
-from fleet.scenario.scenario import parse_scenario
+from fleet.scenario.loading import parse_scenario
 from world.current import GaussMarkov, gust
 from world.faults import WorldFault
 from world.sea import World

@@ -9,7 +9,7 @@ from netem.wire.access import Credentials, Door
 from netem.wire.audit import Refusals, listen
 from netem.wire.bus import Bus, quiet_zenoh
 from netem.wire.keys import Keys
-from netem.wire.shell import end_with_link
+from netem.wire.link_loss import end_with_link
 from world.config import WorldConfig
 from world.lockstep import Lockstep
 from world.process import WorldProcess

@@ -14,7 +14,8 @@ from netem.wire.access import WORLD as WORLD
 from netem.wire.access import agent_role
 from netem.wire.audit import Refusals
 from netem.wire.bus import PART_BYTES, Bus, Respond
-from netem.wire.keys import Keys
+from netem.wire.control import read_map
+from netem.wire.keys import Keys, vehicle_of
 from netem.wire.messages import (
     PROTOCOL_VERSION,
     Ailments,
@@ -34,7 +35,7 @@ from netem.wire.messages import (
     pieces,
     split,
 )
-from netem.wire.shell import Probes, Shell, expect, read_map, vehicle_of
+from netem.wire.shell import Probes, Shell, expect
 from world.faults import WorldFault
 from world.lockstep import Lockstep, NavTo, Out
 

@@ -8,10 +8,9 @@ from typing import Any
 from netem.histogram import Spread
 from netem.wire.audit import Refusals
 from netem.wire.bus import Bus
-from netem.wire.keys import Keys
+from netem.wire.keys import Keys, tail
 from netem.wire.messages import Pace as Begins
 from netem.wire.messages import encode
-from netem.wire.shell import tail
 from world.config import WorldConfig
 from world.pace import Pace
 from world.process import WorldProcess

@@ -22,7 +22,8 @@ import numpy as np
 
 from fleet.analysis.stability import analyse
 from fleet.run.in_memory import record
-from fleet.scenario.scenario import Scenario, parse_scenario
+from fleet.scenario.loading import parse_scenario
+from fleet.scenario.scenario import Scenario
 
 GRAPHS = {
     "path": "{shape: path, ahead: 1.0, behind: 0.8}",

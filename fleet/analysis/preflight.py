@@ -10,7 +10,7 @@ from fleet.analysis.stability import oldest_s
 from fleet.quantities import vehicle_numbers
 from fleet.recorder.settling import least_s
 from fleet.scenario.scenario import Scenario
-from fleet.scenario.schema.spec import EVERY
+from fleet.scenario.schema.checks import EVERY
 from netem.correlation import effective
 
 LARGE_MB = 50.0  # from which on a log is worth a word

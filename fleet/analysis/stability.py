@@ -11,7 +11,8 @@
 Two rules of thumb follow from simplified loops (docs/paper.md, G11 and "What a network does to it"): with the shunting
 model in the surge loop K lambda_max(L + B) < a, by Routh on s^3 + a s^2 + k b s + k b K lambda; and dead reckoning with
 the neighbours' velocities is a neutral loop, which needs K tau rho(A) < 1. They are necessary, not sufficient: course
-and pitch loops, sampling and rounds take their share. The limits of the whole linear loop are those of `fleet.analysis.border`.
+and pitch loops, sampling and rounds take their share. The limits of the whole linear loop are those of
+`fleet.analysis.border`.
 """
 
 from __future__ import annotations

@@ -10,7 +10,7 @@ from fleet.analysis.stability import names
 from fleet.quantities import vehicle_numbers
 from fleet.recorder.journal import Journal
 from fleet.scenario.scenario import Scenario
-from fleet.scenario.schema.spec import (
+from fleet.scenario.schema.checks import (
     EVERY,
     AtMost,
     Below,

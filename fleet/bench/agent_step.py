@@ -21,7 +21,7 @@ from agents.neighbours import NeighbourTable
 from agents.payload import StateMessage
 from agents.payload import encode as encode_payload
 from fleet.run.in_memory import record
-from fleet.scenario.scenario import load_scenario
+from fleet.scenario.loading import load_scenario
 from netem.wire.messages import Delivery, Nav
 
 VEHICLE = 2  # two neighbours

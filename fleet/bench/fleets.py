@@ -10,32 +10,23 @@ from __future__ import annotations
 import os
 import platform
 import tempfile
-import threading
-import time
-from collections.abc import Callable, Iterator
-from contextlib import closing, contextmanager, suppress
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from importlib.metadata import version
-from multiprocessing.connection import Connection, Pipe
 from pathlib import Path
 from typing import Any
 
 from fleet.bench.agent_step import GOALS_US
-from fleet.bench.echo import echo_bus, echo_pipe
+from fleet.bench.barriers import pipe_barrier, zenoh_barrier
 from fleet.bench.journal import measure_recorder
+from fleet.bench.memory import sampled_pss
 from fleet.bench.network_core import SHARE, SHARE_GOAL, netem_figures
 from fleet.bench.steps import steps
-from fleet.processes.children import Children
-from fleet.processes.private_folder import PrivateFolder
 from fleet.run.execute import Options, Status, execute
-from fleet.scenario.scenario import Scenario, load_scenario
-from netem.wire.access import agent_role, generate
-from netem.wire.bus import Bus
-from netem.wire.keys import Keys
+from fleet.scenario.loading import load_scenario
+from fleet.scenario.scenario import Scenario
 
 TICK_S = 0.01
-MESSAGE = b"x" * 100
-READY_S = 60.0
 REPEATS = 3
 # (ratio or value of the issue that asked for it, by N); None where nothing was asked.
 TARGETS = {"c/a": {4: 0.5}, "x real time": {4: 15.0, 100: 0.3}, "startup_s": {100: 2.0}, "pss_mb": {100: 12.0}}
@@ -81,7 +72,7 @@ def measure(sizes: list[int], *, quick: bool, say: Callable[[str], None]) -> dic
         pipes = max(pipe_barrier(n, ticks) for _ in range(1 if quick else REPEATS))
         scenario = _scenario(n, quick)
         say(f"N = {n}: distributed, {scenario.ticks} ticks")
-        with _pss() as pss:
+        with sampled_pss() as pss:
             distributed = _wall(scenario, in_process=False)
         say(f"N = {n}: in-process")
         alone = _wall(scenario, in_process=True)
@@ -110,65 +101,6 @@ def measure(sizes: list[int], *, quick: bool, say: Callable[[str], None]) -> dic
     }
 
 
-def zenoh_barrier(n: int, ticks: int) -> float:
-    """Ticks per second of "world -> n agents -> world" with agents that only echo."""
-    ids = tuple(range(1, n + 1))
-    keys, credentials = Keys("bench"), generate(ids)
-    with closing(PrivateFolder()) as private, _children() as (children, log):
-        endpoint = private.endpoint  # as in a run
-        bus = Bus.host(endpoint, keys, ids, credentials, private.path)
-        try:
-            channel = bus.channel(keys.cmd("*"))
-            for i in ids:
-                role = agent_role(i)
-                children.start(role, f"fleet bench {i}", log, echo_bus, endpoint, keys.run, i, credentials[role])
-            waiting = set(ids)
-            puts = {i: bus.publisher(keys.nav(i)) for i in ids}
-            deadline = time.monotonic() + READY_S
-            while waiting:  # an echo is the proof of readiness
-                for i in waiting:
-                    puts[i](MESSAGE)
-                time.sleep(0.05)
-                while (item := channel.poll()) is not None:
-                    waiting.discard(int(item[0].rsplit("/", 1)[1]))
-                if time.monotonic() > deadline:
-                    raise RuntimeError(f"{len(waiting)} echo agents did not answer within {READY_S:.0f} s")
-            time.sleep(0.2)
-            while channel.poll() is not None:
-                pass
-            began = time.perf_counter()
-            for _ in range(ticks):
-                for put in puts.values():
-                    put(MESSAGE)
-                for _ in ids:
-                    channel.get()
-            return ticks / (time.perf_counter() - began)
-        finally:
-            bus.close()
-
-
-def pipe_barrier(n: int, ticks: int) -> float:
-    """The same over OS pipes."""
-    ends: list[Connection[bytes, bytes]] = []
-    with _children() as (children, log):
-        for i in range(1, n + 1):
-            ours, theirs = Pipe()
-            children.start(agent_role(i), f"fleet bench {i}", log, echo_pipe, theirs)
-            theirs.close()
-            ends.append(ours)
-        for end in ends:
-            end.send_bytes(MESSAGE)
-        for end in ends:
-            end.recv_bytes()
-        began = time.perf_counter()
-        for _ in range(ticks):
-            for end in ends:
-                end.send_bytes(MESSAGE)
-            for end in ends:
-                end.recv_bytes()
-        return ticks / (time.perf_counter() - began)
-
-
 def _scenario(n: int, quick: bool) -> Scenario:
     seconds = 0.5 if quick else 60 if n <= 4 else 20 if n <= 20 else 10
     overrides = [f"vehicles={n}", f"duration={seconds} s", "checks={tumbled: waived}"]
@@ -184,52 +116,6 @@ def _wall(scenario: Scenario, *, in_process: bool) -> dict[str, float]:
         raise RuntimeError(f"{scenario.vehicles} vehicles: {result.reason}")
     wall: dict[str, float] = result.values["wall"]
     return wall
-
-
-@contextmanager
-def _children() -> Iterator[tuple[Children, Path]]:
-    with tempfile.TemporaryDirectory(prefix="uuv-fleet-bench-") as folder:
-        children = Children(lambda _: None)
-        try:
-            yield children, Path(folder) / "log"
-        finally:
-            children.stop()
-
-
-@contextmanager
-def _pss() -> Iterator[list[float]]:
-    """Largest mean proportional set size [MB] of the agent processes seen inside the block, in a list."""
-    largest = [0.0]
-    done = threading.Event()
-
-    def sample() -> None:
-        while not done.wait(0.5):
-            if sizes := [size for size in map(pss_mb, _agents()) if size]:
-                largest[0] = max(largest[0], sum(sizes) / len(sizes))
-
-    thread = threading.Thread(target=sample, daemon=True)
-    thread.start()
-    try:
-        yield largest
-    finally:
-        done.set()
-        thread.join()
-
-
-def _agents() -> Iterator[int]:
-    for folder in Path("/proc").glob("[0-9]*"):
-        with suppress(OSError):  # it ended meanwhile
-            if (folder / "cmdline").read_text("utf-8", "replace").startswith("fleet agent"):
-                yield int(folder.name)
-
-
-def pss_mb(pid: int) -> float:
-    """A process's own memory and its part of what it shares (PSS); 0 if it has ended."""
-    try:
-        lines = Path(f"/proc/{pid}/smaps_rollup").read_text().splitlines()
-    except OSError:
-        return 0.0
-    return next((int(line.split()[1]) * 1024 / 1e6 for line in lines if line.startswith("Pss:")), 0.0)
 
 
 def targets(rows: list[dict[str, Any]]) -> list[str]:

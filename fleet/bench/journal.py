@@ -26,8 +26,8 @@ from fleet.scenario.scenario import Scenario, frame_every
 from fleet.scenario.sections.timeline import Event
 from fleet.terminal.keyboard import Keyboard
 from fleet.terminal.status_line import StatusLine
-from netem.wire.bus import OpenBus
 from netem.wire.messages import Command, Fate, Frame
+from netem.wire.open_bus import OpenBus
 
 PATIENCE_S = 60.0
 

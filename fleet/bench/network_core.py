@@ -8,7 +8,8 @@ from collections.abc import Mapping
 from fleet.recorder.journal import Journal
 from fleet.run.clock import Clock
 from fleet.run.in_process import InProcess
-from fleet.scenario.scenario import Scenario, frame_every, load_scenario
+from fleet.scenario.loading import load_scenario
+from fleet.scenario.scenario import Scenario, frame_every
 from netem.config import NetemConfig
 from netem.network import Exchange, Netem
 from netem.wire.messages import Fate

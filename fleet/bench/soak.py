@@ -20,7 +20,7 @@ from typing import Any
 
 from rich.table import Table
 
-from fleet.bench.fleets import pss_mb
+from fleet.bench.memory import pss_mb
 
 SAMPLE_S = 0.5
 WARM = 0.25  # share of the run after which memory is compared with the end

@@ -13,7 +13,7 @@ from fleet.recorder.journal import Journal
 from fleet.recorder.writer import LogWriter
 from fleet.run.clock import Clock
 from fleet.run.in_process import InProcess
-from fleet.scenario.scenario import load_scenario
+from fleet.scenario.loading import load_scenario
 from netem.wire.messages import Command, Nav, decode, encode
 from world.sea import World
 

@@ -17,7 +17,8 @@ from rich.table import Table
 from fleet.analysis.punctuality import MOST_MISSED, missed_share, moved_share
 from fleet.errors import FleetError
 from fleet.run.execute import Options, Result, Status, execute
-from fleet.scenario.scenario import Scenario, load_scenario
+from fleet.scenario.loading import load_scenario
+from fleet.scenario.scenario import Scenario
 
 
 class BenchError(FleetError):

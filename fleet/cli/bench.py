@@ -12,26 +12,8 @@ from typing import Any, TypeVar
 import click
 from rich.console import Console as Terminal
 
+from fleet.cli.types import Numbers
 from fleet.errors import FleetError
-
-
-class Numbers(click.ParamType[list[float]]):
-    """Numbers with commas between, each within limits."""
-
-    def __init__(self, least: float, most: float, example: str, *, whole: bool = False) -> None:
-        self.name = "n,n,..."
-        self._least, self._most, self._example, self._whole = least, most, example, whole
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> list[float]:
-        try:
-            numbers = [int(part) if self._whole else float(part) for part in str(value).split(",")]
-        except ValueError:
-            numbers = []
-        if not numbers or not all(self._least <= n <= self._most for n in numbers):
-            limits = f"from {self._least:g} to {self._most:g}"
-            self.fail(f"expected numbers {limits} such as {self._example}, got {value!r}", param, ctx)
-        return numbers
-
 
 _F = TypeVar("_F", bound=Callable[..., Any])
 SIZES = Numbers(1, 1000, "4,20,100", whole=True)

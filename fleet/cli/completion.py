@@ -42,7 +42,7 @@ def _for_the_shell(word: str) -> str:
 
 def scenarios(context: click.Context, parameter: click.Parameter, typed: str) -> list[CompletionItem]:
     """Shipped scenarios, or files: bash takes one kind only."""
-    from fleet.scenario.scenario import shipped
+    from fleet.scenario.loading import shipped
 
     found = [CompletionItem(name) for name in shipped() if name.startswith(typed)]
     return found or [CompletionItem(typed, type="file")]
@@ -67,7 +67,7 @@ def faults(context: click.Context) -> Iterable[str]:
 @_words
 def injection(context: click.Context) -> Iterable[str]:
     """What may come next in `fleet inject`."""
-    from fleet.scenario.schema.spec import FaultSection
+    from fleet.scenario.schema.faults import FaultSection
     from fleet.scenario.sections.partitions import NAMED_PARTITIONS
     from fleet.scenario.sections.timeline import ACTIONS
     from fleet.scenario.validation import section_of
@@ -95,7 +95,7 @@ def injection(context: click.Context) -> Iterable[str]:
 
 
 def _targets(context: click.Context) -> tuple[int, tuple[tuple[int, int], ...]]:
-    from fleet.scenario.scenario import load_scenario
+    from fleet.scenario.loading import load_scenario
 
     scenario = load_scenario(_run(context).directory / "scenario.yaml", imports=False)
     return scenario.vehicles, scenario.graph.links

@@ -158,7 +158,7 @@ def acl(
     """
     from fleet.hosts import router_config as lists
     from fleet.hosts.rendezvous import HostsError, parse_endpoint, run_id
-    from fleet.scenario.scenario import load_scenario
+    from fleet.scenario.loading import load_scenario
 
     try:
         vehicles = load_scenario(scenario, overrides, imports=False).vehicles

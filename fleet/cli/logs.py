@@ -9,70 +9,11 @@ from typing import Any, NoReturn
 
 import click
 
+from fleet.cli.types import Vehicles, Window, Words
 from fleet.errors import FleetError
 
 KINDS = ("track", "error", "velocity", "inputs", "commands", "gains", "links", "messages", "ages", "timing")
 FORMATS = ("png", "svg", "pdf")
-
-
-class Words(click.ParamType[tuple[str, ...]]):
-    """Some of a few words, with commas between them; `all` is every one, where it is allowed."""
-
-    name = "list"
-
-    def __init__(self, words: Sequence[str], everything: str = "") -> None:
-        self._words, self._everything = tuple(words), everything
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[str, ...]:
-        if isinstance(value, tuple):
-            return value
-        asked = [word.strip() for word in str(value).split(",")]
-        if self._everything and self._everything in asked:
-            return self._words
-        for word in asked:
-            if word not in self._words:
-                from netem.parsing import nearest
-
-                known = [*self._words, *filter(None, [self._everything])]
-                hint = nearest(word, known) or f"there are {', '.join(known)}"
-                self.fail(f"{word!r} is none of them; {hint}", param, ctx)
-        return tuple(dict.fromkeys(asked))
-
-
-class Window(click.ParamType[tuple[float, float]]):
-    """Two times of the run, as in 20s..40s; in s."""
-
-    name = "a..b"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[float, float]:
-        if isinstance(value, tuple):
-            return value
-        from fleet.quantities import QuantityError, time_ns
-
-        first, dots, last = str(value).partition("..")
-        try:
-            begin, end = time_ns(first), time_ns(last)
-        except QuantityError as error:
-            self.fail(f"expected two times such as 20s..40s, got {value!r}: {error}", param, ctx)
-        if not dots or not 0 <= begin < end:
-            self.fail(f"expected two times such as 20s..40s, the earlier first, got {value!r}", param, ctx)
-        return begin / 1e9, end / 1e9
-
-
-class Vehicles(click.ParamType[tuple[int, ...]]):
-    """Numbers of vehicles, as in 1,3-5."""
-
-    name = "i,j-k"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[int, ...]:
-        if isinstance(value, tuple):
-            return value
-        from fleet.quantities import vehicle_numbers
-
-        try:
-            return tuple(vehicle_numbers(str(value)))
-        except ValueError as error:
-            self.fail(str(error), param, ctx)
 
 
 _log = click.argument("log", type=click.Path(path_type=Path))
@@ -130,7 +71,8 @@ def plot(
       fleet plot runs/a --compare runs/b --what error -o compared
     """
     from fleet.logs.reader import log_path
-    from fleet.pictures import Look, check_look, load, write
+    from fleet.pictures.gallery import write
+    from fleet.pictures.runs import Look, check_look, load
     from fleet.terminal.share_done import showing
 
     said: list[str] = []
@@ -229,8 +171,8 @@ def report(
       fleet report runs/latest
       fleet report runs/a runs/b -o compared.html --log-scale
     """
-    from fleet.pictures import Look, check_look, load
     from fleet.pictures.report import write
+    from fleet.pictures.runs import Look, check_look, load
     from fleet.terminal.share_done import showing
 
     try:

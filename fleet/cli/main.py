@@ -15,47 +15,11 @@ from agents.plugins.trust import Trust
 from fleet.cli import bench, join, live, logs, protocol, replay, verify, what_if
 from fleet.cli import hosts as cli_hosts
 from fleet.cli.completion import scenarios
+from fleet.cli.failure import EPILOG, fail
 from fleet.cli.trust import TrustingCommand, trust_option
-from fleet.cli.types import Duration
+from fleet.cli.types import Duration, Share, Speed
 from fleet.errors import FleetError, Problem, ScenarioError
 from fleet.terminal.output import OutputError, give_up_output
-
-EPILOG = (
-    "Exit status: 0 pass, 1 a check failed, 2 usage or bad scenario, 3 the run broke, 129 terminal closed, 130 Ctrl-C."
-)
-
-
-class Speed(click.ParamType[float | None]):
-    """A positive factor of real time, or max."""
-
-    name = "x|max"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float | None:
-        if value is None or value == "max":
-            return None
-        try:
-            speed = float(str(value).removesuffix("x"))
-        except ValueError:
-            speed = 0.0
-        if not 0.0 < speed < float("inf"):
-            self.fail(f"expected a positive factor of real time such as 1 or 2.5, or max, got {value!r}", param, ctx)
-        return speed
-
-
-class Share(click.ParamType[float]):
-    """A share from 0 to 1, or in percent."""
-
-    name = "share"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
-        text = str(value)
-        try:
-            share = float(text[:-1]) / 100 if text.endswith("%") else float(text)
-        except ValueError:
-            share = -1.0
-        if not 0.0 <= share <= 1.0:
-            self.fail(f"expected a share such as 1% or 0.01, got {value!r}", param, ctx)
-        return share
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100}, epilog=EPILOG)
@@ -174,7 +138,7 @@ def run(
       fleet run paper --clock real --speed 2
       fleet run --from runs/latest@20s --set controller=bsmc
     """
-    from fleet.scenario.scenario import load_scenario
+    from fleet.scenario.loading import load_scenario
 
     if wait_for_subscribers and not publish:
         raise click.UsageError("--wait-for-subscribers needs --publish: nobody could subscribe")
@@ -249,7 +213,7 @@ def run(
             terminal.print("network: ideal has no latency and so runs in one process", highlight=False)
         result = execute(loaded, options, terminal)
     except FleetError as error:
-        _fail(error)
+        fail(error)
     if quiet:
         failed = [f"FAIL  {v.check}: {v.asked}; found {v.found}" for v in result.verdicts if not v.passed]
         if result.reason or (failed and result.status):  # not where it was meant to fail
@@ -292,13 +256,13 @@ def check(scenario: str, overrides: tuple[str, ...], trust: Trust) -> None:
       fleet check my.yaml
       fleet check paper --set vehicles=20
     """
-    from fleet.scenario.scenario import load_scenario
+    from fleet.scenario.loading import load_scenario
 
     refused: list[Problem] = []
     try:
         loaded = load_scenario(scenario, overrides, trust, refused=refused)
     except ScenarioError as error:
-        _fail(error)
+        fail(error)
     from fleet.analysis.preflight import doubts
     from fleet.analysis.seed import HINT, NOTHING, chances
     from fleet.analysis.stability import analyse, report
@@ -428,7 +392,7 @@ def controller(name: str, kind: str, folder: Path) -> None:
     try:
         law, scenario = write_law(kind, name, folder)
     except FleetError as error:
-        _fail(error)
+        fail(error)
     below = folder.resolve().is_relative_to(Path().resolve())  # from elsewhere it would ask for --trust
     there, file = ("", scenario) if below else (f"cd {shlex.quote(str(folder))} && ", scenario.name)
     click.echo(f"wrote {law} and {scenario}; now: {there}fleet run {shlex.quote(str(file))}")
@@ -439,7 +403,7 @@ def list_() -> None:
     """List the scenarios that ship with the package."""
     from rich.table import Table
 
-    from fleet.scenario.scenario import list_scenarios
+    from fleet.scenario.loading import list_scenarios
 
     table = Table(box=None, pad_edge=False)
     for heading in ("scenario", "vehicles", "duration", "meant to", "what one learns"):
@@ -467,15 +431,10 @@ def info(log: Path, as_json: bool) -> None:
         with showing(f"reading {log}") as tell:
             found = read_info(log, tell)
     except FleetError as error:
-        _fail(error)
+        fail(error)
     click.echo(json.dumps(found.to_values(), indent=2) if as_json else describe(found))
 
 
 _GROUPS = (bench, cli_hosts, join, live, logs, protocol, replay, verify, what_if)
 for _command in (command for group in _GROUPS for command in group.COMMANDS):
     cli.add_command(_command)
-
-
-def _fail(error: FleetError) -> Any:
-    click.echo(f"fleet: {error}", err=True)
-    sys.exit(error.status)

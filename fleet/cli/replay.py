@@ -9,7 +9,6 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from datetime import UTC, datetime
-from fractions import Fraction
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -17,45 +16,13 @@ import click
 import msgspec
 from rich.console import Console as Terminal
 
-from fleet.cli.types import Duration
+from fleet.cli.types import Duration, Endpoint, FileSize
 from fleet.errors import FleetError
 from fleet.processes.interrupts import ending_status
-from fleet.quantities import Dimension, QuantityError, parse
 
 MOST_BYTES = 100_000  # of a file that says how to listen
 CLOSE_S = 2.0  # for what is still on the way to others
 EPILOG = "Exit status: 0 done, 2 usage or a bad file, 3 no connection or a full disk, 129 terminal closed, 130 Ctrl-C."
-FILE_SIZE = Dimension("a size", "100 MB", {
-    "MB": Fraction(10**6), "GB": Fraction(10**9), "kB": Fraction(1000), "B": Fraction(1),
-    "MiB": Fraction(2**20), "GiB": Fraction(2**30), "kiB": Fraction(1024),
-})  # fmt: skip
-
-
-class FileSize(click.ParamType[int]):
-    """A size with a unit, as whole bytes."""
-
-    name = "size"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> int:
-        try:
-            size = value if isinstance(value, int) else int(parse(value, FILE_SIZE)[0])
-        except QuantityError as error:
-            self.fail(f"{error.message}{f': {error.hint}' if error.hint else ''}", param, ctx)
-        if size <= 0:
-            self.fail(f"a positive size is needed, got {value!r}", param, ctx)
-        return size
-
-
-class Endpoint(click.ParamType[str]):
-    """A zenoh endpoint."""
-
-    name = "endpoint"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
-        protocol, slash, address = str(value).partition("/")
-        if not slash or not protocol or not address:
-            self.fail(f"expected an endpoint such as tcp/127.0.0.1:7447, got {value!r}", param, ctx)
-        return str(value)
 
 
 def _rate(ctx: click.Context, param: click.Parameter, value: float) -> float:
@@ -247,7 +214,8 @@ def record(
 def _session(connect: str | None, listen: str | None, credentials: Any) -> Any:
     from fleet.processes.ports import free_port
     from netem.errors import BusError
-    from netem.wire.bus import OpenBus, quiet_zenoh
+    from netem.wire.bus import quiet_zenoh
+    from netem.wire.open_bus import OpenBus
 
     if connect and listen:
         raise click.UsageError("either --connect or --listen")

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from fractions import Fraction
 from typing import Any
 
 import click
 
-from fleet.quantities import QuantityError, time_ns
+from fleet.quantities import Dimension, QuantityError, parse, time_ns
 
 
 class Duration(click.ParamType[int]):
@@ -27,3 +29,147 @@ class Duration(click.ParamType[int]):
         if ns < 0:
             self.fail(f"a time that is not negative is needed, got {value!r}", param, ctx)
         return ns
+
+
+class Speed(click.ParamType[float | None]):
+    """A positive factor of real time, or max."""
+
+    name = "x|max"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float | None:
+        if value is None or value == "max":
+            return None
+        try:
+            speed = float(str(value).removesuffix("x"))
+        except ValueError:
+            speed = 0.0
+        if not 0.0 < speed < float("inf"):
+            self.fail(f"expected a positive factor of real time such as 1 or 2.5, or max, got {value!r}", param, ctx)
+        return speed
+
+
+class Share(click.ParamType[float]):
+    """A share from 0 to 1, or in percent."""
+
+    name = "share"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        text = str(value)
+        try:
+            share = float(text[:-1]) / 100 if text.endswith("%") else float(text)
+        except ValueError:
+            share = -1.0
+        if not 0.0 <= share <= 1.0:
+            self.fail(f"expected a share such as 1% or 0.01, got {value!r}", param, ctx)
+        return share
+
+
+class Words(click.ParamType[tuple[str, ...]]):
+    """Some of a few words, with commas between them; `all` is every one, where it is allowed."""
+
+    name = "list"
+
+    def __init__(self, words: Sequence[str], everything: str = "") -> None:
+        self._words, self._everything = tuple(words), everything
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[str, ...]:
+        if isinstance(value, tuple):
+            return value
+        asked = [word.strip() for word in str(value).split(",")]
+        if self._everything and self._everything in asked:
+            return self._words
+        for word in asked:
+            if word not in self._words:
+                from netem.parsing import nearest
+
+                known = [*self._words, *filter(None, [self._everything])]
+                hint = nearest(word, known) or f"there are {', '.join(known)}"
+                self.fail(f"{word!r} is none of them; {hint}", param, ctx)
+        return tuple(dict.fromkeys(asked))
+
+
+class Window(click.ParamType[tuple[float, float]]):
+    """Two times of the run, as in 20s..40s; in s."""
+
+    name = "a..b"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[float, float]:
+        if isinstance(value, tuple):
+            return value
+        from fleet.quantities import QuantityError, time_ns
+
+        first, dots, last = str(value).partition("..")
+        try:
+            begin, end = time_ns(first), time_ns(last)
+        except QuantityError as error:
+            self.fail(f"expected two times such as 20s..40s, got {value!r}: {error}", param, ctx)
+        if not dots or not 0 <= begin < end:
+            self.fail(f"expected two times such as 20s..40s, the earlier first, got {value!r}", param, ctx)
+        return begin / 1e9, end / 1e9
+
+
+class Vehicles(click.ParamType[tuple[int, ...]]):
+    """Numbers of vehicles, as in 1,3-5."""
+
+    name = "i,j-k"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[int, ...]:
+        if isinstance(value, tuple):
+            return value
+        from fleet.quantities import vehicle_numbers
+
+        try:
+            return tuple(vehicle_numbers(str(value)))
+        except ValueError as error:
+            self.fail(str(error), param, ctx)
+
+
+FILE_SIZE = Dimension("a size", "100 MB", {
+    "MB": Fraction(10**6), "GB": Fraction(10**9), "kB": Fraction(1000), "B": Fraction(1),
+    "MiB": Fraction(2**20), "GiB": Fraction(2**30), "kiB": Fraction(1024),
+})  # fmt: skip
+
+
+class FileSize(click.ParamType[int]):
+    """A size with a unit, as whole bytes."""
+
+    name = "size"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> int:
+        try:
+            size = value if isinstance(value, int) else int(parse(value, FILE_SIZE)[0])
+        except QuantityError as error:
+            self.fail(f"{error.message}{f': {error.hint}' if error.hint else ''}", param, ctx)
+        if size <= 0:
+            self.fail(f"a positive size is needed, got {value!r}", param, ctx)
+        return size
+
+
+class Endpoint(click.ParamType[str]):
+    """A zenoh endpoint."""
+
+    name = "endpoint"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
+        protocol, slash, address = str(value).partition("/")
+        if not slash or not protocol or not address:
+            self.fail(f"expected an endpoint such as tcp/127.0.0.1:7447, got {value!r}", param, ctx)
+        return str(value)
+
+
+class Numbers(click.ParamType[list[float]]):
+    """Numbers with commas between, each within limits."""
+
+    def __init__(self, least: float, most: float, example: str, *, whole: bool = False) -> None:
+        self.name = "n,n,..."
+        self._least, self._most, self._example, self._whole = least, most, example, whole
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> list[float]:
+        try:
+            numbers = [int(part) if self._whole else float(part) for part in str(value).split(",")]
+        except ValueError:
+            numbers = []
+        if not numbers or not all(self._least <= n <= self._most for n in numbers):
+            limits = f"from {self._least:g} to {self._most:g}"
+            self.fail(f"expected numbers {limits} such as {self._example}, got {value!r}", param, ctx)
+        return numbers

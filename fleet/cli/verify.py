@@ -40,7 +40,7 @@ def verify(log: Path, trust: Trust, quiet: bool) -> None:
     """
     from fleet.repeat.verify import NothingToVerify, describe
     from fleet.repeat.verify import verify as check
-    from fleet.run.progress import Counting
+    from fleet.terminal.counting import Counting
     from fleet.terminal.share_done import showing
 
     try:

@@ -106,7 +106,7 @@ class Log:
             LogReadError: the log holds none.
             ScenarioError: another version wrote it, and it is none for this one.
         """
-        from fleet.scenario.scenario import parse_scenario
+        from fleet.scenario.loading import parse_scenario
 
         if not self.scenario_text:
             raise LogReadError(f"{self.path} holds no scenario: it was not written by fleet run, or cut at its start")

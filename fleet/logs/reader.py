@@ -46,8 +46,8 @@ class Record(NamedTuple):
 class LogReader:
     """Iterates the messages of a log once; what else it holds is there when the iteration is over.
 
-    It stops at the first damaged place, so that what it yields is how the run began, without a gap; `fleet.logs.recover`
-    goes on behind.
+    It stops at the first damaged place, so that what it yields is how the run began, without a gap;
+    `fleet.logs.recover` goes on behind.
     """
 
     path: Path

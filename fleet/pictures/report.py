@@ -17,8 +17,9 @@ from matplotlib.figure import Figure
 from fleet.errors import FleetError
 from fleet.logs.reader import Tell, digest
 from fleet.logs.result_file import ResultError, read_result
-from fleet.pictures import PER_RUN, WHAT, Look, Run, draw
+from fleet.pictures.gallery import PER_RUN, WHAT, draw
 from fleet.pictures.report_tables import links_table, mark, number, side_by_side, table
+from fleet.pictures.runs import Look, Run
 from fleet.pictures.style import DPI
 from fleet.pictures.whole_file import whole_file
 from netem.ages import Ages

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 from typing import Any
 
-from fleet.pictures import Run
+from fleet.pictures.runs import Run
 from netem.causes import REPLACED
 
 MOST_ROWS = 40  # of a table of links

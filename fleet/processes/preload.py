@@ -14,7 +14,7 @@ if CONSOLE_PID_VARIABLE in os.environ:
     die_with_parent(int(os.environ.pop(CONSOLE_PID_VARIABLE)))  # what a law starts is no business of ours
 
 # After the tie to the parent, because it takes a while.
-for name in ("agents.process", "netem.process", "world.process"):
+for name in ("agents.main", "netem.main", "world.main"):
     importlib.import_module(name)
 
 FORKSERVER_PID = os.getpid()

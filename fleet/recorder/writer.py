@@ -46,10 +46,10 @@ from fleet.logs.schemas import (
 )
 from fleet.recorder.metrics import VehicleError
 from fleet.recorder.scene import SCENE_UNITS, Scene
-from fleet.recorder.snapshot import START, TOPIC, Snapshot, forgetful
+from fleet.recorder.snapshot import START, TOPIC, Snapshot, Start
 from fleet.recorder.transforms import NED, TRANSFORMS_UNITS, quaternion, transforms
-from fleet.repeat.resume import Start
 from fleet.scenario.scenario import Scenario
+from fleet.scenario.sections.log_rates import without_snapshots
 from fleet.scenario.sections.timeline import Event
 from netem.wire.messages import Command, Fate, Frame, VehicleFrame
 
@@ -349,7 +349,7 @@ def _plugin_metadata(scenario: Scenario) -> dict[str, str]:
 def _resumable(scenario: Scenario) -> str:
     if scenario.external:
         return f"no: {', '.join(map(str, scenario.external))} external, whose agents keep what they remember"
-    without = forgetful(scenario.other_laws)
+    without = without_snapshots(scenario.other_laws)
     return "yes" if not without else f"no: {', '.join(without)} has no state() and restore()"
 
 

@@ -30,7 +30,7 @@ class NotRecordedError(FleetError):
 
 
 @dataclass(slots=True)
-class Feed:
+class RecordedAgent:
     """What one agent said, by tick."""
 
     vehicle: int
@@ -45,7 +45,7 @@ class Feed:
 
     def loop(self, incarnation: int, begin: int) -> AgentLoop:
         """A life of it."""
-        return _FedLoop(self, self.round_ticks, incarnation=incarnation, begin=begin)
+        return _RecordedLoop(self, self.round_ticks, incarnation=incarnation, begin=begin)
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,32 +55,32 @@ class _Said:
     payloads: tuple[bytes, ...]
 
 
-class _FedLoop(AgentLoop):
+class _RecordedLoop(AgentLoop):
     """An agent's place in the lockstep, with the memory as it was told then."""
 
-    def __init__(self, feed: Feed, round_ticks: int, *, incarnation: int, begin: int) -> None:
-        super().__init__(_FedCore(feed), round_ticks, incarnation=incarnation, begin=begin)
-        self._feed = feed
+    def __init__(self, agent: RecordedAgent, round_ticks: int, *, incarnation: int, begin: int) -> None:
+        super().__init__(_RecordedCore(agent), round_ticks, incarnation=incarnation, begin=begin)
+        self._agent = agent
 
     def _memory(self, tick: int) -> list[Any]:
-        memory = self._feed.memories.get(tick)
+        memory = self._agent.memories.get(tick)
         return [] if memory is None else [Memory(self.incarnation, tick, memory)]
 
 
-class _FedCore:
-    def __init__(self, feed: Feed) -> None:
-        self._feed = feed
+class _RecordedCore:
+    def __init__(self, agent: RecordedAgent) -> None:
+        self._agent = agent
 
     def step(self, nav: Nav, deliveries: list[Delivery], /) -> _Said:
         """Raises NotRecordedError for a tick within the log of which it holds no command."""
-        feed, tick = self._feed, nav.tick
-        tau = feed.commands.get(tick)
+        agent, tick = self._agent, nav.tick
+        tau = agent.commands.get(tick)
         if tau is None:
-            if tick < feed.last:
-                raise NotRecordedError(f"the log holds no command of vehicle {feed.vehicle} at tick {tick}")
+            if tick < agent.last:
+                raise NotRecordedError(f"the log holds no command of vehicle {agent.vehicle} at tick {tick}")
             tau = (0.0,) * TAU  # of a log that ends within this tick: nothing that follows is compared
-        payloads = tuple(feed.payloads.get(tick, ())) if tick % feed.round_ticks == 0 else ()
-        return _Said(tau, tuple(feed.telemetry.get(tick, ())), payloads)
+        payloads = tuple(agent.payloads.get(tick, ())) if tick % agent.round_ticks == 0 else ()
+        return _Said(tau, tuple(agent.telemetry.get(tick, ())), payloads)
 
     def transmit(self, nav: Nav, /) -> tuple[bytes, ...]:
         raise AssertionError("nobody joins an ideal network")
@@ -98,7 +98,7 @@ class _FedCore:
         return []
 
 
-def feeds(reader: LogReader, scenario: Scenario, last_ns: int, *, whole: bool) -> dict[int, Feed]:
+def recorded_agents(reader: LogReader, scenario: Scenario, last_ns: int, *, whole: bool) -> dict[int, RecordedAgent]:
     """What the external agents of a scenario said in a log, by vehicle.
 
     Args:
@@ -117,15 +117,15 @@ def feeds(reader: LogReader, scenario: Scenario, last_ns: int, *, whole: bool) -
             "again takes all of them (log.command: 1 tick)"
         )
     tick_ns, m = scenario.tick_ns, scenario.round_ticks
-    found = {i: Feed(i, scenario.layout(i), m, last_ns // tick_ns) for i in scenario.external}
+    found = {i: RecordedAgent(i, scenario.layout(i), m, last_ns // tick_ns) for i in scenario.external}
     packets: dict[int, dict[int, tuple[int, bytes]]] = {i: {} for i in found}  # by vehicle and seq
     sure: set[tuple[int, int]] = set()  # those of which an undamaged copy was seen
     decode, command = Decoder(reader).message, DoublesEncoder(COMMAND)
     groups = {
-        (i, group): (DoublesEncoder(signal_columns(getattr(feed.layout, group))), feed.layout.group(group))
-        for i, feed in found.items()
+        (i, group): (DoublesEncoder(signal_columns(getattr(agent.layout, group))), agent.layout.group(group))
+        for i, agent in found.items()
         for group in ("guidance", "control")
-        if getattr(feed.layout, group)
+        if getattr(agent.layout, group)
     }
     for record in reader:
         head, _, rest = record.topic.partition("/")
@@ -154,21 +154,21 @@ def feeds(reader: LogReader, scenario: Scenario, last_ns: int, *, whole: bool) -
             memories = Snapshot.from_bytes(decode(record).state).memories
             for i in found.keys() & memories.keys():
                 found[i].memories[tick] = memories[i]
-    for i, feed in found.items():
-        _transmitted(feed, packets[i], whole=whole or all(src != i for src, _ in scenario.graph.links))
+    for i, agent in found.items():
+        _transmitted(agent, packets[i], whole=whole or all(src != i for src, _ in scenario.graph.links))
     return found
 
 
-def _transmitted(feed: Feed, packets: dict[int, tuple[int, bytes]], *, whole: bool) -> None:
+def _transmitted(agent: RecordedAgent, packets: dict[int, tuple[int, bytes]], *, whole: bool) -> None:
     """The payloads of each tick. Those whose fate a cut log does not tell have a place, and nothing in it."""
     tick = 0
     for seq in range(max(packets, default=-1) + 1):
         if seq in packets:
             tick, payload = packets[seq]
         else:
-            feed.known = min(feed.known, tick)
+            agent.known = min(agent.known, tick)
             following = next(packets[later][0] for later in range(seq, max(packets) + 1) if later in packets)
-            tick, payload = (tick + feed.round_ticks if following - tick > feed.round_ticks else tick), b""
-        feed.payloads.setdefault(tick, []).append(payload)
+            tick, payload = (tick + agent.round_ticks if following - tick > agent.round_ticks else tick), b""
+        agent.payloads.setdefault(tick, []).append(payload)
     if not whole:
-        feed.known = min(feed.known, tick)
+        agent.known = min(agent.known, tick)

@@ -13,8 +13,9 @@ from fleet.logs.decoder import Decoder
 from fleet.logs.reader import CLOCK, REAL, LogReader, Record, Tell, log_path
 from fleet.quantities import show_time
 from fleet.recorder.snapshot import START
-from fleet.scenario.scenario import Scenario, parse_scenario
-from fleet.scenario.schema.spec import EVERY
+from fleet.scenario.loading import parse_scenario
+from fleet.scenario.scenario import Scenario
+from fleet.scenario.schema.checks import EVERY
 from fleet.scenario.sections.timeline import is_fault
 from fleet.scenario.trust import READING, Policy
 

@@ -7,27 +7,17 @@ runs the same laws and hears the same neighbours; otherwise it begins anew, as a
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
 
 from agents.controllers import laws
 from agents.plugins.trust import NOTHING, Trust
 from fleet.logs.reader import LogReader, Tell, digest, log_path
 from fleet.quantities import QuantityError, show_time, time_ns
-from fleet.recorder.snapshot import START, Snapshot, SnapshotError, find
+from fleet.recorder.snapshot import START, Snapshot, SnapshotError, Start, find
 from fleet.repeat.recorded_run import recorded as read
-from fleet.scenario.scenario import Scenario, load_scenario
+from fleet.scenario.loading import load_scenario
+from fleet.scenario.scenario import Scenario
 from fleet.scenario.trust import Policy
-
-
-@dataclass(frozen=True, slots=True)
-class Start:
-    """Where a run begins that goes on from another."""
-
-    snapshot: Snapshot
-    source: str  # the log, and its digest
-    anew: tuple[int, ...] = ()  # vehicles whose agents begin without memory
-    notes: tuple[str, ...] = field(default=())
 
 
 def parse_from(text: str) -> tuple[Path, int | None]:

@@ -21,14 +21,16 @@ from fleet.logs.decoder import Decoder
 from fleet.logs.first_difference import Difference, Side, side
 from fleet.logs.reader import GAPS, RECOVERY, LogReader, Record
 from fleet.recorder.journal import Journal
+from fleet.recorder.snapshot import Start
 from fleet.recorder.writer import LogWriter, run_metadata
-from fleet.repeat.recorded_agent import NotRecordedError, feeds
+from fleet.repeat.recorded_agent import NotRecordedError, recorded_agents
 from fleet.repeat.recorded_run import Recorded, recorded
-from fleet.repeat.resume import Start, begun
+from fleet.repeat.resume import begun
 from fleet.run.clock import Clock
 from fleet.run.external_agents import named
 from fleet.run.in_process import InProcess
-from fleet.scenario.scenario import Scenario, frame_every, parse_scenario
+from fleet.scenario.loading import parse_scenario
+from fleet.scenario.scenario import Scenario, frame_every
 from fleet.scenario.trust import Policy
 from world.errors import WorldError
 
@@ -53,7 +55,7 @@ class Verification:
     reason: str = ""  # why the re-run ended early, if it did
     contradictions: list[str] = field(default_factory=list)  # between the log's metadata and its scenario
     versions: list[str] = field(default_factory=list)  # that are not those of the recording
-    external: tuple[int, ...] = ()  # vehicles whose agents were fed from the log
+    external: tuple[int, ...] = ()  # vehicles whose agents say what they said in the log
     unknown: str = ""  # why the comparison ended before the recording did
 
     @property
@@ -147,7 +149,7 @@ class _Rerun(LogWriter):
         super().__init__(found.path, scenario, start)
         self._begin = start
         to_the_end = not reader.missing and last_ns == scenario.ticks * self._tick_ns
-        self._fed = feeds(LogReader(found.path), scenario, last_ns, whole=to_the_end)
+        self._external = recorded_agents(LogReader(found.path), scenario, last_ns, whole=to_the_end)
         self._found, self._tell = found, tell
         self._first, self._last_ns = reader, last_ns  # read to its end before
         self._again = LogReader(found.path)
@@ -174,7 +176,8 @@ class _Rerun(LogWriter):
             seen = journal.written
 
         try:
-            InProcess(scenario, journal, self._begin, self._fed).serve(clock, moved)
+            agents = {i: agent.loop for i, agent in self._external.items()}
+            InProcess(scenario, journal, self._begin, agents).serve(clock, moved)
         except _Over:
             pass
         except NotRecordedError as error:
@@ -218,10 +221,10 @@ class _Rerun(LogWriter):
 
     def _forgive(self, at_ns: int) -> None:
         """A difference means nothing when what an external agent had sent by then is not in the log."""
-        for i, feed in self._fed.items():
-            if at_ns > feed.known * self._tick_ns:
+        for i, agent in self._external.items():
+            if at_ns > agent.known * self._tick_ns:
                 self._found.difference = None
-                since = feed.known * self._tick_ns / 1e9
+                since = agent.known * self._tick_ns / 1e9
                 self._found.unknown = (
                     f"what vehicle {i} sent after t = {since:g} s was under way when the log ended, and is not in it"
                 )

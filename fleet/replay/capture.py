@@ -1,4 +1,7 @@
-"""`fleet record`: zenoh traffic of any kind into an MCAP file, as it comes; `fleet.replay.capture_format` says how it is laid out."""
+"""`fleet record`: zenoh traffic of any kind into an MCAP file, as it comes.
+
+`fleet.replay.capture_format` says how it is laid out.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +17,7 @@ from mcap.writer import CompressionType, Writer
 from fleet.errors import FleetError
 from fleet.replay.capture_format import ATTACHMENT, DELETE, ENCODING, KIND, PROFILE, PUT, message_encoding
 from fleet.terminal.status_line import StatusLine
-from netem.wire.bus import OpenBus, Sample, sample_of
+from netem.wire.open_bus import OpenBus, Sample, sample_of
 
 FLUSH_NS = 1_000_000_000  # a recorder that is killed loses so much at most
 POLL_S = 0.1

@@ -14,8 +14,8 @@ from fleet.replay.player import RATE_STEP, SEEK_NS, Metronome, Pace, Player
 from fleet.replay.selection import Renaming, chosen
 from fleet.terminal.keyboard import Key, Keyboard
 from fleet.terminal.status_line import StatusLine
-from netem.wire.bus import OpenBus, Publication
 from netem.wire.keys import Keys
+from netem.wire.open_bus import OpenBus, Publication
 
 MOST = 256  # messages between two looks at the keyboard
 NAP_S = 0.05  # the longest wait without a look at the clock

@@ -1,7 +1,7 @@
 """The process that publishes a live run's journal: from a pipe to zenoh, dropping what subscribers cannot take.
 
-Started by `fleet.replay.publisher`. Stdin: one line of JSON, then batches as `fleet.replay.publisher` packs them; stdout: one line of
-JSON when it listens, one when somebody subscribes if that is waited for, one when it ends.
+Started by `fleet.replay.publisher`. Stdin: one line of JSON, then batches as that module packs them;
+stdout: one line of JSON when it listens, one when somebody subscribes if that is waited for, one when it ends.
 """
 
 from __future__ import annotations
@@ -27,8 +27,9 @@ from fleet.replay.capture_format import zenoh_encoding
 from fleet.replay.publisher import ENTRY, LENGTH
 from netem.errors import BusError
 from netem.wire.access import Credentials
-from netem.wire.bus import OpenBus, quiet_zenoh
+from netem.wire.bus import quiet_zenoh
 from netem.wire.keys import Keys
+from netem.wire.open_bus import OpenBus
 
 POLL_S = 0.02
 SETTLE_S = 0.1  # whoever subscribes to several keys does so one after another

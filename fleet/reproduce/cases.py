@@ -10,7 +10,8 @@ import numpy as np
 from agents.controllers import CONTROLLERS
 from fleet.reproduce.measures import measure
 from fleet.run.in_memory import Array, record
-from fleet.scenario.scenario import Scenario, load_scenario
+from fleet.scenario.loading import load_scenario
+from fleet.scenario.scenario import Scenario
 
 U, D = "undisturbed", "disturbed"
 SEAS = (U, D)

@@ -151,7 +151,7 @@ def _draw_all(
 def _network_check(tell: Tell) -> str:
     """A few seconds of the network case as real processes over zenoh, against the same in this process."""
     from fleet.run.execute import Options, Status, execute
-    from fleet.scenario.scenario import load_scenario
+    from fleet.scenario.loading import load_scenario
 
     tell("a distributed run, to compare with the in-process one", 0.0)
     case = CASES[f"NBOC-network-{U}"]

@@ -15,8 +15,8 @@ from netem.errors import BusError
 from netem.whole_file import read_file
 from netem.wire.access import LEASE_MS, Credentials
 from netem.wire.bus import Bus
+from netem.wire.control import read_map, request
 from netem.wire.keys import Keys
-from netem.wire.shell import read_map, request
 
 ASK_S = 5.0
 MOST_BYTES = 100_000  # of a connection file, with certificates

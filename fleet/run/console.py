@@ -52,11 +52,12 @@ from netem.errors import BusError, MalformedMessage, OutOfPlace
 from netem.faults import NetFault, fault_values
 from netem.wire.access import CONSOLE, LEASE_MS, NETEM, OPERATOR, Credentials, Door, agent_role, generate
 from netem.wire.bus import Bus, Respond
-from netem.wire.keys import Keys
+from netem.wire.control import read_map, request
+from netem.wire.keys import Keys, vehicle_of
 from netem.wire.messages import PROTOCOL_VERSION, RUN_OVER, Ailments, Frames, Grant, Hello, LinkReport, Note, encode
 from netem.wire.queues import Quota
 from netem.wire.settings import PENDING
-from netem.wire.shell import expect, read_map, request, vehicle_of
+from netem.wire.shell import expect
 from world.faults import WorldFault
 
 WORLD = world.process.WORLD

@@ -22,8 +22,8 @@ from fleet.hosts.rendezvous import Meeting
 from fleet.processes.interrupts import HungUp, Unbroken
 from fleet.processes.ports import free_port
 from fleet.recorder.journal import Journal, Spell
+from fleet.recorder.snapshot import Start
 from fleet.recorder.writer import LogError, LogWriter
-from fleet.repeat.resume import Start
 from fleet.replay.publisher import LivePublisher, PublishError
 from fleet.run.clock import WINDOW_NS, Clock
 from fleet.run.console import JOIN_TIMEOUT_S, Console

@@ -18,8 +18,7 @@ from agents.errors import ControllerError
 from agents.loop import AgentLoop, Answer
 from fleet.errors import RunBroken
 from fleet.recorder.journal import Journal
-from fleet.repeat.recorded_agent import Feed
-from fleet.repeat.resume import Start
+from fleet.recorder.snapshot import Start
 from fleet.run.clock import Clock
 from fleet.scenario.scenario import Scenario, frame_every
 from fleet.scenario.sections.timeline import MOST_RESTARTS
@@ -44,6 +43,8 @@ from world.lockstep import Lockstep, NavTo
 
 WORLD, NETEM, CONSOLE = 0, -1, -2  # addresses; agents have their positive numbers
 
+MakeLoop = Callable[[int, int], AgentLoop]  # (incarnation, begin) -> one life of an agent
+
 
 class InProcess:
     """One run; `serve` returns when it is complete."""
@@ -53,12 +54,15 @@ class InProcess:
         scenario: Scenario,
         journal: Journal,
         start: Start | None = None,
-        fed: Mapping[int, Feed] | None = None,
+        agents: Mapping[int, MakeLoop] | None = None,
     ) -> None:
-        """Args:
-        fed: vehicles whose agents say what they said in a log.
+        """A run that is about to begin.
+
+        Args:
+            start: where it goes on from another run; None: at its beginning.
+            agents: by vehicle, what makes an agent in place of the scenario's.
         """
-        self._fed = fed or {}
+        self._other_agents = agents or {}
         self._scenario, self._journal, self._begin = scenario, journal, start
         self._world = Lockstep(scenario.world_config(), frame_every=frame_every(scenario))
         self.rounds = Rounds(scenario.netem_config())
@@ -110,8 +114,8 @@ class InProcess:
             loop.remember(memory, anew=i in start.anew)
 
     def _born(self, i: int, incarnation: int, begin: int) -> AgentLoop:
-        if i in self._fed:
-            return self._fed[i].loop(incarnation, begin)
+        if i in self._other_agents:
+            return self._other_agents[i](incarnation, begin)
         scenario = self._scenario
         core = make_agent(_over_the_wire(scenario.agent_config(i)))
         return AgentLoop(

@@ -16,7 +16,7 @@ from pydantic import TypeAdapter, ValidationError
 from fleet.recorder.journal import Journal
 from fleet.run.clock import LiveClock
 from fleet.scenario.scenario import Scenario
-from fleet.scenario.schema.spec import FaultEntry, FaultSection
+from fleet.scenario.schema.faults import FaultEntry, FaultSection
 from fleet.scenario.sections.partitions import FaultError
 from fleet.scenario.sections.timeline import (
     ACTIONS,

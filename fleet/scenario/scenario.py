@@ -5,58 +5,37 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, field
-from importlib import resources
 from math import gcd
 from pathlib import Path
 
 from agents.config import AgentConfig, Law, Neighbour
 from agents.controllers import BUILT_IN, laws, layout
 from agents.offset import Change, Offset
-from agents.plugins.trust import NOTHING, Trust
 from agents.signals import Layout
 from agents.trajectory import Reference
-from fleet.errors import Problem, ScenarioError
 from fleet.quantities import vehicle_numbers
-from fleet.recorder.snapshot import log_every, memory_ticks
-from fleet.scenario.schema.spec import CurrentSection, ScenarioSpec, VehicleSection
-from fleet.scenario.sections import (
-    acoustic as acoustics,
-)
-from fleet.scenario.sections import (
-    formation,
-    graph,
-    nemesis,
-    reference,
-)
-from fleet.scenario.sections import (
-    per_vehicle as tuning,
-)
-from fleet.scenario.sections import (
-    timeline as faults,
-)
+from fleet.scenario.schema.sea import CurrentSection
+from fleet.scenario.schema.spec import ScenarioSpec
+from fleet.scenario.schema.vehicle import VehicleSection
+from fleet.scenario.sections import acoustic as acoustics
+from fleet.scenario.sections import formation, graph, nemesis, reference
+from fleet.scenario.sections import per_vehicle as tuning
+from fleet.scenario.sections import timeline as faults
 from fleet.scenario.sections.graph import Graph
+from fleet.scenario.sections.log_rates import log_every, memory_ticks
 from fleet.scenario.sections.modem_files import shipped as shipped_modems
 from fleet.scenario.sections.per_vehicle import Control
 from fleet.scenario.sections.vehicle_files import shipped as shipped_vehicles
 from fleet.scenario.text import yaml_writer
-from fleet.scenario.text.overrides import apply, override_name
-from fleet.scenario.text.yaml_reader import Mapping, Scalar, Source, read
-from fleet.scenario.trust import READING, Policy, stranger
-from fleet.scenario.validation import validate
 from netem.condition import Condition, Link
 from netem.config import NetemConfig
 from netem.modem import AcousticConfig
-from netem.parsing import nearest
 from netem.selectors import parse_selector, select
-from netem.whole_file import read_bounded, read_file
 from world import disturbance
 from world.config import Harmonic, NavNoise, VehicleSetup, WorldConfig
 from world.vectors import Vec3, Vec5, minus
-
-_MAX_BYTES = 4_000_000  # no fewer than yaml_marks takes characters
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,7 +56,7 @@ class Scenario:
 
     @classmethod
     def compile(cls, spec: ScenarioSpec, source: str = "", folder: Path | None = None) -> Scenario:
-        """The scenario of a specification that `fleet.scenario.validation` accepted; `folder` is where its file lies."""
+        """The scenario of a valid specification; `folder` is where its file lies."""
         plans = formation.plans(spec.formation, spec.vehicles)
         places = tuple(plan.start for plan in plans)
         links = graph.build(spec.graph, places, spec.seed)
@@ -305,113 +284,6 @@ def _difference(a: Offset, b: Offset) -> Offset:
     return Offset(
         minus(a.start, b.start), tuple(Change(x.begin, x.blend, minus(x.offset, y.offset)) for x, y in changes)
     )
-
-
-def load_scenario(
-    name_or_path: str | Path,
-    overrides: Sequence[str] = (),
-    trust: Trust = NOTHING,
-    *,
-    imports: bool = True,
-    refused: list[Problem] | None = None,
-) -> Scenario:
-    """The scenario of a shipped name or of a file, with `key.path=value` overrides applied.
-
-    Args:
-        trust: which modules may run that are neither installed nor the user's own; see `fleet.scenario.trust`.
-        imports: whether the laws that the file names are imported, to see if they can be used.
-        refused: gets the laws that may not run, in place of an error.
-
-    Raises:
-        ScenarioError: with every mistake that was found, in the order of the file.
-    """
-    shown, text, folder = _text(str(name_or_path))
-    policy = Policy(trust, "" if folder is None else stranger(Path(shown)), imports, refused)
-    return parse_scenario(text, shown, overrides, folder, policy)
-
-
-def parse_scenario(
-    text: str,
-    source_name: str,
-    overrides: Sequence[str] = (),
-    folder: Path | None = None,
-    policy: Policy = READING,
-) -> Scenario:
-    """The scenario that `text` describes; `source_name` is what problems call it.
-
-    A text without a name is named after its source. Vehicle files, and the modules of laws that are not installed,
-    are looked for in `folder` and in the current directory; `policy` says which of them may run, by itself none.
-
-    Raises:
-        ScenarioError: with every mistake that was found, in the order of the text.
-    """
-    source = Source(source_name, text)
-    root, problems = read(source)
-    if not isinstance(root, Mapping):
-        if root is not None:
-            problems.append(root.place.problem("expected a mapping of keys to values"))
-        raise ScenarioError(problems)
-    if "name" not in root.entries:
-        name = re.sub(r"[^a-z0-9_-]+", "-", Path(source_name).stem.lower()).strip("-_")[:64] or "scenario"
-        root = root.with_entry("name", root.place, Scalar(name, root.place))
-    root, more = apply(root, overrides)
-    spec, found = validate(root, folder, policy)
-    everything = [*problems, *more, *found]
-    if spec is None or everything:
-        raise ScenarioError(sorted(everything, key=lambda p: _order(p, source, overrides)))
-    return Scenario.compile(spec, source_name, folder)
-
-
-def _order(problem: Problem, source: Source, overrides: Sequence[str]) -> tuple[int, int, int]:
-    rank = 0 if problem.file == source.name else 1 + [override_name(o) for o in overrides].index(problem.file)
-    return rank, problem.line, problem.column
-
-
-def list_scenarios() -> list[tuple[str, str, int, float, str]]:
-    """(name, title, vehicles, duration in s, what it is meant to: pass or fail) of every shipped scenario, by name."""
-    found = [load_scenario(name) for name in shipped()]
-    return [(s.name, s.title, s.vehicles, s.duration_ns / 1e9, s.spec.expect) for s in found]
-
-
-def shipped() -> list[str]:
-    """The names of the scenarios that come with the package."""
-    folder = resources.files("fleet.scenario.shipped")
-    return sorted(entry.name.removesuffix(".yaml") for entry in folder.iterdir() if entry.name.endswith(".yaml"))
-
-
-def _text(name_or_path: str) -> tuple[str, str, Path | None]:
-    """What to call the source, its text and its folder. A suffix or a slash makes a path of an unknown name."""
-    try:
-        if name_or_path in shipped():
-            entry = resources.files("fleet.scenario.shipped") / f"{name_or_path}.yaml"
-            return f"{name_or_path}.yaml", entry.read_text("utf-8"), None
-        path = Path(name_or_path)
-        if path.suffix or "/" in name_or_path or path.exists():
-            return name_or_path, _content(path).decode("utf-8-sig"), path.parent
-    except UnicodeDecodeError as error:
-        hint = "a log? fleet run --from goes on from one, fleet script makes a scenario of one"
-        raise _unreadable(name_or_path, f"not UTF-8 text (byte {error.start})", hint) from None
-    except IsADirectoryError:
-        inside = path / "scenario.yaml"
-        hint = f"did you mean {inside}, the scenario of that run?" if inside.exists() else ""
-        raise _unreadable(name_or_path, "is a directory, not a scenario file", hint) from None
-    except (OSError, ValueError) as error:
-        raise _unreadable(name_or_path, getattr(error, "strerror", None) or str(error)) from None
-    hint = nearest(name_or_path, shipped()) or "a file needs its suffix, as in my-scenario.yaml"
-    message = f"there is no such shipped scenario; there are {', '.join(shipped())}"
-    raise _unreadable(name_or_path, message, hint)
-
-
-def _content(path: Path) -> bytes:
-    """Of a file, or of what is open already: /dev/stdin, or /dev/fd/63 as a shell writes <(command)."""
-    if path == Path("/dev/stdin") or path.parent in (Path("/dev/fd"), Path("/proc/self/fd")):
-        with path.open("rb") as file:
-            return read_bounded(file, _MAX_BYTES)
-    return read_file(path, _MAX_BYTES)
-
-
-def _unreadable(name: str, message: str, hint: str = "") -> ScenarioError:
-    return ScenarioError([Problem(name or '""', 0, 0, message, hint)])
 
 
 def timeline(scenario: Scenario) -> list[tuple[str, float, float, str]]:

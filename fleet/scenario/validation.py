@@ -13,8 +13,10 @@ from pydantic_core import ErrorDetails
 
 from fleet.errors import Problem
 from fleet.quantities import describe
-from fleet.scenario.rules.apply import Report, UnknownValueError, check
-from fleet.scenario.schema.spec import ScenarioSpec, Section
+from fleet.scenario.rules.apply import check
+from fleet.scenario.rules.report import Report, UnknownValueError
+from fleet.scenario.schema.section import Section
+from fleet.scenario.schema.spec import ScenarioSpec
 from fleet.scenario.text.yaml_reader import Items, Mapping, Node, locate, plain, text_place
 from fleet.scenario.trust import READING, Policy
 from netem.parsing import nearest

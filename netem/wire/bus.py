@@ -11,20 +11,19 @@ import re
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from threading import Thread
-from typing import Any, NamedTuple
+from typing import Any
 
 import zenoh
 
 from netem.errors import BusError
 from netem.whole_file import write_whole
-from netem.wire.access import LEASE_MS, Credentials, Door, access_control, observer_control
+from netem.wire.access import LEASE_MS, Credentials, Door, access_control
 from netem.wire.keys import Keys
 from netem.wire.linger import never_linger
 from netem.wire.queues import Channel, Stamped
 from netem.wire.settings import (
     BASE,
     MAX_BYTES,
-    OTHERS,
     RUNTIME,
     client_settings,
     client_tls,
@@ -248,170 +247,6 @@ class Bus:
         closing = Thread(target=self._session.close, daemon=True)
         closing.start()
         closing.join(CLOSE_S)
-
-
-class Sample(NamedTuple):
-    """What somebody put or deleted, with all that came along."""
-
-    key: str
-    payload: bytes
-    delete: bool
-    encoding: str  # zenoh's, `type/subtype[;schema]`
-    attachment: bytes | None
-    stamp_ns: int | None  # zenoh's timestamp, ns since 1970, if the sample has one
-
-
-class Publication:
-    """Puts on one key with one encoding."""
-
-    def __init__(self, publisher: zenoh.Publisher) -> None:
-        self._publisher = publisher
-
-    @property
-    def matched(self) -> bool:
-        """Whether anybody subscribes to the key."""
-        status: Any = self._publisher.matching_status  # the stub says bool, and the object is always true
-        return bool(getattr(status, "matching", status))
-
-    def put(self, payload: bytes, attachment: bytes | None) -> None:
-        self._publisher.put(payload, attachment=attachment)
-
-    def delete(self, attachment: bytes | None) -> None:
-        self._publisher.delete(attachment=attachment)
-
-
-class OpenBus:
-    """A session for the traffic of others: journals that are published or played, and whatever is recorded.
-
-    Unlike `Bus` it speaks zenoh's universal transport, which fragments long messages, sends from a task of its own
-    and drops for a reader that is too slow, if told to; with `lowlatency` such a reader holds the sender up.
-    """
-
-    def __init__(self, session: zenoh.Session, endpoint: str) -> None:
-        self._session = session
-        self._held: list[Any] = []
-        self.endpoint = endpoint
-
-    @classmethod
-    def listen(cls, endpoint: str) -> OpenBus:
-        """A router that anybody may join who reaches the endpoint.
-
-        Raises:
-            BusError: the endpoint is taken or none.
-        """
-        return cls._listen(endpoint, OTHERS)
-
-    @classmethod
-    def host(cls, endpoint: str, keys: Keys, observer: Credentials, private: Path) -> OpenBus:
-        """A router where the observer may read the journal of a run, and nobody may do anything else.
-
-        Args:
-            private: a directory of mode 0700, as for `Bus.host`.
-
-        Raises:
-            BusError: the endpoint is taken or none.
-        """
-        users = _write_users(private, [observer])
-        settings = {
-            "transport/auth/usrpwd/dictionary_file": str(users),
-            "access_control": observer_control(keys),
-            # More is queued before anything is dropped; 16 is zenoh's most.
-            "transport/link/tx/queue/size/data": 16,
-        }
-        try:
-            return cls._listen(endpoint, settings)
-        finally:
-            users.unlink(missing_ok=True)
-
-    @classmethod
-    def _listen(cls, endpoint: str, settings: dict[str, Any]) -> OpenBus:
-        return cls._open("router", endpoint, listening([endpoint]) | settings, "cannot listen on")
-
-    @classmethod
-    def connect(cls, endpoint: str, credentials: Credentials | None = None, *, timeout_ms: int = 5000) -> OpenBus:
-        """A client of a router or peer.
-
-        Raises:
-            BusError: nobody listens there, or the credentials are refused.
-        """
-        settings = client_settings([endpoint], credentials, timeout_ms) | OTHERS
-        return cls._open("client", endpoint, settings, "nobody answers, or lets us in, at")
-
-    @classmethod
-    def _open(cls, mode: str, endpoint: str, settings: dict[str, Any], problem: str) -> OpenBus:
-        universal = {
-            "transport/unicast/lowlatency": False,
-            "transport/unicast/qos/enabled": True,
-            "transport/link/tx/lease": 10_000,
-        }
-        try:
-            return cls(zenoh.open(_config(mode, universal | settings)), endpoint)
-        except zenoh.ZError as error:
-            raise BusError(f"{problem} {endpoint} ({_first_line(error)})") from None
-
-    def publication(self, key: str, encoding: str, *, drop: bool) -> Publication:
-        """Puts on `key`, in order. With `drop`, what a slow subscriber has no room for is lost to it; otherwise the
-        put waits, and zenoh closes the link to a subscriber that takes nothing for 5 s.
-
-        Raises:
-            BusError: the key is none.
-        """
-        control = zenoh.CongestionControl.DROP if drop else zenoh.CongestionControl.BLOCK
-        try:
-            publisher = self._session.declare_publisher(
-                key, encoding=encoding, congestion_control=control, reliability=zenoh.Reliability.RELIABLE
-            )
-        except zenoh.ZError:
-            raise BusError(f"zenoh takes no key {key!r}") from None
-        self._held.append(publisher)
-        return Publication(publisher)
-
-    def subscribe(self, key: str, handler: Callable[[Any], None]) -> None:
-        """Call `handler` with zenoh's own sample, on a thread of zenoh; `sample_of` reads it later.
-
-        Raises:
-            BusError: the key expression is none.
-        """
-        try:
-            self._held.append(self._session.declare_subscriber(key, handler))
-        except zenoh.ZError:
-            what = "is no key expression of zenoh: parts such as robot/*/odom or robot/**, none of them empty"
-            raise BusError(f"{key!r} {what}") from None
-
-    def answer(self, key: str, answers: dict[str, bytes]) -> None:
-        """Answer queries on `key` with those of the values whose key they ask for."""
-
-        def receive(query: zenoh.Query) -> None:
-            with query:
-                for name, data in answers.items():
-                    if query.key_expr.intersects(name):
-                        query.reply(name, data)
-
-        self._held.append(self._session.declare_queryable(key, receive))
-
-    @property
-    def connected(self) -> bool:
-        """Whether there is a router or peer on the other side; of a client, whether it still reaches its router."""
-        info = self._session.info
-        return bool(info.routers_zid() or info.peers_zid())
-
-    def close(self) -> None:
-        """Send what is queued and close the session."""
-        self._held.clear()
-        self._session.close()  # type: ignore[no-untyped-call]
-
-
-def sample_of(received: Any) -> Sample:
-    """Zenoh's sample as plain values."""
-    attachment, stamp = received.attachment, received.timestamp
-    return Sample(
-        str(received.key_expr),
-        received.payload.to_bytes(),
-        received.kind == zenoh.SampleKind.DELETE,
-        str(received.encoding),
-        None if attachment is None else attachment.to_bytes(),
-        None if stamp is None else stamp.get_time_as_ntp64().as_nanos(),
-    )
 
 
 def log_zenoh(levels: str) -> None:

@@ -84,3 +84,14 @@ class Keys:
     def clock(self) -> str:
         """The time of a replay, as a source of time for others."""
         return f"fleet/{self.run}/clock"
+
+
+def tail(key: str) -> str:
+    """The key without the run: `tx/3`."""
+    return "/".join(key.rsplit("/", 2)[-2:])
+
+
+def vehicle_of(key: str) -> int:
+    """The vehicle number at the end of a key; 0 when there is none."""
+    last = key.rsplit("/", 1)[-1]
+    return int(last) if last.isdigit() else 0

@@ -7,20 +7,16 @@ thread takes it out, one item at a time, and is the only one that touches the co
 from __future__ import annotations
 
 import logging
-import os
-import sys
 from collections import Counter
 from collections.abc import Callable
 from queue import SimpleQueue
 from threading import Semaphore
 from time import monotonic
-from typing import Any, NamedTuple
-
-import msgpack
+from typing import NamedTuple
 
 from netem.errors import MalformedMessage, OutOfPlace
-from netem.wire.access import LEASE_MS, Credentials
 from netem.wire.bus import Bus, Respond
+from netem.wire.keys import tail, vehicle_of
 from netem.wire.messages import Message, Note, decode, encode
 from netem.wire.queues import Quota
 
@@ -120,57 +116,6 @@ class Probes:
         self._left[i] = max(0.0, left - 1.0), now
         if left < 1.0:
             raise OutOfPlace("hello", f"at most {self.PER_S:g} probes a second", "more")
-
-
-def tail(key: str) -> str:
-    """The key without the run: `tx/3`."""
-    return "/".join(key.rsplit("/", 2)[-2:])
-
-
-LINK_LOST = 71  # exit status: the link to a router on another host has ended
-
-
-def end_with_link(bus: Bus, credentials: Credentials) -> None:
-    """Between hosts, end this process when its link to the router has ended.
-
-    Zenoh would make another one by itself, and what was on the way would be missing without a word. On one host a link
-    ends with a process only, and the console sees that.
-    """
-
-    def end() -> None:
-        print(f"the link to the router at {bus.endpoint} has ended: closed, or silent for the lease", file=sys.stderr)
-        sys.stderr.flush()
-        os._exit(LINK_LOST)
-
-    if credentials.lease_ms < LEASE_MS:
-        bus.on_lost(end)
-
-
-def vehicle_of(key: str) -> int:
-    """The vehicle number at the end of a key; 0 when there is none."""
-    last = key.rsplit("/", 1)[-1]
-    return int(last) if last.isdigit() else 0
-
-
-def request(op: str, **fields: Any) -> bytes:
-    """A control request: a MessagePack map with the operation's name."""
-    data: bytes = msgpack.packb({"op": op, **fields})
-    return data
-
-
-def read_map(data: bytes) -> dict[str, Any]:
-    """A control request or answer.
-
-    Raises:
-        MalformedMessage: not a MessagePack map with text keys.
-    """
-    try:
-        values = msgpack.unpackb(data)
-    except Exception as error:  # msgpack raises half a dozen unrelated types for bad bytes
-        raise MalformedMessage("control", f"not MessagePack ({error or type(error).__name__})") from None
-    if not isinstance(values, dict) or not all(isinstance(key, str) for key in values):
-        raise MalformedMessage("control", f"expected a map, got {values!r:.60}")
-    return values
 
 
 def expect(data: bytes, *kinds: type) -> Message:

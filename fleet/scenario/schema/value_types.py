@@ -1,6 +1,6 @@
 """The kinds of value that a scenario's keys take: how each is read from text, bounded, and printed back.
 
-Each kind is an `Annotated` type, so that a model in `fleet.scenario.schema.spec` says unit and bound beside the key, and
+Each kind is an `Annotated` type, so that a model of `fleet.scenario.schema` says unit and bound beside the key, and
 pydantic's errors arrive with the words and the column of the text at fault.
 """
 

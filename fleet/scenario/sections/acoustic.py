@@ -9,7 +9,7 @@
 
 Pure ALOHA carries most, 1/(2e) of the time, at G = 1/2 (N. Abramson, "The ALOHA system", AFIPS 1970). With news always
 waiting a vehicle talks every T + B/2 on average, so G = n T / (T + B/2), and B = 2 T (2 n - 1) is the default.
-That is for many vehicles; `fleet.scenario.sections.aloha` has the numbers for few, and for news that is not always waiting.
+That is for many vehicles; `aloha` has the numbers for few, and for news that is not always waiting.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from pathlib import Path
 from agents import compact, payload
 from agents.config import Codec
 from agents.offset import Offset
-from fleet.scenario.schema.spec import AcousticSection, NetworkSection
+from fleet.scenario.schema.network import AcousticSection, NetworkSection
 from fleet.scenario.sections.aloha import Talking, talking
 from fleet.scenario.sections.modem_files import NUMBERS, load_modem, modem_of, modem_problems
 from netem.modem import DEFAULT_GUARD_NS, SOUND_SPEED, AcousticConfig, Modem

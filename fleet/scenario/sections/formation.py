@@ -14,8 +14,8 @@ from math import cos, pi, sin
 
 from agents.offset import Change, Offset
 from agents.trajectory import Motion
+from fleet.scenario.schema.motion import FormationSection, FormationShape, InitialSection
 from fleet.scenario.schema.shapes import DEFAULT_SPACING_M
-from fleet.scenario.schema.spec import FormationSection, FormationShape, InitialSection
 from netem.draws import uniform
 from world.vectors import Vec3, Vec5, plus
 

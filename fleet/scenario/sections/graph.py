@@ -12,8 +12,8 @@ import re
 from dataclasses import dataclass
 from math import dist
 
+from fleet.scenario.schema.motion import GraphSection
 from fleet.scenario.schema.shapes import DEFAULT_NEAREST, DEFAULT_PROBABILITY
-from fleet.scenario.schema.spec import GraphSection
 from netem.condition import Link
 from netem.draws import uniform
 from world.vectors import Vec3

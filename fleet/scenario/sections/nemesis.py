@@ -8,7 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from fleet.scenario.schema.spec import DrawnKind, FaultSection, NemesisSection, ScenarioSpec
+from fleet.scenario.schema.faults import DrawnKind, FaultSection, NemesisSection
+from fleet.scenario.schema.spec import ScenarioSpec
 from fleet.scenario.sections.partitions import partition
 from netem.condition import Link
 from netem.draws import bits

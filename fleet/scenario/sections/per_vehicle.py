@@ -12,16 +12,10 @@ from agents.config import Extrapolation, GuidanceParams, Law, TrackingParams
 from agents.controllers import CONTROLLERS, GUIDANCE, TRACKING
 from agents.profiles import profile
 from fleet.quantities import vehicle_numbers
-from fleet.scenario.schema.spec import (
-    GuidanceSection,
-    LawSection,
-    ModelErrorSection,
-    ScenarioSpec,
-    Section,
-    TrackingSection,
-    VehicleOverrides,
-    VehicleSection,
-)
+from fleet.scenario.schema.control import GuidanceSection, LawSection, TrackingSection, VehicleOverrides
+from fleet.scenario.schema.section import Section
+from fleet.scenario.schema.spec import ScenarioSpec
+from fleet.scenario.schema.vehicle import ModelErrorSection, VehicleSection
 from fleet.scenario.sections import vehicle_files
 from world.tumble import LIMIT_RAD
 from world.vectors import Vec3

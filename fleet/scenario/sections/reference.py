@@ -5,7 +5,7 @@ from __future__ import annotations
 from math import cos, sin
 
 from agents.trajectory import Circle, Line, Path, Reference
-from fleet.scenario.schema.spec import ReferenceSection
+from fleet.scenario.schema.motion import ReferenceSection
 from world.vectors import Vec3
 
 

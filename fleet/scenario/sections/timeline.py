@@ -20,7 +20,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from fleet.quantities import vehicle_numbers
-from fleet.scenario.schema.spec import FaultAction, FaultSection, ScenarioSpec
+from fleet.scenario.schema.faults import FaultAction, FaultSection
+from fleet.scenario.schema.spec import ScenarioSpec
 from fleet.scenario.sections.partitions import partition
 from netem.condition import Link
 from netem.faults import NetFault

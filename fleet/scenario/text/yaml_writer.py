@@ -10,7 +10,8 @@ import json
 import re
 from typing import Any
 
-from fleet.scenario.schema.spec import ScenarioSpec, VehicleSection
+from fleet.scenario.schema.spec import ScenarioSpec
+from fleet.scenario.schema.vehicle import VehicleSection
 from fleet.scenario.sections.per_vehicle import (
     control,
     given,

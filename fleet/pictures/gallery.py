@@ -1,0 +1,98 @@
+"""Every picture of a run: which there are, drawn and written."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+
+from matplotlib.figure import Figure
+
+from fleet.errors import FleetError
+from fleet.logs.reader import Tell
+from fleet.logs.topic import TooLargeError
+from fleet.pictures import exchange, signals, timing, track
+from fleet.pictures.runs import Look, NothingToDraw, Run
+from fleet.pictures.style import save
+
+Draw = Callable[[Sequence[Run], Look], Figure]
+# What one can ask for -> the pictures that answer: (name of the file, what it shows, how).
+WHAT: dict[str, tuple[tuple[str, str, Draw], ...]] = {
+    "track": (
+        ("track", "The vehicles' ways from above, in north and east", track.top),
+        ("track-3d", "The same in three dimensions", track.space),
+    ),
+    "error": (
+        ("error", "Consensus error of each vehicle, from true positions", signals.consensus),
+        ("formation", "Distance of each vehicle from its place in the formation", signals.formation),
+    ),
+    "velocity": (("velocity", "Velocity tracking errors z", signals.velocity),),
+    "inputs": (("inputs", "Force and moments as applied, limits, and where a limit was met", signals.inputs),),
+    "commands": (("commands", "Velocity commands and the bounds that the optimisation keeps", signals.commands),),
+    "gains": (("gains", "Gains that the optimisation chooses, and their bounds", signals.gains),),
+    "links": (("links", "Every packet at its sending time, by fate", exchange.timeline),),
+    "messages": (("messages", "Messages between the agents in space and time", exchange.spacetime),),
+    "ages": (("ages", "Age of what was last heard on each link", exchange.ages),),
+    "timing": (("timing", "On a wall clock: how late agents answered, what delays became", timing.punctuality),),
+}
+PER_RUN = frozenset({"links", "messages", "timing"})  # those that show one run only: of several, each has its own
+
+
+def draw(
+    what: Sequence[str], runs: Sequence[Run], look: Look, share: Tell = lambda _: None
+) -> Iterator[tuple[str, str, Figure | str]]:
+    """(file name, what it shows, the figure or why there is none) of everything that is asked for.
+
+    Args:
+        share: told before each how much is done.
+    """
+    asked_for_all = set(what) == set(WHAT)
+    for number, kind in enumerate(what):
+        share(number / len(what))
+        if kind == "timing" and asked_for_all and not any(map(timing.on_wall_clock, runs)):
+            continue
+        for name, title, make in WHAT[kind]:
+            each = [[run] for run in runs] if kind in PER_RUN else [list(runs)]
+            for some in each:
+                called = name if len(each) == 1 else f"{name}-{some[0].slug}"
+                shown = title if len(each) == 1 else f"{title}: {some[0].label}"
+                try:
+                    yield called, shown, make(some, look)
+                except (NothingToDraw, TooLargeError) as reason:
+                    yield called, shown, str(reason)
+
+
+def write(
+    what: Sequence[str],
+    runs: Sequence[Run],
+    look: Look,
+    folder: Path,
+    formats: Sequence[str],
+    tell: Callable[[str], None],
+    share: Tell = lambda _: None,
+) -> list[Path]:
+    """Draw into a folder, which is made if need be; returns the files.
+
+    Args:
+        tell: told in a sentence what could not be drawn.
+        share: told before each picture how much is done.
+
+    Raises:
+        PictureError: the folder cannot be written.
+    """
+    paths: list[Path] = []
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for name, _, figure in draw(what, runs, look, share):
+            if isinstance(figure, str):
+                tell(f"{name}: not drawn: {figure}")
+            else:
+                paths += save(figure, folder / name, formats)
+    except OSError as error:
+        raise PictureError(
+            f"cannot write pictures to {folder}: {error.strerror}; choose another place with -o DIR"
+        ) from error
+    return paths
+
+
+class PictureError(FleetError):
+    """The pictures cannot be written."""

@@ -1,0 +1,162 @@
+"""Rules on what each vehicle is and which laws it runs."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from agents.config import Law
+from agents.controllers import BUILT_IN, CONTROLLERS
+from agents.errors import PluginError, UntrustedError
+from agents.plugins.loading import load
+from agents.profiles import profile
+from fleet.quantities import RATE, SPEED, QuantityError, Vec3, show, show_vector, vehicle_numbers
+from fleet.scenario.rules.report import Report, _packed
+from fleet.scenario.rules.views import choices, desired_velocity, guidance, key_of, layers
+from fleet.scenario.schema.spec import ScenarioSpec
+from fleet.scenario.sections.per_vehicle import given, law_names, merged, used, vehicle, wrong_model
+from fleet.scenario.sections.vehicle_files import VehicleFileError, mass_problems
+from netem.parsing import nearest
+
+
+def per_vehicle(spec: ScenarioSpec, report: Report) -> None:
+    seen: dict[str, str] = {}
+    for text in report.keys("per_vehicle"):
+        try:
+            numbers = vehicle_numbers(text)
+        except QuantityError:
+            continue  # reported by the schema
+        if _packed(text) in seen:
+            report.add(("per_vehicle", text), f'the same vehicles as "{seen[_packed(text)]}"', key=True)
+        seen[_packed(text)] = text
+        for number in numbers:
+            if not 1 <= number <= spec.vehicles:
+                message = f"there is no vehicle {number}: they are 1 to {spec.vehicles}"
+                report.add(("per_vehicle", text), message, key=True)
+                break
+
+
+def laws(spec: ScenarioSpec, report: Report) -> None:
+    """Every law that is named exists, and can be made with its parameters."""
+    places: list[tuple[tuple[str, ...], Any]] = [((), spec)]
+    places += [(("per_vehicle", numbers), overrides) for numbers, overrides in spec.per_vehicle.items()]
+    for path, place in places:
+        for kind in ("agent", "controller", "guidance", "tracking"):
+            section = getattr(place, kind)
+            if section is None or section.law is None:
+                if section is not None and getattr(section, "parameters", None):
+                    report.add((*path, kind, "parameters"), "belong to a law: name it with law", key=True)
+                continue
+            law(report, (*path, kind), kind, Law(section.law, section.parameters or {}))
+
+
+def law(report: Report, path: tuple[str, ...], kind: str, law: Law) -> None:
+    ours = list(CONTROLLERS) if kind == "controller" else list(BUILT_IN[kind])
+    if law.name in ours:
+        if law.parameters:
+            report.add((*path, "parameters"), f"{law.name} takes none: its gains are keys of guidance and tracking")
+        return
+    at = (*path, "law")
+    typed = report.typed(at)
+    if not (typed or report.policy.imports):
+        return
+    try:
+        report.policy.admit(kind, law, report.folder, typed=typed)
+        load(kind, law)
+    except UntrustedError as error:
+        report.refuse(at, f"{law.name}: {error.problem}", error.hint)
+    except PluginError as error:
+        if ":" not in law.name and "does not load" not in error.problem:
+            close = nearest(law.name, ours) if ours else ""
+            known = f"known: {', '.join(ours)}, or package.module:Class" if ours else "write package.module:Class"
+            report.add(at, f'there is no {kind} "{law.name}"', close or known)
+        else:
+            report.add(at, f"{law.name}: {error.problem}", error.hint)
+
+
+def effective(spec: ScenarioSpec, report: Report) -> None:
+    """A parameter that no law reads is a mistake, not a comment."""
+    for kind in ("guidance", "tracking"):
+        for path, section in layers(spec, kind):
+            where = vehicle_numbers(path[1]) if path else range(spec.vehicles + 1)
+            names = {law_names(merged(spec, i)) for i in where}
+            if any(n is not None and ":" in n[kind == "tracking"] for n in names):
+                continue
+            running = {n[kind == "tracking"] for n in names if n is not None}
+            keys: set[str] = set().union(*(used(kind, law) for law in running))
+            for key in given(section).keys() - {"law", "parameters"} - keys:
+                laws = ", ".join(sorted(running)) or "a controller that replaces it"
+                report.add((*path, kind, key), f"has no effect on {kind} law {laws}", key=True)
+            if given(section).get("law") and not running:
+                message = "has no effect beside a controller that replaces guidance and tracking"
+                report.add((*path, kind, "law"), message, key=True)
+
+
+def vehicles(spec: ScenarioSpec, report: Report) -> None:
+    """Each vehicle's numbers can be read, and make a vehicle; so does what the controller believes."""
+    for entries, choice in choices(spec):
+        assert choice.vehicle is not None and choice.model_error is not None
+        try:
+            params, _ = vehicle(choice.vehicle, report.folder)
+        except VehicleFileError as error:
+            for problem in error.problems:
+                report.add(report.origin(entries, "vehicle", "model") or ("vehicle", "model"), problem)
+            continue
+        for problem in mass_problems(params):
+            report.add(report.origin(entries, "vehicle") or ("vehicle",), problem)
+        if not mass_problems(params):
+            for problem in mass_problems(wrong_model(params, choice.model_error)):
+                report.add(report.origin(entries, "model_error") or ("model_error",), f"with it, {problem}")
+
+
+def velocity_bounds(spec: ScenarioSpec, report: Report) -> None:
+    """Strictly inside, the QP is feasible for every consensus error: some k > 0 exists on each axis."""
+    low, high = desired_velocity(spec)
+    for entries, law, section, name in guidance(spec):
+        if law != "optimal":
+            continue
+        preset = profile(name)[0]
+        bounds: dict[str, Vec3] = {
+            "rho_lo": section.rho_lo or preset.rho_lo,
+            "rho_hi": section.rho_hi or preset.rho_hi,
+        }
+        for bound_name, bound in bounds.items():
+            sign, speeds = (1.0, low) if bound_name == "rho_lo" else (-1.0, high)
+            for axis, limit, speed in zip("xyz", bound, speeds, strict=True):
+                if sign * limit < sign * speed:
+                    continue
+                ours = report.origin(entries, "guidance", bound_name)
+                side, extreme = ("below", "least ") if sign > 0 else ("above", "greatest ")
+                extreme = "" if low == high else extreme
+                report.add(
+                    ours or reference_place(spec),
+                    f"{bound_name} {show_vector(bound, SPEED)} must be {side} the {extreme}reference velocity "
+                    f"{rounded(speeds)} on every axis; it is not on {axis}",
+                    "" if ours else f"the bound is that of profile {name}; set {key_of(entries, bound_name)}",
+                )
+                break
+
+
+def rounded(speeds: Vec3) -> str:
+    return show_vector(tuple(float(f"{speed:.4g}") for speed in speeds), SPEED)
+
+
+def reference_place(spec: ScenarioSpec) -> tuple[str, ...]:
+    return ("reference", "velocity") if spec.reference.velocity is not None else ("reference", "speed")
+
+
+def gain_bounds(spec: ScenarioSpec, report: Report) -> None:
+    for entries, law, section, name in guidance(spec):
+        preset = profile(name)[0]
+        k_min, k_max = section.k_min or preset.k_min, section.k_max or preset.k_max
+        if k_min > k_max and {"k_min", "k_max"} <= used("guidance", law):
+            path = report.origin(entries, "guidance", "k_max") or report.origin(entries, "guidance", "k_min")
+            assert path is not None  # no profile is wrong by itself
+            given_both = section.k_min is not None and section.k_max is not None
+            hint = "" if given_both else f"the other one is that of profile {name}"
+            report.add(path, f"k_min {show(k_min, RATE)} is above k_max {show(k_max, RATE)}", hint)
+
+
+def cosine_guard(spec: ScenarioSpec, report: Report) -> None:
+    for path, section in layers(spec, "tracking"):
+        if section.cos_eps is not None and section.cos_eps >= 1.0:
+            report.add((*path, "tracking", "cos_eps"), f"is a cosine and must be below 1, got {section.cos_eps!r}")

@@ -1,0 +1,113 @@
+"""Rules on links and on the acoustic channel."""
+
+from __future__ import annotations
+
+from fleet.quantities import show_time
+from fleet.scenario.rules.report import LINKS_SHOWN, Report, whole_multiple
+from fleet.scenario.rules.views import choices, graph_links, offset_plans
+from fleet.scenario.schema.spec import ScenarioSpec
+from fleet.scenario.sections import acoustic as channel
+from fleet.scenario.sections.data_files import DataFileError
+from netem.parsing import GrammarError
+from netem.selectors import parse_selector
+
+
+def links(spec: ScenarioSpec, report: Report) -> None:
+    written: dict[str, str] = {}
+    links = graph_links(spec)
+    known: set[tuple[int | None, int | None]] = {(None, None), *links}
+    known |= {(src, None) for src, _ in links} | {(None, dst) for _, dst in links}
+    for text in report.keys("network", "links"):
+        path = ("network", "links", text)
+        try:
+            selector = parse_selector(text)
+        except GrammarError:
+            continue  # reported by the schema
+        if str(selector) in written:
+            report.add(path, f'the same links as "{written[str(selector)]}"', key=True)
+        written[str(selector)] = text
+        # (None, None), "*", is every link there is, even if that is none: a fleet of one keeps its scenario.
+        there = (selector.src, selector.dst) in known
+        if not there and not (selector.both and (selector.dst, selector.src) in known):
+            shown = ", ".join(f"{src}->{dst}" for src, dst in links[:LINKS_SHOWN])
+            more = f" and {len(links) - LINKS_SHOWN} more" if len(links) > LINKS_SHOWN else ""
+            report.add(path, "the graph has no such link", f"links: {shown}{more}", key=True)
+
+
+def acoustic(spec: ScenarioSpec, report: Report) -> None:
+    """The modem, and what belongs to the way in which turns are taken."""
+    section = spec.network.acoustic
+    if section is None:
+        return
+    at = ("network", "acoustic")
+    others = {"aloha": ("slot", "guard"), "tdma": ("backoff",)}
+    for key in others[section.mac]:
+        if getattr(section, key) is not None:
+            other = "tdma" if section.mac == "aloha" else "aloha"
+            report.add((*at, key), f"has no effect on mac {section.mac}: it belongs to {other}", key=True)
+    if section.mac == "tdma" and section.slot is None:
+        report.add_missing(at, "slot", ", which mac tdma needs")
+    for key in ("slot", "backoff"):
+        if getattr(section, key):
+            whole_multiple(report, (*at, key), getattr(section, key), spec.tick)
+    if section.water is not None:
+        if section.sound_speed is not None:
+            report.add((*at, "sound_speed"), "either a speed or the water that it follows from, not both", key=True)
+        for key, low, high, unit in (
+            ("temperature", 2, 30, "degC"),
+            ("salinity", 25, 40, "ppt"),
+            ("depth", 0, 8000, "m"),
+        ):
+            value = getattr(section.water, key)
+            if not low <= value <= high:
+                text = f"{value:g} {unit} is outside {low} to {high} {unit}, for which the formula was made"
+                report.add((*at, "water", key), text, "give sound_speed instead")
+    if section.sound_speed is not None and not 100.0 <= section.sound_speed <= 10_000.0:
+        report.add((*at, "sound_speed"), f"must be between 100 and 10000 m/s, is {section.sound_speed:g}")
+    if section.wind > 100.0:
+        report.add((*at, "wind"), f"must be at most 100 m/s, is {section.wind:g}")
+    try:
+        wrong = channel.problems(section, report.folder)
+    except DataFileError as error:
+        wrong = error.problems
+    for problem in wrong:
+        report.add((*at, "modem"), problem)
+
+
+def talking(spec: ScenarioSpec, report: Report) -> None:
+    """What our agents say fits into a packet, and into a slot with its guard, which sound crosses the fleet in."""
+    section = spec.network.acoustic
+    if section is None:
+        return
+    at = ("network", "acoustic")
+    try:
+        if channel.problems(section, report.folder):
+            return
+        modem = channel.modem(section, report.folder)
+    except DataFileError:
+        return  # reported already
+    codec, size = spec.network.payload, channel.SIZES[spec.network.payload]
+    ours = any(choice.agent is None for _, choice in choices(spec))
+    if ours and size > modem.mtu:
+        compact = channel.SIZES["compact"]
+        hint = f"network.payload: compact has {compact} bytes" if codec == "full" and compact <= modem.mtu else ""
+        report.add(
+            (*at, "modem"), f"the {codec} payload of {size} bytes is longer than its mtu, {modem.mtu} bytes", hint
+        )
+        return
+    if section.mac != "tdma" or section.slot is None:
+        return
+    airtime, guard = modem.airtime_ns(size) if ours else modem.airtime_ns(0), channel.guard_ns(section)
+    if airtime + guard > section.slot:
+        text = (
+            f"{show_time(section.slot)} are too short: {size} bytes are {airtime / 1e9:g} s on the air, "
+            f"and the guard is {show_time(guard)}"
+        )
+        report.add((*at, "slot"), text, f"at least {(airtime + guard) / 1e9:g} s")
+    extent = channel.extent_m(offset_plans(spec))
+    crossing = extent / channel.speed_of_sound(section)
+    if crossing * 1e9 > guard:
+        text = (
+            f"{show_time(guard)} are too short: sound takes {crossing:.4g} s over the {extent:.4g} m of the formation"
+        )
+        report.add((*at, "guard" if section.guard is not None else "slot"), text, "a longer guard")

@@ -1,0 +1,111 @@
+"""The report that rules write their problems into, each at its place in the text."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from fleet.errors import Problem
+from fleet.quantities import show_time, vehicle_numbers
+from fleet.scenario.schema.spec import ScenarioSpec
+from fleet.scenario.text.yaml_reader import Mapping, locate
+from fleet.scenario.trust import READING, Policy
+
+Entries = tuple[str, ...]  # the keys of per_vehicle that name a vehicle
+LINKS_SHOWN = 12
+
+
+def dotted(path: tuple[str | int, ...]) -> str:
+    return ".".join(str(step + 1) if isinstance(step, int) else step for step in path)
+
+
+class UnknownValueError(Exception):
+    """The value that a rule needs is itself wrong."""
+
+
+@dataclass
+class Report:
+    """The problems found so far in one tree."""
+
+    root: Mapping
+    folder: Path | None = None  # where the scenario's file lies
+    problems: list[Problem] = field(default_factory=list)
+    policy: Policy = READING
+    _added: set[Problem] = field(default_factory=set)
+
+    def add(self, path: tuple[str | int, ...], message: str, hint: str = "", *, key: bool = False) -> None:
+        """Report a mistake, once, at the value (or the key) at `path`, or at its nearest ancestor that is there."""
+        path = self._written(path)
+        problem = locate(self.root, path, key=key).problem(f"{dotted(path)}: {message}", hint)
+        if problem not in self._added:
+            self._added.add(problem)
+            self.problems.append(problem)
+
+    def refuse(self, path: tuple[str | int, ...], message: str, hint: str) -> None:
+        """Report a law that may not run."""
+        if self.policy.refused is None:
+            self.add(path, message, hint)
+        else:
+            place = locate(self.root, self._written(path))
+            self.policy.refused.append(place.problem(f"{dotted(path)}: {message}", hint))
+
+    def typed(self, path: tuple[str | int, ...]) -> bool:
+        """Whether the value at `path` was given on the command line."""
+        return locate(self.root, self._written(path)).source.rank > 0
+
+    def add_missing(self, path: tuple[str | int, ...], key: str, why: str) -> None:
+        """Report a key that a section should have."""
+        place = locate(self.root, path, key=True)
+        self.problems.append(place.problem(f'"{key}" is missing in "{dotted(path)}"{why}'))
+
+    def has(self, path: tuple[str, ...]) -> bool:
+        """Whether the file says anything at `path`."""
+        node: Any = self.root
+        for step in self._written(path):
+            if not isinstance(node, Mapping) or step not in node.entries:
+                return False
+            node = node.entries[step]
+        return True
+
+    def keys(self, *path: str) -> list[str]:
+        """The keys of the mapping at `path`, as written."""
+        node = self.root
+        for step in path:
+            below = node.entries.get(step)
+            if not isinstance(below, Mapping):
+                return []
+            node = below
+        return list(node.entries)
+
+    def origin(self, entries: Entries, *path: str) -> tuple[str, ...] | None:
+        """Where a value was written that holds for vehicles: in the last of their entries that has it, or for all."""
+        places = [*(("per_vehicle", numbers, *path) for numbers in reversed(entries)), path]
+        return next((place for place in places if self.has(place)), None)
+
+    def _written(self, path: tuple[Any, ...]) -> tuple[Any, ...]:
+        """`path` with the spaces that its vehicle numbers have in the file."""
+        if len(path) < 2 or path[0] != "per_vehicle" or path[1] in self.keys("per_vehicle"):
+            return path
+        text = next((text for text in self.keys("per_vehicle") if _packed(text) == path[1]), path[1])
+        return (path[0], text, *path[2:])
+
+
+def _packed(numbers: str) -> str:
+    """Vehicle numbers as the schema keeps them."""
+    return "".join(numbers.split())
+
+
+def whole_multiple(report: Report, path: tuple[str | int, ...], ns: int, tick: int) -> None:
+    if ns % tick:
+        below = ns // tick * tick
+        near = " or ".join(show_time(t) for t in (below, below + tick) if t)
+        message = f"{show_time(ns)} is not a whole number of ticks of {show_time(tick)}"
+        report.add(path, message, f"nearest: {near}")
+
+
+def vehicles_exist(spec: ScenarioSpec, report: Report, path: tuple[str | int, ...], text: str) -> None:
+    for number in vehicle_numbers(text):
+        if not 1 <= number <= spec.vehicles:
+            report.add(path, f"there is no vehicle {number}: they are 1 to {spec.vehicles}")
+            break

@@ -1,0 +1,54 @@
+"""Rules on periods and times: what must be whole ticks."""
+
+from __future__ import annotations
+
+from fleet.quantities import show_time
+from fleet.scenario.rules.report import Report, whole_multiple
+from fleet.scenario.rules.views import guidance, layers
+from fleet.scenario.schema.spec import ScenarioSpec
+from fleet.scenario.sections.log_rates import snapshot_grid
+from fleet.scenario.sections.per_vehicle import qp_period_ns, used
+
+
+def duration(spec: ScenarioSpec, report: Report) -> None:
+    whole_multiple(report, ("duration",), spec.duration, spec.tick)
+
+
+def network_period(spec: ScenarioSpec, report: Report) -> None:
+    if not spec.network.ideal:
+        whole_multiple(report, ("network", "period"), spec.network.period, spec.tick)
+
+
+def qp_period(spec: ScenarioSpec, report: Report) -> None:
+    for entries, law, section, name in guidance(spec):
+        period = qp_period_ns(name, section)
+        if "qp_period" not in used("guidance", law) or period % spec.tick == 0:
+            continue
+        path = report.origin(entries, "guidance", "qp_period")
+        if path is not None:
+            whole_multiple(report, path, period, spec.tick)
+        else:
+            report.add(
+                ("tick",),
+                f"the QP period of profile {name}, {show_time(period)}, is not a whole number of ticks "
+                f"of {show_time(spec.tick)}",
+                "choose a tick that divides it, or set guidance.qp_period",
+            )
+
+
+def policies(spec: ScenarioSpec, report: Report) -> None:
+    if spec.network.ideal and spec.on_controller_error == "die":
+        message = "the others of an ideal network wait for everybody, also for an agent that is gone"
+        report.add(("on_controller_error",), message, "abort, coast, or give the network a period")
+    for path, external in layers(spec, "external"):
+        if external and spec.network.ideal:
+            message = "nobody can join an ideal network, which runs in one process"
+            report.add((*path, "external"), message, "give the network a period")
+
+
+def snapshot(spec: ScenarioSpec, report: Report) -> None:
+    if spec.log.snapshot:
+        every = snapshot_grid(spec)
+        if spec.log.snapshot % (every * spec.tick):
+            message = f"{show_time(spec.log.snapshot)} is no multiple of {show_time(every * spec.tick)}"
+            report.add(("log", "snapshot"), message, "a snapshot is taken at a round whose frame is logged")

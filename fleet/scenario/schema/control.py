@@ -1,0 +1,110 @@
+"""The laws of the vehicles: profiles, guidance, tracking, neighbours, and what differs per vehicle."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import BeforeValidator, PlainSerializer
+
+from agents.config import Angles, Cost, Extrapolation
+from fleet.scenario.schema.section import Section, named
+from fleet.scenario.schema.value_types import (
+    Acceleration,
+    Gain,
+    Gains,
+    Layers,
+    Period,
+    PositiveNumber,
+    PositiveSpeed,
+    Speed,
+    Time,
+    Velocity,
+    Weights,
+)
+from fleet.scenario.schema.vehicle import ModelErrorSection, VehicleSection
+
+
+class LawSection(Section):
+    """A law by name, `package.module:Class`, or entry point; and what a law of yours is made with."""
+
+    law: str
+    parameters: dict[str, Any] | None = None
+
+
+def _show_law(section: LawSection | None) -> Any:
+    if section is None or section.parameters:
+        return None if section is None else {"law": section.law, "parameters": section.parameters}
+    return section.law
+
+
+LawChoice = Annotated[LawSection, BeforeValidator(named), PlainSerializer(_show_law)]
+
+
+class GuidanceSection(Section):
+    """The guidance law, and what differs from the profile in its parameters (agents.config.GuidanceParams)."""
+
+    law: str | None = None
+    parameters: dict[str, Any] | None = None
+    Q: Weights | None = None
+    R1: Weights | None = None
+    R2: Weights | None = None
+    p: PositiveNumber | None = None
+    K0: Gains | None = None
+    k_min: Gain | None = None
+    k_max: Gain | None = None
+    rho_lo: Velocity | None = None
+    rho_hi: Velocity | None = None
+    qp_period: Period | None = None
+    horizon: Period | None = None
+    cost: Cost | None = None
+    slew: Acceleration | None = None
+
+
+class TrackingSection(Section):
+    """The tracking law, and what differs from the profile in its parameters (agents.config.TrackingParams)."""
+
+    law: str | None = None
+    parameters: dict[str, Any] | None = None
+    k_u: Gain | None = None
+    k_q: Gain | None = None
+    k_r: Gain | None = None
+    k_theta: Gain | None = None
+    k_psi: Gain | None = None
+    a: Gain | None = None
+    b_up: PositiveNumber | None = None
+    b_down: PositiveNumber | None = None
+    phi: Layers | None = None
+    tau_f: Time | None = None
+    angles: Angles | None = None
+    u_floor: Speed | None = None
+    rho_eps: Speed | None = None
+    cos_eps: PositiveNumber | None = None
+    u_eps: PositiveSpeed | None = None
+
+
+Profile = Literal["paper", "consistent", "hardened"]
+GuidanceChoice = Annotated[GuidanceSection, BeforeValidator(named)]
+TrackingChoice = Annotated[TrackingSection, BeforeValidator(named)]
+
+
+class NeighboursSection(Section):
+    """How an agent estimates where a neighbour is now from what it heard last."""
+
+    extrapolate: Extrapolation = "hold"
+    age_cap: Time = 0  # of the extrapolation; 0: none
+    drop_after: Time = 0  # without news for so long, a neighbour's weight is 0 until the next; 0: never
+
+
+class VehicleOverrides(Section):
+    """What is different about some vehicles."""
+
+    agent: LawChoice | None = None
+    controller: LawChoice | None = None
+    profile: Profile | None = None
+    guidance: GuidanceChoice | None = None
+    tracking: TrackingChoice | None = None
+    neighbours: NeighboursSection | None = None
+    vehicle: VehicleSection | None = None
+    model_error: ModelErrorSection | None = None
+    external: bool | None = None  # somebody else starts its agent, `fleet agent --join` or one of another make
+    knows_reference: bool | None = None

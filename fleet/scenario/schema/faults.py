@@ -1,0 +1,173 @@
+"""Faults at given times, and those that a nemesis draws."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal, get_args
+
+from pydantic import BeforeValidator, Field
+
+from fleet.scenario.schema.sea import Current, SensorsSection
+from fleet.scenario.schema.section import Section
+from fleet.scenario.schema.value_types import (
+    AnyMoment,
+    Force,
+    ForceVector,
+    LinkCondition,
+    LinkSelector,
+    Moment,
+    Period,
+    Position,
+    Probability,
+    Ratio,
+    SignedAngle,
+    SignedAngularRate,
+    Ticks,
+    Time,
+    VehicleNumbers,
+    Velocity,
+    mistake,
+)
+from netem.parsing import nearest
+
+
+class SensorNoise(SensorsSection):
+    """More noise on some vehicles' navigation."""
+
+    vehicles: VehicleNumbers | None = None
+
+
+class SensorBias(Section):
+    vehicles: VehicleNumbers | None = None
+    position: Position = (0.0, 0.0, 0.0)  # NED
+    velocity: Velocity = (0.0, 0.0, 0.0)  # body
+    pitch: SignedAngle = 0.0
+    yaw: SignedAngle = 0.0
+    pitch_rate: SignedAngularRate = 0.0
+    yaw_rate: SignedAngularRate = 0.0
+
+
+class Efficiency(Section):
+    """What is left of what the actuators should do."""
+
+    vehicles: VehicleNumbers | None = None
+    surge: Ratio = 1.0
+    pitch: Ratio = 1.0
+    yaw: Ratio = 1.0
+
+
+class Saturation(Section):
+    """Smaller limits."""
+
+    vehicles: VehicleNumbers | None = None
+    surge_force: Force | None = None
+    pitch_moment: Moment | None = None
+    yaw_moment: Moment | None = None
+
+
+class Wrench(Section):
+    """A constant force and moment in body axes."""
+
+    vehicles: VehicleNumbers | None = None
+    force: ForceVector = (0.0, 0.0, 0.0)
+    pitch_moment: AnyMoment = 0.0
+    yaw_moment: AnyMoment = 0.0
+
+
+class Dropout(Section):
+    """Every so often the navigation sensor has nothing new, and reports what it did before."""
+
+    vehicles: VehicleNumbers | None = None
+    probability: Probability
+
+
+class Slow(Section):
+    """What an agent decides and sends is late."""
+
+    vehicles: VehicleNumbers | None = None
+    by: Ticks
+
+
+class Gust(Section):
+    """A current that rises to a velocity and falls again, for everybody."""
+
+    velocity: Velocity
+    over: Period
+
+
+class FaultTimes(Section):
+    """When a fault begins, and for how long it lasts. It always ends, at the latest with the run."""
+
+    id: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,31}$")] | None = None  # f1, f2, ...
+    at: Time
+    for_: Annotated[Period | None, Field(alias="for")] = None  # to the end
+
+
+class FaultAction(Section):
+    """Exactly one thing that a fault does."""
+
+    link: dict[LinkSelector, LinkCondition] | None = None  # in place of the links' own conditions
+    down: LinkSelector | None = None
+    up: LinkSelector | None = None  # the end of every down, and of the links' own
+    partition: str | None = None  # "1,2 / 3,4", or halves, one, majority, ring, bridge, isolate:3
+    mute: VehicleNumbers | None = None  # sends nothing
+    deaf: VehicleNumbers | None = None  # hears nothing
+    kill: VehicleNumbers | None = None  # the agent ends; the vehicle drifts until it is restarted
+    pause: VehicleNumbers | None = None  # the agent is suspended; the vehicle holds its last command
+    slow: Slow | None = None
+    noise: SensorNoise | None = None
+    bias: SensorBias | None = None
+    freeze: VehicleNumbers | None = None  # the same measurement again and again
+    dropout: Dropout | None = None
+    efficiency: Efficiency | None = None
+    saturate: Saturation | None = None
+    off: VehicleNumbers | None = None  # no force, no moments
+    stuck: VehicleNumbers | None = None  # those of the tick at which it began
+    current: Current | None = None  # on top of the sea's own, for everybody
+    gust: Gust | None = None
+    wrench: Wrench | None = None
+
+
+class FaultSection(FaultAction, FaultTimes):
+    """One fault."""
+
+
+def _fault(value: Any) -> Any:
+    """`link 1->2: loss 30%` is short for `link: {1->2: loss 30%}`."""
+    if not isinstance(value, dict):
+        return value
+    long: dict[str, Any] = {}
+    for key, inner in value.items():
+        if isinstance(key, str) and key.startswith("link ") and "link" not in value:
+            long.setdefault("link", {})[key.removeprefix("link ").strip(" \"'")] = inner
+        else:
+            long[key] = inner
+    return long
+
+
+FaultEntry = Annotated[FaultSection, BeforeValidator(_fault)]
+DrawnKind = Literal["partition", "down", "mute", "deaf", "kill", "pause", "freeze", "off", "stuck"]
+
+
+class NemesisPick(FaultAction):
+    """A fault as it may come, or the name of one whose target is drawn each time."""
+
+    drawn: DrawnKind | None = None
+
+
+def _pick(value: Any) -> Any:
+    if not isinstance(value, str):
+        return _fault(value)
+    if value not in get_args(DrawnKind):
+        hint = nearest(value, get_args(DrawnKind)) or 'or a fault such as {link "*": loss 40%}'
+        raise mistake(f"expected one of {', '.join(get_args(DrawnKind))}, got {value[:40]!r}", hint=hint)
+    return {"drawn": value}
+
+
+class NemesisSection(Section):
+    """Faults at random, from the seed: every so often one of those to pick from, each for a while."""
+
+    every: Period
+    for_: Annotated[Period, Field(alias="for")]
+    pick: Annotated[list[Annotated[NemesisPick, BeforeValidator(_pick)]], Field(min_length=1)]
+    start: Time | None = None  # of the first; `every`
+    until: Period | None = None  # when the last has ended; the end of the run

@@ -1,0 +1,172 @@
+"""Where the fleet goes: reference, formation, graph and initial states."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, GetCoreSchemaHandler
+from pydantic_core import CoreSchema, core_schema
+
+from fleet.quantities import QuantityError, describe, vehicle_numbers
+from fleet.scenario.schema.section import Section
+from fleet.scenario.schema.value_types import (
+    Length,
+    Period,
+    Position,
+    PositiveAcceleration,
+    PositiveLength,
+    PositiveNumber,
+    PositiveSpeed,
+    Probability,
+    SignedAngle,
+    SignedAngularRate,
+    SignedSpeed,
+    Time,
+    VehicleNumbers,
+    Velocity,
+    mistake,
+)
+
+
+class ReferenceSection(Section):
+    """The trajectory that the fleet follows, the paper's eta_1^d(t); `shapes` says which keys a shape takes."""
+
+    shape: Literal["line", "circle", "helix", "lawn-mower", "waypoints"] | None = None  # line
+    start: Position | None = None  # NED: north, east, down
+    velocity: Velocity | None = None
+    speed: PositiveSpeed | None = None
+    center: Position | None = None
+    radius: PositiveLength | None = None
+    bearing: SignedAngle | None = None  # of the start as seen from the centre, clockwise from north
+    turn: Literal["starboard", "port"] | None = None  # starboard
+    sink: SignedSpeed | None = None  # of a helix: downwards
+    heading: SignedAngle | None = None  # of a lawn-mower's first leg, clockwise from north
+    leg: PositiveLength | None = None
+    legs: Annotated[int, Field(ge=1, le=1000)] | None = None
+    spacing: PositiveLength | None = None
+    points: list[Position] | None = None
+    acceleration: PositiveAcceleration | None = None  # in the turns at waypoints
+    closed: bool | None = None  # waypoints: from the last one back to the first, again and again
+
+
+class FormationShape(Section):
+    """Where each vehicle belongs: explicit `offsets`, or a named `shape`."""
+
+    offsets: list[Position] | None = None  # p_1, p_2, ...; Delta_ij = p_i - p_j
+    shape: Literal["line", "column", "wedge", "circle", "grid"] | None = None
+    spacing: PositiveLength | None = None  # of the shape, between neighbours; 10 m
+    heading: SignedAngle | None = None  # what is ahead in the shape, clockwise from north; 0
+
+
+class FormationChange(FormationShape):
+    """A new formation, taken up smoothly."""
+
+    at: Time
+    over: Period
+
+
+class FormationSection(FormationShape):
+    """Where each vehicle belongs, relative to the reference, and how that changes."""
+
+    changes: list[FormationChange] | None = None
+
+
+class _Followers:
+    """`all`, or a list of numbers, or `1` or `2-4, 7` as everywhere else where vehicles are named.
+
+    A plain union would report a mistake in the list once per alternative.
+    """
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        return core_schema.no_info_wrap_validator_function(
+            self._validate,
+            handler.generate_schema(list[int]),
+            serialization=core_schema.plain_serializer_function_ser_schema(lambda value: value),
+        )
+
+    @staticmethod
+    def _validate(value: Any, numbers: Callable[[Any], list[int]]) -> Any:
+        if value == "all":
+            return value
+        if isinstance(value, list):
+            return numbers(value)
+        if isinstance(value, int) and not isinstance(value, bool):
+            return [value]
+        if isinstance(value, str) and value[:1].isdigit():
+            try:
+                return vehicle_numbers(value)
+            except QuantityError as error:
+                raise mistake(error.message) from None
+        raise mistake(f'expected "all" or a list of vehicle numbers such as [1, 3], got {describe(value)}')
+
+
+class StandbySection(Section):
+    """Vehicles that follow the reference themselves while none of those they hear that follow it has been heard."""
+
+    vehicles: VehicleNumbers
+    after: Period  # for so long
+
+
+class GraphSection(Section):
+    """Who hears whom: `edges`, or a named `shape`; and who follows the reference itself."""
+
+    shape: Literal["path", "ring", "star", "complete", "nearest", "random"] | None = None
+    ahead: PositiveNumber | None = None  # path, ring: a_(i,i-1); 1
+    behind: PositiveNumber | None = None  # path, ring: a_(i,i+1); 1
+    weight: PositiveNumber | None = None  # the other shapes: every a_ij; 1
+    hub: Annotated[int, Field(ge=1)] | None = None  # star: who hears all and is heard by all; 1
+    count: Annotated[int, Field(ge=1)] | None = None  # nearest: how many each vehicle hears; 2
+    probability: Probability | None = None  # random: of each pair beyond the tree that connects all; 20 %
+    edges: dict[str, PositiveNumber] | None = None  # "1->2": a_21, vehicle 2 hears vehicle 1
+    reference: Annotated[list[int] | Literal["all"], _Followers()] = "all"  # who has b_i = 1; the others have 0
+    standby: StandbySection | None = None  # who gets b_i = 1 when those are silent
+
+
+class InitialState(Section):
+    """One vehicle at t = 0."""
+
+    position: Position
+    pitch: SignedAngle = 0.0
+    yaw: SignedAngle = 0.0
+    surge: SignedSpeed = 0.0
+    sway: SignedSpeed = 0.0
+    heave: SignedSpeed = 0.0
+    pitch_rate: SignedAngularRate = 0.0
+    yaw_rate: SignedAngularRate = 0.0
+
+
+class Scatter(Section):
+    """Every vehicle near its place: x and y uniform within the scatter, z below the place by at most it.
+
+    `around` the origin the place is the vehicle's offset p_i; around the reference it is where the vehicle should be
+    at t = 0, with the reference's course.
+    """
+
+    scatter: Length
+    surge: SignedSpeed = 0.0
+    around: Literal["origin", "reference"] = "origin"
+
+
+def read_initial(value: Any) -> Any:
+    if isinstance(value, list):
+        return {"vehicles": value}
+    if isinstance(value, dict):
+        return {"scatter": value}
+    raise mistake(f"expected a list with one entry per vehicle, or a scatter, got {describe(value)}")
+
+
+class InitialSection(Section):
+    """Either the state of each vehicle or a scatter; the file holds just the one that applies."""
+
+    vehicles: list[InitialState] | None = None
+    scatter: Scatter | None = None
+
+
+def show_initial(initial: InitialSection) -> Any:
+    entries = initial.vehicles if initial.vehicles is not None else initial.scatter
+    if entries is None:
+        return None
+    if isinstance(entries, list):
+        return [entry.model_dump(exclude_defaults=True) for entry in entries]
+    return entries.model_dump(exclude_defaults=True)

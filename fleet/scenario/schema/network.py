@@ -1,0 +1,107 @@
+"""The network: links or an acoustic channel."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import BeforeValidator, Field
+
+from agents.config import Codec
+from fleet.quantities import describe, show_time
+from fleet.scenario.schema.section import Section
+from fleet.scenario.schema.value_types import (
+    BitRate,
+    Bytes,
+    Fraction,
+    Frequency,
+    Length,
+    Level,
+    LinkCondition,
+    LinkSelector,
+    Period,
+    PositiveLength,
+    PositiveSpeed,
+    Salinity,
+    Speed,
+    Spreading,
+    Temperature,
+    Time,
+    mistake,
+)
+from netem.grammar import print_condition
+
+
+class WaterSection(Section):
+    """What the speed of sound follows from."""
+
+    temperature: Temperature
+    salinity: Salinity = 35.0  # ppt
+    depth: Length
+
+
+class AcousticSection(Section):
+    """The acoustic channel: a modem, shipped or a TOML file, and what differs from it; when each talks; the water."""
+
+    modem: str = "s2c"
+    bit_rate: BitRate | None = None
+    preamble: Time | None = None
+    carrier: Frequency | None = None
+    bandwidth: Frequency | None = None
+    source_level: Level | None = None  # re 1 uPa at 1 m
+    directivity: Level | None = None
+    max_range: PositiveLength | None = None
+    interference_range: Length | None = None
+    mtu: Bytes | None = None
+    lost_below: Level | None = None
+    clear_above: Level | None = None
+    capture: Level | None = None
+    mac: Literal["aloha", "tdma"] = "aloha"
+    backoff: Time | None = None  # aloha: the largest; what makes pure ALOHA carry most
+    slot: Period | None = None  # tdma
+    guard: Time | None = None  # tdma; 100 ms
+    buffer: Annotated[int, Field(ge=1, le=1000)] = 1  # payloads that wait
+    sound_speed: PositiveSpeed | None = None  # 1500 m/s
+    water: WaterSection | None = None  # in place of a speed
+    spreading: Spreading = 1.5
+    shipping: Fraction = 0.5
+    wind: Speed = 5.0
+
+
+def _acoustic(value: Any) -> Any:
+    """A modem may be given by its name alone; with nothing at all everything is as it comes."""
+    return {"modem": value} if isinstance(value, str) else {} if value is None else value
+
+
+class NetworkSection(Section):
+    """The network between the agents; `network: ideal` in the file is `ideal` here."""
+
+    ideal: bool = False
+    period: Period = 100_000_000  # one round: every agent sends once per period
+    links: dict[LinkSelector, LinkCondition] = {}  # the last that matches a link wins
+    acoustic: Annotated[AcousticSection | None, BeforeValidator(_acoustic)] = None  # in the water
+    payload: Codec = "full"  # how our own agents write what they tell each other
+
+
+def read_network(value: Any) -> Any:
+    if value == "ideal":
+        return {"ideal": True}
+    if value == "acoustic":
+        return {"acoustic": {}}
+    if isinstance(value, dict):
+        if "ideal" in value:
+            raise mistake('write "network: ideal" for the network without latency, which then is nothing else')
+        return value
+    raise mistake(f'expected a mapping with a period and links, or "ideal", or "acoustic", got {describe(value)}')
+
+
+def show_network(network: NetworkSection) -> Any:
+    if network.ideal:
+        return "ideal"
+    links = {selector: print_condition(condition) for selector, condition in network.links.items()}
+    shown: dict[str, Any] = {"period": show_time(network.period)}
+    if network.acoustic is not None:
+        modem = {"modem": network.acoustic.modem}
+        shown["acoustic"] = modem | network.acoustic.model_dump(exclude_none=True, exclude_defaults=True)
+    return (
+        shown | ({"links": links} if links else {}) | ({"payload": "compact"} if network.payload == "compact" else {})
+    )

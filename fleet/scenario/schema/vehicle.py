@@ -1,0 +1,59 @@
+"""What a vehicle is, and how its controller's model of it is wrong."""
+
+from __future__ import annotations
+
+from fleet.scenario.schema.section import Section
+from fleet.scenario.schema.value_types import (
+    AnyMoment,
+    Damping,
+    Force,
+    Inertia,
+    Mass,
+    Moment,
+    PitchLimit,
+    Ratio,
+    RotationDamping,
+)
+
+
+class VehicleSection(Section):
+    """The vehicle: a model, shipped or a TOML file, and what differs from it. Commands are clipped to the limits."""
+
+    model: str | None = None  # paper
+    m: Mass | None = None
+    Iy: Inertia | None = None
+    Iz: Inertia | None = None
+    beta_udot: Mass | None = None
+    beta_vdot: Mass | None = None
+    beta_wdot: Mass | None = None
+    beta_qdot: Inertia | None = None
+    beta_rdot: Inertia | None = None
+    beta_u: Damping | None = None
+    beta_v: Damping | None = None
+    beta_w: Damping | None = None
+    beta_q: RotationDamping | None = None
+    beta_r: RotationDamping | None = None
+    beta_b: AnyMoment | None = None
+    surge_force: Force | None = None
+    pitch_moment: Moment | None = None
+    yaw_moment: Moment | None = None
+    tumble_pitch: PitchLimit | None = None  # |pitch| beyond which it tumbles; 80 deg
+
+
+class ModelErrorSection(Section):
+    """By how much the controller's model of the vehicle is wrong, per parameter: 10 % is 1.1 times the truth."""
+
+    m: Ratio | None = None
+    Iy: Ratio | None = None
+    Iz: Ratio | None = None
+    beta_udot: Ratio | None = None
+    beta_vdot: Ratio | None = None
+    beta_wdot: Ratio | None = None
+    beta_qdot: Ratio | None = None
+    beta_rdot: Ratio | None = None
+    beta_u: Ratio | None = None
+    beta_v: Ratio | None = None
+    beta_w: Ratio | None = None
+    beta_q: Ratio | None = None
+    beta_r: Ratio | None = None
+    beta_b: Ratio | None = None

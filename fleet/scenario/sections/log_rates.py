@@ -1,0 +1,61 @@
+"""How often what is logged and remembered, as a scenario asks for it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from math import gcd, lcm
+from typing import TYPE_CHECKING
+
+from agents.config import Law
+from agents.controllers import law_class
+from agents.errors import PluginError
+from agents.plugins.checks import resumable
+
+if TYPE_CHECKING:
+    from fleet.scenario.schema.spec import ScenarioSpec
+
+
+SNAPSHOT_NS = 10_000_000_000
+LOG_GROUPS = ("pose", "state", "nav", "command", "guidance", "control", "error")
+DRAWN_GROUPS = {"transforms": 100_000_000, "scene": 500_000_000}  # of the whole fleet: about how often [ns]
+
+
+def snapshot_grid(spec: ScenarioSpec) -> int:
+    """Ticks between the moments at which there can be one: rounds whose frame the log needs."""
+    rounds = 1 if spec.network.ideal else spec.network.period // spec.tick
+    return lcm(max(1, rounds), gcd(*log_every(spec).values()))
+
+
+def log_every(spec: ScenarioSpec) -> dict[str, int]:
+    """Ticks between two records of each topic group; 0 for never."""
+    every = {group: getattr(spec.log, group) or spec.log.every for group in LOG_GROUPS}
+    step = gcd(*every.values())  # what is drawn shall need no frame of its own
+    for group, about_ns in DRAWN_GROUPS.items():
+        wanted = getattr(spec.log, group)
+        every[group] = max(1, -(-about_ns // (step * spec.tick))) * step if wanted is None else wanted
+    return every
+
+
+def memory_ticks(spec: ScenarioSpec, others: Iterable[tuple[str, Law]]) -> int:
+    """Ticks between two snapshots; 0 for none, also where a law cannot tell what it remembers.
+
+    Args:
+        others: kind and law of those that are not ours.
+    """
+    wanted = SNAPSHOT_NS if spec.log.snapshot is None else spec.log.snapshot
+    if wanted == 0 or without_snapshots(others):
+        return 0
+    grid = snapshot_grid(spec)
+    return max(1, -(-wanted // (grid * spec.tick))) * grid
+
+
+def without_snapshots(others: Iterable[tuple[str, Law]]) -> list[str]:
+    """Those of some laws that cannot give and take back their state, by name; one that may not run is one of them."""
+    return list(dict.fromkeys(law.name for kind, law in others if not _resumable(kind, law)))
+
+
+def _resumable(kind: str, law: Law) -> bool:
+    try:
+        return resumable(law_class(kind, law))
+    except PluginError:
+        return False

@@ -2,7 +2,7 @@
 
 A *controller* turns a sample into forces. It may be composed of a *guidance law*, which turns the sample into a
 commanded velocity, and a *tracking law*, which turns that command into forces; any guidance goes with any tracking.
-`docs/plugins.md` is the guide; `fleet new controller NAME` writes a template.
+`docs/guide/plugins.md` is the guide; `fleet new controller NAME` writes a template.
 
 A law is made once per run and vehicle, as `Law(config, **parameters)`: the agent's own slice of the scenario, and the
 parameters that the scenario gives it. It has

@@ -1,7 +1,7 @@
 """What one directed link does to one packet, in the order in which Linux' sch_netem does it.
 
 duplicate, lose, corrupt, drop at the queue's limit, and then either reorder (send at once) or delay and rate-limit.
-`docs/netem.md` lists where we differ from the kernel.
+`docs/guide/netem.md` lists where we differ from the kernel.
 
 A rule returns a verdict and moves no time: the caller (`netem.network`) owns ticks and queues. Every draw is keyed by
 (seed, purpose, link, sequence number, copy), so that changing one link, or one value of a link, never shifts another

@@ -36,7 +36,7 @@
 ns-3 subtracts, in addition, the chance of one error among 288 bits: that is left out, since for shorter packets it
 makes the probability negative.
 
-Pure functions on doubles; `docs/acoustic.md` says what is left out (multipath, Doppler, bending rays).
+Pure functions on doubles; `docs/guide/acoustic.md` says what is left out (multipath, Doppler, bending rays).
 """
 
 from __future__ import annotations

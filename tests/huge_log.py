@@ -1,4 +1,4 @@
-"""Huge logs and bombs, for tests and for docs/logs.md: `python tests/huge_log.py KIND OUT [--chunks N] [--mib M]`.
+"""Huge logs and bombs, for tests and docs/guide/logs.md: `python tests/huge_log.py KIND OUT [--chunks N] [--mib M]`.
 
 | kind | what |
 |---|---|

@@ -100,7 +100,7 @@ def test_equal_vehicles_have_multiple_zeros() -> None:
     ],
 )
 def test_the_simulation_decays_below_the_limit_and_grows_above(what: str, case: Case) -> None:
-    """5 % below and above the computed border; all rows are in docs/stability.md."""
+    """5 % below and above the computed border; all rows are in docs/background/stability.md."""
     found = gain_row(case, 40.0) if what == "gain" else delay_row(case, 40.0)
     assert found is not None
     assert found.holds, line(found)

@@ -572,7 +572,7 @@ def test_over_tls_only_who_has_the_certificates_is_let_in(made: Path, tmp_path: 
 
 
 def test_the_page_names_options_that_there_are() -> None:
-    page = (ROOT / "docs" / "hosts.md").read_text()
+    page = (ROOT / "docs" / "guide" / "hosts.md").read_text()
     named = {command: set() for command in ("run", "certs", "acl", "agent")}
     for command, rest in re.findall(r"\bfleet (run|certs|acl|agent) ([^`#\n]*)", page):
         named[command] |= set(re.findall(r"--[a-z-]+", rest))
@@ -585,7 +585,7 @@ def test_the_page_names_options_that_there_are() -> None:
 def test_the_pages_service_is_one(tmp_path: Path) -> None:
     if shutil.which("systemd-analyze") is None:
         pytest.skip("systemd-analyze is not installed")
-    unit = re.findall(r"```ini\n(.*?)```", (ROOT / "docs" / "hosts.md").read_text(), re.DOTALL)
+    unit = re.findall(r"```ini\n(.*?)```", (ROOT / "docs" / "guide" / "hosts.md").read_text(), re.DOTALL)
     assert len(unit) == 1 and unit[0].count("/opt/fleet/bin/fleet") == 1
     file = tmp_path / "fleet-agent@.service"
     file.write_text(unit[0].replace("/opt/fleet/bin/fleet", sys.executable))  # it must exist

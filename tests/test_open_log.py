@@ -229,8 +229,8 @@ def test_importing_the_package_is_light() -> None:
 
 
 def test_example_of_the_page(run: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """The worked example of docs/logs.md, as it stands there, on a run of this test."""
-    page = (Path(__file__).parent.parent / "docs" / "logs.md").read_text("utf-8")
+    """The worked example of docs/guide/logs.md, as it stands there, on a run of this test."""
+    page = (Path(__file__).parent.parent / "docs" / "guide" / "logs.md").read_text("utf-8")
     blocks = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
     assert len(blocks) >= 4
     monkeypatch.chdir(tmp_path)

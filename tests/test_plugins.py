@@ -222,7 +222,7 @@ def test_what_cannot_be_used_says_why_and_where(
 
 
 def test_the_page_shows_what_one_sees(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The message of docs/plugins.md, from the template with the page's typing error in it."""
+    """The message of docs/guide/plugins.md, from the template with the page's typing error in it."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(str(tmp_path))
     assert CliRunner().invoke(cli, ["new", "controller", "pid"]).exit_code == 0
@@ -232,7 +232,7 @@ def test_the_page_shows_what_one_sees(tmp_path: Path, monkeypatch: pytest.Monkey
     path.write_text(text.replace("controller: pid:Pid", wrong), "utf-8")
     result = CliRunner().invoke(cli, ["check", "pid.yaml"])
     sys.modules.pop("pid")
-    assert f"```\n{result.stderr}```\n" in (ROOT / "docs" / "plugins.md").read_text("utf-8")
+    assert f"```\n{result.stderr}```\n" in (ROOT / "docs" / "guide" / "plugins.md").read_text("utf-8")
 
 
 @pytest.mark.parametrize(
@@ -674,14 +674,14 @@ def test_a_template_may_have_any_other_name(name: str, tmp_path: Path, monkeypat
 
 
 def test_the_worked_example_against_nboc(tmp_path: Path) -> None:
-    """The table in docs/plugins.md."""
+    """The table in docs/guide/plugins.md."""
     rows = {}
     for label, choice in (("leader-follower", []), ("NBOC", ["controller=nboc"])):
         result = run(load_scenario(EXAMPLE, [*choice, "log.every=5 ticks"]), tmp_path)
         assert result.status is Status.PASS, result.verdicts
         rows[label] = list(result.values["vehicles"].values())
         assert all(row["formation_final_m"] < 0.1 for row in rows[label])
-    page = (ROOT / "docs" / "plugins.md").read_text("utf-8")
+    page = (ROOT / "docs" / "guide" / "plugins.md").read_text("utf-8")
     for label, vehicles in rows.items():
         (line,) = [text for text in page.splitlines() if text.startswith(f"| {label} |")]
         settle, rms, final, effort = ([float(x) for x in cell.split()] for cell in line.split("|")[2:6])

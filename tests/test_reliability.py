@@ -1,4 +1,4 @@
-"""Load and abuse, in small: each test is a row of docs/reliability.md."""
+"""Load and abuse, in small: each test is a row of docs/guide/reliability.md."""
 
 from __future__ import annotations
 

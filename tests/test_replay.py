@@ -810,7 +810,7 @@ def test_full_disk(tmp_path: Path) -> None:
 
 # --- the page --------------------------------------------------------------
 
-PAGE = (ROOT / "docs" / "replay.md").read_text("utf-8")
+PAGE = (ROOT / "docs" / "guide" / "replay.md").read_text("utf-8")
 
 
 @pytest.mark.parametrize(("number", "shows"), [(0, "application/protobuf;uuv_fleet.State"), (1, "depth = ")])

@@ -283,7 +283,7 @@ def values(message: Any, steps: list[str]) -> list[Any]:
 
 
 def test_the_layout_names_what_a_log_holds(messages: dict[str, dict[float, Any]]) -> None:
-    layout = json.loads((ROOT / "docs" / "foxglove-layout.json").read_text())
+    layout = json.loads((ROOT / "docs" / "examples" / "foxglove-layout.json").read_text())
 
     def ids(node: Any) -> set[str]:
         return {node} if isinstance(node, str) else ids(node["first"]) | ids(node["second"])

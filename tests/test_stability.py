@@ -28,7 +28,7 @@ def fleet(graph: str, n: int = 4, *overrides: str) -> Scenario:
 
 
 def test_the_paper_fleet() -> None:
-    """L + B has eigenvalues from 1 to 4.065 and A the spectral radius 1.447 (docs/paper.md, G11)."""
+    """L + B has eigenvalues from 1 to 4.065 and A the spectral radius 1.447 (docs/background/paper.md, G11)."""
     found = analyse(load_scenario("paper"))
     assert found.eigenvalues[0].real == pytest.approx(1.0)
     assert found.lambda_max == pytest.approx(4.065, abs=5e-4)

@@ -57,13 +57,13 @@ def test_project_stands_alone() -> None:
 
 def test_paper_page_links_lead_to_what_they_name() -> None:
     """[`Class.name`](../file#L12): line 12 of the file holds the name; and every gap has its paragraph."""
-    page_text = (ROOT / "docs" / "paper.md").read_text("utf-8")
+    page_text = (ROOT / "docs" / "background" / "paper.md").read_text("utf-8")
     links = re.findall(r"\[`([^`]+)`\]\((\.\./[^)#]+)#L(\d+)\)", page_text)
     assert len(links) > 25
     wrong = []
     for text, path, number in links:
         name = text.rsplit(".", 1)[-1]
-        lines = (ROOT / "docs" / path).resolve().read_text("utf-8").splitlines()
+        lines = (ROOT / "docs" / "background" / path).resolve().read_text("utf-8").splitlines()
         if not re.search(rf"\b{re.escape(name)}\b", lines[int(number) - 1]):
             now = [n for n, line in enumerate(lines, start=1) if re.search(rf"\b{re.escape(name)}\b", line)]
             wrong.append(f"{text} is not on line {number} of {path}, but on {now[:5]}")
@@ -78,5 +78,5 @@ def test_the_protocol_page_knows_every_field_of_a_slice(cls: type) -> None:
 
 
 def test_protocol_page_is_current() -> None:
-    """docs/protocol.md is what `fleet protocol` prints now."""
-    assert (ROOT / "docs" / "protocol.md").read_text("utf-8") == page()
+    """docs/reference/protocol.md is what `fleet protocol` prints now."""
+    assert (ROOT / "docs" / "reference" / "protocol.md").read_text("utf-8") == page()

@@ -60,7 +60,7 @@ def turn_per_yaw(cth: float) -> float:
 
     It is 1 / cos(theta) at |s| = 1, where its first four derivatives are also those of 1 / cos(theta), so that RK4
     keeps its order across the bound. Between it is odd, at most 1.53 / c in size, and 0 at the vertical: there the
-    yaw rate of a vehicle that cannot roll turns no heading. Derived in docs/paper.md.
+    yaw rate of a vehicle that cannot roll turns no heading. Derived in docs/background/paper.md.
 
     Args:
         cth: cos(theta), |cth| <= NEAR_VERTICAL.

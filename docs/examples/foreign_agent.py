@@ -1,7 +1,7 @@
 """An agent that needs nothing of uuv-fleet: `python foreign_agent.py join-3.json`, with `zenoh` and `msgpack` alone.
 
-Written from docs/protocol.md. Velocity in proportion to the consensus error, force and moments to what is missing. It
-knows a line as reference, formations that stay, the full payload, and routers without TLS."""
+Written from docs/reference/protocol.md. Velocity in proportion to the consensus error, force and moments to what is
+missing. It knows a line as reference, formations that stay, the full payload, and routers without TLS."""
 
 import json
 import math

@@ -1,7 +1,7 @@
 """Are the limits that `fleet check` computes those of the simulation?
 
-    python docs/examples/stability_borders.py            # the table of docs/stability.md; an hour on one core
-    python docs/examples/stability_borders.py --quick    # a few rows
+    python docs/examples/stability_borders.py          # the table of docs/background/stability.md; an hour on one core
+    python docs/examples/stability_borders.py --quick  # a few rows
 
 Four vehicles start in formation but for a micrometre. Per graph, period of rounds and gain the fleet runs twice, with
 the gain (or the delay) 5 % below the computed limit and 5 % above it, and the growth of its deviation is measured:

@@ -8,11 +8,11 @@
 | a | passive decay of the shunting model | 1/s | (43) |
 | tau | age of what is heard: one round, and the delay of the link | s | |
 
-Two rules of thumb follow from simplified loops (docs/paper.md, G11 and "What a network does to it"): with the shunting
-model in the surge loop K lambda_max(L + B) < a, by Routh on s^3 + a s^2 + k b s + k b K lambda; and dead reckoning with
-the neighbours' velocities is a neutral loop, which needs K tau rho(A) < 1. They are necessary, not sufficient: course
-and pitch loops, sampling and rounds take their share. The limits of the whole linear loop are those of
-`fleet.analysis.border`.
+Two rules of thumb follow from simplified loops (docs/background/paper.md, G11 and "What a network does to it"): with
+the shunting model in the surge loop K lambda_max(L + B) < a, by Routh on s^3 + a s^2 + k b s + k b K lambda; and dead
+reckoning with the neighbours' velocities is a neutral loop, which needs K tau rho(A) < 1. They are necessary, not
+sufficient: course and pitch loops, sampling and rounds take their share. The limits of the whole linear loop are those
+of `fleet.analysis.border`.
 """
 
 from __future__ import annotations
@@ -210,7 +210,7 @@ def _settled_gain(scenario: Scenario, i: int) -> Vec3 | None:
     """Where the gains of vehicle i tend when its error decays [1/s, NED]; a fixed gain is where it is.
 
     That is Q s / (R1 + Q s^2), s = c times the prediction step, within its bounds; under the printed cost the least
-    gain on an axis along which the formation moves (docs/paper.md, G10).
+    gain on an axis along which the formation moves (docs/background/paper.md, G10).
     """
     control = scenario.controls[i - 1]
     largest = _largest_gain(control)
@@ -303,7 +303,7 @@ def _vehicle_warnings(scenario: Scenario) -> list[str]:
     if unstable:
         warnings.append(
             f"{names(unstable)}: the surge inertia m1 is not below m2 and m3, so the attack and sideslip angles are "
-            "unstable under the paper's tracking laws (docs/paper.md, G28)"
+            "unstable under the paper's tracking laws (docs/background/paper.md, G28)"
         )
     return warnings
 

@@ -3,7 +3,7 @@
 | symbol | meaning | unit | source |
 |---|---|---|---|
 | e_i | consensus error from true positions | m | paper eq. (8) |
-| formation error | position minus desired position eta_1^d(t) + p_i | m | docs/paper.md, G12 |
+| formation error | position minus desired position eta_1^d(t) + p_i | m | docs/background/paper.md, G12 |
 | settle | first time after which a quantity stays below its limit to the end, for long enough | s | `settling` |
 """
 

@@ -100,11 +100,11 @@ def _convergence(sea: str, where: str) -> Callable[[Outcomes], Claim]:
             where,
             tuple(checks),
             "The printed cost penalises rho instead of its difference from the reference velocity, so near the goal "
-            "the gain falls to its floor (docs/paper.md, G10). Who keeps crossing 5 cm in every period of the "
-            "disturbance has not settled, however long the run."
+            "the gain falls to its floor (docs/background/paper.md, G10). Who keeps crossing 5 cm in every period of "
+            "the disturbance has not settled, however long the run."
             if sea == D
             else "The printed cost penalises rho instead of its difference from the reference velocity, so near the "
-            "goal the gain falls to its floor (docs/paper.md, G10).",
+            "goal the gain falls to its floor (docs/background/paper.md, G10).",
         )
 
     return claim
@@ -226,7 +226,7 @@ def _errors(o: Outcomes) -> Claim:
         "second case, Fig. 8",
         tuple(checks),
         "Without a bound on K its x component drifts upwards under the periodic disturbance, which makes the errors "
-        "smaller until the loop bursts: NBOC's does so after a minute (docs/paper.md, G11).",
+        "smaller until the loop bursts: NBOC's does so after a minute (docs/background/paper.md, G11).",
     )
 
 

@@ -73,8 +73,9 @@ def _lines(outcomes: Outcomes, claims: Sequence[Claim], network: str, drawn: Seq
         "Robust Constrained Consensus of Underactuated Underwater Vehicles Fleet*.",
         "",
         f"Made by `fleet reproduce` (uuv-fleet {version('uuv-fleet')}, piqp {version('piqp')}) from "
-        f"{len(outcomes)} runs; no number here was typed in. How the paper was read, gap by gap: `docs/paper.md`. All "
-        "runs but those over the network use `network: ideal`, the zero latency that the paper assumes; Ts = 10 ms.",
+        f"{len(outcomes)} runs; no number here was typed in. How the paper was read, gap by gap: "
+        "`docs/background/paper.md`. All runs but those over the network use `network: ideal`, "
+        "the zero latency that the paper assumes; Ts = 10 ms.",
         "",
         "## Verdicts",
         "",
@@ -89,7 +90,8 @@ def _lines(outcomes: Outcomes, claims: Sequence[Claim], network: str, drawn: Seq
         rows = ([c.reading, c.asks, c.told, c.numbers] for c in claim.checks)
         lines += [*_table(("reading", "asked", "answer", "numbers, UUV 1-4"), rows), ""]
     lines += ["## Table I: control parameters", "", "As the runs were given them.", ""]
-    lines += [*_table(HEADINGS, table_1()), "", "Not printed in the paper, and chosen (`docs/paper.md`):", ""]
+    lines += [*_table(HEADINGS, table_1()), ""]
+    lines += ["Not printed in the paper, and chosen (`docs/background/paper.md`):", ""]
     lines += [*_table(HEADINGS, chosen()), ""]
     lines += ["## The paper's simulation", ""]
     lines += _runs(outcomes, [f"{name}-{sea}" for sea in SEAS for name in NAMES])

@@ -1,0 +1,178 @@
+"""The online gain optimisation: optimal, feasible, and the paper's problem rather than some other."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+
+import piqp
+import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
+from repository import GOLDEN
+
+from agents.config import GuidanceParams
+from agents.laws import gain_qp
+from agents.laws.gain_qp import GainProblem, NoSolution, Solution, build_qp, solve
+from agents.profiles import PROFILES, profile
+from world.vectors import Vec3
+
+RHO_D = (0.7, 0.1, 0.0)
+PAPER = profile("paper")[0]
+
+# Errors of every size: the formation's start, its end, none at all, and absurd ones.
+error = st.one_of(
+    st.just(0.0), st.floats(-8.0, 8.0), st.floats(-1e-3, 1e-3), st.floats(-1e-8, 1e-8), st.floats(-1e3, 1e3)
+)
+vector = st.tuples(error, error, error)
+velocity = st.tuples(st.floats(-1.5, 1.5), st.floats(-1.5, 1.5), st.floats(-1.5, 1.5))
+gain = st.tuples(st.floats(0.01, 2.0), st.floats(0.01, 2.0), st.floats(0.01, 2.0))
+weight = st.floats(1.0, 3.0)
+tunings = st.sampled_from(
+    [params for params, _ in PROFILES.values()]
+    + [replace(PAPER, k_min=0.001, k_max=5.0), replace(PAPER, Q=(1.0, 10.0, 30.0), R2=(0.0, 1.0, 4.0))]
+)
+
+
+def total_cost(
+    K: Vec3, e: Vec3, c: float, rho0: Vec3, K0: Vec3, g: GuidanceParams
+) -> float:  # the paper's (17)-(20) with nothing eliminated
+    moving = g.cost == "consistent"
+    cost = 0.0
+    for i in range(3):
+        rho = RHO_D[i] - K[i] * e[i]
+        effort = rho - RHO_D[i] if moving else rho
+        e1 = e[i] + c * g.horizon_s * effort
+        cost += g.Q[i] * e1**2 + g.R1[i] * effort**2 + g.R2[i] * (rho - rho0[i]) ** 2
+        cost += g.p * (K[i] - K0[i]) ** 2
+    return cost
+
+
+def closed_form(problem: GainProblem) -> Vec3:
+    """The oracle: P is diagonal, so each axis is a parabola on an interval."""
+    K = [min(max(-q / P, lo), hi) for P, q, lo, hi, _ in zip(*problem, strict=True)]
+    return K[0], K[1], K[2]
+
+
+def solved(problem: GainProblem) -> Solution:
+    outcome = solve(problem)
+    assert isinstance(outcome, Solution), outcome
+    return outcome
+
+
+def test_agrees_with_an_independent_implementation() -> None:
+    cases = json.loads((GOLDEN / "unit_vectors.json").read_text())["qp"]
+    assert cases
+    for case in cases:
+        params = replace(
+            PAPER,
+            Q=(case["Q"],) * 3, R1=(case["R1"],) * 3, R2=(case["R2"],) * 3, p=case["p"],
+            k_min=case["k_min"], k_max=case["k_max"],
+            rho_lo=tuple(case["lo"]), rho_hi=tuple(case["hi"]), horizon_s=case["dt"],
+            cost="consistent" if case["cost"] == "consistent" else "printed",
+        )  # fmt: skip
+        e, rho_d = tuple(case["e"]), tuple(case["vd"])
+        gains, _ = solved(build_qp(e, case["c"], rho_d, tuple(case["rho0"]), tuple(case["k0"]), params))
+        assert gains == pytest.approx(case["K"], abs=1e-5)
+        rho = [v - k * x for v, k, x in zip(rho_d, gains, e, strict=True)]
+        assert rho == pytest.approx(case["rho"], abs=1e-6)
+
+
+@given(vector, weight, velocity, gain, gain, gain, tunings)
+def test_the_three_variables_carry_the_whole_cost(
+    e: Vec3, c: float, rho0: Vec3, K0: Vec3, A: Vec3, B: Vec3, g: GuidanceParams
+) -> None:
+    """Eliminating rho and e1 changes the cost by a constant only: differences between gains are equal."""
+    P, q, *_ = build_qp(e, c, RHO_D, rho0, K0, g)
+
+    def reduced(K: Vec3) -> float:
+        return sum(0.5 * Pi * k * k + qi * k for Pi, qi, k in zip(P, q, K, strict=True))
+
+    full = total_cost(A, e, c, rho0, K0, g) - total_cost(B, e, c, rho0, K0, g)
+    scale = 1.0 + max(map(abs, P)) + max(map(abs, q))
+    assert reduced(A) - reduced(B) == pytest.approx(full, abs=1e-11 * scale)
+
+
+@given(vector, weight, velocity, gain, tunings)
+@example((0.0, 0.0, 0.0), 1.8, (0.1, 0.0, 0.0), (0.3, 0.3, 0.3), PAPER)
+@example((1e3, -1e3, 1e3), 2.8, (0.1, 0.0, 0.0), (0.3, 0.3, 0.3), PAPER)
+def test_kkt_and_closed_form(e: Vec3, c: float, rho0: Vec3, K0: Vec3, g: GuidanceParams) -> None:
+    """Stationary inside the box, pushed outward at its faces; within 1e-5 of the exact gain, 1e-6 in rho."""
+    problem = build_qp(e, c, RHO_D, rho0, K0, g)
+    K = solved(problem).K
+    for k, exact, P, q, lo, hi, x in zip(K, closed_form(problem), *problem, strict=True):
+        assert lo <= k <= hi
+        assert abs(k - exact) <= 1e-5
+        assert abs((k - exact) * x) <= 1e-6
+        slope = P * k + q
+        near = 1e-5 * P
+        assert slope >= -near or hi - k <= 1e-5
+        assert slope <= near or k - lo <= 1e-5
+
+
+@given(vector, weight, velocity, gain, tunings)
+def test_the_gain_beats_its_feasible_neighbours(e: Vec3, c: float, rho0: Vec3, K0: Vec3, g: GuidanceParams) -> None:
+    problem = build_qp(e, c, RHO_D, rho0, K0, g)
+    K = solved(problem).K
+    for axis in range(3):
+        P, q, lo, hi, _ = (part[axis] for part in problem)
+        k = K[axis]
+        best = 0.5 * P * k * k + q * k
+        for step in (-0.1, -1e-3, 1e-3, 0.1):
+            other = min(max(k + step, lo), hi)
+            assert best <= 0.5 * P * other * other + q * other + 1e-9 * (1.0 + P + abs(q))
+
+
+@given(vector, weight, velocity, gain, tunings)
+def test_the_bounds_win_over_the_least_gain(e: Vec3, c: float, rho0: Vec3, K0: Vec3, g: GuidanceParams) -> None:
+    """rho stays within its bounds and the gain is never negative, if need be below k_min."""
+    K = solved(build_qp(e, c, RHO_D, rho0, K0, g)).K
+    for axis in range(3):
+        rho = RHO_D[axis] - K[axis] * e[axis]
+        assert g.rho_lo[axis] - 1e-9 <= rho <= g.rho_hi[axis] + 1e-9
+        assert 0.0 <= K[axis] <= g.k_max
+
+
+def test_the_answer_does_not_depend_on_the_problems_before() -> None:
+    first = build_qp((0.3, -0.2, 0.1), 2.8, RHO_D, (0.6, 0.1, 0.0), (0.9, 1.0, 1.1), PAPER)
+    second = build_qp((-4.2, -1.0, -5.0), 1.8, RHO_D, (0.1, 0.0, 0.0), (0.3, 0.3, 0.3), PAPER)
+    alone = solved(first)
+    solve(second)
+    assert solved(first) == alone
+
+
+def test_when_no_gain_keeps_the_bounds_the_problem_comes_back() -> None:
+    """A reference outside the bounds: nothing with k >= 0 helps where the error points further out."""
+    params = replace(PAPER, rho_hi=(0.5, 1.0, 1.25))
+    problem = build_qp((-1.0, 0.2, 0.1), 2.0, RHO_D, RHO_D, (0.3, 0.3, 0.3), params)
+    outcome = solve(problem)
+    assert isinstance(outcome, NoSolution)
+    assert outcome.problem == problem
+    assert "axis 0" in outcome.reason
+
+
+@pytest.mark.parametrize("broken", [math.nan, math.inf])
+def test_a_problem_without_finite_numbers_comes_back(broken: float) -> None:
+    problem = build_qp((0.3, 0.2, 0.1), 2.0, RHO_D, (broken, 0.0, 0.0), (0.3, 0.3, 0.3), PAPER)
+    assert isinstance(solve(problem), NoSolution)
+
+
+def test_a_flat_cost_comes_back() -> None:
+    flat = build_qp((0.0, 0.2, 0.1), 2.0, RHO_D, RHO_D, (0.3, 0.3, 0.3), replace(PAPER, p=0.0))
+    outcome = solve(flat)
+    assert isinstance(outcome, NoSolution)
+    assert "does not depend" in outcome.reason
+
+
+def test_a_solver_that_gives_up_is_an_outcome(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Any other status of the solver carries the problem too; here it is not given enough iterations."""
+
+    def hurried() -> piqp.DenseSolver:
+        solver = piqp.DenseSolver()
+        solver.settings.max_iter = 1
+        return solver
+
+    monkeypatch.setattr(gain_qp, "_new_solver", hurried)
+    problem = build_qp((0.3, -0.2, 0.1), 2.8, RHO_D, (0.6, 0.1, 0.0), (0.9, 1.0, 1.1), PAPER)
+    assert solve(problem) == NoSolution(problem, "PIQP: max iter reached")

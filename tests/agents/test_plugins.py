@@ -1,0 +1,677 @@
+"""Laws of the user's: how they are found, what happens when they fail, and that the log tells."""
+
+from __future__ import annotations
+
+import inspect
+import json
+import os
+import shlex
+import signal
+import sys
+import threading
+from collections.abc import Callable
+from dataclasses import replace
+from importlib.metadata import EntryPoint
+from math import isnan
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import msgpack
+import pytest
+from click.testing import CliRunner
+from failing_laws import failing
+from failing_laws import module as module
+from loops import agent_config
+from mcap.reader import make_reader
+from mcap_protobuf.decoder import DecoderFactory
+from repository import ROOT
+
+from agents.agent import Agent, make_agent
+from agents.config import Law
+from agents.errors import ControllerError, PluginError
+from agents.plugins import loading
+from agents.signals import COMMANDED, HEARD
+from fleet.cli.main import cli
+from fleet.cli.new import KINDS
+from fleet.errors import ScenarioError
+from fleet.run.execute import Options, Result, Status, execute
+from fleet.scenario.loading import load_scenario
+from fleet.scenario.scenario import Scenario
+
+EXAMPLE = str(ROOT / "docs" / "examples" / "leader_follower.yaml")
+GOOD = """
+from agents.api import Signal
+
+class Law:
+    signals = (Signal("count", "1", "samples so far"), Signal("drawn", "m", "two draws", 2))
+
+    def __init__(self, config, *, force=1.0):
+        self.force, self.count = force, 0
+
+    def step(self, sample):
+        self.count += 1
+        rng = sample.rng()
+        return (self.force, 0.0, 0.0), {"count": self.count, "drawn": (rng.random(), rng.random())}
+
+    def state(self):
+        return {"count": self.count}
+
+    def restore(self, values):
+        self.count = values["count"]
+"""
+
+
+SCENARIO = """\
+title: Four vehicles and a law
+vehicles: 4
+duration: 500 ms
+reference: {{start: 5 1 5 m, velocity: 0.7 0.1 0 m/s}}
+formation: {{shape: grid, spacing: 10 m}}
+graph: {{shape: path}}
+initial: {{scatter: 1 m, surge: 0.1 m/s}}
+network: {{period: 100 ms}}
+{}
+"""
+CHOICE_LINE = 9  # where the choice stands
+
+
+def scenario(choice: str, *more: str) -> Scenario:
+    return load_scenario("paper", ["duration=500 ms", "checks={}", choice, *more])
+
+
+def run(s: Scenario, folder: Path, *, in_process: bool = True) -> Result:
+    return execute(s, Options(folder / "runs", in_process=in_process, quiet=True))
+
+
+def same_bytes(one: Result, other: Result) -> bool:
+    return (one.directory / "run.mcap").read_bytes() == (other.directory / "run.mcap").read_bytes()
+
+
+def logged(result: Result, topic: str) -> list[tuple[Any, Any]]:
+    """(channel, decoded message) of one topic."""
+    with (result.directory / "run.mcap").open("rb") as file:
+        reader = make_reader(file, decoder_factories=[DecoderFactory()])
+        return [(channel, message) for _, channel, _, message in reader.iter_decoded_messages([topic])]
+
+
+def metadata_of(result: Result) -> dict[str, str]:
+    with (result.directory / "run.mcap").open("rb") as file:
+        return next(iter(make_reader(file).iter_metadata())).metadata
+
+
+def nav(tick: int) -> Any:
+    return SimpleNamespace(tick=tick, eta=(0.0,) * 5, nu=(0.1, 0.0, 0.0, 0.0, 0.0))
+
+
+# --- found -----------------------------------------------------------------
+
+
+def test_import_path_and_entry_point(module: Callable[[str], str], monkeypatch: pytest.MonkeyPatch) -> None:
+    name = module(GOOD)
+    by_path = loading.load("controller", Law(f"{name}:Law"))
+    point = EntryPoint("my-law", f"{name}:Law", loading.GROUP)
+    monkeypatch.setattr(loading, "entry_points", lambda group: [point] if group == loading.GROUP else [])
+    assert loading.load("controller", Law("my-law")) is by_path
+    assert scenario("controller=my-law").agent_config(1).controller == Law("my-law")
+    with pytest.raises(PluginError, match="installed: my-law"):
+        loading.load("controller", Law("other"))
+
+
+def without(line: str, text: str = GOOD) -> str:
+    assert line in text
+    return text.replace(line, "")
+
+
+STEP = "def step(self, sample):"
+MISTAKES = [
+    (GOOD, "nowhere_at_all:Law", {}, "there is no module 'nowhere_at_all'", "beside the scenario"),
+    ("import nowhere_at_all", "{}:Law", {}, "importing it failed: No module named 'nowhere_at_all'", ".py:1"),
+    ("x = (", "{}:Law", {}, "importing it failed: SyntaxError: '(' was never closed", ".py:1"),
+    ("\n1 / 0", "{}:Law", {}, "importing it failed: ZeroDivisionError: division by zero", ".py:2"),
+    ("import json\njson.loads('')", "{}:Law", {}, "JSONDecodeError", ".py:2"),  # ours, not json's
+    ("import sys\nsys.exit(0)", "{}:Law", {}, "importing it failed: SystemExit: 0", ".py:2"),
+    (GOOD, "{}:Lwa", {}, "has no 'Lwa'", "it has Law ("),
+    (GOOD, "json:Law", {}, "module 'json' has no 'Law'", "json/__init__.py"),  # the one that was found
+    ("Law = 3", "{}:Law", {}, "expected a class, got int", ""),
+    ("class Law: pass", "{}:Law", {}, "it has no method step", "a controller needs step"),
+    (GOOD.replace(STEP, "def step(self):"), "{}:Law", {}, "cannot be called as step(sample): too many", ".py:10"),
+    (GOOD.replace(STEP, "def step(self, sample, command):"), "{}:Law", {}, "a required argument: 'command'", ".py:10"),
+    (GOOD.replace(STEP, "async def step(self, sample):"), "{}:Law", {}, "must return its answer, not await", ".py:10"),
+    (GOOD.replace("class Law:", "import abc\nclass Law(abc.ABC):\n    @abc.abstractmethod\n    def more(self): ...\n"),
+     "{}:Law", {}, "it is abstract: it lacks more", ""),
+    (GOOD.replace("config, *, force=1.0", "").replace("= force, 0", "= 1.0, 0"),
+     "{}:Law", {}, "it is made with the agent's configuration, and takes none", "def __init__(self, config, ...)"),
+    (GOOD.replace("def state", "def sate"), "{}:Law", {}, "only one of state and restore", "write both"),
+    (GOOD.replace("signals = (", "signals = 3 #"), "{}:Law", {}, "expected signals as a tuple", "() reports nothing"),
+    (GOOD.replace('"drawn", "m"', '"count", "m"'), "{}:Law", {}, "declared twice", ""),
+    (GOOD.replace('"drawn", "m"', '"coun_t", "m"').replace('"count", "1"', '"counT", "1"'),
+     "{}:Law", {}, "signals 'counT' and 'coun_t' are both 'counT' in JSON", "rename one"),
+    (GOOD.replace('"drawn", "m"', '"Länge", "m"'), "{}:Law", {}, "signal 'Länge' is not a name", "a-z, A-Z"),
+    (GOOD.replace('"count", "1"', '"count", ""'), "{}:Law", {}, "has no unit", 'write "1"'),
+    (GOOD.replace('"two draws"', "2"), "{}:Law", {}, "has meaning 2, not a text", ""),
+    (without(', "two draws", 2'), "{}:Law", {}, "missing 1 required positional argument: 'meaning'", ".py:5"),
+    (GOOD.replace(', 2)', ', 0)'), "{}:Law", {}, "has width 0", "1 to 1000"),
+    (GOOD, "{}:Law", {"froce": 2.0}, "unexpected keyword argument 'froce'", "its parameters: force=1.0"),
+    (GOOD.replace("*, force=1.0", "force"), "{}:Law", {}, "missing a required argument: 'force'", "parameters: force"),
+    (GOOD, "{}", {}, "there is none of this name", "package.module:Class"),
+    (GOOD, "a b:Law", {}, "expected package.module:Class", ""),
+    (GOOD, "größe:Law", {}, "expected package.module:Class", "a-z, A-Z"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("code", "name", "parameters", "problem", "hint"), MISTAKES)
+def test_what_cannot_be_used_says_why_and_where(
+    module: Callable[[str], str],
+    code: str,
+    name: str,
+    parameters: dict[str, Any],
+    problem: str,
+    hint: str,
+    tmp_path: Path,
+) -> None:
+    """Before anything runs, with the line of the scenario that names the law."""
+    name = name.format(module(code))
+    with pytest.raises(PluginError) as caught:
+        loading.load("controller", Law(name, parameters))
+    assert problem in caught.value.problem
+    assert hint in caught.value.hint
+    path = tmp_path / "s.yaml"
+    choice = json.dumps({"law": name, "parameters": parameters}, ensure_ascii=False)
+    path.write_text(SCENARIO.format(f"controller: {choice}"), "utf-8")
+    with pytest.raises(ScenarioError) as refused:
+        load_scenario(path)
+    (found,) = refused.value.problems
+    assert (found.file, found.line) == (str(path), CHOICE_LINE)
+    assert found.source_line == f"controller: {choice}"
+    if ":" in name:
+        assert found.message == f"controller.law: {name}: {caught.value.problem}"
+        assert found.hint == caught.value.hint
+    else:
+        assert found.message == f'controller.law: there is no controller "{name}"'
+
+
+def test_the_page_shows_what_one_sees(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The message of docs/guide/plugins.md, from the template with the page's typing error in it."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    assert CliRunner().invoke(cli, ["new", "controller", "pid"]).exit_code == 0
+    path = tmp_path / "pid.yaml"
+    text = path.read_text("utf-8")
+    wrong = 'controller: {law: "pid:Pid", parameters: {gian: 0.5}}'
+    path.write_text(text.replace("controller: pid:Pid", wrong), "utf-8")
+    result = CliRunner().invoke(cli, ["check", "pid.yaml"])
+    sys.modules.pop("pid")
+    assert f"```\n{result.stderr}```\n" in (ROOT / "docs" / "guide" / "plugins.md").read_text("utf-8")
+
+
+@pytest.mark.parametrize(
+    ("choice", "key", "hint"),
+    [
+        ("controller: MODULE:Nothing", "controller.law", "a controller needs step"),
+        ("guidance: MODULE:Nothing\ntracking: neurodynamic", "guidance.law", "a guidance needs step"),
+        ("tracking: {law: 'MODULE:Nothing'}", "tracking.law", "a tracking needs step"),
+        ("agent: MODULE:Nothing", "agent.law", "an agent needs transmit and decide"),
+        ("per_vehicle: {'3-4': {controller: 'MODULE:Nothing'}}", "per_vehicle.3-4.controller.law", "needs step"),
+    ],
+)
+def test_every_place_that_names_a_law_is_checked(
+    choice: str, key: str, hint: str, module: Callable[[str], str], tmp_path: Path
+) -> None:
+    path = tmp_path / "s.yaml"
+    path.write_text(SCENARIO.format(choice.replace("MODULE", module("class Nothing: pass"))), "utf-8")
+    result = CliRunner().invoke(cli, ["check", str(path)])
+    assert result.exit_code == 2
+    assert f"{path}:{CHOICE_LINE}:" in result.stderr
+    assert f" {key}: " in result.stderr
+    assert "it has no method" in result.stderr
+    assert hint in result.stderr
+
+
+def test_a_misspelt_name_finds_the_nearest() -> None:
+    misspelt = CliRunner().invoke(cli, ["check", "paper", "--set", "controller=nbco"])
+    assert 'did you mean "nbc"?' in misspelt.output
+
+
+@pytest.mark.parametrize(
+    ("code", "attribute", "problem"),
+    [
+        ("class Law: pass", "Law", "does not load as a law: it has no method step"),
+        ("1 / 0", "Law", "does not load: ZeroDivisionError: division by zero"),
+        (GOOD, "Lwa", "does not load: AttributeError"),
+        ("import nowhere_at_all", "Law", "does not load: No module named 'nowhere_at_all'"),
+    ],
+)
+def test_an_entry_point_that_cannot_be_used(
+    code: str, attribute: str, problem: str, module: Callable[[str], str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It exists: to say that there is no such controller would send its author the wrong way."""
+    value = f"{module(code)}:{attribute}"
+    point = EntryPoint("my-law", value, loading.GROUP)
+    monkeypatch.setattr(loading, "entry_points", lambda group: [point])
+    with pytest.raises(ScenarioError) as refused:
+        scenario("controller=my-law")
+    assert f"controller.law: my-law: its entry point {value} {problem}" in str(refused.value)
+
+
+@pytest.mark.parametrize("name", [s.name for s in (*HEARD, *COMMANDED)])
+def test_a_guidance_law_leaves_our_signals_alone(name: str, module: Callable[[str], str]) -> None:
+    """They share a topic, and a message has each field once. A controller's signals have a topic of their own."""
+    law = Law(f"{module(GOOD.replace('count', name))}:Law")
+    loading.load("controller", law)
+    with pytest.raises(PluginError, match=f"signal '{name}' is reported already by every agent"):
+        loading.load("guidance", law)
+
+
+def test_what_a_module_prints_is_no_data(module: Callable[[str], str]) -> None:
+    name = module("print('imported')\n" + GOOD)
+    result = CliRunner().invoke(cli, ["run", "paper", "--set", f"controller={name}:Law", "--show-config"])
+    assert "imported" not in result.stdout
+    assert result.stderr == "imported\n"
+
+
+# --- running ---------------------------------------------------------------
+
+
+def test_telemetry_lands_in_the_log(module: Callable[[str], str], tmp_path: Path) -> None:
+    name = module(GOOD)
+    result = run(scenario(f"controller={{law: '{name}:Law', parameters: {{force: 2.5}}}}"), tmp_path)
+    assert result.status is Status.PASS, result.reason
+    control = logged(result, "uuv/3/control")
+    assert [m.count for _, m in control] == list(range(1, 51))
+    assert json.loads(control[0][0].metadata["units"]) == {
+        "count": ["1", "samples so far"],
+        "drawn": ["m", "two draws"],
+    }
+    assert {tuple(m.tau) for _, m in logged(result, "uuv/3/command")} == {(2.5, 0.0, 0.0)}
+    assert len({tuple(m.drawn) for _, m in control}) == 50
+    metadata = metadata_of(result)
+    assert metadata["resumable"] == "yes"
+    assert metadata[f"law {name}:Law"].startswith("sha256 ")
+
+
+def test_without_state_the_log_says_so(module: Callable[[str], str], tmp_path: Path) -> None:
+    name = module(failing(10**9, "pass"))
+    result = run(scenario(f"per_vehicle.2.controller={name}:Law"), tmp_path)
+    assert metadata_of(result)["resumable"] == f"no: {name}:Law has no state() and restore()"
+
+
+def test_chance_is_a_function_of_seed_vehicle_and_tick(module: Callable[[str], str]) -> None:
+    """What a law draws does not depend on its history, and differs between vehicles and seeds."""
+    law = Law(f"{module(GOOD)}:Law")
+
+    def drawn(i: int, ticks: list[int], seed: int = 1) -> tuple[float, ...]:
+        agent = Agent(replace(agent_config(i), controller=law, seed=seed))
+        for tick in ticks:
+            telemetry = agent.decide(nav(tick), []).telemetry
+        return telemetry[agent.layout.where("drawn")]  # type: ignore[index]
+
+    assert drawn(1, [7]) == drawn(1, [1, 2, 3, 7])
+    assert len({drawn(1, [7]), drawn(2, [7]), drawn(1, [8]), drawn(1, [7], seed=2)}) == 4
+
+
+def test_state_goes_on_in_a_fresh_agent(module: Callable[[str], str]) -> None:
+    """From a state that has been through MessagePack, as in a log."""
+    config = replace(agent_config(1), controller=Law(f"{module(GOOD)}:Law"))
+    one, other = make_agent(config), make_agent(config)
+    for tick in range(10):
+        one.step(nav(tick), [])
+    other.restore(msgpack.unpackb(msgpack.packb(one.state())))
+    assert [other.step(nav(k), []) for k in range(10, 20)] == [one.step(nav(k), []) for k in range(10, 20)]
+
+
+def test_an_attribute_called_state_is_not_asked(module: Callable[[str], str]) -> None:
+    """Control engineers keep their `state` in a list; that is no method of the protocol."""
+    code = failing(10**9, "pass").replace("self.config = config", "self.config = config; self.state = [0.0]")
+    config = replace(agent_config(1), controller=Law(f"{module(code)}:Law"))
+    agent = make_agent(config)
+    agent.step(nav(0), [])
+    state = agent.state()
+    assert state["controller"] == {"controller": None}
+    make_agent(config).restore(state)
+
+
+@pytest.mark.parametrize("name", ["self", "tick", "function", "timed", "found", "law"])
+def test_a_parameter_may_have_any_name(name: str, module: Callable[[str], str]) -> None:
+    code = GOOD.replace("self, config, *, force=1.0", "me, config, /, **given").replace(
+        "self.force, self.count = force, 0", "me.force, me.count = sum(given.values()), 0"
+    )
+    law = Law(f"{module(code)}:Law", {name: 3.0})
+    assert make_agent(replace(agent_config(1), controller=law)).step(nav(0), []).tau[0] == 3.0
+
+
+EXPECTED = "(tau1, tau2, tau3)"
+FAILURES = {
+    "raises": ("1 / 0", "Law raised ZeroDivisionError: division by zero", 10),
+    "raises in json": ("json.loads('')", "Law raised JSONDecodeError: Expecting value", 10),
+    "raises in numpy": ("np.linalg.inv(np.zeros((2, 2)))", "Law raised LinAlgError: Singular matrix", 10),
+    "exits": ("raise SystemExit(0)", "Law raised SystemExit: 0", 10),
+    "cancels": ("raise asyncio.CancelledError", "Law raised CancelledError", 10),
+    "lines": ("raise ValueError('one\\ntwo')", "Law raised ValueError: one two", 10),
+    "long": ("raise ValueError('x' * 10_000)", f"Law raised ValueError: {'x' * 300}... (", 10),
+    "nan": ("return (float('nan'), 0.0, 0.0), {'a': 0.0}", "(nan, 0.0, 0.0): every number must be finite", 8),
+    "two numbers": ("return (1.0, 2.0), {'a': 0.0}", "(1.0, 2.0): expected three numbers", 8),
+    "no tuple": ("return None", f"returned None: expected ({EXPECTED}, telemetry)", 8),
+    "text": ("return '123', {'a': 0.0}", "'123': expected three numbers", 8),
+    "texts": ("return (1.0, 2.0, 3.0, 'x'), {'a': 0.0}", "'x'): expected three numbers", 8),
+    "a set": ("return {3.0, 1.0, 2.0}, {'a': 0.0}", "expected three numbers", 8),
+    "too large": ("return (10**400, 0.0, 0.0), {'a': 0.0}", "expected three numbers", 8),
+    "late": ("return (1 / 0 for _ in range(3)), {'a': 0.0}", "<generator object Law.step.<locals>.<genexpr>>: expe", 8),
+    "endless": ("return itertools.count(), {'a': 0.0}", "returned (tau1, tau2, tau3) count(", 8),
+    "missing": ("return (1.0, 0.0, 0.0), {}", "returned telemetry that lacks a", 8),
+    "unknown": ("return (1.0, 0.0, 0.0), {'a': 0.0, 'b': 1.0}", "returned telemetry that adds b", 8),
+    "bad telemetry": ("return (1.0, 0.0, 0.0), {'a': (1.0, 2.0)}", "returned a = (1.0, 2.0): expected a number", 8),
+    "telemetry text": ("return (1.0, 0.0, 0.0), {'a': '5'}", "returned a = '5': expected a number", 8),
+    "infinite telemetry": ("return (1.0, 0.0, 0.0), {'a': 1e999}", "returned a = inf: every number must be finite", 8),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", FAILURES)
+def test_failures_name_vehicle_tick_and_line(
+    kind: str, module: Callable[[str], str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The line is the user's own, also if what raised was a library that he called."""
+    monkeypatch.chdir(tmp_path)
+    line, words, number = FAILURES[kind]
+    name = module(failing(20, line))
+    result = run(scenario(f"controller={name}:Law"), tmp_path)
+    assert result.status is Status.BROKEN
+    assert result.reason.startswith("agent 2, tick 20: Law ")
+    assert words in result.reason
+    assert result.reason.endswith(f"({name}.py:{number})")
+
+
+@pytest.mark.parametrize("kind", ["raises", "exits", "nan", "two numbers", "unknown"])
+def test_failures_abort_a_distributed_run(kind: str, module: Callable[[str], str], tmp_path: Path) -> None:
+    """Whatever a law does, `sys.exit(0)` too: a run whose controller failed has not passed."""
+    line, words, number = FAILURES[kind]
+    name = module(failing(20, line))
+    result = run(scenario(f"controller={name}:Law"), tmp_path, in_process=False)
+    assert result.status is Status.BROKEN
+    (note,) = [line for line in result.lines if "controller failed" in line]
+    assert "agent 2, tick 20: Law " in note
+    assert words in note
+    assert note.endswith(f"{name}.py:{number})")
+    assert result.reason.startswith("agent 2 (pid ")
+    assert json.loads((result.directory / "result.json").read_text("utf-8"))["exit"] == 3
+
+
+def test_coasting_is_the_same_in_processes(module: Callable[[str], str], tmp_path: Path) -> None:
+    """Every kind of failure at once, one per vehicle, at different ticks: the run goes on, each vehicle without
+    thrust from there on, and the log has the same bytes distributed as in one process."""
+    kinds = list(FAILURES)
+    choices = [
+        f"per_vehicle.{i}.controller={module(failing(10 + i, FAILURES[kind][0], vehicle=i))}:Law"
+        for i, kind in enumerate(kinds, start=1)
+    ]
+    s = scenario(*choices, "on_controller_error=coast", f"vehicles={len(kinds)}", "initial={scatter: 1 m}")
+    alone, result = run(s, tmp_path), run(s, tmp_path, in_process=False)
+    assert alone.status is result.status is Status.PASS
+    assert same_bytes(alone, result)
+    notes = {}
+    for done in (alone, result):
+        told = json.loads((done.directory / "result.json").read_text("utf-8"))["notes"]
+        notes[done.directory] = sorted(told)
+        assert len(told) == len(kinds)
+    assert notes[alone.directory] == notes[result.directory]
+    for i, kind in enumerate(kinds, start=1):
+        words, tick = FAILURES[kind][1].removesuffix(" ("), 10 + i
+        (note,) = [n for n in notes[alone.directory] if f" agent {i}: " in n]
+        assert note.startswith(f"t = {tick / 100:.2f} s (tick {tick}) agent {i}: Law ")
+        assert words in note
+        assert "; it is not called again, the vehicle coasts" in note
+        assert [m.tau[0] for _, m in logged(alone, f"uuv/{i}/command")] == [1.0] * tick + [0.0] * (50 - tick)
+        assert [isnan(m.a) for _, m in logged(alone, f"uuv/{i}/control")] == [False] * tick + [True] * (50 - tick)
+
+
+def test_a_failure_on_the_command_line(module: Callable[[str], str], tmp_path: Path) -> None:
+    name = module(failing(20, "1 / 0"))
+    choice = ["--set", f"controller={name}:Law", "--set", "checks={}", "--duration", "500 ms"]
+    result = CliRunner().invoke(cli, ["run", "paper", *choice, "--in-process", "--quiet", "--out", str(tmp_path)])
+    assert result.exit_code == 3
+    assert result.stdout == ""
+    assert result.stderr.startswith("fleet: agent 2, tick 20: Law raised ZeroDivisionError: division by zero (")
+
+
+def test_leaving_the_debugger_interrupts_the_run(module: Callable[[str], str], tmp_path: Path) -> None:
+    """`q` is as Ctrl-C; and an agent process, which has no terminal, says what to do instead."""
+    name = module(failing(20, "import bdb; raise bdb.BdbQuit"))
+    s = scenario(f"controller={name}:Law", "on_controller_error=coast")
+    assert run(s, tmp_path).status is Status.INTERRUPTED
+    (note,) = run(s, tmp_path, in_process=False).values["notes"]
+    assert "Law raised BdbQuit: to debug, run it with --in-process (" in note
+
+
+def test_a_law_that_prints_is_noted_once(
+    module: Callable[[str], str], tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    code = failing(10**9, "pass").replace("        return", "        print('hello', sample.tick)\n        return")
+    s = scenario(f"per_vehicle.2.controller={module(code)}:Law")
+    alone = run(s, tmp_path)
+    captured = capfd.readouterr()
+    assert captured.out == ""  # standard output is data
+    assert captured.err.count("hello") == 50
+    result = run(s, tmp_path, in_process=False)
+    for notes in (alone.values["notes"], result.values["notes"]):
+        (note,) = notes
+        assert "agent 2: Law prints (" in note
+        assert ".py:11): 'hello'" in note or ".py:11): 'hello" in note
+    assert (result.directory / "log" / "agent-2.log").read_text("utf-8").count("hello") == 50
+
+
+def test_a_print_from_a_library_is_where_it_was_called(module: Callable[[str], str], tmp_path: Path) -> None:
+    name = module(failing(20, "import pprint; pprint.pprint('hello')"))
+    (note,) = run(scenario(f"controller={name}:Law"), tmp_path).values["notes"]
+    assert f"{name}.py:10)" in note
+
+
+@pytest.mark.parametrize(("line", "policy"), [("time.sleep(30)", "abort"), ("while True: pass", "coast")])
+def test_a_law_over_its_budget(line: str, policy: str, module: Callable[[str], str], tmp_path: Path) -> None:
+    """Also one that would never return: the message has the line at which it was."""
+    name = module(failing(20, line))
+    s = scenario(f"per_vehicle.2.controller={name}:Law", f"on_controller_error={policy}", "controller_budget=50 ms")
+    results = [run(s, tmp_path, in_process=in_process) for in_process in (True, False)]
+    for result in results:
+        said = "\n".join([result.reason, *result.lines, *result.values["notes"]])
+        assert result.status is (Status.BROKEN if policy == "abort" else Status.PASS)
+        assert "agent 2" in said
+        assert "tick 20" in said
+        assert "Law took longer than its budget of 50 ms" in said
+        assert f"{name}.py:10)" in said
+    assert policy == "abort" or same_bytes(*results)
+
+
+def test_the_budget_is_one_of_samples(module: Callable[[str], str]) -> None:
+    """What is made once, a table or a network, may take its time."""
+    code = failing(0, "time.sleep(0.06)", vehicle=1).replace(
+        "self.config = config", "self.config = config; time.sleep(0.06)"
+    )
+    agent = make_agent(replace(agent_config(1), controller=Law(f"{module(code)}:Law"), budget_s=0.05))
+    with pytest.raises(ControllerError, match="Law took longer than its budget of 50 ms"):
+        agent.step(nav(0), [])
+
+
+def test_the_budget_gives_the_timer_back(module: Callable[[str], str]) -> None:
+    """In one process somebody else may be using it: this test suite does, for its own time limit."""
+    agent = make_agent(replace(agent_config(1), controller=Law(f"{module(GOOD)}:Law"), budget_s=1.0))
+    handler = signal.getsignal(signal.SIGALRM)
+    left_s, _ = signal.setitimer(signal.ITIMER_REAL, 60.0)
+    try:
+        agent.step(nav(0), [])
+        assert 50.0 < signal.getitimer(signal.ITIMER_REAL)[0] <= 60.0
+        assert signal.getsignal(signal.SIGALRM) is handler
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, left_s)
+
+
+def test_the_budget_in_a_thread(module: Callable[[str], str]) -> None:
+    """No signal comes there, so a law is judged when it is back."""
+    code = failing(1, "time.sleep(0.06)", vehicle=1)
+    agent = make_agent(replace(agent_config(1), controller=Law(f"{module(code)}:Law"), budget_s=0.05))
+    raised: list[str] = []
+
+    def work() -> None:
+        agent.step(nav(0), [])
+        try:
+            agent.step(nav(1), [])
+        except ControllerError as error:
+            raised.append(str(error))
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    thread.join()
+    assert len(raised) == 1
+    assert "agent 1, tick 1: Law took longer than its budget of 50 ms" in raised[0]
+
+
+def test_a_law_that_cannot_be_made(module: Callable[[str], str], tmp_path: Path) -> None:
+    name = module(GOOD.replace("self.force, self.count = force, 0", "raise ValueError('no such sea')"))
+    s = scenario(f"controller={name}:Law")
+    alone, result = run(s, tmp_path), run(s, tmp_path, in_process=False)
+    assert alone.reason.startswith("agent 1, tick 0: Law raised ValueError: no such sea (")
+    assert result.status is Status.BROKEN
+    assert any(": controller failed: agent " in line and "no such sea" in line for line in result.lines)
+
+
+# --- the other kinds -------------------------------------------------------
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_templates_run(kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What `fleet new` writes runs as it is, does what its check asks, and is resumable."""
+    monkeypatch.chdir(tmp_path)
+    name = f"my_{kind}_law"
+    arguments = ["new", "controller", name, "--kind", kind, "--dir", str(tmp_path / "the laws")]
+    written = CliRunner().invoke(cli, arguments, catch_exceptions=False)
+    assert written.exit_code == 0
+    again = CliRunner().invoke(cli, arguments)
+    assert again.exit_code == 2
+    assert "is there already" in again.output
+    *_, path = shlex.split(written.stdout)  # the command that it tells to type
+    s = load_scenario(path, ["log.every=100 ticks"])
+    result = run(s, tmp_path)
+    assert result.status is Status.PASS, (result.reason, result.verdicts)
+    assert metadata_of(result)["resumable"] == "yes"
+
+
+@pytest.mark.parametrize("kind", ["guidance", "tracking"])
+def test_half_of_ours_and_half_of_yours(kind: str, module: Callable[[str], str], tmp_path: Path) -> None:
+    """A guidance law with a tracking law of ours, and the other way round; distributed as in one process."""
+    code = GOOD.replace("sample):", "sample, command):") if kind == "tracking" else GOOD
+    name = module(code)
+    s = scenario(f"{kind}={name}:Law", "profile=hardened")
+    alone, result = run(s, tmp_path), run(s, tmp_path, in_process=False)
+    assert alone.status is result.status is Status.PASS
+    assert same_bytes(alone, result)
+    mine, ours = ("guidance", "control") if kind == "guidance" else ("control", "guidance")
+    rows = logged(alone, f"uuv/4/{mine}")
+    assert [m.count for _, m in rows] == list(range(1, 51))
+    assert json.loads(rows[0][0].metadata["units"])["drawn"] == ["m", "two draws"]
+    assert len(logged(alone, f"uuv/4/{ours}")) == 50
+    expected = (1.0, 0.0, 0.0)  # of a guidance law the commanded velocity, of a tracking law the force
+    if kind == "guidance":
+        assert {tuple(m.rho) for _, m in rows} == {expected}
+    else:
+        assert {tuple(m.tau) for _, m in logged(alone, "uuv/4/command")} == {expected}
+
+
+def test_a_whole_agent_sends_what_it_likes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its payload is its own: twelve bytes here, which our codec would refuse. Distributed as in one process."""
+    monkeypatch.chdir(tmp_path)
+    arguments = ["new", "controller", "whole_agent", "--kind", "agent", "--dir", str(tmp_path)]
+    assert CliRunner().invoke(cli, arguments, catch_exceptions=False).exit_code == 0
+    s = load_scenario(str(tmp_path / "whole_agent.yaml"), ["duration=1 s", "checks={}"])
+    alone, result = run(s, tmp_path), run(s, tmp_path, in_process=False)
+    assert same_bytes(alone, result)
+    assert {len(m.payload) for _, m in logged(alone, "link/1-2")} == {12}
+    assert {m.heard for _, m in logged(alone, "uuv/1/control")} == {0.0, 1.0}
+    assert not logged(alone, "uuv/1/guidance")
+
+
+@pytest.mark.parametrize(
+    ("sends", "does", "words"),
+    [
+        ("['text']", "(0.0, 0.0, 0.0), {}", "expected a list of bytes"),
+        ("[b'x' * 50_000]", "(0.0, 0.0, 0.0), {}", "at most 40000 fit into a round"),
+        ("[]", "(0.0, 0.0, 1e999), {}", "(0.0, 0.0, inf): every number must be finite"),
+        ("[]", "(10**400, 0.0, 0.0), {}", "expected three numbers"),
+        ("[]", "None", f"expected ({EXPECTED}, telemetry)"),
+    ],
+)
+def test_a_whole_agent_that_answers_nonsense(
+    sends: str, does: str, words: str, module: Callable[[str], str], tmp_path: Path
+) -> None:
+    name = module(f"""\
+        class Law:
+            signals = ()
+            def __init__(self, config): pass
+            def transmit(self, nav): return {sends}
+            def decide(self, nav, deliveries): return {does}
+    """)
+    result = run(scenario(f"agent={name}:Law"), tmp_path)
+    assert result.reason.startswith("agent 1, tick 0: Law returned ")
+    assert words in result.reason
+
+
+@pytest.mark.parametrize("name", ["3d", "a-b", "class", "", "ü"])
+def test_a_template_needs_a_module_name(name: str, tmp_path: Path) -> None:
+    result = CliRunner().invoke(cli, ["new", "controller", name, "--dir", str(tmp_path)])
+    assert result.exit_code == 2
+    assert "cannot name a Python module" in result.output
+    assert not os.listdir(tmp_path)
+
+
+@pytest.mark.parametrize("name", ["json", "numpy", "fleet"])
+def test_a_template_is_not_hidden_by_another_module(name: str, tmp_path: Path) -> None:
+    """What is installed is found before what lies beside a scenario."""
+    result = CliRunner().invoke(cli, ["new", "controller", name, "--dir", str(tmp_path)])
+    assert result.exit_code == 2
+    assert f"Python has a module '{name}' already (" in result.output
+    assert not os.listdir(tmp_path)
+
+
+@pytest.mark.parametrize("name", ["none", "true", "Signal", "MyPid", "x_the_law", "THE_CHOICE", "_x", "___", "a" * 70])
+def test_a_template_may_have_any_other_name(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also one that YAML, Python or the template has another use for."""
+    monkeypatch.chdir(tmp_path)
+    assert CliRunner().invoke(cli, ["new", "controller", name, "--dir", str(tmp_path)]).exit_code == 0
+    assert sorted(os.listdir(tmp_path)) == [f"{name}.py", f"{name}.yaml"]
+    s = load_scenario(tmp_path / f"{name}.yaml", ["duration=100 ms", "checks={}"])
+    assert run(s, tmp_path).status is Status.PASS
+
+
+# --- the worked example ----------------------------------------------------
+
+
+def test_the_worked_example_against_nboc(tmp_path: Path) -> None:
+    """The table in docs/guide/plugins.md."""
+    rows = {}
+    for label, choice in (("leader-follower", []), ("NBOC", ["controller=nboc"])):
+        result = run(load_scenario(EXAMPLE, [*choice, "log.every=5 ticks"]), tmp_path)
+        assert result.status is Status.PASS, result.verdicts
+        rows[label] = list(result.values["vehicles"].values())
+        assert all(row["formation_final_m"] < 0.1 for row in rows[label])
+    page = (ROOT / "docs" / "guide" / "plugins.md").read_text("utf-8")
+    for label, vehicles in rows.items():
+        (line,) = [text for text in page.splitlines() if text.startswith(f"| {label} |")]
+        settle, rms, final, effort = ([float(x) for x in cell.split()] for cell in line.split("|")[2:6])
+        assert [row["settle_10pct_s"] for row in vehicles] == pytest.approx(settle, abs=0.11)
+        assert [row["e_rms_m"] for row in vehicles] == pytest.approx(rms, abs=0.001)
+        assert [row["formation_final_m"] for row in vehicles] == pytest.approx(final, abs=0.001)
+        assert [row["effort_Ns"] for row in vehicles] == pytest.approx(effort, abs=1.0)
+    for follower, nboc in zip(*rows.values(), strict=True):
+        assert all(nboc[key] < follower[key] for key in ("settle_10pct_s", "e_rms_m", "formation_final_m"))
+        assert nboc["effort_Ns"] > follower["effort_Ns"]  # what the page says it costs
+
+
+def test_the_worked_example_in_processes(tmp_path: Path) -> None:
+    s = load_scenario(EXAMPLE, ["duration=1 s", "checks={}"])
+    assert same_bytes(run(s, tmp_path), run(s, tmp_path, in_process=False))
+
+
+def test_the_worked_example_is_short(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The page promises some thirty lines."""
+    monkeypatch.syspath_prepend(str(Path(EXAMPLE).parent))
+    found = loading.load("controller", Law("leader_follower:LeaderFollower"))
+    source = inspect.getsource(found.step)
+    assert len([line for line in source.splitlines() if line.strip() and not line.strip().startswith("#")]) <= 30

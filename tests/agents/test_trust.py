@@ -1,0 +1,447 @@
+"""What strangers name does not run: logs, scenarios, runs, and what lies about in the current directory."""
+
+from __future__ import annotations
+
+import ast
+import hashlib
+import os
+import random
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from textwrap import dedent
+
+import pytest
+from click.testing import CliRunner, Result
+from repository import ROOT
+
+import fleet
+from agents.config import Law
+from agents.errors import PluginError
+from agents.join import _admit
+from agents.join_file import JoinError
+from agents.plugins import loading, trust
+from agents.plugins.trust import Trust
+from fleet.cli.main import cli
+from fleet.errors import ScenarioError
+from fleet.pictures.runs import load
+from fleet.scenario.loading import load_scenario
+
+# A law of every kind; whoever imports it leaves a mark beside it.
+LAWS = """
+from pathlib import Path
+from agents.api import Signal
+Path(__file__).with_suffix(".mark").touch()
+
+class Base:
+    signals = (Signal("a", "1", "nothing"),)
+    def __init__(self, config): pass
+    def state(self): return None
+    def restore(self, values): pass
+
+class Main(Base):
+    def step(self, sample): return (1.0, 0.0, 0.0), {"a": 0.0}
+
+class Guide(Base):
+    def step(self, sample): return (0.5, 0.0, 0.0), {"a": 0.0}
+
+class Track(Base):
+    def step(self, sample, command): return (1.0, 0.0, 0.0), {"a": 0.0}
+
+class Whole(Base):
+    def transmit(self, nav): return []
+    def decide(self, nav, deliveries): return (1.0, 0.0, 0.0), {"a": 0.0}
+"""
+SCENARIO = """\
+title: Laws of every kind
+vehicles: 4
+duration: 1 s
+reference: {{start: 5 1 5 m, velocity: 0.7 0.1 0 m/s}}
+initial: {{scatter: 1 m, surge: 0.1 m/s}}
+formation: {{shape: grid, spacing: 10 m}}
+graph: {{shape: path}}
+network: {{period: 100 ms}}
+log: {{snapshot: 500 ms}}
+controller: {0}:Main
+per_vehicle:
+  "2": {{guidance: "{0}:Guide", tracking: neurodynamic, controller: nboc}}
+  "3": {{tracking: "{0}:Track", guidance: optimal, controller: nboc}}
+  "4": {{agent: "{0}:Whole"}}
+"""
+
+
+@pytest.fixture(autouse=True)
+def fresh(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """As at the start of a command: nothing was allowed, nothing of a user's was imported."""
+    monkeypatch.setattr(sys, "path", sys.path.copy())
+    monkeypatch.setattr(trust, "_added", [])
+    monkeypatch.setattr(trust, "_allowed", set())
+    before = set(sys.modules)
+    yield
+    for name in set(sys.modules) - before:
+        if name.startswith(("deploy_", "pack_")):
+            del sys.modules[name]
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+    """A stranger's log, and the module that it names."""
+    folder = tmp_path_factory.mktemp("stranger")
+    name = write_laws(folder)
+    (folder / "s.yaml").write_text(SCENARIO.format(name))
+    command = [sys.executable, "-P", "-m", "fleet", "run", "s.yaml", "--in-process", "-q"]
+    ran = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=60)
+    assert ran.returncode == 0, ran.stderr
+    return (folder / "runs" / "latest").resolve() / "run.mcap", name
+
+
+def write_laws(folder: Path, name: str = "") -> str:
+    name = name or f"deploy_{random.getrandbits(40)}"
+    folder.mkdir(exist_ok=True)
+    (folder / f"{name}.py").write_text(LAWS)
+    return name
+
+
+@pytest.fixture
+def victim(recorded: tuple[Path, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[str, Path, str]:
+    """Log, mark and module of somebody in whose current directory a module has the name that the log says."""
+    monkeypatch.chdir(tmp_path)
+    log, name = recorded
+    write_laws(tmp_path, name)
+    return str(log), tmp_path / f"{name}.mark", name
+
+
+def invoke(*arguments: str) -> Result:
+    return CliRunner().invoke(cli, list(arguments))
+
+
+# --- reading -----------------------------------------------------------------
+
+READING = (
+    ["plot", "LOG", "--what", "track,error,inputs,commands,gains", "-o", "plots"],
+    ["report", "LOG", "-o", "page.html"],
+    ["script", "LOG"],
+    ["export", "LOG", "--csv", "tables"],
+    ["info", "LOG"],
+    ["diff", "LOG", "LOG"],
+    ["recover", "LOG", "-o", "clean.mcap"],
+)
+
+
+@pytest.mark.parametrize("where", ["here", "installed"])
+@pytest.mark.parametrize("arguments", READING, ids=lambda arguments: arguments[0])
+def test_reading_runs_nothing(
+    arguments: list[str], where: str, victim: tuple[str, Path, str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """All that a reader shows stands in the log, the signals of laws that it never sees, too."""
+    log, mark, name = victim
+    if where == "installed":
+        monkeypatch.syspath_prepend(str(mark.parent / "site"))
+        write_laws(mark.parent / "site", name)
+    found = invoke(*(log if argument == "LOG" else argument for argument in arguments))
+    assert found.exit_code == 0, found.output
+    assert not list(mark.parent.rglob("*.mark"))
+    assert name not in sys.modules
+    if arguments[0] == "script":
+        assert f'controller: "{name}:Main"' in found.stdout
+
+
+def test_open_log_and_pictures_run_nothing(victim: tuple[str, Path, str]) -> None:
+    log, mark, name = victim
+    found = fleet.open_log(log)
+    assert found.scenario.controls[0].controller == Law(f"{name}:Main")
+    assert found["uuv/1/control"].a.shape == (100,)
+    (run,) = load([Path(log)])
+    assert run.scenario is not None and not run.notes  # limits and bounds are there without the law
+    assert not mark.exists()
+
+
+def test_a_matplotlibrc_that_lies_about_does_not_count(victim: tuple[str, Path, str]) -> None:
+    """It could have LaTeX run over the names in a log, and no picture would repeat."""
+    log, mark, _ = victim
+    (mark.parent / "matplotlibrc").write_text("text.usetex: True\n")
+    command = [sys.executable, "-P", "-m", "fleet", "plot", log, "--what", "error", "-o", "plots"]
+    drawn = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    assert drawn.returncode == 0, drawn.stderr
+
+
+def test_replay_knows_no_scenario() -> None:
+    """It cannot import what a scenario names if it cannot read one; so do the commands that look at a running one."""
+    code = (
+        "import sys, fleet.cli.main, fleet.cli.replay, fleet.replay.playback, fleet.replay.player, "
+        "fleet.replay.capture, fleet.logs.info, fleet.run.connection, fleet.logs.recover, fleet.logs.deviation; "
+        "sys.exit('fleet.scenario.scenario' in sys.modules)"
+    )
+    assert subprocess.run([sys.executable, "-P", "-c", code], timeout=60).returncode == 0
+
+
+@pytest.mark.parametrize("module", ["pickle", "marshal", "shelve", "dill", "cloudpickle", "joblib"])
+def test_nothing_is_unpickled(module: str) -> None:
+    """Snapshots and start states are MessagePack, results and join files JSON, scenarios YAML events: plain values."""
+    for package in ("netem", "world", "agents", "fleet"):
+        for file in (ROOT / package).rglob("*.py"):
+            for node in ast.walk(ast.parse(file.read_text("utf-8"))):
+                names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
+                names += [node.module or ""] if isinstance(node, ast.ImportFrom) else []
+                if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
+                    assert node.func.id not in ("eval", "exec"), file
+                assert module not in names, file
+
+
+# --- running what a log names ----------------------------------------------
+
+RUNNING = (["verify", "LOG"], ["whatif", "LOG", "--agent", "1"], ["run", "--from", "LOG", "-q", "--out", "again"])
+
+
+@pytest.mark.parametrize("arguments", RUNNING, ids=lambda arguments: arguments[0])
+def test_a_log_runs_no_module_of_mine_unasked(arguments: list[str], victim: tuple[str, Path, str]) -> None:
+    log, mark, name = victim
+    given = [log if argument == "LOG" else argument for argument in arguments]
+    digest = hashlib.sha256(mark.with_suffix(".py").read_bytes()).hexdigest()
+    refused = invoke(*given)
+    assert refused.exit_code == 2
+    assert f"would run {name}.py, which is not installed, and a log names it" in refused.stderr
+    assert f"--trust runs it, --trust sha256:{digest} runs it only as it is now" in refused.stderr
+    wrong = invoke(*given, "--trust", f"sha256:{'0' * 64}")
+    assert wrong.exit_code == 2 and "would run" in wrong.stderr
+    assert not mark.exists()
+    listed = invoke(*given, "--trust", f"sha256:{digest}")
+    assert listed.exit_code == 0, listed.output
+    assert f"{name}.py (sha256:{digest[:16]}), as --trust allows" in listed.stderr
+    assert mark.exists()
+
+
+def test_trust_may_stand_anywhere(victim: tuple[str, Path, str]) -> None:
+    """The existing behaviour with it: the log is reproduced."""
+    log, mark, _ = victim
+    found = invoke("verify", "--trust", log)
+    assert found.exit_code == 0, found.output
+    assert "reproduced bit for bit" in found.stdout
+    assert mark.exists()
+    assert "expected --trust alone" in invoke("verify", log, "--trust=deploy").stderr
+
+
+def test_the_fingerprint_in_the_log_is_no_permission(victim: tuple[str, Path, str]) -> None:
+    """It is that of the file here, to the last bit, but a stranger wrote it there."""
+    log, mark, name = victim
+    run = fleet.open_log(log).run
+    assert run[f"law {name}:Main"] == f"sha256 {hashlib.sha256(mark.with_suffix('.py').read_bytes()).hexdigest()}"
+    assert invoke("verify", log).exit_code == 2
+    assert not mark.exists()
+
+
+def test_what_does_not_run_needs_no_trust(victim: tuple[str, Path, str]) -> None:
+    """Another law in place of the log's; and one of mine, which I name, lets in no other that lies beside it."""
+    log, mark, _ = victim
+    assert invoke("whatif", log, "--agent", "1", "--controller", "boc").exit_code == 0
+    mine = write_laws(mark.parent)
+    assert invoke("whatif", log, "--agent", "1", "--controller", f"{mine}:Main").exit_code == 0
+    assert (mark.parent / f"{mine}.mark").exists()
+    again = invoke("run", "--from", log, "--set", f"controller={mine}:Main", "-q")
+    assert again.exit_code == 2 and "per_vehicle.2.guidance.law" in again.stderr
+    assert not mark.exists()
+
+
+def test_installed_laws_run(victim: tuple[str, Path, str], monkeypatch: pytest.MonkeyPatch) -> None:
+    log, mark, name = victim
+    mark.with_suffix(".py").unlink()
+    missing = invoke("verify", log)
+    assert missing.exit_code == 2 and f"there is no module '{name}'" in missing.stderr
+    monkeypatch.syspath_prepend(str(mark.parent / "site"))
+    write_laws(mark.parent / "site", name)
+    assert invoke("verify", log).exit_code == 0
+
+
+def test_with_python_first_in_the_current_directory(victim: tuple[str, Path, str]) -> None:
+    """`python -m fleet` finds modules there before all others: they are no more installed for that."""
+    log, mark, _ = victim
+    command = [sys.executable, "-m", "fleet", "verify", log]
+    refused = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    assert refused.returncode == 2 and "would run" in refused.stderr
+    assert not mark.exists()
+
+
+def test_a_python_path_is_the_user_s_word(victim: tuple[str, Path, str]) -> None:
+    log, mark, _ = victim
+    command = [sys.executable, "-P", "-m", "fleet", "verify", log]
+    environment = os.environ | {"PYTHONPATH": str(mark.parent)}
+    ran = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=60)
+    assert ran.returncode == 0, ran.stderr
+    assert mark.exists()
+
+
+# --- scenarios ---------------------------------------------------------------
+
+
+def small(name: str) -> str:
+    return SCENARIO.format(name).replace("1 s", "200 ms")
+
+
+@pytest.mark.parametrize("folder", [".", "laws"])
+def test_an_author_is_not_bothered(folder: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A scenario here, or in a folder below, with its laws beside it; a law here that I name."""
+    monkeypatch.chdir(tmp_path)
+    name = write_laws(tmp_path / folder)
+    (tmp_path / folder / "mine.yaml").write_text(small(name))
+    assert invoke("check", f"{folder}/mine.yaml").exit_code == 0
+    assert invoke("run", f"{folder}/mine.yaml", "--in-process", "-q").exit_code == 0
+    here = write_laws(tmp_path)
+    typed = ["--set", f"controller={here}:Main", "--duration", "100 ms", "--set", "checks={}"]
+    assert invoke("run", "paper", "--in-process", "-q", *typed).exit_code == 0
+
+
+def test_agents_get_what_was_allowed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As processes of their own they find the same modules; from a stranger's folder with --trust, too."""
+    monkeypatch.chdir(tmp_path)
+    for folder, more in ((tmp_path / "laws", ["run"]), (tmp_path.parent / f"{tmp_path.name}-else", ["run", "--trust"])):
+        name = write_laws(folder)
+        (folder / "s.yaml").write_text(small(name))
+        for start in ([sys.executable, "-P", "-m"], [sys.executable, "-m"]):
+            command = [*start, "fleet", *more, os.path.relpath(folder / "s.yaml"), "-q"]
+            ran = subprocess.run(command, capture_output=True, text=True, timeout=60)
+            assert ran.returncode == 0, ran.stderr
+
+
+@pytest.mark.parametrize("where", ["beside it", "here"])
+def test_a_scenario_from_elsewhere(where: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It runs neither what it brings along nor what it finds here; `check` says what it has not checked."""
+    here, there = tmp_path / "here", tmp_path / "there"
+    for folder in (here, there):
+        folder.mkdir()
+    monkeypatch.chdir(here)
+    name = write_laws(there if where == "beside it" else here)
+    (there / "s.yaml").write_text(small(name))
+    for arguments in (["run", "-q"], ["protocol", "check", "--id", "1", "--scenario"]):
+        refused = invoke(*arguments, "../there/s.yaml")
+        assert refused.exit_code == 2
+        assert "and the scenario that names it lies outside of the current directory" in refused.stderr
+    checked = invoke("check", "../there/s.yaml")
+    assert checked.exit_code == 0
+    assert "valid as far as it was checked" in checked.stdout
+    for key in ("controller", "per_vehicle.2.guidance", "per_vehicle.3.tracking", "per_vehicle.4.agent"):
+        assert f": {key}.law: {name}:" in checked.stderr
+    assert checked.stderr.count("warning: not checked: ") == 4
+    assert invoke("run", "../there/s.yaml", "--show-config").exit_code == 0
+    assert invoke("acl", "../there/s.yaml", "--listen", "tcp/127.0.0.1:7447").exit_code == 0
+    assert not list(tmp_path.rglob("*.mark"))
+    assert invoke("check", "../there/s.yaml", "--trust").exit_code == 0
+    assert list(tmp_path.rglob("*.mark"))
+
+
+def test_below_the_current_directory_it_reaches_for_nothing_above(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What was unpacked here brings its own laws, and gets none of mine."""
+    monkeypatch.chdir(tmp_path)
+    name = write_laws(tmp_path)
+    (tmp_path / "unpacked").mkdir()
+    (tmp_path / "unpacked" / "s.yaml").write_text(small(name))
+    refused = invoke("run", "unpacked/s.yaml", "-q")
+    assert refused.exit_code == 2 and "the scenario is not beside it" in refused.stderr
+    assert not (tmp_path / f"{name}.mark").exists()
+
+
+def test_the_scenario_of_a_run_is_a_record(
+    recorded: tuple[Path, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whoever gets a run directory, with a module in it, has not written it."""
+    log, name = recorded
+    shutil.copytree(log.parent, tmp_path / "run")
+    write_laws(tmp_path / "run", name)
+    for folder, file in ((tmp_path, "run/scenario.yaml"), (tmp_path / "run", "scenario.yaml")):
+        monkeypatch.chdir(folder)
+        refused = invoke("run", file, "-q")
+        assert refused.exit_code == 2 and "is the record of a run" in refused.stderr
+    assert not (tmp_path / "run" / f"{name}.mark").exists()
+
+
+def test_a_folder_where_everybody_may_write(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """In /tmp another user may have put the module."""
+    monkeypatch.chdir(tmp_path)
+    name = write_laws(tmp_path)
+    (tmp_path / "s.yaml").write_text(small(name))
+    tmp_path.chmod(0o1777)
+    for arguments in (["s.yaml"], ["paper", "--set", f"controller={name}:Main"]):
+        refused = invoke("check", *arguments)
+        assert f"everybody may write into {tmp_path}" in refused.stderr
+    assert not (tmp_path / f"{name}.mark").exists()
+
+
+def test_what_new_prints_works_from_anywhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "here").mkdir()
+    monkeypatch.chdir(tmp_path / "here")
+    name = f"deploy_{random.getrandbits(40)}"
+    told = invoke("new", "controller", name, "--dir", str(tmp_path / "my laws")).stdout
+    assert told.rstrip().endswith(f"now: cd '{tmp_path}/my laws' && fleet run {name}.yaml")
+
+
+# --- finding -----------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["antigravity:Law", "this:Law", "ensurepip.__main__:Law", "pip.__main__:Law"])
+def test_programs_and_python_itself_are_no_laws(name: str) -> None:
+    """They are installed, and to import them does something."""
+    module = name.partition(":")[0]
+    with pytest.raises(PluginError, match="not a module with a law"):
+        loading.load("controller", Law(name))
+    assert module not in sys.modules
+
+
+def test_packages_are_found_without_running_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """`importlib.util.find_spec("a.b")` would import `a`. A fingerprint must be of every file that runs."""
+    monkeypatch.chdir(tmp_path)
+    package = f"pack_{random.getrandbits(40)}"
+    (tmp_path / package).mkdir()
+    init = tmp_path / package / "__init__.py"
+    init.write_text(dedent("from pathlib import Path; Path(__file__).with_suffix('.mark').touch()"))
+    write_laws(tmp_path / package, "law")
+    place = trust.find(f"{package}.law", [tmp_path])
+    assert place == trust.Place(str(tmp_path), (str(init), str(tmp_path / package / "law.py")), False)
+    sums = [hashlib.sha256(Path(file).read_bytes()).hexdigest() for file in place.files]
+    arguments = ("controller", f"{package}.law:Main")
+    with pytest.raises(PluginError, match=f"would run {package}/__init__.py and {package}/law.py"):
+        loading.admit(*arguments, Trust(fingerprints=frozenset(sums[1:])), elsewhere=[tmp_path])
+    assert not list(tmp_path.rglob("*.mark"))
+    loading.admit(*arguments, Trust(fingerprints=frozenset(sums)), elsewhere=[tmp_path])
+    assert loading.load("controller", Law(f"{package}.law:Main")).__name__ == "Main"
+
+
+def test_a_join_file_names_no_module_of_mine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A run somewhere else sends the agent its laws."""
+    (tmp_path / "there").mkdir()
+    (tmp_path / "here").mkdir()
+    monkeypatch.chdir(tmp_path / "there")
+    name = write_laws(tmp_path / "there")
+    (tmp_path / "there" / "s.yaml").write_text(small(name))
+    config = load_scenario("s.yaml").agent_config(1)
+    monkeypatch.setattr(trust, "_allowed", set())
+    monkeypatch.setattr(sys, "path", [p for p in sys.path if p != str(tmp_path / "there")])
+    del sys.modules[name]
+    monkeypatch.chdir(tmp_path / "here")
+    write_laws(tmp_path / "here", name)
+    with pytest.raises(JoinError, match=f"would run {name}.py, which is not installed, and the run names it"):
+        _admit(config, Trust())
+    assert not (tmp_path / "here" / f"{name}.mark").exists()
+    _admit(config, Trust(everything=True))
+    assert loading.load("controller", Law(f"{name}:Main"))
+    assert (tmp_path / "here" / f"{name}.mark").exists()
+
+
+def test_the_children_take_nothing_from_the_current_directory(tmp_path: Path) -> None:
+    """The forkserver is a `python -c`: it took any `selectors.py` that lay about for Python's own."""
+    for name in ("selectors", "socket", "signal", "agents", "netem"):
+        (tmp_path / f"{name}.py").write_text("from pathlib import Path; Path(__file__).with_suffix('.mark').touch()")
+    command = [sys.executable, "-P", "-m", "fleet", "run", "paper", "--duration", "200 ms", "--set", "checks={}", "-q"]
+    ran = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=60)
+    assert ran.returncode == 0, ran.stderr
+    assert not list(tmp_path.glob("*.mark"))
+
+
+def test_the_library_has_the_same_rules(tmp_path: Path) -> None:
+    name = write_laws(tmp_path)
+    (tmp_path / "s.yaml").write_text(small(name))
+    with pytest.raises(ScenarioError, match="lies outside of the current directory"):
+        load_scenario(tmp_path / "s.yaml")
+    assert load_scenario(tmp_path / "s.yaml", trust=Trust(everything=True)).layout(1).size

@@ -1,0 +1,408 @@
+"""The command line: what it says, where, with which status, and what a run leaves behind."""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import re
+import subprocess
+import sys
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import click
+import pytest
+from click.testing import CliRunner, Result
+from mcap.reader import make_reader
+from mcap_protobuf.decoder import DecoderFactory
+from repository import EXPECTED, ROOT
+
+from fleet.cli.main import cli
+from fleet.logs.reader import digest
+from fleet.recorder.writer import LogError
+from fleet.replay.publisher import PublishError
+from fleet.scenario.loading import list_scenarios, load_scenario
+
+SHIPPED = [name for name, *_ in list_scenarios()]
+
+
+def names_below(group: click.Group, prefix: str = "") -> list[str]:
+    """Every command, those of groups with the group's name before them."""
+    found = []
+    for name, command in sorted(group.commands.items()):
+        found.append(prefix + name)
+        if isinstance(command, click.Group):
+            found += names_below(command, f"{prefix}{name} ")
+    return found
+
+
+COMMANDS = names_below(cli)
+QUICK = ["--in-process", "--duration", "500 ms"]
+NO_CHECKS = ["--set", "checks={}"]
+
+
+def invoke(*arguments: str | Path) -> Result:
+    """The command line in this process, as on a terminal of 100 columns (click leaves two of them free)."""
+    return CliRunner().invoke(cli, [str(argument) for argument in arguments], prog_name="fleet", terminal_width=98)
+
+
+def shell(*arguments: str | Path, script: bool = False, **environment: str) -> Any:
+    """The command line as a user starts it: as a module, or by the script that was installed."""
+    command = [str(Path(sys.executable).with_name("fleet"))] if script else [sys.executable, "-m", "fleet"]
+    return subprocess.run(
+        [*command, *map(str, arguments)],
+        env=os.environ | environment,
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=100,
+    )
+
+
+# --- help ------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("command", ["", *COMMANDS])
+def test_help(command: str) -> None:
+    """What `--help` says is a contract that a change must show in a diff. To renew one:
+    COLUMNS=100 fleet run --help > tests/expected/help-run.txt"""
+    result = invoke(*command.split(), "--help")
+    assert result.exit_code == 0
+    assert result.output == (EXPECTED / f"help-{command.replace(' ', '-') or 'fleet'}.txt").read_text("utf-8")
+
+
+def test_every_golden_help_has_its_command() -> None:
+    names = {path.stem.removeprefix("help-") for path in EXPECTED.glob("help-*.txt")}
+    assert names == {"fleet", *(command.replace(" ", "-") for command in COMMANDS)}
+
+
+def test_python_dash_m() -> None:
+    """`fleet` and `python -m fleet` are the same, and say so to who asks for help."""
+    script = shell("--help", script=True, COLUMNS="100")
+    module = shell("--help", COLUMNS="100")
+    assert (module.returncode, module.stderr) == (0, "")
+    assert module.stdout.replace("python -m fleet", "fleet") == script.stdout
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_every_option_is_explained(command: str) -> None:
+    """An option without a word of help is one that somebody must guess."""
+    found: click.Command = cli
+    for name in command.split():
+        assert isinstance(found, click.Group)
+        found = found.commands[name]
+    for parameter in found.params:
+        assert parameter.param_type_name == "argument" or getattr(parameter, "hidden", False) or parameter.help
+
+
+def test_version() -> None:
+    assert re.fullmatch(r"fleet, version \d+\.\d+\.\d+\n", invoke("--version").output)
+
+
+# --- exit status -----------------------------------------------------------
+
+# A force whose speed has no finite square.
+RUNAWAY = ["--set", "faults=[{at: 100 ms, wrench: {force: 1e200 1e200 0 N}}]", "--set", "on_death=abort"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "status", "said"),
+    [
+        (["run", "paper", *QUICK, *NO_CHECKS], 0, ""),
+        (["check", "paper"], 0, ""),
+        (
+            ["run", "paper", *QUICK, "--set", "checks.formation_error={below: 1 mm}"],
+            1,
+            "FAIL  formation_error: below 0.0",
+        ),
+        (["run", "paper", *QUICK], 1, "the run ended at 0.5 s, before the check begins"),
+        (["run"], 2, "run what? A scenario, or --from a log"),
+        (["swim"], 2, "No such command 'swim'"),
+        (["run", "paper", "--speeed", "2"], 2, "No such option '--speeed'"),
+        (["run", "papre"], 2, "paper"),
+        (["run", "paper", "--seed", "-1"], 2, "--seed"),
+        (["run", "paper", "--port", "70000"], 2, "--port"),
+        (["run", "paper", "--speed", "0"], 2, "expected a positive factor of real time"),
+        (["run", "paper", "--speed", "nan"], 2, "expected a positive factor of real time"),
+        (["run", "paper", "--speed", "fast"], 2, "got 'fast'"),
+        (["run", "paper", "--duration", "5"], 2, "unit"),
+        (["run", "paper", "--set", "durration=5 s"], 2, "duration"),
+        (["run", "no/such/file.yaml"], 2, "No such file"),
+        (["check", "paper", "--set", "vehicles=0"], 2, "vehicles"),
+        (["info", "no/such.mcap"], 2, "No such file"),
+        (["run", "paper", *QUICK, *NO_CHECKS, *RUNAWAY], 3, "vehicle 1, tick "),
+    ],
+    ids=lambda value: " ".join(value) if isinstance(value, list) else "",
+)
+def test_exit_status(arguments: list[str], status: int, said: str, tmp_path: Path) -> None:
+    """0 pass, 1 a check failed, 2 usage or bad scenario, 3 the run broke; with the reason on stderr, never a
+    traceback. (130 is with the interrupts, and 3 for each way to die with the deaths.)"""
+    place = ["--out", str(tmp_path), "--quiet"] if arguments[0] == "run" and len(arguments) > 1 else []
+    done = shell(*arguments, *place)
+    assert done.returncode == status, done.stderr
+    assert said in done.stderr
+    assert bool(said) == bool(done.stderr)
+    assert "Traceback" not in done.stderr
+    assert done.stdout == "" or arguments[0] == "check"
+
+
+@pytest.mark.parametrize("content", [None, b"", b"no log", b"\x89MCAP0\r\n", b"\x89MCAP0\r\n" + b"\xff" * 100])
+def test_info_on_what_is_no_log(content: bytes | None, tmp_path: Path) -> None:
+    """A folder, nothing, something else: status 2 and a sentence. The mere beginning of a log is a log, cut short."""
+    path = tmp_path / "x.mcap"
+    if content is not None:
+        path.write_bytes(content)
+    result = invoke("info", path if content is not None else tmp_path)
+    if content and content.startswith(b"\x89MCAP"):
+        assert result.exit_code == 0
+        assert "NOT WHOLE" in result.stdout
+    else:
+        assert result.exit_code == 2
+        assert result.stderr.startswith("fleet: ")
+        assert result.stdout == ""
+
+
+def test_a_reader_that_has_seen_enough() -> None:
+    """`fleet protocol | head -1` ends in silence."""
+    with subprocess.Popen(
+        [sys.executable, "-m", "fleet", "protocol"], stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    ) as process:
+        assert process.stdout is not None
+        assert process.stderr is not None
+        process.stdout.close()
+        assert process.stderr.read() == b""
+        assert process.wait(30) in (0, 1, 141)
+
+
+# --- scenarios -------------------------------------------------------------
+
+
+def test_list_names_every_scenario() -> None:
+    result = invoke("list")
+    assert (result.exit_code, result.stderr) == (0, "")
+    assert re.findall(r"^(\S+) ", result.stdout, re.MULTILINE) == ["scenario", *SHIPPED]
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_check_accepts_what_ships(name: str) -> None:
+    result = invoke("check", name)
+    assert result.exit_code == 0
+    if name == "breakdown":  # theory expects what it is there to show
+        assert "the formation is not kept" in result.stderr
+    else:
+        assert result.stderr == ""
+    assert result.stdout.startswith(f"{name}: valid. {load_scenario(name).vehicles} vehicles, ")
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_shown_configuration_loads_again(name: str, tmp_path: Path) -> None:
+    """--show-config prints the whole truth: the file it makes is the same scenario, with the overrides in it, and
+    shows as itself. Nothing is run and nothing written."""
+    overrides = ["--seed", "7", "--duration", "9 s", "--set", "checks={}"]
+    first = invoke("run", name, *overrides, "--show-config", "--out", tmp_path / "runs")
+    assert (first.exit_code, first.stderr) == (0, "")
+    file = tmp_path / "shown.yaml"
+    file.write_text(first.stdout)
+    assert invoke("run", file, "--show-config").stdout == first.stdout
+    assert load_scenario(file) == load_scenario(name, ["seed=7", "duration=9 s", "checks={}"])
+    assert list(tmp_path.iterdir()) == [file]
+
+
+# --- what a run leaves behind ----------------------------------------------
+
+
+def run(out: Path, *arguments: str | Path) -> Path:
+    """A quiet run that passes; its directory."""
+    result = invoke("run", *arguments, "--out", out, "--quiet")
+    assert (result.exit_code, result.output) == (0, ""), result.output
+    return (out / "latest").resolve()
+
+
+def files(directory: Path) -> set[str]:
+    return {str(path.relative_to(directory)) for path in directory.rglob("*") if path.is_file()}
+
+
+def test_run_directory(tmp_path: Path) -> None:
+    """Exactly what the README lists; `latest` is a relative link to the newest, so that the place can be moved."""
+    out = tmp_path / "deep" / "runs"
+    first = run(out, "paper", "--duration", "500 ms", *NO_CHECKS)
+    processes = {f"log/{role}.log" for role in ("world", "netem", "agent-1", "agent-2", "agent-3", "agent-4")}
+    assert files(first) == {"scenario.yaml", "run.mcap", "result.json", *processes}
+    assert re.fullmatch(r"paper-1-\d{8}-\d{6}", first.name)
+    second = run(out, "paper", *QUICK, "--seed", "5", *NO_CHECKS)
+    assert files(second) == {"scenario.yaml", "run.mcap", "result.json"}
+    assert second.name.startswith("paper-5-")
+    assert os.readlink(out / "latest") == second.name
+    assert {path.name for path in out.iterdir()} == {first.name, second.name, "latest"}
+
+
+def test_runs_in_the_same_second_do_not_meet(tmp_path: Path) -> None:
+    directories = {run(tmp_path, "paper", *QUICK, *NO_CHECKS) for _ in range(3)}
+    assert len(directories) == 3
+
+
+def test_scenario_file_repeats_the_run(tmp_path: Path) -> None:
+    """What lies beside a log is all that one needs to make the same log again, byte for byte."""
+    first = run(tmp_path, "rough-sea", *QUICK, "--seed", "3", *NO_CHECKS)
+    second = run(tmp_path, first / "scenario.yaml", "--in-process")
+    assert first != second
+    assert (first / "run.mcap").read_bytes() == (second / "run.mcap").read_bytes()
+    assert (first / "scenario.yaml").read_text() == (second / "scenario.yaml").read_text()
+
+
+def test_result_file(tmp_path: Path) -> None:
+    """The structure that scripts rely on, with numbers that agree with the log and with each other."""
+    directory = run(tmp_path, "rough-sea", "--duration", "2 s", "--set", "checks={ledger: balanced}")
+    values = json.loads((directory / "result.json").read_text())
+    assert list(values) == [
+        "scenario", "seed", "status", "exit", "reason", "lines", "sim_s", "checks", "vehicles", "formation", "tumbles",
+        "ledger", "ages", "middleware_lost", "faults", "messages", "log_bytes", "digest", "python",
+        "wall", "rejected", "deaths", "notes",
+    ]  # fmt: skip
+    assert (values["scenario"], values["seed"], values["sim_s"]) == ("rough-sea", 1, 2.0)
+    assert (values["status"], values["exit"], values["reason"], values["lines"]) == ("pass", 0, "", [])
+    assert [check["check"] for check in values["checks"]] == ["tumbled", "deaths", "qp_infeasible", "ledger"]
+    assert values["checks"][-1] == {
+        "check": "ledger",
+        "passed": True,
+        "asked": "balanced",
+        "found": "balanced",
+        "value": 0,
+        "limit": 0,
+        "unit": "links",
+    }
+    assert list(values["vehicles"]) == ["1", "2", "3", "4"]
+    assert set(values["ledger"]) == {"1->2", "2->3", "3->4"}
+    for account in values["ledger"].values():
+        assert account["sent"] == 20  # 10 Hz for 2 s
+        assert account["sent"] == account["delivered"] + sum(account["lost"].values()) + account["in_flight"]
+    assert sum(account["lost"].get("loss", 0) for account in values["ledger"].values()) > 0
+    assert (values["middleware_lost"], values["rejected"], values["notes"]) == (0, {}, [])
+    assert values["digest"] == digest(directory / "run.mcap")
+    assert values["messages"] == sum(topics(directory / "run.mcap").values())
+    assert set(values["wall"]) == {"in_process", "startup_s", "run_s", "x_real_time"}
+    assert values["wall"]["in_process"] is False
+
+
+def topics(log: Path) -> Counter[str]:
+    with log.open("rb") as file:
+        return Counter(channel.topic for _, channel, _ in make_reader(file).iter_messages())
+
+
+def test_log_opens_in_mcaps_own_reader_with_the_documented_topics(tmp_path: Path) -> None:
+    """Every message decodes with the schema that the file carries, every topic is one of the README's, every one of
+    the README's is there, and each field of ours has a unit and a meaning in the channel's metadata."""
+    log = run(tmp_path, "paper", *QUICK, *NO_CHECKS) / "run.mcap"
+    readme = (ROOT / "README.md").read_text("utf-8")
+    documented = set(re.findall(r"`((?:uuv|link)/<\w+>[^`]*)`", readme))
+    documented |= set(re.findall(r"^\| `(transforms)`, `(scene)` \|", readme, re.MULTILINE)[0])
+    assert len(documented) == 10
+    found: dict[str, set[str]] = {}
+    with log.open("rb") as file:
+        reader = make_reader(file, decoder_factories=[DecoderFactory()])
+        for schema, channel, message, decoded in reader.iter_decoded_messages():
+            assert schema is not None
+            pattern = re.sub(r"^uuv/\d+/", "uuv/<i>/", re.sub(r"^link/\d+-\d+$", "link/<src>-<dst>", channel.topic))
+            found.setdefault(pattern, set()).add(schema.name)
+            units = json.loads(channel.metadata["units"])
+            if schema.name.startswith("uuv_fleet."):
+                assert set(units) == {field.name for field in decoded.DESCRIPTOR.fields}
+            assert all(meaning for _, meaning in units.values())
+            assert message.log_time >= message.publish_time or "link/" not in channel.topic
+        metadata = {record.name: record.metadata for record in reader.iter_metadata()}
+        attachments = {record.name: record.data for record in reader.iter_attachments()}
+    assert set(found) == documented
+    assert {pattern: len(names) for pattern, names in found.items()} == dict.fromkeys(documented, 1)
+    assert metadata["run"]["scenario"] == "paper"
+    assert attachments["scenario.yaml"] == (log.parent / "scenario.yaml").read_bytes()
+
+
+def test_info_counts_what_the_log_holds(tmp_path: Path) -> None:
+    directory = run(tmp_path, "paper", *QUICK, *NO_CHECKS)
+    values = json.loads(invoke("info", directory, "--json").stdout)
+    counted = {topic: count for topic, (_, count) in values["topics"].items() if count}
+    assert counted == topics(directory / "run.mcap")
+    assert (values["start_s"], values["end_s"], values["missing"]) == (0.0, 0.5, "")
+    words = invoke("info", directory / "run.mcap").stdout
+    assert words.splitlines()[0].endswith("sim time 0 to 0.5 s")
+    assert "NOT WHOLE" not in words
+
+
+# --- what is said ----------------------------------------------------------
+
+
+def test_run_says_what_came_of_it(tmp_path: Path) -> None:
+    """The tables go to stdout, complete, also where no terminal gives a width; talk goes to stderr."""
+    done = shell("run", "rough-sea", *QUICK, "--out", tmp_path, "--set", "checks.ledger=balanced", COLUMNS="40")
+    assert done.returncode == 1
+    lines = [line.rstrip() for line in done.stdout.splitlines()]
+    assert "packets per directed link, age of what was heard last" in lines
+    assert any(line.startswith("FAIL  formation_error: below 0.4 m after 60 s; found ") for line in lines)
+    assert "pass  ledger: balanced; found balanced" in lines
+    assert lines[-1] == str((tmp_path / "latest").resolve())
+    assert "\x1b" not in done.stdout
+
+
+def test_ideal_network_says_that_it_runs_in_one_process(tmp_path: Path) -> None:
+    """An option that is overruled is not overruled in silence."""
+    done = shell("run", "ideal", "--duration", "500 ms", "--out", tmp_path, *NO_CHECKS)
+    assert done.returncode == 0
+    assert "network: ideal has no latency and so runs in one process" in done.stderr
+
+
+def test_quiet_says_nothing_of_a_failure_that_is_meant(tmp_path: Path) -> None:
+    short = ["--duration", "500 ms", "--out", tmp_path, "--quiet", "--set", "checks={formation_error: {below: 1 mm}}"]
+    done = shell("run", "ideal", *short, "--set", "expect=fail")
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+    done = shell("run", "ideal", *short)
+    assert (done.returncode, "FAIL  formation_error" in done.stderr) == (1, True)
+
+
+def test_quiet_is_quiet(tmp_path: Path) -> None:
+    done = shell("run", "ideal", "--duration", "500 ms", "--out", tmp_path, *NO_CHECKS, "--quiet")
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+
+
+@pytest.mark.parametrize(
+    ("where", "error", "words"),
+    [
+        ("fleet.run.execute.LivePublisher.open", PublishError("no port is free"), "no port is free"),
+        (
+            "fleet.run.execute.LogWriter",
+            LogError("cannot write the log: No space left on device"),
+            "cannot write the log",
+        ),
+        ("pathlib.Path.write_text", OSError(errno.ENOSPC, "No space left on device"), "scenario.yaml: No space left"),
+    ],
+)
+def test_what_the_machine_refuses_is_no_usage_error(
+    where: str, error: Exception, words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Before the run begins, too: status 3 and a sentence."""
+
+    def refuse(*_: object, **__: object) -> None:
+        raise error
+
+    monkeypatch.setattr(where, refuse)
+    result = invoke("run", "paper", "--in-process", "--publish", "--out", tmp_path)
+    assert result.exit_code == 3 and words in result.stderr
+
+
+def test_waiting_for_nobody() -> None:
+    result = invoke("run", "paper", "--wait-for-subscribers")
+    assert result.exit_code == 2 and "needs --publish" in result.stderr
+
+
+def test_a_run_is_no_scenario(tmp_path: Path) -> None:
+    """Whoever names a run's directory, or its log, is told what would have been meant."""
+    result = invoke("run", "ideal", *QUICK, *NO_CHECKS, "--out", tmp_path, "-q")
+    assert result.exit_code == 0
+    for path, words in (
+        ("latest", "did you mean"),
+        ("latest/run.mcap", "fleet run --from"),
+        ("latest/log", "is a dir"),
+    ):
+        result = invoke("check", tmp_path / path)
+        assert result.exit_code == 2 and words in result.stderr

@@ -1,0 +1,216 @@
+"""A log as arrays: the same numbers as mcap's own protobuf decoder gives, of whole logs, cut ones and strange ones."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from fnmatch import fnmatchcase
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from foreign_log import foreign
+from mcap.reader import make_reader
+from mcap.writer import Writer
+from mcap_protobuf.decoder import DecoderFactory
+from repository import ROOT
+
+import fleet
+from fleet.errors import ScenarioError
+from fleet.logs.open_log import FaultInterval, LogKeyError
+from fleet.logs.reader import LogReadError
+from fleet.run.execute import Options, execute
+from fleet.scenario.loading import load_scenario
+
+
+def logged(out: Path, name: str, *overrides: str) -> Path:
+    """A run in this process; its directory."""
+    return execute(load_scenario(name, ["checks={}", *overrides]), Options(out, in_process=True, quiet=True)).directory
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Lost and corrupted packets, a dead agent, and vehicles whose laws report different things."""
+    faults = "faults=[{at: 1 s, for: 500 ms, id: crash, kill: 2}, {at: 1.2 s, down: '3->4'}]"
+    links = "network.links={'*': delay 30ms loss 20% corrupt 20%}"
+    return logged(
+        tmp_path_factory.mktemp("runs"), "paper", "duration=2 s", faults, links, "per_vehicle.3.controller=bsmc"
+    )
+
+
+def expected(log: Path) -> dict[str, list[tuple[int, Any]]]:
+    """(log time, decoded message) by topic, read by mcap and decoded by mcap-protobuf-support."""
+    found: dict[str, list[tuple[int, Any]]] = {}
+    with log.open("rb") as file:
+        for _, channel, message, decoded in make_reader(
+            file, decoder_factories=[DecoderFactory()]
+        ).iter_decoded_messages(log_time_order=False):
+            found.setdefault(channel.topic, []).append((message.log_time, decoded))
+    return found
+
+
+def test_every_field_of_every_topic_is_what_protobuf_says(run: Path) -> None:
+    log = fleet.open_log(run)
+    assert log.missing == ""
+    messages = expected(run / "run.mcap")
+    assert {topic for topic in log if len(log[topic])} == messages.keys()
+    for name, taken in messages.items():
+        topic = log[name]
+        assert topic.t == pytest.approx([at / 1e9 for at, _ in taken])
+        if name.endswith("/pose"):
+            poses = [message.pose for _, message in taken]
+            assert (topic["pose.position"] == [[p.position.x, p.position.y, p.position.z] for p in poses]).all()
+            assert topic["pose.orientation"].shape == (len(taken), 4)
+            assert (topic["timestamp"] == topic.t).all()
+            continue
+        assert list(topic.fields) == [field.name for field in taken[0][1].DESCRIPTOR.fields]
+        for field in topic.fields:
+            values = [getattr(message, field) for _, message in taken]
+            array = topic[field]
+            if topic.nested:  # messages of two pools are never equal
+                assert [list(map(str, v)) for v in array] == [list(map(str, v)) for v in values]
+                continue
+            assert array.tolist() == [list(v) if hasattr(v, "append") else v for v in values]
+            assert array.shape[0] == len(taken)
+
+
+def test_units_and_meanings_come_from_the_log(run: Path) -> None:
+    log = fleet.open_log(run)
+    state = log["uuv/1/state"]
+    assert (state.units["x"], state.meanings["x"], state.units["r"]) == ("m", "north", "rad/s")
+    assert state.x.shape == (201,)
+    assert state.x.dtype == np.float64
+    assert log["uuv/1/command"].tau.shape == (200, 3)
+    assert "psi [rad]" in repr(state)
+    assert "x" in dir(state)
+    assert log["uuv/3/control"].schema != log["uuv/1/control"].schema
+
+
+def test_text_and_bytes_are_objects(run: Path) -> None:
+    link = fleet.open_log(run)["link/1-2"]
+    assert link.fate.dtype == object
+    assert link.payload.dtype == object
+    assert isinstance(link.payload[0], bytes)
+    assert link.corrupted.dtype == np.bool_
+    assert link.seq.dtype == np.int64
+    lost = link.fate != "delivered"  # as a user would ask
+    assert 0 < lost.sum() < len(link)
+    assert (link.publish_ns / 1e9 == pytest.approx(link.sent)) and (link.t[~lost] == pytest.approx(link.due[~lost]))
+
+
+def test_what_the_log_says_of_itself(run: Path) -> None:
+    log = fleet.open_log(str(run / "run.mcap"))
+    assert log.scenario == load_scenario(run / "scenario.yaml")
+    assert log.run["seed"] == "1"
+    assert log.vehicles == [1, 2, 3, 4]
+    assert log.links == [(1, 2), (2, 1), (2, 3), (3, 2), (3, 4), (4, 3)]
+    assert log.end == 2.0
+    crash, down, *tumbles = log.faults
+    assert (crash, down) == (FaultInterval("crash", 1.0, 1.5, "kill 2"), FaultInterval("f2", 1.2, 2.0, "down 3->4"))
+    assert [(t.id, t.end, t.what) for t in tumbles] == [(f"tumbled-{i}", 2.0, f"tumbled {i}") for i in (2, 3)]
+    assert len(log) == len(log.topics) == len(list(log))
+    assert f"{log.messages} messages in 38 topics, 2 s" in repr(log)
+
+
+def test_only_the_topics_that_are_asked_for(run: Path) -> None:
+    told: list[float] = []
+    log = fleet.open_log(run, topics=["uuv/*/state", "faults"], progress=told.append)
+    assert log.topics == [f"uuv/{i}/state" for i in range(1, 5)] + ["faults"]
+    assert fleet.open_log(run, topics="link/*").vehicles == []
+    assert told
+    assert all(fnmatchcase(topic, "uuv/*/state") or topic == "faults" for topic in log)
+
+
+def test_what_is_not_there_is_named(run: Path) -> None:
+    log = fleet.open_log(run)
+    with pytest.raises(LogKeyError, match="has no topic 'uuv/1/stat'; did you mean"):
+        log["uuv/1/stat"]
+    with pytest.raises(KeyError):
+        log["uuv/9/state"]
+    with pytest.raises(AttributeError, match="has no field 'X'"):
+        _ = log["uuv/1/state"].X
+    assert "uuv/9/state" not in log
+    assert not hasattr(log["uuv/1/state"], "_repr_html_")
+
+
+def test_a_cut_log_gives_what_is_left(run: Path, tmp_path: Path) -> None:
+    whole = run / "run.mcap"
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(whole.read_bytes()[: whole.stat().st_size * 2 // 3])
+    log, full = fleet.open_log(cut), fleet.open_log(whole)
+    assert "cut" in log.missing
+    assert 0.9 < log.end < 2.0
+    assert log.scenario == full.scenario
+    state = log["uuv/4/state"]
+    assert (state.x == full["uuv/4/state"].x[: len(state)]).all()
+    assert log.faults == [f._replace(end=log.end) for f in full.faults if f.begin <= log.end]
+    assert "NOT WHOLE" in repr(log)
+
+
+def test_thinned_log_and_topics_without_a_message(tmp_path: Path) -> None:
+    log = fleet.open_log(logged(tmp_path, "ideal", "duration=1 s", "log={every: 10 ticks, command: 25 ticks}"))
+    assert log["uuv/1/state"].t == pytest.approx(np.arange(11) / 10)
+    assert log["uuv/1/command"].t == pytest.approx([0.0, 0.25, 0.5, 0.75])
+    empty = log["faults"]
+    assert (len(empty), empty.t.tolist(), list(empty.fields)) == (0, [], ["fault", "action", "what"])
+    assert log.faults == []
+    nothing = tmp_path / "start.mcap"
+    with nothing.open("wb") as file:
+        Writer(file).start()
+    assert (len(fleet.open_log(nothing)), fleet.open_log(nothing).end) == (0, 0.0)
+
+
+def test_logs_that_are_not_ours(tmp_path: Path) -> None:
+    """Payloads that nobody explained stay bytes; protobuf decodes whatever its shape; there is no scenario."""
+    log = fleet.open_log(foreign(tmp_path / "x.mcap"))
+    assert log["words"].data.tolist() == [b'{"k": 0}', b'{"k": 1}', b'{"k": 2}']
+    assert [list(values) for values in log["odd"].values] == [[], [1.0], [1.0, 1.0]]
+    assert log["odd"].more.tolist() == [0.0, 1.0, 2.0]
+    assert log["odd"].units == {"values": "", "more": ""}
+    assert len(log["nested"].fields) == 1
+    with pytest.raises(LogReadError, match="schema No cannot be used"):
+        _ = log["broken"].fields
+    with pytest.raises(LogReadError, match="holds no scenario"):
+        _ = log.scenario
+    assert (log.run, log.vehicles, log.links) == ({}, [], [])
+
+
+def test_a_scenario_that_cannot_be_used_here(run: Path) -> None:
+    log = fleet.open_log(run)
+    log.scenario_text = "name: x\ncontroller: gone:Law\n"
+    with pytest.raises(ScenarioError):
+        _ = log.scenario
+
+
+@pytest.mark.parametrize("content", [b"", b"no log"])
+def test_no_log(content: bytes, tmp_path: Path) -> None:
+    (tmp_path / "x.mcap").write_bytes(content)
+    with pytest.raises(LogReadError):
+        fleet.open_log(tmp_path / "x.mcap")
+    with pytest.raises(LogReadError):
+        fleet.open_log(tmp_path)
+
+
+def test_importing_the_package_is_light() -> None:
+    code = "import sys, fleet; print([m for m in ('numpy', 'google.protobuf', 'mcap', 'zenoh') if m in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == "[]\n"
+    with pytest.raises(AttributeError, match="no attribute 'swim'"):
+        _ = fleet.swim  # type: ignore[attr-defined]
+
+
+def test_example_of_the_page(run: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """The worked example of docs/guide/logs.md, as it stands there, on a run of this test."""
+    page = (ROOT / "docs" / "guide" / "logs.md").read_text("utf-8")
+    blocks = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
+    assert len(blocks) >= 4
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "runs").mkdir()
+    (tmp_path / "runs" / "latest").symlink_to(run)
+    names: dict[str, Any] = {}
+    for block in blocks:
+        exec(block, names)
+    assert isinstance(names["log"], fleet.Log)
+    assert (tmp_path / "errors.png").exists()

@@ -1,0 +1,561 @@
+"""Pictures, tables and reports of logs: what is on the axes, in the files and on the page; no pixel is compared."""
+
+from __future__ import annotations
+
+import csv
+import errno
+import importlib.util
+import json
+import re
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from repository import ROOT
+
+import fleet
+from fleet.cli.logs import KINDS
+from fleet.cli.main import cli
+from fleet.logs.export import ExportError, columns, export
+from fleet.logs.open_log import FaultInterval
+from fleet.pictures import exchange, signals
+from fleet.pictures.axes import shade
+from fleet.pictures.gallery import PER_RUN, WHAT, draw
+from fleet.pictures.report import ReportError, _from_log, page
+from fleet.pictures.report import write as write_report
+from fleet.pictures.report_tables import links_table
+from fleet.pictures.runs import Look, NothingToDraw, Run, load, with_gaps
+from fleet.pictures.style import panels, plain_decades
+from fleet.run.execute import Options, execute
+from fleet.scenario.loading import load_scenario
+from netem.causes import CAUSES, DELIVERED, IN_FLIGHT
+
+
+def logged(out: Path, name: str, *overrides: str) -> Path:
+    return execute(load_scenario(name, ["checks={}", *overrides]), Options(out, in_process=True, quiet=True)).directory
+
+
+@pytest.fixture(scope="module")
+def directories(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """Short runs, each with something that a picture must cope with."""
+    out = tmp_path_factory.mktemp("runs")
+    faults = "faults=[{at: 1 s, for: 1 s, id: crash, kill: 2}, {at: 2500 ms, for: 200 ms, id: cut, partition: halves}]"
+    links = "network.links={'*': delay 30ms loss 20% corrupt 10% duplicate 10%}"
+    found = {
+        "faulty": logged(out, "paper", "duration=4 s", faults, links, "name=faulty"),
+        "one": logged(out, "paper", "duration=1 s", "vehicles=1", "name=one", "graph={shape: path, reference: all}",
+                      "initial={scatter: 1 m, around: reference}"),
+        "ideal": logged(out, "ideal", "duration=1 s", "log={every: 10 ticks}"),
+        "acoustic": logged(out, "acoustic-80bps", "duration=20 s", "log={every: 50 ticks}"),
+        "twenty": logged(out, "paper", "vehicles=20", "duration=1 s", "log={every: 20 ticks}", "name=twenty"),
+        "mixed": logged(out, str(LAW), "duration=500 ms", "per_vehicle={'1,2,4': {controller: nboc}}", "name=mixed"),
+    }  # fmt: skip
+    whole = (found["faulty"] / "run.mcap").read_bytes()
+    found["cut"] = out / "cut"
+    found["cut"].mkdir()
+    (found["cut"] / "run.mcap").write_bytes(whole[: len(whole) * 2 // 3])
+    return found
+
+
+@pytest.fixture(scope="module")
+def runs(directories: dict[str, Path]) -> dict[str, Run]:
+    return {name: load([path])[0] for name, path in directories.items()}
+
+
+ALL = Look()
+LAW = ROOT / "docs" / "examples" / "leader_follower.yaml"  # a controller of a user's, who reports what he likes
+
+
+def pictures(run: Run | list[Run], what: list[str], look: Look = ALL) -> dict[str, Figure | str]:
+    return {name: figure for name, _, figure in draw(what, run if isinstance(run, list) else [run], look)}
+
+
+def figure_of(run: Run | list[Run], what: str, name: str, look: Look = ALL) -> Figure:
+    figure = pictures(run, [what], look)[name]
+    assert isinstance(figure, Figure), figure
+    return figure
+
+
+def lines(ax: Axes, gid: str) -> list[Any]:
+    return [line for line in ax.get_lines() if re.fullmatch(gid, str(line.get_gid() or ""))]
+
+
+def labels(figure: Figure) -> list[str]:
+    return [label for ax in figure.axes for label in (ax.get_xlabel(), ax.get_ylabel()) if label]
+
+
+RUNS = ("faulty", "one", "ideal", "acoustic", "twenty", "mixed", "cut")
+
+
+@pytest.mark.parametrize("name", RUNS)
+def test_every_picture_of_every_run(name: str, runs: dict[str, Run]) -> None:
+    """Drawn, or a sentence; every axis has a unit; a text is never cut off by the picture's edge."""
+    for picture, figure in pictures(runs[name], list(WHAT)).items():
+        if isinstance(figure, str):
+            assert name == "one" and picture in ("links", "messages", "ages"), (picture, figure)
+            continue
+        if name in ("faulty", "one", "twenty"):  # the others only differ in what is on the axes
+            figure.draw_without_rendering()
+        for label in labels(figure):
+            assert re.search(r"\[[^]]+\]|^link|^vehicle|^UUV", label), (picture, label)
+        if picture != "track-3d" and name in ("faulty", "twenty"):
+            width, height = figure.get_size_inches()
+            assert width == 3.5
+            box = figure.get_tightbbox()
+            assert box.x0 > -0.05 and box.y0 > -0.05 and box.x1 < width + 0.05 and box.y1 < height + 0.05, picture
+
+
+@pytest.mark.parametrize("kind", [kind for kind in WHAT if kind not in ("track", "timing")])
+def test_faults_are_shaded_and_named_on_every_time_axis(kind: str, runs: dict[str, Run]) -> None:
+    for name, figure in pictures(runs["faulty"], [kind], Look(window=(0.0, 4.0))).items():
+        assert isinstance(figure, Figure)
+        timed = [ax for ax in figure.axes if ax.get_subplotspec() is not None and ax.get_label() != "<colorbar>"]
+        for ax in timed:
+            shaded = {str(patch.get_gid()): patch for patch in ax.patches if str(patch.get_gid()).startswith("fault-")}
+            assert set(shaded) == {"fault-crash", "fault-cut", "fault-tumbled-2"}, name  # 2 is without an agent
+            assert shaded["fault-tumbled-2"].get_facecolor()[0] > shaded["fault-crash"].get_facecolor()[0]  # in red
+            extent = shaded["fault-crash"].get_extents().transformed(ax.transData.inverted())
+            assert (extent.x0, extent.x1) == pytest.approx((1.0, 2.0))
+        named = [text.get_text() for text in timed[0].texts if text.get_gid() == "fault-name"]
+        assert named == ["crash", "tumbled 2", "cut"]
+        assert timed[-1].get_xlabel().startswith("time [s]")
+
+
+def test_a_line_per_vehicle_that_breaks_where_the_agent_is_dead(runs: dict[str, Run]) -> None:
+    figure = figure_of(runs["faulty"], "inputs", "inputs")
+    assert [len(lines(ax, r"faulty-vehicle-\d+")) for ax in figure.axes] == [4, 4, 4]
+    (dead,) = lines(figure.axes[0], "faulty-vehicle-2")
+    t, values = dead.get_xdata(), dead.get_ydata()
+    assert np.isnan(values).sum() == 1
+    gap = int(np.flatnonzero(np.isnan(t))[0])
+    assert t[gap - 1] < 1.02 and t[gap + 1] >= 2.0
+    assert [len(lines(ax, "bound")) for ax in figure.axes] == [2, 2, 2]
+    assert [line.get_ydata()[0] for line in lines(figure.axes[0], "bound")] == [-20.0, 20.0]
+
+
+def test_heavy_where_a_command_is_at_its_limit(runs: dict[str, Run]) -> None:
+    figure = figure_of(runs["faulty"], "inputs", "inputs")
+    drawn = [line for ax in figure.axes for line in lines(ax, "saturated")]
+    assert drawn
+    assert all(np.nanmin(np.abs(line.get_ydata())) == pytest.approx(20.0) for line in drawn)
+    assert "heavy: the command is at a limit" in figure.axes[-1].get_xlabel()
+
+
+def test_bounds_of_what_the_optimisation_keeps(runs: dict[str, Run]) -> None:
+    figure = figure_of(runs["faulty"], "commands", "commands")
+    guidance = runs["faulty"].log.scenario.controls[0].guidance
+    low, high = guidance.rho_lo, guidance.rho_hi
+    for k, ax in enumerate(figure.axes[:3]):
+        found = {float(line.get_ydata()[0]) for line in lines(ax, "bound")}
+        assert found <= {low[k], high[k]}
+        for value in {low[k], high[k]} - found:
+            assert f"{value:g}" in figure.axes[-1].get_xlabel()
+        assert all(ax.get_ylim()[0] < value < ax.get_ylim()[1] for value in found)
+
+
+def test_logarithmic_errors(runs: dict[str, Run]) -> None:
+    assert figure_of(runs["faulty"], "error", "error").axes[0].get_yscale() == "linear"
+    figure = figure_of(runs["faulty"], "error", "error", Look(log_scale=True))
+    assert figure.axes[0].get_yscale() == "log"
+    velocity = figure_of(runs["faulty"], "velocity", "velocity", Look(log_scale=True))
+    assert all(np.nanmin(line.get_ydata()) >= 0 for ax in velocity.axes for line in lines(ax, ".*vehicle.*"))
+
+
+def test_twenty_vehicles_have_a_scale_of_colours(runs: dict[str, Run]) -> None:
+    figure = figure_of(runs["twenty"], "error", "error")
+    assert not figure.legends
+    assert len({line.get_color() for line in lines(figure.axes[0], ".*vehicle.*")}) == 20
+    some = figure_of(runs["twenty"], "error", "error", Look(vehicles=(3, 7)))
+    assert [text.get_text() for text in some.legends[0].get_texts()] == ["UUV 3", "UUV 7"]
+
+
+def test_two_runs_on_one_axis(directories: dict[str, Path]) -> None:
+    both = load([directories["faulty"], directories["mixed"]])
+    figure = figure_of(both, "error", "error")
+    (ax,) = figure.axes
+    assert [text.get_text() for text in figure.legends[0].get_texts()] == ["faulty", "mixed"]
+    assert len({line.get_color() for line in lines(ax, ".*vehicle.*")}) == 2
+    assert [text.get_text() for text in ax.texts][:1] == ["crash (faulty)"]
+    assert set(pictures(both, ["links", "ages"])) == {"links-faulty", "links-mixed", "ages"}
+    same = load([directories["faulty"], directories["faulty"]])
+    assert len({run.label for run in same}) == 2
+
+
+def test_what_is_missing_is_said(runs: dict[str, Run]) -> None:
+    """A controller that reports other signals, a log without links, one that was cut, one that is not ours."""
+    figure = figure_of(runs["mixed"], "gains", "gains")
+    assert "not reported by UUV 3" in figure.axes[-1].get_xlabel()
+    own = pictures(runs["mixed"], ["gains", "velocity", "commands", "inputs"], Look(vehicles=(3,)))
+    assert own["gains"] == "no vehicle reports it: K is a signal of the guidance laws that ship"
+    assert "laws that ship" in str(own["velocity"]) and "laws that ship" in str(own["commands"])
+    assert isinstance(own["inputs"], Figure)
+    assert pictures(runs["mixed"], ["error"], Look(vehicles=(9,)))["error"] == "the log has no such vehicle"
+    assert pictures(runs["one"], ["links"])["links"] == "the log has no links"
+    cut = figure_of(runs["cut"], "error", "error")
+    assert f"the log is not whole, it ends at {runs['cut'].log.end:g} s" in cut.axes[0].get_xlabel()
+    foreign = Run(fleet.open_log(runs["faulty"].log.path, ["uuv/*/state"]), "x")
+    foreign.log.run = {}
+    foreign.log.scenario_text = ""
+    found = pictures(foreign, ["ages", "gains", "track"])
+    assert isinstance(found["track"], Figure)
+    assert "not a log of uuv-fleet" in str(found["ages"])
+    assert foreign.notes and "no limits and bounds" in foreign.notes[0]
+
+
+def test_gaps() -> None:
+    t, values = with_gaps(np.array([0.0, 1.0, 2.0, 5.0, 6.0]), np.arange(5.0).reshape(5, 1))
+    assert np.isnan(t[3]) and np.isnan(values[3, 0]) and len(t) == 6
+    t, _ = with_gaps(np.array([0.0, 1.0, 2.0, 2.5]), np.zeros((4, 1)))  # the state at the end is always logged
+    assert not np.isnan(t).any()
+
+
+def test_track_has_east_to_the_right_and_north_up(runs: dict[str, Run]) -> None:
+    figure = figure_of(runs["faulty"], "track", "track")
+    (ax,) = figure.axes
+    state = runs["faulty"].log["uuv/1/state"]
+    (line,) = lines(ax, "vehicle-1")
+    assert (line.get_xdata() == state.y).all() and (line.get_ydata() == state.x).all()
+    assert ax.get_xlabel() == "east [m]" and ax.get_ylabel() == "north [m]"
+    assert ax.get_aspect() == 1.0
+    assert lines(ax, "reference") and len(lines(ax, "formation")) == 5 * 3
+    space: Any = figure_of(runs["faulty"], "track", "track-3d").axes[0]
+    low, high = space.get_zlim()
+    assert low > high  # depth grows downwards
+
+
+def test_each_packet_is_a_mark_of_its_fate(runs: dict[str, Run]) -> None:
+    (ax,) = figure_of(runs["faulty"], "links", "links").axes
+    shown = {line.get_gid(): len(line.get_xdata()) for line in lines(ax, "fate-.*")}
+    log = runs["faulty"].log
+    told: dict[str, int] = {}
+    for a, b in log.links:
+        link = log[f"link/{a}-{b}"]
+        for fate, corrupted in zip(link.fate, link.corrupted, strict=True):
+            name = "corrupted" if corrupted and fate == DELIVERED else fate
+            told[f"fate-{name}"] = told.get(f"fate-{name}", 0) + 1
+    assert shown == told
+    assert {"fate-loss", "fate-partition", "fate-dead receiver", "fate-corrupted"} <= set(shown)
+    assert [label.get_text() for label in ax.get_yticklabels()][:2] == ["1→2", "2→1"]
+
+
+def test_every_fate_has_a_mark_of_its_own() -> None:
+    assert set(exchange.FATES) == {DELIVERED, IN_FLIGHT, exchange.CORRUPTED, *CAUSES}
+    assert len({mark for mark, _ in exchange.FATES.values()}) == len(exchange.FATES)
+
+
+def test_messages_in_space_and_time(runs: dict[str, Run]) -> None:
+    (ax,) = figure_of(runs["faulty"], "messages", "messages", Look(window=(0.8, 1.4))).axes
+    assert ax.get_xlim() == (0.8, 1.4)
+    assert [label.get_text() for label in ax.get_yticklabels()] == ["UUV 1", "UUV 2", "UUV 3", "UUV 4"]
+    drawn = {collection.get_gid(): collection for collection in ax.collections}
+    for begin, end in drawn["fate-delivered"].get_segments():
+        assert abs(end[1] - begin[1]) == 1.0  # neighbours on the path
+        assert end[0] - begin[0] >= 0.03 - 1e-9  # the delay
+    assert lines(ax, "absent-2") and not lines(ax, "absent-1")
+    late = pictures(runs["faulty"], ["messages"], Look(window=(90.0, 91.0)))["messages"]
+    assert late == "no message was under way from 90 to 91 s"
+
+
+@pytest.mark.parametrize("name", ["faulty", "acoustic", "twenty"])
+def test_ages_are_those_of_the_result(name: str, runs: dict[str, Run], directories: dict[str, Path]) -> None:
+    """An oracle: `netem.ages` counts them in closed form while the run goes on."""
+    run = runs[name]
+    result = json.loads((directories[name] / "result.json").read_text())["ages"]
+    ticks = round(run.log.end / run.tick_s) + 1
+    ticks = min(ticks, int(run.log.run["ticks"]))
+    for link in run.log.links:
+        ages = exchange.peak_ages(run, link, (np.arange(ticks + 1) - 0.5) * run.tick_s)
+        told = result[f"{link[0]}->{link[1]}"]
+        assert (ages.mean(), ages.max()) == pytest.approx((told["mean_s"], told["max_s"]))
+
+
+def test_ledger_from_the_log_is_that_of_the_result(runs: dict[str, Run], directories: dict[str, Path]) -> None:
+    result = json.loads((directories["faulty"] / "result.json").read_text())
+    ledger, ages = _from_log(runs["faulty"])
+    assert ages == result["ages"]
+    for link, account in ledger.items():
+        told = result["ledger"][link]
+        for key in ("sent", "duplicated", "delivered", "in_flight"):
+            assert account[key] == told[key], (link, key)
+        assert account["lost"] == {cause: count for cause, count in told["lost"].items() if count}
+
+
+def test_what_can_be_asked_for_is_what_there_is() -> None:
+    assert tuple(WHAT) == KINDS
+    assert set(WHAT) >= PER_RUN
+    assert NothingToDraw and signals.FORCES
+
+
+# --- tables ----------------------------------------------------------------
+
+
+def test_csv_reads_back_to_the_same_numbers(directories: dict[str, Path], tmp_path: Path) -> None:
+    log = fleet.open_log(directories["faulty"])
+    paths = export(log, tmp_path / "t", "csv")
+    assert {path.name for path in paths} == {path.name for path in (tmp_path / "t").iterdir()}
+    index = json.loads((tmp_path / "t" / "export.json").read_text())
+    assert (index["run"]["scenario"], index["missing"]) == ("faulty", "")
+    drawn = {"transforms", "scene"}
+    assert index["left_out"].keys() == drawn
+    assert {table["topic"] for table in index["tables"].values()} == {name for name in log if len(log[name])} - drawn
+    for name, table in index["tables"].items():
+        with (tmp_path / "t" / name).open(newline="") as file:
+            heading, *rows = csv.reader(file)
+        expected = columns(log[table["topic"]])
+        assert heading == [column.heading for column in expected]
+        assert len(rows) == table["rows"]
+        for column, read in zip(expected, zip(*rows, strict=True), strict=True):
+            if column.values.dtype == np.float64:
+                assert np.array_equal(np.array(read, float), column.values, equal_nan=True)
+            elif column.name == "payload":
+                assert [bytes.fromhex(text) for text in read] == column.values.tolist()
+            else:
+                assert list(read) == [str(value) for value in column.values.tolist()]
+
+
+def test_units_of_vectors_go_to_their_components(directories: dict[str, Path]) -> None:
+    log = fleet.open_log(directories["faulty"])
+    found = [column.heading for column in columns(log["uuv/1/command"])]
+    assert found[:4] == ["t [s]", "tau_0 [N]", "tau_1 [N m]", "tau_2 [N m]"]
+    assert [column.heading for column in columns(log["uuv/1/pose"])][1:4] == [
+        "timestamp", "frame_id", "pose.position_0 [m]",
+    ]  # fmt: skip
+
+
+def test_export_replaces_nothing_unless_told(directories: dict[str, Path], tmp_path: Path) -> None:
+    arguments = ["export", str(directories["one"]), "--csv", str(tmp_path), "--topics", "uuv/*/state"]
+    first = CliRunner().invoke(cli, arguments)
+    assert (first.exit_code, first.stderr) == (0, "")
+    assert first.stdout.split() == [str(tmp_path / "uuv-1-state.csv"), str(tmp_path / "export.json")]
+    (tmp_path / "uuv-1-state.csv").write_text("mine")
+    again = CliRunner().invoke(cli, arguments)
+    assert again.exit_code == 2
+    assert "already holds uuv-1-state.csv" in again.stderr
+    assert (tmp_path / "uuv-1-state.csv").read_text() == "mine"
+    assert CliRunner().invoke(cli, [*arguments, "--force"]).exit_code == 0
+    assert (tmp_path / "uuv-1-state.csv").read_text().startswith("t [s],x [m],")
+
+
+def test_export_says_what_it_needs(directories: dict[str, Path], tmp_path: Path) -> None:
+    log = str(directories["cut"])
+    assert "--csv DIR, --parquet DIR" in CliRunner().invoke(cli, ["export", log]).stderr
+    nothing = CliRunner().invoke(cli, ["export", log, "--csv", str(tmp_path), "--topics", "nobody"])
+    assert (nothing.exit_code, "no topic" in nothing.stderr) == (2, True)
+    cut = CliRunner().invoke(cli, ["export", log, "--csv", str(tmp_path / "t"), "--topics", "faults"])
+    assert cut.exit_code == 0
+    assert "the file is cut" in cut.stderr
+    (tmp_path / "file").write_text("")
+    into = CliRunner().invoke(cli, ["export", log, "--csv", str(tmp_path / "file" / "x")])
+    assert (into.exit_code, "cannot write to" in into.stderr) == (2, True)
+
+
+@pytest.mark.skipif(importlib.util.find_spec("pyarrow") is not None, reason="pyarrow is installed")
+def test_parquet_names_what_to_install(directories: dict[str, Path], tmp_path: Path) -> None:
+    with pytest.raises(ExportError, match=r"pip install 'uuv-fleet\[parquet\]'"):
+        export(fleet.open_log(directories["one"]), tmp_path, "parquet")
+
+
+def test_parquet_reads_back(directories: dict[str, Path], tmp_path: Path) -> None:
+    parquet = pytest.importorskip("pyarrow.parquet")
+    log = fleet.open_log(directories["faulty"])
+    export(log, tmp_path, "parquet")
+    table = parquet.read_table(tmp_path / "uuv-1-command.parquet")
+    assert table["tau_0"].to_pylist() == log["uuv/1/command"].tau[:, 0].tolist()
+    assert table.schema.field("tau_1").metadata[b"unit"] == b"N m"
+    link = parquet.read_table(tmp_path / "link-1-2.parquet")
+    assert link["payload"].to_pylist() == log["link/1-2"].payload.tolist()
+    assert link["fate"].to_pylist() == log["link/1-2"].fate.tolist()
+
+
+# --- the command -----------------------------------------------------------
+
+
+def test_plot_command(directories: dict[str, Path], tmp_path: Path) -> None:
+    what = ["--what", "error,links", "--format", "png,svg,pdf"]
+    arguments = ["plot", str(directories["faulty"]), "-o", str(tmp_path), *what]
+    result = CliRunner().invoke(cli, arguments, catch_exceptions=False)
+    said = [line for line in result.stderr.splitlines() if not line.startswith(("reading: ", "drawing: "))]
+    assert (result.exit_code, said) == (0, [])
+    assert result.stdout.split() == [
+        str(tmp_path / f"{name}.{form}") for name in ("error", "formation", "links") for form in ("png", "svg", "pdf")
+    ]
+    assert (tmp_path / "error.pdf").read_bytes().startswith(b"%PDF")
+    before = (tmp_path / "error.svg").read_bytes()
+    CliRunner().invoke(cli, arguments)
+    assert (tmp_path / "error.svg").read_bytes() == before
+
+
+def test_plot_beside_the_log_and_of_a_cut_one(directories: dict[str, Path]) -> None:
+    cut = CliRunner().invoke(cli, ["plot", str(directories["cut"]), "--what", "gains", "--vehicles", "1,3-4"])
+    assert cut.exit_code == 0
+    assert cut.stdout.strip() == str(directories["cut"] / "plots" / "gains.png")
+    assert "the file is cut" in cut.stderr
+    none = CliRunner().invoke(cli, ["plot", str(directories["one"]), "--what", "links"])
+    assert (none.exit_code, none.stdout) == (1, "")
+    assert "links: not drawn: the log has no links" in none.stderr
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["--what", "eror"], 'did you mean "error"'),
+        (["--format", "gif"], "'gif' is none of them"),
+        (["--window", "20s"], "expected two times such as 20s..40s"),
+        (["--window", "5s..1s"], "the earlier first"),
+        (["--window", "1..2"], "without a unit"),
+        (["--vehicles", "x"], "--vehicles"),
+        (["--vehicles", "1,9"], "there is no vehicle 9: they are 1"),
+        (["--window", "90s..91s"], "the log ends at 1 s"),
+        (["--compare", "nowhere.mcap"], "cannot read nowhere.mcap"),
+        (["-o", "/dev/null/x"], "cannot write pictures"),
+    ],
+)
+def test_plot_refuses_what_it_does_not_understand(
+    arguments: list[str], said: str, directories: dict[str, Path]
+) -> None:
+    result = CliRunner().invoke(cli, ["plot", str(directories["one"]), "--what", "error", *arguments])
+    assert result.exit_code == 2
+    assert said in result.stderr
+    assert "Traceback" not in result.stderr
+
+
+# --- the report ------------------------------------------------------------
+
+
+class Page(HTMLParser):
+    """What a page would load, its words, and whether its elements close."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.loads: list[str] = []
+        self.words: list[str] = []
+        self.pictures = 0
+        self._open: list[str] = []
+        self.feed(text)
+        assert self._open == []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        if tag not in ("meta", "img", "br", "link"):
+            self._open.append(tag)
+        for name, value in attrs:
+            if name in ("src", "href", "data", "srcset", "action"):
+                self.loads.append(str(value))
+        self.pictures += tag == "img"
+        assert tag not in ("script", "link", "iframe", "object")
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self._open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        self.words.append(data)
+
+
+def test_report_is_one_file_that_loads_nothing(directories: dict[str, Path], tmp_path: Path) -> None:
+    out = tmp_path / "r.html"
+    result = CliRunner().invoke(cli, ["report", str(directories["faulty"]), "-o", str(out)], catch_exceptions=False)
+    said = [line for line in result.stderr.splitlines() if not line.endswith(" %")]  # progress of a slow machine
+    assert (result.exit_code, result.stdout, said) == (0, f"{out}\n", [])
+    text = out.read_text("utf-8")
+    found = Page(text)
+    assert all(load.startswith("data:image/png;base64,") for load in found.loads)
+    assert "http" not in re.sub(r'src="data:[^"]*"', "", text)
+    assert "url(" not in text and "@import" not in text
+    assert found.pictures == sum(len(some) for kind, some in WHAT.items() if kind != "timing")  # of a wall clock
+    words = " ".join(found.words)
+    values = json.loads((directories["faulty"] / "result.json").read_text())
+    assert values["digest"] in words
+    for word in ("crash", "partition halves", "lost: dead receiver", "fleet run again.yaml", "piqp", "name: faulty"):
+        assert word in words
+    assert "tumbled FAIL" in words
+
+
+@pytest.fixture
+def few(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Reports with few pictures, which take most of the time."""
+    monkeypatch.setattr("fleet.pictures.report.WHAT", {key: WHAT[key] for key in ("gains", "ages")})
+
+
+@pytest.mark.usefixtures("few")
+def test_report_says_what_is_missing(directories: dict[str, Path], tmp_path: Path) -> None:
+    words = " ".join(Page(page([*load([directories["cut"]])], Look())).words)
+    assert "There is no result.json beside this log" in words
+    assert "The log is not whole" in words
+    assert "from the log" in words
+    other = tmp_path / "other"
+    other.mkdir()
+    (other / "run.mcap").write_bytes((directories["mixed"] / "run.mcap").read_bytes())
+    (other / "result.json").write_bytes((directories["faulty"] / "result.json").read_bytes())
+    assert "is of another log" in " ".join(Page(page(load([other]), Look())).words)
+    (other / "result.json").write_text("{")
+    assert "result.json is damaged: not JSON" in " ".join(Page(page(load([other]), Look())).words)
+
+
+def test_a_report_that_finds_no_room_leaves_nothing(
+    directories: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("fleet.pictures.report.page", full)
+    with pytest.raises(ReportError, match="No space left"):
+        write_report(tmp_path / "r.html", load([directories["one"]]), Look())
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_tables_of_a_report() -> None:
+    """Columns that hold nothing are left out, and what was replaced is not called lost."""
+    account = {"sent": 9, "duplicated": 0, "delivered": 2, "in_flight": 0, "corrupted": 0}
+    page = Page(links_table({"1->2": account | {"lost": {"snr": 1, "replaced": 6}}}, {}))
+    words = [word for word in page.words if word.strip()]
+    headings = ["link", "sent", "delivered", "replaced", "lost: snr", "mean age [s]", "95 % [s]", "max [s]"]
+    assert words[: words.index("all")] == headings
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "shown"), [(0.15, 5.5, "0.2 0.5 1 2 5"), (0.02, 30.0, "0.1 1 10"), (1e-6, 9.0, None)]
+)
+def test_ticks_of_a_logarithmic_axis(low: float, high: float, shown: str | None) -> None:
+    """Plain numbers over few decades, powers of ten over many."""
+    figure, (ax,) = panels(1, 1)
+    ax.set_yscale("log")
+    ax.set_ylim(low, high)
+    plain_decades(ax.yaxis)
+    figure.canvas.draw()
+    inside = [t.label1.get_text() for t in ax.yaxis.get_major_ticks() if low <= t.get_loc() <= high]
+    assert " ".join(inside) == shown if shown else all("10^" in text for text in inside)
+
+
+def test_names_of_faults_that_find_no_room_are_shortened() -> None:
+    many = [FaultInterval(f"f{n} (one run, another)", float(n), n + 0.5, "kill 1") for n in range(10)]
+    _, (ax,) = panels(1, 1)
+    ax.set_xlim(0.0, 100.0)
+    shade([ax], many)
+    assert [text.get_text() for text in ax.texts] == [f"f{n}" for n in range(10)]
+
+
+@pytest.mark.usefixtures("few")
+def test_report_of_two_runs_with_verdicts_and_names_that_are_html(tmp_path: Path) -> None:
+    first = execute(
+        load_scenario("ideal", ["duration=500 ms", "checks={formation_error: {below: 1 mm}}", 'title="<b>&</b>"']),
+        Options(tmp_path, in_process=True, quiet=True),
+    ).directory
+    second = logged(tmp_path, "ideal", "duration=300 ms")
+    both = load([first, second])
+    text = page(both, Look(log_scale=True))
+    found = Page(text)
+    assert "&lt;b&gt;&amp;&lt;/b&gt;" in text
+    assert "FAIL" in found.words and "check failed" in " ".join(found.words)
+    assert "The runs together" in found.words
+    assert [w for w in found.words if w in ("checks passed", "3 of 4", "never")][:2] == ["checks passed", "3 of 4"]
+    assert len({run.label for run in both}) == 2
+
+
+def test_report_refuses_a_place_that_cannot_be_written(directories: dict[str, Path]) -> None:
+    result = CliRunner().invoke(cli, ["report", str(directories["one"]), "-o", "/dev/null/x.html"])
+    assert result.exit_code == 2
+    assert "cannot write /dev/null/x.html" in result.stderr

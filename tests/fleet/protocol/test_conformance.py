@@ -1,0 +1,174 @@
+"""`fleet protocol check` and the agent in docs/examples, which is written with zenoh and msgpack alone.
+
+The example passes every check and completes a real run as an external vehicle. Each way of breaking it fails the check
+that is about that, and no agent can make the check hang.
+"""
+
+from __future__ import annotations
+
+import ast
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+from live import LiveRun
+from repository import ROOT
+from waiting import wait_for
+
+from fleet.cli.main import cli
+from fleet.protocol import conformance
+from fleet.protocol.conformance import CHECKS, Check, ConformanceError, Examination
+from fleet.repeat.verify import describe, verify
+from fleet.scenario.loading import load_scenario
+
+EXAMPLE = ROOT / "docs" / "examples" / "foreign_agent.py"
+SOURCE = EXAMPLE.read_text("utf-8")
+LIMIT_S = 30.0
+
+
+def start(*arguments: str) -> subprocess.Popen[str]:
+    """A Python process that does not find this project's packages, unless they are asked for."""
+    environment = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
+    return subprocess.Popen(
+        [sys.executable, *arguments],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        env=environment,
+    )
+
+
+def examine(file: Path, *agent: str) -> dict[str, Check]:
+    """The verdicts on an agent that is started once the join file is there."""
+    started: list[subprocess.Popen[str]] = []
+    try:
+        examination = Examination(load_scenario("paper"), 3, file)
+        found = examination.run(LIMIT_S, lambda _: started.append(start(*agent, str(file))))
+    finally:
+        for process in started:
+            process.kill()
+            print(process.communicate()[0])
+    assert not file.exists()
+    assert [check.what for check in found] == list(CHECKS)
+    return {check.what: check for check in found}
+
+
+def test_the_example_needs_nothing_of_ours_and_is_short() -> None:
+    imported = {
+        name.split(".")[0]
+        for node in ast.walk(ast.parse(SOURCE))
+        if isinstance(node, ast.Import | ast.ImportFrom)
+        for name in ([node.module or ""] if isinstance(node, ast.ImportFrom) else [alias.name for alias in node.names])
+    }
+    assert imported - set(sys.stdlib_module_names) == {"zenoh", "msgpack"}
+    assert len(SOURCE.splitlines()) < 100
+
+
+def test_the_example_and_our_agent_pass(tmp_path: Path) -> None:
+    for agent in ([str(EXAMPLE)], ["-m", "fleet", "agent", "--join"]):
+        found = examine(tmp_path / "join-3.json", *agent)
+        assert [str(check) for check in found.values() if not check.passed] == []
+
+
+# What is changed in the example, and the check that must notice.
+BROKEN = {
+    "answers before its inbox is there": ("nav[0] <= known", "True", conformance.LATE),
+    "takes a part for the whole": ("known if more else until", "until", conformance.PARTS),
+    "sends nothing": ('if tick % own["round_ticks"] == 0:', "if False:", conformance.TRANSMITS),
+    "sends at every tick": ('if tick % own["round_ticks"] == 0:', "if True:", conformance.TRANSMITS),
+    "transmits after its command": (
+        "        if tick %",
+        '        cmd(msgpack.packb(["cmd", life, tick, tau, []]))\n        if tick %',
+        conformance.TRANSMITS,
+    ),
+    "answers twice": (
+        "        nav = None",
+        '        nav = None\n        cmd(msgpack.packb(["cmd", life, tick, tau, []]))',
+        conformance.UNASKED,
+    ),
+    "does not look for damage": (
+        'if len(data) == 63 and zlib.crc32(data[:-4]) == int.from_bytes(data[-4:], "little"):',
+        "if True:",
+        conformance.DAMAGED,
+    ),
+    "dies of junk": ("    except Exception as error:", "    except ImportError as error:", conformance.MALFORMED),
+    "answers for an earlier life": ("fields[0] == life and", "", conformance.EARLIER),
+    "says hello without end": ("in (cmd, tx):", "in (cmd, tx) * 100:", conformance.HELLO),
+    "is of another life": ('told["incarnation"]', "0", conformance.HELLO),
+    "commands one number less": ("tau, velocity = law", "(*tau, _), velocity = law", conformance.FORM),
+    "commands a life that it has not": ('["cmd", life,', '["cmd", life + 1,', conformance.COMMANDS),
+    "has no token": ("token = session.liveliness", "token = lambda *_: session.liveliness", conformance.TOKEN),
+    "does not see the echoes": ('{"world", "netem"}:', '{"somebody else"}:', conformance.READY),
+    "stays": ("session.close()\nprint", "import time; time.sleep(100)\nprint", conformance.ENDS),
+}
+
+
+@pytest.mark.parametrize("how", BROKEN)
+def test_a_broken_agent_fails_the_right_check(how: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(conformance, "ANSWER_S", 0.5)  # for those that never answer
+    monkeypatch.setattr(conformance, "SILENCE_S", 0.1)
+    before, after, blamed = BROKEN[how]
+    assert before in SOURCE
+    program = tmp_path / "broken.py"
+    program.write_text(SOURCE.replace(before, after), "utf-8")
+    found = examine(tmp_path / "join-3.json", str(program))
+    failed = [check for check in found.values() if check.passed is False]
+    assert blamed in [check.what for check in failed], failed
+    assert all(check.expected and check.got for check in failed)
+
+
+def test_what_the_check_needs(tmp_path: Path) -> None:
+    """Nobody comes; no such vehicle; a file that is in the way."""
+    file = tmp_path / "join-3.json"
+    with pytest.raises(ConformanceError, match=r"^nobody came within 0\.05 s"):
+        Examination(load_scenario("paper"), 3, file).run(0.05, lambda _: None)
+    assert not file.exists()
+    result = CliRunner().invoke(cli, ["protocol", "check", "--id", "9"])
+    assert (result.exit_code, "there is no vehicle 9 in paper: they are 1 to 4" in result.output) == (2, True)
+    file.touch()
+    result = CliRunner().invoke(cli, ["protocol", "check", "--id", "3", "--join-file", str(file)])
+    assert (result.exit_code, "is there already" in result.output) == (2, True)
+
+
+def test_the_example_completes_a_run(tmp_path: Path) -> None:
+    """A fleet with a stranger in it: it forms, every packet is accounted for, and its topics without telemetry stay
+    empty."""
+    arguments = ["--set", "per_vehicle={3: {external: true}}", "--duration", "12 s"]
+    arguments += ["--set", "checks={formation_error: {below: 3 m, after: 10 s}, ledger: balanced}"]
+    with LiveRun(tmp_path / "runs", "paper", *arguments, "--set", "log={every: 10 ticks, command: 1 tick}") as run:
+        path = run.out / "latest" / "join-3.json"
+        wait_for(lambda: run.over or path.exists(), LIMIT_S, "the join file")
+        process = start(str(EXAMPLE), str(path))
+        said, _ = process.communicate(timeout=LIMIT_S)
+        assert (process.returncode, said) == (0, "the run is over\n")
+        assert run.status() == 0, run.printed
+        result = json.loads((run.directory / "result.json").read_text())
+        assert (result["rejected"], result["notes"]) == ({}, [])
+        assert result["vehicles"]["3"]["u_cmd_max_mps"] is None
+        found = verify(run.log)
+        assert (found.reproduced, found.external) == (True, (3,)), describe(found)
+
+
+def test_the_example_takes_part_on_a_wall_clock_and_leaves_on_ctrl_c(tmp_path: Path) -> None:
+    arguments = ["--set", "per_vehicle={3: {external: true}}", "--duration", "8 s", "--max-missed", "1"]
+    checks = "checks={tumbled: waived, deaths: {at_most: 1}}"  # its own
+    arguments += ["--set", checks, "--clock", "real", "--speed", "2", "--set", "on_death=continue"]
+    with LiveRun(tmp_path / "runs", "paper", *arguments) as run:
+        path = run.out / "latest" / "join-3.json"
+        wait_for(lambda: run.over or path.exists(), LIMIT_S, "the join file")
+        process = start(str(EXAMPLE), str(path))
+        run.until_running(3.0)
+        process.send_signal(signal.SIGINT)
+        process.communicate(timeout=LIMIT_S)
+        assert process.returncode == 130
+        assert run.status() == 0, run.printed
+    result = json.loads((run.directory / "result.json").read_text())
+    assert result["deaths"] == {"3": ["left: its session ended"]}
+    kept = result["timing"]["vehicles"]["3"]
+    assert 300 <= kept["asked"] < 800 and kept["missed"] < kept["asked"] / 2  # it does not wait for what is not said

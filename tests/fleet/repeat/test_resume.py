@@ -1,0 +1,160 @@
+"""A run goes on from a snapshot in its log: the rest is the same to the last bit, or changed where it is asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import msgpack
+import pytest
+from click.testing import CliRunner
+from failing_laws import failing
+from failing_laws import module as module
+from fault_histories import EVERYTHING
+from small_scenario import only_problem, small
+
+from fleet.cli.main import cli
+from fleet.logs.reader import LogReader, Record
+from fleet.recorder.snapshot import Snapshot, SnapshotError, Start, find
+from fleet.repeat.recorded_run import script
+from fleet.repeat.resume import parse_from, prepare
+from fleet.repeat.verify import describe, verify
+from fleet.run.execute import Options, Result, Status, execute
+from fleet.scenario.loading import load_scenario
+from fleet.scenario.scenario import Scenario
+
+LINKS = 'network.links={"*": delay 60ms 30ms 20% loss gemodel 10% 30% duplicate 20% corrupt 20% rate 20kbit}'
+NEMESIS = (
+    "nemesis={every: 500 ms, for: 250 ms, pick: [pause, kill, partition, freeze, stuck, off, {slow: {by: 7 ticks}}, "
+    "{link *: delay 100ms loss 40%}, {gust: {velocity: 0 1 0 m/s, over: 200 ms}}, {dropout: {probability: 30 %}}]}"
+)
+
+
+def run(s: Scenario, folder: Path, start: Start | None = None) -> Result:
+    result = execute(s, Options(folder, in_process=True, quiet=True, start=start))
+    assert result.status is Status.PASS, result.reason
+    return result
+
+
+def recorded(folder: Path, name: str, *overrides: str) -> Result:
+    return run(load_scenario(name, ["checks={ledger: balanced, tumbled: waived}", *overrides]), folder)
+
+
+def since(directory: Path, ns: int) -> list[Record]:
+    return [record for record in LogReader(directory / "run.mcap") if record.log_ns >= ns]
+
+
+@pytest.mark.parametrize(
+    ("name", "overrides"),
+    [
+        ("paper", ["duration=2.4 s", LINKS, EVERYTHING]),
+        ("ideal", ["duration=1.5 s"]),
+        ("acoustic-s2c", ["duration=20 s", "log.snapshot=10 s", "faults=[{at: 8 s, for: 6 s, kill: 2}]"]),
+        ("nemesis", ["duration=4 s", NEMESIS, "sea.current={sigma: 5 5 0 cm/s, time_constant: 2 s}"]),
+        ("helix", ["duration=2 s", "sensors.position_noise=5 cm"]),
+        ("rough-sea", ["duration=2 s", "per_vehicle={'2': {controller: bsmc}}", "network.payload=compact"]),
+    ],
+    ids=lambda value: value if isinstance(value, str) else "",
+)
+def test_the_rest_is_the_same_to_the_last_bit(name: str, overrides: list[str], tmp_path: Path) -> None:
+    first = recorded(tmp_path, name, "log.snapshot=500 ms", *overrides)
+    snapshots = [r.log_ns for r in LogReader(first.directory / "run.mcap") if r.topic == "snapshot"]
+    assert snapshots
+    for at in {snapshots[0], snapshots[len(snapshots) // 2], snapshots[-1]}:
+        scenario, start = prepare(first.directory, at)
+        again = run(scenario, tmp_path, start)
+        assert start.snapshot.tick * scenario.tick_ns == at
+        assert since(again.directory, at) == since(first.directory, at)
+        assert again.values["ledger"] == first.values["ledger"]
+        # A log of the rest is a log like any other.
+        assert script(again.directory) == scenario
+        verified = verify(again.directory)
+        assert verified.reproduced, describe(verified)
+        assert verified.messages == again.values["messages"]
+        if at != snapshots[-1]:
+            later, further = prepare(again.directory, snapshots[-1])
+            assert since(run(later, tmp_path, further).directory, snapshots[-1]) == since(
+                first.directory, snapshots[-1]
+            )
+
+
+def test_a_change_acts_from_there_on(tmp_path: Path) -> None:
+    first = recorded(tmp_path, "paper", "duration=2 s", "log.snapshot=500 ms")
+    scenario, start = prepare(first.directory, 1_200_000_000, ["faults=[{at: 1.5 s, mute: 1}]", "duration=3 s"])
+    assert start.notes[0].endswith("its last snapshot before 1.2 s")
+    again = run(scenario, tmp_path, start)
+    at, mute = 1_000_000_000, 1_500_000_000
+    before = [r for r in since(again.directory, at) if r.log_ns < mute]
+    assert before == [r for r in since(first.directory, at) if r.log_ns < mute]
+    assert again.values["ledger"]["1->2"]["lost"] == {"mute": 15}
+    assert again.values["sim_s"] == 3.0
+
+
+def test_an_agent_with_another_law_begins_without_memory(tmp_path: Path) -> None:
+    first = recorded(tmp_path, "paper", "duration=1 s", "log.snapshot=500 ms")
+    scenario, start = prepare(first.directory, None, ["per_vehicle={'3': {controller: bsmc}}"])
+    assert start.anew == (3,)
+    assert "agents 3 begin without memory" in start.notes[1]
+    again = run(scenario, tmp_path, start)
+    before, after = (
+        {r.topic: r.data for r in since(d, 500_000_000) if r.log_ns == 500_000_000}
+        for d in (first.directory, again.directory)
+    )
+    changed = {topic for topic in before if before[topic] != after.get(topic)}
+    assert changed == {"uuv/3/command", "uuv/3/guidance", "uuv/3/control", "snapshot"}
+
+
+def test_a_snapshot_is_plain_values(tmp_path: Path) -> None:
+    first = recorded(tmp_path, "paper", "duration=1 s", "log.snapshot=500 ms")
+    snapshot = find(first.directory)
+    assert Snapshot.from_bytes(snapshot.to_bytes()) == snapshot
+    assert set(snapshot.memories) == {1, 2, 3, 4}
+    with pytest.raises(SnapshotError, match="is of format 7, this version reads 1"):
+        Snapshot.from_bytes(msgpack.packb([7]))
+    with pytest.raises(SnapshotError, match="cannot be read"):
+        Snapshot.from_bytes(b"\xc1")
+
+
+def test_when_there_is_one() -> None:
+    assert small("network.period=50 ms").memory_ticks == 1000
+    assert small("network.period=70 ms").memory_ticks == 1001  # a round, and at least 10 s
+    assert small("log.every=3 ticks", "network.period=50 ms").memory_ticks == 1005
+    assert small("log.snapshot=0 s").memory_ticks == 0
+    assert small("log.snapshot=2 s").memory_ticks == 200
+    text = only_problem("log.snapshot=25 ms")
+    assert "25 ms is no multiple of 50 ms" in text
+
+
+def test_what_cannot_go_on_says_why(module: Callable[[str], str], tmp_path: Path) -> None:
+    first = str(recorded(tmp_path, "paper", "duration=1 s", "log.snapshot=500 ms").directory)
+    without = str(recorded(tmp_path, "paper", "duration=1 s", "log.snapshot=0 s").directory)
+    law = module(failing(10**6, "pass"))
+    forgetful = str(
+        recorded(tmp_path, "paper", "duration=1 s", f"controller={law}:Law", "log.snapshot=500 ms").directory
+    )
+    for begin, sets, words in (
+        (f"{first}@400ms", [], "the first is at 500 ms"),
+        (without, [], "it ended before the first, or has log.snapshot: 0 s"),
+        (forgetful, [], f"{law}:Law has no state() and restore()"),
+        (f"{first}@soon", [], "as in runs/latest@20s"),
+        (first, ["vehicles=5"], "the number of vehicles cannot change"),
+        (first, ["graph.shape=ring"], "the links of the graph cannot change"),
+        (first, ["network.period=50 ms"], "the round period cannot change"),
+        (first, ["duration=400 ms"], "the run would be over before"),
+        (first, ["nonsense=1"], 'unknown key "nonsense"'),
+        (str(tmp_path / "nothing"), [], "cannot read"),
+    ):
+        arguments = ["run", "--from", begin, "--out", str(tmp_path), *(a for s in sets for a in ("--set", s))]
+        result = CliRunner().invoke(cli, arguments)
+        assert (result.exit_code, words in result.stderr) == (2, True), (arguments, result.stderr)
+    assert CliRunner().invoke(cli, ["run"]).exit_code == 2
+    assert parse_from("a@b@20 s") == (Path("a@b"), 20_000_000_000)
+
+
+def test_on_the_command_line(tmp_path: Path) -> None:
+    first = recorded(tmp_path, "paper", "duration=1 s", "log.snapshot=500 ms")
+    arguments = ["run", "--from", f"{first.directory}@0.5s", "--out", str(tmp_path)]
+    result = CliRunner().invoke(cli, arguments)
+    assert result.exit_code == 0, result.output
+    assert "goes on from t = 500 ms of " in result.stderr
+    assert result.stdout.splitlines()[-2].split()[:2] == ["1", "s"]

@@ -1,0 +1,98 @@
+"""Another agent with a recorded one's senses: the same to the last bit when nothing is changed."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+from failing_laws import failing
+from failing_laws import module as module
+from fault_histories import EVERYTHING
+
+from fleet.cli.main import cli
+from fleet.errors import ScenarioError
+from fleet.repeat.what_if import WhatIfError, whatif
+from fleet.run.execute import Options, Status, execute
+from fleet.scenario.loading import load_scenario
+
+LINKS = 'network.links={"*": delay 60ms 30ms loss 20% duplicate 20% corrupt 20%}'
+
+
+def run(folder: Path, name: str, *overrides: str) -> Path:
+    result = execute(
+        load_scenario(name, ["checks={tumbled: waived}", *overrides]), Options(folder, in_process=True, quiet=True)
+    )
+    assert result.status is Status.PASS, result.reason
+    return result.directory
+
+
+@pytest.mark.parametrize(
+    ("name", "overrides"),
+    [
+        ("paper", ["duration=3 s", LINKS, EVERYTHING]),
+        ("ideal", ["duration=1 s"]),
+        ("acoustic-80bps", ["duration=20 s", "log.every=1 tick", "faults=[{at: 8 s, for: 6 s, kill: 2}]"]),
+        ("paper", ["duration=1 s", "on_death=continue", "sensors.position_noise=5 cm", "neighbours.drop_after=200 ms"]),
+    ],
+    ids=["full of faults", "ideal", "acoustic", "noise"],
+)
+def test_with_nothing_changed_every_command_is_that_of_the_log(name: str, overrides: list[str], tmp_path: Path) -> None:
+    directory = run(tmp_path, name, *overrides)
+    for agent in (1, 2, 3, 4):
+        found = whatif(directory, agent)
+        assert found.identical, (agent, found.first_s)
+        assert len(found.t) > 50
+        assert found.heard > 0
+
+
+def test_another_law_commands_something_else(tmp_path: Path) -> None:
+    directory = run(tmp_path, "paper", "duration=2 s")
+    found = whatif(directory, 3, ["controller=bsmc"])
+    assert (found.identical, found.first_s) == (False, 0.0)
+    later = whatif(directory, 3, ["neighbours.extrapolate=hold"])  # hears nobody before 0.01 s
+    assert later.first_s is not None
+    assert 0.0 < later.first_s < 0.5
+    shown = json.loads(
+        CliRunner().invoke(cli, ["whatif", str(directory), "--agent", "3", "--controller", "bsmc", "--json"]).stdout
+    )
+    assert shown["components"]["surge force"]["max"] == abs(found.found - found.recorded)[:, 0].max()
+
+
+def test_a_law_of_the_users(module: Callable[[str], str], tmp_path: Path) -> None:
+    directory = run(tmp_path, "paper", "duration=1 s")
+    law = module(failing(50, "raise ValueError('enough')"))
+    assert not whatif(directory, 3, [f"controller={law}:Law"]).identical
+    with pytest.raises(WhatIfError, match="agent 2, tick 50: Law raised ValueError: enough"):
+        whatif(directory, 2, [f"controller={law}:Law"])
+    coasting = whatif(directory, 2, [f"controller={law}:Law", "on_controller_error=coast"])
+    assert any("enough" in note for note in coasting.notes)
+
+
+def test_what_cannot_be_asked_is_refused_in_words(tmp_path: Path) -> None:
+    directory = run(tmp_path, "paper", "duration=1 s")
+    thin = run(tmp_path, "paper", "duration=1 s", "log.nav=5 ticks")
+    for arguments, words in (
+        ([str(directory), "--agent", "9"], "there is no agent 9: they are 1 to 4"),
+        ([str(thin), "--agent", "1"], "has every 5th nav only"),
+        ([str(directory), "--agent", "1", "--set", "vehicles=5"], "another number of vehicles"),
+        ([str(directory), "--agent", "1", "--controller", "pid"], 'there is no controller "pid"'),
+        ([str(directory), "--agent", "1", "--plot", str(tmp_path / "x.gif")], "a picture ends in one of .png"),
+        ([str(tmp_path / "nothing"), "--agent", "1"], "cannot read"),
+    ):
+        result = CliRunner().invoke(cli, ["whatif", *arguments])
+        assert (result.exit_code, words in result.stderr) == (2, True), (arguments, result.stderr)
+    with pytest.raises(ScenarioError):
+        whatif(directory, 1, ["nonsense=1"])
+
+
+def test_the_picture(tmp_path: Path) -> None:
+    directory = run(tmp_path, "paper", "duration=1 s", "faults=[{at: 300 ms, for: 200 ms, mute: 1}]")
+    picture = tmp_path / "3.svg"
+    result = CliRunner().invoke(
+        cli, ["whatif", str(directory), "--agent", "3", "--controller", "bc", "--plot", str(picture)]
+    )
+    assert result.exit_code == 0, result.output
+    assert "surge force [N]" in picture.read_text()

@@ -1,0 +1,598 @@
+"""Scenario files: what they compile to, that they survive a round trip, and how mistakes are reported."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import fields, replace
+from itertools import pairwise
+from math import pi
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from repository import EXPECTED
+from small_scenario import SMALL, WILD, only_problem, places, small
+
+from agents.config import GuidanceParams, Neighbour, TrackingParams
+from agents.offset import Offset
+from agents.profiles import PROFILES, profile
+from agents.trajectory import Line
+from fleet.errors import FleetError, ScenarioError
+from fleet.scenario.loading import list_scenarios, load_scenario, parse_scenario
+from fleet.scenario.scenario import Scenario
+from fleet.scenario.schema.control import GuidanceSection, TrackingSection
+from fleet.scenario.schema.section import Section
+from fleet.scenario.schema.spec import ScenarioSpec
+from fleet.scenario.sections.formation import grid
+from fleet.scenario.sections.log_rates import DRAWN_GROUPS, LOG_GROUPS
+from fleet.scenario.text.yaml_reader import Mapping, Source, plain, read, resolve
+from netem.condition import Condition
+
+SHIPPED = [name for name, *_ in list_scenarios()]
+
+
+def problems(text: str, *overrides: str) -> list[tuple[int, int, str]]:
+    with pytest.raises(ScenarioError) as caught:
+        parse_scenario(text, "t.yaml", overrides)
+    return [(p.line, p.column, p.message) for p in caught.value.problems]
+
+
+# --- what a scenario compiles to -------------------------------------------
+
+
+def test_the_paper_is_the_paper() -> None:
+    """The numbers of the paper's simulation section, written down here a second time."""
+    s = load_scenario("paper")
+    assert (s.vehicles, s.ticks, s.tick_ns, s.round_ticks, s.seed) == (4, 6000, 10_000_000, 10, 1)
+    assert places(s) == ((0, 0, 0), (0, -10, 0), (10, -10, 0), (10, 0, 0))
+    assert s.graph.weights == {(1, 2): 1, (2, 3): 1, (3, 4): 1, (2, 1): 0.8, (3, 2): 0.8, (4, 3): 0.8}
+    assert s.b == (1, 1, 1, 1)
+    assert s.conditions == {}
+    world = s.world_config()
+    assert [v.id for v in world.vehicles] == [1, 2, 3, 4]
+    starts = [(0, 0, 0, 0, 0), (-1, -10, 0, 0, 0), (8.5, -10.1, 0, 0, 0), (8.4, -0.1, 0, 0, 0)]
+    assert [v.eta0 for v in world.vehicles] == starts
+    assert {v.nu0 for v in world.vehicles} == {(0.1, 0, 0, 0, 0)}
+    assert {v.tau_max for v in world.vehicles} == {(20, 20, 20)}
+    assert world.disturbance == ()
+    assert world.noise.off
+    agent = s.agent_config(2)
+    assert agent.neighbours == (Neighbour(1, 1.0, Offset((0, -10, 0))), Neighbour(3, 0.8, Offset((-10, 0, 0))))
+    assert agent.reference == Line((5, 1, 5), (0.7, 0.1, 0))
+    assert agent.offset == Offset((0, -10, 0))
+    assert agent.reference_weight == 1
+    assert (agent.guidance, agent.tracking) == profile("paper")
+    assert agent.extrapolation == "neighbour"
+    net = s.netem_config()
+    assert net.vehicles == (1, 2, 3, 4)
+    assert set(net.links) == set(s.graph.weights)
+    assert not net.ideal
+
+
+def test_disturbance_of_the_paper() -> None:
+    """(3.1 sin t, 3.1 cos t, 2.1 sin t, 1.1 sin t, 1.1 sin t)."""
+    world = load_scenario("paper-disturbed").world_config()
+    assert [(h.amplitude, h.omega) for h in world.disturbance] == [(a, 1) for a in (3.1, 3.1, 2.1, 1.1, 1.1)]
+    assert [h.phase for h in world.disturbance] == [0, pi / 2, 0, 0, 0]
+
+
+def test_rough_sea_and_ideal() -> None:
+    rough = load_scenario("rough-sea")
+    assert rough.conditions == dict.fromkeys(rough.graph.links, Condition(200_000_000, 50_000_000, 0.3))
+    bounds = {"rho_lo": (-1.8, -1.8, -1.0), "rho_hi": (1.8, 1.8, 1.0)}
+    assert rough.agent_config(1).guidance == replace(profile("hardened")[0], **bounds)
+    ideal = load_scenario("ideal")
+    assert ideal.netem_config().ideal
+    assert ideal.round_ticks == 1
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_shipped_scenarios_carry_their_file_name_and_checks(name: str) -> None:
+    s = load_scenario(name)
+    assert s.name == name
+    assert s.spec.checks.formation_error is not None
+    assert s.spec.checks.formation_error.after < s.duration_ns
+
+
+def test_neighbours_offsets_cancel() -> None:
+    """Delta_ij = -Delta_ji, and every directed edge is a link."""
+    s = load_scenario("paper", ["vehicles=9", "graph.shape=ring"])
+    delta = {(i, n.id): n.offset.start for i in range(1, 10) for n in s.agent_config(i).neighbours}
+    for (i, j), offset in delta.items():
+        assert offset == tuple(-x for x in delta[j, i])
+    assert {(j, i) for i, j in delta} == set(s.netem_config().links)
+
+
+def test_later_link_rules_win() -> None:
+    links = 'network.links={"*": delay 20ms, 1->*: down, "*->2": loss 10%, 2<->3: delay 1s}'
+    s = small(links)
+    assert s.conditions == {
+        (1, 2): Condition(loss=0.1),
+        (2, 1): Condition(delay_ns=20_000_000),
+        (2, 3): Condition(delay_ns=10**9),
+        (3, 2): Condition(delay_ns=10**9),
+    }
+    assert small(links, "network.links.*=delay 0ms").conditions == {}
+
+
+def test_explicit_edges_point_the_way_the_payload_travels() -> None:
+    s = small('graph={edges: {"1->2": 1.5, "1->3": 0.5}, reference: [1]}')
+    assert s.graph.neighbours(2) == ((1, 1.5),)
+    assert s.graph.neighbours(1) == ()
+    assert s.b == (1, 0, 0)
+
+
+def test_overrides_of_the_profile() -> None:
+    s = small("profile=hardened", "guidance.k_max=0.5 1/s", "guidance.qp_period=20 ms", "tracking.tau_f=20 ms")
+    assert s.controls[0].guidance.k_max == 0.5
+    assert s.controls[0].guidance.qp_ticks == 2
+    assert s.controls[0].tracking.tau_f == 0.02
+    assert s.controls[0].guidance.k_min == profile("hardened")[0].k_min
+
+
+def test_every_parameter_can_be_set() -> None:
+    """A parameter that the controllers gain must gain a key here; two are written as times."""
+    guidance = {field.name for field in fields(GuidanceParams)}
+    law = {"law", "parameters"}
+    assert set(GuidanceSection.model_fields) == guidance - {"qp_ticks", "horizon_s"} | {"qp_period", "horizon"} | law
+    assert set(TrackingSection.model_fields) == {field.name for field in fields(TrackingParams)} | law
+
+
+def test_the_qp_period_is_a_time() -> None:
+    """A profile's period of five ticks of 10 ms stays 50 ms when the tick changes."""
+    assert small("tick=5 ms").controls[0].guidance.qp_ticks == 10
+
+
+def test_log_groups() -> None:
+    every = small("log.every=5 ticks", "log.pose=1 tick").log_every
+    assert tuple(every) == (*LOG_GROUPS, *DRAWN_GROUPS)
+    assert every["pose"] == 1
+    assert every["error"] == 5
+
+
+@pytest.mark.parametrize("vehicles", [1, 2, 3, 4, 5, 9, 10, 100])
+def test_grid_neighbours_are_adjacent(vehicles: int) -> None:
+    cells = grid(vehicles, 10.0)
+    assert len(set(cells)) == vehicles
+    for a, b in pairwise(cells):
+        assert sum(abs(x - y) for x, y in zip(a, b, strict=True)) == 10.0
+
+
+def test_scatter_is_order_free() -> None:
+    """More vehicles do not move the first ones relative to their places; another seed does."""
+    few, many = small(), small("vehicles=10", "formation.spacing=5 m")
+
+    def offsets_of(s: Scenario) -> list[tuple[float, ...]]:
+        return [
+            tuple(round(a - b, 9) for a, b in zip(e, p, strict=False))
+            for (e, _), p in zip(s.initial, places(s), strict=True)
+        ]
+
+    assert offsets_of(few) == offsets_of(many)[:3]
+    assert offsets_of(small("seed=2")) != offsets_of(few)
+    assert all(abs(x) <= 1 and abs(y) <= 1 and 0 <= z <= 1 for x, y, z in offsets_of(many))
+
+
+# --- the merged scenario ---------------------------------------------------
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+@pytest.mark.parametrize("overrides", [[], ["vehicles=20", "seed=9"], ["duration=5 s"]])
+def test_show_config_loads_to_an_equal_scenario(name: str, overrides: list[str]) -> None:
+    s = load_scenario(name, overrides)
+    again = parse_scenario(s.to_yaml(), "again.yaml")
+    assert again == s
+    assert again.to_yaml() == s.to_yaml()
+
+
+def test_show_config_golden() -> None:
+    text = load_scenario("rough-sea", ["vehicles=20", "guidance.k_max=0.25 1/s"]).to_yaml()
+    assert text == (EXPECTED / "show_config.yaml").read_text()
+
+
+POSITIVE = st.floats(1e-3, 1e3)
+ANY = st.floats(-1e3, 1e3)
+CHOICES: dict[str, st.SearchStrategy[str]] = {
+    "seed": st.integers(0, 2**63 - 1).map(str),
+    "title": st.text(st.characters(categories=["L", "N", "P", "S", "Zs"]), min_size=1, max_size=40)
+    .filter(lambda t: t.strip() and t.isprintable())
+    .map(lambda t: '"' + t.replace("\\", "\\\\").replace('"', '\\"') + '"'),
+    "reference.start": st.tuples(ANY, ANY, ANY).map(lambda v: f"{v[0]!r} {v[1]!r} {v[2]!r} m"),
+    "formation.spacing": POSITIVE.map(lambda v: f"{v!r} m"),
+    "initial.scatter": POSITIVE.map(lambda v: f"{v!r} cm"),
+    "initial.surge": ANY.map(lambda v: f"{v!r} kn"),
+    "graph.ahead": POSITIVE.map(repr),
+    "graph.reference": st.lists(st.integers(1, 3), min_size=1, unique=True).map(str),
+    "vehicle.yaw_moment": POSITIVE.map(lambda v: f"{v!r} Nm"),
+    "sensors.angle_noise": POSITIVE.map(lambda v: f"{v!r} deg"),
+    "sensors.rate_noise": POSITIVE.map(lambda v: f"{v!r} rad/s"),
+    "profile": st.sampled_from(sorted(PROFILES)),
+    "guidance.Q": st.tuples(POSITIVE, POSITIVE, POSITIVE).map(lambda v: f"{v[0]!r} {v[1]!r} {v[2]!r}"),
+    "guidance.slew": POSITIVE.map(lambda v: f"{v!r} m/s^2"),
+    "tracking.tau_f": st.integers(0, 10**9).map(lambda v: f"{v} ns"),
+    "network.period": st.integers(1, 100).map(lambda v: f"{v * 10} ms"),
+    "network.links.1->2": st.floats(0, 100).map(lambda v: f"delay 3ms loss {v!r}%"),
+    "network.links.*": st.integers(0, 10**12).map(lambda v: f"delay {v // 1000}us"),
+    "network": st.just("ideal"),
+    "log.pose": st.integers(1, 100).map(lambda v: f"{v} ticks"),
+}
+
+
+@given(st.lists(st.sampled_from(sorted(CHOICES)).flatmap(lambda k: CHOICES[k].map(lambda v: f"{k}={v}")), max_size=8))
+@settings(max_examples=60, deadline=None)
+def test_every_valid_scenario_round_trips(overrides: list[str]) -> None:
+    try:
+        s = small(*overrides)
+    except ScenarioError:  # `network=ideal` and then a period, for one
+        return
+    again = parse_scenario(s.to_yaml(), "small.yaml")
+    assert again == s
+    assert again.world_config() == s.world_config()
+    assert again.netem_config() == s.netem_config()
+    assert again.agent_config(1) == s.agent_config(1)
+
+
+def test_an_explicit_profile_can_still_be_changed() -> None:
+    """The shown profile values are comments: as keys they would silence `--set profile`."""
+    shown = load_scenario("paper").to_yaml()
+    assert parse_scenario(shown, "p.yaml", ["profile=hardened"]).controls[0].guidance == profile("hardened")[0]
+
+
+# --- overrides and scaling -------------------------------------------------
+
+
+def test_overrides_apply_in_order() -> None:
+    assert small("seed=3", "seed=4").seed == 4
+    assert load_scenario("paper", ["initial.2.surge=0.3 m/s"]).initial[1][1][0] == 0.3
+    assert small("sea.current=0.1 0 0 m/s").world_config().current == (0.1, 0, 0)
+
+
+@pytest.mark.parametrize(
+    ("override", "place", "words"),
+    [
+        ("seed=x", 6, "expected a whole number"),
+        ("network.period=35ms", 16, "35 ms is not a whole number of ticks of 10 ms"),
+        ("network.period=35 s s", 19, "unknown unit"),
+        ("network.prd=50 ms", 9, 'did you mean "period"?'),
+        ("period=50 ms", 1, 'did you mean "network.period"?'),
+        ("seed", 1, "write key.path=value"),
+        ("=3", 1, "write key.path=value"),
+        ("seed=", 6, "the text is empty"),
+        ("seed=[1", 8, "not YAML"),
+        ("vehicles.x=3", 10, "the scenario has 3, not a mapping"),
+        ("network.links.1->2=dealy 3ms", 20, 'did you mean "delay"?'),
+        ("network.links.1->3=down", 15, "the graph has no such link"),
+        ("a.b.c.d.e.f.g.h.i.j.k.l=1", 1, "write key.path=value"),
+    ],
+)
+def test_a_bad_override_is_named(override: str, place: int, words: str) -> None:
+    text = only_problem(override)
+    assert words in text
+    assert text.startswith(f"--set {override}: ")
+    assert text.splitlines()[2] == "      | " + " " * (place - 1) + "^"
+
+
+def test_mistakes_of_file_and_overrides_come_together() -> None:
+    with pytest.raises(ScenarioError) as caught:
+        parse_scenario(SMALL.replace("1 s", "1 m"), "t.yaml", ["seed=x", "nope=1", "seed=y"])
+    assert [p.file for p in caught.value.problems] == ["t.yaml", "--set nope=1", "--set seed=y"]
+
+
+@pytest.mark.parametrize("name", ["survey", "helix", "acoustic-80bps", "acoustic-s2c", "acoustic-noise"])
+@pytest.mark.parametrize("vehicles", [1, 2, 3, 20])
+def test_shapes_scale_by_themselves(name: str, vehicles: int) -> None:
+    """What is said of vehicles that are gone goes with them; a shape fits any number."""
+    s = load_scenario(name, [f"vehicles={vehicles}", *(["graph={shape: path}"] if vehicles < 3 else [])])
+    assert s.vehicles == len(s.plans) == len(s.controls) == vehicles
+    assert all(1 <= i <= vehicles for link in s.graph.links for i in link)
+
+
+@pytest.mark.parametrize(
+    "name", sorted(set(SHIPPED) - {"survey", "helix", "acoustic-80bps", "acoustic-s2c", "acoustic-noise"})
+)
+@pytest.mark.parametrize("vehicles", [1, 2, 20, 100])
+def test_scaling(name: str, vehicles: int) -> None:
+    s = load_scenario(name, [f"vehicles={vehicles}"])
+    assert s.vehicles == len(s.plans) == len(s.initial) == len(s.world_config().vehicles) == vehicles
+    assert places(s) == grid(vehicles, 10.0)
+    assert len(s.graph.links) == 2 * (vehicles - 1)
+    assert {nu0[0] for _, nu0 in s.initial} == {load_scenario(name).initial[0][1][0]}
+    assert set(s.graph.weights.values()) <= {1.0, 0.8}
+
+
+def test_scaling_to_the_same_number_changes_nothing() -> None:
+    assert load_scenario("paper", ["vehicles=4"]) == load_scenario("paper")
+
+
+def test_what_is_also_set_wins_over_scaling() -> None:
+    """Whatever the order on the command line: the overrides are of the scaled scenario."""
+    ring = load_scenario("paper", ["initial.scatter=0 m", "graph.shape=ring", "vehicles=20"])
+    assert [eta0[:3] for eta0, _ in ring.initial] == list(places(ring))
+    assert len(ring.graph.links) == 40
+    s = load_scenario("paper", ["vehicles=2", "formation={offsets: [0 0 0 m, 3 0 0 m]}", "graph={shape: path}"])
+    assert places(s) == ((0, 0, 0), (3, 0, 0))
+    assert set(s.graph.weights.values()) == {1.0}
+
+
+def test_scaling_drops_what_no_longer_fits() -> None:
+    text = load_scenario("paper").to_yaml().replace("reference: all", "reference: [1, 4]")
+    text = text.replace("period: 100 ms", 'period: 100 ms\n  links: {"*": loss 1%, 3->4: down, 1->2: loss 2%}')
+    s = parse_scenario(text, "t.yaml", ["vehicles=3"])
+    assert s.b == (1, 0, 0)
+    assert s.conditions[1, 2].loss == 0.02
+    s = parse_scenario(text, "t.yaml", ["vehicles=2", "network.links.2->1=loss 3%"])
+    assert s.conditions == {(2, 1): Condition(loss=0.03), (1, 2): Condition(loss=0.02)}
+    explicit = text.replace(
+        "  shape: path\n  ahead: 1\n  behind: 0.8\n", '  edges: {"4->3": 1, "3->4": 1, "1->2": 1}\n'
+    )
+    s = parse_scenario(explicit, "t.yaml", ["vehicles=5"])
+    assert len(s.graph.links) == 8
+    assert s.conditions == dict.fromkeys(s.graph.links, Condition(loss=0.01))
+
+
+def test_a_hundred_vehicles_load_fast() -> None:
+    start = time.perf_counter()
+    s = load_scenario("rough-sea", ["vehicles=100"])
+    for i in range(1, 101):
+        s.agent_config(i)
+    assert time.perf_counter() - start < 0.5
+
+
+# --- mistakes --------------------------------------------------------------
+
+
+def test_ten_mistakes_in_one_pass(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(EXPECTED)
+    with pytest.raises(ScenarioError) as caught:
+        load_scenario("ten_mistakes.yaml")
+    assert str(caught.value) + "\n" == (EXPECTED / "ten_mistakes.txt").read_text()
+    places = [(p.line, p.column) for p in caught.value.problems]
+    assert places == sorted(places)
+    assert len(places) >= 10
+    assert isinstance(caught.value, FleetError)
+
+
+@pytest.mark.parametrize(
+    ("override", "words"),
+    [
+        ("duration=5 ms", "5 ms is not a whole number of ticks of 10 ms"),
+        ("tick=7 ms", "is not a whole number of ticks of 7 ms"),
+        ("vehicles=0", "must be 1 or more"),
+        ("vehicles=1001", "must be 1000 or less"),
+        ("seed=9223372036854775808", "expected a whole number"),
+        ("seed=true", "expected a whole number, got true"),
+        ("tick=0 s", "must be above 0"),
+        ("on_death=resurrect", "expected continue or restart or abort"),
+        ("controller=nbocc", 'did you mean "nboc"?'),
+        ("profile=3", "expected paper or consistent or hardened, got 3"),
+        ("title=[]", "expected a text, got a list"),
+        ('title="a\\nb"', "one line"),
+        ("name=../evil", "lower-case letters"),
+        ("formation={}", "needs offsets, one per vehicle, or a shape"),
+        ("formation={shape: grid, offsets: [0 0 0 m, 1 0 0 m, 2 0 0 m]}", "not both"),
+        ("formation.offsets=[0 0 0 m]", "not both"),
+        ("formation={offsets: [0 0 0 m]}", "expected 3 entries, one per vehicle, got 1"),
+        ("formation={offsets: [0 0 0 m, 1 0 0 m, 2 0 0 m], spacing: 3 m}", "has no effect on offsets"),
+        ("graph={}", "needs a shape, or edges"),
+        ("graph={edges: {2->2: 1}}", "a vehicle cannot hear itself"),
+        ("graph={edges: {1->9: 1}}", "there is no vehicle 9"),
+        ("graph={edges: {1-2: 1}}", "expected a directed edge"),
+        ('graph={edges: {1->2: 1, "1 -> 2": 1}}', "the same edge is given twice"),
+        ("graph={edges: {1->2: 0}}", "must be above 0"),
+        ("graph={edges: {1->2: 1}, ahead: 1}", "has no effect on edges"),
+        ("graph.edges={1->2: 1}", "either edges or a shape, not both"),
+        ("graph.reference=[]", "no vehicle follows the reference"),
+        ("graph.reference=[4]", "there is no vehicle 4"),
+        ("graph.reference=[1, 1]", "vehicle 1 is given twice"),
+        ("graph.reference=some", 'expected "all" or a list'),
+        ("graph.reference=1-x", "expected vehicle numbers"),
+        ("graph.reference=true", 'expected "all" or a list'),
+        ("graph.reference=2-4", "there is no vehicle 4"),
+        ("initial=3 m", "expected a list with one entry per vehicle, or a scatter"),
+        ("initial=[{position: 0 0 0 m}]", "expected 3 entries"),
+        ("initial=[{}, {position: 0 0 0 m}, {position: 0 0 0 m}]", '"position" is missing in "initial.1"'),
+        ("initial.pitch=3 deg", 'unknown key "initial.pitch"'),
+        ("guidance.k_min=3 1/s", "k_min 3 1/s is above k_max 2 1/s"),
+        (
+            "guidance.rho_lo=0.5 -1 -1 m/s",
+            "below the reference velocity 0.5 0 0 m/s on every axis; it is not on x",
+        ),
+        ("reference.velocity=0 0 2 m/s", "set guidance.rho_"),
+        ("guidance.horizn=3 s", 'did you mean "horizon"?'),
+        ("tracking.cos_eps=1", "must be below 1"),
+        ("network=none", 'expected a mapping with a period and links, or "ideal"'),
+        ("network={ideal: true}", 'write "network: ideal"'),
+        ("network.links={1 -> 2: down, 1->2: loss 1%}", 'the same links as "1 -> 2"'),
+        ("network.links={a: down}", "is no link"),
+        ("network.links.*=30", "expected a link condition"),
+        ("log.pose=100 ms", "expected a number of ticks"),
+        ("checks.ledger=on", "expected balanced"),
+        ("checks.qp_infeasible={at_most: -1}", "must be 0 or more"),
+        ("physics.substeps=1.5", "expected a whole number"),
+        ("sea=3", "expected a mapping of keys to values, got 3"),
+        ("formation.offsets=3", "expected a list, got 3"),
+    ],
+)
+def test_each_rule_speaks(override: str, words: str) -> None:
+    with pytest.raises(ScenarioError) as caught:
+        small(override)
+    assert words in str(caught.value)
+
+
+def test_pitch_must_not_be_vertical() -> None:
+    with pytest.raises(ScenarioError, match="between -90 deg and 90 deg"):
+        load_scenario("paper", ["initial.2.pitch=90 deg"])
+
+
+def test_a_ring_needs_three() -> None:
+    assert "a ring needs 3 vehicles" in only_problem("vehicles=2", "graph.shape=ring")
+
+
+def test_missing_keys_are_all_named() -> None:
+    found = problems("title: x\nreference: {start: 0 0 0 m}\n")
+    missing = [message for _, _, message in found]
+    assert '"velocity" is missing in "reference"' in missing
+    assert {f'"{k}" is missing' for k in ("vehicles", "duration", "formation", "graph", "network")} < set(missing)
+
+
+def test_rules_run_on_what_is_right_although_something_is_wrong() -> None:
+    """A wrong seed does not hide a wrong period, nor one wrong link rule another."""
+    links = "network.links={1->3: down, 1->2: dealy 1s}"
+    with pytest.raises(ScenarioError) as caught:
+        small("seed=x", "duration=5 ms", "network.period=5 ms", links)
+    text = str(caught.value)
+    for words in ("whole number, got", "5 ms is not", "network.period: 5 ms", "no such link", "dealy"):
+        assert words in text
+
+
+def test_an_empty_section_is_its_defaults() -> None:
+    assert parse_scenario(SMALL + "sea:\nguidance:\n", "small.yaml") == small()
+
+
+def test_unknown_names_and_unreadable_files(tmp_path: Path) -> None:
+    with pytest.raises(ScenarioError, match='did you mean "rough-sea"'):
+        load_scenario("rough_sea")
+    for path in (tmp_path, tmp_path / "none.yaml", "", "a\0b", "x" * 5000):
+        with pytest.raises(ScenarioError):
+            load_scenario(path)
+    binary = tmp_path / "binary.yaml"
+    binary.write_bytes(b"title: \xff")
+    with pytest.raises(ScenarioError, match="not UTF-8"):
+        load_scenario(binary)
+
+
+def test_a_file_names_its_scenario(tmp_path: Path) -> None:
+    path = tmp_path / "My Sea (2).yaml"
+    path.write_bytes(b"\xef\xbb\xbf" + SMALL.replace("\n", "\r\n").encode())
+    assert load_scenario(path).name == "my-sea-2"
+
+
+# --- YAML ------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("text", "value"),
+    [
+        ("1e-3", 0.001), ("on", "on"), ("yes", "yes"), ("12:30", "12:30"), ("010", 10), ("1_000", "1_000"),
+        ("true", True), ("null", None), ("~", None), ("", None), ("0x10", "0x10"), ("-.5", -0.5), ("1.", 1.0),
+        ("2026-01-01", "2026-01-01"), ("=", "="), ("<<", "<<"),
+    ],
+)  # fmt: skip
+def test_scalars_follow_yaml_1_2(text: str, value: Any) -> None:
+    assert resolve(text) == value
+    assert type(resolve(text)) is type(value)
+
+
+def test_duplicate_keys_are_refused_in_place() -> None:
+    assert (3, 1, 'the key "vehicles" is here twice') in problems("title: x\nvehicles: 3\nvehicles: 4\n")
+
+
+def test_anchors_work() -> None:
+    root, found = read(Source("t", "a: &x {b: [1, 2]}\nc: *x\n"))
+    assert root is not None
+    assert plain(root) == {"a": {"b": [1, 2]}, "c": {"b": [1, 2]}}
+    assert not found
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("", "the text is empty"),
+        ("# only a comment\n", "the text is empty"),
+        ("- 1\n", "expected a mapping of keys to values"),
+        ("a: 1\n---\nb: 2\n", "a second document"),
+        ("a: !!python/object x\n", "tags"),
+        ("? [1]\n: 2\n", "a key must be a text"),
+        ("a: &x [*x]\n", "contains it"),
+        ("a: *x\n", "stands for nothing"),
+        ("*->2: down\n", "needs quotes"),
+        ("a:\n\tb: 1\n", "tabs cannot indent"),
+        ("a: \x00\n", "not YAML"),
+        ("a: \ud800\n", "not YAML"),
+        ("[" * 100_000, "nested more than 30 deep"),
+        ("a: " + "{a: " * 50, "nested more than 30 deep"),
+        ("a" * 1_000_001, "longer than"),
+        ("[" + "1," * 30_000 + "]", "more than 20000 values"),
+        (
+            "\n".join(["a0: &a0 [1, 1]"] + [f"a{i}: &a{i} [*a{i - 1}, *a{i - 1}]" for i in range(1, 40)]),
+            "values",
+        ),
+    ],
+)
+def test_hostile_yaml_is_refused_at_once(text: str, words: str) -> None:
+    start = time.perf_counter()
+    with pytest.raises(ScenarioError) as caught:
+        parse_scenario(text, "t.yaml")
+    assert words in str(caught.value)
+    assert time.perf_counter() - start < 2.0
+
+
+def test_marks_count_characters() -> None:
+    [(line, column, _)] = problems(SMALL + "µé: 1\n", "title=ok")
+    assert (line, column) == (9, 1)
+    root, _ = read(Source("t", "é: 'ü 5 s'\n"))
+    assert isinstance(root, Mapping)
+    assert (root.entries["é"].place.column, root.entries["é"].text.column) == (4, 5)  # type: ignore[union-attr]
+
+
+@given(st.text())
+def test_any_text_is_a_scenario_error(text: str) -> None:
+    with pytest.raises(ScenarioError):
+        parse_scenario(text, "t.yaml")
+
+
+def _key_paths(section: type[Section] = ScenarioSpec) -> list[str]:
+    paths = []
+    for key, info in section.model_fields.items():
+        paths.append(key)
+        if isinstance(info.annotation, type) and issubclass(info.annotation, Section):
+            paths += [f"{key}.{below}" for below in _key_paths(info.annotation)]
+    return paths
+
+
+WILD_OVERRIDES = st.lists(
+    st.tuples(st.sampled_from(_key_paths()), WILD).map(lambda pair: f"{pair[0]}={pair[1]}"), max_size=6
+)
+
+
+@given(WILD_OVERRIDES)
+@settings(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+def test_any_override_is_accepted_or_a_scenario_error(overrides: list[str]) -> None:
+    """Wrong values of every type at every key: the validator itself never raises anything else."""
+    try:
+        s = small(*overrides)
+    except ScenarioError as error:
+        assert error.problems  # noqa: PT017 - most are errors, all must be ours
+        assert str(error)  # noqa: PT017
+    else:
+        assert parse_scenario(s.to_yaml(), "small.yaml") == s
+
+
+@given(st.data())
+@settings(max_examples=200, deadline=None)
+def test_any_damage_to_a_scenario_is_accepted_or_a_scenario_error(data: st.DataObject) -> None:
+    lines = load_scenario("rough-sea").to_yaml().splitlines()
+    for _ in range(data.draw(st.integers(1, 4))):
+        at = data.draw(st.integers(0, len(lines) - 1))
+        key = lines[at].partition(":")[0]
+        value = data.draw(WILD)
+        lines[at] = data.draw(st.sampled_from(["", value, f"{key}: {value}"]))
+    try:
+        parse_scenario("\n".join(lines), "t.yaml")
+    except ScenarioError as error:
+        assert str(error)  # noqa: PT017
+
+
+@pytest.mark.parametrize(
+    ("text", "b"), [("2", (0, 1, 0)), ("1-2", (1, 1, 0)), ('"1, 3"', (1, 0, 1)), ("[3]", (0, 0, 1))]
+)
+def test_who_follows_the_reference(text: str, b: tuple[int, ...]) -> None:
+    """Vehicles are named as everywhere else, or in a list; what is printed is read back to the same."""
+    s = small(f"graph.reference={text}")
+    assert tuple(s.b) == b
+    assert parse_scenario(s.to_yaml(), "again.yaml").b == s.b
+    written = SMALL.replace("shape: path", f"shape: path, reference: {text}, ahead: 1")
+    if b[:2] != (0, 0):
+        assert tuple(parse_scenario(written, "t.yaml", ["vehicles=2"]).b) == b[:2]

@@ -1,0 +1,73 @@
+"""The shipped scenarios that stress the network keep their promises, and distributed gives the bytes of in-process."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from repository import ROOT
+
+from fleet.run.execute import Options, Status, execute
+from fleet.scenario.loading import list_scenarios, load_scenario
+
+# name: how long the distributed run is [s]; what happens to a fleet there has happened by then
+GALLERY = {
+    "lossy": 10, "burst": 10, "partition-heal": 35, "kill": 30, "kill-restart": 40, "gauss-markov-current": 12,
+    "nemesis": 45, "acoustic-80bps": 25, "acoustic-s2c": 20, "rough-sea": 10, "breakdown": 30, "follow-the-leader": 20,
+    "leader-lost": 70, "leader-lost-standby": 70, "acoustic-noise": 25,
+}  # fmt: skip
+README = ROOT / "README.md"
+
+
+@pytest.mark.parametrize("name", GALLERY)
+def test_a_scenario_keeps_its_promise(name: str, tmp_path: Path) -> None:
+    thin = load_scenario(name, ["log.every=50 ticks", "log.snapshot=0 s"])
+    result = execute(thin, Options(tmp_path, in_process=True, quiet=True))
+    assert result.status is Status.PASS, (result.reason, result.lines, result.verdicts)
+
+
+@pytest.mark.parametrize(("name", "seconds"), GALLERY.items())
+def test_distributed_is_in_process(name: str, seconds: int, tmp_path: Path) -> None:
+    scenario = load_scenario(
+        name,
+        [
+            *(f"duration={seconds} s", "expect=pass", "log.every=5 ticks"),
+            "checks={ledger: balanced, middleware_loss: {at_most: 0}, tumbled: waived}",
+        ],
+    )
+    alone, fleet = (execute(scenario, Options(tmp_path, in_process=flag, quiet=True)) for flag in (True, False))
+    for result in (alone, fleet):
+        assert result.status is Status.PASS, (result.reason, result.lines, result.verdicts)
+    assert (alone.directory / "run.mcap").read_bytes() == (fleet.directory / "run.mcap").read_bytes()
+    assert fleet.values["deaths"] == {}
+
+
+@pytest.mark.parametrize(
+    ("name", "changes", "passes"),
+    [
+        ("breakdown", {"network.links": "{'*': delay 200ms loss 30%}"}, True),
+        ("breakdown", {"network.links": "{'*': delay 300ms}"}, True),
+        ("breakdown", {"network.links": "{'*': delay 400ms}"}, False),
+        ("breakdown", {}, False),
+        ("rough-sea", {"network.links": "{'*': delay 200ms 50ms loss 80%}"}, False),
+        ("rough-sea", {"network.links": "{'*': delay 500ms 50ms loss 30%}"}, False),
+        ("follow-the-leader", {"network.links": "{'*': delay 200ms 50ms loss 80%}"}, False),
+        ("follow-the-leader", {"network.links": "{'*': delay 1s 200ms loss 30%}"}, False),
+        ("leader-lost", {"knows_reference": "true"}, True),  # as in the scenario survey
+        ("leader-lost-standby", {"graph.standby": "null"}, False),
+    ],
+    ids=lambda value: value if isinstance(value, str) else "",
+)
+def test_in_these_the_network_matters(name: str, changes: dict[str, str], passes: bool, tmp_path: Path) -> None:
+    """A worse network, or one vehicle fewer that knows the course, turns the verdict round."""
+    overrides = [f"{key}={value}" for key, value in changes.items()]
+    thin = load_scenario(name, ["expect=pass", "log.every=50 ticks", "log.snapshot=0 s", *overrides])
+    result = execute(thin, Options(tmp_path, in_process=True, quiet=True))
+    failed = {verdict.check for verdict in result.verdicts if not verdict.passed}
+    assert (result.status is Status.PASS) is passes, result.verdicts
+    assert failed <= {"formation_error", "tumbled", "qp_infeasible"}  # nothing of ours
+
+
+def test_the_readme_says_what_each_teaches() -> None:
+    text = README.read_text("utf-8")
+    assert [name for name, *_ in list_scenarios() if f"| `{name}` |" not in text] == []

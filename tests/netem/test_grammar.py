@@ -1,0 +1,165 @@
+"""The text of link conditions and selectors: what prints reads back, and what is wrong is pointed at."""
+
+from __future__ import annotations
+
+import pytest
+from any_condition import conditions
+from hypothesis import given
+from hypothesis import strategies as st
+
+from netem.condition import Condition, FourState, GilbertElliott
+from netem.errors import NetemError
+from netem.grammar import REFUSED, parse_condition, print_condition
+from netem.parsing import GrammarError, exact_number
+from netem.selectors import Selector, parse_selector, select
+
+
+@given(conditions())
+def test_what_prints_reads_back(condition: Condition) -> None:
+    """parse(print(c)) == c for every condition, odd nanoseconds and denormal losses included."""
+    assert parse_condition(print_condition(condition)) == condition
+
+
+@given(conditions())
+def test_printing_is_canonical(condition: Condition) -> None:
+    text = print_condition(condition)
+    assert print_condition(parse_condition(text)) == text
+
+
+@pytest.mark.parametrize(
+    ("text", "condition"),
+    [
+        ("delay 200ms", Condition(delay_ns=200_000_000)),
+        ("delay 200ms 50ms loss 30%", Condition(200_000_000, 50_000_000, 0.3)),
+        ("loss random 0.5%", Condition(loss=0.005)),
+        ("  loss 30 %   delay 1.5 s 250 us ", Condition(1_500_000_000, 250_000, 0.3)),
+        ("down", Condition(up=False)),
+        ("down delay 1us", Condition(delay_ns=1_000, up=False)),
+        ("delay 0.001us", Condition(delay_ns=1)),
+        ("delay 0ms", Condition()),
+        ("loss 100%", Condition(loss=1.0)),
+        ("delay 200ms 50ms 25%", Condition(200_000_000, 50_000_000, delay_correlation=0.25)),
+        ("delay 1ms 2ms distribution pareto", Condition(1_000_000, 2_000_000, distribution="pareto")),
+        ("loss 1% 25%", Condition(loss=0.01, loss_correlation=0.25)),
+        ("loss gemodel 1%", Condition(loss_model=GilbertElliott(0.01, 0.99))),
+        ("loss gemodel 1% 10% 70% 0.1%", Condition(loss_model=GilbertElliott(0.01, 0.1, 0.7, 0.001))),
+        ("loss state 1%", Condition(loss_model=FourState(0.01, 0.99))),
+        ("loss state 1% 50% 10% 30% 2%", Condition(loss_model=FourState(0.01, 0.5, 0.1, 0.3, 0.02))),
+        ("duplicate 1% 5% corrupt 0.1%", Condition(duplicate=0.01, duplicate_correlation=0.05, corrupt=0.001)),
+        ("delay 10ms reorder 25% 50%", Condition(10_000_000, reorder=0.25, reorder_correlation=0.5, gap=1)),
+        ("reorder 25% gap 5 delay 10ms", Condition(10_000_000, reorder=0.25, gap=5)),
+        ("rate 1kbit", Condition(rate_bit_s=1000)),
+        ("rate 10kbps 4 limit 3", Condition(rate_bit_s=80_000, rate_overhead=4, limit=3)),
+        ("rate 1Mbit seed 7", Condition(rate_bit_s=1_000_000, seed=7)),
+    ],
+)
+def test_reads_tc_netem(text: str, condition: Condition) -> None:
+    assert parse_condition(text) == condition
+
+
+@pytest.mark.parametrize(
+    ("text", "column", "words"),
+    [
+        ("", 0, "got nothing"),
+        ("dealy 3ms", 0, 'unknown link condition "dealy"'),
+        ("delay", 5, 'expected a delay such as "200ms", got nothing'),
+        ("delay fast", 6, 'got "fast"'),
+        ("delay 200", 6, "has no unit"),
+        ("delay 200 loss 30%", 6, "has no unit"),
+        ("delay 200min", 6, 'us, ms or s, got "min"'),
+        ("delay 200ms 300ms", 12, "the jitter 300ms is above the delay 200ms"),
+        ("delay -1ms", 6, "between 0 and one day"),
+        ("delay 1e99s", 6, "between 0 and one day"),
+        ("delay 0.1ns", 6, "us, ms or s"),
+        ("delay 0.0001us", 6, "whole number of nanoseconds"),
+        ("loss 30", 5, "percentage"),
+        ("loss 101%", 5, "between 0% and 100%"),
+        ("loss 1% loss 2%", 8, '"loss" is given twice'),
+        ("delay 1ms distribution normal", 10, "a distribution has no effect without a jitter"),
+        ("delay 1ms 1ms distribution norml", 27, 'no distribution is called "norml"'),
+        ("delay 1ms 0ms 25%", 10, "a correlation has no effect without a jitter"),
+        ("loss state 60% 60% 50%", 22, "p31 and p32 leave the same state"),
+        ("loss state", 10, 'expected a p13 such as "30%", got nothing'),
+        ("loss gemodel 1 2", 13, "the p takes a percentage"),
+        ("reorder 25%", 0, "the others need a delay"),
+        ("delay 1ms reorder 25% gap 0", 26, "whole number from 1"),
+        ("gap 5", 0, '"gap" belongs behind another word'),
+        ("rate 1", 5, "has no unit"),
+        ("rate 1kB", 5, 'bps, kbps, mbps (bytes), got "kB"'),
+        ("rate 0.0001bit", 5, "whole number of bits per second"),
+        ("rate 1kbit -5", 11, "whole number from 0"),
+        ("limit 0", 6, "whole number from 1"),
+        ("limit 5%", 6, "whole number from 1"),
+        ("seed -1", 5, "whole number from 0"),
+        ("delay " + "9" * 5000 + "ms", 6, "expected a delay"),
+    ],
+)
+def test_points_at_what_is_wrong(text: str, column: int, words: str) -> None:
+    with pytest.raises(GrammarError) as caught:
+        parse_condition(text)
+    assert words in caught.value.message
+    assert caught.value.column == column
+
+
+@pytest.mark.parametrize("word", REFUSED)
+def test_the_rest_of_tc_netem_is_refused_by_name(word: str) -> None:
+    with pytest.raises(GrammarError, match="of tc-netem is not supported") as caught:
+        parse_condition(f"{word} 5%")
+    assert caught.value.hint
+
+
+def test_names_the_nearest_word() -> None:
+    with pytest.raises(GrammarError) as caught:
+        parse_condition("delay 1ms losss 3%")
+    assert caught.value.hint == 'did you mean "loss"?'
+    assert isinstance(caught.value, NetemError)
+
+
+@given(st.one_of(st.text(), st.text("delayosmu %0123456789.-+e rn", max_size=30)))
+def test_any_text_is_a_condition_or_a_grammar_error(text: str) -> None:
+    try:
+        condition = parse_condition(text)
+    except GrammarError as error:
+        assert 0 <= error.column <= len(text)  # noqa: PT017 - most texts are errors, all must be ours
+    else:
+        assert parse_condition(print_condition(condition)) == condition
+
+
+LINKS = ((2, 1), (1, 2), (3, 2), (2, 3))
+
+
+@pytest.mark.parametrize(
+    ("text", "links"),
+    [
+        ("*", LINKS),
+        ("1->2", ((1, 2),)),
+        (" 2 <-> 1 ", ((2, 1), (1, 2))),
+        ("2->*", ((2, 1), (2, 3))),
+        ("*->2", ((1, 2), (3, 2))),
+        ("*<->3", ((3, 2), (2, 3))),
+        ("*->*", LINKS),
+        ("1->3", ()),
+    ],
+)
+def test_selectors_name_links(text: str, links: tuple[tuple[int, int], ...]) -> None:
+    assert select(parse_selector(text), LINKS) == links
+
+
+@given(st.one_of(st.none(), st.integers(1, 10**6)), st.one_of(st.none(), st.integers(1, 10**6)), st.booleans())
+def test_selectors_read_back(src: int | None, dst: int | None, both: bool) -> None:
+    if src == dst and src is not None:
+        return
+    selector = Selector(src, dst, both and (src, dst) != (None, None))
+    assert parse_selector(str(selector)) == selector
+
+
+@pytest.mark.parametrize("text", ["", "1", "1-2", "->", "2<-1", "1->1", "a->b", "1->2->3", "9" * 100 + "->1"])
+def test_what_is_no_selector_is_refused(text: str) -> None:
+    with pytest.raises(GrammarError):
+        parse_selector(text)
+
+
+@pytest.mark.parametrize("text", ["", "1e1000", "1e999999999", "1" * 41, "0x10", "1_000", "nan", "inf", "１"])
+def test_exact_numbers_are_short_decimals(text: str) -> None:
+    """Whatever the text, exact arithmetic on it stays cheap."""
+    assert exact_number(text) is None

@@ -1,0 +1,253 @@
+"""Laws of the network core: ledgers balance, draws do not depend on each other, latency is what the page says."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from math import sqrt
+
+import msgpack
+import pytest
+from any_condition import conditions as any_conditions
+from hypothesis import given
+from hypothesis import strategies as st
+
+from netem.condition import Condition, Link
+from netem.config import NetemConfig
+from netem.draws import normal, uniform
+from netem.errors import OutOfPlace
+from netem.ledger import Ledger
+from netem.network import Netem
+from netem.rounds import Rounds
+from netem.wire.messages import Fate, Round, Transmission, split
+
+TICK_NS = 10_000_000
+ALL_LINKS: tuple[Link, ...] = tuple((j, i) for j in (1, 2, 3) for i in (1, 2, 3) if i != j)
+
+plain = st.builds(
+    Condition,
+    delay_ns=st.integers(0, 300_000_000),
+    jitter_ns=st.integers(0, 100_000_000),
+    loss=st.sampled_from([0.0, 0.3, 1.0]),
+    up=st.sampled_from([True, True, True, False]),
+)
+# And whatever else the grammar can say, with delays short enough for packets to arrive in a test.
+conditions = plain | any_conditions().map(
+    lambda c: replace(c, delay_ns=c.delay_ns % 300_000_000, jitter_ns=c.jitter_ns % 100_000_000)
+)
+per_plain_link = st.dictionaries(st.sampled_from(ALL_LINKS), plain)
+per_link = st.dictionaries(st.sampled_from(ALL_LINKS), conditions)
+rounds_of_traffic = st.lists(
+    st.dictionaries(st.sampled_from([1, 2, 3]), st.lists(st.binary(max_size=8), max_size=3).map(tuple)), max_size=12
+)
+
+
+def config(per_link: dict[Link, Condition], links: tuple[Link, ...] = ALL_LINKS, seed: int = 1) -> NetemConfig:
+    return NetemConfig(seed, TICK_NS, 10, (1, 2, 3), links, {k: v for k, v in per_link.items() if k in links})
+
+
+def play(netem: Netem, traffic: list[dict[int, tuple[bytes, ...]]], first: int = 0) -> list[Fate]:
+    """All fates of some rounds, without the closing ones."""
+    fates: list[Fate] = []
+    for number, sent in enumerate(traffic, start=first):
+        fates += netem.exchange(10 * number, {i: sent.get(i, ()) for i in (1, 2, 3)}).fates
+    return fates
+
+
+@given(per_link, rounds_of_traffic)
+def test_ledger_balances_for_any_traffic(per_link: dict[Link, Condition], traffic: list) -> None:
+    """sent = delivered + lost + in flight on every link, whatever the conditions, and each fate is told once."""
+    netem = Netem(config(per_link))
+    fates = [*play(netem, traffic), *netem.close(10 * len(traffic))]
+    ledger = Ledger(ALL_LINKS)
+    ledger.settle(fates)
+    for link, (sent, duplicated) in netem.entered.items():
+        ledger.enter(link, sent=sent, duplicated=duplicated)
+    assert not ledger.unbalanced()
+    assert len({(f.src, f.dst, f.seq, f.copy) for f in fates}) == len(fates)
+
+
+@given(per_plain_link, rounds_of_traffic)
+def test_due_tick_is_the_delay_rounded_up_and_at_least_one_tick(per_link: dict[Link, Condition], traffic: list) -> None:
+    netem = Netem(config(per_link))
+    for fate in [*play(netem, traffic), *netem.close(10 * len(traffic))]:
+        assert fate.due_tick == max(fate.sent_tick + 1, fate.sent_tick + -(-fate.delay_ns // TICK_NS))
+        condition = per_link.get((fate.src, fate.dst), Condition())
+        if fate.cause in ("delivered", "in flight"):
+            low = max(0, condition.delay_ns - condition.jitter_ns)
+            assert low <= fate.delay_ns <= condition.delay_ns + condition.jitter_ns
+
+
+@given(per_link, rounds_of_traffic)
+def test_inboxes_hold_exactly_what_is_delivered_in_order(per_link: dict[Link, Condition], traffic: list) -> None:
+    netem = Netem(config(per_link))
+    delivered, told = [], []
+    for number, sent in enumerate(traffic):
+        tick = 10 * number
+        outcome = netem.exchange(tick, {i: sent.get(i, ()) for i in (1, 2, 3)})
+        told += outcome.fates
+        for i, inbox in outcome.inboxes.items():
+            assert list(inbox) == sorted(inbox, key=lambda d: d[:5])
+            assert all(tick < d.due_tick <= tick + 10 for d in inbox)
+            delivered += [(d.src, i, d.seq, d.due_tick, d.payload) for d in inbox]
+    end = 10 * len(traffic)
+    told += netem.close(end)
+    reached = [(f.src, f.dst, f.seq, f.due_tick, f.payload) for f in told if f.cause == "delivered"]
+    assert sorted(reached) == sorted(d for d in delivered if d[3] < end)
+
+
+@given(per_link, conditions, rounds_of_traffic)
+def test_a_link_never_shifts_the_draws_of_another(
+    per_link: dict[Link, Condition], changed: Condition, traffic: list
+) -> None:
+    """Changing link 1->2, or taking it away, leaves every fate on every other link as it was."""
+
+    def others(per_link: dict[Link, Condition], links: tuple[Link, ...]) -> list[Fate]:
+        netem = Netem(config(per_link, links))
+        fates = [*play(netem, traffic), *netem.close(10 * len(traffic))]
+        return [f for f in fates if (f.src, f.dst) != (1, 2)]
+
+    before = others(per_link, ALL_LINKS)
+    assert others({**per_link, (1, 2): changed}, ALL_LINKS) == before
+    assert others(per_link, tuple(link for link in ALL_LINKS if link != (1, 2))) == before
+
+
+@given(per_link, rounds_of_traffic, st.integers(0, 12))
+def test_state_and_restore_continue_as_if_uninterrupted(
+    per_link: dict[Link, Condition], traffic: list, cut: int
+) -> None:
+    cut = min(cut, len(traffic))
+    whole = Netem(config(per_link))
+    expected = [*play(whole, traffic), *whole.close(10 * len(traffic))]
+    first = Netem(config(per_link))
+    fates = play(first, traffic[:cut])
+    second = Netem(config(per_link))
+    second.restore(msgpack.unpackb(msgpack.packb(first.state())))
+    fates += [*play(second, traffic[cut:], cut), *second.close(10 * len(traffic))]
+    assert fates == expected
+    assert second.entered == whole.entered
+
+
+def test_loss_and_jitter_have_the_distribution_they_promise() -> None:
+    """Against closed forms, three standard errors: Bernoulli 30 %, uniform 150..250 ms with variance w^2/12."""
+    netem = Netem(config({(1, 2): Condition(200_000_000, 50_000_000, 0.3, limit=10**6)}, ((1, 2),)))
+    n = 20_000
+    fates = [*netem.exchange(0, {1: (b"",) * n, 2: (), 3: ()}).fates, *netem.close(10)]
+    lost = sum(f.cause == "loss" for f in fates)
+    assert abs(lost / n - 0.3) < 3 * sqrt(0.3 * 0.7 / n)
+    delays = [f.delay_ns for f in fates if f.cause != "loss"]
+    mean = sum(delays) / len(delays)
+    assert abs(mean - 200e6) < 3 * 100e6 / sqrt(12 * len(delays))
+    deviation = sqrt(sum((d - mean) ** 2 for d in delays) / len(delays))
+    assert abs(deviation / (100e6 / sqrt(12)) - 1) < 0.02
+
+
+def test_draws_are_uniform_and_normal_and_pure() -> None:
+    n = 20_000
+    u = [uniform(7, "test", k) for k in range(n)]
+    assert abs(sum(u) / n - 0.5) < 3 / sqrt(12 * n)
+    assert all(0.0 <= x < 1.0 for x in u)
+    z = [normal(7, "test", k) for k in range(n)]
+    assert abs(sum(z) / n) < 3 / sqrt(n)
+    assert abs(sum(x * x for x in z) / n - 1) < 3 * sqrt(2 / n)
+    assert u[17] == uniform(7, "test", 17)
+    assert (
+        len({uniform(7, "test", 1, 2), uniform(7, "test", 2, 1), uniform(7, "other", 1, 2), uniform(8, "test", 1, 2)})
+        == 4
+    )
+
+
+def test_a_cut_link_loses_everything_and_says_so() -> None:
+    netem = Netem(config({(1, 2): Condition(up=False)}))
+    fates = play(netem, [{1: (b"a",)}, {}])
+    assert {(f.dst, f.cause) for f in fates} == {(2, "down"), (3, "delivered")}
+
+
+def test_ideal_network_delivers_in_the_sending_tick() -> None:
+    netem = Netem(NetemConfig(1, TICK_NS, 1, (1, 2), ((1, 2),), {}, ideal=True))
+    outcome = netem.exchange(5, {1: (b"now",), 2: ()})
+    assert [(d.due_tick, d.payload) for d in outcome.inboxes[2]] == [(5, b"now")]
+    assert [(f.final_tick, f.cause) for f in outcome.fates] == [(5, "delivered")]
+
+
+def send(rounds: Rounds, i: int, tick: int, incarnation: int = 0) -> None:
+    rounds.transmission(i, Transmission(incarnation, tick, ()))
+
+
+def test_a_round_waits_for_exactly_the_living() -> None:
+    """Netem exchanges when the world has said who lives and those have sent; who is not alive is not waited for."""
+    rounds = Rounds(config({}))
+    send(rounds, 1, 0)
+    send(rounds, 2, 0)
+    assert rounds.exchange() is None
+    rounds.round(Round(0, (1, 2, 3), ((0.0, 0.0, 0.0),) * 3, ()))
+    assert rounds.exchange() is None
+    assert rounds.missing == [3]
+    send(rounds, 3, 0)
+    outcome = rounds.exchange()
+    assert outcome is not None
+    assert [i for i, _ in outcome[0]] == [1, 2, 3]
+    assert outcome[0][0][1].until == 10
+    rounds.round(Round(10, (1, 3), ((0.0, 0.0, 0.0),) * 2, ()))
+    send(rounds, 1, 10)
+    send(rounds, 3, 10)
+    later = rounds.exchange()
+    assert later is not None
+    assert [i for i, _ in later[0]] == [1, 3]
+
+
+@pytest.mark.parametrize(
+    ("i", "tick", "incarnation", "what"),
+    [(1, 5, 0, "round tick"), (1, 20, 0, "round tick"), (1, 0, 1, "incarnation"), (2, 0, 0, "round tick")],
+)
+def test_transmissions_out_of_place_are_refused(i: int, tick: int, incarnation: int, what: str) -> None:
+    rounds = Rounds(config({}))
+    send(rounds, 2, 0)
+    with pytest.raises(OutOfPlace, match=what):
+        send(rounds, i, tick, incarnation)
+    assert rounds.missing == [1, 3]
+
+
+@given(st.lists(st.integers(1, 50), max_size=40), st.integers(1, 120))
+def test_split_keeps_everything_and_no_part_is_too_long(sizes: list[int], limit: int) -> None:
+    parts = list(split(sizes, lambda size: size, limit))
+    assert [size for part, _ in parts for size in part] == sizes
+    assert [more for _, more in parts] == [True] * (len(parts) - 1) + [False]
+    assert all(sum(part) <= limit or len(part) == 1 for part, _ in parts)
+
+
+@given(per_link, rounds_of_traffic)
+def test_another_vehicle_shifts_no_draw(per_link: dict[Link, Condition], traffic: list) -> None:
+    """A fourth vehicle that talks to and hears everybody leaves every fate among the others as it was."""
+    alone = Netem(config(per_link))
+    before = [*play(alone, traffic), *alone.close(10 * len(traffic))]
+    more = tuple((4, i) for i in (1, 2, 3)) + tuple((i, 4) for i in (1, 2, 3))
+    lossy = dict.fromkeys(more, Condition(150_000_000, 100_000_000, 0.5))
+    joined = Netem(NetemConfig(1, TICK_NS, 10, (1, 2, 3, 4), ALL_LINKS + more, {**per_link, **lossy}))
+    after: list[Fate] = []
+    for number, sent in enumerate(traffic):
+        after += joined.exchange(10 * number, {4: (b"me too",) * 2, **{i: sent.get(i, ()) for i in (1, 2, 3)}}).fates
+    after += joined.close(10 * len(traffic))
+    assert [f for f in after if 4 not in (f.src, f.dst)] == before
+
+
+@given(st.permutations([*((i, tick) for i in (1, 2, 3) for tick in (0, 10)), ("round", 0), ("round", 10)]))
+def test_the_order_of_arrival_changes_no_round(arrivals: list) -> None:
+    """The transmissions of a round and the world's word on it in any order: the same inboxes, the same reports."""
+
+    def outcomes(arrivals: list) -> list:
+        rounds = Rounds(config({(1, 2): Condition(50_000_000, 40_000_000, 0.3)}))
+        found = []
+        for who, tick in arrivals:
+            if who == "round":
+                rounds.round(Round(tick, (1, 2, 3), ((0.0, 0.0, 0.0),) * 3, ()))
+            else:
+                rounds.transmission(who, Transmission(0, tick, (b"%d at %d" % (who, tick),)))
+            while (outcome := rounds.exchange()) is not None:
+                found.append(outcome)
+        return found
+
+    # Nobody gets to round 10 without the inbox of round 0, so what belongs to it comes later.
+    ordered = sorted(arrivals, key=lambda a: a[1])
+    expected = outcomes([(1, 0), (2, 0), (3, 0), ("round", 0), (1, 10), (2, 10), (3, 10), ("round", 10)])
+    assert outcomes(ordered) == expected
+    assert len(expected) == 2

@@ -1,0 +1,52 @@
+"""Messages of every kind, with values generated from their declarations."""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+from hypothesis import strategies as st
+from hypothesis.strategies import SearchStrategy
+
+from netem.wire.messages import (
+    Arrival,
+    Delivery,
+    Fate,
+    Frame,
+    Life,
+    Message,
+    Tumble,
+    VehicleFrame,
+    declared,
+    fields_of,
+)
+
+RECORDS = {record.__name__: record for record in (Arrival, Delivery, Fate, Frame, Life, Tumble, VehicleFrame)}
+KINDS = sorted(declared())
+UINTS = st.one_of(st.integers(0, 300), st.integers(0, 2**64 - 1))
+REALS = st.floats(allow_nan=False, allow_infinity=False)
+ARRAY = re.compile(r"(.*)\[(\*|\d+)\]")
+
+
+def values(wire: str) -> SearchStrategy[Any]:
+    """Values that a declared wire type allows, as a message holds them."""
+    if wire in RECORDS:
+        return messages(RECORDS[wire])
+    if match := ARRAY.fullmatch(wire):
+        item, size = match.groups()
+        least, most = (0, 4) if size == "*" else (int(size), int(size))
+        return st.lists(values(item), min_size=least, max_size=most).map(tuple)
+    return {
+        "uint": UINTS,
+        "real": REALS,
+        "bool": st.booleans(),
+        "str": st.text(max_size=30),
+        "bin": st.binary(max_size=100),
+    }[wire]
+
+
+def messages(cls: type) -> SearchStrategy[Any]:
+    return st.tuples(*(values(field.wire) for field in fields_of(cls).values())).map(cls._make)  # type: ignore[attr-defined]
+
+
+ANY_MESSAGE: SearchStrategy[Message] = st.sampled_from(KINDS).flatmap(lambda kind: messages(declared()[kind][0]))

@@ -1,0 +1,40 @@
+"""Laws of the user's, written to a module beside the scenario."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Callable
+from pathlib import Path
+from textwrap import dedent
+
+import pytest
+
+
+@pytest.fixture
+def module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[str], str]:
+    """Writes a module beside the scenario-to-be and returns its name, another one each time."""
+    monkeypatch.syspath_prepend(str(tmp_path))
+
+    def write(code: str) -> str:
+        name = f"law_{random.getrandbits(40)}"
+        (tmp_path / f"{name}.py").write_text(dedent(code), "utf-8")
+        return name
+
+    return write
+
+
+def failing(at: int, line: str, vehicle: int = 2) -> str:
+    """A law whose step does something wrong at one tick of one vehicle; the faulty line is line 10."""
+    return f"""\
+import asyncio, itertools, json, time, numpy as np
+from agents.api import Signal
+
+class Law:
+    signals = (Signal("a", "1", ""),)
+    def __init__(self, config):
+        self.config = config
+    def step(self, sample):
+        if sample.tick == {at} and self.config.id == {vehicle}:
+            {line}
+        return (1.0, 0.0, 0.0), {{"a": 0.0}}
+"""

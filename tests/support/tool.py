@@ -1,0 +1,17 @@
+"""Commands of the command line, in this process."""
+
+from __future__ import annotations
+
+import subprocess
+from pathlib import Path
+
+from click.testing import CliRunner
+
+from fleet.cli.main import cli
+
+
+def tool(out: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+    """A command as from another terminal: over zenoh to the run, but without starting Python each time."""
+    result = CliRunner().invoke(cli, [*arguments, "--out", str(out)])
+    assert result.exception is None or isinstance(result.exception, SystemExit), result.exception
+    return subprocess.CompletedProcess(arguments, result.exit_code, result.stdout, result.stderr)

@@ -1,0 +1,461 @@
+"""Who may say and hear what: the router enforces it, whatever a process tries.
+
+The runs of these tests are a router and one session per role, all in this process. Every attack is made twice: on
+a router with our access-control list, where nothing may come of it, and on one without, where it must succeed. The
+second shows that the first would have noticed.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import stat
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import pytest
+from free_ports import free_port
+from live import LiveRun
+from waiting import wait_for
+
+import fleet.run.console
+import netem.wire.access
+import netem.wire.bus
+from fleet.logs.reader import LogReader
+from fleet.processes.private_folder import PrivateFolder
+from fleet.run.directory import RunDirectory
+from fleet.run.execute import Options, Status, execute
+from fleet.scenario.loading import load_scenario
+from netem.errors import BusError
+from netem.wire.access import CONSOLE, LEASE_MS, NETEM, OPERATOR, Credentials, Door, agent_role, generate
+from netem.wire.bus import Bus, Respond
+from netem.wire.keys import Keys
+
+RUN = "5ec7e7"
+KEYS = Keys(RUN)
+VEHICLES = (1, 2)
+WORLD = "world"
+LIMIT_S = 20.0
+
+# Everything that anybody can put, and who may. The world is the router itself.
+PUTS: dict[str, set[str]] = {
+    **{KEYS.tx(i): {agent_role(i)} for i in VEHICLES},
+    **{KEYS.cmd(i): {agent_role(i)} for i in VEHICLES},
+    **{KEYS.note(agent_role(i)): {agent_role(i)} for i in VEHICLES},
+    **{KEYS.nav(i): set() for i in VEHICLES},
+    **{KEYS.rx(i): {NETEM} for i in VEHICLES},
+    KEYS.note(NETEM): {NETEM},
+    KEYS.note(WORLD): set(),
+    KEYS.links: {NETEM},
+    KEYS.round: set(),
+    KEYS.frame: set(),
+    KEYS.grant: {CONSOLE},
+}
+# A put may name many keys at once.
+WILD_PUTS = [KEYS.tx("*"), KEYS.cmd("*"), KEYS.rx("*"), KEYS.nav("*"), KEYS.note("*"), f"{KEYS.prefix}/**", "**"]
+
+HEARD_BY = {
+    WORLD: [KEYS.cmd("*")],
+    NETEM: [KEYS.tx("*"), KEYS.round],
+    CONSOLE: [KEYS.frame, KEYS.links, KEYS.note("*")],
+    **{agent_role(i): [KEYS.nav(i), KEYS.rx(i)] for i in VEHICLES},
+}
+ROLES = [CONSOLE, NETEM, OPERATOR, "agent-1", "agent-2"]
+ATTACKERS = ["agent-1", NETEM, CONSOLE, OPERATOR]
+
+
+def listeners(key: str) -> set[str]:
+    """Who subscribes to what a put on `key` reaches."""
+    family = {KEYS.prefix + "/" + key.split("/")[2] + "/*", key}
+    return {role for role, expressions in HEARD_BY.items() if family & set(expressions)}
+
+
+class Hall:
+    """A router with every role's session, subscribed and answering as the processes of a run are."""
+
+    def __init__(self, private: Path) -> None:
+        self.credentials = generate(VEHICLES)
+        self._folder = PrivateFolder()
+        self.endpoint = self._folder.endpoint
+        self.port = f"tcp/127.0.0.1:{free_port()}"  # for those who cannot use the socket
+        self.heard: list[tuple[str, str, bytes]] = []  # listener, key, data
+        self.tokens: list[str] = []
+        self._marks = 0
+        door = Door((self.port,), LEASE_MS)
+        world = Bus.host(self.endpoint, KEYS, VEHICLES, self.credentials, private, door)
+        self.sessions = {WORLD: world}
+        for role in ROLES:
+            self.sessions[role] = self.join(role)
+        for role, expressions in HEARD_BY.items():
+            for expression in expressions:
+                self.sessions[role].subscribe(expression, self._hears(role))
+        self.sessions[CONSOLE].answer(KEYS.cfg("*"), _answer("the slice"))
+        self.sessions[CONSOLE].answer(f"{KEYS.op}/**", _answer("the operation"))
+        self.sessions[NETEM].answer(KEYS.ctl(NETEM), _answer("netem"))
+        world.answer(KEYS.ctl(WORLD), _answer("the world"))
+        world.watch_tokens(KEYS.alive("*"), lambda key, alive: self.tokens.append(key) if alive else None)
+        for key, speakers in PUTS.items():
+            for role in speakers or {WORLD}:
+                self.until_heard(role, key, f"hello from {role} on {key}".encode(), listeners(key))
+
+    def join(self, role: str) -> Bus:
+        """Agent 1 comes by the port, everybody else by the socket: the list is the same."""
+        return Bus.connect(self.port if role == "agent-1" else self.endpoint, self.credentials[role])
+
+    def put(self, role: str, key: str, data: bytes) -> None:
+        self.sessions[role]._session.put(key, data)
+
+    def who_heard(self, data: bytes) -> set[tuple[str, str]]:
+        return {(role, key) for role, key, heard in list(self.heard) if heard == data}
+
+    def settle(self, role: str) -> None:
+        """Return once the router has handled all that `role` has sent, and everyone has received what came of it.
+
+        A session's messages reach the router in order, and so does what the router sends to each session: a sign of
+        life from `role` is behind what it sent before, and a mark from the router is behind what it passed on.
+        """
+        self._marks += 1
+        mark = b"mark %d" % self._marks
+        session = self.sessions[role]
+        match role:
+            case "console":
+                wait_for(lambda: session.ask(KEYS.ctl(WORLD), timeout_s=0.5), LIMIT_S, "the world's answer")
+            case "operator":
+                wait_for(lambda: session.ask(f"{KEYS.op}/status", timeout_s=0.5), LIMIT_S, "the console's answer")
+            case "netem":
+                self.until_heard(role, KEYS.links, mark + b" of netem", {CONSOLE})
+            case _:
+                number = role.removeprefix("agent-")
+                wait_for(lambda: session.ask(KEYS.cfg(number), timeout_s=0.5), LIMIT_S, "the slice")
+        for key, listener in [
+            (KEYS.nav(1), "agent-1"),
+            (KEYS.nav(2), "agent-2"),
+            (KEYS.round, NETEM),
+            (KEYS.frame, CONSOLE),
+        ]:
+            self.until_heard(WORLD, key, mark, {listener})
+
+    def until_heard(self, role: str, key: str, data: bytes, by: set[str]) -> None:
+        """Put again and again until everybody has heard it: a subscription takes a moment to become known, and a
+        publisher that knows of none says nothing."""
+
+        def heard() -> bool:
+            self.put(role, key, data)
+            return by <= {listener for listener, _ in self.who_heard(data)}
+
+        wait_for(heard, LIMIT_S, f"{data!r} on {key}")
+
+    def _hears(self, role: str) -> Any:
+        return lambda key, data: self.heard.append((role, key, data))
+
+    def close(self) -> None:
+        for session in reversed(self.sessions.values()):
+            session.close()
+        self._folder.close()
+
+
+def _answer(text: str) -> Any:
+    def answer(key: str, _: bytes, respond: Respond) -> None:
+        respond(f"{text} for {key}".encode())
+
+    return answer
+
+
+@contextmanager
+def hall(private: Path) -> Iterator[Hall]:
+    opened = Hall(private)
+    try:
+        yield opened
+    finally:
+        opened.close()
+
+
+def without(flow: str) -> Any:
+    """The list with everything allowed in one direction: what the other direction alone holds back.
+
+    The router holds back twice. A publisher that is not told of a subscriber stays silent of its own accord, which
+    a hostile program need not do; so what comes in must be refused by itself, and so must what goes out.
+    """
+    messages = ["put", "delete", "query", "reply", "declare_subscriber", "declare_queryable", "liveliness_token"]
+    rule = {"permission": "allow", "flows": [flow], "messages": messages, "key_exprs": ["**"]}
+
+    def access_control(keys: Keys, vehicles: tuple[int, ...], **how: Any) -> dict[str, Any]:
+        block = netem.wire.access.access_control(keys, vehicles, **how)
+        block["rules"].append({"id": "open", **rule})
+        for policy in block["policies"]:
+            policy["rules"].append("open")
+        return block
+
+    return access_control
+
+
+GUARDS: dict[str, Any] = {
+    "as in every run": netem.wire.access.access_control,
+    "incoming only": without("egress"),
+    "outgoing only": without("ingress"),
+    "none": lambda keys, vehicles, **how: {"enabled": False},
+}
+
+
+@pytest.fixture
+def guard(request: pytest.FixtureRequest) -> str:
+    """The name of a guard, for tests that are parametrised with it."""
+    return str(getattr(request, "param", "as in every run"))
+
+
+@pytest.fixture
+def guarded(guard: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Hall]:
+    monkeypatch.setattr(netem.wire.bus, "access_control", GUARDS[guard])
+    with hall(tmp_path) as opened:
+        yield opened
+
+
+@pytest.fixture
+def unguarded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Hall]:
+    """A router without the list."""
+    monkeypatch.setattr(netem.wire.bus, "access_control", GUARDS["none"])
+    with hall(tmp_path) as opened:
+        yield opened
+
+
+# --- putting ---------------------------------------------------------------
+
+
+def test_everyone_can_say_what_is_theirs(guarded: Hall) -> None:
+    """Every allowed put of every role arrives: the list forbids nothing that a run needs."""
+    for key, speakers in PUTS.items():
+        for role in speakers:
+            data = f"{role} on {key}".encode()
+            guarded.put(role, key, data)
+            guarded.settle(role)
+            assert {listener for listener, _ in guarded.who_heard(data)} == listeners(key), data
+
+
+@pytest.mark.parametrize("guard", ["as in every run", "incoming only"], indirect=True)
+@pytest.mark.parametrize("role", ATTACKERS)
+def test_nobody_can_say_what_is_not_theirs(role: str, guarded: Hall) -> None:
+    """Agent 1 can put no command and no transmission of agent 2, no nav, no inbox, no frame, no grant ... ; and a put
+    on a wildcard, which would name its own key among others, is refused as a whole."""
+    allowed = {KEYS.rx("*")} if role == NETEM else set()  # it may put every inbox, at once or one by one
+    for key in [*(key for key, speakers in PUTS.items() if role not in speakers), *WILD_PUTS]:
+        if key not in allowed:
+            guarded.put(role, key, b"forged")
+    for key in (KEYS.cmd(1), KEYS.cmd(2), KEYS.nav(2), KEYS.frame):
+        guarded.sessions[role]._session.delete(key)
+    guarded.settle(role)
+    # What a session says to itself never leaves it.
+    assert {listener for listener, _ in guarded.who_heard(b"forged") | guarded.who_heard(b"")} <= {role}
+
+
+def test_without_the_list_every_forgery_is_heard(unguarded: Hall) -> None:
+    for key, speakers in PUTS.items():
+        if "agent-1" not in speakers:
+            unguarded.until_heard("agent-1", key, f"forged {key}".encode(), listeners(key))
+    unguarded.until_heard("agent-1", KEYS.cmd("*"), b"wild", {WORLD})
+
+
+# --- listening -------------------------------------------------------------
+
+WIRETAPS = [
+    KEYS.rx(2), KEYS.nav(2), KEYS.rx("*"), KEYS.nav("*"), KEYS.tx(2), KEYS.tx("*"), KEYS.cmd(2), KEYS.cmd("*"),
+    KEYS.frame, KEYS.links, KEYS.round, KEYS.note("*"), KEYS.grant, f"{KEYS.prefix}/**", "**",
+]  # fmt: skip
+
+
+def wiretap(hall: Hall, role: str) -> set[str]:
+    """What `role` overhears: a set that grows while the others talk."""
+    overheard: set[str] = set()
+    for expression in WIRETAPS:
+        hall.sessions[role].subscribe(expression, lambda key, _: overheard.add(key))
+    hall.settle(role)
+    return overheard
+
+
+def everybody_says_everything(hall: Hall) -> None:
+    for key, speakers in PUTS.items():
+        hall.until_heard(next(iter(speakers), WORLD), key, b"secret on " + key.encode(), listeners(key))
+    for role in ROLES:
+        hall.settle(role)
+
+
+@pytest.mark.parametrize("guard", ["as in every run", "outgoing only"], indirect=True)
+def test_agent_overhears_nothing(guarded: Hall) -> None:
+    """Not its neighbour's inbox or nav, not the fleet's frames: only what it said itself and what is meant for it."""
+    own = {KEYS.cmd(1), KEYS.tx(1), KEYS.note("agent-1"), KEYS.nav(1), KEYS.rx(1)}
+    overheard = wiretap(guarded, "agent-1")
+    everybody_says_everything(guarded)
+    assert overheard <= own
+
+
+@pytest.mark.parametrize("guard", ["as in every run", "outgoing only"], indirect=True)
+def test_operator_overhears_nothing(guarded: Hall) -> None:
+    """The operator's credentials are for asking the console; they read no traffic."""
+    overheard = wiretap(guarded, OPERATOR)
+    everybody_says_everything(guarded)
+    assert overheard == set()
+
+
+def test_without_the_list_an_agent_overhears_everything(unguarded: Hall) -> None:
+    overheard = wiretap(unguarded, "agent-1")
+
+    def everything() -> bool:
+        everybody_says_everything(unguarded)
+        return overheard >= set(PUTS)
+
+    wait_for(everything, LIMIT_S, "all keys")
+
+
+# --- asking and answering --------------------------------------------------
+
+QUESTIONS = [KEYS.cfg(2), KEYS.cfg("*"), KEYS.ctl(WORLD), KEYS.ctl(NETEM), f"{KEYS.op}/status", f"{KEYS.prefix}/**"]
+
+
+def answers(hall: Hall, role: str, key: str) -> list[str]:
+    replies = hall.sessions[role]._session.get(key, timeout=1.0)
+    return sorted(reply.ok.payload.to_string() for reply in replies if reply.ok is not None)
+
+
+@pytest.mark.parametrize("guard", ["as in every run", "incoming only", "outgoing only"], indirect=True)
+def test_agent_learns_its_own_slice_only(guarded: Hall) -> None:
+    """An agent cannot know the fleet: the configuration of others, the control of processes and the operator's
+    questions stay closed to it, by name and by wildcard."""
+    assert answers(guarded, "agent-1", KEYS.cfg(1)) == [f"the slice for {KEYS.cfg(1)}"]
+    assert {key: answers(guarded, "agent-1", key) for key in QUESTIONS} == {key: [] for key in QUESTIONS}
+
+
+def test_without_the_list_an_agent_learns_everything(unguarded: Hall) -> None:
+    for key in QUESTIONS:
+        wait_for(lambda key=key: answers(unguarded, "agent-1", key), LIMIT_S, f"an answer on {key}")  # type: ignore[misc]
+
+
+@pytest.mark.parametrize("guard", ["as in every run", "incoming only", "outgoing only"], indirect=True)
+def test_nobody_answers_for_another(guarded: Hall) -> None:
+    """An agent that offers itself as the console or the world is never asked."""
+    for expression in (KEYS.cfg(2), KEYS.cfg("*"), KEYS.ctl("*"), f"{KEYS.op}/**", f"{KEYS.prefix}/**"):
+        guarded.sessions["agent-1"].answer(expression, _answer("a lie"))
+    guarded.settle("agent-1")
+    assert answers(guarded, "agent-2", KEYS.cfg(2)) == [f"the slice for {KEYS.cfg(2)}"]
+    assert answers(guarded, CONSOLE, KEYS.ctl(WORLD)) == [f"the world for {KEYS.ctl(WORLD)}"]
+    assert answers(guarded, CONSOLE, KEYS.ctl(NETEM)) == [f"netem for {KEYS.ctl(NETEM)}"]
+    assert answers(guarded, OPERATOR, f"{KEYS.op}/status") == [f"the operation for {KEYS.op}/status"]
+
+
+@pytest.mark.parametrize("guard", ["as in every run", "incoming only", "none"], indirect=True)
+def test_nobody_lives_for_another(guard: str, guarded: Hall) -> None:
+    """A liveliness token is held under the own name or not at all."""
+    agent = guarded.sessions["agent-1"]
+    for name in ("agent-2", WORLD, NETEM):
+        agent.token(KEYS.alive(name))
+    agent.token(KEYS.alive("agent-1"))
+    wait_for(lambda: KEYS.alive("agent-1") in guarded.tokens, LIMIT_S, "the agent's own token")
+    expected = {"agent-1"} if guard != "none" else {"agent-1", "agent-2", WORLD, NETEM}
+    assert set(guarded.tokens) == {KEYS.alive(name) for name in expected}
+
+
+# --- credentials -----------------------------------------------------------
+
+
+def test_wrong_credentials_are_refused(guarded: Hall) -> None:
+    """A wrong password, another role's, an unknown user, none at all: refused in clear words without the password."""
+    good = guarded.credentials
+    for endpoint, credentials in product(
+        (guarded.endpoint, guarded.port),
+        (
+            Credentials("agent-1", "wrong-password"),
+            Credentials("agent-1", good["agent-2"].password),
+            Credentials("agent-9", good["agent-1"].password),
+            Credentials(WORLD, ""),
+            Credentials("", ""),
+        ),
+    ):
+        with pytest.raises(BusError) as caught:
+            Bus.connect(endpoint, credentials, timeout_ms=300)
+        assert f"cannot join the run at {endpoint} as {credentials.user}:" in str(caught.value)
+        assert not credentials.password or credentials.password not in str(caught.value)
+
+
+def test_users_file_is_gone_once_the_router_is_up(guarded: Hall, tmp_path: Path) -> None:
+    """Nothing of the credentials is left on the disk, and who knows them may still join."""
+    assert list(tmp_path.iterdir()) == []
+    guarded.join("agent-2").close()
+
+
+def test_passwords_are_long_fresh_and_unseen() -> None:
+    first, second = generate(VEHICLES), generate(VEHICLES)
+    passwords = [c.password for c in (*first.values(), *second.values())]
+    assert len(set(passwords)) == len(passwords) == 2 * len(ROLES)
+    assert min(map(len, passwords)) >= 32  # of 64 symbols: 192 bits
+    assert not [c for c in first.values() if c.password in f"{c} {c!r} {[c]}"]
+
+
+def test_no_secret_is_left_lying_about(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """No password in any process's arguments or environment while the run lives, and afterwards none in its
+    directory (the connection file held the operator's), in the log or in the temporary folder that the router read."""
+    folders: list[Path] = []
+    make_folder = tempfile.mkdtemp
+
+    def make_and_remember(*args: Any, **kwargs: Any) -> str:
+        folders.append(Path(make_folder(*args, **kwargs)))
+        return str(folders[-1])
+
+    leaked: dict[str, Credentials] = {}
+    exposed: list[str] = []
+    write = RunDirectory.write_connection
+
+    def remember(vehicles: tuple[int, ...]) -> dict[str, Credentials]:
+        leaked.update(generate(vehicles))
+        return leaked
+
+    def look_round(directory: RunDirectory, values: dict[str, Any]) -> None:
+        write(directory, values)
+        secrets = [c.password.encode() for c in leaked.values()]
+        for path in [*Path("/proc").glob("[0-9]*/cmdline"), *Path("/proc").glob("[0-9]*/environ")]:
+            try:
+                text = path.read_bytes()
+            except OSError:
+                continue  # it ended meanwhile
+            exposed.extend(f"{path}: {text!r}" for secret in secrets if secret in text)
+
+    monkeypatch.setattr(tempfile, "mkdtemp", make_and_remember)
+    monkeypatch.setattr(fleet.run.console, "generate", remember)
+    monkeypatch.setattr(RunDirectory, "write_connection", look_round)
+    out = tmp_path / "runs"
+    result = execute(load_scenario("paper", ["duration=1 s", "checks={}"]), Options(out, quiet=True))
+    assert result.status is Status.PASS
+    assert len(leaked) == 7
+    assert exposed == []
+    secrets = [c.password.encode() for c in leaked.values()]
+    for path in out.rglob("*"):
+        if path.is_file():
+            assert not any(secret in path.read_bytes() for secret in secrets), path
+    reader = LogReader(result.directory / "run.mcap")
+    everything = b"".join(r.data for r in reader) + repr((reader.metadata, reader.attachments)).encode()
+    assert not any(secret in everything for secret in secrets)
+    ours = [folder for folder in folders if folder.name.startswith("uuv-fleet")]
+    assert len(ours) == 1
+    assert not ours[0].exists()
+
+
+def test_connection_file(tmp_path: Path) -> None:
+    """While the run lives, for its owner alone, and enough to join as the operator; afterwards gone."""
+    arguments = ["--duration", "60 s", "--speed", "5", "--set", "on_death=abort"]
+    with LiveRun(tmp_path / "runs", "paper", *arguments) as run:
+        run.until_running(0.5)
+        path = run.directory / "connection.json"
+        assert stat.S_IMODE(path.stat().st_mode) == 0o600
+        assert path.stat().st_uid == os.getuid()
+        values = json.loads(path.read_text())
+        assert set(values) == {"endpoint", "run", "scenario", "pid", "user", "password"}
+        assert (values["user"], values["scenario"], values["pid"]) == (OPERATOR, "paper", run.pid)
+        assert values["endpoint"].startswith("unixsock-stream//")
+        Bus.connect(values["endpoint"], Credentials(values["user"], values["password"])).close()
+        socket_path = Path(values["endpoint"].removeprefix("unixsock-stream/"))
+        assert stat.S_IMODE(socket_path.parent.stat().st_mode) == 0o700
+        run.role("agent 1").kill()
+        assert run.status() == 3
+        assert not path.exists()
+        assert not socket_path.parent.exists()

@@ -1,0 +1,245 @@
+"""Agents that somebody else starts: they join real runs, leave them, and are waited for.
+
+What our own agent does in another terminal must be what it would have done as a child: same digest. Whatever else
+happens, nobody hangs, and who is at fault is told in a sentence.
+"""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from click.testing import CliRunner
+from live import LiveRun
+from tool import tool as op
+from waiting import wait_for
+
+from agents.join_file import JoinError, Joining
+from fleet.cli.main import cli
+from fleet.logs.reader import digest
+from fleet.run.execute import Options, execute
+from fleet.run.external_agents import ExternalError
+from fleet.scenario.loading import load_scenario, parse_scenario
+from netem.wire.messages import PROTOCOL_VERSION
+
+SHORT = ["duration=3 s", "checks={tumbled: waived}"]
+EXTERNAL = "per_vehicle={3: {external: true}}"
+READY_S = 30.0
+
+
+def sets(*overrides: str) -> list[str]:
+    return [part for override in overrides for part in ("--set", override)]
+
+
+def agent(file: Path) -> subprocess.Popen[str]:
+    """`fleet agent --join FILE`, as in another terminal."""
+    process = subprocess.Popen(
+        [sys.executable, "-m", "fleet", "agent", "--join", str(file)],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    )
+    _started.append(process)
+    return process
+
+
+_started: list[subprocess.Popen[str]] = []
+
+
+@pytest.fixture(autouse=True)
+def nobody_stays() -> Iterator[None]:
+    """A test that fails leaves no agent behind."""
+    yield
+    while _started:
+        process = _started.pop()
+        process.kill()
+        process.communicate()
+
+
+def ended(process: subprocess.Popen[str]) -> tuple[int, str]:
+    said, _ = process.communicate(timeout=READY_S)
+    return process.returncode, said
+
+
+def join_file(run: LiveRun, incarnation: int = 0) -> Path:
+    """The join file of vehicle 3 once the run waits for that life of its agent."""
+    path = run.out / "latest" / "join-3.json"
+
+    def written() -> bool:
+        assert not run.over, run.printed
+        return path.exists() and json.loads(path.read_text())["incarnation"] == incarnation
+
+    wait_for(written, READY_S, "the join file")
+    return path
+
+
+def reference(tmp_path: Path, *overrides: str) -> str:
+    """The digest of the same scenario with our agents only, in one process."""
+    return execute(
+        load_scenario("paper", overrides), Options(tmp_path / "reference", in_process=True, quiet=True)
+    ).digest
+
+
+def test_who_joins_is_the_agent_that_would_have_been_started(tmp_path: Path) -> None:
+    """The same digest; and on the way: a wrong password, a second agent, and the file after the end."""
+    expected = reference(tmp_path, *SHORT)
+    with LiveRun(tmp_path / "runs", "paper", *sets(*SHORT, EXTERNAL)) as run:
+        path = join_file(run)
+        assert path.stat().st_mode & 0o777 == 0o600
+        values = json.loads(path.read_text())
+        assert set(values) == {
+            "endpoint", "run", "vehicle", "user", "password", "version", "scenario", "incarnation", "begin",
+        }  # fmt: skip
+        assert (values["vehicle"], values["user"], values["begin"]) == (3, "agent-3", 0)
+        wrong = tmp_path / "wrong.json"
+        Joining(values["endpoint"], values["run"], 3, "agent-3", "guess").write(wrong)
+        code, said = ended(agent(wrong))
+        assert (code, "does not let agent-3 in: the password is wrong" in said, said.count("\n")) == (2, True, 1), said
+        kept = tmp_path / "kept.json"
+        Joining(**values).write(kept)
+        code, said = ended(agent(path))
+        assert (code, said.splitlines()[-1]) == (0, "agent 3: the run is over")
+        assert run.status() == 0, run.printed
+        assert not path.exists()
+        assert "waiting for agent 3 (external): fleet agent --join " in run.said
+        assert digest(run.log) == expected
+        code, said = ended(agent(kept))
+        assert (code, "nobody listens at" in said) == (2, True), said
+
+
+def test_a_killed_one_is_sent_away_and_another_life_joins(tmp_path: Path) -> None:
+    """A scripted kill with an end: two lives of agent 3, started by hand, give the log of two of our own."""
+    faults = "faults=[{at: 1 s, for: 1 s, kill: 3}]"
+    expected = reference(tmp_path, *SHORT, faults)
+    with LiveRun(tmp_path / "runs", "paper", *sets(*SHORT, EXTERNAL, faults)) as run:
+        code, said = ended(agent(join_file(run)))
+        assert (code, said.splitlines()[-1]) == (3, "agent 3: it was killed by a fault of the scenario or the operator")
+        code, said = ended(agent(join_file(run, incarnation=1)))
+        assert (code, said.splitlines()[-1]) == (0, "agent 3: the run is over")
+        assert run.status() == 0, run.printed
+        assert digest(run.log) == expected
+
+
+@pytest.mark.parametrize("policy", ["continue", "restart", "abort"])
+def test_one_that_leaves(policy: str, tmp_path: Path) -> None:
+    """Ctrl-C at `fleet agent`: its token goes, and `on_death` says what follows."""
+    arguments = sets("duration=4 s", "checks={tumbled: waived, deaths: {at_most: 1}}", EXTERNAL, f"on_death={policy}")
+    with LiveRun(tmp_path / "runs", "paper", *arguments, "--speed", "0.3") as run:
+        first = agent(join_file(run))
+        wait_for(lambda: "agent 3 (external) has joined" in run.printed, READY_S, "agent 3")
+        # Until then another one may come in its place, whatever the policy.
+        wait_for(lambda: op(tmp_path / "runs", "status").returncode == 0, READY_S, "the run to begin")
+        if policy == "continue":
+            code, said = ended(agent(join_file(run)))
+            assert (code, "does not wait for an agent 3: one has joined already" in said) == (2, True), said
+        first.send_signal(signal.SIGINT)
+        code, said = ended(first)
+        assert (code, said.splitlines()[-1]) == (130, "left the run")
+        if policy != "abort":
+            assert op(tmp_path / "runs", "clock", "speed", "max").returncode == 0
+        if policy == "restart":
+            assert ended(agent(join_file(run, incarnation=1)))[0] == 0
+        assert run.status() == (3 if policy == "abort" else 0), run.printed
+        result = json.loads((run.directory / "result.json").read_text())
+        if policy == "abort":
+            assert result["reason"].startswith("agent 3 (external) left at t = ")
+        else:
+            assert result["deaths"] == {"3": ["left: its session ended"]}
+            assert "agent 3 (external) left: its vehicle drifts without thrust" in " ".join(result["notes"])
+            assert "death-3" in [fault["fault"] for fault in result["faults"]]
+
+
+def test_nobody_comes(tmp_path: Path) -> None:
+    """The run ends, says for whom it waited, and leaves no credentials behind."""
+    with LiveRun(tmp_path / "runs", "paper", *sets(*SHORT, EXTERNAL), "--join-timeout", "500 ms") as run:
+        assert run.status() == 3
+        assert "agent 3 (external) did not join within 0.5 s" in run.said
+        assert not (run.directory / "join-3.json").exists()
+
+
+def test_nobody_can_join_a_run_in_one_process(tmp_path: Path) -> None:
+    scenario = load_scenario("paper", [EXTERNAL])
+    with pytest.raises(ExternalError, match=r"^vehicle 3 is external, so somebody else starts that agent"):
+        execute(scenario, Options(tmp_path, in_process=True, quiet=True))
+    assert list(tmp_path.iterdir()) == []
+    result = CliRunner().invoke(cli, ["check", "ideal", "--set", "external=true"])
+    assert result.exit_code == 2
+    assert "external: nobody can join an ideal network" in result.output
+
+
+def test_external_is_of_a_vehicle_or_of_all() -> None:
+    """Merged as every other key that may be per vehicle; the merged scenario says the same again."""
+    one = load_scenario("paper", [EXTERNAL])
+    assert one.external == (3,)
+    rest = load_scenario("paper", ["external=true", "per_vehicle={'1-2': {external: false}}"])
+    assert rest.external == (3, 4)
+    assert load_scenario("paper").external == ()
+    for scenario in (one, rest):
+        assert parse_scenario(scenario.to_yaml(), "again.yaml") == scenario
+
+
+GOOD = {"endpoint": "tcp/127.0.0.1:1", "run": "ab", "vehicle": 3, "user": "agent-3", "password": "x"}
+
+
+@pytest.mark.parametrize(
+    ("values", "mode", "expected"),
+    [
+        (GOOD | {"version": PROTOCOL_VERSION}, 0o644, "can be read by others (mode 0644, expected 0600): chmod 600"),
+        (GOOD | {"version": 99}, 0o600, f"speaks version 99 of the protocol, this fleet version {PROTOCOL_VERSION}"),
+        ({"version": PROTOCOL_VERSION}, 0o600, "is no join file: it has no 'endpoint'"),
+        (GOOD | {"version": PROTOCOL_VERSION, "vehicle": "3"}, 0o600, "vehicle: expected int, got str"),
+        (GOOD | {"version": PROTOCOL_VERSION, "ca": 1}, 0o600, "ca: expected str, got int"),
+        ([1], 0o600, "expected a map, got list"),
+        ("{", 0o600, "not JSON"),
+        (None, 0o600, "there is no "),
+    ],
+)
+def test_what_is_wrong_with_a_join_file(values: Any, mode: int, expected: str, tmp_path: Path) -> None:
+    path = tmp_path / "join-3.json"
+    if values is not None:
+        path.write_text(values if isinstance(values, str) else json.dumps(values))
+        path.chmod(mode)
+    with pytest.raises(JoinError) as caught:
+        Joining.read(path)
+    assert expected in str(caught.value)
+    result = CliRunner().invoke(cli, ["agent"])
+    assert result.exit_code == 2
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "expected"),
+    [
+        ("endpoint", "foo", "expected tcp/HOST:PORT"),
+        ("endpoint", "tcp/a:1,b", "got 'b'"),
+        ("ca", "zzz", "expected PEM"),
+    ],
+)
+def test_what_cannot_be_connected_with_is_said_before_that(key: str, value: str, expected: str, tmp_path: Path) -> None:
+    path = tmp_path / "join-3.json"
+    Joining("tcp/127.0.0.1:1", "5ea", 3, "agent-3", "secret").write(path)
+    path.write_text(json.dumps(json.loads(path.read_text()) | {key: value}))
+    with pytest.raises(JoinError, match=expected):
+        Joining.read(path)
+
+
+def test_a_join_file_round_trips(tmp_path: Path) -> None:
+    path = tmp_path / "join-7.json"
+    joining = Joining("tls/host:7447", "ab", 7, "agent-7", "secret", scenario="s", incarnation=2, begin=40)
+    joining = replace(joining, ca="-----BEGIN CERTIFICATE-----")
+    joining.write(path)
+    joining.write(path)  # it replaces the one that was there
+    assert path.stat().st_mode & 0o777 == 0o600
+    assert Joining.read(path) == joining
+    assert "secret" not in repr(joining)
+    several = replace(joining, endpoint="tls/[::1]:7447#iface=lo,tcp/host:1")  # as zenoh writes them
+    several.write(path)
+    assert Joining.read(path) == several
+    assert [entry.name for entry in tmp_path.iterdir()] == ["join-7.json"]

@@ -1,0 +1,173 @@
+"""The operator's hand on a running fleet: faults injected at arbitrary moments, the clock held and paced, and a script
+of it all that runs to the same digest."""
+
+from __future__ import annotations
+
+import json
+import random
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hand import Hand
+from live import LiveRun
+from tool import tool
+
+from fleet.logs.reader import digest
+from fleet.repeat.recorded_run import script
+from fleet.run.clock import Clock, LiveClock
+from fleet.run.connection import RemoteError, find, live_runs
+from fleet.run.execute import Options, execute
+from fleet.scenario.loading import parse_scenario
+
+TICK_NS = 10_000_000
+CHECKS = "checks={ledger: balanced, middleware_loss: {at_most: 0}, tumbled: waived, deaths: waived}"
+SLOW = ["--speed", "1", "--set", CHECKS]
+
+
+# --- the clock -------------------------------------------------------------
+
+
+def live_clock(speed: float | None = None) -> LiveClock:
+    return LiveClock(Clock(1000, TICK_NS, 10, 1, speed), 100.0)
+
+
+def test_a_paused_clock_grants_nothing_more() -> None:
+    clock = live_clock()
+    assert clock.until(0, 100.0) == 51
+    clock.pause(51)
+    assert [clock.until(k, 101.0) for k in (10, 50, 900)] == [51, 51, 51]
+    clock.step(51, 5)
+    assert (clock.until(51, 102.0), clock.describe()) == (56, "paused")
+    clock.resume()
+    assert clock.until(56, 103.0) == 107
+
+
+def test_a_change_of_speed_counts_from_where_it_is() -> None:
+    """No jump: what passed at the old speed, or in a pause, is not made up for."""
+    clock = live_clock(1.0)
+    assert clock.until(900, 101.0) == 101
+    clock.pause(101)
+    assert clock.until(900, 150.0) == 101
+    clock.resume()
+    assert clock.until(900, 150.0) == 102
+    clock.set_speed(102, 2.0)
+    assert clock.until(900, 151.0) == 303
+    clock.set_speed(303, None)
+    assert clock.until(900, 151.0) == 951
+
+
+# --- finding runs ----------------------------------------------------------
+
+
+def test_runs_are_found_by_their_connection_files(tmp_path: Path) -> None:
+    """A file left by a console that is gone is no live run."""
+    for name, pid in (("dead-1", 2**22 - 1), ("broken-1", "x")):
+        (tmp_path / name).mkdir()
+        values = {"endpoint": "tcp/127.0.0.1:1", "run": "a", "scenario": "s", "pid": pid, "user": "u", "password": "p"}
+        (tmp_path / name / "connection.json").write_text(json.dumps(values))
+    with pytest.raises(RemoteError, match="its console is gone"):
+        find(tmp_path / "dead-1", tmp_path)
+    assert live_runs(tmp_path) == []
+    assert not (tmp_path / "dead-1" / "connection.json").exists()  # there was a password in it
+    with pytest.raises(RemoteError, match="no live run under"):
+        find(None, tmp_path)
+    with pytest.raises(RemoteError, match="is no live run"):
+        find(tmp_path / "nowhere", tmp_path)
+
+
+# --- live runs -------------------------------------------------------------
+
+
+def test_every_live_action_is_a_script_line(tmp_path: Path) -> None:
+    """Faults at moments that nobody chose, one healed early, a kill: the exported scenario gives the same digest."""
+    out = tmp_path / "runs"
+    rng = random.Random()  # arbitrary on purpose: it must hold whenever the faults come
+    with LiveRun(out, "paper", "--duration", "15 s", *SLOW, "--speed", "0.5", "--set", "profile=hardened") as live:
+        live.until_running()
+        hand = Hand(out)
+        answers = []
+        for arguments in (
+            ["link", "1<->2", "delay 60ms 20ms loss gemodel 10% 40%", "--for", "1500ms"],
+            ["partition", "halves", "--id", "split"],
+            ["mute", "3", "--for", "1s"],
+            ["stuck", "1", "--for", "300ms"],
+            ["noise", "vehicles=1,2", "position_noise=5 cm", "--id", "fog"],
+            ["current", "0.1 0 0 m/s"],
+            ["kill", "4", "--id", "crash"],
+            ["pause", "2", "--for", "200ms"],
+            ["slow", "vehicles=1", "by=3 ticks", "--for", "500ms"],
+        ):
+            hand.until(hand.now() + rng.random() * 0.4)
+            answers.append(tool(out, "inject", *arguments))
+        healed = tool(out, "heal", "split")
+        listed = tool(out, "faults")
+        said = tool(out, "status")
+        reborn = tool(out, "heal", "crash")
+        again_dead = tool(out, "inject", "kill", "2", "--for", "5s")
+        # Its vehicle is not waited for at the tick at which the agent was to come back, but earlier.
+        hand.until(float(again_dead.stdout.split()[-2]) + 0.2)
+        early = tool(out, "heal", "live-7")
+        assert tool(out, "clock", "speed", "max").returncode == 0
+        assert live.status(60.0) == 0, live.said
+        log = live.log
+    assert [a.returncode for a in answers] == [0] * 9, [a.stderr for a in answers]
+    assert answers[0].stdout.startswith("live-1: link 1<->2: delay 60ms 20ms loss gemodel 10% 40%")
+    assert healed.stdout.startswith("healed split at t = ")
+    names = {"live-1", "split", "live-2", "live-3", "fog", "live-4", "crash", "live-5", "live-6"}
+    assert {line.split()[0] for line in listed.stdout.splitlines()} == names
+    assert "without an agent: 4" in said.stdout
+    assert reborn.stdout.startswith("healed crash at t = ")
+    assert early.stdout.startswith("healed live-7 at t = ")
+    assert again_dead.stdout.startswith("live-7: kill 2, from t = ")
+    again = script(log)
+    assert {*names, "live-7"} <= {fault.id for fault in again.spec.faults}  # a vehicle may be lost besides
+    assert parse_scenario(again.to_yaml(), "again.yaml") == again
+    result = execute(again, Options(tmp_path / "again", in_process=True, quiet=True))
+    assert result.digest == digest(log)
+
+
+def test_what_cannot_be_injected_is_refused_in_words(tmp_path: Path) -> None:
+    out = tmp_path / "runs"
+    with LiveRun(out, "paper", "--duration", "60 s", *SLOW) as live:
+        live.until_running()
+        cases: list[tuple[list[str], str, int]] = [
+            (["inject", "lnk", "1->2", "loss 3%"], 'did you mean "link"', 2),
+            (["inject", "link", "1->2"], "a link fault is: link SELECTOR CONDITION", 2),
+            (["inject", "link", "1->3", "loss 3%"], "the graph has no such link", 3),
+            (["inject", "link", "1->2", "lss 3%"], 'unknown link condition "lss"', 3),
+            (["inject", "link", "1->2", "loss 3% seed 7"], "seed belongs in a scenario", 3),
+            (["inject", "mute", "9"], "there is no vehicle 9", 3),
+            (["inject", "partition", "half"], "is no partition", 3),
+            (["inject", "mute", "1", "--for", "5ms"], "not a whole number of ticks", 3),
+            (["heal", "nothing"], "there is no active fault 'nothing'; none is active", 3),
+        ]
+        for arguments, words, code in cases:
+            done = tool(out, *arguments)
+            assert (done.returncode, words in done.stderr) == (code, True), (arguments, done.stderr)
+            assert "Traceback" not in done.stderr
+        assert tool(out, "stop").returncode == 0
+        assert live.status(20.0) == 130
+        live.until_nobody_is_left()
+        assert "stopped by the operator" in live.said
+    done = tool(out, "status")
+    assert (done.returncode, "no live run under" in done.stderr) == (3, True)
+
+
+def test_two_runs_do_not_disturb_each_other(tmp_path: Path) -> None:
+    """Started in the same second, side by side: a fault in one is none in the other."""
+    out = tmp_path / "runs"
+    arguments = ["paper", "--duration", "10 s", *SLOW]
+    with LiveRun(out, *arguments) as one, LiveRun(tmp_path / "other", *arguments) as other:
+        one.until_running()
+        other.until_running()
+        listed = tool(out, "ps").stdout.splitlines()
+        assert len(listed) == 1
+        assert tool(out, "inject", "partition", "halves").returncode == 0
+        for place in (out, tmp_path / "other"):
+            assert tool(place, "clock", "speed", "max").returncode == 0
+        assert (one.status(60.0), other.status(60.0)) == (0, 0)
+        results: list[Any] = [json.loads((live.directory / "result.json").read_text()) for live in (one, other)]
+    lost = [sum(account["lost"].get("partition", 0) for account in r["ledger"].values()) for r in results]
+    assert lost[0] > 0
+    assert lost[1] == 0

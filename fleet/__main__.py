@@ -6,7 +6,6 @@ import signal
 import sys
 from types import FrameType
 
-from fleet.errors import FleetError
 from fleet.processes.interrupts import ENDING, ending, ending_status
 from fleet.terminal.output import OutputError, give_up_output, open_streams
 
@@ -47,9 +46,6 @@ def _command_line() -> int:
     except click.ClickException as error:
         error.show()
         return error.exit_code
-    except FleetError as error:
-        click.echo(f"fleet: {error}", err=True)
-        return error.status
     except SystemExit as end:
         if not isinstance(end.code, int | None):
             raise

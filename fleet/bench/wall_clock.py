@@ -24,6 +24,8 @@ from fleet.scenario.scenario import Scenario
 class BenchError(FleetError):
     """A run of the benchmark did not come to its end."""
 
+    status = 3
+
 
 @dataclass(frozen=True, slots=True)
 class Row:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import secrets
-import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -13,7 +12,6 @@ import click
 
 from fleet.cli.completion import scenarios
 from fleet.cli.types import Duration
-from fleet.errors import FleetError
 
 if TYPE_CHECKING:
     from fleet.hosts.rendezvous import Meeting
@@ -109,10 +107,7 @@ def certs(directory: Path, hosts: tuple[str, ...], agents: int, days: int, force
     """
     from fleet.hosts.certificates import ALWAYS, make
 
-    try:
-        make(directory, hosts, agents=agents, days=days, force=force)
-    except FleetError as error:
-        _fail(error)
+    make(directory, hosts, agents=agents, days=days, force=force)
     click.echo(f"wrote {directory}: a router's certificate for {', '.join([*hosts, *ALWAYS])}", err=True)
     if not hosts:
         click.echo("warning: agents on other hosts cannot use it: name this host with --host", err=True)
@@ -160,35 +155,25 @@ def acl(
     from fleet.hosts.rendezvous import HostsError, parse_endpoint, run_id
     from fleet.scenario.loading import load_scenario
 
-    try:
-        vehicles = load_scenario(scenario, overrides, imports=False).vehicles
-        endpoint = parse_endpoint(listen, "--listen")
-        if endpoint.protocol == "tls" and certs is None:
-            raise HostsError(
-                f"{endpoint} needs certificates: --certs DIR, made with fleet certs DIR --host NAME; or tcp/"
-            )
-        if endpoint.protocol == "tcp" and (certs or mutual_tls):
-            raise HostsError("--certs and --mutual-tls are for tls/ endpoints")
-        name = secrets.token_hex(4) if run is None else run_id(run)
-        users = users_file or (out or Path()).absolute() / lists.USERS
-        place = certs.absolute() if certs else None
-        text = lists.config(
-            name, vehicles, str(endpoint), str(users), place, mutual=mutual_tls, lease_ms=lease // 1_000_000
-        )
-        if out is None:
-            click.echo(text, nl=False)
-            return
-        lists.write(out, name, vehicles, text, force=force)
-    except FleetError as error:
-        _fail(error)
+    vehicles = load_scenario(scenario, overrides, imports=False).vehicles
+    endpoint = parse_endpoint(listen, "--listen")
+    if endpoint.protocol == "tls" and certs is None:
+        raise HostsError(f"{endpoint} needs certificates: --certs DIR, made with fleet certs DIR --host NAME; or tcp/")
+    if endpoint.protocol == "tcp" and (certs or mutual_tls):
+        raise HostsError("--certs and --mutual-tls are for tls/ endpoints")
+    name = secrets.token_hex(4) if run is None else run_id(run)
+    users = users_file or (out or Path()).absolute() / lists.USERS
+    place = certs.absolute() if certs else None
+    text = lists.config(
+        name, vehicles, str(endpoint), str(users), place, mutual=mutual_tls, lease_ms=lease // 1_000_000
+    )
+    if out is None:
+        click.echo(text, nl=False)
+        return
+    lists.write(out, name, vehicles, text, force=force)
     click.echo(
         f"wrote {out}: {lists.CONFIG} and {lists.USERS} for the router, {lists.CREDENTIALS} for the run", err=True
     )
 
 
 COMMANDS = (certs, acl)
-
-
-def _fail(error: FleetError) -> Any:
-    click.echo(f"fleet: {error}", err=True)
-    sys.exit(2)

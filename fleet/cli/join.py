@@ -10,6 +10,7 @@ from typing import NoReturn
 import click
 
 from agents.plugins.trust import Trust
+from fleet.cli.group import report
 from fleet.cli.trust import TrustingCommand, trust_option
 from fleet.processes.interrupts import ending_status
 
@@ -64,7 +65,7 @@ def agent(path: Path, trust: Trust, quiet: bool) -> None:
         quiet_zenoh()
         end = serve(joining, begun, trust)
     except JoinError as error:
-        click.echo(f"fleet: {error}", err=True)
+        report(error)
         _leave(3 if joined else 2)
     except KeyboardInterrupt as error:
         tell("left the run")

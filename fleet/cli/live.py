@@ -12,7 +12,6 @@ import click
 from click.shell_completion import get_completion_class
 
 from fleet.cli import completion
-from fleet.errors import FleetError, ScenarioError
 
 F = TypeVar("F", bound=Callable[..., Any])
 # Faults that are several values; a current may be.
@@ -52,11 +51,7 @@ def which(command: F) -> F:
 def _ask(run: Path | None, out: Path, op: str, **fields: Any) -> dict[str, Any]:
     from fleet.run.connection import ask, find
 
-    try:
-        return ask(find(run, out), op, **fields)
-    except FleetError as error:
-        click.echo(f"fleet: {error}", err=True)
-        sys.exit(3)
+    return ask(find(run, out), op, **fields)
 
 
 @click.command()
@@ -94,20 +89,15 @@ def status(run: Path | None, out: Path, watch: bool) -> None:
     from fleet.run.connection import ask as ask_run
 
     shown = 0
-    try:
-        found = find(run, out)
-    except RemoteError as error:
-        click.echo(f"fleet: {error}", err=True)
-        sys.exit(3)
+    found = find(run, out)
     while True:
         try:
             values = ask_run(found, "status")
-        except RemoteError as error:
+        except RemoteError:
             if shown and not is_live(found):
                 click.echo(f"the run is over: {found.directory}")
                 return
-            click.echo(f"fleet: {error}", err=True)
-            sys.exit(3)
+            raise
         lines = [
             f"{values['scenario']}: t = {values['at_s']:.2f} of {values['end_s']:g} s, {values['clock']}"
             + (f", {values['waiting']}" if values["waiting"] not in ("", values["clock"]) else ""),
@@ -249,13 +239,9 @@ def script(log: Path) -> None:
     from fleet.repeat.recorded_run import script as make
     from fleet.terminal.share_done import showing
 
-    try:
-        with showing(f"reading {log}") as tell:
-            made = make(log, tell)
-        click.echo(made.to_yaml(), nl=False)
-    except (FleetError, ScenarioError) as error:
-        click.echo(f"fleet: {error}", err=True)
-        sys.exit(2)
+    with showing(f"reading {log}") as tell:
+        made = make(log, tell)
+    click.echo(made.to_yaml(), nl=False)
 
 
 @click.command(name="completion")

@@ -1,16 +1,16 @@
-"""The commands that make something of a log: plot, export, report."""
+"""The commands that make something of a log: plot, export, report, info."""
 
 from __future__ import annotations
 
+import json
 import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
 import click
 
 from fleet.cli.types import Vehicles, Window, Words
-from fleet.errors import FleetError
 
 KINDS = ("track", "error", "velocity", "inputs", "commands", "gains", "links", "messages", "ages", "timing")
 FORMATS = ("png", "svg", "pdf")
@@ -76,15 +76,12 @@ def plot(
     from fleet.terminal.share_done import showing
 
     said: list[str] = []
-    try:
-        with showing("reading") as tell:
-            runs = load([log, *compare], tell)
-        look = Look(vehicles, log_scale, window)
-        check_look(runs, look)
-        with showing("drawing") as tell:
-            paths = write(what, runs, look, out or log_path(log).parent / "plots", formats, said.append, tell)
-    except FleetError as error:
-        _fail(error)
+    with showing("reading") as tell:
+        runs = load([log, *compare], tell)
+    look = Look(vehicles, log_scale, window)
+    check_look(runs, look)
+    with showing("drawing") as tell:
+        paths = write(what, runs, look, out or log_path(log).parent / "plots", formats, said.append, tell)
     for note in dict.fromkeys([*(f"{r.label}: {r.log.missing}" for r in runs if r.log.missing), *_notes(runs), *said]):
         click.echo(f"fleet: {note}", err=True)
     for path in paths:
@@ -126,23 +123,20 @@ def export(log: Path, csv: Path | None, parquet: Path | None, topics: tuple[str,
 
     if csv is None and parquet is None:
         raise click.UsageError("say where the tables go: --csv DIR, --parquet DIR, or both")
-    try:
-        with showing(f"reading {log}") as tell:
-            found = list_topics(log, topics or None, tell)
-        if topics and not len(found):
-            raise click.BadParameter(f"no topic of {log} is like {', '.join(topics)}", param_hint="--topics")
-        if found.missing:
-            click.echo(f"fleet: {found.path}: {found.missing}", err=True)
-        if left := [name for name in found if len(found[name]) and not fits(found[name])]:
-            click.echo(f"fleet: left out, being lists of messages and no tables: {', '.join(left)}", err=True)
-        for form, folder in (("csv", csv), ("parquet", parquet)):
-            if folder is not None:
-                with showing(f"writing {folder}") as tell:
-                    paths = write(found, folder, form, force=force, share=tell)
-                for path in paths:
-                    click.echo(path)
-    except FleetError as error:
-        _fail(error)
+    with showing(f"reading {log}") as tell:
+        found = list_topics(log, topics or None, tell)
+    if topics and not len(found):
+        raise click.BadParameter(f"no topic of {log} is like {', '.join(topics)}", param_hint="--topics")
+    if found.missing:
+        click.echo(f"fleet: {found.path}: {found.missing}", err=True)
+    if left := [name for name in found if len(found[name]) and not fits(found[name])]:
+        click.echo(f"fleet: left out, being lists of messages and no tables: {', '.join(left)}", err=True)
+    for form, folder in (("csv", csv), ("parquet", parquet)):
+        if folder is not None:
+            with showing(f"writing {folder}") as tell:
+                paths = write(found, folder, form, force=force, share=tell)
+            for path in paths:
+                click.echo(path)
 
 
 @click.command()
@@ -175,24 +169,35 @@ def report(
     from fleet.pictures.runs import Look, check_look, load
     from fleet.terminal.share_done import showing
 
-    try:
-        with showing("reading") as tell:
-            runs = load(logs, tell)
-        look = Look(vehicles, log_scale, window)
-        check_look(runs, look)
-        with showing("drawing and adding up") as tell:
-            write(out, runs, look, tell)
-    except FleetError as error:
-        _fail(error)
+    with showing("reading") as tell:
+        runs = load(logs, tell)
+    look = Look(vehicles, log_scale, window)
+    check_look(runs, look)
+    with showing("drawing and adding up") as tell:
+        write(out, runs, look, tell)
     for run in runs:
         if run.log.missing:
             click.echo(f"fleet: {run.label}: {run.log.missing}", err=True)
     click.echo(out)
 
 
-COMMANDS = (plot, export, report)
+@click.command()
+@click.argument("log", type=click.Path(path_type=Path))
+@click.option("--json", "as_json", is_flag=True, help="Print as JSON.")
+def info(log: Path, as_json: bool) -> None:
+    """Say what LOG (an MCAP file, or a run directory) holds, also when it was cut short.
+
+    \b
+    Examples:
+      fleet info runs/latest
+      fleet info runs/latest/run.mcap --json
+    """
+    from fleet.logs.info import describe, read_info
+    from fleet.terminal.share_done import showing
+
+    with showing(f"reading {log}") as tell:
+        found = read_info(log, tell)
+    click.echo(json.dumps(found.to_values(), indent=2) if as_json else describe(found))
 
 
-def _fail(error: FleetError) -> NoReturn:
-    click.echo(f"fleet: {error}", err=True)
-    sys.exit(2)
+COMMANDS = (plot, export, report, info)

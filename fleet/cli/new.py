@@ -1,12 +1,15 @@
-"""`fleet new`: a law of your own as a template that runs, with a scenario that uses it."""
+"""The command `fleet new`: a law of your own as a template that runs, with a scenario that uses it."""
 
 from __future__ import annotations
 
 import importlib.util
 import keyword
 import re
+import shlex
 from importlib import resources
 from pathlib import Path
+
+import click
 
 from fleet.errors import FleetError
 
@@ -16,6 +19,42 @@ _IMPORTED = {"Any", "AgentConfig", "Command", "Delivery", "Nav", "PAYLOAD", "Sam
 
 class NewFileError(FleetError):
     """The files cannot be written."""
+
+
+@click.group()
+def new() -> None:
+    """Begin something of your own from a template."""
+
+
+@new.command()
+@click.argument("name")
+@click.option(
+    "--kind",
+    type=click.Choice(["controller", "guidance", "tracking", "agent"]),
+    default="controller",
+    show_default=True,
+    help="What it replaces: guidance and tracking, one of them, or the whole agent.",
+)
+@click.option(
+    "--dir",
+    "folder",
+    metavar="DIR",
+    type=click.Path(path_type=Path, file_okay=False),
+    default=Path(),
+    help="Where to write; by default here.",
+)
+def controller(name: str, kind: str, folder: Path) -> None:
+    """Write NAME.py, a control law that runs as it is, and NAME.yaml, a scenario that uses it.
+
+    \b
+    Examples:
+      fleet new controller pid
+      fleet new controller swarm --kind guidance --dir laws
+    """
+    law, scenario = write_law(kind, name, folder)
+    below = folder.resolve().is_relative_to(Path().resolve())  # from elsewhere it would ask for --trust
+    there, file = ("", scenario) if below else (f"cd {shlex.quote(str(folder))} && ", scenario.name)
+    click.echo(f"wrote {law} and {scenario}; now: {there}fleet run {shlex.quote(str(file))}")
 
 
 def write_law(kind: str, name: str, folder: Path) -> tuple[Path, Path]:
@@ -61,3 +100,6 @@ def _taken(name: str) -> str | None:
     except ValueError:  # imported, and of unknown origin
         return "built in"
     return None if found is None else found.origin or "a folder"
+
+
+COMMANDS = (new,)

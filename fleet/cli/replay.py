@@ -7,7 +7,7 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated, Any
@@ -16,9 +16,11 @@ import click
 import msgspec
 from rich.console import Console as Terminal
 
+from fleet.cli.group import exit_status, report
 from fleet.cli.types import Duration, Endpoint, FileSize
 from fleet.errors import FleetError
 from fleet.processes.interrupts import ending_status
+from netem.errors import NetemError
 
 MOST_BYTES = 100_000  # of a file that says how to listen
 CLOSE_S = 2.0  # for what is still on the way to others
@@ -113,13 +115,10 @@ def replay(
         wait=wait_for_subscribers,
     )  # fmt: skip
     terminal = Terminal(stderr=True)
-    try:
-        with showing(f"reading {log}", quiet=quiet) as tell:
-            tape = Tape(log_path(log), tell)
-        played = Replay(tape, wishes)
-    except FleetError as error:
-        _fail(error, 2)
-    with _ending() as sessions, StatusLine(terminal, quiet=quiet) as line:
+    with showing(f"reading {log}", quiet=quiet) as tell:
+        tape = Tape(log_path(log), tell)
+    played = Replay(tape, wishes)
+    with exit_status(3), _ending() as sessions, StatusLine(terminal, quiet=quiet) as line:
         if tape.missing:
             line.say(f"warning: {log}: {tape.missing}")
         bus = _session(connect, listen, None)
@@ -131,8 +130,6 @@ def replay(
             line.say(f"playing {played.messages} messages on {keys} at {bus.endpoint}")
             with Keyboard() as keyboard:
                 played.play(keyboard, line)
-        except Exception as error:
-            _broken(error)
         finally:
             line.say(played.summary(time.monotonic() - began))
 
@@ -186,46 +183,39 @@ def record(
     with _ending() as sessions, StatusLine(Terminal(stderr=True), quiet=quiet) as line:
         bus = _session(connect, listen, credentials)
         sessions.append(bus)
-        try:
+        with exit_status(2):
             recorder = Recorder(bus, keys)
             writer = TrafficWriter(path, keys)
-        except Exception as error:
-            _broken(error, 2)
-            raise
         line.say(f"recording {', '.join(keys)} at {bus.endpoint} to {path}")
-        failed: Exception | None = None
-        with holding_interrupts() as interrupted:
+        with exit_status(3), holding_interrupts() as interrupted:
             try:
                 limits, over = Limits(duration, max_size), None if run is None else Gone(lambda: bus.connected)
                 if recorder.record(writer, limits, line, interrupted, over):
                     line.say("the run is over: nobody publishes it any more")
-            except Exception as error:
-                failed = error
-            finally:
-                try:
-                    recorder.finish(writer)
-                    line.say(f"recorded {writer.samples} messages, {writer.size / 1e6:.2f} MB, to {path}")
-                except FleetError as error:
-                    failed = failed or error  # a full disk has been told once
-                if failed is not None:
-                    _broken(failed)
+            except BaseException:
+                with suppress(FleetError):  # a full disk is reported once
+                    _finish(recorder, writer, line, path)
+                raise
+            _finish(recorder, writer, line, path)
+
+
+def _finish(recorder: Any, writer: Any, line: Any, path: Path) -> None:
+    recorder.finish(writer)
+    line.say(f"recorded {writer.samples} messages, {writer.size / 1e6:.2f} MB, to {path}")
 
 
 def _session(connect: str | None, listen: str | None, credentials: Any) -> Any:
     from fleet.processes.ports import free_port
-    from netem.errors import BusError
     from netem.wire.bus import quiet_zenoh
     from netem.wire.open_bus import OpenBus
 
     if connect and listen:
         raise click.UsageError("either --connect or --listen")
     quiet_zenoh()
-    try:
+    with exit_status(3):
         if connect:
             return OpenBus.connect(connect, credentials)
         return OpenBus.listen(listen or f"tcp/127.0.0.1:{free_port(None)}")
-    except (BusError, FleetError) as error:
-        _fail(error, 3)
 
 
 class _Observed(msgspec.Struct):
@@ -269,22 +259,11 @@ def _ending() -> Iterator[list[Any]]:
             closing.start()
             closing.join(CLOSE_S)
             if closing.is_alive():
+                status = report(error) if isinstance(error, (FleetError, NetemError)) else int(error is not None)
+                if isinstance(error, SystemExit) and isinstance(error.code, int):
+                    status = error.code
                 sys.stderr.flush()
-                os._exit(error.code if isinstance(error, SystemExit) and isinstance(error.code, int) else bool(error))
-
-
-def _broken(error: Exception, status: int = 3) -> None:
-    """End with a word on an error of ours; anything else goes on as it is."""
-    from netem.errors import NetemError
-
-    if not isinstance(error, (FleetError, NetemError)):
-        raise error
-    _fail(error, status)
-
-
-def _fail(error: Exception, status: int) -> Any:
-    click.echo(f"fleet: {error}", err=True)
-    sys.exit(status)
+                os._exit(status)
 
 
 COMMANDS = (replay, record)

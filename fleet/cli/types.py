@@ -1,4 +1,4 @@
-"""Values of options that several commands take."""
+"""Options that several commands take, and the types of their values."""
 
 from __future__ import annotations
 
@@ -9,6 +9,14 @@ from typing import Any
 import click
 
 from fleet.quantities import Dimension, QuantityError, parse, time_ns
+
+OVERRIDES = click.option(
+    "--set",
+    "overrides",
+    metavar="KEY=VALUE",
+    multiple=True,
+    help="Override one scenario key, e.g. network.period='200 ms'.",
+)
 
 
 class Duration(click.ParamType[int]):

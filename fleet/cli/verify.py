@@ -4,24 +4,17 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import Any
 
 import click
 from rich.console import Console as Terminal
 
 from agents.plugins.trust import Trust
 from fleet.cli.trust import TrustingCommand, trust_option
-from fleet.errors import FleetError, ScenarioError
 
 _VERIFY = "Exit status: 0 reproduced, 1 not, 2 no log of ours or it cannot be run here, 3 no message is left in it."
 _DIFF = "Exit status: 0 the same (or within the tolerance), 1 different, 2 one of them is no log."
 _RECOVER = "Exit status: 0 whole, 1 nothing can be recovered, 2 usage, 3 something is lost."
 _log = click.Path(path_type=Path)
-
-
-def _fail(error: FleetError | ScenarioError, status: int = 2) -> Any:
-    click.echo(f"fleet: {error}", err=True)
-    sys.exit(status)
 
 
 @click.command(cls=TrustingCommand, epilog=_VERIFY)
@@ -38,21 +31,16 @@ def verify(log: Path, trust: Trust, quiet: bool) -> None:
     Examples:
       fleet verify runs/latest
     """
-    from fleet.repeat.verify import NothingToVerify, describe
+    from fleet.repeat.verify import describe
     from fleet.repeat.verify import verify as check
     from fleet.terminal.counting import Counting
     from fleet.terminal.share_done import showing
 
-    try:
-        with (
-            showing(f"reading {log}", quiet=quiet) as reading,
-            Counting(Terminal(stderr=True), "verified", quiet=quiet) as tell,
-        ):
-            found = check(log, tell, trust, reading)
-    except NothingToVerify as error:
-        _fail(error, 3)
-    except FleetError as error:
-        _fail(error)
+    with (
+        showing(f"reading {log}", quiet=quiet) as reading,
+        Counting(Terminal(stderr=True), "verified", quiet=quiet) as tell,
+    ):
+        found = check(log, tell, trust, reading)
     click.echo("\n".join(describe(found)))
     sys.exit(0 if found.reproduced else 1)
 
@@ -77,12 +65,9 @@ def diff(a: Path, b: Path, tolerance: float, everything: bool, quiet: bool) -> N
     from fleet.logs.reader import LogReader, log_path
     from fleet.terminal.share_done import showing
 
-    try:
-        with showing(f"comparing {a} and {b}", quiet=quiet) as tell:
-            left, right = LogReader(log_path(a), tell), LogReader(log_path(b))
-            found = compare(left, right)
-    except FleetError as error:
-        _fail(error)
+    with showing(f"comparing {a} and {b}", quiet=quiet) as tell:
+        left, right = LogReader(log_path(a), tell), LogReader(log_path(b))
+        found = compare(left, right)
     for name, reader in (("a", left), ("b", right)):
         if reader.missing:
             click.echo(f"{name} is NOT WHOLE: {reader.missing}")
@@ -116,11 +101,8 @@ def recover(log: Path, out: Path | None) -> None:
     from fleet.logs.recover import recover as write
     from fleet.terminal.share_done import showing
 
-    try:
-        with showing(f"recovering {log}") as tell:
-            found = write(log, out, tell)
-    except FleetError as error:
-        _fail(error)
+    with showing(f"recovering {log}") as tell:
+        found = write(log, out, tell)
     click.echo(describe(found), err=found.nothing)
     sys.exit(1 if found.nothing else 3 if found.lost else 0)
 

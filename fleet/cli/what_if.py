@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,7 +10,6 @@ import click
 
 from agents.plugins.trust import Trust
 from fleet.cli.trust import TrustingCommand, trust_option
-from fleet.errors import FleetError
 
 if TYPE_CHECKING:
     from fleet.repeat.what_if import WhatIf
@@ -52,17 +50,13 @@ def command(
 
     changes = [*overrides, *([f"controller={controller}"] if controller is not None else [])]
     terminal = Console(stderr=True)
-    try:
-        with Status("reading the log", console=terminal) as status:
-            tell = lambda share: status.update(f"agent {agent}: {100 * share:.0f} %")  # noqa: E731
-            found = whatif(log, agent, changes, tell, trust)
-        if plot is not None:
-            from fleet.repeat.what_if_picture import draw
+    with Status("reading the log", console=terminal) as status:
+        tell = lambda share: status.update(f"agent {agent}: {100 * share:.0f} %")  # noqa: E731
+        found = whatif(log, agent, changes, tell, trust)
+    if plot is not None:
+        from fleet.repeat.what_if_picture import draw
 
-            draw(found, plot)
-    except FleetError as error:
-        click.echo(f"fleet: {error}", err=True)
-        sys.exit(2)
+        draw(found, plot)
     if as_json:
         click.echo(json.dumps(values(found), indent=2))
         return

@@ -40,6 +40,8 @@ _VERSIONS = ("uuv-fleet", "python", "piqp")  # that may change a bit without any
 class NothingToVerify(FleetError):
     """The log is one of ours but holds no message."""
 
+    status = 3
+
 
 @dataclass(slots=True)
 class Verification:

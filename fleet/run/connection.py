@@ -25,6 +25,8 @@ MOST_BYTES = 100_000  # of a connection file, with certificates
 class RemoteError(FleetError):
     """There is no such run, it does not answer, or it refused."""
 
+    status = 3
+
 
 @dataclass(frozen=True, slots=True)
 class Found:

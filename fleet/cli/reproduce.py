@@ -1,0 +1,74 @@
+"""The command `fleet reproduce`."""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+
+import click
+from rich.console import Console as Terminal
+
+from fleet.cli.group import exit_status
+
+
+@click.command()
+@click.option(
+    "--out",
+    metavar="DIR",
+    type=click.Path(path_type=Path, file_okay=False),
+    default=Path("reproduction"),
+    show_default=True,
+    help="Where report.md, metrics.json and the pictures go.",
+)
+@click.option("--jobs", metavar="N", type=click.IntRange(1, 256), help="Runs at a time; by default one per core.")
+@click.option(
+    "--case",
+    "cases",
+    metavar="NAME",
+    multiple=True,
+    help="Only runs whose name begins with NAME; repeatable.",
+)
+@click.option("--format", "formats", type=click.Choice(["png", "svg", "pdf"]), multiple=True, default=("png",),
+              show_default=True, help="Format of the pictures; repeatable.")  # fmt: skip
+def reproduce(out: Path, jobs: int | None, cases: tuple[str, ...], formats: tuple[str, ...]) -> None:
+    """Run the paper's simulation section again and judge each of its claims.
+
+    Five controllers, undisturbed and disturbed, under the printed and the corrected cost, over no network and over
+    one, in parallel; pictures for every figure of the paper, and a report with a verdict on every claim.
+
+    \b
+    Examples:
+      fleet reproduce
+      fleet reproduce --out /tmp/paper --jobs 4 --format png --format pdf
+      fleet reproduce --case nboc --case nbc-disturbed
+    """
+    from rich.table import Table
+
+    from fleet.reproduce.cases import CASES
+    from fleet.reproduce.progress import showing
+
+    names = [name for name in CASES if not cases or any(name.lower().startswith(c.lower()) for c in cases)]
+    for case in cases:
+        if not any(name.lower().startswith(case.lower()) for name in CASES):
+            raise click.BadParameter(f"no run begins with {case!r}; there are {', '.join(CASES)}", param_hint="--case")
+    from fleet.reproduce.run import reproduce as run_all
+
+    terminal = Terminal(stderr=True)
+    with exit_status(3), showing(terminal) as tell:
+        path, claims, _ = run_all(out, jobs or len(os.sched_getaffinity(0)), names, formats, tell)
+    table = Table(box=None, pad_edge=False)
+    for heading in ("verdict", "claim", "under which reading"):
+        table.add_column(heading)
+    colours = {"reproduced": "green", "partly": "yellow", "not reproduced": "red"}
+    for claim in claims:
+        table.add_row(f"[{colours[claim.verdict]}]{claim.verdict}[/]", claim.text, claim.readings)
+    output = Terminal(width=None if sys.stdout.isatty() else 150)
+    if claims:
+        output.print(table)
+    else:
+        output.print("no claim can be judged on these runs alone", highlight=False)
+    output.print(str(path), highlight=False, soft_wrap=True)
+
+
+COMMANDS = (reproduce,)

@@ -1,0 +1,242 @@
+"""The command `fleet run`."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+from rich.console import Console as Terminal
+
+from agents.plugins.trust import Trust
+from fleet.cli import hosts as cli_hosts
+from fleet.cli.completion import scenarios
+from fleet.cli.group import EPILOG
+from fleet.cli.trust import TrustingCommand, trust_option
+from fleet.cli.types import OVERRIDES, Duration, Share, Speed
+from fleet.terminal.output import OutputError, give_up_output
+
+if TYPE_CHECKING:
+    from fleet.recorder.snapshot import Start
+    from fleet.run.execute import Result
+    from fleet.scenario.scenario import Scenario
+
+
+@click.command(cls=TrustingCommand, epilog=EPILOG)
+@click.argument("scenario", required=False, shell_complete=scenarios)
+@click.option("--from", "begin", metavar="LOG[@TIME]", help="Go on from a snapshot in a log, in one process.")
+@click.option(
+    "--out",
+    metavar="DIR",
+    type=click.Path(path_type=Path),
+    default=Path("runs"),
+    show_default=True,
+    help="Where run directories go.",
+)
+@click.option("--seed", type=click.IntRange(0, 2**63 - 1), help="Override the scenario's seed.")
+@click.option("--duration", metavar="TIME", help="Override the scenario's duration, e.g. '20 s'.")
+@click.option(
+    "--speed",
+    type=Speed(),
+    default="max",
+    show_default=True,
+    help="Times real time, or as fast as it goes; with --clock real, 1.",
+)
+@click.option(
+    "--clock",
+    type=click.Choice(["lockstep", "real"]),
+    default="lockstep",
+    show_default=True,
+    help="real: ticks begin by the wall clock and wait for nobody; the result says who was late.",
+)
+@click.option(
+    "--max-missed",
+    metavar="SHARE",
+    type=Share(),
+    default="1%",
+    show_default=True,
+    help="Of its ticks that an agent may miss with --clock real before the run fails.",
+)
+@click.option("--in-process", is_flag=True, help="One process, no zenoh; the same log, byte for byte.")
+@OVERRIDES
+@trust_option
+@click.option("--show-config", is_flag=True, help="Print the merged scenario and stop.")
+@click.option(
+    "--port",
+    type=click.IntRange(1, 65535),
+    help="Listen on this port of 127.0.0.1, too, for agents that cannot use the run's Unix socket.",
+)
+@click.option(
+    "--publish", is_flag=True, help="Publish the journal on zenoh meanwhile; nobody who listens slows the run."
+)
+@click.option("--audit", is_flag=True, help="Say also which messages the router refuses, a tenth slower.")
+@click.option("--wait-for-subscribers", is_flag=True, help="With --publish: begin when somebody listens.")
+@cli_hosts.hosts_options
+@click.option("--join-timeout", type=Duration(), default="300 s", show_default=True,
+              help="How long to wait for each agent that somebody else starts.")  # fmt: skip
+@click.option("--start-order", metavar="SEED", type=int, hidden=True)
+@click.option("-q", "--quiet", is_flag=True, help="No progress and no tables.")
+def run(
+    scenario: str | None,
+    begin: str | None,
+    out: Path,
+    seed: int | None,
+    duration: str | None,
+    speed: float | None,
+    clock: str,
+    max_missed: float,
+    in_process: bool,
+    overrides: tuple[str, ...],
+    trust: Trust,
+    show_config: bool,
+    port: int | None,
+    publish: bool,
+    audit: bool,
+    wait_for_subscribers: bool,
+    join_timeout: int,
+    start_order: int | None,
+    quiet: bool,
+    **hosts: Any,
+) -> None:
+    """Run SCENARIO (a shipped name or a YAML file) and judge it.
+
+    \b
+    Examples:
+      fleet run paper
+      fleet run rough-sea --seed 3 --duration '30 s'
+      fleet run paper --set vehicles=20 --set "network.links={'*': 'delay 200ms 50ms loss 30%'}"
+      fleet run paper --in-process --out /tmp/runs --quiet
+      fleet run paper --clock real --speed 2
+      fleet run --from runs/latest@20s --set controller=bsmc
+    """
+    if wait_for_subscribers and not publish:
+        raise click.UsageError("--wait-for-subscribers needs --publish: nobody could subscribe")
+    changes = list(overrides)
+    if seed is not None:
+        changes.append(f"seed={seed}")
+    if duration is not None:
+        changes.append(f"duration={duration}")
+    loaded, start = _load(scenario, begin, changes, trust, quiet=quiet, only_shown=show_config)
+    if show_config:
+        click.echo(loaded.to_yaml(), nl=False)
+        return
+    from fleet.cli.result_table import show
+    from fleet.run.execute import Options, Status, execute
+
+    terminal = Terminal(stderr=True)
+    if not quiet:
+        for warning in _warnings(loaded, seed_given=seed is not None):
+            terminal.print(f"warning: {warning}", highlight=False, markup=False, soft_wrap=True)
+    one_process = "--in-process" if in_process else "--from" if start else "network: ideal" if loaded.ideal else ""
+    meeting = cli_hosts.meeting(loaded, hosts, in_process=bool(one_process))
+    for warning in meeting.warnings if meeting else ():
+        terminal.print(f"warning: {warning}", style="bold red", highlight=False, markup=False, soft_wrap=True)
+    pace = _realtime_speed(speed, clock, one_process)
+    if audit and (one_process or (meeting and meeting.router)):
+        raise click.UsageError("--audit reads the log of the router that a run hosts; this run hosts none")
+    options = Options(
+        out,
+        in_process=in_process,
+        speed=speed,
+        quiet=quiet,
+        publish=publish,
+        wait=wait_for_subscribers,
+        port=port,
+        start=start,
+        pace=pace,
+        most_missed=max_missed,
+        start_order=_shuffle(start_order),
+        join_timeout_s=join_timeout / 1e9,
+        meeting=meeting,
+        audit=audit,
+    )
+    if start is not None and not quiet:
+        terminal.print("\n".join(start.notes), highlight=False, markup=False, soft_wrap=True)
+    if loaded.ideal and not in_process and not quiet:
+        terminal.print("network: ideal has no latency and so runs in one process", highlight=False)
+    result = execute(loaded, options, terminal)
+    if quiet:
+        _print_failure(result)
+    else:
+        try:
+            show(result, Terminal(width=None if sys.stdout.isatty() else 120, soft_wrap=False))
+            sys.stdout.flush()
+        except OutputError as error:
+            give_up_output()
+            click.echo(f"fleet: {error}; the results are in {result.directory}", err=True)
+            sys.exit(max(Status.BROKEN, result.status))
+    sys.exit(int(result.status))
+
+
+def _load(
+    scenario: str | None, begin: str | None, changes: list[str], trust: Trust, *, quiet: bool, only_shown: bool
+) -> tuple[Scenario, Start | None]:
+    """The scenario to run, and where in a log it begins (`begin`: what --from says)."""
+    from fleet.scenario.loading import load_scenario
+
+    if begin is not None:
+        from fleet.repeat.resume import parse_from, prepare
+        from fleet.terminal.share_done import showing
+
+        with showing(f"reading {begin}", quiet=quiet) as tell:
+            return prepare(*parse_from(begin), changes, scenario, trust, tell)
+    if scenario is None:
+        raise click.UsageError("run what? A scenario, or --from a log; see fleet list")
+    # A scenario that is only shown may name laws that may not run.
+    return load_scenario(scenario, changes, trust, refused=[] if only_shown else None), None
+
+
+def _warnings(scenario: Scenario, *, seed_given: bool) -> list[str]:
+    """What can be said against the scenario before it runs."""
+    from fleet.analysis.preflight import doubts
+    from fleet.analysis.seed import HINT, NOTHING, chances
+    from fleet.analysis.stability import analyse
+
+    idle = [f"--seed: {NOTHING}; {HINT}"] if seed_given and not chances(scenario) else []
+    return [*analyse(scenario).warnings, *doubts(scenario), *idle]
+
+
+def _realtime_speed(speed: float | None, clock: str, one_process: str) -> float | None:
+    """How many times as fast as real time ticks begin with --clock real; None: in lockstep.
+
+    Args:
+        one_process: which option or key asks for a run in one process, or "".
+    """
+    if clock != "real":
+        if _is_given("max_missed"):
+            raise click.UsageError("--max-missed is for --clock real: in lockstep nobody misses a tick")
+        return None
+    if speed is None and _is_given("speed"):
+        raise click.UsageError("--clock real has no max: --speed 2 is twice as fast as the wall clock")
+    if one_process:
+        raise click.UsageError(f"--clock real is of processes that answer as they can; not with {one_process}")
+    return speed or 1.0
+
+
+def _is_given(name: str) -> bool:
+    """Whether an option was given on the command line, so that its value is no default."""
+    source = click.get_current_context().get_parameter_source(name)
+    return source is not click.core.ParameterSource.DEFAULT
+
+
+def _print_failure(result: Result) -> None:
+    """With --quiet only a failure is printed; one that the scenario expects is none."""
+    failed = [f"FAIL  {v.check}: {v.asked}; found {v.found}" for v in result.verdicts if not v.passed]
+    if result.reason or (failed and result.status):
+        lines = [f"fleet: {result.reason}", *result.lines] if result.reason else failed
+        click.echo("\n".join([*lines, str(result.directory)]), err=True)
+
+
+def _shuffle(seed: int | None) -> Any:
+    if seed is None:
+        return None
+    from random import Random
+
+    def shuffled(roles: list[str]) -> list[str]:
+        return Random(seed).sample(roles, len(roles))
+
+    return shuffled
+
+
+COMMANDS = (run,)

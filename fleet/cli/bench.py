@@ -1,4 +1,4 @@
-"""The commands that measure this machine: `fleet bench`, and `real`, `soak` and `stress` of it."""
+"""The commands that measure this machine: `fleet bench`, `bench real`, `bench soak` and `bench stress`."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ SIZES = Numbers(1, 1000, "4,20,100", whole=True)
 
 
 def _writable(_: click.Context, __: click.Parameter, path: Path | None) -> Path | None:
-    """Now, and not after an hour of measuring."""
+    """Refuse a file that cannot be written before an hour of measuring, not after it."""
     if path is not None and not os.access(path if path.exists() else path.parent, os.W_OK):
         raise click.BadParameter(f"{path} cannot be written: no such directory, or it is not yours")
     return path

@@ -19,7 +19,7 @@ _CONDITIONS = ("delay", "loss", "duplicate", "corrupt", "reorder", "rate", "limi
 
 
 def _words(find: Callable[[click.Context], Iterable[str]]) -> Words:
-    """The words that go on from what is typed, quoted for bash where its parser would stumble."""
+    """A completion with those words of `find` that begin with what is typed; without any, if `find` fails."""
 
     def complete(context: click.Context, parameter: click.Parameter, typed: str) -> list[CompletionItem]:
         try:
@@ -32,16 +32,17 @@ def _words(find: Callable[[click.Context], Iterable[str]]) -> Words:
 
 
 def _for_the_shell(word: str) -> str:
-    # zsh and fish quote what they insert; bash inserts it as it is, unless a quote has been opened.
+    """A word as the shell must get it."""
+    # zsh and fish quote a word themselves. bash does not, and needs no quotes after an opened quote.
     current = os.environ.get("COMP_WORDS", "").rsplit(None, 1)[-1:]
     if "bash" not in os.environ.get("_FLEET_COMPLETE", "") or (current and current[0][:1] in ("'", '"')):
         return word
-    # Twice, because click's function reads the words with bash's `read`, which takes one backslash away.
+    # Two backslashes, because click's function reads the words with bash's `read`, which removes one.
     return "".join(f"\\\\{c}" if c in "<>*|&;() '\"" else c for c in word)
 
 
 def scenarios(context: click.Context, parameter: click.Parameter, typed: str) -> list[CompletionItem]:
-    """Shipped scenarios, or files: bash takes one kind only."""
+    """Complete shipped scenarios; without one, files. (bash takes one kind at a time.)"""
     from fleet.scenario.loading import shipped
 
     found = [CompletionItem(name) for name in shipped() if name.startswith(typed)]

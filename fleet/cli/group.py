@@ -1,4 +1,4 @@
-"""The group of all commands: every error of ours ends a command with one line on stderr and the error's own status."""
+"""The group of all commands. An error ends a command with one line on stderr and with the status of the error."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from netem.errors import NetemError
 EPILOG = (
     "Exit status: 0 pass, 1 a check failed, 2 usage or bad scenario, 3 the run broke, 129 terminal closed, 130 Ctrl-C."
 )
-BROKEN = 3  # the status of an error that has none of its own: the network's
+BROKEN = 3  # the exit status of an error that has none of its own: those of the network
 
 
 class FleetGroup(click.Group):
-    """A group of commands, none of which needs to catch an error only to print it."""
+    """A group whose commands do not catch errors to print them: the group does."""
 
     def invoke(self, ctx: click.Context) -> Any:
-        """Run a command."""
+        """Run a command; an error of this package becomes a line on stderr and an exit status."""
         try:
             return super().invoke(ctx)
         except (FleetError, NetemError) as error:
@@ -29,14 +29,14 @@ class FleetGroup(click.Group):
 
 
 def report(error: Exception) -> int:
-    """Print an error as one line on stderr, and return the status with which the command ends."""
+    """Print an error on stderr, and return the exit status that belongs to it."""
     click.echo(f"fleet: {error}", err=True)
     return int(getattr(error, "status", BROKEN))
 
 
 @contextmanager
 def exit_status(status: int) -> Iterator[None]:
-    """Give every error of ours that is raised inside the exit status that it has for this command."""
+    """Set the exit status of every error of this package that is raised inside."""
     try:
         yield
     except (FleetError, NetemError) as error:

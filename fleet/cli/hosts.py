@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from fleet.scenario.scenario import Scenario
 
 F = TypeVar("F", bound=Callable[..., Any])
-# Half of what it is between processes of one host, which do not end with their link.
+# Limits of --lease [s]. Between processes of one host the lease is an hour.
 _LEASES_S = (2, 1800)
 
 _LEASE = click.option("--lease", metavar="TIME", type=Duration(*_LEASES_S), default="20 s", show_default=True,
@@ -26,7 +26,7 @@ _LEASE = click.option("--lease", metavar="TIME", type=Duration(*_LEASES_S), defa
 
 
 def hosts_options(command: F) -> F:
-    """The options of `fleet run` that say how it meets agents on other hosts; `meeting` reads them."""
+    """Add the options of `fleet run` for agents on other hosts; `meeting` reads their values."""
     folder, file = (click.Path(path_type=Path, file_okay=dir_, dir_okay=not dir_) for dir_ in (False, True))
     for option in (
         _LEASE,
@@ -44,7 +44,7 @@ def hosts_options(command: F) -> F:
 
 
 def meeting(scenario: Scenario, options: dict[str, Any], *, in_process: bool) -> Meeting | None:
-    """What the options of `hosts_options` say; None without any.
+    """Where the processes meet, by the options of `hosts_options`; None if none of these options is given.
 
     Raises:
         FleetError: they do not go together, or with the scenario.

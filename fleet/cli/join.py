@@ -1,4 +1,4 @@
-"""The command that takes part in a run from outside: agent."""
+"""The command `fleet agent`, which joins a run from outside."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def agent(path: Path, trust: Trust, quiet: bool) -> None:
 
 
 def _leave(status: int) -> NoReturn:
-    # At once: the interpreter's own way out waits for the thread that waits for a nav.
+    # The interpreter's normal exit would wait for the thread that waits for a nav.
     sys.stdout.flush()
     sys.stderr.flush()
     os._exit(status)

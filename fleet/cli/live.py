@@ -1,4 +1,4 @@
-"""The commands for a fleet that is running: ps, status, inject, faults, heal, clock, stop; and script, for its log."""
+"""The commands for a live run: ps, status, inject, faults, heal, clock, stop; and script, which reads its log."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from click.shell_completion import get_completion_class
 from fleet.cli import completion
 
 F = TypeVar("F", bound=Callable[..., Any])
-# Faults that are several values; a current may be.
+# Faults that take KEY=VALUE pairs, with an example of each. A current may be written without.
 _EXAMPLES = {
     "noise": "noise vehicles=2 position_noise='10 cm'",
     "bias": "bias vehicles=2 position='1 0 0 m'",
@@ -29,7 +29,7 @@ _EXAMPLES = {
 
 
 def which(command: F) -> F:
-    """The options that say which run is meant."""
+    """Add the options that choose a run."""
     command = click.option(
         "--run",
         "run",
@@ -110,7 +110,7 @@ def status(run: Path | None, out: Path, watch: bool) -> None:
         if values["dead"]:
             lines.append(f"without an agent: {', '.join(map(str, values['dead']))}")
         if shown and sys.stdout.isatty():
-            click.echo(f"\x1b[{shown}A\x1b[J", nl=False)  # in place of what was said before
+            click.echo(f"\x1b[{shown}A\x1b[J", nl=False)  # overwrite the lines printed before
         click.echo("\n".join(lines))
         shown = len(lines)
         if not watch:

@@ -14,7 +14,16 @@ import click
 from fleet.errors import FleetError
 
 KINDS = ("controller", "guidance", "tracking", "agent")
-_IMPORTED = {"Any", "AgentConfig", "Command", "Delivery", "Nav", "PAYLOAD", "Sample", "Signal"}  # by the templates
+_IMPORTED = {
+    "Any",
+    "AgentConfig",
+    "Command",
+    "Delivery",
+    "Nav",
+    "PAYLOAD",
+    "Sample",
+    "Signal",
+}  # imported by the templates
 
 
 class NewFileError(FleetError):
@@ -52,7 +61,7 @@ def controller(name: str, kind: str, folder: Path) -> None:
       fleet new controller swarm --kind guidance --dir laws
     """
     law, scenario = write_law(kind, name, folder)
-    below = folder.resolve().is_relative_to(Path().resolve())  # from elsewhere it would ask for --trust
+    below = folder.resolve().is_relative_to(Path().resolve())  # a law outside of the current directory needs --trust
     there, file = ("", scenario) if below else (f"cd {shlex.quote(str(folder))} && ", scenario.name)
     click.echo(f"wrote {law} and {scenario}; now: {there}fleet run {shlex.quote(str(file))}")
 
@@ -94,10 +103,10 @@ def write_law(kind: str, name: str, folder: Path) -> tuple[Path, Path]:
 
 
 def _taken(name: str) -> str | None:
-    """Where the module is that `import name` would find now; None if there is none."""
+    """Where `import name` would find a module now; None if it would not."""
     try:
         found = importlib.util.find_spec(name)
-    except ValueError:  # imported, and of unknown origin
+    except ValueError:  # a module that is loaded, of unknown origin
         return "built in"
     return None if found is None else found.origin or "a folder"
 

@@ -1,4 +1,4 @@
-"""The commands for whoever writes an agent in another language: protocol, and its check."""
+"""The commands for authors of agents in other languages: `fleet protocol` and `fleet protocol check`."""
 
 from __future__ import annotations
 

@@ -22,8 +22,8 @@ from fleet.errors import FleetError
 from fleet.processes.interrupts import ending_status
 from netem.errors import NetemError
 
-MOST_BYTES = 100_000  # of a file that says how to listen
-CLOSE_S = 2.0  # for what is still on the way to others
+MOST_BYTES = 100_000  # of observe.json
+CLOSE_S = 2.0  # time to close a session, in which its last messages are sent
 EPILOG = "Exit status: 0 done, 2 usage or a bad file, 3 no connection or a full disk, 129 terminal closed, 130 Ctrl-C."
 
 
@@ -219,7 +219,7 @@ def _session(connect: str | None, listen: str | None, credentials: Any) -> Any:
 
 
 class _Observed(msgspec.Struct):
-    """What the file of a published run says."""
+    """The content of observe.json, which a run with --publish writes."""
 
     endpoint: str
     user: str
@@ -228,7 +228,7 @@ class _Observed(msgspec.Struct):
 
 
 def _observer(directory: Path) -> tuple[str, Any, str]:
-    """Endpoint, credentials and prefix of a run that is published."""
+    """Endpoint, credentials and key prefix of a run that was started with --publish."""
     from netem.whole_file import read_file
     from netem.wire.access import Credentials
     from netem.wire.keys import Keys
@@ -245,7 +245,7 @@ def _observer(directory: Path) -> tuple[str, Any, str]:
 
 @contextmanager
 def _ending() -> Iterator[list[Any]]:
-    """Ctrl-C and the like end the command with their status. Sessions in the list are closed, whatever ends it."""
+    """Close the sessions in the list at the end; after Ctrl-C or another signal exit with its status."""
     sessions: list[Any] = []
     try:
         yield sessions
@@ -254,7 +254,7 @@ def _ending() -> Iterator[list[Any]]:
     finally:
         error = sys.exc_info()[1]
         for bus in sessions:
-            # Zenoh waits 10 s for a peer that is suspended, and so would the interpreter's own way out.
+            # zenoh waits 10 s for a peer that is suspended, and the interpreter's normal exit would, too.
             closing = threading.Thread(target=bus.close, daemon=True)
             closing.start()
             closing.join(CLOSE_S)

@@ -79,13 +79,13 @@ def _vehicles(rows: dict[str, dict[str, float | None]]) -> Table:
 
 
 def _links(rows: dict[str, dict[str, Any]], ages: dict[str, dict[str, float]]) -> Table:
-    """Packets and ages of all links, or of those that grew oldest; without the columns in which every link has a 0."""
+    """Packets and ages of the links: of all, or of those with the oldest information; columns of zeros are left out."""
     lost = sorted({cause for row in rows.values() for cause in row["lost"]} - {REPLACED})
     numbers = {
         name: {
             "sent": row["sent"],
             "duplicated": row["duplicated"],
-            "replaced": row["lost"].get(REPLACED, 0),  # by news before it was sent: nothing was lost on the way
+            "replaced": row["lost"].get(REPLACED, 0),  # replaced by newer data before it was sent: not lost on the way
             "delivered": row["delivered"],
             **{f"lost: {cause}": row["lost"].get(cause, 0) for cause in lost},
             "in flight": row["in_flight"],

@@ -16,7 +16,7 @@ _EVERYTHING = "all"
 
 
 class TrustingCommand(click.Command):
-    """A command whose --trust may stand alone, also before an argument."""
+    """A command whose --trust needs no value, not even in front of an argument."""
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         alone = f"--trust={_EVERYTHING}"
@@ -38,7 +38,7 @@ def _trust(context: click.Context, option: click.Parameter, values: tuple[str, .
 
 
 def trust_option(command: F) -> F:
-    """--trust: what may run beyond what is installed."""
+    """Add --trust, which says which laws may run although they are not installed."""
     return click.option(
         "--trust",
         metavar="[sha256:HEX]",

@@ -20,7 +20,7 @@ OVERRIDES = click.option(
 
 
 class Duration(click.ParamType[int]):
-    """A time with a unit, as whole ns, within limits in s."""
+    """A time with a unit, in whole ns; the limits are in s."""
 
     name = "time"
 
@@ -73,7 +73,7 @@ class Share(click.ParamType[float]):
 
 
 class Words(click.ParamType[tuple[str, ...]]):
-    """Some of a few words, with commas between them; `all` is every one, where it is allowed."""
+    """Some of the given words, with commas between them; `all`, where it is allowed, means every one."""
 
     name = "list"
 
@@ -97,7 +97,7 @@ class Words(click.ParamType[tuple[str, ...]]):
 
 
 class Window(click.ParamType[tuple[float, float]]):
-    """Two times of the run, as in 20s..40s; in s."""
+    """Two times, as in 20s..40s; a pair in s."""
 
     name = "a..b"
 
@@ -117,7 +117,7 @@ class Window(click.ParamType[tuple[float, float]]):
 
 
 class Vehicles(click.ParamType[tuple[int, ...]]):
-    """Numbers of vehicles, as in 1,3-5."""
+    """Vehicle numbers, as in 1,3-5."""
 
     name = "i,j-k"
 
@@ -139,7 +139,7 @@ FILE_SIZE = Dimension("a size", "100 MB", {
 
 
 class FileSize(click.ParamType[int]):
-    """A size with a unit, as whole bytes."""
+    """A file size with a unit, in whole bytes."""
 
     name = "size"
 

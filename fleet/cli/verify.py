@@ -1,4 +1,4 @@
-"""The commands that hold a log to account: verify, diff, recover."""
+"""The commands that check a log: verify (against a new run), diff (against another log), recover (repair it)."""
 
 from __future__ import annotations
 

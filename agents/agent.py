@@ -19,17 +19,19 @@ from typing import Any
 
 from agents import compact
 from agents.api import Sample
-from agents.brain import HEARD_SIZE, Brain, Decision, Nav
+from agents.brain import HEARD_SIZE, Brain
 from agents.config import AgentConfig
 from agents.controllers import build
+from agents.decision import Decision
 from agents.errors import ControllerError
 from agents.following import followed
 from agents.laws.consensus import consensus_error
 from agents.laws.kinematics import earth_velocity
 from agents.laws.velocity_command import clip
-from agents.neighbours import Delivery, NeighbourTable
+from agents.neighbours import NeighbourTable
 from agents.payload import StateMessage, encode
 from agents.plugged_agent import PluggedAgent
+from netem.wire.messages import Delivery, Nav
 from world.vectors import Vec3
 
 

@@ -1,36 +1,58 @@
-"""What a control law is given and what it answers: one protocol for the laws that ship and for yours.
+"""What a control law is given and what it returns: the interface of the laws that ship and of yours.
 
 A *controller* turns a sample into forces. It may be composed of a *guidance law*, which turns the sample into a
 commanded velocity, and a *tracking law*, which turns that command into forces; any guidance goes with any tracking.
-`docs/guide/plugins.md` is the guide; `fleet new controller NAME` writes a template.
+A whole *agent* also decides what is sent to the neighbours. A law needs no other module of this package: what is in
+`__all__` stays. `docs/guide/plugins.md` is the guide; `fleet new controller NAME` writes a template.
 
 A law is made once per run and vehicle, as `Law(config, **parameters)`: the agent's own slice of the scenario, and the
 parameters that the scenario gives it. It has
 
 * `signals`: what it reports, a tuple of `Signal` on the class;
-* `step`: one sample, see `Controller`, `Guidance`, `Tracking`;
+* `step`: one sample, see `Controller`, `Guidance`, `Tracking`; an agent has `transmit` and `decide` instead;
 * optionally `state()` and `restore(values)`: everything that the next sample depends on, as plain values (None, bool,
   int, float, str, bytes, list, dict). A run whose laws all have them can be resumed from its log.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from random import Random
 from typing import ClassVar, NamedTuple, Protocol
 
 from agents.config import AgentConfig
+from agents.laws.filters import wrap
+from agents.laws.kinematics import earth_velocity
 from agents.signals import Signal
 from agents.trajectory import Motion
+from netem.wire.messages import Delivery, Nav
 from world.vectors import Vec3, Vec5
 
-__all__ = ["AgentConfig", "Controller", "Guidance", "Motion", "NeighbourState", "Sample", "Signal", "Tracking"]
+__all__ = [
+    "AgentConfig",
+    "Command",
+    "Controller",
+    "Delivery",
+    "Guidance",
+    "Motion",
+    "Nav",
+    "NeighbourState",
+    "Sample",
+    "Signal",
+    "Telemetry",
+    "Tracking",
+    "Vec3",
+    "Vec5",
+    "WholeAgent",
+    "earth_velocity",
+    "wrap",
+]
 
 Telemetry = Mapping[str, float | Sequence[float]]
 
 
 class NeighbourState(NamedTuple):
-    """What is known of one neighbour that has been heard."""
+    """What an agent knows of one neighbour that it has heard."""
 
     id: int
     weight: float  # a_ij [1]
@@ -52,20 +74,20 @@ class Sample(NamedTuple):
     """All that a law may know at one control sample."""
 
     tick: int
-    t: float  # time [s]
+    t: float  # simulated time [s]
     dt: float  # time since the previous sample [s]; one tick, and more after samples that were missed
     eta: Vec5  # own measured x, y, z [m, NED], theta, psi [rad]
     nu: Vec5  # own measured u, v, w [m/s, body, over ground], q, r [rad/s]
     velocity: Vec3  # own velocity over ground [m/s, NED]
     desired: Motion  # where this vehicle should be now, and how it should move: the reference plus its own offset; of a
-    #                  vehicle that does not know the reference the mean of what its neighbours say, see `following`
+    #                  vehicle that does not know the reference: the mean over its neighbours, see agents/following.py
     neighbours: tuple[NeighbourState, ...]  # those heard so far, by number
     e: Vec3  # consensus error [m, NED], eq. (8)
     c: float  # sum of the weights in e [1]
-    seed: str  # names this vehicle's chance at this tick
+    seed: str  # of this vehicle's random numbers at this tick
 
     def rng(self) -> Random:
-        """A generator for this vehicle and tick; take it once per sample.
+        """A random generator for this vehicle and tick; call this once per sample.
 
         It is seeded from (scenario seed, vehicle, tick), so a law needs no memory of it, and what it draws does
         not depend on what was drawn before.
@@ -74,27 +96,66 @@ class Sample(NamedTuple):
 
 
 class Controller(Protocol):
-    """Sample in, forces out."""
+    """A law that turns a sample into forces."""
 
     signals: ClassVar[tuple[Signal, ...]]
 
     def step(self, sample: Sample) -> tuple[Vec3, Telemetry]:
-        """Surge force [N], pitch moment and yaw moment [N m], before the actuators' limits; and the telemetry."""
+        """Answer one sample.
+
+        Returns:
+            Surge force [N], pitch moment and yaw moment [N m], before the actuators' limits; and the telemetry: a
+            number, or a sequence of `width` numbers, for each name in `signals`.
+        """
 
 
 class Guidance(Protocol):
-    """Sample in, commanded velocity out."""
+    """A law that turns a sample into a commanded velocity."""
 
     signals: ClassVar[tuple[Signal, ...]]
 
     def step(self, sample: Sample) -> tuple[Vec3, Telemetry]:
-        """The commanded velocity over ground [m/s, NED], and the telemetry."""
+        """Answer one sample.
+
+        Returns:
+            The commanded velocity over ground [m/s, NED], and the telemetry.
+        """
 
 
 class Tracking(Protocol):
-    """Sample and command in, forces out."""
+    """A law that turns a sample and a command into forces."""
 
     signals: ClassVar[tuple[Signal, ...]]
 
     def step(self, sample: Sample, command: Command) -> tuple[Vec3, Telemetry]:
-        """Surge force [N], pitch moment and yaw moment [N m], before the actuators' limits; and the telemetry."""
+        """Answer one sample.
+
+        Returns:
+            Surge force [N], pitch moment and yaw moment [N m], before the actuators' limits; and the telemetry.
+        """
+
+
+class WholeAgent(Protocol):
+    """A whole agent: it decides what it sends as well as how its vehicle moves."""
+
+    signals: ClassVar[tuple[Signal, ...]]
+
+    def transmit(self, nav: Nav) -> Sequence[bytes]:
+        """The payloads to send to every neighbour, at round ticks; at most 40 kB together.
+
+        Args:
+            nav: the own measured state: `tick`, `eta` (x, y, z [m, NED], theta, psi [rad]) and `nu` (u, v, w [m/s,
+                body, over ground], q, r [rad/s]).
+        """
+
+    def decide(self, nav: Nav, deliveries: Iterable[Delivery]) -> tuple[Vec3, Telemetry]:
+        """Answer one sample, at every tick.
+
+        Args:
+            nav: the own measured state, as for `transmit`.
+            deliveries: what is due at this tick, ordered by (due_tick, sent_tick, src, seq, copy); each has `src`,
+                `sent_tick`, `due_tick`, `seq`, `copy` and `payload`.
+
+        Returns:
+            Surge force [N], pitch moment and yaw moment [N m], before the actuators' limits; and the telemetry.
+        """

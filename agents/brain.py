@@ -1,49 +1,23 @@
-"""What both kinds of agent share: what they are told, what they decide, and how they keep what they heard."""
+"""What both kinds of agent share: limits, the order of ticks, and what follows when a law fails."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 from math import isfinite
-from typing import NamedTuple, Protocol
 
 from agents.config import AgentConfig
 from agents.controllers import layout
+from agents.decision import Decision, Step
 from agents.errors import ControllerError
-from agents.neighbours import Delivery
 from agents.signals import HEARD, Layout
+from netem.wire.messages import Delivery, Nav
 from world.vectors import Vec3, Vec5
 
 HEARD_SIZE = sum(signal.width for signal in HEARD)
 
 
-class Nav(Protocol):
-    """What the agent measures of its own vehicle at a tick."""
-
-    @property
-    def tick(self) -> int: ...
-    @property
-    def eta(self) -> tuple[float, ...]: ...
-    @property
-    def nu(self) -> tuple[float, ...]: ...
-
-
-class Decision(NamedTuple):
-    """The answer to one sample: tau within its limits [N, N m], and the values that the layout declares."""
-
-    tau: Vec3
-    telemetry: tuple[float, ...]
-
-
-class Step(NamedTuple):
-    """A decision, and what to send to the neighbours: nothing between round ticks."""
-
-    tau: Vec3
-    telemetry: tuple[float, ...]
-    payloads: tuple[bytes, ...]
-
-
 class Brain:
-    """What every agent does: limits, order of time, and what follows when a law fails."""
+    """What every agent does, whatever its laws are."""
 
     def __init__(self, config: AgentConfig) -> None:
         self.config = config

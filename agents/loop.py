@@ -10,30 +10,11 @@ from typing import Any, Protocol
 
 import msgpack
 
+from agents.decision import Decision, Step
 from netem.errors import OutOfPlace
 from netem.wire.messages import Command, Delivery, Inbox, Memory, Nav, Receipt, Transmission
 
 Answer = Memory | Transmission | Command | Receipt  # a receipt only on a wall clock
-
-
-class Decision(Protocol):
-    """What a core decides at one tick."""
-
-    @property
-    def tau(self) -> tuple[float, ...]:
-        """Surge force, pitch and yaw moment [N, N m]."""
-
-    @property
-    def telemetry(self) -> tuple[float, ...]:
-        """The declared signals, flat."""
-
-
-class Step(Decision, Protocol):
-    """A decision with what is to be sent."""
-
-    @property
-    def payloads(self) -> tuple[bytes, ...]:
-        """Empty off round ticks."""
 
 
 class AgentCore(Protocol):
@@ -148,7 +129,7 @@ class AgentLoop:
             return out
         if not self.ideal:
             out += self._memory(nav.tick)
-        decision: Decision
+        decision: Decision | Step
         if self.ideal:
             decision = self.core.decide(nav, self._due(nav.tick))
         else:

@@ -21,7 +21,7 @@ every delay; "hold" is stable and lags behind a moving formation.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from typing import Any, Protocol
+from typing import Any
 
 from agents.api import NeighbourState
 from agents.compact import decode as decode_compact
@@ -30,22 +30,8 @@ from agents.errors import PayloadError
 from agents.offset import Offset
 from agents.payload import CAUSES, StateMessage, decode
 from agents.trajectory import Reference
+from netem.wire.messages import Delivery
 from world.vectors import Vec3, minus, plus
-
-
-class Delivery(Protocol):
-    """One payload that the network hands to an agent."""
-
-    @property
-    def due_tick(self) -> int: ...
-    @property
-    def sent_tick(self) -> int: ...
-    @property
-    def src(self) -> int: ...
-    @property
-    def seq(self) -> int: ...
-    @property
-    def payload(self) -> bytes: ...
 
 
 class NeighbourTable:

@@ -6,13 +6,14 @@ from collections.abc import Iterable
 from math import nan
 from typing import Any
 
-from agents.brain import Brain, Decision, Nav
+from agents.brain import Brain
 from agents.config import AgentConfig, Law
+from agents.decision import Decision
 from agents.errors import ControllerError
 from agents.laws.velocity_command import clip
-from agents.neighbours import Delivery
 from agents.plugins import checks, loading
 from agents.plugins.fence import MAX_PAYLOAD_BYTES, Fence, shown
+from netem.wire.messages import Delivery, Nav
 from world.vectors import Vec3
 
 

@@ -2,8 +2,7 @@
 
 from math import atan2, hypot
 
-from agents.api import AgentConfig, Sample, Signal
-from agents.laws.filters import wrap
+from agents.api import AgentConfig, Sample, Signal, wrap
 
 
 class LeaderFollower:

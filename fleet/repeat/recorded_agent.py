@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from math import inf, nan
 from typing import Any
 
+from agents.decision import Decision, Step
 from agents.loop import AgentLoop
 from agents.signals import Layout
 from fleet.errors import FleetError
@@ -21,8 +22,7 @@ from fleet.scenario.scenario import Scenario
 from netem.impairment import LinkModel
 from netem.network import PERFECT
 from netem.wire.messages import Delivery, Memory, Nav
-
-TAU = 3  # values of a command in the log; those that were applied follow
+from world.vectors import ZERO, Vec3
 
 
 class NotRecordedError(FleetError):
@@ -37,7 +37,7 @@ class RecordedAgent:
     layout: Layout
     round_ticks: int
     last: int  # tick of the last message in the log
-    commands: dict[int, tuple[float, ...]] = field(default_factory=dict)
+    commands: dict[int, Vec3] = field(default_factory=dict)
     telemetry: dict[int, list[float]] = field(default_factory=dict)
     payloads: dict[int, list[bytes]] = field(default_factory=dict)
     memories: dict[int, bytes] = field(default_factory=dict)
@@ -46,13 +46,6 @@ class RecordedAgent:
     def loop(self, incarnation: int, begin: int) -> AgentLoop:
         """A life of it."""
         return _RecordedLoop(self, self.round_ticks, incarnation=incarnation, begin=begin)
-
-
-@dataclass(frozen=True, slots=True)
-class _Said:
-    tau: tuple[float, ...]
-    telemetry: tuple[float, ...]
-    payloads: tuple[bytes, ...]
 
 
 class _RecordedLoop(AgentLoop):
@@ -71,21 +64,21 @@ class _RecordedCore:
     def __init__(self, agent: RecordedAgent) -> None:
         self._agent = agent
 
-    def step(self, nav: Nav, deliveries: list[Delivery], /) -> _Said:
+    def step(self, nav: Nav, deliveries: list[Delivery], /) -> Step:
         """Raises NotRecordedError for a tick within the log of which it holds no command."""
         agent, tick = self._agent, nav.tick
         tau = agent.commands.get(tick)
         if tau is None:
             if tick < agent.last:
                 raise NotRecordedError(f"the log holds no command of vehicle {agent.vehicle} at tick {tick}")
-            tau = (0.0,) * TAU  # of a log that ends within this tick: nothing that follows is compared
+            tau = ZERO  # of a log that ends within this tick: nothing that follows is compared
         payloads = tuple(agent.payloads.get(tick, ())) if tick % agent.round_ticks == 0 else ()
-        return _Said(tau, tuple(agent.telemetry.get(tick, ())), payloads)
+        return Step(tau, tuple(agent.telemetry.get(tick, ())), payloads)
 
     def transmit(self, nav: Nav, /) -> tuple[bytes, ...]:
         raise AssertionError("nobody joins an ideal network")
 
-    def decide(self, nav: Nav, deliveries: list[Delivery], /) -> _Said:
+    def decide(self, nav: Nav, deliveries: list[Delivery], /) -> Decision:
         raise AssertionError("nobody joins an ideal network")
 
     def state(self) -> dict[str, Any]:
@@ -134,7 +127,8 @@ def recorded_agents(reader: LogReader, scenario: Scenario, last_ns: int, *, whol
             number, _, group = rest.partition("/")
             i = int(number)
             if i in found and group == "command":
-                found[i].commands[tick] = command.decode(record.data)[:TAU]
+                tau1, tau2, tau3, *_ = command.decode(record.data)  # those that were applied follow
+                found[i].commands[tick] = tau1, tau2, tau3
             elif (i, group) in groups:
                 encoder, place = groups[i, group]
                 told = found[i].telemetry.setdefault(tick, [nan] * found[i].layout.size)

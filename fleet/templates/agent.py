@@ -7,11 +7,7 @@ from collections.abc import Iterable
 from math import atan2, hypot
 from typing import Any
 
-from agents.api import AgentConfig, Signal
-from agents.brain import Nav
-from agents.laws.filters import wrap
-from agents.laws.kinematics import earth_velocity
-from agents.neighbours import Delivery
+from agents.api import AgentConfig, Delivery, Nav, Signal, earth_velocity, wrap
 
 PAYLOAD = struct.Struct("<3f")  # what we tell our neighbours: our position, in single precision
 

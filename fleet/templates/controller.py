@@ -5,8 +5,7 @@ from __future__ import annotations
 from math import atan2, hypot
 from typing import Any
 
-from agents.api import AgentConfig, Sample, Signal
-from agents.laws.filters import wrap
+from agents.api import AgentConfig, Sample, Signal, wrap
 
 
 class TheLaw:

@@ -12,7 +12,7 @@ from netem.wire.keys import Keys, tail
 from netem.wire.messages import Pace as Begins
 from netem.wire.messages import encode
 from world.config import WorldConfig
-from world.pace import Pace
+from world.tick_schedule import Pace
 from world.process import WorldProcess
 from world.realtime import FreeRun
 

@@ -64,7 +64,7 @@ from netem.wire.messages import (
 from netem.wire.messages import Pace as Begins
 from netem.wire.shell import Item
 from world.lockstep import NavTo
-from world.pace import Pace
+from world.tick_schedule import Pace
 from world.realtime import FreeRun
 
 KEYS = Keys("5ea")

@@ -9,10 +9,10 @@ from netem.histogram import Spread
 from netem.wire.audit import Refusals
 from netem.wire.bus import Bus
 from netem.wire.keys import Keys, tail
-from netem.wire.messages import Pace as Begins
+from netem.wire.messages import Pace
 from netem.wire.messages import encode
 from world.config import WorldConfig
-from world.tick_schedule import Pace
+from world.tick_schedule import TickSchedule
 from world.process import WorldProcess
 from world.realtime import FreeRun
 
@@ -35,8 +35,8 @@ class FreeWorldProcess(WorldProcess):
         refusals: Refusals | None = None,
     ) -> None:
         """`speed`: ticks begin so many times as fast as real."""
-        self._pace = Pace(round(config.tick_ns / speed))
-        patience = max(LEAST_PATIENCE, PATIENCE_NS // self._pace.period_ns)
+        self._schedule = TickSchedule(round(config.tick_ns / speed))
+        patience = max(LEAST_PATIENCE, PATIENCE_NS // self._schedule.period_ns)
         self._free = free = FreeRun(config, frame_every=frame_every, patience=patience)
         self._began_ns: dict[int, int] = {}  # by tick, of the last ones
         self._lag, self._gap = Spread(), Spread()
@@ -50,27 +50,27 @@ class FreeWorldProcess(WorldProcess):
 
     def serve(self) -> None:
         """Tick by tick, until the process is ended."""
-        free, pace = self._free, self._pace
+        free, schedule = self._free, self._schedule
         self._wait_for_grant(0)
-        pace.start(0, monotonic_ns() + AHEAD_NS)
+        schedule.start(0, monotonic_ns() + AHEAD_NS)
         for k in range(free.config.ticks):
-            self._wait(pace.at_ns(k))
+            self._wait(schedule.at_ns(k))
             self._begin(k, held=self._wait_for_grant(k))
-            self._wait(pace.at_ns(k + 1))
+            self._wait(schedule.at_ns(k + 1))
             self._publish(free.finish())
             self._flush_frames()
         while True:
             self._take_next()
 
     def _begin(self, k: int, *, held: bool) -> None:
-        pace, now = self._pace, monotonic_ns()
-        self._lag.add(pace.begin(k, now, held=held))
+        schedule, now = self._schedule, monotonic_ns()
+        self._lag.add(schedule.begin(k, now, held=held))
         if k and not held:
             self._gap.add(now - self._began_ns[k - 1])
         self._began_ns[k] = now
         self._began_ns.pop(k - REMEMBERED, None)
         if k % self._free.config.round_ticks == 0:
-            self._round(encode(Begins(k, pace.at_ns(k), pace.period_ns)))
+            self._round(encode(Pace(k, schedule.at_ns(k), schedule.period_ns)))
         self._publish(self._free.begin())
 
     def _wait(self, until_ns: int) -> None:
@@ -105,16 +105,16 @@ class FreeWorldProcess(WorldProcess):
         return super()._rejected() | floods
 
     def _timing(self) -> dict[str, Any]:
-        pace = self._pace
+        schedule = self._schedule
         vehicles = {
             str(i): kept.to_values() | {"response": self._response[i].to_values(), "gap": self._gaps[i].to_values()}
             for i, kept in self._free.kept.items()
         }
         world = {
-            "period_ms": pace.period_ns / 1e6,
-            "run_s": (max(self._began_ns, default=0) + 1) * pace.period_ns / 1e9,
-            "held_s": pace.held_ns / 1e9,
-            "slipped_s": pace.slipped_ns / 1e9,
+            "period_ms": schedule.period_ns / 1e6,
+            "run_s": (max(self._began_ns, default=0) + 1) * schedule.period_ns / 1e9,
+            "held_s": schedule.held_ns / 1e9,
+            "slipped_s": schedule.slipped_ns / 1e9,
             "lag": self._lag.to_values(),
             "gap": self._gap.to_values(),
         }

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 
-class Pace:
+class TickSchedule:
     """Tick k begins one period after tick k - 1, until the clock is moved because somebody was too late for it."""
 
     def __init__(self, period_ns: int) -> None:

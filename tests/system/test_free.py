@@ -55,17 +55,17 @@ from netem.wire.messages import (
     Inbox,
     LinkReport,
     Nav,
+    Pace,
     Receipt,
     Round,
     Transmission,
     decode,
     encode,
 )
-from netem.wire.messages import Pace as Begins
 from netem.wire.shell import Item
 from world.lockstep import NavTo
-from world.tick_schedule import Pace
 from world.realtime import FreeRun
+from world.tick_schedule import TickSchedule
 
 KEYS = Keys("5ea")
 PERIOD_NS = 10_000_000
@@ -294,16 +294,16 @@ def test_an_agent_that_ends_drifts_from_the_tick_it_did_not_answer() -> None:
 )
 def test_ticks_never_begin_early_and_every_moved_moment_is_accounted_for(late: list[tuple[int, bool]]) -> None:
     """Wall time passed = ticks times the period + what the clock was moved by + what the last tick was late."""
-    pace = Pace(PERIOD_NS)
-    pace.start(0, 1000)
+    schedule = TickSchedule(PERIOD_NS)
+    schedule.start(0, 1000)
     behind = 0
     for k, (ns, held) in enumerate(late):
-        now = pace.at_ns(k) + ns
-        behind = pace.begin(k, now, held=held)
+        now = schedule.at_ns(k) + ns
+        behind = schedule.begin(k, now, held=held)
         assert behind >= 0
-        assert pace.at_ns(k) <= now
-        assert now - pace.at_ns(k) <= PERIOD_NS
-    assert pace.at_ns(len(late)) == 1000 + len(late) * PERIOD_NS + pace.held_ns + pace.slipped_ns
+        assert schedule.at_ns(k) <= now
+        assert now - schedule.at_ns(k) <= PERIOD_NS
+    assert schedule.at_ns(len(late)) == 1000 + len(late) * PERIOD_NS + schedule.held_ns + schedule.slipped_ns
 
 
 @given(st.lists(st.integers(-5, 10**10), min_size=1, max_size=200), st.sampled_from([50, 95, 99]))
@@ -381,7 +381,7 @@ def test_a_network_that_is_late_exchanges_nothing_after_the_end() -> None:
     config, bus, items = SHORT.netem_config(), Nowhere(), Nowhere()
     network = FreeNetemProcess(bus, KEYS, config, FreeRounds(config))  # type: ignore[arg-type]
     network._shell.queue = items  # type: ignore[assignment]
-    for said in (Begins(0, 0, 1000), Round(0, (1, 2, 3, 4), ((0.0,) * 3,) * 4, ())):
+    for said in (Pace(0, 0, 1000), Round(0, (1, 2, 3, 4), ((0.0,) * 3,) * 4, ())):
         items.queue.append(Item(KEYS.round, encode(said), None))
     items.queue.append(Item(KEYS.ctl("netem"), request("close", tick=10), lambda _: None))
     serve(network)

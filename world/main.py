@@ -29,7 +29,7 @@ def run(
     """Host the router and serve the sea of a run until the process is ended.
 
     Args:
-        speed: ticks begin by the wall clock, so many times as fast as real; None: in lockstep.
+        speed: times real time, by which ticks begin; None: lockstep.
         audit: tell also which messages the router refuses, not only which logins.
     """
     keys = Keys(run_id)
@@ -75,6 +75,6 @@ def _process(
 ) -> WorldProcess:
     if speed is None:
         return WorldProcess(bus, keys, Lockstep(config, frame_every=frame_every), refusals)
-    from world.realtime_process import FreeWorldProcess  # which is one of these
+    from world.realtime_process import RealtimeWorldProcess
 
-    return FreeWorldProcess(bus, keys, config, frame_every, speed, refusals)
+    return RealtimeWorldProcess(bus, keys, config, frame_every, speed, refusals)

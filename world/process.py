@@ -38,6 +38,7 @@ from netem.wire.messages import (
 from netem.wire.shell import Probes, Shell, expect
 from world.faults import WorldFault
 from world.lockstep import Lockstep, NavTo, Out
+from world.realtime import RealtimeRun
 
 log = logging.getLogger(__name__)
 
@@ -47,13 +48,14 @@ _PROBE = encode(Hello(WORLD, 0, 0, PROTOCOL_VERSION, False))
 
 
 class WorldProcess:
-    """Dispatches what comes in to `Lockstep` and publishes what comes out."""
+    """Passes what comes in to a run and publishes what comes out."""
 
-    def __init__(self, bus: Bus, keys: Keys, lockstep: Lockstep, refusals: Refusals | None = None) -> None:
+    def __init__(self, bus: Bus, keys: Keys, run: Lockstep | RealtimeRun, refusals: Refusals | None = None) -> None:
         self._keys = keys
         self._grant_key = keys.grant
-        self._lockstep = lockstep
-        self._ids = self._lockstep.world.ids
+        self._run = run
+        self._state = run.state
+        self._ids = run.state.ids
         self._shell = Shell(bus, WORLD, keys.note(WORLD))
         self._nav: dict[int, Callable[[bytes], None]] = {i: bus.publisher(keys.nav(i)) for i in self._ids}
         self._round = bus.publisher(keys.round)
@@ -71,7 +73,7 @@ class WorldProcess:
         bus.watch_tokens(keys.alive("*"), self._token)
         bus.token(keys.alive(WORLD))
         self._refusals = refusals or Refusals()
-        self._refusals.tell(lambda text: self._shell.note(0, min(map(self._lockstep.tick_of, self._ids)), text))
+        self._refusals.tell(lambda text: self._shell.note(0, min(map(self._state.tick_of, self._ids)), text))
 
     def _listen(self, bus: Bus) -> None:
         # Commands and grants: an agent owes one at a time, and its memory now and then.
@@ -90,30 +92,30 @@ class WorldProcess:
     def _handle(self, key: str, data: bytes) -> None:
         try:
             if key == self._grant_key:
-                self._told(expect(data, Grant, Death, Restart, Ailments, Hello))
+                self._obey(expect(data, Grant, Death, Restart, Ailments, Hello))
             else:
                 self._command(key, data)
         except (MalformedMessage, OutOfPlace) as error:
             i = vehicle_of(key)
-            self._shell.reject(key, self._lockstep.tick_of(i) if i in self._ids else 0, error)
+            self._shell.reject(key, self._state.tick_of(i) if i in self._ids else 0, error)
 
-    def _told(self, message: Message) -> None:
-        """What the console says, in order: nothing that is told acts on a tick granted before."""
-        lockstep = self._lockstep
+    def _obey(self, message: Message) -> None:
+        """Do what the console asks for, in its order: nothing acts on a tick that was granted before."""
+        run, state = self._run, self._state
         match message:
             case Grant():
-                self._publish(lockstep.grant(message.until))
+                self._publish(run.grant(message.until))
             case Ailments():
-                lockstep.world.faults = tuple(map(WorldFault.from_values, msgpack.unpackb(message.faults)))
+                state.world.faults = tuple(map(WorldFault.from_values, msgpack.unpackb(message.faults)))
             case Death(vehicle=i) if i in self._ids:
                 if message.tick:
-                    lockstep.lives.add(Absence(i, message.tick, message.until or None))
+                    state.lives.add(Absence(i, message.tick, message.until or None))
                     return
-                # A nav that nobody can answer any more was not lost on the way.
-                self._sent["nav"] -= dict(lockstep.waiting_for).get(i) is not None
-                self._publish(lockstep.end(i, message.incarnation, message.until or None))
+                # A nav whose agent has ended was not lost on the way.
+                self._sent["nav"] -= dict(run.waiting_for).get(i) is not None
+                self._publish(run.end(i, message.incarnation, message.until or None))
             case Restart(vehicle=i) if i in self._ids:
-                lockstep.lives.restart(i, message.begin, message.tick)
+                state.lives.restart(i, message.begin, message.tick)
             case Hello():
                 self._grant_heard = True
 
@@ -125,11 +127,11 @@ class WorldProcess:
         if isinstance(message, Command):
             if len(data) > PART_BYTES:
                 raise MalformedMessage("cmd", f"{len(data)} bytes; at most {PART_BYTES} fit into a frame")
-            out = self._lockstep.command(i, message, data)
+            out = self._run.command(i, message, data)
             self._received["cmd"] += 1
             self._publish(out)
         elif isinstance(message, Memory):
-            self._lockstep.remember(i, message)
+            self._run.remember(i, message)
         elif isinstance(message, Hello):
             if message.version != PROTOCOL_VERSION:
                 raise MalformedMessage("hello", f"protocol version {message.version}, ours is {PROTOCOL_VERSION}")
@@ -140,10 +142,9 @@ class WorldProcess:
                 self._nav[i](_ECHO)
 
     def _publish(self, out: list[Out]) -> None:
-        if self._lockstep.notes:
-            for i, tick, text in self._lockstep.notes:
-                self._shell.note(i, tick, text)
-            self._lockstep.notes.clear()
+        for i, tick, text in self._state.notes:
+            self._shell.note(i, tick, text)
+        self._state.notes.clear()
         for item in out:
             if isinstance(item, NavTo):
                 self._sent["nav"] += 1
@@ -173,11 +174,11 @@ class WorldProcess:
 
     def _token(self, key: str, alive: bool) -> None:
         i = self._token_roles.get(key)
-        lockstep = self._lockstep
-        ended = i is not None and not alive and not lockstep.finished
+        state = self._state
+        ended = i is not None and not alive and not self._run.finished
         # An agent that was to end may be gone from here only when its successor has begun.
-        if i is not None and ended and not lockstep.dead(i) and not lockstep.incarnation(i):
-            self._shell.note(i, self._lockstep.tick_of(i), "its session ended")
+        if i is not None and ended and not state.without_agent(i) and not state.incarnation(i):
+            self._shell.note(i, state.tick_of(i), "its session ended")
 
     def _control(self, key: str, data: bytes, respond: Respond) -> None:
         """Answer the console, on a zenoh thread: it only reads, and must be heard while the main thread waits."""
@@ -192,10 +193,10 @@ class WorldProcess:
                 self._frame(_ECHO)
                 respond(msgpack.packb({"ready": sorted(map(list, self._ready.copy())), "grant": self._grant_heard}))
             case "waiting":
-                waiting = [list(pair) for pair in self._lockstep.waiting_for]
+                waiting = [list(pair) for pair in self._run.waiting_for]
                 respond(msgpack.packb({"waiting": waiting}))
             case "ticks":
-                respond(msgpack.packb({"ticks": [[i, self._lockstep.tick_of(i)] for i in self._ids]}))
+                respond(msgpack.packb({"ticks": [[i, self._state.tick_of(i)] for i in self._ids]}))
             case "dismiss":
                 for i, incarnation, tick in request["agents"]:
                     self._nav[i](encode(End(incarnation, tick, request["reason"])))
@@ -212,7 +213,7 @@ class WorldProcess:
         return {**self._shell.rejected.copy(), **self._refusals.counts.copy()}
 
     def _timing(self) -> dict[str, Any]:
-        """How everyone kept up with a wall clock; there is none in lockstep."""
+        """How the world and the agents kept up with the wall clock; empty in lockstep."""
         return {}
 
 

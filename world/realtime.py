@@ -1,8 +1,8 @@
-"""The world without a barrier: a tick lasts as long as the wall clock says; who has not answered by then is late.
+"""The world without a barrier: a tick lasts as long as the wall clock says, and who has not answered then is late.
 
-A pure state machine like `Lockstep`, whose vehicles, lives and frames it shares; the shell says when a tick begins and
-when it is over. Over tick k acts the command that answers Nav(k) if it came before the tick was over, so a run in
-which nobody is late moves as in lockstep, to the last bit. Otherwise the newest command that is there acts:
+A pure state machine like `Lockstep`, on the same `RunState`; the process decides when a tick begins and when it is
+over. Over tick k acts the command that answers Nav(k) if it came before the tick was over, so a run in which no agent
+is late moves as in lockstep, to the last bit. Otherwise the newest command that is there acts:
 
 | counted per vehicle | when |
 |---|---|
@@ -13,8 +13,8 @@ which nobody is late moves as in lockstep, to the last bit. Otherwise the newest
 So every answer is in time, late or stale, and `missed` is `late` + `stale` + those that never came.
 
 An agent that has answered nothing for a while is *silent*: the network takes it for a dead receiver, and it gets a nav
-only after once, twice, four times ... that while. What is put on a link whose reader is suspended is kept in buffers;
-once these are full whoever puts waits, so little is put that they do not fill. With its next answer all is as before.
+only after once, twice, four times ... that while. What is sent to a suspended process is kept in buffers, and who
+sends waits once these are full; so little is sent that they do not fill. With its next answer all is as before.
 """
 
 from __future__ import annotations
@@ -26,7 +26,9 @@ from netem.errors import OutOfPlace
 from netem.lives import Absence
 from netem.wire.messages import Command, Memory, Nav, Round, VehicleFrame, encode
 from world.config import WorldConfig
-from world.lockstep import STILL, Lockstep, NavTo, Out
+from world.lockstep import NavTo, Out
+from world.run_state import RunState
+from world.vectors import ZERO
 
 
 @dataclass(slots=True)
@@ -42,59 +44,73 @@ class Punctuality:
     row: int = 0  # of those just now
 
     def to_values(self) -> dict[str, Any]:
+        """The counts by name, for the result of the run."""
         values = asdict(self)
         del values["row"]
         return values
 
 
-class FreeRun(Lockstep):
-    """Feeds `World` tick by tick with the commands that are there."""
+class RealtimeRun:
+    """Moves the vehicles tick by tick with the commands that are there."""
 
     def __init__(self, config: WorldConfig, *, frame_every: int = 1, patience: int = 50) -> None:
-        """`patience`: ticks without an answer after which an agent is silent."""
-        super().__init__(config, frame_every=frame_every)
+        """Begin before tick 0.
+
+        Args:
+            frame_every: a frame is due every so many ticks.
+            patience: ticks without an answer after which an agent is silent.
+        """
+        self.config = config
+        self.state = RunState(config, frame_every)
+        self.punctuality = {i: Punctuality() for i in self.state.ids}
         self._patience = patience
-        self._heard = dict.fromkeys(self._ids, 0)  # newest tick in which an answer came, or none was asked for
+        self._heard = dict.fromkeys(self.state.ids, 0)  # newest tick with an answer, or at which none was asked for
         self._silent: set[int] = set()
-        self.kept = {i: Punctuality() for i in self._ids}
         self._tick = -1  # that is under way
+        self._awaiting: dict[int, Nav] = {}
         self._newest: dict[int, tuple[Command, bytes]] = {}  # not used yet
-        self._answered = dict.fromkeys(self._ids, -1)  # newest tick answered
-        self._commanded = dict.fromkeys(self._ids, STILL)  # by the newest command that was used
+        self._answered = dict.fromkeys(self.state.ids, -1)  # newest tick answered
+        self._commanded = dict.fromkeys(self.state.ids, ZERO)  # by the newest command that was used
         self._taken: list[tuple[int, int]] = []  # (vehicle, tick) of commands taken, late ones too
 
     @property
-    def granted(self) -> int:
-        """Ticks below it may be started."""
-        return self._granted
+    def waiting_for(self) -> list[tuple[int, int]]:
+        """(vehicle, tick) of every command that is due."""
+        return sorted((i, nav.tick) for i, nav in list(self._awaiting.items()))
+
+    @property
+    def finished(self) -> bool:
+        """Whether the frame of the end tick has left."""
+        return self.state.frames.finished
 
     def grant(self, until: int) -> list[Out]:
         """Ticks below `until` may be started, when their time has come."""
-        self._granted = max(self._granted, min(until, self.config.ticks))
+        self.state.grant(until)
         return []
 
     def begin(self) -> list[Out]:
-        """The next tick is here: everybody measures."""
+        """Begin the next tick: every vehicle measures."""
         self._tick = k = self._tick + 1
+        state, world = self.state, self.state.world
         out: list[Out] = []
         positions: dict[int, tuple[float, ...]] = {}
         paused = []
-        for i in self._ids:
-            if self._is_dead(i, k):
+        for i in state.ids:
+            if state.enter_tick(i, k):
                 self._heard[i] = k
                 self._silent.discard(i)
                 continue
-            if self.world.paused(i, k):
+            if world.paused(i, k):
                 self._heard[i] = k
                 paused.append(i)
             else:
-                nav = Nav(self.lives.incarnation(i, k), k, *self.world.sense(i))
+                nav = Nav(state.lives.incarnation(i, k), k, *world.sense(i))
                 self._awaiting[i] = nav
-                self.kept[i].asked += 1
+                self.punctuality[i].asked += 1
                 if self._is_to_get(i, k):
                     out.append(NavTo(i, nav))
             if i not in self._silent:
-                positions[i] = self.world.position(i)
+                positions[i] = world.position(i)
         if k % self.config.round_ticks == 0:
             out.append(Round(k, tuple(positions), tuple(positions.values()), tuple(paused)))
         return out
@@ -107,8 +123,8 @@ class FreeRun(Lockstep):
         if i not in self._silent:
             self._silent.add(i)
             text = f"its agent has not answered for {self._patience} ticks: it hears nothing until it does"
-            self.notes.append((i, k, text))
-        self.kept[i].silent += 1
+            self.state.notes.append((i, k, text))
+        self.punctuality[i].silent += 1
         return not rest and whiles.bit_count() == 1
 
     def command(self, i: int, command: Command, raw: bytes | None = None) -> list[Out]:
@@ -117,71 +133,83 @@ class FreeRun(Lockstep):
         Raises:
             OutOfPlace: it answers a nav that was not sent, or one that was answered.
         """
-        self._check(i, command)
+        self.state.check(i, command)
         if command.tick > self._tick or command.tick == self._answered[i]:
             raise OutOfPlace("tick", f"an answer to the nav of tick {self._tick}, or before", command.tick)
         if i in self._silent:
             self._silent.remove(i)
-            self.notes.append((i, self._tick, f"its agent answers again, after {self._tick - self._heard[i]} ticks"))
+            text = f"its agent answers again, after {self._tick - self._heard[i]} ticks"
+            self.state.notes.append((i, self._tick, text))
         self._heard[i] = self._tick
         self._taken.append((i, command.tick))
         if command.tick < self._answered[i]:
-            self.kept[i].stale += 1
+            self.punctuality[i].stale += 1
             return []
         nav = self._awaiting.get(i)
-        self.kept[i].late += nav is None or nav.tick != command.tick
+        self.punctuality[i].late += nav is None or nav.tick != command.tick
         self._answered[i] = command.tick
         self._newest[i] = (command, encode(command) if raw is None else raw)
         return []
 
     def take_answered(self) -> list[tuple[int, int]]:
-        """(vehicle, tick) of the commands taken since it was asked last."""
+        """(vehicle, tick) of the commands taken since the last call."""
         taken, self._taken = self._taken, []
         return taken
 
     def end(self, i: int, incarnation: int, until: int | None = None) -> list[Out]:
-        """Vehicle i's agent has ended: from the first tick without a command it drifts."""
-        if incarnation != self.incarnation(i) or self.dead(i):
+        """Vehicle i's agent has ended: from the first tick without a command it drifts.
+
+        Args:
+            until: the tick at which another one takes over, if it is to be another than what was planned.
+        """
+        state = self.state
+        if incarnation != state.incarnation(i) or state.without_agent(i):
             return []
-        tick = self.tick_of(i)
+        tick = state.tick_of(i)
         if self._answered[i] >= tick:
             tick += 1
         if until is None:
-            self.lives.end(i, tick)
+            state.lives.end(i, tick)
         else:
-            self.lives.add(Absence(i, tick, until))
+            state.lives.add(Absence(i, tick, until))
         return []
 
     def remember(self, i: int, memory: Memory) -> None:
-        """A run on a real clock cannot be gone on from, so nothing is kept."""
+        """Drop what an agent remembers: no run goes on from one with a real clock."""
 
     def finish(self) -> list[Out]:
-        """The tick is over: every vehicle moves on with what is there."""
+        """End the tick: every vehicle moves on with the commands that are there."""
         k = self._tick
-        for i in self._ids:
+        state, world = self.state, self.state.world
+        for i in state.ids:
             nav = self._awaiting.pop(i, None)
             newest = self._newest.pop(i, None)
-            eta, nu = self.world.state(i)
-            if self._is_dead(i, k):
-                self._commanded[i] = STILL
-                row = VehicleFrame(i, eta, nu, (), STILL, b"")
+            eta, nu = world.state(i)
+            measured: tuple[float, ...] = ()
+            sent = b""
+            if state.enter_tick(i, k):
+                self._commanded[i] = tau = ZERO
             elif nav is None:
-                row = VehicleFrame(i, eta, nu, (), self.world.actuate(i, self._tau[i]), b"")
+                tau = world.actuate(i, state.tau[i])
             else:
-                kept = self.kept[i]
-                if newest is None or newest[0].tick != k:
-                    kept.missed += 1
-                    kept.row += 1
-                    kept.longest = max(kept.longest, kept.row)
-                else:
-                    kept.row = 0
+                self._count(i, in_time=newest is not None and newest[0].tick == k)
                 if newest is not None:
-                    x, y, z = newest[0].tau
+                    command, sent = newest
+                    x, y, z = command.tau
                     self._commanded[i] = (x, y, z)
-                tau = self.world.actuate(i, self._effective(i, k, self._commanded[i]))
-                row = VehicleFrame(i, eta, nu, nav.eta + nav.nu, tau, b"" if newest is None else newest[1])
-            if k % self._frame_every == 0:
-                self._rows.setdefault(k, []).append(row)
-            x, y, z = row.tau
-            self._integrate(i, k, (x, y, z))
-        return self._frames()
+                tau = world.actuate(i, state.effective(i, k, self._commanded[i]))
+                measured = nav.eta + nav.nu
+            if state.frames.due(k):
+                state.frames.row(k, VehicleFrame(i, eta, nu, measured, tau, sent))
+            state.integrate(i, k, tau)
+        return [*state.frames.complete(lambda tick: b"")]
+
+    def _count(self, i: int, *, in_time: bool) -> None:
+        """Count a tick at whose end the answer of vehicle i's agent was, or was not, there."""
+        count = self.punctuality[i]
+        if in_time:
+            count.row = 0
+        else:
+            count.missed += 1
+            count.row += 1
+            count.longest = max(count.longest, count.row)

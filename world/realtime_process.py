@@ -9,12 +9,11 @@ from netem.histogram import Spread
 from netem.wire.audit import Refusals
 from netem.wire.bus import Bus
 from netem.wire.keys import Keys, tail
-from netem.wire.messages import Pace
-from netem.wire.messages import encode
+from netem.wire.messages import Pace, encode
 from world.config import WorldConfig
-from world.tick_schedule import TickSchedule
 from world.process import WorldProcess
-from world.realtime import FreeRun
+from world.realtime import RealtimeRun
+from world.tick_schedule import TickSchedule
 
 AHEAD_NS = 50_000_000  # from the first grant to the first tick
 PATIENCE_NS = 500_000_000  # without an answer, after which an agent is silent
@@ -22,7 +21,7 @@ LEAST_PATIENCE = 10  # ticks
 REMEMBERED = 1000  # ticks whose answers are still measured
 
 
-class FreeWorldProcess(WorldProcess):
+class RealtimeWorldProcess(WorldProcess):
     """Begins and ends ticks by the clock, and measures how everyone keeps up."""
 
     def __init__(
@@ -34,30 +33,36 @@ class FreeWorldProcess(WorldProcess):
         speed: float,
         refusals: Refusals | None = None,
     ) -> None:
-        """`speed`: ticks begin so many times as fast as real."""
+        """Make the world of a run.
+
+        Args:
+            frame_every: a frame is due every so many ticks.
+            speed: how fast ticks begin, times real time.
+            refusals: what the router refuses, if it lives here.
+        """
         self._schedule = TickSchedule(round(config.tick_ns / speed))
         patience = max(LEAST_PATIENCE, PATIENCE_NS // self._schedule.period_ns)
-        self._free = free = FreeRun(config, frame_every=frame_every, patience=patience)
+        self._realtime = run = RealtimeRun(config, frame_every=frame_every, patience=patience)
         self._began_ns: dict[int, int] = {}  # by tick, of the last ones
         self._lag, self._gap = Spread(), Spread()
-        self._response = {i: Spread() for i in free.world.ids}
-        self._gaps = {i: Spread() for i in free.world.ids}
+        self._response = {i: Spread() for i in run.state.ids}
+        self._gaps = {i: Spread() for i in run.state.ids}
         self._heard_ns: dict[int, int] = {}
-        super().__init__(bus, keys, free, refusals)
+        super().__init__(bus, keys, run, refusals)
 
     def _listen(self, bus: Bus) -> None:
         self._came = bus.stamped(self._keys.cmd("*"))
 
     def serve(self) -> None:
-        """Tick by tick, until the process is ended."""
-        free, schedule = self._free, self._schedule
+        """Begin and end one tick after the other, until the process is ended."""
+        run, schedule = self._realtime, self._schedule
         self._wait_for_grant(0)
         schedule.start(0, monotonic_ns() + AHEAD_NS)
-        for k in range(free.config.ticks):
+        for k in range(run.config.ticks):
             self._wait(schedule.at_ns(k))
             self._begin(k, held=self._wait_for_grant(k))
             self._wait(schedule.at_ns(k + 1))
-            self._publish(free.finish())
+            self._publish(run.finish())
             self._flush_frames()
         while True:
             self._take_next()
@@ -69,12 +74,12 @@ class FreeWorldProcess(WorldProcess):
             self._gap.add(now - self._began_ns[k - 1])
         self._began_ns[k] = now
         self._began_ns.pop(k - REMEMBERED, None)
-        if k % self._free.config.round_ticks == 0:
+        if k % self._realtime.config.round_ticks == 0:
             self._round(encode(Pace(k, schedule.at_ns(k), schedule.period_ns)))
-        self._publish(self._free.begin())
+        self._publish(self._realtime.begin())
 
     def _wait(self, until_ns: int) -> None:
-        """Take what comes in until then; what is there already, in any case."""
+        """Take what comes in until `until_ns`; what is there already, in any case."""
         while (left := until_ns - monotonic_ns()) > 0:
             self._take_next(left / 1e9)
         for _ in range(len(self._came)):
@@ -82,9 +87,9 @@ class FreeWorldProcess(WorldProcess):
 
     def _wait_for_grant(self, k: int) -> bool:
         """Take what comes in until tick k may start; whether that took any time."""
-        if self._free.granted > k:
+        if self._state.granted > k:
             return False
-        while self._free.granted <= k:
+        while self._state.granted <= k:
             self._take_next()
         return True
 
@@ -94,7 +99,7 @@ class FreeWorldProcess(WorldProcess):
             return
         key, data, at_ns = item
         self._handle(key, data)
-        for i, tick in self._free.take_answered():
+        for i, tick in self._realtime.take_answered():
             self._response[i].add(at_ns - self._began_ns.get(tick, at_ns))
             if i in self._heard_ns:
                 self._gaps[i].add(at_ns - self._heard_ns[i])
@@ -107,8 +112,8 @@ class FreeWorldProcess(WorldProcess):
     def _timing(self) -> dict[str, Any]:
         schedule = self._schedule
         vehicles = {
-            str(i): kept.to_values() | {"response": self._response[i].to_values(), "gap": self._gaps[i].to_values()}
-            for i, kept in self._free.kept.items()
+            str(i): counts.to_values() | {"response": self._response[i].to_values(), "gap": self._gaps[i].to_values()}
+            for i, counts in self._realtime.punctuality.items()
         }
         world = {
             "period_ms": schedule.period_ns / 1e6,

@@ -26,6 +26,7 @@ from netem.errors import OutOfPlace
 from netem.ledger import Ledger
 from netem.lives import Absence
 from netem.wire.messages import Command, Fate, Frame, Life, LinkReport, Tumble, VehicleFrame, decode
+from world.run_memory import vehicle_memories
 
 
 class Spell(NamedTuple):
@@ -93,12 +94,12 @@ class Journal:
             self.connectivity.resume(tick)
         while self._events and self._events[0].tick < tick:
             self._happens(self._events.popleft())
-        for i, *_, state, _ in snapshot.world["vehicles"]:
-            if state == DIVERGED:
-                self._happens(self._diverges(i, tick))
-            elif isinstance(state, list) and state[0]:
-                _, number, since = state
-                self._happens(self._tumbles_from(i, since, number))
+        for known in vehicle_memories(snapshot.world):
+            tumbling = known.tumbling
+            if known.diverged:
+                self._happens(self._diverges(known.vehicle, tick))
+            elif tumbling is not None and tumbling.tumbled:
+                self._happens(self._tumbles_from(known.vehicle, tumbling.since, tumbling.number))
 
     @property
     def complete(self) -> bool:

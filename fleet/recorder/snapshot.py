@@ -17,6 +17,7 @@ from fleet.errors import FleetError
 from fleet.logs.decoder import Decoder
 from fleet.logs.reader import LogReader, Tell, log_path
 from fleet.quantities import show_time
+from world.run_memory import vehicle_memories
 
 if TYPE_CHECKING:
     pass
@@ -35,7 +36,7 @@ class Snapshot:
     """One moment of a run."""
 
     tick: int
-    world: dict[str, Any]  # of world.lockstep, the agents' memories in it
+    world: dict[str, Any]  # as `world.run_memory` says, the agents' memories in it
     network: dict[str, Any]  # of netem.network
     heard: list[list[int]]  # [src, dst, newest tick of sending that arrived] of each link
     drawn: list[list[Any]] = field(default_factory=list)  # what became of the last packets; see `fleet.recorder.scene`
@@ -62,7 +63,7 @@ class Snapshot:
     @property
     def memories(self) -> dict[int, bytes]:
         """What each agent remembers; nothing of those that are not there."""
-        return {vehicle[0]: vehicle[-1] for vehicle in self.world["vehicles"] if vehicle[-1]}
+        return {known.vehicle: known.agent for known in vehicle_memories(self.world) if known.agent}
 
 
 def find(path: Path, at_ns: int | None = None, tell: Tell = lambda _: None) -> Snapshot:

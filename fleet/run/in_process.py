@@ -110,7 +110,7 @@ class InProcess:
         self.rounds.resume(tick, snapshot.network)
         self._journal.resume(snapshot)
         for i, memory in snapshot.memories.items():
-            loop = self._loops[i] = self._born(i, self._world.lives.incarnation(i, tick), tick)
+            loop = self._loops[i] = self._born(i, self._world.state.lives.incarnation(i, tick), tick)
             loop.remember(memory, anew=i in start.anew)
 
     def _born(self, i: int, incarnation: int, begin: int) -> AgentLoop:
@@ -130,7 +130,7 @@ class InProcess:
     def _loop(self, i: int, incarnation: int) -> AgentLoop:
         """Agent i, another one when that is what it is asked for."""
         if incarnation > self._loops[i].incarnation:
-            begin = self._world.lives.gaps(i)[incarnation - 1][1]
+            begin = self._world.state.lives.gaps(i)[incarnation - 1][1]
             assert begin is not None  # otherwise nobody would ask
             self._loops[i] = self._born(i, incarnation, begin)
         return self._loops[i]
@@ -151,9 +151,9 @@ class InProcess:
         self._post.append((sender, receiver, encode(message)))
 
     def _from_world(self, outs: list[NavTo | Round | Frame]) -> None:
-        for i, tick, text in self._world.notes:
+        for i, tick, text in self._world.state.notes:
             self.notes.append(note_text(self._scenario, tick, f"vehicle {i}", text))
-        self._world.notes.clear()
+        self._world.state.notes.clear()
         for out in outs:
             if isinstance(out, NavTo):
                 self._send(WORLD, out.id, out.nav)

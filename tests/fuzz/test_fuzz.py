@@ -73,7 +73,7 @@ from netem.wire.settings import MAX_BYTES
 from netem.wire.shell import Item
 from world.lockstep import Lockstep
 from world.process import WorldProcess
-from world.realtime_process import FreeWorldProcess
+from world.realtime_process import RealtimeWorldProcess
 
 EXAMPLES = int(os.environ.get("FUZZ_EXAMPLES", "40"))
 fuzz = settings(
@@ -242,16 +242,16 @@ def test_no_agent_crashes_netem(put: list[tuple[tuple[int, bytes], bool]]) -> No
 def test_no_agent_crashes_a_run_on_a_wall_clock(put: list[tuple[tuple[int, bytes], str]]) -> None:
     """The same for the processes that wait for nobody, while ticks come and go."""
     bus, config = Nowhere(), SCENARIO.world_config()
-    world = FreeWorldProcess(bus, KEYS, config, 1, 1.0)  # type: ignore[arg-type]
+    world = RealtimeWorldProcess(bus, KEYS, config, 1, 1.0)  # type: ignore[arg-type]
     rounds = FreeRounds(SCENARIO.netem_config())
     network = FreeNetemProcess(bus, KEYS, SCENARIO.netem_config(), rounds)  # type: ignore[arg-type]
     world._handle(KEYS.grant, encode(Grant(SCENARIO.ticks)))
     network._handle(Item(KEYS.round, encode(Begins(0, 0, config.tick_ns)), None))
     for (i, data), to in put:
         if to == "world":
-            world._publish(world._free.begin())
+            world._publish(world._realtime.begin())
             world._handle(KEYS.cmd(i), data)
-            world._publish(world._free.finish())
+            world._publish(world._realtime.finish())
         else:
             network._handle(Item(KEYS.tx(i), data, None))
     for _, data in bus.put:

@@ -64,7 +64,7 @@ from netem.wire.messages import (
 )
 from netem.wire.shell import Item
 from world.lockstep import NavTo
-from world.realtime import FreeRun
+from world.realtime import RealtimeRun
 from world.tick_schedule import TickSchedule
 
 KEYS = Keys("5ea")
@@ -86,9 +86,9 @@ class Virtual:
         self.unanswered: list[Nav] = []
         self.log = LogWriter(path, scenario)
         self.journal = Journal(scenario, self.log)
-        self.world = FreeRun(scenario.world_config(), frame_every=frame_every(scenario))
+        self.world = RealtimeRun(scenario.world_config(), frame_every=frame_every(scenario))
         self.network = FreeRounds(scenario.netem_config())
-        self.agents = {i: self._born(i, 0) for i in self.world.world.ids}
+        self.agents = {i: self._born(i, 0) for i in self.world.state.ids}
 
     def _born(self, i: int, incarnation: int) -> FreeLoop:
         core = make_agent(self.scenario.agent_config(i))
@@ -161,7 +161,7 @@ def test_when_nothing_is_late_the_bytes_are_those_of_lockstep(name: str, more: l
     assert virtual.run() == lockstep(scenario, tmp_path / "lockstep.mcap")
     found = virtual.network.timing()
     assert (found["overdue"], sum(found["late"].values()), sum(found["missed"].values())) == (0, 0, 0)
-    assert all(kept.missed == kept.late == kept.stale == 0 for kept in virtual.world.kept.values())
+    assert all(kept.missed == kept.late == kept.stale == 0 for kept in virtual.world.punctuality.values())
 
 
 def test_an_agent_that_skips_ticks_is_counted_and_the_others_are_not(tmp_path: Path) -> None:
@@ -169,7 +169,7 @@ def test_an_agent_that_skips_ticks_is_counted_and_the_others_are_not(tmp_path: P
     # Ticks 100 to 104, of which 100 is a round tick.
     virtual = Virtual(scenario, tmp_path / "free.mcap", lambda i, tick: i == 3 and 100 <= tick < 105)
     assert virtual.run() != lockstep(scenario, tmp_path / "lockstep.mcap")
-    assert {i: (kept.missed, kept.longest) for i, kept in virtual.world.kept.items()} == {
+    assert {i: (kept.missed, kept.longest) for i, kept in virtual.world.punctuality.items()} == {
         1: (0, 0), 2: (0, 0), 3: (5, 5), 4: (0, 0),
     }  # fmt: skip
     assert virtual.network.timing()["missed"] == {"1": 0, "2": 0, "3": 1, "4": 0}
@@ -182,8 +182,8 @@ def test_a_silent_agent_is_left_in_peace_until_it_answers(tmp_path: Path) -> Non
     virtual.run()
     # Its last answer was that of tick 199; from then on it is asked once more after 50, 100, 200 and 400 ticks.
     assert [nav.tick for nav in virtual.unanswered] == [*range(200, 250), 299, 399, 599]
-    kept = virtual.world.kept
-    assert [text for _, _, text in virtual.world.notes] == [
+    kept = virtual.world.punctuality
+    assert [text for _, _, text in virtual.world.state.notes] == [
         "its agent has not answered for 50 ticks: it hears nothing until it does",
         "its agent answers again, after 501 ticks",
     ]
@@ -201,8 +201,8 @@ def command(tick: int, force: float = 1.0, incarnation: int = 0) -> Command:
     return Command(incarnation, tick, (force, 0.0, 0.0), (0.0,) * SIZE)
 
 
-def free() -> FreeRun:
-    world = FreeRun(SHORT.world_config())
+def free() -> RealtimeRun:
+    world = RealtimeRun(SHORT.world_config())
     world.grant(SHORT.ticks)
     return world
 
@@ -223,7 +223,7 @@ def test_the_newest_command_acts_until_a_newer_one_is_there() -> None:
             world.command(1, one)
         frames += world.finish()
     assert forces(frames) == [1.0, 1.0, 2.0, 4.0, 4.0, 5.0]
-    kept = world.kept[1]
+    kept = world.punctuality[1]
     # Ticks 1, 2 and 4 went by without their answers; that of tick 1 acted at 2, that of 2 came with a newer one.
     assert (kept.asked, kept.missed, kept.late, kept.stale, kept.longest) == (6, 3, 2, 0, 2)
 
@@ -241,7 +241,7 @@ def test_every_answer_is_in_time_or_late_or_stale(delays: list[int], order: rand
             world.command(1, one)
         answered += len(now)
         world.finish()
-    kept = world.kept[1]
+    kept = world.punctuality[1]
     assert kept.missed == kept.late + kept.stale + len(delays) - answered
 
 
@@ -253,7 +253,7 @@ def test_an_answer_behind_a_newer_one_is_dropped_and_counted() -> None:
     world.command(1, command(1, 2.0))
     world.command(1, command(0, 9.0))
     assert forces(world.finish()) == [2.0]
-    assert (world.kept[1].missed, world.kept[1].stale) == (1, 1)
+    assert (world.punctuality[1].missed, world.punctuality[1].stale) == (1, 1)
     assert world.take_answered() == [(1, 1), (1, 0)]
     assert world.take_answered() == []
 

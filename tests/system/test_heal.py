@@ -118,7 +118,7 @@ def lives_told(vehicle: int, absences: list[tuple[int, int | None]], late: bool)
     for begin, end in absences:
         if late:
             go_on(begin)
-        world.lives.add(Absence(vehicle, begin, end))
+        world.state.lives.add(Absence(vehicle, begin, end))
     go_on(100)
     return told
 
@@ -132,7 +132,7 @@ def test_an_agent_that_ended_before_it_began_is_told(late: bool) -> None:
 
 def test_an_agent_that_ended_at_its_first_tick_is_told_in_this_order() -> None:
     world = Lockstep(load_scenario("paper", ["duration=1 s", "vehicles=1"]).world_config())
-    world.lives.add(Absence(1, 0, 10))
+    world.state.lives.add(Absence(1, 0, 10))
     lives = [life for out in world.grant(11) if isinstance(out, Frame) for life in out.lives]
     lives += [life for out in world.end(1, 1, 20) if isinstance(out, Frame) for life in out.lives]
     lives += [life for out in world.grant(30) if isinstance(out, Frame) for life in out.lives]

@@ -70,7 +70,7 @@ def test_the_world_tells_begin_and_end_and_thinned_frames_lose_none() -> None:
     told: list[list[Tumble]] = []
     for every in (1, 10):
         lockstep = Lockstep(replace(config, ticks=600, vehicles=(nose_down,)), frame_every=every)
-        lockstep.lives.end(1, 0)
+        lockstep.state.lives.end(1, 0)
         frames = [out for out in lockstep.grant(600) if isinstance(out, Frame)]
         told.append([tumble for frame in frames for tumble in frame.tumbles])
         assert all(tumble.tick <= frame.tick for frame in frames for tumble in frame.tumbles)

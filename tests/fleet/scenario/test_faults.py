@@ -293,7 +293,7 @@ def test_a_vehicle_whose_motion_leaves_the_finite_numbers_ends(absences: tuple[A
     frames = [out for out in drive(lockstep, 50, {1, 2, 3, 4}) if type(out).__name__ == "Frame"]
     assert len(frames) == 51
     assert {frame.vehicles[0].eta for frame in frames} == {runaway.eta0}
-    ((vehicle, tick, text),) = lockstep.notes
+    ((vehicle, tick, text),) = lockstep.state.notes
     assert (vehicle, tick) == (1, 0)
     assert text.startswith("error: the motion left the finite numbers")
     assert [(life.tick, life.vehicle) for f in frames for life in f.lives if life.diverged] == [(1, 1)]
@@ -303,7 +303,7 @@ def test_deaths_of_others_are_refused() -> None:
     lockstep = Lockstep(world())
     lockstep.grant(5)
     assert lockstep.end(2, 1) == []  # another incarnation's
-    assert not lockstep.dead(2)
+    assert not lockstep.state.without_agent(2)
 
 
 def run(folder: Path, *overrides: str, in_process: bool = True) -> Result:

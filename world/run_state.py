@@ -1,0 +1,188 @@
+"""The vehicles of a run, with or without lockstep: who has an agent, which command acts, who tumbled, what frames say.
+
+`Lockstep` and `RealtimeRun` decide when a vehicle is sensed and when it moves on; what happens to it then is here.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from netem.errors import OutOfPlace
+from netem.lives import Lives
+from netem.wire.messages import Command, Life, Tumble, VehicleFrame
+from world.config import WorldConfig
+from world.errors import IntegrationError
+from world.frames import FrameAssembly
+from world.run_memory import DIVERGED, Tumbling, VehicleMemory, vehicle_memories
+from world.sea import World
+from world.tumble import tumbles
+from world.vectors import ZERO, Vec3
+
+
+class RunState:
+    """Every vehicle at the tick that it has reached."""
+
+    def __init__(self, config: WorldConfig, frame_every: int) -> None:
+        self.config = config
+        self.world = World(config)
+        self.ids = self.world.ids
+        self.lives = Lives(config.absences)
+        self.granted = 0  # ticks below it may be started
+        self.frames = FrameAssembly(len(self.ids), config.ticks, frame_every)
+        self.tau: dict[int, Vec3] = dict.fromkeys(self.ids, ZERO)  # the last command that took effect [N, N m]
+        self.notes: list[tuple[int, int, str]] = []  # (vehicle, tick, text) for a person; whoever reads empties it
+        self._telemetry_size = {setup.id: setup.telemetry_size for setup in config.vehicles}
+        self._tumble_limits = {setup.id: setup.tumble_limit for setup in config.vehicles}
+        self._tick_s = config.tick_ns / 1e9
+        self._absent: set[int] = set()  # vehicles without an agent at the tick that they have reached
+        self._life = dict.fromkeys(self.ids, 0)  # which life of its agent each vehicle was in at the tick before
+        self._delayed: dict[int, dict[int, Vec3]] = {i: {} for i in self.ids}  # commands of slow agents, by tick
+        self._diverged: set[int] = set()  # vehicles that are not integrated any more
+        self._tumbled: set[int] = set()
+        self._tumblings: dict[int, tuple[int, int]] = {}  # how often each has tumbled, and since when the last time
+        for i in self.ids:
+            at_start = self.world.pitch(i)
+            self._watch_pitch(i, 0, at_start, at_start)
+
+    def grant(self, until: int) -> None:
+        """Ticks below `until` may be started; a smaller grant than before changes nothing."""
+        self.granted = max(self.granted, min(until, self.config.ticks))
+
+    def tick_of(self, i: int) -> int:
+        """The tick that vehicle i has reached."""
+        return self.world.tick(i)
+
+    def incarnation(self, i: int) -> int:
+        """Which life of its agent vehicle i is in at the tick that it has reached."""
+        return self.lives.incarnation(i, self.tick_of(i))
+
+    def without_agent(self, i: int) -> bool:
+        """Whether vehicle i has no agent at the tick that it has reached."""
+        return i in self._diverged or self.lives.without_agent(i, self.tick_of(i))
+
+    def check(self, i: int, command: Command) -> None:
+        """Check that a command is of the right life and has the declared telemetry.
+
+        Raises:
+            OutOfPlace: it is not, or has not.
+        """
+        self.lives.check(i, self.tick_of(i), command.incarnation)
+        size = self._telemetry_size[i]
+        if command.telemetry and size not in (None, len(command.telemetry)):
+            raise OutOfPlace("telemetry values", size, len(command.telemetry))
+
+    def enter_tick(self, i: int, k: int) -> bool:
+        """Vehicle i is at tick k: the next frame tells if its agent ended or began here.
+
+        Returns:
+            Whether it has no agent at this tick.
+        """
+        # A vehicle that diverged has none for good: lives stay those that the console and netem know of.
+        diverged = i in self._diverged
+        absent = diverged or self.lives.without_agent(i, k)
+        changed = absent != (i in self._absent)
+        life = self.lives.incarnation(i, k)
+        stillborn = absent and i in self._absent - self._diverged and life > self._life[i]  # it ended before it began
+        self._life[i] = life
+        if stillborn:
+            self.frames.life(Life(k, i, True, False))
+            self.frames.life(Life(k, i, False, False))
+        elif changed:
+            self.frames.life(Life(k, i, not absent, diverged))
+        if changed:
+            self._absent ^= {i}
+            if not absent:
+                self.tau[i] = ZERO
+                self._delayed[i].clear()
+        return absent
+
+    def effective(self, i: int, k: int, tau: tuple[float, ...]) -> Vec3:
+        """The command that takes effect at tick k [N, N m]: that of some ticks ago when the agent is slow.
+
+        Args:
+            tau: the command for this tick.
+        """
+        x, y, z = tau
+        delayed = self._delayed[i]
+        delay = self.world.slow(i, k)
+        if delay or delayed:
+            delayed[k] = (x, y, z)
+            due = [tick for tick in delayed if tick <= k - delay]
+            for tick in due[:-1]:
+                del delayed[tick]
+            if not delay:
+                delayed.clear()
+            else:
+                x, y, z = delayed[due[-1]] if due else self.tau[i]
+        self.tau[i] = taken = (x, y, z)
+        return taken
+
+    def integrate(self, i: int, k: int, tau: Vec3) -> None:
+        """Move vehicle i from tick k to the next with `tau` [N, N m]; one that diverges stays where it is from then on.
+
+        Raises:
+            IntegrationError: its motion left the finite numbers, and the run is not to go on without it.
+        """
+        if i in self._diverged:
+            self.world.hold(i)
+        else:
+            before = self.world.pitch(i)
+            try:
+                self.world.advance(i, tau)
+            except IntegrationError as error:
+                if not self.config.keep_going:
+                    raise
+                self._diverged.add(i)
+                if i in self._absent:
+                    self.frames.life(Life(k + 1, i, False, True))  # else its agent ends with it
+                self.notes.append((i, k, f"error: {error.reason}; vehicle {i} is not integrated any more"))
+                self.world.hold(i)
+            else:
+                self._watch_pitch(i, k + 1, before, self.world.pitch(i))
+        if k + 1 == self.config.ticks:
+            self.frames.row(k + 1, VehicleFrame(i, *self.world.state(i), (), (), b""))
+
+    def memory(self, i: int, agent: bytes | None) -> VehicleMemory:
+        """All that the next ticks of vehicle i depend on.
+
+        Args:
+            agent: what its agent remembers; None: that is still to come.
+        """
+        condition: str | list[int] | bool = False
+        if i in self._diverged:
+            condition = DIVERGED
+        elif i in self._tumblings:
+            condition = [*Tumbling(int(i in self._tumbled), *self._tumblings[i])]
+        delayed = [[tick, list(tau)] for tick, tau in sorted(self._delayed[i].items())]
+        return VehicleMemory(i, self.world.memory(i), list(self.tau[i]), delayed, condition, agent)
+
+    def resume(self, tick: int, memory: dict[str, Any]) -> None:
+        """Go on at a tick with what was remembered before it in another run of the same vehicles.
+
+        Args:
+            memory: see `world.run_memory`.
+        """
+        self._tumbled.clear()
+        self._tumblings.clear()
+        for known in vehicle_memories(memory):
+            i = known.vehicle
+            self.world.remember(i, known.motion)
+            self.tau[i] = (known.tau[0], known.tau[1], known.tau[2])
+            self._delayed[i] = {k: (x, y, z) for k, (x, y, z) in known.delayed}
+            if known.diverged:
+                self._diverged.add(i)
+            elif (tumbling := known.tumbling) is not None:
+                self._tumblings[i] = (tumbling.number, tumbling.since)
+                self._tumbled |= {i} if tumbling.tumbled else set()
+        self._absent = self._diverged | {i for i in self.ids if self.lives.without_agent(i, tick - 1)}
+        self._life = {i: self.lives.incarnation(i, tick - 1) for i in self.ids}
+        self.frames.resume(tick)
+
+    def _watch_pitch(self, i: int, k: int, before: tuple[float, float], after: tuple[float, float]) -> None:
+        """The next frame tells if vehicle i began to tumble, or came back, on the way to tick k."""
+        tumbled = i in self._tumbled
+        if tumbles(tumbled, self._tumble_limits[i], before, after, self._tick_s) != tumbled:
+            self._tumbled ^= {i}
+            if not tumbled:
+                self._tumblings[i] = self._tumblings.get(i, (0, 0))[0] + 1, k
+            self.frames.tumble(Tumble(k, i, not tumbled, self._tumblings[i][0]))

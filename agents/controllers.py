@@ -30,11 +30,11 @@ TRACKING: dict[str, type[NeurodynamicTracking] | type[BacksteppingTracking] | ty
 }
 
 
-Notes = list[tuple[int, str]]
+Notes = list[tuple[int, str]]  # (tick, text) for a person
 
 
 class Pair(NamedTuple):
-    """A controller of the paper: its guidance, its tracking, and what it is."""
+    """A controller of the paper: its guidance law, its tracking law, and what it is."""
 
     guidance: str
     tracking: str
@@ -57,8 +57,8 @@ BUILT_IN: dict[str, Mapping[str, type[Any]]] = {
 }
 
 
-class Lawful(Protocol):
-    """A law as the agent uses it: ours, or a user's behind its fence."""
+class RunningLaw(Protocol):
+    """A law of one vehicle as the agent uses it: ours, or a user's behind a fence."""
 
     def step(self, sample: Sample, *more: Any) -> tuple[Vec3, tuple[float, ...]]: ...
     def state(self) -> Any: ...
@@ -75,8 +75,8 @@ def law_class(kind: str, law: Law) -> type[Any]:
     return ours if ours is not None else loading.load(kind, law)
 
 
-class Choice(Protocol):
-    """Who says which laws a vehicle runs."""
+class LawChoice(Protocol):
+    """Which laws a vehicle runs; an `AgentConfig` is one."""
 
     @property
     def agent(self) -> Law | None: ...
@@ -88,7 +88,7 @@ class Choice(Protocol):
     def tracking_law(self) -> Law: ...
 
 
-def laws(config: Choice) -> dict[str, Law]:
+def laws(config: LawChoice) -> dict[str, Law]:
     """The laws that an agent runs, by kind."""
     if config.agent is not None:
         return {"agent": config.agent}
@@ -111,14 +111,14 @@ def layout(config: AgentConfig) -> Layout:
     return Layout((*HEARD, *COMMANDED, *found["guidance"]), found["tracking"])
 
 
-class Controller:
-    """A user's controller in the agent."""
+class FencedController:
+    """A user's controller behind a fence."""
 
     def __init__(self, config: AgentConfig, law: Law, notes: Notes) -> None:
         self._law = FencedLaw(config, law, loading.load("controller", law), "(tau1, tau2, tau3)", notes)
 
     def step(self, sample: Sample) -> tuple[Vec3, tuple[float, ...]]:
-        """Forces [N, N m] before the limits, and the telemetry."""
+        """Force and moments [N, N m] before the limits, and the telemetry as one flat tuple."""
         return self._law.step(sample)
 
     def counters(self) -> dict[str, int]:
@@ -136,46 +136,52 @@ class Cascade:
 
     def __init__(self, config: AgentConfig, notes: Notes) -> None:
         self._params = config.tracking
-        self._guidance = _make("guidance", config, config.guidance_law, "velocity", notes)
-        self._tracking = _make("tracking", config, config.tracking_law, "(tau1, tau2, tau3)", notes)
+        self.guidance = _make("guidance", config, config.guidance_law, "velocity", notes)
+        self.tracking = _make("tracking", config, config.tracking_law, "(tau1, tau2, tau3)", notes)
         self._held: tuple[float, float] | None = None  # theta_cmd, psi_cmd of the previous sample
 
     def step(self, sample: Sample) -> tuple[Vec3, tuple[float, ...]]:
-        """Forces [N, N m] before the limits, and the telemetry."""
+        """Force and moments [N, N m] before the limits, and the telemetry as one flat tuple."""
         params, nu = self._params, sample.nu
         theta, psi = sample.eta[3:] if self._held is None else self._held
-        rho, guidance = self._guidance.step(sample)
+        rho, guidance = self.guidance.step(sample)
         u_cmd, theta, psi = direction_command(rho, theta, psi, params.rho_eps)
         self._held = (theta, psi)
         u_cmd = floor_speed(u_cmd, nu[1], nu[2], params.u_floor)
-        demand, control = self._tracking.step(sample, Command(u_cmd, theta, psi))
+        demand, control = self.tracking.step(sample, Command(u_cmd, theta, psi))
         return demand, (*rho, u_cmd, theta, psi, *guidance, *control)
 
     def counters(self) -> dict[str, int]:
-        failures = getattr(self._guidance, "failures", None)
+        failures = getattr(self.guidance, "failures", None)
         return {} if failures is None else {"qp_failures": failures}
 
     def state(self) -> Any:
         held = None if self._held is None else list(self._held)
-        return {"held": held, "guidance": self._guidance.state(), "tracking": self._tracking.state()}
+        return {"held": held, "guidance": self.guidance.state(), "tracking": self.tracking.state()}
 
     def restore(self, values: Any) -> None:
         self._held = None if values["held"] is None else tuple(values["held"])
-        self._guidance.restore(values["guidance"])
-        self._tracking.restore(values["tracking"])
+        self.guidance.restore(values["guidance"])
+        self.tracking.restore(values["tracking"])
 
 
-def build(config: AgentConfig, notes: Notes) -> Cascade | Controller:
-    """The controller of one agent; what a person should know of it goes into `notes`.
+def build(config: AgentConfig, notes: Notes) -> Cascade | FencedController:
+    """The controller of one agent.
+
+    Args:
+        config: the agent's slice of the scenario.
+        notes: takes (tick, text) of what a person should know about the laws.
 
     Raises:
         PluginError: one of its laws cannot be used.
         ControllerError: one of its laws cannot be made.
     """
-    return Cascade(config, notes) if config.controller is None else Controller(config, config.controller, notes)
+    return Cascade(config, notes) if config.controller is None else FencedController(config, config.controller, notes)
 
 
-def _make(kind: str, config: AgentConfig, law: Law, what: str, notes: Notes) -> Lawful:
+def _make(kind: str, config: AgentConfig, law: Law, what: str, notes: Notes) -> RunningLaw:
     ours = BUILT_IN[kind].get(law.name)
-    found: Lawful = ours(config) if ours is not None else FencedLaw(config, law, loading.load(kind, law), what, notes)
+    found: RunningLaw = (
+        ours(config) if ours is not None else FencedLaw(config, law, loading.load(kind, law), what, notes)
+    )
     return found

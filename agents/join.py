@@ -17,7 +17,7 @@ from agents.config import AgentConfig
 from agents.controllers import BUILT_IN, laws
 from agents.errors import PluginError
 from agents.join_file import _ENDPOINT, JoinError, Joining
-from agents.main import begin_life
+from agents.main import begin_life, is_realtime
 from agents.plugins.loading import admit
 from agents.plugins.trust import NOTHING, Trust
 from netem.errors import BusError, MalformedMessage
@@ -48,13 +48,13 @@ def serve(joining: Joining, tell: Callable[[str], None], trust: Trust = NOTHING)
     lost = Event()
     bus.on_lost(lost.set)
     try:
-        config, clock, incarnation, begin = _ask(bus, keys, joining.vehicle)
+        config, incarnation, begin, realtime = _ask(bus, keys, joining.vehicle)
         _admit(config, trust)
         ended: SimpleQueue[End | BaseException] = SimpleQueue()
 
         def live() -> None:
             try:
-                process = begin_life(bus, keys, config, clock, incarnation, begin)
+                process = begin_life(bus, keys, config, incarnation, begin, realtime=realtime)
                 tell(f"agent {config.id} has joined run {joining.run} at {joining.endpoint}")
                 ended.put(process.serve())
             except BaseException as error:  # a law may raise anything, and ends with SystemExit
@@ -128,8 +128,8 @@ def _reached(endpoint: str) -> bool:
     return True
 
 
-def _ask(bus: Bus, keys: Keys, vehicle: int) -> tuple[AgentConfig, str, int, int]:
-    """The agent's own slice, the kind of clock, which life of it this is, and the tick of its first nav."""
+def _ask(bus: Bus, keys: Keys, vehicle: int) -> tuple[AgentConfig, int, int, bool]:
+    """The agent's own slice, which life of it this is, the tick of its first nav, and whether a wall clock is used."""
     answer = bus.ask(keys.cfg(vehicle), timeout_s=ASK_S)
     if answer is None:
         raise JoinError(
@@ -140,7 +140,7 @@ def _ask(bus: Bus, keys: Keys, vehicle: int) -> tuple[AgentConfig, str, int, int
         values = read_map(answer)
         if "error" in values:
             raise JoinError(str(values["error"]))
-        clock = str(values.get("clock", "lockstep"))
-        return AgentConfig.from_values(values["agent"]), clock, int(values["incarnation"]), int(values["begin"])
+        incarnation, begin = int(values["incarnation"]), int(values["begin"])
+        return AgentConfig.from_values(values["agent"]), incarnation, begin, is_realtime(values)
     except (MalformedMessage, KeyError, TypeError, ValueError) as error:
         raise JoinError(f"the answer on {keys.cfg(vehicle)} is none that this version understands: {error}") from None

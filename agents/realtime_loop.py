@@ -1,7 +1,7 @@
-"""One agent on a wall clock: it answers the newest nav at once, with what has come in and is due by then.
+"""One agent on a wall clock: it answers the newest nav at once, with the deliveries that have come in and are due.
 
-A pure state machine like `AgentLoop`. Of navs that queued up while it computed it answers the newest, and before it the
-last one of a round tick, if there is one: what it is to send, it sends.
+A pure state machine like `AgentLoop`. Of navs that queued up while it computed it answers the newest, and before that
+the last one of a round tick, if there is one, so that its neighbours hear it.
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ from netem.errors import OutOfPlace
 from netem.wire.messages import Arrival, Command, Inbox, Nav, Receipt, Transmission
 
 
-class FreeLoop(AgentLoop):
-    """Feeds an agent core with navs, and the deliveries that are due by then."""
+class RealtimeLoop(AgentLoop):
+    """Feeds an agent core with navs and with the deliveries that are due."""
 
     def __init__(self, core: AgentCore, round_ticks: int, *, incarnation: int = 0, begin: int = 0) -> None:
         super().__init__(core, round_ticks, incarnation=incarnation, begin=begin)
@@ -30,8 +30,8 @@ class FreeLoop(AgentLoop):
             self._deliveries += inbox.deliveries
             self._at_ns |= {(d.src, d.seq, d.copy): at_ns for d in inbox.deliveries}
 
-    def worth(self, navs: Sequence[Nav]) -> list[Nav]:
-        """Those that it answers of the navs that are there, oldest first."""
+    def to_answer(self, navs: Sequence[Nav]) -> list[Nav]:
+        """Of the navs that are there those to answer, oldest first."""
         newest = navs[-1]
         sends = next((nav for nav in reversed(navs) if nav.tick % self.round_ticks == 0), newest)
         return [newest] if sends is newest else [sends, newest]

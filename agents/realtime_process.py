@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from agents.process import AgentProcess
-from agents.realtime_loop import FreeLoop
+from agents.realtime_loop import RealtimeLoop
 from netem.errors import MalformedMessage, OutOfPlace
 from netem.wire.bus import Bus
 from netem.wire.keys import Keys
@@ -12,13 +12,13 @@ from netem.wire.queues import Stamped
 from netem.wire.shell import expect
 
 
-class FreeAgentProcess(AgentProcess):
+class RealtimeAgentProcess(AgentProcess):
     """Answers the newest nav that is there."""
 
-    def __init__(self, bus: Bus, keys: Keys, vehicle: int, loop: FreeLoop) -> None:
+    def __init__(self, bus: Bus, keys: Keys, vehicle: int, loop: RealtimeLoop) -> None:
         super().__init__(bus, keys, vehicle, loop)
-        self._free = loop
-        self._flooded = False  # and told
+        self._realtime = loop
+        self._noted_flood = False
 
     def _listen(self, bus: Bus, key: str) -> Stamped:
         self._stamped = bus.stamped(key)
@@ -42,10 +42,10 @@ class FreeAgentProcess(AgentProcess):
                 message = self._read(key, data)
                 if isinstance(message, Inbox):
                     self._take(key, message, at_ns)
-            if self._stamped.flooded and not self._flooded:
-                self._flooded = True
+            if self._stamped.flooded and not self._noted_flood:
+                self._noted_flood = True
                 self._shell.note(self._vehicle, self._loop.tick, "more comes in than it takes: messages are dropped")
-            for nav in self._free.worth(navs) if navs else ():
+            for nav in self._realtime.to_answer(navs) if navs else ():
                 self._answer(self._keys.nav(self._vehicle), nav)
 
     def _read(self, key: str, data: bytes) -> Nav | Inbox | End | Hello | None:
@@ -59,6 +59,6 @@ class FreeAgentProcess(AgentProcess):
 
     def _take(self, key: str, inbox: Inbox, at_ns: int) -> None:
         try:
-            self._free.arrive(inbox, at_ns)
+            self._realtime.arrive(inbox, at_ns)
         except OutOfPlace as error:
             self._shell.reject(key, self._loop.tick, error)

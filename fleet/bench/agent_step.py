@@ -109,7 +109,7 @@ def _samples(config: AgentConfig, tape: list[tuple[Nav, list[Delivery]]]) -> lis
 def _stages(config: AgentConfig, tape: list[tuple[Nav, list[Delivery]]], costs: _Costs) -> None:
     table = NeighbourTable(config.neighbours, config.extrapolation, config.reference, config.offset, 0.01)
     cascade = Cascade(config, [])
-    guidance, tracking = cascade._guidance, cascade._tracking
+    guidance, tracking = cascade.guidance, cascade.tracking
     held = (0.0, 0.0)
     for (nav, deliveries), (sample, _) in zip(tape, _samples(config, tape), strict=True):
         table.absorb(deliveries, nav.tick)

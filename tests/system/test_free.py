@@ -26,7 +26,7 @@ from live import LiveRun
 from nowhere import Nowhere, serve
 
 from agents.agent import make_agent
-from agents.realtime_loop import FreeLoop
+from agents.realtime_loop import RealtimeLoop
 from fleet.analysis import punctuality as timing
 from fleet.cli.main import cli
 from fleet.pictures.runs import Look, NothingToDraw, load
@@ -90,9 +90,9 @@ class Virtual:
         self.network = FreeRounds(scenario.netem_config())
         self.agents = {i: self._born(i, 0) for i in self.world.state.ids}
 
-    def _born(self, i: int, incarnation: int) -> FreeLoop:
+    def _born(self, i: int, incarnation: int) -> RealtimeLoop:
         core = make_agent(self.scenario.agent_config(i))
-        return FreeLoop(core, self.scenario.round_ticks, incarnation=incarnation)
+        return RealtimeLoop(core, self.scenario.round_ticks, incarnation=incarnation)
 
     def run(self) -> str:
         """To the end; returns the digest."""
@@ -106,7 +106,7 @@ class Virtual:
                 elif isinstance(out, NavTo):
                     self._answer(out.id, out.nav)
             if self.suspended and self.absent(3, tick - 1) and not self.absent(3, tick):
-                for nav in self.agents[3].worth(self.unanswered):
+                for nav in self.agents[3].to_answer(self.unanswered):
                     self._answer(3, nav)
             inboxes, report = self.network.exchange(tick * PERIOD_NS)
             for i, inbox in inboxes:
@@ -335,16 +335,16 @@ def nav(tick: int, incarnation: int = 0) -> Nav:
 
 
 def test_an_agent_answers_the_newest_nav_and_what_it_is_to_send_at() -> None:
-    loop = FreeLoop(Core(), 10)  # type: ignore[arg-type]
-    assert [n.tick for n in loop.worth([nav(1), nav(2)])] == [2]
-    assert [n.tick for n in loop.worth([nav(9), nav(10), nav(11)])] == [10, 11]
-    assert [n.tick for n in loop.worth([nav(10), nav(20)])] == [20]
-    assert [n.tick for n in loop.worth([nav(10), nav(20), nav(21), nav(22)])] == [20, 22]
+    loop = RealtimeLoop(Core(), 10)  # type: ignore[arg-type]
+    assert [n.tick for n in loop.to_answer([nav(1), nav(2)])] == [2]
+    assert [n.tick for n in loop.to_answer([nav(9), nav(10), nav(11)])] == [10, 11]
+    assert [n.tick for n in loop.to_answer([nav(10), nav(20)])] == [20]
+    assert [n.tick for n in loop.to_answer([nav(10), nav(20), nav(21), nav(22)])] == [20, 22]
 
 
 def test_an_agent_uses_what_is_due_and_says_when_it_came() -> None:
     core = Core()
-    loop = FreeLoop(core, 10)  # type: ignore[arg-type]
+    loop = RealtimeLoop(core, 10)  # type: ignore[arg-type]
     assert [type(answer) for answer in loop.nav(nav(0))] == [Transmission, Command]
     loop.arrive(Inbox(0, 2, False, (Delivery(2, 0, 2, 7, 0, b"a"),)), 5)
     loop.arrive(Inbox(0, 4, False, (Delivery(4, 0, 2, 8, 0, b"b"),)), 6)

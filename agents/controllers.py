@@ -180,8 +180,8 @@ def build(config: AgentConfig, notes: Notes) -> Cascade | FencedController:
 
 
 def _make(kind: str, config: AgentConfig, law: Law, what: str, notes: Notes) -> RunningLaw:
-    ours = BUILT_IN[kind].get(law.name)
-    found: RunningLaw = (
-        ours(config) if ours is not None else FencedLaw(config, law, loading.load(kind, law), what, notes)
-    )
-    return found
+    """The law of one kind; `what` names its answer in messages."""
+    if (ours := BUILT_IN[kind].get(law.name)) is None:
+        return FencedLaw(config, law, loading.load(kind, law), what, notes)
+    made: RunningLaw = ours(config)
+    return made

@@ -19,7 +19,7 @@ from agents.errors import PluginError
 from agents.join_file import _ENDPOINT, JoinError, Joining
 from agents.main import begin_life, is_realtime
 from agents.plugins.loading import admit
-from agents.plugins.trust import NOTHING, Trust
+from agents.plugins.trust import NOTHING, Permission, Trust
 from netem.errors import BusError, MalformedMessage
 from netem.wire.bus import Bus
 from netem.wire.control import read_map
@@ -69,9 +69,10 @@ def serve(joining: Joining, tell: Callable[[str], None], trust: Trust = NOTHING)
 
 def _admit(config: AgentConfig, trust: Trust) -> None:
     try:
+        permission = Permission(trust, elsewhere=(Path(),), because="the run names it")
         for kind, law in laws(config).items():
             if law.name not in BUILT_IN[kind]:
-                admit(kind, law.name, trust, elsewhere=[Path()], because="the run names it")
+                admit(kind, law.name, permission)
     except PluginError as error:
         raise JoinError(str(error)) from None
 

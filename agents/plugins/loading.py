@@ -1,4 +1,4 @@
-"""Laws from elsewhere: found by import path or entry point, and checked before a run depends on them."""
+"""Laws that are not ours: found by import path or entry point, and checked before a run depends on them."""
 
 from __future__ import annotations
 
@@ -6,8 +6,9 @@ import hashlib
 import importlib
 import inspect
 import sys
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from contextlib import redirect_stdout
+from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import Any
@@ -16,7 +17,7 @@ from agents.config import Law
 from agents.errors import PluginError
 from agents.plugins.checks import check_law
 from agents.plugins.places import place_of, shown_path, words_of
-from agents.plugins.trust import NOTHING, Trust, permit
+from agents.plugins.trust import ONLY_INSTALLED, Permission, permit
 
 GROUP = "uuv_fleet.controllers"
 
@@ -31,7 +32,7 @@ def load(kind: str, law: Law) -> type[Any]:
         law: `package.module:Class`, or the name of an entry point in group `uuv_fleet.controllers`.
 
     Raises:
-        UntrustedError: its module is not installed, and nobody has let it in with `admit`.
+        UntrustedError: its module is not installed, and was not let in with `admit`.
         PluginError: there is no such class, or it cannot be used.
     """
     admit(kind, law.name)
@@ -49,24 +50,22 @@ def load(kind: str, law: Law) -> type[Any]:
     return found  # type: ignore[no-any-return]
 
 
-def admit(
-    kind: str,
-    name: str,
-    trust: Trust = NOTHING,
-    own: Iterable[Path] = (),
-    elsewhere: Iterable[Path] = (),
-    because: str = "nobody allowed it",
-) -> None:
+def admit(kind: str, name: str, permission: Permission = ONLY_INSTALLED) -> None:
     """Let the module of a law be imported if it may run; see `agents.plugins.trust.permit`.
+
+    Args:
+        kind: controller, guidance, tracking or agent.
+        name: of the law: `package.module:Class`, or the name of an entry point.
+        permission: what may run besides what is installed.
 
     Raises:
         UntrustedError: it may not.
         PluginError: the name is none of a law.
     """
     if ":" in name:
-        permit(kind, name, _module_name(kind, name), trust, own, elsewhere, because)
-    elif (point := _points().get(name)) is not None:
-        permit(kind, name, point.value.partition(":")[0].strip(), trust, own, elsewhere, because)
+        permit(kind, name, _module_name(kind, name), permission)
+    elif (point := installed_laws().get(name)) is not None:
+        permit(kind, name, point.value.partition(":")[0].strip(), permission)
 
 
 def fingerprint(found: type[Any]) -> str:
@@ -131,13 +130,15 @@ def _loaded(load_it: Callable[[], Any]) -> Any:
         raise _LoadError(words_of(error), where) from error
 
 
-def _points() -> dict[str, EntryPoint]:
+@cache
+def installed_laws() -> dict[str, EntryPoint]:
+    """The entry points of laws by name, read once per process: reading them opens a file of every installed package."""
     return {point.name: point for point in entry_points(group=GROUP)}
 
 
 def _entry_point(kind: str, name: str) -> tuple[str, Any]:
-    """What the entry point says, and what is there."""
-    points = _points()
+    """`module:Class` as the entry point has it, and what it loads."""
+    points = installed_laws()
     if name not in points:
         there = f"installed: {', '.join(sorted(points))}" if points else f"nothing is installed in group {GROUP}"
         raise PluginError(

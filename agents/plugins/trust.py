@@ -1,8 +1,8 @@
 """Where the module of a law lies, and whether it may run here.
 
 To import a module is to run it. Scenarios, logs and runs of strangers name laws, so a name alone runs nothing: a module
-runs if it is installed, if it lies in a folder that the caller says is the user's own, or if the user allowed it.
-Nothing is imported to find that out.
+runs if it is installed, if it lies in a folder that is the user's own, or if the user allowed it. Nothing is imported
+to find that out.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ _added: list[str] = []  # folders that are on `sys.path` for the sake of modules
 _allowed: set[str] = set()  # modules outside of what is installed that may run
 
 
-def _silent(text: str) -> None:
-    """Say nothing."""
+def _print_nothing(text: str) -> None:
+    pass
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,10 +35,23 @@ class Trust:
 
     everything: bool = False
     fingerprints: frozenset[str] = frozenset()  # SHA-256 of files, hexadecimal
-    tell: Callable[[str], None] = _silent  # told what runs because of this, before it does
+    tell: Callable[[str], None] = _print_nothing  # called with what runs because of this, before it runs
 
 
 NOTHING = Trust()
+
+
+@dataclass(frozen=True, slots=True)
+class Permission:
+    """Which modules the laws of one scenario, log or run may import, besides those that are installed."""
+
+    trust: Trust = NOTHING
+    own: tuple[Path, ...] = ()  # folders of the user, whose modules run without a word
+    elsewhere: tuple[Path, ...] = ()  # folders to look in besides, whose modules need the user's trust
+    because: str = "nobody allowed it"  # why they need it, for the message
+
+
+ONLY_INSTALLED = Permission()
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,22 +63,14 @@ class Place:
     installed: bool
 
 
-def permit(
-    kind: str,
-    name: str,
-    module: str,
-    trust: Trust = NOTHING,
-    own: Iterable[Path] = (),
-    elsewhere: Iterable[Path] = (),
-    because: str = "nobody allowed it",
-) -> None:
+def permit(kind: str, name: str, module: str, permission: Permission) -> None:
     """Let the module of a law be imported, and found, if it may run; one that is nowhere is left to the import.
 
     Args:
-        kind, name: of the law, for the message.
-        own: folders of the user, whose modules run without a word.
-        elsewhere: folders to look in besides, whose modules need his word.
-        because: why they do.
+        kind: of the law, for the message.
+        name: likewise.
+        module: the law's module.
+        permission: what may run besides what is installed.
 
     Raises:
         UntrustedError: it may not run.
@@ -73,9 +78,9 @@ def permit(
     """
     if module in _allowed:
         return
-    own = list(own)
-    place = find(module, [*own, *elsewhere])
-    if module in sys.modules:  # it has run
+    trust, own, because = permission.trust, permission.own, permission.because
+    place = find(module, [*own, *permission.elsewhere])
+    if module in sys.modules:  # it ran before
         if place is not None and not place.installed:
             _allow(module, place)
         return

@@ -18,7 +18,7 @@ from agents.controllers import BUILT_IN, laws
 from agents.errors import AgentError
 from agents.plugged_agent import PluggedAgent
 from agents.plugins.loading import admit
-from agents.plugins.trust import NOTHING, Trust
+from agents.plugins.trust import NOTHING, Permission, Trust
 from fleet.errors import FleetError
 from fleet.logs.decoder import Decoder
 from fleet.logs.reader import LogReader, Tell, log_path
@@ -92,9 +92,10 @@ def whatif(
         if (every := recorded.log_every[group]) > 1:
             raise WhatIfError(f"{path} has every {every}th {group} only: an agent needs all (log.{group}: 1 tick)")
     try:
+        permission = Permission(trust, elsewhere=(Path(),), because=A_LOG)
         for kind, law in laws(scenario.controls[agent - 1]).items():
             if law.name not in BUILT_IN[kind]:
-                admit(kind, law.name, trust, elsewhere=[Path()], because=A_LOG)
+                admit(kind, law.name, permission)
         scenario.layout(agent)
     except AgentError as error:
         raise WhatIfError(f"{path}: {error}") from None

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from agents.config import Law
 from agents.plugins.loading import admit
-from agents.plugins.trust import NOTHING, Trust
+from agents.plugins.trust import NOTHING, Permission, Trust
 from fleet.errors import Problem
 
 A_LOG = "a log names it"
@@ -37,12 +37,12 @@ class Policy:
             UntrustedError: it may not.
             PluginError: the name is none of a law.
         """
-        beside = [] if folder is None else [folder]
-        own = [] if self.stranger else beside
+        beside = () if folder is None else (folder,)
+        own = () if self.stranger else beside
         if typed:
-            own = [Path(), *own]
+            own = (Path(), *own)
         because = self.stranger or "the scenario is not beside it"
-        admit(kind, law.name, self.trust, own, [*beside, Path()], because)
+        admit(kind, law.name, Permission(self.trust, own, (*beside, Path()), because))
 
 
 READING = Policy(imports=False)

@@ -9,7 +9,7 @@ import shlex
 import signal
 import sys
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from importlib.metadata import EntryPoint
 from math import isnan
@@ -105,6 +105,26 @@ def nav(tick: int) -> Any:
 
 
 # --- found -----------------------------------------------------------------
+
+
+@pytest.fixture(autouse=True)
+def _read_entry_points_anew() -> Iterator[None]:
+    """They are read once per process."""
+    loading.installed_laws.cache_clear()
+    yield
+    loading.installed_laws.cache_clear()
+
+
+def test_entry_points_are_read_once_for_all_vehicles(
+    module: Callable[[str], str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Reading them opens a file of every installed package."""
+    point, read = EntryPoint("my-law", f"{module(GOOD)}:Law", loading.GROUP), []
+    monkeypatch.setattr(loading, "entry_points", lambda group: read.append(group) or [point])
+    fleet = scenario("controller=my-law")
+    for i in range(1, fleet.vehicles + 1):
+        make_agent(fleet.agent_config(i))
+    assert read == [loading.GROUP]
 
 
 def test_import_path_and_entry_point(module: Callable[[str], str], monkeypatch: pytest.MonkeyPatch) -> None:

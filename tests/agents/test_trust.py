@@ -23,7 +23,7 @@ from agents.errors import PluginError
 from agents.join import _admit
 from agents.join_file import JoinError
 from agents.plugins import loading, trust
-from agents.plugins.trust import Trust
+from agents.plugins.trust import Permission, Trust
 from fleet.cli.main import cli
 from fleet.errors import ScenarioError
 from fleet.pictures.runs import load
@@ -402,9 +402,9 @@ def test_packages_are_found_without_running_them(tmp_path: Path, monkeypatch: py
     sums = [hashlib.sha256(Path(file).read_bytes()).hexdigest() for file in place.files]
     arguments = ("controller", f"{package}.law:Main")
     with pytest.raises(PluginError, match=f"would run {package}/__init__.py and {package}/law.py"):
-        loading.admit(*arguments, Trust(fingerprints=frozenset(sums[1:])), elsewhere=[tmp_path])
+        loading.admit(*arguments, Permission(Trust(fingerprints=frozenset(sums[1:])), elsewhere=(tmp_path,)))
     assert not list(tmp_path.rglob("*.mark"))
-    loading.admit(*arguments, Trust(fingerprints=frozenset(sums)), elsewhere=[tmp_path])
+    loading.admit(*arguments, Permission(Trust(fingerprints=frozenset(sums)), elsewhere=(tmp_path,)))
     assert loading.load("controller", Law(f"{package}.law:Main")).__name__ == "Main"
 
 

@@ -11,7 +11,7 @@ import pytest
 import agents.api
 from agents.plugins.checks import METHODS
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 USERS = sorted([*(ROOT / "fleet/templates").glob("*.py"), *(ROOT / "docs/examples").glob("*.py")])
 OURS = ("agents", "netem", "world", "fleet")
 
@@ -39,7 +39,7 @@ def test_all_is_every_public_name() -> None:
 
 
 def test_the_guide_lists_all_of_it() -> None:
-    guide = (ROOT / "docs/plugins.md").read_text()
+    guide = (ROOT / "docs/guide/plugins.md").read_text()
     table = guide.partition("| name in `agents.api` | what it is |")[2].partition("\n\n")[0]
     listed = {
         name for row in table.splitlines() for name in re.findall(r"`(\w+)`", row.partition("|")[2].split("|")[0])

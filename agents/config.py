@@ -1,4 +1,4 @@
-"""What one agent is told before a run: its own slice of the scenario and nothing about anyone else's.
+"""What one agent gets before a run: its own slice of the scenario and nothing of the others'.
 
 The slice travels to the agent as plain values (`to_values`, `from_values`), so that an agent in another
 process, on another host or in another language receives the same thing.
@@ -6,11 +6,13 @@ process, on another host or in another language receives the same thing.
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field
-from typing import Any, Literal
+from dataclasses import dataclass, field
+from typing import Any, Literal, get_type_hints
+
+import msgspec
 
 from agents.offset import Offset
-from agents.trajectory import Motion, Reference, reference_from_values
+from agents.trajectory import Motion, Reference, reference_type
 from world.vectors import Vec3, plus
 from world.vehicle import VehicleParams
 
@@ -103,8 +105,8 @@ class AgentConfig:
     agent: Law | None = None  # in place of everything
     on_error: OnError = "abort"  # what follows when a law fails
     budget_s: float = 0.0  # wall time a law may take for a sample; 0: any
-    codec: Codec = "full"  # of what it tells its neighbours: agents.payload or agents.compact
-    memory_ticks: int = 0  # how often it tells all that it remembers; 0: never
+    codec: Codec = "full"  # of what it sends to its neighbours: agents.payload or agents.compact
+    memory_ticks: int = 0  # how often it sends all that it remembers to the world; 0: never
     standby_for: tuple[int, ...] = ()  # while it hears none of these neighbours it follows the reference itself
     standby_after_s: float = 0.0  # for so long
 
@@ -123,34 +125,22 @@ class AgentConfig:
         return Motion(plus(reference.position, own.position), plus(reference.velocity, own.velocity))
 
     def to_values(self) -> dict[str, Any]:
-        """Plain maps, lists and scalars (MessagePack values)."""
-        return asdict(self)
+        """Plain maps, sequences and scalars (MessagePack values), in the order of the declarations."""
+        values: dict[str, Any] = msgspec.to_builtins(self)
+        return values
 
     @classmethod
     def from_values(cls, values: dict[str, Any]) -> AgentConfig:
-        """The inverse of `to_values`; lists become tuples again, but for the parameters of laws.
+        """The inverse of `to_values`; every value must be of its declared type.
 
         Raises:
-            TypeError: a field is missing or unknown.
+            ValueError: a value is of another type, or missing within a map.
+            TypeError: a field of the slice is missing.
+            KeyError: a field of the slice is unknown.
         """
-        v = {key: value if key in _LAWS else _tuples(value) for key, value in values.items()}
-        v["offset"] = Offset.from_values(v["offset"])
-        v["reference"] = None if v["reference"] is None else reference_from_values(v["reference"])
-        v["neighbours"] = tuple(Neighbour(**n | {"offset": Offset.from_values(n["offset"])}) for n in v["neighbours"])
-        v["guidance"] = GuidanceParams(**v["guidance"])
-        v["tracking"] = TrackingParams(**v["tracking"])
-        v["vehicle"] = VehicleParams(**v["vehicle"])
-        for key in _LAWS & v.keys():
-            v[key] = None if v[key] is None else Law(**v[key])
-        return cls(**v)
+        # Each field for itself: msgspec cannot tell the three data classes of a reference apart.
+        types = _TYPES | {"reference": reference_type(values["reference"])}
+        return cls(**{key: msgspec.convert(value, types[key]) for key, value in values.items()})
 
 
-_LAWS = {"agent", "controller", "guidance_law", "tracking_law"}
-
-
-def _tuples(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _tuples(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return tuple(_tuples(item) for item in value)
-    return value
+_TYPES: dict[str, Any] = get_type_hints(AgentConfig)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
 
 from agents.trajectory import Motion
 from world.vectors import ZERO, Vec3, minus, moved, scale
@@ -49,8 +48,3 @@ class Offset:
     def moving(self) -> bool:
         """Whether it ever changes."""
         return bool(self.changes)
-
-    @classmethod
-    def from_values(cls, values: dict[str, Any]) -> Offset:
-        """The inverse of `dataclasses.asdict`."""
-        return cls(values["start"], tuple(Change(**change) for change in values["changes"]))

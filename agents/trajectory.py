@@ -235,6 +235,14 @@ Reference = Line | Circle | Path
 _REFERENCES: dict[str, type[Line] | type[Circle] | type[Path]] = {"line": Line, "circle": Circle, "path": Path}
 
 
-def reference_from_values(values: dict[str, Any]) -> Reference:
-    """The inverse of `dataclasses.asdict` on a reference."""
-    return _REFERENCES[values["kind"]](**values)
+def reference_type(values: dict[str, Any] | None) -> type[Line] | type[Circle] | type[Path] | None:
+    """The class of a reference that travels as plain values, by its `kind`; None of none.
+
+    Raises:
+        ValueError: there is no such kind.
+    """
+    if values is None:
+        return None
+    if (kind := values.get("kind")) not in _REFERENCES:
+        raise ValueError(f"no reference is of kind {kind!r:.40}; there are {', '.join(_REFERENCES)}")
+    return _REFERENCES[kind]

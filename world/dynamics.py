@@ -20,12 +20,10 @@ from __future__ import annotations
 from math import cos, sin
 from typing import NamedTuple
 
-from world.vectors import Vec3, Vec5
+from world.vectors import ZERO, Vec3, Vec5
 from world.vehicle import VehicleParams
 
 State = tuple[float, float, float, float, float, float, float, float, float, float]
-
-CALM: Vec3 = (0.0, 0.0, 0.0)
 
 # Nearer to the vertical than this |cos(theta)| (2.9 degrees) the heading rate r / cos(theta) is regularised, see
 # `turn_per_yaw`. The paper's trajectories stay above 0.35. Smaller is nearer to the equations as printed, but needs
@@ -71,7 +69,7 @@ def turn_per_yaw(cth: float) -> float:
     return s * (5.0 + s2 * (-10.0 + s2 * (10.0 + s2 * (-5.0 + s2)))) / NEAR_VERTICAL
 
 
-def derivative(k: Coefficients, state: State, tau: Vec3, d: Vec5, current: Vec3 = CALM) -> State:
+def derivative(k: Coefficients, state: State, tau: Vec3, d: Vec5, current: Vec3 = ZERO) -> State:
     """Time derivative of (eta, nu), eqs. (1)-(2) as printed, in water that moves with `current`.
 
     x'     = cos(theta) cos(psi) u - sin(psi) v + sin(theta) cos(psi) w
@@ -147,7 +145,7 @@ def derivative(k: Coefficients, state: State, tau: Vec3, d: Vec5, current: Vec3 
 
 
 def rk4_step(
-    k: Coefficients, state: State, tau: Vec3, d: tuple[Vec5, Vec5, Vec5], h: float, current: Vec3 = CALM
+    k: Coefficients, state: State, tau: Vec3, d: tuple[Vec5, Vec5, Vec5], h: float, current: Vec3 = ZERO
 ) -> State:
     """One classical Runge-Kutta step of fourth order.
 

@@ -1,4 +1,4 @@
-"""The world's core: the true state of every vehicle, what its sensors say, and its motion over one tick.
+"""The world's core: the true state of every vehicle, what its sensors measure, and its motion over one tick.
 
 Vehicles touch each other only through the network, never through the water. So each has its own tick and may
 run ahead of the others within a network round; the order in which they are advanced cannot change a bit.
@@ -51,29 +51,29 @@ class World:
 
     def tick(self, i: int) -> int:
         """The tick up to which vehicle i has been integrated."""
-        self._known(i)
+        self._check_known(i)
         return self._ticks[i]
 
     def state(self, i: int) -> tuple[Vec5, Vec5]:
         """True eta [m, rad] and nu [m/s, rad/s] of vehicle i at its tick."""
-        self._known(i)
+        self._check_known(i)
         x, y, z, theta, psi, u, v, w, q, r = self._states[i]
         return (x, y, z, theta, psi), (u, v, w, q, r)
 
     def position(self, i: int) -> Vec3:
         """True x, y, z [m, NED] of vehicle i at its tick."""
-        self._known(i)
+        self._check_known(i)
         state = self._states[i]
         return state[0], state[1], state[2]
 
     def pitch(self, i: int) -> tuple[float, float]:
         """True pitch theta [rad] and pitch rate q [rad/s] of vehicle i at its tick."""
-        self._known(i)
+        self._check_known(i)
         state = self._states[i]
         return state[3], state[8]
 
     def sense(self, i: int) -> tuple[Vec5, Vec5]:
-        """Measured eta and nu of vehicle i at its tick."""
+        """Measured eta [m, rad] and nu [m/s, rad/s] of vehicle i at its tick, with noise and faults of its sensor."""
         eta, nu = self.state(i)
         tick = self._ticks[i]
         measured = measure(eta, nu, self.config.noise, self.config.seed, i, tick)
@@ -85,33 +85,40 @@ class World:
                     extra = NavNoise(*fault.values)
                     measured = measure(*measured, extra, self.config.seed, i, tick, f"fault {fault.id}")
                 case "bias":
-                    measured = _halves([a + b for a, b in zip(sum(measured, ()), fault.values, strict=True)])
+                    measured = _eta_nu([a + b for a, b in zip(sum(measured, ()), fault.values, strict=True)])
                 case "freeze":
-                    measured = _halves(self._held.setdefault((fault.id, i), sum(measured, ())))
+                    measured = _eta_nu(self._held.setdefault((fault.id, i), sum(measured, ())))
                 case "dropout":
                     known = self._held.get((fault.id, i))
                     if known is None or uniform(self.config.seed, f"fault {fault.id}", i, tick) >= fault.values[0]:
                         self._held[fault.id, i] = sum(measured, ())
                     else:
-                        measured = _halves(known)
+                        measured = _eta_nu(known)
         return measured
 
     def actuate(self, i: int, tau: tuple[float, ...]) -> Vec3:
-        """What the actuators of vehicle i make of a command: each element within +-tau_max [N, N m].
+        """The force and moments that the actuators of vehicle i apply for a command.
+
+        Args:
+            i: the vehicle's number.
+            tau: surge force [N], pitch and yaw moment [N m].
+
+        Returns:
+            The same within +-tau_max, and with the faults of the actuators.
 
         Raises:
             CommandError: not three finite numbers.
         """
-        self._known(i)
+        self._check_known(i)
         if len(tau) != 3 or not all(map(isfinite, tau)):
             raise CommandError(i, self._ticks[i], tau)
         t1, t2, t3 = tau
         l1, l2, l3 = self._fixed[i].tau_max
         applied = max(-l1, min(l1, t1)), max(-l2, min(l2, t2)), max(-l3, min(l3, t3))
-        return self._ailing(i, applied) if self.faults else applied
+        return self._with_actuator_faults(i, applied) if self.faults else applied
 
-    def _ailing(self, i: int, tau: Vec3) -> Vec3:
-        """What faulty actuators make of a force."""
+    def _with_actuator_faults(self, i: int, tau: Vec3) -> Vec3:
+        """The force and moments [N, N m] that faulty actuators apply instead of `tau`."""
         for fault in self._active(i, self._ticks[i]):
             match fault.kind:
                 case "efficiency":
@@ -133,7 +140,7 @@ class World:
 
     @property
     def faults(self) -> tuple[WorldFault, ...]:
-        """All of them, in the order in which they begin; whoever injects replaces them as a whole."""
+        """All faults of sensors, actuators and sea, in the order in which they begin; they are set as a whole."""
         return self._faults
 
     @faults.setter
@@ -154,7 +161,7 @@ class World:
         Raises:
             NonFiniteStateError: the motion left the range of finite numbers; the state stays that of the tick before.
         """
-        self._known(i)
+        self._check_known(i)
         k = self._fixed[i].k
         tick = self._ticks[i]
         state = self._states[i]
@@ -164,7 +171,7 @@ class World:
         h = self._h
         forces = self._stage_forces(tick)
         if self.faults:
-            current, forces = self._weather(i, tick, current, forces)
+            current, forces = self._with_sea_faults(i, tick, current, forces)
         try:
             for d in forces:
                 state = rk4_step(k, state, tau, d, h, current)
@@ -176,8 +183,8 @@ class World:
         self._states[i] = state
         self._ticks[i] = tick + 1
 
-    def _weather(self, i: int, tick: int, current: Vec3, forces: Stages) -> tuple[Vec3, Stages]:
-        """Current and disturbance with the faults of the sea in them."""
+    def _with_sea_faults(self, i: int, tick: int, current: Vec3, forces: Stages) -> tuple[Vec3, Stages]:
+        """Current [m/s, NED] and disturbance [N, N m] with the faults of the sea added."""
         for fault in self._active(i, tick):
             if fault.kind == "current":
                 x, y, z, *sigma, time_constant = fault.values
@@ -204,52 +211,38 @@ class World:
         return self._drifts[name]
 
     def paused(self, i: int, tick: int) -> bool:
-        """Whether vehicle i's agent is suspended at a tick."""
+        """Whether vehicle i's agent is suspended at a tick by a fault."""
         return bool(self.faults) and any(fault.kind == "pause" for fault in self._active(i, tick))
 
     def slow(self, i: int, tick: int) -> int:
-        """By how many ticks what vehicle i's agent decides at a tick is late."""
+        """How many ticks later than usual the command of vehicle i's agent for a tick takes effect."""
         if not self.faults:
             return 0
         return max((int(f.values[0]) for f in self._active(i, tick) if f.kind == "slow"), default=0)
 
     def hold(self, i: int) -> None:
-        """Pass a tick without integrating vehicle i: its motion diverged, and it stays where it was."""
-        self._known(i)
+        """Let a tick pass without integrating vehicle i, whose motion diverged: it stays where it was."""
+        self._check_known(i)
         self._ticks[i] += 1
 
-    def state_values(self) -> dict[str, Any]:
-        """Everything that changes, as plain MessagePack values; `restore` takes it back."""
-        return {
-            "vehicles": [[i, self.memory(i)] for i in self.ids],
-            "faults": [fault.to_values() for fault in self.faults],
-        }
-
     def memory(self, i: int) -> list[Any]:
-        """What vehicle i's next ticks depend on besides faults, as MessagePack values; `remember` takes it back."""
+        """All that vehicle i's next ticks depend on besides its faults.
+
+        Returns:
+            MessagePack values [tick, state, held], for `remember`.
+        """
         held = [[fault, list(values)] for (fault, j), values in sorted(self._held.items()) if j == i]
         return [self._ticks[i], list(self._states[i]), held]
 
     def remember(self, i: int, values: list[Any]) -> None:
-        """Continue vehicle i from its `memory`."""
-        self._known(i)
+        """Continue vehicle i from what `memory` returned, perhaps in another run."""
+        self._check_known(i)
         tick, (x, y, z, theta, psi, u, v, w, q, r), held = values
         self._ticks[i] = tick
         self._states[i] = (x, y, z, theta, psi, u, v, w, q, r)
         self._held |= {(fault, i): tuple(known) for fault, known in held}
 
-    def restore(self, values: dict[str, Any]) -> None:
-        """Continue from `state_values()` of a world with the same configuration.
-
-        Raises:
-            UnknownVehicleError: a vehicle that this world was not set up with.
-        """
-        self._held = {}
-        for i, memory in values["vehicles"]:
-            self.remember(i, memory)
-        self.faults = tuple(WorldFault.from_values(fault) for fault in values["faults"])
-
-    def _known(self, i: int) -> None:
+    def _check_known(self, i: int) -> None:
         if i not in self._fixed:
             raise UnknownVehicleError(i, self.ids)
 
@@ -262,7 +255,7 @@ class World:
         return tuple((d[2 * j], d[2 * j + 1], d[2 * j + 2]) for j in range(n))
 
 
-def _halves(values: Sequence[float]) -> tuple[Vec5, Vec5]:
+def _eta_nu(values: Sequence[float]) -> tuple[Vec5, Vec5]:
     x, y, z, theta, psi, u, v, w, q, r = values
     return (x, y, z, theta, psi), (u, v, w, q, r)
 

@@ -12,6 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from loops import world_config
 from small_scenario import only_problem, small
+from world_copy import copy_state
 
 from fleet.scenario.loading import parse_scenario
 from world.current import GaussMarkov, gust
@@ -157,7 +158,7 @@ def test_a_world_goes_on_from_its_plain_values(found: list[tuple[str, int, int]]
     whole = drive(world(*faults), 25)
     first, second = world(*faults), world()
     drive(first, cut)
-    second.restore(msgpack.unpackb(msgpack.packb(first.state_values())))
+    copy_state(first, second)
     assert drive(second, 25 - cut, cut) == whole[cut:]
 
 

@@ -1,1 +1,1 @@
-"""The brains: consensus guidance, the online gain QP and the tracking controllers."""
+"""Agents: what each vehicle measures and hears becomes what it does and sends; laws plug in through agents.api."""

@@ -1,7 +1,6 @@
-"""The agent's core: one sample of one vehicle's brain, from what it measured and heard to what it does.
+"""The core of an agent with our payload: from what a vehicle measured and received to its forces and its message.
 
-No clock, no I/O, no randomness of its own: what an agent answers depends on its configuration and on what it was
-given.
+No clock, no I/O, no randomness of its own: an answer depends on the configuration and on the samples so far.
 
 | symbol | meaning | unit | frame | paper |
 |---|---|---|---|---|
@@ -36,7 +35,7 @@ from world.vectors import Vec3
 
 
 class Agent(Brain):
-    """The brain of one vehicle. Its "k = 0" is its own first sample, at whatever tick that is."""
+    """The core of one vehicle's agent. Its "k = 0" is its own first sample, at whatever tick that is."""
 
     def __init__(self, config: AgentConfig) -> None:
         super().__init__(config)
@@ -55,9 +54,9 @@ class Agent(Brain):
         self._seed = f"{config.seed}/controller/{config.id}/"
         self._offsets = {neighbour.id: neighbour.offset for neighbour in config.neighbours}
         self._leads = False
-        self._first_tick: int | None = None  # of an agent on standby: since when it could have heard whom it stands by
+        self._first_tick: int | None = None  # of an agent on standby: since when it could have heard neighbours
         self._standby_ticks = round(config.standby_after_s / self._tick_s)
-        self._unsaid = False  # whether a state was beyond what the compact payload can say
+        self._out_of_range = False  # whether a state did not fit into the compact payload
 
     def transmit(self, nav: Nav) -> tuple[bytes, ...]:
         """The payloads to every neighbour: own position and velocity over ground at this tick."""
@@ -68,13 +67,21 @@ class Agent(Brain):
         try:
             return (compact.encode(message, self.config.round_ticks),)
         except compact.OutOfRange as error:
-            if not self._unsaid:
+            if not self._out_of_range:
                 self._notes.append((nav.tick, f"a state that the compact payload cannot hold is not sent: {error}"))
-            self._unsaid = True
+            self._out_of_range = True
             return ()
 
     def decide(self, nav: Nav, deliveries: Iterable[Delivery]) -> Decision:
-        """The same as `step` without the sending."""
+        """Absorb what is due at this tick and decide the forces.
+
+        Args:
+            nav: own state at this tick.
+            deliveries: what became due at this tick, ordered by (due_tick, sent_tick, src, seq).
+
+        Raises:
+            ControllerError: the measurement is not finite, time went back, or a law failed and `on_error` is not coast.
+        """
         tick = nav.tick
         config = self.config
         eta, nu = self._measured(nav)
@@ -86,7 +93,7 @@ class Agent(Brain):
             desired = followed(eta[:3], heard, self._offsets, t)
         else:
             desired = config.desired(t)
-        b = self._takes_over(tick) if config.standby_for else config.reference_weight
+        b = self._standby_weight(tick) if config.standby_for else config.reference_weight
         e, c = consensus_error(eta[:3], desired.position, b, heard)
         known = (*e, float(len(heard)), float(self._neighbours.rejected))
         demand: Vec3 = (0.0, 0.0, 0.0)
@@ -95,7 +102,7 @@ class Agent(Brain):
             seed = f"{self._seed}{tick}"
             sample = Sample(tick, t, dt, eta, nu, earth_velocity(eta, nu), desired, heard, e, c, seed)
             try:
-                demand, values = self._guarded(sample)
+                demand, values = self._control(sample)
                 telemetry = known + values
                 self._check(tick, demand, telemetry)
             except ControllerError as error:
@@ -106,8 +113,8 @@ class Agent(Brain):
         self._last_tick = tick
         return Decision(clip(demand, *self._tau_limits), telemetry)
 
-    def _takes_over(self, tick: int) -> float:
-        """b_i of an agent on standby: 1 while it has not heard for so long those whom it stands by for."""
+    def _standby_weight(self, tick: int) -> float:
+        """b_i [1] of an agent on standby: 1 while it has heard none of the neighbours that it stands by for."""
         if self._first_tick is None:
             self._first_tick = tick
         newest = self._neighbours.newest(self.config.standby_for)
@@ -121,11 +128,12 @@ class Agent(Brain):
             self._notes.append((tick, f"{said} follows the reference itself"))
         return 1.0 if leads else self.config.reference_weight
 
-    def _guarded(self, sample: Sample) -> tuple[Vec3, tuple[float, ...]]:
+    def _control(self, sample: Sample) -> tuple[Vec3, tuple[float, ...]]:
+        """Forces [N, N m] before the limits, and telemetry; arithmetic that fails is an error with vehicle and tick."""
         try:
             return self._controller.step(sample)
         except (OverflowError, ValueError) as error:
-            # math's way of saying that a number left its range, for instance the sine of infinity.
+            # What math raises when a number left its range, for instance the sine of infinity.
             raise ControllerError(self.config.id, sample.tick, f"arithmetic: {error}") from error
 
     def counters(self) -> dict[str, int]:
@@ -138,7 +146,7 @@ class Agent(Brain):
         return {
             "last_tick": self._last_tick,
             "failed": self._failed,
-            "unsaid": self._unsaid,
+            "unsaid": self._out_of_range,
             "neighbours": self._neighbours.state(),
             "controller": self._controller.state(),
             **standby,
@@ -148,7 +156,7 @@ class Agent(Brain):
         """Continue from `state()` of an agent with the same configuration."""
         self._last_tick = values["last_tick"]
         self._failed = values["failed"]
-        self._unsaid = values["unsaid"]
+        self._out_of_range = values["unsaid"]
         self._neighbours.restore(values["neighbours"])
         self._controller.restore(values["controller"])
         if self.config.standby_for:
@@ -156,7 +164,7 @@ class Agent(Brain):
 
 
 def make_agent(config: AgentConfig) -> Agent | PluggedAgent:
-    """The core that a configuration asks for.
+    """Make the core of an agent: ours, or a user's whole agent where the configuration names one.
 
     Raises:
         PluginError: one of its laws cannot be used.

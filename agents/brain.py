@@ -30,7 +30,7 @@ class Brain:
         self._tau_limits: tuple[Vec3, Vec3] = ((-x, -y, -z), (x, y, z))
 
     def step(self, nav: Nav, deliveries: Iterable[Delivery]) -> Step:
-        """One sample: the own state is sent on round ticks, what was heard is absorbed, tau is decided.
+        """Answer one sample: payloads on round ticks, what was received is absorbed, tau is decided.
 
         Args:
             nav: own state at this tick.
@@ -44,20 +44,30 @@ class Brain:
         return Step(tau, telemetry, payloads)
 
     def transmit(self, nav: Nav) -> tuple[bytes, ...]:
-        """The payloads to every neighbour."""
+        """The payloads to every neighbour.
+
+        Args:
+            nav: own state at this tick.
+        """
         raise NotImplementedError
 
     def decide(self, nav: Nav, deliveries: Iterable[Delivery]) -> Decision:
-        """The same as `step` without the sending."""
+        """The same as `step` without the payloads.
+
+        Args:
+            nav: own state at this tick.
+            deliveries: as for `step`.
+        """
         raise NotImplementedError
 
     def take_notes(self) -> list[tuple[int, str]]:
-        """(tick, text) of what a person should know, once."""
+        """(tick, text) of what a person should know since the last call."""
         taken = self._notes.copy()
         self._notes.clear()
         return taken
 
     def _measured(self, nav: Nav) -> tuple[Vec5, Vec5]:
+        """Measured eta [m, rad, NED] and nu [m/s, rad/s, body], checked to be finite."""
         x, y, z, theta, psi = nav.eta
         u, v, w, q, r = nav.nu
         if not isfinite(x + y + z + theta + psi + u + v + w + q + r):
@@ -74,7 +84,7 @@ class Brain:
         return (tick - last) * self._tick_s
 
     def _coast(self, error: ControllerError) -> None:
-        """From here on the vehicle coasts; or this agent ends, as the scenario says, and perhaps the run with it."""
+        """Let the vehicle coast from now on if `on_error` says so; otherwise raise the error."""
         if self.config.on_error != "coast":
             raise error
         self._failed = True

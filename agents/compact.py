@@ -44,8 +44,12 @@ class OutOfRange(ValueError):
 def encode(message: StateMessage, round_ticks: int) -> bytes:
     """The 15 bytes of a state message sampled at a round tick.
 
+    Args:
+        message: position [m, NED], velocity [m/s, NED], sender and tick.
+        round_ticks: ticks from one round to the next.
+
     Raises:
-        OutOfRange: position, velocity or vehicle number is beyond what the message can say.
+        OutOfRange: position, velocity or vehicle number is beyond the range of its field.
     """
     if not 0 <= message.sender < 1024:
         raise OutOfRange(f"vehicle {message.sender} is beyond 1023")
@@ -62,7 +66,12 @@ def encode(message: StateMessage, round_ticks: int) -> bytes:
 
 
 def decode(data: bytes, now: int, round_ticks: int) -> StateMessage:
-    """The state message in `data`, received at tick `now`.
+    """The state message in `data`.
+
+    Args:
+        data: as it came from the network.
+        now: tick at which it was received.
+        round_ticks: ticks from one round to the next.
 
     Raises:
         PayloadError: wrong length, bad checksum, or unknown version.
@@ -84,7 +93,7 @@ def decode(data: bytes, now: int, round_ticks: int) -> StateMessage:
         raise PayloadError("version", f"expected version {VERSION}, got {version}")
     newest = now // round_ticks
     sampled = newest - (newest - round_number) % ROUNDS
-    if sampled < 0:  # no round of this run: let it be one to come, which nobody believes
+    if sampled < 0:  # no round of this run: it becomes one to come, which the receiver refuses
         sampled += ROUNDS
     return StateMessage(
         sender,

@@ -1,4 +1,4 @@
-"""What can go wrong in an agent; data in fields, so that callers can print their own words."""
+"""The errors of this package; what they are about is in fields, so that callers can word their own messages."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ class PayloadError(AgentError):
 
 
 class ControllerError(AgentError):
-    """The agent cannot answer this sample: what it was given, or what a law made of it, makes no sense.
+    """An agent cannot answer a sample: the measurement, or the answer of a law, cannot be used.
 
-    `where` is the file and line at fault, when there is one.
+    `where` is the file and line at fault, or "".
     """
 
     def __init__(self, agent: int, tick: int, problem: str, where: str = "") -> None:
@@ -31,7 +31,7 @@ class ControllerError(AgentError):
 
 
 class PluginError(AgentError):
-    """A law of the user's that cannot be used: it is not there, or it does not have what a law must have."""
+    """A law of the user's cannot be used: it does not exist, or lacks what a law must have."""
 
     def __init__(self, kind: str, name: str, problem: str, hint: str = "") -> None:
         super().__init__(f"{kind} {name!r}: {problem}" + (f"; {hint}" if hint else ""))
@@ -42,11 +42,11 @@ class PluginError(AgentError):
 
 
 class UntrustedError(PluginError):
-    """A law whose module is there and may not run: it is not installed, and the user has not allowed it."""
+    """The module of a law exists and may not run: it is not installed, and the user has not allowed it."""
 
 
 class UnknownNameError(AgentError):
-    """A controller or profile that does not exist."""
+    """No controller or profile has this name."""
 
     def __init__(self, kind: str, name: str, known: tuple[str, ...]) -> None:
         super().__init__(f"no {kind} is called {name!r}; there are {', '.join(known)}")

@@ -1,4 +1,4 @@
-"""Where a vehicle that does not know the trajectory should be: what its neighbours say, and its place among them.
+"""Where a vehicle that does not know the trajectory should be, from its neighbours and its place among them.
 
 | symbol | meaning | unit | frame |
 |---|---|---|---|
@@ -6,8 +6,8 @@
 | Delta_ij(t) | desired offset, p_i - p_j | m | NED |
 | pos_j, vel_j | neighbour j's position now, as extrapolated, and its velocity when it sent | m, m/s | NED |
 
-The desired position is the weighted mean of pos_j + Delta_ij, the desired velocity that of vel_j + Delta_ij'. Who has
-heard nobody, or no longer counts anybody, should stay where it is.
+The desired position is the weighted mean of pos_j + Delta_ij, the desired velocity that of vel_j + Delta_ij'. A vehicle
+that has heard no neighbour, or counts none any more, should stay where it is.
 """
 
 from __future__ import annotations
@@ -21,13 +21,16 @@ from world.vectors import Vec3
 
 
 def followed(position: Vec3, heard: Iterable[NeighbourState], offsets: Mapping[int, Offset], t: float) -> Motion:
-    """Where a vehicle should be at time t, and how it should move, by what it has heard.
+    """The desired position and velocity of a vehicle, from those of the neighbours that it has heard.
 
     Args:
-        position: its own [m, NED].
-        heard: its neighbours as it knows them.
-        offsets: Delta_ij(t) by neighbour.
+        position: its own position [m, NED].
+        heard: the neighbours heard so far.
+        offsets: Delta_ij(t) by neighbour j [m, NED].
         t: time [s].
+
+    Returns:
+        Position [m, NED] and velocity [m/s, NED].
     """
     total = x = y = z = vx = vy = vz = 0.0
     for j, a, (ox, oy, oz), (px, py, pz), (ux, uy, uz), _ in heard:

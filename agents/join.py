@@ -1,7 +1,7 @@
-"""An agent that somebody starts, in any terminal that can reach the run: who it is, what it joins, how it ends.
+"""An external agent, started in any terminal that can reach the run: it connects, asks for its slice, and serves.
 
-`fleet run` writes a join file for every vehicle whose agent it does not start, with that agent's credentials and
-nobody else's. The agent that joins with it is the one that `fleet run` would have started, to the last bit.
+`fleet run` writes a join file for every vehicle whose agent it does not start, with the credentials of that agent
+alone. The agent that joins with it behaves as the one that `fleet run` would have started, to the last bit.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from threading import Event, Thread
 from agents.config import AgentConfig
 from agents.controllers import BUILT_IN, laws
 from agents.errors import PluginError
-from agents.join_file import _ENDPOINT, JoinError, Joining
+from agents.join_file import ENDPOINT, JoinError, Joining
 from agents.main import begin_life, is_realtime
 from agents.plugins.loading import admit
 from agents.plugins.trust import NOTHING, Permission, Trust
@@ -31,16 +31,20 @@ ASK_S = 10.0
 WATCH_S = 0.2  # how often to look whether the run is still there
 
 
-def serve(joining: Joining, tell: Callable[[str], None], trust: Trust = NOTHING) -> End:
-    """Be that agent until the world says that no more navs will come.
+def serve(joining: Joining, notify: Callable[[str], None], trust: Trust = NOTHING) -> End:
+    """Serve as the agent of a join file until the world ends its life.
 
     Args:
-        tell: told when it has joined.
+        joining: the content of the join file.
+        notify: called with one line of text when the agent has joined.
         trust: which modules of laws may run besides those that are installed: the run names them, not this user.
+
+    Returns:
+        The world's last message to this agent.
 
     Raises:
         JoinError: the run cannot be joined, expects no such agent, asks for a law that may not run, or went away.
-        SystemExit: the law failed; the console has been told by then.
+        SystemExit: the law failed; a note about it has been sent to the console by then.
         KeyboardInterrupt: Ctrl-C; the session is closed.
     """
     keys = Keys(joining.run)
@@ -55,12 +59,12 @@ def serve(joining: Joining, tell: Callable[[str], None], trust: Trust = NOTHING)
         def live() -> None:
             try:
                 process = begin_life(bus, keys, config, incarnation, begin, realtime=realtime)
-                tell(f"agent {config.id} has joined run {joining.run} at {joining.endpoint}")
+                notify(f"agent {config.id} has joined run {joining.run} at {joining.endpoint}")
                 ended.put(process.serve())
             except BaseException as error:  # a law may raise anything, and ends with SystemExit
                 ended.put(error)
 
-        # A thread of its own, because a signal is heard between two bytecodes only, and waiting for a nav is one.
+        # In a thread, because Python handles a signal between two bytecodes only, and waiting for a nav is one.
         Thread(target=live, name="agent", daemon=True).start()
         return _outcome(lost, ended)
     finally:
@@ -78,16 +82,19 @@ def _admit(config: AgentConfig, trust: Trust) -> None:
 
 
 def _outcome(lost: Event, ended: SimpleQueue[End | BaseException]) -> End:
-    """Zenoh would link to the router again by itself, and what was on the way would be missing without a word: who has
-    lost its link has left the run."""
-    gone = False
+    """Wait for the end of the agent's life or of its link.
+
+    An agent that lost its link has left the run: zenoh would link to the router again by itself, and messages that were
+    on the way would be missing without notice.
+    """
+    link_lost = False
     while True:
         try:
             outcome = ended.get(timeout=WATCH_S)
         except Empty:
-            if gone:
+            if link_lost:
                 raise JoinError("the link to the run has ended: its router closed it, or the line is cut") from None
-            gone = lost.is_set()  # what came last may still be under way from one thread to the other
+            link_lost = lost.is_set()  # the outcome may still be on its way from the other thread
             continue
         if isinstance(outcome, BusError):
             raise JoinError(str(outcome))
@@ -113,17 +120,17 @@ def _connect(joining: Joining) -> Bus:
 
 
 def _reached(endpoint: str) -> bool:
-    """Whether somebody accepts connections there; true where that cannot be said."""
-    found = _ENDPOINT.fullmatch(endpoint)
-    if found is None:
+    """Whether a process accepts connections at an endpoint; true if the endpoint is of another form."""
+    parts = ENDPOINT.fullmatch(endpoint)
+    if parts is None:
         return True
     try:
-        if found["path"]:
+        if parts["path"]:
             with socket.socket(socket.AF_UNIX) as probe:
                 probe.settimeout(CONNECT_MS / 1000)
-                probe.connect(found["path"])
+                probe.connect(parts["path"])
         else:
-            socket.create_connection((found["host"].strip("[]"), int(found["port"])), CONNECT_MS / 1000).close()
+            socket.create_connection((parts["host"].strip("[]"), int(parts["port"])), CONNECT_MS / 1000).close()
     except (OSError, OverflowError):
         return False
     return True

@@ -1,4 +1,4 @@
-"""The join file of an external agent: what it must say, and what is refused."""
+"""The join file of an external agent: what it must hold, and what is refused."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from netem.whole_file import open_file, read_bounded, write_whole
 from netem.wire.access import LEASE_MS, Credentials
 from netem.wire.messages import PROTOCOL_VERSION
 
-MOST_TEXT = 200  # characters of a name or password
-MOST_BYTES = 1_000_000  # of a join file, with certificates
+MAX_TEXT = 200  # characters of a name or password
+MAX_BYTES = 1_000_000  # of a join file, with certificates
 # As zenoh writes it; the socket is that of a run on this host, of this user.
-_ENDPOINT = re.compile(r"(tcp|tls)/(?P<host>[^?#]+):(?P<port>[0-9]{1,5})([?#].*)?|unixsock-stream/(?P<path>/[^?#]+)")
+ENDPOINT = re.compile(r"(tcp|tls)/(?P<host>[^?#]+):(?P<port>[0-9]{1,5})([?#].*)?|unixsock-stream/(?P<path>/[^?#]+)")
 _ONE_HOST = {"ca": "", "certificate": "", "key": "", "lease_ms": LEASE_MS}  # left out of the file
 
 
 class JoinError(AgentError):
-    """A run that cannot be joined, or that went away: its text says why, and what to do."""
+    """A run that cannot be joined, or that ended without notice; the text says why, and what to do."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,20 +40,20 @@ class Joining:
     incarnation: int = 0  # which life of the agent it is
     begin: int = 0  # tick of its first nav
     ca: str = ""  # PEM, with TLS: the certificate authority to trust
-    certificate: str = ""  # PEM, with its key: what to show a router that asks for it
+    certificate: str = ""  # PEM, with its key, for a router that asks for one
     key: str = ""
     lease_ms: int = LEASE_MS  # how long the router keeps a silent link
 
     @property
     def credentials(self) -> Credentials:
-        """What the router is shown."""
+        """What the agent presents to the router."""
         return Credentials(self.user, self.password, self.ca, self.certificate, self.key, self.lease_ms)
 
     def __repr__(self) -> str:
         return f"Joining({self.endpoint!r}, run={self.run!r}, vehicle={self.vehicle}, password=***)"
 
     def write(self, path: Path) -> None:
-        """Make the file, or replace it as a whole; nobody but this user can read it.
+        """Make the file, or replace it as a whole; only this user can read it.
 
         Raises:
             OSError: it cannot be written.
@@ -63,15 +63,15 @@ class Joining:
 
     @classmethod
     def read(cls, path: Path) -> Joining:
-        """The inverse of `write`.
+        """Read what `write` wrote.
 
         Raises:
-            JoinError: it is not there, others can read it, it is no join file, or of another protocol version.
+            JoinError: the file is missing, others can read it, it is no join file, or of another protocol version.
         """
         try:
             with open_file(path) as file:
                 mode = stat.S_IMODE(os.fstat(file.fileno()).st_mode)
-                data = read_bounded(file, MOST_BYTES)
+                data = read_bounded(file, MAX_BYTES)
         except FileNotFoundError:
             raise JoinError(
                 f"there is no {path}: a run writes it for each vehicle that is external, and removes it when it ends"
@@ -105,7 +105,7 @@ class Joining:
             if key in values:
                 _check(path, key, kind, values[key])
         for endpoint in values["endpoint"].split(","):
-            if not _ENDPOINT.fullmatch(endpoint):
+            if not ENDPOINT.fullmatch(endpoint):
                 known = "tcp/HOST:PORT, tls/HOST:PORT or unixsock-stream/PATH"
                 raise JoinError(f"{path}: endpoint: expected {known}, got {endpoint!r:.80}")
         for key in ("ca", "certificate", "key"):
@@ -117,5 +117,5 @@ class Joining:
 def _check(path: Path, key: str, kind: type, value: Any) -> None:
     if type(value) is not kind:
         raise JoinError(f"{path}: {key}: expected {kind.__name__}, got {type(value).__name__}")
-    if isinstance(value, str) and len(value) > MOST_TEXT and key not in ("endpoint", "ca", "certificate", "key"):
-        raise JoinError(f"{path}: {key}: {len(value)} characters, expected at most {MOST_TEXT}")
+    if isinstance(value, str) and len(value) > MAX_TEXT and key not in ("endpoint", "ca", "certificate", "key"):
+        raise JoinError(f"{path}: {key}: {len(value)} characters, expected at most {MAX_TEXT}")

@@ -1,6 +1,6 @@
 """One agent's place in the lockstep: wait until the inbox is known up to the tick, then step.
 
-A pure state machine: messages in, messages out; the shell adds zenoh, the in-process run adds nothing. On an
+A pure state machine: messages in, messages out; `AgentProcess` adds zenoh, the in-process run adds nothing. On an
 ideal network the agent transmits first and decides once its inbox of the same tick is there.
 """
 
@@ -21,13 +21,13 @@ class AgentCore(Protocol):
     """What the lockstep needs of an agent."""
 
     def step(self, nav: Nav, deliveries: list[Delivery], /) -> Step:
-        """One control sample; on a round tick with payloads."""
+        """Answer one sample; with payloads on a round tick."""
 
     def transmit(self, nav: Nav, /) -> tuple[bytes, ...]:
-        """Only the payloads of a round tick (ideal network)."""
+        """The payloads of a round tick alone (ideal network)."""
 
     def decide(self, nav: Nav, deliveries: list[Delivery], /) -> Decision:
-        """The rest of a control sample (ideal network)."""
+        """The rest of a sample (ideal network)."""
 
     def state(self) -> dict[str, Any]:
         """All that the next samples depend on, as MessagePack values."""
@@ -36,7 +36,7 @@ class AgentCore(Protocol):
         """Continue from `state()`."""
 
     def take_notes(self) -> list[tuple[int, str]]:
-        """(tick, text) of what a person should know, once."""
+        """(tick, text) of what a person should know since the last call."""
 
 
 class AgentLoop:
@@ -52,12 +52,22 @@ class AgentLoop:
         ideal: bool = False,
         memory_ticks: int = 0,
     ) -> None:
+        """Begin one life of an agent.
+
+        Args:
+            core: what answers samples.
+            round_ticks: ticks from one round to the next.
+            incarnation: which life of the agent it is, from 0.
+            begin: tick of its first nav.
+            ideal: what is sent at a tick is received at the same tick, so the agent transmits before it decides.
+            memory_ticks: the agent sends what it remembers every so many ticks; 0: never.
+        """
         self.core = core
         self.round_ticks = round_ticks
         self.incarnation = incarnation
         self.ideal = ideal
-        self.memory_ticks = memory_ticks  # how often it tells what it remembers
-        # The inbox is known up to this tick: nothing before was for this agent.
+        self.memory_ticks = memory_ticks
+        # The inbox is known up to this tick: earlier messages are not for this life.
         self._known = begin - 1 if ideal else begin
         self._tick = begin - 1  # last tick answered, or before the first
         self._nav: Nav | None = None
@@ -75,10 +85,11 @@ class AgentLoop:
         return self._nav is not None
 
     def remember(self, memory: bytes, *, anew: bool = False) -> None:
-        """Go on at the first tick with what an agent told before it in another run.
+        """Go on at the first tick with what an agent remembered before it in another run.
 
         Args:
-            anew: take only what had been handed out and was not due yet.
+            memory: the `state` of its Memory message.
+            anew: the core begins without memory: only deliveries that were not due yet are taken.
         """
         state, deliveries = msgpack.unpackb(memory)
         if not anew:
@@ -143,7 +154,8 @@ class AgentLoop:
     def _memory(self, tick: int) -> list[Answer]:
         if not self.memory_ticks or tick % self.memory_ticks or tick == 0:
             return []
-        return [Memory(self.incarnation, tick, msgpack.packb([self.core.state(), self._deliveries]))]
+        waiting = [[d.due_tick, d.sent_tick, d.src, d.seq, d.copy, d.payload] for d in self._deliveries]
+        return [Memory(self.incarnation, tick, msgpack.packb([self.core.state(), waiting]))]
 
     def _due(self, tick: int) -> list[Delivery]:
         # Deliveries of one inbox come sorted, and every later inbox is due later: the list stays sorted.

@@ -5,7 +5,7 @@
 | k_j | tick at which the newest state heard from j was sampled | tick | - |
 | age = (now - k_j) Ts | how old that is | s | - |
 | pos_j, vel_j | position and velocity over ground in that state | m, m/s | NED |
-| eta_j^d(t) | where j should be: the reference plus j's offset, known to whoever knows Delta_ij | m | NED |
+| eta_j^d(t) | where j should be: the reference plus j's offset, which follows from Delta_ij | m | NED |
 | position now, hold | pos_j | m | NED |
 | position now, neighbour | pos_j + vel_j age | m | NED |
 | position now, reference | pos_j + eta_j^d(now) - eta_j^d(k_j) | m | NED |
@@ -49,6 +49,19 @@ class NeighbourTable:
         codec: Codec = "full",
         round_ticks: int = 1,
     ) -> None:
+        """Begin with no neighbour heard.
+
+        Args:
+            neighbours: number, weight and offset of each.
+            extrapolation: how the age of a message is made up for.
+            reference: eta_1^d; None: not known to this agent.
+            offset: the own one, p_i [m, NED].
+            tick_s: control period Ts [s].
+            age_cap_s: age [s] beyond which nothing is extrapolated further; 0: any.
+            drop_after_s: age [s] beyond which a neighbour counts for nothing; 0: never.
+            codec: which payload the neighbours send.
+            round_ticks: ticks from one round to the next.
+        """
         # One order for the sums, whatever the order of the configuration or of arrival.
         self._neighbours = tuple(sorted(neighbours, key=lambda n: n.id))
         self._extrapolation = extrapolation
@@ -65,7 +78,7 @@ class NeighbourTable:
         )
 
     def absorb(self, deliveries: Iterable[Delivery], now: int) -> None:
-        """Take in what is due at tick `now`; whatever is not usable is counted and dropped."""
+        """Take what is due at tick `now`; payloads that cannot be used are counted and dropped."""
         for delivery in deliveries:
             self.counters[self._absorb(delivery, now)] += 1
 
@@ -77,7 +90,7 @@ class NeighbourTable:
                 message = decode(delivery.payload)
         except PayloadError as error:
             return error.cause
-        # The network knows who sent a packet. A payload that says otherwise came from somewhere else.
+        # The network knows the sender of a packet. A payload that names another one is damaged or forged.
         if message.sender != delivery.src or message.sender not in self._newest:
             return "wrong_sender"
         if message.sent_tick > now:
@@ -91,7 +104,7 @@ class NeighbourTable:
     def heard(self, now: int) -> tuple[NeighbourState, ...]:
         """The neighbours heard so far, extrapolated to tick `now`, by ascending number."""
         tick_s = self._tick_s
-        found = []
+        states = []
         for neighbour in self._neighbours:
             message = self._newest[neighbour.id]
             if message is None:
@@ -110,8 +123,8 @@ class NeighbourTable:
                 position = plus(position, self._drift(neighbour, message.sent_tick * tick_s, span))
             offset = neighbour.offset
             delta = offset.at(now * tick_s).position if offset.changes else offset.start
-            found.append(NeighbourState(neighbour.id, neighbour.weight, delta, position, message.velocity, age))
-        return tuple(found)
+            states.append(NeighbourState(neighbour.id, neighbour.weight, delta, position, message.velocity, age))
+        return tuple(states)
 
     def newest(self, ids: Iterable[int]) -> int | None:
         """Tick at which the newest state heard from any of these neighbours was sampled; None: none was heard."""
@@ -119,7 +132,7 @@ class NeighbourTable:
         return max(sent, default=None)
 
     def _drift(self, neighbour: Neighbour, sent: float, age: float) -> Vec3:
-        """How far the place of a neighbour has moved since it sent [m, NED]."""
+        """How far the desired position of a neighbour has moved [m, NED] in `age` [s] since it sent at `sent` [s]."""
         assert self._reference is not None  # a scenario that extrapolates so without it is refused
         drift = self._reference.displacement(sent, age)
         if self._offset.moving or neighbour.offset.moving:
@@ -130,7 +143,7 @@ class NeighbourTable:
 
     @property
     def rejected(self) -> int:
-        """Payloads refused so far: damaged, not ours, or not from whom the network says."""
+        """How many payloads were refused so far: damaged, not ours, or not from the sender that the network names."""
         return sum(self.counters[cause] for cause in (*CAUSES, "wrong_sender", "from_future"))
 
     def state(self) -> dict[str, Any]:
@@ -139,6 +152,7 @@ class NeighbourTable:
         return {"newest": newest, "counters": dict(self.counters)}
 
     def restore(self, values: dict[str, Any]) -> None:
+        """Continue from `state()`."""
         self._newest = dict.fromkeys(self._newest)
         for sender, sent_tick, x, y, z, vx, vy, vz in values["newest"]:
             self._newest[sender] = StateMessage(sender, sent_tick, (x, y, z), (vx, vy, vz))

@@ -1,4 +1,4 @@
-"""What one agent tells its neighbours: when and where it was, and how it moved.
+"""What one agent sends to its neighbours: when and where it was, and how it moved.
 
 | bytes | type | field | unit |
 |---|---|---|---|
@@ -23,7 +23,7 @@ from agents.errors import PayloadError
 from world.vectors import Vec3
 
 VERSION = 1
-MOST = 1e9  # m and m/s, added up; with more the squares in a law of the receiver may overflow
+MAX_SUM = 1e9  # m and m/s, added up; with more the squares in a law of the receiver may overflow
 CAUSES = ("length", "checksum", "version", "not_finite")
 
 _BODY = Struct("<BHQ6d")
@@ -60,6 +60,6 @@ def decode(data: bytes) -> StateMessage:
     if version != VERSION:
         raise PayloadError("version", f"expected version {VERSION}, got {version}")
     # False for NaN, too.
-    if not abs(x) + abs(y) + abs(z) + abs(vx) + abs(vy) + abs(vz) <= MOST:
+    if not abs(x) + abs(y) + abs(z) + abs(vx) + abs(vy) + abs(vz) <= MAX_SUM:
         raise PayloadError("not_finite", f"position {(x, y, z)}, velocity {(vx, vy, vz)}")
     return StateMessage(sender, sent_tick, (x, y, z), (vx, vy, vz))

@@ -1,4 +1,4 @@
-"""An agent whose protocol is a user's own."""
+"""A user's whole agent behind a fence."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from world.vectors import Vec3
 
 
 class PluggedAgent(Brain):
-    """A user's whole agent: what it hears are raw payloads, what it sends is its own affair."""
+    """A user's whole agent: it gets raw payloads, and decides what it sends."""
 
     def __init__(self, config: AgentConfig, law: Law) -> None:
         super().__init__(config)
         self._fence = Fence(config, law, self._notes)
-        found = loading.load("agent", law)
-        self._resumable = checks.resumable(found)
-        self._user = self._fence.make(found, config, law)
+        agent_class = loading.load("agent", law)
+        self._resumable = checks.resumable(agent_class)
+        self._user = self._fence.make(agent_class, config, law)
 
     def transmit(self, nav: Nav) -> tuple[bytes, ...]:
         """The payloads to every neighbour; none once it has failed."""
@@ -45,7 +45,7 @@ class PluggedAgent(Brain):
         return tuple(payloads)
 
     def decide(self, nav: Nav, deliveries: Iterable[Delivery]) -> Decision:
-        """Forces from what it measures and hears; none once it has failed."""
+        """Forces from what it measures and receives; none once it has failed."""
         tick = nav.tick
         self._elapsed(tick)
         self._last_tick = tick
@@ -66,6 +66,7 @@ class PluggedAgent(Brain):
         return Decision(clip(demand, *self._tau_limits), telemetry)
 
     def counters(self) -> dict[str, int]:
+        """None: what a user's agent counts is in its telemetry."""
         return {}
 
     def state(self) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""An agent process: one vehicle's brain in lockstep, behind zenoh. It knows its own slice and nothing else."""
+"""An agent process: one vehicle's agent in lockstep, connected by zenoh. It has its own slice and nothing else."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ CONTROLLER_FAILED = 70  # exit status: a law failed, and the scenario says that 
 
 
 class AgentProcess:
-    """Dispatches what comes in to `AgentLoop` and publishes what comes out."""
+    """Passes what comes in to an `AgentLoop` and publishes what comes out."""
 
     def __init__(self, bus: Bus, keys: Keys, vehicle: int, loop: AgentLoop) -> None:
         self._keys, self._vehicle, self._loop, self._bus = keys, vehicle, loop, bus
@@ -43,7 +43,7 @@ class AgentProcess:
         return bus.channel(key)
 
     def get_ready(self) -> None:
-        """Probe until world and netem have both answered on this agent's own keys, then say so.
+        """Probe until world and netem have both answered on this agent's own keys, then declare this agent ready.
 
         Raises:
             BusError: one of them does not answer.
@@ -65,8 +65,7 @@ class AgentProcess:
         self._bus.token(self._keys.alive(agent_role(self._vehicle)))
 
     def serve(self) -> End:
-        """Answer navs, one after the other, until the world says that no more will come; our own processes are
-        ended instead."""
+        """Answer navs, one after the other, until the world ends this life; processes of our own are ended instead."""
         loop, inboxes = self._loop, self._rx
         assert isinstance(inboxes, Channel)
         while True:
@@ -84,18 +83,18 @@ class AgentProcess:
                 self._answer(key, message)
 
     def _is_over(self, end: End) -> bool:
-        """Whether it is this life that is over, and not the one before."""
+        """Whether this life is over, and not only the one before it."""
         return end.incarnation >= self._loop.incarnation
 
     def _answer(self, key: str, message: Message) -> None:
-        """Do what a nav or an inbox asks for."""
+        """Pass a nav or an inbox on, and publish the answers."""
         loop = self._loop
         try:
             if isinstance(message, Nav):
-                out = self._guarded(loop.nav, message)
+                out = self._handle(loop.nav, message)
             else:
                 assert isinstance(message, Inbox)
-                out = self._guarded(loop.inbox, message)
+                out = self._handle(loop.inbox, message)
         except OutOfPlace as error:
             self._shell.reject(key, loop.tick, error)
             return
@@ -104,7 +103,7 @@ class AgentProcess:
         for answer in out:
             (self._tx if isinstance(answer, (Transmission, Receipt)) else self._cmd)(encode(answer))
 
-    def _guarded(self, handle: Callable[..., list[Answer]], message: Nav | Inbox) -> list[Answer]:
+    def _handle(self, handle: Callable[..., list[Answer]], message: Nav | Inbox) -> list[Answer]:
         try:
             return handle(message)
         except OutOfPlace:
@@ -119,7 +118,7 @@ class AgentProcess:
 
 
 def _give_up(shell: Shell, vehicle: int, tick: int, error: AgentError) -> NoReturn:
-    """End this process and tell why: the console in a line, the process log with what the law itself raised."""
+    """End this process; the reason goes to the console in one line, and to the process log with its traceback."""
     shell.note(vehicle, tick, f"controller failed: {error}")
     if error.__cause__ is not None:
         traceback.print_exception(error.__cause__)

@@ -13,7 +13,7 @@ from netem.wire.shell import expect
 
 
 class RealtimeAgentProcess(AgentProcess):
-    """Answers the newest nav that is there."""
+    """Answers the newest nav that is there, and ends as `AgentProcess` does."""
 
     def __init__(self, bus: Bus, keys: Keys, vehicle: int, loop: RealtimeLoop) -> None:
         super().__init__(bus, keys, vehicle, loop)
@@ -25,7 +25,7 @@ class RealtimeAgentProcess(AgentProcess):
         return self._stamped
 
     def serve(self) -> End:
-        """Answer navs until the world says that no more will come; our own processes are ended instead."""
+        """Answer navs until the world ends this life; processes of our own are ended instead."""
         poll = self._navs.poll
         while True:
             item: tuple[str, bytes] | None = self._navs.get()

@@ -37,7 +37,7 @@ class Layout(NamedTuple):
                 begin += signal.width
 
     def where(self, name: str) -> slice | None:
-        """Where the values of a signal are; None if nobody reports it."""
+        """Where the values of a signal are; None if it is not reported."""
         return next((place for _, signal, place in self.signals() if signal.name == name), None)
 
     def group(self, name: str) -> slice:

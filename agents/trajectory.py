@@ -1,4 +1,4 @@
-"""Where the fleet should be: reference trajectories, and formations that change on the way.
+"""Where the fleet should be: the reference trajectory as a line, a circle or a path of legs and arcs.
 
 | symbol | meaning | unit | frame | paper |
 |---|---|---|---|---|

@@ -1,4 +1,4 @@
-"""What the world is told before a run: plain, frozen data in SI units."""
+"""What the world gets before a run: plain, frozen data in SI units."""
 
 from __future__ import annotations
 
@@ -35,6 +35,7 @@ class NavNoise:
 
     @property
     def off(self) -> bool:
+        """Whether the sensor reports the truth."""
         return not (self.position_m or self.angle_rad or self.velocity_mps or self.rate_radps)
 
 
@@ -67,5 +68,5 @@ class WorldConfig:
     noise: NavNoise = field(default_factory=NavNoise)
     faults: tuple[WorldFault, ...] = ()  # in the order in which they begin
     absences: tuple[Absence, ...] = ()  # when a vehicle has no agent
-    memory_ticks: int = 0  # how often it tells all that it, and the agents, remember; 0: never
-    keep_going: bool = False  # a vehicle whose motion leaves the finite numbers ends, and the run goes on
+    memory_ticks: int = 0  # all that world and agents remember is in a frame every so many ticks; 0: never
+    keep_going: bool = False  # the run goes on without a vehicle whose motion leaves the finite numbers

@@ -25,7 +25,15 @@ PAPER: tuple[Harmonic, ...] = (
 
 
 def disturbance(harmonics: tuple[Harmonic, ...], t: float) -> Vec5:
-    """The five forces and moments d(t) [N, N m] at time t [s]; components without a harmonic are zero."""
+    """The disturbance at a time.
+
+    Args:
+        harmonics: one for each equation of motion, or fewer; none: no disturbance.
+        t: time [s].
+
+    Returns:
+        d1..d5 [N, N m, body]; 0 on an equation without a harmonic.
+    """
     if not harmonics:
         return NO_FORCE
     d = [h.amplitude * sin(h.omega * t + h.phase) if h.amplitude else 0.0 for h in harmonics]

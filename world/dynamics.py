@@ -150,8 +150,10 @@ def rk4_step(
     """One classical Runge-Kutta step of fourth order.
 
     Args:
-        k, state, current: as for `derivative`.
-        tau: held over the step.
+        k: as for `derivative`.
+        state: likewise.
+        current: likewise, held over the step.
+        tau: likewise, held over the step.
         d: disturbance at the step's start, middle and end (the stage times).
         h: length of the step [s].
 

@@ -1,4 +1,4 @@
-"""What can go wrong in the sea; data in fields, so that callers can print their own words."""
+"""The errors of this package; what they are about is in fields, so that callers can word their own messages."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ class WorldError(Exception):
 
 
 class UnknownVehicleError(WorldError):
-    """A vehicle number that the world was not set up with."""
+    """The world has no vehicle of this number."""
 
     def __init__(self, vehicle: int, known: tuple[int, ...]) -> None:
         super().__init__(f"vehicle {vehicle} is not in this world, which has {list(known)}")
@@ -17,7 +17,7 @@ class UnknownVehicleError(WorldError):
 
 
 class CommandError(WorldError):
-    """A command that no actuator can follow: the wrong number of elements, or one that is not finite."""
+    """A command is not three finite numbers."""
 
     def __init__(self, vehicle: int, tick: int, tau: tuple[float, ...]) -> None:
         super().__init__(f"vehicle {vehicle}, tick {tick}: expected tau as three finite numbers, got {tau!r}")

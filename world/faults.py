@@ -1,21 +1,22 @@
-"""Faults of sensors, actuators and sea with a beginning and an end: what they do to one vehicle at a tick.
+"""Faults of sensors, actuators and sea, each with a beginning and an end.
 
-| kind | values | what |
+| kind | values | what it does to a vehicle |
 |---|---|---|
 | noise | sigma of position [m], angle [rad], velocity [m/s], rate [rad/s] | white noise on top of the sensor's own |
 | bias | ten numbers on eta and nu [m, rad, m/s, rad/s] | added to what is measured |
-| freeze | | the measurement of the tick at which it began, again and again |
-| dropout | probability | so often the sensor has nothing new, and reports what it did before |
-| efficiency | three factors | of what the actuators make of a command |
+| freeze | | the sensor repeats the measurement of the tick at which the fault began |
+| dropout | probability | of a tick at which the sensor repeats its last measurement |
+| efficiency | three factors | multiply the force and moments that the actuators apply |
 | saturate | three limits [N, N m, N m] | in place of the actuators' own where they are smaller |
-| off, stuck | | no force at all; the force of the tick at which it began |
+| off | | the actuators apply no force |
+| stuck | | they go on with the force of the tick at which the fault began |
 | current | x, y, z [m/s, NED], three sigma [m/s], time constant [s] | added to the sea's own, for every vehicle |
 | gust | x, y, z [m/s, NED], how long it blows [s] | a current that rises and falls once: (1 - cos) / 2 |
 | wrench | five forces and moments [N, N m, body] | added to the disturbance |
 | pause | | the agent is suspended: no samples; the vehicle holds its last command |
 | slow | ticks | commands take effect so much later |
 
-The last two are the lockstep's affair (`world.lockstep`): they are simulated time, not a signal to a process.
+The last two are handled where a run is stepped (`world.run_state`): they act on simulated time, not on a process.
 """
 
 from __future__ import annotations
@@ -41,15 +42,15 @@ class WorldFault:
     values: tuple[float, ...] = ()
 
     def active(self, tick: int) -> bool:
-        """Whether it holds at a tick."""
+        """Whether the fault acts at a tick."""
         return self.begin <= tick and (self.end is None or tick < self.end)
 
     def concerns(self, i: int) -> bool:
-        """Whether it is about vehicle i."""
+        """Whether the fault acts on vehicle i."""
         return not self.vehicles or i in self.vehicles
 
     def to_values(self) -> list[Any]:
-        """Plain values."""
+        """[id, begin, end, kind, vehicles, values]: what travels to the world."""
         return [self.id, self.begin, self.end, self.kind, list(self.vehicles), list(self.values)]
 
     @classmethod

@@ -71,7 +71,7 @@ class FrameAssembly:
         return frames
 
     def _frame_of(self, tick: int) -> int:
-        """The frame that tells a change: of its tick, or the next one after it."""
+        """The frame that a change at a tick belongs to: of that tick, or the next one after it."""
         return min(-(-tick // self._every) * self._every, self._ticks)
 
 

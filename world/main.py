@@ -29,8 +29,15 @@ def run(
     """Host the router and serve the sea of a run until the process is ended.
 
     Args:
-        speed: times real time, by which ticks begin; None: lockstep.
-        audit: tell also which messages the router refuses, not only which logins.
+        endpoint: where the router listens, as zenoh writes it.
+        run_id: the run's number, with which all keys begin.
+        credentials: of everyone who may connect, by role.
+        private: a folder that only this user can read, for the router's files.
+        config: the world's part of the scenario.
+        frame_every: a frame is due every so many ticks.
+        speed: how fast ticks begin, times real time; None: lockstep.
+        door: where the router listens besides; None: only at `endpoint`.
+        audit: report also which messages the router refuses, not only which logins.
     """
     keys = Keys(run_id)
     bus, refusals = host(endpoint, keys, credentials, private, config, door, audit=audit)

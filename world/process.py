@@ -1,4 +1,4 @@
-"""The world process: the sea in lockstep, behind zenoh, whose router lives here (one hop on the hot path)."""
+"""The world process: the sea, connected by zenoh, whose router runs here (one hop on the hot path)."""
 
 from __future__ import annotations
 
@@ -176,12 +176,12 @@ class WorldProcess:
         i = self._token_roles.get(key)
         state = self._state
         ended = i is not None and not alive and not self._run.finished
-        # An agent that was to end may be gone from here only when its successor has begun.
+        # Of an agent that was to end this may come only when its successor has begun.
         if i is not None and ended and not state.without_agent(i) and not state.incarnation(i):
             self._shell.note(i, state.tick_of(i), "its session ended")
 
     def _control(self, key: str, data: bytes, respond: Respond) -> None:
-        """Answer the console, on a zenoh thread: it only reads, and must be heard while the main thread waits."""
+        """Answer the console, on a zenoh thread: this only reads, and must work while the main thread waits."""
         try:
             request = read_map(data)
         except MalformedMessage as error:

@@ -1,4 +1,4 @@
-"""The world process on a wall clock: ticks begin and end when it is time, whoever has answered."""
+"""The world process on a wall clock: ticks begin and end on time, whichever agents have answered."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ REMEMBERED = 1000  # ticks whose answers are still measured
 
 
 class RealtimeWorldProcess(WorldProcess):
-    """Begins and ends ticks by the clock, and measures how everyone keeps up."""
+    """Begins and ends ticks by the clock, and measures how the world and the agents keep up."""
 
     def __init__(
         self,
@@ -86,7 +86,11 @@ class RealtimeWorldProcess(WorldProcess):
             self._take_next()
 
     def _wait_for_grant(self, k: int) -> bool:
-        """Take what comes in until tick k may start; whether that took any time."""
+        """Take what comes in until tick k may start.
+
+        Returns:
+            Whether it had to wait.
+        """
         if self._state.granted > k:
             return False
         while self._state.granted <= k:

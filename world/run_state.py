@@ -1,4 +1,4 @@
-"""The vehicles of a run, with or without lockstep: who has an agent, which command acts, who tumbled, what frames say.
+"""The vehicles of a run: which of them have an agent, which command acts, which have tumbled or diverged.
 
 `Lockstep` and `RealtimeRun` decide when a vehicle is sensed and when it moves on; what happens to it then is here.
 """
@@ -30,7 +30,7 @@ class RunState:
         self.granted = 0  # ticks below it may be started
         self.frames = FrameAssembly(len(self.ids), config.ticks, frame_every)
         self.tau: dict[int, Vec3] = dict.fromkeys(self.ids, ZERO)  # the last command that took effect [N, N m]
-        self.notes: list[tuple[int, int, str]] = []  # (vehicle, tick, text) for a person; whoever reads empties it
+        self.notes: list[tuple[int, int, str]] = []  # (vehicle, tick, text) for a person; the reader clears it
         self._telemetry_size = {setup.id: setup.telemetry_size for setup in config.vehicles}
         self._tumble_limits = {setup.id: setup.tumble_limit for setup in config.vehicles}
         self._tick_s = config.tick_ns / 1e9
@@ -72,7 +72,7 @@ class RunState:
             raise OutOfPlace("telemetry values", size, len(command.telemetry))
 
     def enter_tick(self, i: int, k: int) -> bool:
-        """Vehicle i is at tick k: the next frame tells if its agent ended or began here.
+        """Put into the next frame that vehicle i lost or got its agent, if it did so at tick k.
 
         Returns:
             Whether it has no agent at this tick.
@@ -179,7 +179,12 @@ class RunState:
         self.frames.resume(tick)
 
     def _watch_pitch(self, i: int, k: int, before: tuple[float, float], after: tuple[float, float]) -> None:
-        """The next frame tells if vehicle i began to tumble, or came back, on the way to tick k."""
+        """Put into the next frame that vehicle i began to tumble or came back, if it did so on the way to tick k.
+
+        Args:
+            before: pitch theta [rad] and pitch rate q [rad/s] at tick k - 1.
+            after: the same at tick k.
+        """
         tumbled = i in self._tumbled
         if tumbles(tumbled, self._tumble_limits[i], before, after, self._tick_s) != tumbled:
             self._tumbled ^= {i}

@@ -21,12 +21,19 @@ PURPOSE = "nav noise"
 def measure(
     eta: Vec5, nu: Vec5, noise: NavNoise, seed: int, vehicle: int, tick: int, purpose: str = PURPOSE
 ) -> tuple[Vec5, Vec5]:
-    """What the sensor of `vehicle` reports at `tick`: the truth itself when the noise is off.
+    """What the sensor of a vehicle reports at a tick: the truth itself when the noise is off.
 
     Args:
-        eta, nu: true pose and velocity [m, rad, m/s, rad/s].
+        eta: true x, y, z [m, NED], theta, psi [rad].
+        nu: true u, v, w [m/s, body, over ground], q, r [rad/s].
         noise: standard deviations.
         seed: the run's seed.
+        vehicle: its number.
+        tick: the tick.
+        purpose: names the noise among all that is drawn.
+
+    Returns:
+        Measured eta and nu.
     """
     if noise.off:
         return eta, nu

@@ -1,10 +1,10 @@
-"""When ticks begin on a wall clock. Nothing here reads one: whoever asks says what time it is."""
+"""When ticks begin on a wall clock. Nothing here reads a clock: the caller passes the time."""
 
 from __future__ import annotations
 
 
 class TickSchedule:
-    """Tick k begins one period after tick k - 1, until the clock is moved because somebody was too late for it."""
+    """Tick k begins one period after tick k - 1, unless the schedule was moved because a tick was late."""
 
     def __init__(self, period_ns: int) -> None:
         self.period_ns = period_ns
@@ -13,18 +13,26 @@ class TickSchedule:
         self.slipped_ns = 0  # moved because the world itself was late
 
     def start(self, tick: int, now_ns: int) -> None:
-        """That tick begins now."""
+        """Let a tick begin at `now_ns` [ns], and those that follow at one period each."""
         self._tick, self._at_ns = tick, now_ns
 
     def at_ns(self, tick: int) -> int:
-        """When a tick begins."""
+        """When a tick begins [ns]."""
         return self._at_ns + (tick - self._tick) * self.period_ns
 
     def begin(self, tick: int, now_ns: int, *, held: bool) -> int:
-        """A tick begins: how late it is [ns].
+        """Begin a tick.
 
         A world that is up to a period late shortens the tick and so catches up. Beyond that, or when the console held
-        the clock, the clock is moved: everyone gets the whole of every tick, and the run takes longer.
+        the clock, the schedule is moved: every tick has its whole length, and the run takes longer.
+
+        Args:
+            tick: the next tick.
+            now_ns: the time [ns].
+            held: the tick was granted only now.
+
+        Returns:
+            How late the tick is [ns].
         """
         late = now_ns - self.at_ns(tick)
         if held:

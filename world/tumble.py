@@ -23,9 +23,10 @@ def tumbles(tumbled: bool, limit: float, before: tuple[float, float], after: tup
     """Whether a vehicle is tumbled after a tick.
 
     Args:
-        tumbled: whether it was before.
-        limit: |pitch| beyond which it is [rad].
-        before, after: (theta, q) at the tick's begin and end [rad, rad/s].
+        tumbled: whether it was before the tick.
+        limit: |pitch| beyond which it is tumbled [rad].
+        before: (theta, q) at the beginning of the tick [rad, rad/s].
+        after: the same at its end.
         h: length of the tick [s].
     """
     theta = after[0]

@@ -1,1 +1,1 @@
-"""Somebody else's laws: found, allowed, checked and fenced in."""
+"""Laws of the user: found, allowed, checked, and fenced in while they run."""

@@ -9,7 +9,7 @@ from typing import Any
 from agents.config import Law
 from agents.errors import PluginError
 from agents.plugins.places import place_of_method
-from agents.signals import Signal
+from agents.signals import COMMANDED, HEARD, Signal
 
 # What a class of each kind must be able to do, and with what it is called.
 METHODS: dict[str, dict[str, tuple[str, ...]]] = {
@@ -18,7 +18,7 @@ METHODS: dict[str, dict[str, tuple[str, ...]]] = {
     "tracking": {"step": ("sample", "command")},
     "agent": {"transmit": ("nav",), "decide": ("nav", "deliveries")},
 }
-MOST_NUMBERS = 1000  # of one signal
+MAX_NUMBERS = 1000  # of one signal
 _UNITLESS = "1"
 
 
@@ -28,6 +28,16 @@ def resumable(found: type[Any]) -> bool:
 
 
 def check_law(kind: str, law: Law, found: Any) -> None:
+    """Check that a class can be used as a law.
+
+    Args:
+        kind: controller, guidance, tracking or agent.
+        law: its name, and the parameters that it is to be made with.
+        found: what the name stands for.
+
+    Raises:
+        PluginError: it cannot.
+    """
     name = law.name
     if not inspect.isclass(found):
         raise PluginError(kind, name, f"expected a class, got {type(found).__name__}")
@@ -44,7 +54,7 @@ def check_law(kind: str, law: Law, found: Any) -> None:
     _check_signals(kind, name, getattr(found, "signals", None))
     try:
         signature = inspect.signature(found)
-    except ValueError:  # written in C: making it will tell
+    except ValueError:  # written in C: making it will show
         return
     try:
         signature.bind(None, **law.parameters)
@@ -59,9 +69,9 @@ def check_law(kind: str, law: Law, found: Any) -> None:
 
 
 def _check_method(kind: str, name: str, found: type[Any], method: str, arguments: tuple[str, ...]) -> None:
-    """A method that cannot be called, or does not answer at once, is found before the run."""
+    """Check that a method takes these arguments and returns its answer directly."""
     function = inspect.getattr_static(found, method)
-    if not inspect.isfunction(function):  # decorated, or written in C: calling it will tell
+    if not inspect.isfunction(function):  # decorated, or written in C: calling it will show
         return
     place = place_of_method(function)
     if inspect.iscoroutinefunction(function) or inspect.isgeneratorfunction(function):
@@ -74,10 +84,7 @@ def _check_method(kind: str, name: str, found: type[Any], method: str, arguments
 
 
 def _check_signals(kind: str, name: str, signals: Any) -> None:
-    """What is declared can be logged."""
-    # Here, because agents.controllers is built on this module.
-    from agents.signals import COMMANDED, HEARD
-
+    """Check that the declared signals can be logged."""
     if not isinstance(signals, tuple) or not all(isinstance(signal, Signal) for signal in signals):
         raise PluginError(
             kind, name, f"expected signals as a tuple of agents.api.Signal, got {signals!r:.80}", "() reports nothing"
@@ -103,6 +110,6 @@ def _check_signals(kind: str, name: str, signals: Any) -> None:
             raise PluginError(kind, name, f"signal {signal.name!r} has no unit", hint)
         if not isinstance(signal.meaning, str):
             raise PluginError(kind, name, f"signal {signal.name!r} has meaning {signal.meaning!r:.80}, not a text")
-        if not isinstance(signal.width, int) or not 1 <= signal.width <= MOST_NUMBERS:
-            raise PluginError(kind, name, f"signal {signal.name!r} has width {signal.width!r}", f"1 to {MOST_NUMBERS}")
+        if not isinstance(signal.width, int) or not 1 <= signal.width <= MAX_NUMBERS:
+            raise PluginError(kind, name, f"signal {signal.name!r} has width {signal.width!r}", f"1 to {MAX_NUMBERS}")
         seen[in_json] = signal.name

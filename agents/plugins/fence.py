@@ -1,6 +1,6 @@
-"""The fence round a law that is not ours: what it raises, answers, prints, and how long it takes.
+"""The fence round a law of the user's: what it raises, returns and prints, and how long it takes.
 
-Whatever goes wrong becomes one `ControllerError` that names vehicle, tick and line.
+Every failure becomes one `ControllerError` that names vehicle, tick and line.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from typing import Any
 from agents.api import Sample
 from agents.config import AgentConfig, Law
 from agents.errors import ControllerError
-from agents.plugins.checks import MOST_NUMBERS, resumable
+from agents.plugins.checks import MAX_NUMBERS, resumable
 from agents.plugins.places import in_library, place_of, place_of_line, place_of_method, words_of
 from agents.signals import Signal
 from world.vectors import Vec3
@@ -36,7 +36,7 @@ class _OverBudgetError(BaseException):
 
 
 class Fence:
-    """Calls into one law of one vehicle."""
+    """Calls one law of one vehicle, and checks what comes back."""
 
     def __init__(self, config: AgentConfig, law: Law, notes: list[tuple[int, str]]) -> None:
         self._vehicle = config.id
@@ -47,7 +47,7 @@ class Fence:
         self._notes = notes  # (tick, what a person should know)
 
     def make(self, found: type[Any], config: AgentConfig, law: Law) -> Any:
-        """An instance of the law. The budget is one of samples: what is made once may take longer."""
+        """An instance of the law. This may take longer than the budget, which is for samples."""
         return self._call(0, False, found, config, **law.parameters)
 
     def call(self, tick: int, function: Callable[..., Any], *args: Any) -> Any:
@@ -114,13 +114,13 @@ class Fence:
         return tuple(flat)
 
     def note_print(self, text: str) -> None:
-        """Say once that the law prints, and where."""
+        """Note that the law prints, and where; only the first time."""
         if self._printed.noted:
             return
         self._printed.noted = True
         caller = sys._getframe(2)  # behind this and `_Printed.write`
         frame: FrameType | None = caller
-        while frame is not None and in_library(frame.f_code.co_filename):  # pprint, say, was called from somewhere
+        while frame is not None and in_library(frame.f_code.co_filename):  # pprint, say: the law called it
             frame = frame.f_back
         if frame is None or frame.f_code.co_filename == __file__:  # the law is itself an installed one
             frame = caller
@@ -145,7 +145,7 @@ class Fence:
 
 @contextmanager
 def _alarm(after_s: float) -> Iterator[None]:
-    """Raise `_OverBudgetError` in what runs inside; whoever used the timer before finds it as it was, but later."""
+    """Raise `_OverBudgetError` in the code inside after a time; a timer that was set before goes on afterwards."""
     began = perf_counter()
     left_s = interval_s = 0.0
     before = signal.signal(signal.SIGALRM, _over_budget)
@@ -170,14 +170,14 @@ def _numbers(value: Any) -> list[float]:
     if isinstance(value, (str, bytes, bytearray, Mapping, Set)):
         return []
     try:
-        items = list(islice(value, MOST_NUMBERS + 1))  # an endless generator, too, has an end here
+        items = list(islice(value, MAX_NUMBERS + 1))  # an endless generator, too, has an end here
         return [] if any(isinstance(item, (str, bytes)) for item in items) else [float(item) for item in items]
     except Exception:  # whatever the user's objects raise when they are asked
         return []
 
 
 def shown(value: Any) -> str:
-    """What a person is shown of an answer: on one line, and the same in every run."""
+    """A value as messages show it: on one line, and the same in every run."""
     try:
         return re.sub(r" at 0x[0-9a-f]+", "", " ".join(repr(value).split()))[:80]
     except Exception:
@@ -204,7 +204,7 @@ class _Printed(TextIOBase):
 
 
 class FencedLaw:
-    """A user's guidance, tracking or controller with the manners of ours: `step` answers a flat tuple."""
+    """A user's guidance, tracking or controller, called as ours are: `step` returns a flat tuple of telemetry."""
 
     def __init__(
         self, config: AgentConfig, law: Law, found: type[Any], what: str, notes: list[tuple[int, str]]
@@ -219,7 +219,7 @@ class FencedLaw:
         """One sample, checked.
 
         Raises:
-            ControllerError: the law raised, was late, or answered what cannot be used.
+            ControllerError: the law raised, took too long, or returned what cannot be used.
         """
         fence, method, tick = self._fence, self._law.step, sample.tick
         answer = fence.call(tick, method, sample, *more)
@@ -229,10 +229,10 @@ class FencedLaw:
         return vector, fence.telemetry(tick, method, self._signals, answer[1])
 
     def state(self) -> Any:
-        """The law's own, or None when it has none."""
+        """The law's state, or None when it has none."""
         return self._law.state() if self._resumable else None
 
     def restore(self, values: Any) -> None:
-        """Continue from `state()`; a law without one begins anew."""
+        """Continue from `state()`; a law without one begins from the start."""
         if self._resumable:
             self._law.restore(values)

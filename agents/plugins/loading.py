@@ -21,7 +21,7 @@ from agents.plugins.trust import ONLY_INSTALLED, Permission, permit
 
 GROUP = "uuv_fleet.controllers"
 
-_MOST_CLASSES = 8  # named in a hint
+_MAX_CLASSES = 8  # named in a hint
 
 
 def load(kind: str, law: Law) -> type[Any]:
@@ -69,7 +69,7 @@ def admit(kind: str, name: str, permission: Permission = ONLY_INSTALLED) -> None
 
 
 def fingerprint(found: type[Any]) -> str:
-    """SHA-256 of the file that a law's class is written in, to tell later whether it is still the same."""
+    """SHA-256 of the file that a law's class is written in, to find out later whether it is still the same."""
     try:
         path = inspect.getsourcefile(found)
         return hashlib.sha256(Path(path or "").read_bytes()).hexdigest()
@@ -100,8 +100,8 @@ def _import(kind: str, name: str) -> Any:
         raise PluginError(kind, name, f"importing it failed: {error}", error.where) from error.__cause__
     if not hasattr(module, class_name):
         classes = [n for n, v in vars(module).items() if inspect.isclass(v) and v.__module__ == module.__name__]
-        more = ", ..." if len(classes) > _MOST_CLASSES else ""
-        listed = f"it has {', '.join(classes[:_MOST_CLASSES])}{more}" if classes else "it has no class at all"
+        more = ", ..." if len(classes) > _MAX_CLASSES else ""
+        listed = f"it has {', '.join(classes[:_MAX_CLASSES])}{more}" if classes else "it has no class at all"
         file = getattr(module, "__file__", None)
         hint = f"{listed} ({shown_path(file)})" if file else listed
         raise PluginError(kind, name, f"module {module_name!r} has no {class_name!r}", hint)
@@ -117,7 +117,7 @@ class _LoadError(Exception):
 
 
 def _loaded(load_it: Callable[[], Any]) -> Any:
-    """What an import returns. Standard output is data, so what the module prints goes to standard error."""
+    """What an import returns. What the module prints goes to standard error, because standard output is data."""
     try:
         with redirect_stdout(sys.stderr):
             return load_it()

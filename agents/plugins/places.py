@@ -1,4 +1,4 @@
-"""Where a line of the user's is, and what his errors say: for messages about somebody else's laws."""
+"""Which line of the user's an error is about, and its text: for messages about the user's laws."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Any
 
 import agents
 
-_MOST_TEXT = 300  # characters of what an error of the user's says
+_MAX_TEXT = 300  # characters of the text of an error
 _LIBRARIES = tuple({sysconfig.get_path(name) + os.sep for name in ("stdlib", "platstdlib", "purelib", "platlib")})
 _SITE = "-packages" + os.sep  # site-packages, and Debian's dist-packages
 
@@ -36,13 +36,13 @@ def in_library(filename: str) -> bool:
 
 
 def words_of(error: BaseException) -> str:
-    """`ValueError: what it says`, on one line, and not too long a one."""
+    """`ValueError: its text`, on one line of at most 300 characters."""
     try:
-        # A SyntaxError's own text ends with its place, which is told beside it.
+        # A SyntaxError's own text ends with its place, which messages have beside it.
         text = " ".join(((error.msg or "") if isinstance(error, SyntaxError) else str(error)).split())
     except Exception:  # its __str__ is the user's, too
         text = "(it cannot be printed)"
-    text = text if len(text) <= _MOST_TEXT else text[:_MOST_TEXT] + "..."
+    text = text if len(text) <= _MAX_TEXT else text[:_MAX_TEXT] + "..."
     return f"{type(error).__name__}: {text}" if text else type(error).__name__
 
 
@@ -62,5 +62,6 @@ def _ours(filename: str) -> bool:
 
 
 def shown_path(filename: str) -> str:
+    """A path as messages show it: relative to the current directory where it lies below it."""
     relative = os.path.relpath(filename)
     return filename if relative.startswith("..") else relative

@@ -31,7 +31,7 @@ def _print_nothing(text: str) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Trust:
-    """What the user allows beyond what is installed and what is plainly his own."""
+    """What the user allows beyond what is installed and what is plainly the user's own."""
 
     everything: bool = False
     fingerprints: frozenset[str] = frozenset()  # SHA-256 of files, hexadecimal
@@ -115,7 +115,7 @@ def find(module: str, folders: Iterable[Path]) -> Place | None:
     for part in rest:
         whole += f".{part}"
         below = PathFinder.find_spec(whole, list(specs[-1].submodule_search_locations or ()))
-        if below is None:  # the import will say so
+        if below is None:  # the import will fail
             break
         specs.append(below)
     files = tuple(s.origin for s in specs if s.origin is not None and s.has_location)
@@ -131,7 +131,7 @@ def _first(name: str) -> ModuleSpec | None:
 
 
 def _installed(name: str) -> ModuleSpec | None:
-    """The same if neither the current directory nor a folder that was added here were searched."""
+    """What `import name` would take if neither the current directory nor a folder added here were searched."""
     for finder in list(sys.meta_path):
         spec = finder.find_spec(name, list(_environment()) if finder is PathFinder else None)
         if spec is not None:

@@ -9,11 +9,11 @@ from typing import Any
 
 from agents.api import AgentConfig, Delivery, Nav, Signal, earth_velocity, wrap
 
-PAYLOAD = struct.Struct("<3f")  # what we tell our neighbours: our position, in single precision
+PAYLOAD = struct.Struct("<3f")  # what we send to our neighbours: our position, in single precision
 
 
 class TheLaw:
-    """Keeps its place by the reference and by the mean of what its neighbours say; its payload is its own affair."""
+    """Keeps its place by the reference and by the mean of its neighbours' positions; its payload is its own."""
 
     # What you report at every sample. It lands in the log under uuv/<i>/control, with these units.
     signals = (

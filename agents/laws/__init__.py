@@ -1,1 +1,1 @@
-"""The paper's control laws: pure functions and little state."""
+"""The paper's control laws: pure functions, and classes with little state."""

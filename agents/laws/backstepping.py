@@ -46,7 +46,7 @@ _COMMON = frozenset(
 
 
 class _Backstepping:
-    """What the flavours share; each supplies `_act` and what it reports between errors and demand."""
+    """What the flavours share; each has its own `_act`, and its own signals between errors and demand."""
 
     __slots__ = ("_exact", "_filters", "_m", "_params")
 
@@ -59,7 +59,15 @@ class _Backstepping:
         self._filters = tuple(AngleRateFilter(config.tracking.tau_f) for _ in range(4))
 
     def step(self, sample: Sample, command: Command) -> tuple[Vec3, tuple[float, ...]]:
-        """Force and moments [N, N m] at a sample, before the limits, and the values of `signals`."""
+        """Answer one sample, eqs. (24)-(47).
+
+        Args:
+            sample: own state and time; `eta` [m, rad, NED], `nu` [m/s, rad/s, body], `dt` [s].
+            command: commanded speed [m/s], pitch and course of the velocity [rad, NED].
+
+        Returns:
+            Surge force [N], pitch and yaw moment [N m] before the limits, and the values of `signals`, flat.
+        """
         k = self._params
         m1, m2, m3, m4, m5, beta_u, beta_v, beta_w, beta_q, beta_r, beta_b = self._m
         dt = sample.dt
@@ -98,7 +106,16 @@ class _Backstepping:
         return (tau1, tau2, tau3), (u_err, theta_err, psi_err, q_err, r_err, *inner, tau1, tau2, tau3)
 
     def _act(self, errors: Vec3, commands: Vec3, dt: float) -> tuple[Vec3, Vec3]:
-        """A1, A2, A3 from the errors and the commands of surge, pitch and yaw; and what to report of it."""
+        """The stabilising terms of one sample.
+
+        Args:
+            errors: u_err [m/s], q_err, r_err [rad/s].
+            commands: u_cmd [m/s], q_cmd, r_cmd [rad/s].
+            dt: time since the sample before [s].
+
+        Returns:
+            A1 [m/s^2], A2, A3 [rad/s^2]; and the three values that are reported between errors and demand.
+        """
         raise NotImplementedError
 
     def state(self) -> dict[str, Any]:
@@ -160,6 +177,7 @@ class _WithRates(_Backstepping):
         self._command_rates = tuple(RateFilter(config.tracking.tau_f) for _ in range(3))
 
     def _rates(self, commands: Vec3, dt: float) -> Vec3:
+        """Filtered derivatives of u_cmd [m/s^2], q_cmd and r_cmd [rad/s^2]."""
         f1, f2, f3 = self._command_rates
         u_cmd, q_cmd, r_cmd = commands
         return f1.step(u_cmd, dt), f2.step(q_cmd, dt), f3.step(r_cmd, dt)
@@ -207,4 +225,5 @@ class SlidingModeTracking(_WithRates):
 
 
 def _sat(s: float) -> float:
+    """`s` within [-1, 1]."""
     return max(-1.0, min(1.0, s))

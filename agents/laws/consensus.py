@@ -20,17 +20,16 @@ from world.vectors import Vec3
 def consensus_error(position: Vec3, desired: Vec3, b: float, heard: Iterable[NeighbourState]) -> tuple[Vec3, float]:
     """e_i = sum_j a_ij (pos_i - pos_j - Delta_ij) + b_i (pos_i - pd_i), and c_i.
 
-    A neighbour not heard yet is not in `heard` and so counts in neither: the weights that remain still
-    describe the error that remains.
+    A neighbour that is not in `heard` counts in neither: the weights that remain belong to the error that remains.
 
     Args:
-        position: own position [m, NED].
+        position: own position pos_i [m, NED].
         desired: pd_i [m, NED].
-        b: b_i.
+        b: b_i [1].
         heard: the neighbours heard so far.
 
     Returns:
-        e_i [m, NED] and c_i.
+        e_i [m, NED] and c_i [1].
     """
     x, y, z = position
     dx, dy, dz = desired

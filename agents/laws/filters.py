@@ -31,7 +31,10 @@ def wrap(angle: float) -> float:
 
 
 class RateFilter:
-    """Filtered backward difference of one signal; its first sample gives 0."""
+    """Filtered backward difference of one signal; its first sample gives 0.
+
+    `tau_f` is the time constant [s]; 0 does not filter.
+    """
 
     __slots__ = ("_alpha", "_dt", "_tau_f", "rate", "value")
 
@@ -42,7 +45,15 @@ class RateFilter:
         self.rate = 0.0
 
     def step(self, value: float, dt: float) -> float:
-        """The rate [unit of the value per s] after a sample `value`, dt [s] after the previous one."""
+        """Take one sample.
+
+        Args:
+            value: the sample.
+            dt: time since the sample before [s].
+
+        Returns:
+            The rate [unit of the value per s].
+        """
         previous = self.value
         self.value = value
         if previous is None:

@@ -47,35 +47,35 @@ _IDENTITY = tuple(np.eye(n, order="F") for n in range(4))
 
 
 class GainProblem(NamedTuple):
-    """minimise 1/2 k' diag(P) k + q' k subject to lo <= k <= hi, and the error that scales it."""
+    """minimise 1/2 k' diag(P) k + q' k subject to lo <= k <= hi, k on the axes north, east, down."""
 
-    P: Vec3
-    q: Vec3
-    lo: Vec3
-    hi: Vec3
-    e: Vec3
+    P: Vec3  # diagonal of the Hessian
+    q: Vec3  # linear cost
+    lo: Vec3  # least gain [1/s]
+    hi: Vec3  # greatest gain [1/s]
+    e: Vec3  # consensus error [m, NED]: what a gain is multiplied with in rho
 
 
 class Solution(NamedTuple):
-    """The optimal gain [1/s], and how many iterations it took."""
+    """The gain that minimises a problem."""
 
-    K: Vec3
-    iterations: int
+    K: Vec3  # 1/s, diagonal on north, east, down
+    iterations: int  # of the solver; 0 if it was not needed
 
 
 class NoSolution(NamedTuple):
-    """The problem that was not solved, and why."""
+    """A problem that was not solved."""
 
     problem: GainProblem
-    reason: str
+    reason: str  # one line for a person
 
 
 def build_qp(e: Vec3, c: float, rho_d: Vec3, rho0: Vec3, K0: Vec3, params: GuidanceParams) -> GainProblem:
-    """The problem of one vehicle at one sample.
+    """The problem of one vehicle at one sample, eqs. (17)-(22).
 
     Args:
         e: consensus error [m, NED].
-        c: total weight of the terms in e.
+        c: total weight of the terms in e [1].
         rho_d: velocity of the reference [m/s, NED].
         rho0: virtual control of the previous sample [m/s, NED].
         K0: previous optimal gain [1/s].
@@ -109,7 +109,7 @@ def build_qp(e: Vec3, c: float, rho_d: Vec3, rho0: Vec3, K0: Vec3, params: Guida
 
 
 def solve(problem: GainProblem) -> Solution | NoSolution:
-    """The gain that minimises the problem, or the problem and the reason why there is none.
+    """The gain that minimises a problem, or the reason why there is none.
 
     The answer depends on the problem alone: every call sets up its own solver, because a solver that is
     updated instead gives last bits that depend on the problems before.

@@ -38,7 +38,14 @@ class FixedGuidance:
         self._rho: Vec3 | None = None
 
     def step(self, sample: Sample) -> tuple[Vec3, tuple[float, ...]]:
-        """The virtual control rho [m/s, NED] at a sample."""
+        """Answer one sample, eq. (11).
+
+        Args:
+            sample: consensus error `e` [m, NED] and desired velocity [m/s, NED].
+
+        Returns:
+            The virtual control rho [m/s, NED], and the values of `signals`, flat.
+        """
         rho = virtual_control(sample.e, self._K, sample.desired.velocity)
         if self._params.slew > 0.0:
             previous = sample.velocity if self._rho is None else self._rho
@@ -81,10 +88,16 @@ class OptimalGuidance:
         self.failure: NoSolution | None = None  # the newest one, to look at; not part of the state
 
     def step(self, sample: Sample) -> tuple[Vec3, tuple[float, ...]]:
-        """The virtual control rho [m/s, NED] at a sample.
+        """Answer one sample, eqs. (11) and (17)-(23).
 
         The optimisation runs on global ticks divisible by `qp_ticks`. At the first sample the own velocity stands
         for the previous virtual control.
+
+        Args:
+            sample: consensus error `e` [m, NED] with its weight `c`, desired and own velocity [m/s, NED].
+
+        Returns:
+            The virtual control rho [m/s, NED], and the values of `signals`, flat.
         """
         params = self._params
         e, rho_d = sample.e, sample.desired.velocity

@@ -16,7 +16,15 @@ from world.vectors import Vec3, Vec5
 
 
 def earth_velocity(eta: Vec5, nu: Vec5) -> Vec3:
-    """R(theta, psi) (u, v, w) [m/s, NED]: the first three rows of eq. (1)."""
+    """Velocity over ground in earth axes: R(theta, psi) (u, v, w), the first three rows of eq. (1).
+
+    Args:
+        eta: x, y, z [m, NED], theta, psi [rad].
+        nu: u, v, w [m/s, body, over ground], q, r [rad/s].
+
+    Returns:
+        North, east and down [m/s].
+    """
     _, _, _, theta, psi = eta
     u, v, w, _, _ = nu
     sth = sin(theta)
@@ -28,9 +36,17 @@ def earth_velocity(eta: Vec5, nu: Vec5) -> Vec3:
 
 
 def flow_angles(u: float, v: float, w: float) -> Vec3:
-    """u_a [m/s], theta' and psi' [rad] of the body-frame velocity u, v, w [m/s].
+    """Speed and direction of the velocity in body axes, eqs. (3), (4).
 
     theta' = atan2(-w, hypot(u, v)), psi' = atan2(v, u). The paper prints arctan(v / u), which turns the
     direction round when u < 0 and has no value at u = 0.
+
+    Args:
+        u: surge velocity [m/s, body].
+        v: sway velocity [m/s, body].
+        w: heave velocity [m/s, body].
+
+    Returns:
+        u_a [m/s], theta' and psi' [rad].
     """
     return sqrt(u * u + v * v + w * w), atan2(-w, hypot(u, v)), atan2(v, u)

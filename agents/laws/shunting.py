@@ -20,6 +20,17 @@ def shunting_step(x: float, s: float, a: float, b_up: float, b_down: float, dt: 
 
     x <- x_ss + (x - x_ss) exp(-(a + |s|) dt), x_ss = b s / (a + |s|), with b' for b where s < 0. Being a
     convex combination it keeps x within [-b_down, b_up].
+
+    Args:
+        x: the state [unit of s].
+        s: the input, held [m/s or rad/s].
+        a: passive decay [1/s], > 0.
+        b_up: b, upper bound of x [unit of s].
+        b_down: b', minus the lower bound of x [unit of s].
+        dt: time [s].
+
+    Returns:
+        x after dt [unit of s].
     """
     decay = a + abs(s)
     settled = (b_up if s >= 0.0 else b_down) * s / decay

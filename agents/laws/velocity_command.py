@@ -17,7 +17,16 @@ from world.vectors import Vec3
 
 
 def virtual_control(e: Vec3, K: Vec3, v_d: Vec3) -> Vec3:
-    """rho = -K e + v_d [m/s, NED], eq. (11)."""
+    """rho = -K e + v_d, eq. (11).
+
+    Args:
+        e: consensus error [m, NED].
+        K: diagonal of the gain [1/s].
+        v_d: velocity of the reference [m/s, NED].
+
+    Returns:
+        rho [m/s, NED].
+    """
     return v_d[0] - K[0] * e[0], v_d[1] - K[1] * e[1], v_d[2] - K[2] * e[2]
 
 
@@ -46,7 +55,8 @@ def direction_command(rho: Vec3, theta_held: float, psi_held: float, rho_eps: fl
 
     Args:
         rho: commanded velocity [m/s, NED].
-        theta_held, psi_held: angles commanded at the sample before [rad].
+        theta_held: pitch commanded at the sample before [rad].
+        psi_held: course commanded at the sample before [rad].
         rho_eps: speed from which a direction counts [m/s].
 
     Returns:
@@ -65,5 +75,14 @@ def floor_speed(u_cmd: float, v: float, w: float, u_floor: float) -> float:
 
     max(u_cmd, sqrt(v^2 + w^2 + u_floor^2)). The speed law divides by the cosine between the axis and the
     velocity; a commanded speed below the sideways motion would drive that cosine to zero.
+
+    Args:
+        u_cmd: commanded speed [m/s].
+        v: sway velocity [m/s, body].
+        w: heave velocity [m/s, body].
+        u_floor: least forward component [m/s].
+
+    Returns:
+        The commanded speed to follow [m/s].
     """
     return max(u_cmd, sqrt(v * v + w * w + u_floor * u_floor))

@@ -103,12 +103,12 @@ def layout(config: AgentConfig) -> Layout:
     Raises:
         PluginError: one of its laws cannot be used.
     """
-    found = {kind: law_class(kind, law).signals for kind, law in laws(config).items()}
-    if "agent" in found:
-        return Layout((), found["agent"])
-    if "controller" in found:
-        return Layout(HEARD, found["controller"])
-    return Layout((*HEARD, *COMMANDED, *found["guidance"]), found["tracking"])
+    signals = {kind: law_class(kind, law).signals for kind, law in laws(config).items()}
+    if "agent" in signals:
+        return Layout((), signals["agent"])
+    if "controller" in signals:
+        return Layout(HEARD, signals["controller"])
+    return Layout((*HEARD, *COMMANDED, *signals["guidance"]), signals["tracking"])
 
 
 class FencedController:

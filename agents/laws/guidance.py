@@ -77,15 +77,13 @@ class OptimalGuidance:
         {"Q", "R1", "R2", "p", "K0", "k_min", "k_max", "rho_lo", "rho_hi", "qp_ticks", "horizon_s", "cost", "slew"}
     )
 
-    __slots__ = ("K", "_params", "_rho", "failure", "failures", "qp_status")
+    __slots__ = ("K", "_params", "_rho", "failures")
 
     def __init__(self, config: AgentConfig) -> None:
         self._params = config.guidance
         self.K: Vec3 = config.guidance.K0
         self._rho: Vec3 | None = None
-        self.qp_status = HELD
         self.failures = 0
-        self.failure: NoSolution | None = None  # the newest one, to look at; not part of the state
 
     def step(self, sample: Sample) -> tuple[Vec3, tuple[float, ...]]:
         """Answer one sample, eqs. (11) and (17)-(23).
@@ -102,22 +100,21 @@ class OptimalGuidance:
         params = self._params
         e, rho_d = sample.e, sample.desired.velocity
         previous = sample.velocity if self._rho is None else self._rho
-        self.qp_status = HELD
+        status = HELD
         if sample.tick % params.qp_ticks == 0:
             outcome = solve(build_qp(e, sample.c, rho_d, previous, self.K, params))
             if isinstance(outcome, NoSolution):
                 # Holding the last gain is safe: the bounds below hold whatever the gain is.
-                self.qp_status = NO_SOLUTION
+                status = NO_SOLUTION
                 self.failures += 1
-                self.failure = outcome
             else:
-                self.qp_status = SOLVED
+                status = SOLVED
                 self.K = outcome.K
         rho = clip(virtual_control(e, self.K, rho_d), params.rho_lo, params.rho_hi)
         if params.slew > 0.0:
             rho = slew(rho, previous, params.slew * sample.dt)
         self._rho = rho
-        return rho, (*self.K, float(self.qp_status), float(self.failures))
+        return rho, (*self.K, float(status), float(self.failures))
 
     def state(self) -> dict[str, Any]:
         """Plain values of everything that the next sample depends on."""

@@ -22,38 +22,38 @@ MAX_NUMBERS = 1000  # of one signal
 _UNITLESS = "1"
 
 
-def resumable(found: type[Any]) -> bool:
+def resumable(law_class: type[Any]) -> bool:
     """Whether a law can give and take back its state."""
-    return callable(getattr(found, "state", None)) and callable(getattr(found, "restore", None))
+    return callable(getattr(law_class, "state", None)) and callable(getattr(law_class, "restore", None))
 
 
-def check_law(kind: str, law: Law, found: Any) -> None:
+def check_law(kind: str, law: Law, law_class: Any) -> None:
     """Check that a class can be used as a law.
 
     Args:
         kind: controller, guidance, tracking or agent.
         law: its name, and the parameters that it is to be made with.
-        found: what the name stands for.
+        law_class: what the name stands for.
 
     Raises:
         PluginError: it cannot.
     """
     name = law.name
-    if not inspect.isclass(found):
-        raise PluginError(kind, name, f"expected a class, got {type(found).__name__}")
+    if not inspect.isclass(law_class):
+        raise PluginError(kind, name, f"expected a class, got {type(law_class).__name__}")
     for method, arguments in METHODS[kind].items():
-        if not callable(getattr(found, method, None)):
+        if not callable(getattr(law_class, method, None)):
             article = "an" if kind == "agent" else "a"
             hint = f"{article} {kind} needs {' and '.join(METHODS[kind])}"
             raise PluginError(kind, name, f"it has no method {method}", hint)
-        _check_method(kind, name, found, method, arguments)
-    if abstract := sorted(getattr(found, "__abstractmethods__", ())):
+        _check_method(kind, name, law_class, method, arguments)
+    if abstract := sorted(getattr(law_class, "__abstractmethods__", ())):
         raise PluginError(kind, name, f"it is abstract: it lacks {', '.join(abstract)}")
-    if callable(getattr(found, "state", None)) != callable(getattr(found, "restore", None)):
+    if callable(getattr(law_class, "state", None)) != callable(getattr(law_class, "restore", None)):
         raise PluginError(kind, name, "it has only one of state and restore", "write both, or neither")
-    _check_signals(kind, name, getattr(found, "signals", None))
+    _check_signals(kind, name, getattr(law_class, "signals", None))
     try:
-        signature = inspect.signature(found)
+        signature = inspect.signature(law_class)
     except ValueError:  # written in C: making it will show
         return
     try:
@@ -68,9 +68,9 @@ def check_law(kind: str, law: Law, found: Any) -> None:
         raise PluginError(kind, name, f"cannot be made with these parameters: {error}", hint) from None
 
 
-def _check_method(kind: str, name: str, found: type[Any], method: str, arguments: tuple[str, ...]) -> None:
+def _check_method(kind: str, name: str, law_class: type[Any], method: str, arguments: tuple[str, ...]) -> None:
     """Check that a method takes these arguments and returns its answer directly."""
-    function = inspect.getattr_static(found, method)
+    function = inspect.getattr_static(law_class, method)
     if not inspect.isfunction(function):  # decorated, or written in C: calling it will show
         return
     place = place_of_method(function)

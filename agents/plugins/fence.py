@@ -46,9 +46,9 @@ class Fence:
         self._tick = 0
         self._notes = notes  # (tick, what a person should know)
 
-    def make(self, found: type[Any], config: AgentConfig, law: Law) -> Any:
+    def make(self, law_class: type[Any], config: AgentConfig, law: Law) -> Any:
         """An instance of the law. This may take longer than the budget, which is for samples."""
-        return self._call(0, False, found, config, **law.parameters)
+        return self._call(0, False, law_class, config, **law.parameters)
 
     def call(self, tick: int, function: Callable[..., Any], *args: Any) -> Any:
         """What a function of the law returns.
@@ -207,12 +207,12 @@ class FencedLaw:
     """A user's guidance, tracking or controller, called as ours are: `step` returns a flat tuple of telemetry."""
 
     def __init__(
-        self, config: AgentConfig, law: Law, found: type[Any], what: str, notes: list[tuple[int, str]]
+        self, config: AgentConfig, law: Law, law_class: type[Any], what: str, notes: list[tuple[int, str]]
     ) -> None:
         self._fence = Fence(config, law, notes)
-        self._signals: tuple[Signal, ...] = found.signals
-        self._law = self._fence.make(found, config, law)
-        self._resumable = resumable(found)  # the class, not the instance: there `state` may be anything
+        self._signals: tuple[Signal, ...] = law_class.signals
+        self._law = self._fence.make(law_class, config, law)
+        self._resumable = resumable(law_class)  # the class, not the instance: there `state` may be anything
         self._what = what
 
     def step(self, sample: Sample, *more: Any) -> tuple[Vec3, tuple[float, ...]]:

@@ -37,17 +37,17 @@ def load(kind: str, law: Law) -> type[Any]:
     """
     admit(kind, law.name)
     if ":" in law.name:
-        found = _import(kind, law.name)
-        check_law(kind, law, found)
-        return found  # type: ignore[no-any-return]
-    value, found = _entry_point(kind, law.name)
+        law_class = _import(kind, law.name)
+        check_law(kind, law, law_class)
+        return law_class  # type: ignore[no-any-return]
+    value, law_class = _entry_point(kind, law.name)
     try:
-        check_law(kind, law, found)
+        check_law(kind, law, law_class)
     except PluginError as error:
         # By the words "does not load" fleet.scenario.rules.apply knows that there is one.
         text = f"its entry point {value} does not load as a law: {error.problem}"
         raise PluginError(kind, law.name, text, error.hint) from None
-    return found  # type: ignore[no-any-return]
+    return law_class  # type: ignore[no-any-return]
 
 
 def admit(kind: str, name: str, permission: Permission = ONLY_INSTALLED) -> None:
@@ -68,10 +68,10 @@ def admit(kind: str, name: str, permission: Permission = ONLY_INSTALLED) -> None
         permit(kind, name, point.value.partition(":")[0].strip(), permission)
 
 
-def fingerprint(found: type[Any]) -> str:
+def fingerprint(law_class: type[Any]) -> str:
     """SHA-256 of the file that a law's class is written in, to find out later whether it is still the same."""
     try:
-        path = inspect.getsourcefile(found)
+        path = inspect.getsourcefile(law_class)
         return hashlib.sha256(Path(path or "").read_bytes()).hexdigest()
     except (OSError, TypeError):
         return "unknown"

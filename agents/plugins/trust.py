@@ -35,7 +35,7 @@ class Trust:
 
     everything: bool = False
     fingerprints: frozenset[str] = frozenset()  # SHA-256 of files, hexadecimal
-    tell: Callable[[str], None] = _print_nothing  # called with what runs because of this, before it runs
+    notify: Callable[[str], None] = _print_nothing  # called with what runs because of this, before it runs
 
 
 NOTHING = Trust()
@@ -93,12 +93,13 @@ def permit(kind: str, name: str, module: str, permission: Permission) -> None:
             _allow(module, place)
             return
         because = f"everybody may write into {place.folder}"
-    shown, found = " and ".join(map(_shown, place.files)) or _shown(place.folder), _fingerprints(place)
-    if not trust.everything and not (found and trust.fingerprints.issuperset(found)):
-        listed = " ".join(f"--trust {SHA256}{digest}" for digest in found)
-        hint = "read it first; --trust runs it" + (f", {listed} runs it only as it is now" if found else "")
+    shown, digests = " and ".join(map(_shown, place.files)) or _shown(place.folder), _fingerprints(place)
+    if not trust.everything and not (digests and trust.fingerprints.issuperset(digests)):
+        listed = " ".join(f"--trust {SHA256}{digest}" for digest in digests)
+        hint = "read it first; --trust runs it" + (f", {listed} runs it only as it is now" if digests else "")
         raise UntrustedError(kind, name, f"would run {shown}, which is not installed, and {because}", hint)
-    trust.tell(f"{kind} {name} runs {shown} ({', '.join(SHA256 + digest[:16] for digest in found)}), as --trust allows")
+    listed = ", ".join(SHA256 + digest[:16] for digest in digests)
+    trust.notify(f"{kind} {name} runs {shown} ({listed}), as --trust allows")
     _allow(module, place)
 
 

@@ -158,18 +158,18 @@ class Lockstep:
     def _start(self, i: int) -> list[Out]:
         """What vehicle i may do now: measure; or, when it has no agent or that is suspended, go on without it as far
         as the grant allows."""
-        state = self.state
+        state, world = self.state, self.state.world
         out: list[Out] = []
-        k = state.tick_of(i)
+        k = world.tick(i)
         while k < state.granted and i not in self._awaiting:
             absent = state.enter_tick(i, k)
             self._note_memory(i, k, asked=not absent)
-            if not absent and not state.world.paused(i, k):
-                nav = Nav(state.lives.incarnation(i, k), k, *state.world.sense(i))
+            if not absent and not world.paused(i, k):
+                nav = Nav(state.lives.incarnation(i, k), k, *world.sense(i))
                 self._awaiting[i] = nav
                 return [*out, NavTo(i, nav)]
-            eta, nu = state.world.state(i)
-            tau = ZERO if absent else state.world.actuate(i, state.tau[i])
+            eta, nu = world.state(i)
+            tau = ZERO if absent else world.actuate(i, state.tau[i])
             if state.frames.due(k):
                 state.frames.row(k, VehicleFrame(i, eta, nu, (), tau, b""))
             out += self._pass(i, k, tau, None if absent else eta[:3], paused=not absent)

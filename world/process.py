@@ -92,14 +92,14 @@ class WorldProcess:
     def _handle(self, key: str, data: bytes) -> None:
         try:
             if key == self._grant_key:
-                self._obey(expect(data, Grant, Death, Restart, Ailments, Hello))
+                self._from_console(expect(data, Grant, Death, Restart, Ailments, Hello))
             else:
                 self._command(key, data)
         except (MalformedMessage, OutOfPlace) as error:
             i = vehicle_of(key)
             self._shell.reject(key, self._state.tick_of(i) if i in self._ids else 0, error)
 
-    def _obey(self, message: Message) -> None:
+    def _from_console(self, message: Message) -> None:
         """Do what the console asks for, in its order: nothing acts on a tick that was granted before."""
         run, state = self._run, self._state
         match message:

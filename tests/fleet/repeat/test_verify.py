@@ -165,7 +165,7 @@ def test_a_run_with_a_controller_that_failed(then: str, tmp_path: Path, monkeypa
     """What it left before is reproduced; what it would do next is not asked for, whether the run went on or not."""
     from agents.agent import Agent
 
-    guarded = Agent._guarded
+    guarded = Agent._control
 
     def failing(self: Agent, sample: Any) -> Any:
         demand, telemetry = guarded(self, sample)
@@ -173,7 +173,7 @@ def test_a_run_with_a_controller_that_failed(then: str, tmp_path: Path, monkeypa
             return (nan, nan, nan), (*telemetry[:-3], nan, nan, nan)
         return demand, telemetry
 
-    monkeypatch.setattr(Agent, "_guarded", failing)
+    monkeypatch.setattr(Agent, "_control", failing)
     scenario = load_scenario("paper", ["duration=2 s", "checks={}", f"on_controller_error={then}"])
     result = execute(scenario, Options(tmp_path, in_process=True, quiet=True))
     found = verify(result.directory)

@@ -9,8 +9,10 @@ from __future__ import annotations
 
 import heapq
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import replace as replaced
 from typing import Any, NamedTuple
+
+from msgspec.structs import astuple, replace
 
 from netem.causes import DEAD_RECEIVER, DEAF, DELIVERED, IN_FLIGHT, MUTE
 from netem.condition import Condition, Link, condition_from_values, condition_values
@@ -110,7 +112,7 @@ class Netem:
         fates = self._settle(end_tick - 1)
         rest = self._announced + [p for i in sorted(self._pending) for p in self._pending[i]]
         fates += [_fate(packet, end_tick, IN_FLIGHT) for packet in rest]
-        fates += [fate._replace(final_tick=end_tick, cause=IN_FLIGHT) for fate in self._unheard]
+        fates += [replace(fate, final_tick=end_tick, cause=IN_FLIGHT) for fate in self._unheard]
         self._unheard = []
         self._announced, self._pending = [], {i: [] for i in self._pending}
         return self._book(fates)
@@ -150,7 +152,7 @@ class Netem:
         model, over = self._models[link], now.conditions.get(link)
         if link in now.up:
             condition = model.condition if over is None else over
-            over = condition if condition.up else replace(condition, up=True)
+            over = condition if condition.up else replaced(condition, up=True)
         return model.enter(at_ns, seq, payload, over)
 
     def _announce(
@@ -199,7 +201,7 @@ class Netem:
             ],
             "pending": [list(p) for i in sorted(self._pending) for p in sorted(self._pending[i])],
             "announced": [list(p) for p in self._announced],
-            "unheard": [list(fate) for fate in self._unheard],
+            "unheard": [list(astuple(fate)) for fate in self._unheard],
             "ledger": [[*link, account.to_values()] for link, account in self._ledger.accounts.items()],
         }
 
@@ -224,7 +226,7 @@ class Netem:
 
 def fate_order(fate: Fate) -> tuple[int, int, int, int, int]:
     """The order of packet records in the log: (final tick, src, dst, seq, copy)."""
-    return fate[:5]
+    return fate.final_tick, fate.src, fate.dst, fate.seq, fate.copy
 
 
 def _fate(packet: Packet, final_tick: int, cause: str) -> Fate:

@@ -8,6 +8,7 @@ from typing import Any
 
 import msgpack
 import msgspec
+from msgspec.structs import replace
 
 from netem.config import NetemConfig
 from netem.errors import MalformedMessage, OutOfPlace
@@ -17,6 +18,7 @@ from netem.realtime_rounds import FreeRounds
 from netem.rounds import Rounds
 from netem.wire.access import NETEM
 from netem.wire.bus import PART_BYTES, Bus, Respond
+from netem.wire.codec import encode
 from netem.wire.control import read_map
 from netem.wire.keys import Keys, vehicle_of
 from netem.wire.messages import (
@@ -31,10 +33,8 @@ from netem.wire.messages import (
     Receipt,
     Round,
     Transmission,
-    encode,
-    pieces,
-    split,
 )
+from netem.wire.parts import pieces, split
 from netem.wire.shell import Item, Probes, Shell, expect
 
 log = logging.getLogger(__name__)
@@ -126,15 +126,15 @@ class NetemProcess:
     def _hand_out(self, inboxes: list[tuple[int, Inbox]]) -> None:
         for i, inbox in inboxes:
             for deliveries, more in split(inbox.deliveries, _bytes, PART_BYTES):
-                self._inbox[i](encode(inbox._replace(more=more, deliveries=tuple(deliveries))))
+                self._inbox[i](encode(replace(inbox, more=more, deliveries=tuple(deliveries))))
 
     def _report(self, report: LinkReport) -> None:
         memory = pieces(report.memory, PART_BYTES)
-        parts = [report._replace(fates=tuple(part), memory=b"") for part, _ in split(report.fates, _bytes, PART_BYTES)]
-        parts += [report._replace(fates=(), memory=piece) for piece in memory]
+        parts = [replace(report, fates=tuple(part), memory=b"") for part, _ in split(report.fates, _bytes, PART_BYTES)]
+        parts += [replace(report, fates=(), memory=piece) for piece in memory]
         for number, part in enumerate(parts, start=1):
             self._counts["sent"]["links"] += 1
-            self._links(encode(part._replace(more=number < len(parts))))
+            self._links(encode(replace(part, more=number < len(parts))))
 
     def _control(self, data: bytes, respond: Respond) -> None:
         request = read_map(data)

@@ -11,6 +11,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
+from msgspec.structs import astuple
+
 from netem.acoustic import AcousticNetem
 from netem.condition import Link
 from netem.config import NetemConfig
@@ -135,7 +137,8 @@ class FreeRounds:
         """
         self.lives.check(i, receipt.tick, receipt.incarnation)
         tick_ns = self.config.tick_ns
-        for src, seq, copy, at_ns in receipt.arrivals:
+        for arrival in receipt.arrivals:
+            src, seq, copy, at_ns = astuple(arrival)
             handed = self._handed[i].pop((src, seq, copy), None)
             if handed is None:
                 raise OutOfPlace("arrival", "a delivery that was handed out", f"{src}->{i} number {seq} copy {copy}")

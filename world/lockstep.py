@@ -13,7 +13,8 @@ import msgpack
 
 from netem.errors import OutOfPlace
 from netem.lives import Absence
-from netem.wire.messages import Command, Frame, Memory, Nav, Round, VehicleFrame, encode
+from netem.wire.codec import encode
+from netem.wire.messages import Command, Frame, Memory, Nav, Round, VehicleFrame
 from world.config import WorldConfig
 from world.run_memory import VehicleMemory
 from world.run_state import RunState

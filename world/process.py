@@ -14,11 +14,11 @@ from netem.wire.access import WORLD as WORLD
 from netem.wire.access import agent_role
 from netem.wire.audit import Refusals
 from netem.wire.bus import PART_BYTES, Bus, Respond
+from netem.wire.codec import encode
 from netem.wire.control import read_map
 from netem.wire.keys import Keys, vehicle_of
 from netem.wire.messages import (
     PROTOCOL_VERSION,
-    Ailments,
     Command,
     Death,
     End,
@@ -31,10 +31,9 @@ from netem.wire.messages import (
     Restart,
     Round,
     VehicleFrame,
-    encode,
-    pieces,
-    split,
+    WorldFaults,
 )
+from netem.wire.parts import pieces, split
 from netem.wire.shell import Probes, Shell, expect
 from world.faults import WorldFault
 from world.lockstep import Lockstep, NavTo, Out
@@ -92,7 +91,7 @@ class WorldProcess:
     def _handle(self, key: str, data: bytes) -> None:
         try:
             if key == self._grant_key:
-                self._from_console(expect(data, Grant, Death, Restart, Ailments, Hello))
+                self._from_console(expect(data, Grant, Death, Restart, WorldFaults, Hello))
             else:
                 self._command(key, data)
         except (MalformedMessage, OutOfPlace) as error:
@@ -105,7 +104,7 @@ class WorldProcess:
         match message:
             case Grant():
                 self._publish(run.grant(message.until))
-            case Ailments():
+            case WorldFaults():
                 state.world.faults = tuple(map(WorldFault.from_values, msgpack.unpackb(message.faults)))
             case Death(vehicle=i) if i in self._ids:
                 if message.tick:

@@ -24,7 +24,8 @@ from typing import Any
 
 from netem.errors import OutOfPlace
 from netem.lives import Absence
-from netem.wire.messages import Command, Memory, Nav, Round, VehicleFrame, encode
+from netem.wire.codec import encode
+from netem.wire.messages import Command, Memory, Nav, Round, VehicleFrame
 from world.config import WorldConfig
 from world.lockstep import NavTo, Out
 from world.run_state import RunState

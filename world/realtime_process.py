@@ -8,8 +8,9 @@ from typing import Any
 from netem.histogram import Spread
 from netem.wire.audit import Refusals
 from netem.wire.bus import Bus
+from netem.wire.codec import encode
 from netem.wire.keys import Keys, tail
-from netem.wire.messages import Pace, encode
+from netem.wire.messages import Pace
 from world.config import WorldConfig
 from world.process import WorldProcess
 from world.realtime import RealtimeRun

@@ -14,7 +14,8 @@ from fleet.recorder.writer import LogWriter
 from fleet.run.clock import Clock
 from fleet.run.in_process import InProcess
 from fleet.scenario.loading import load_scenario
-from netem.wire.messages import Command, Nav, decode, encode
+from netem.wire.codec import decode, encode
+from netem.wire.messages import Command, Nav
 from world.sea import World
 
 

@@ -25,8 +25,9 @@ from agents.join_file import Joining
 from fleet.bench.soak import Soak, result_of
 from netem.errors import BusError
 from netem.wire.bus import Bus
+from netem.wire.codec import encode
 from netem.wire.keys import Keys
-from netem.wire.messages import PROTOCOL_VERSION, Hello, Note, encode
+from netem.wire.messages import PROTOCOL_VERSION, Hello, Note
 
 READY_S = 60.0
 CHECKS = "checks={ledger: balanced, middleware_loss: {at_most: 0}, tumbled: waived}"

@@ -26,6 +26,7 @@ from fleet.protocol.counterpart import Counterpart
 from fleet.scenario.scenario import Scenario
 from netem.errors import BusError, MalformedMessage, OutOfPlace
 from netem.wire.access import agent_role, generate
+from netem.wire.codec import encode
 from netem.wire.keys import Keys
 from netem.wire.messages import (
     PROTOCOL_VERSION,
@@ -39,7 +40,6 @@ from netem.wire.messages import (
     Message,
     Nav,
     Transmission,
-    encode,
 )
 
 ANSWER_S = 5.0  # until an answer counts as missing

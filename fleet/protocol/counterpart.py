@@ -13,8 +13,9 @@ import msgpack
 from netem.errors import MalformedMessage
 from netem.wire.access import Credentials, agent_role
 from netem.wire.bus import Bus, Respond
+from netem.wire.codec import decode, encode
 from netem.wire.keys import Keys
-from netem.wire.messages import PROTOCOL_VERSION, Command, Hello, Memory, Message, Note, Transmission, decode, encode
+from netem.wire.messages import PROTOCOL_VERSION, Command, Hello, Memory, Message, Note, Transmission
 from netem.wire.shell import Probes
 
 MOST_NOTES = 100

@@ -7,8 +7,9 @@ from inspect import getdoc
 from agents import compact, payload
 from fleet.protocol import slice_fields
 from netem.wire.access import LEASE_MS
-from netem.wire.messages import PROTOCOL_VERSION, Arrival, Delivery, Fate, Frame, VehicleFrame, declared, fields_of
+from netem.wire.messages import PROTOCOL_VERSION, Arrival, Delivery, Fate, Frame, VehicleFrame
 from netem.wire.settings import MAX_BYTES
+from netem.wire.wire_types import declared, fields_of
 
 _HEAD = f"""# Wire protocol, version {PROTOCOL_VERSION}
 

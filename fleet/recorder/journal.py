@@ -14,6 +14,7 @@ from itertools import count
 from typing import NamedTuple, Protocol
 
 import msgpack
+from msgspec import structs
 
 from fleet.recorder.connectivity import Connectivity
 from fleet.recorder.metrics import Metrics, VehicleError
@@ -25,7 +26,8 @@ from netem.ages import Ages
 from netem.errors import OutOfPlace
 from netem.ledger import Ledger
 from netem.lives import Absence
-from netem.wire.messages import Command, Fate, Frame, Life, LinkReport, Tumble, VehicleFrame, decode
+from netem.wire.codec import decode
+from netem.wire.messages import Command, Fate, Frame, Life, LinkReport, Tumble, VehicleFrame
 from world.run_memory import vehicle_memories
 
 
@@ -130,7 +132,7 @@ class Journal:
             return
         self.framed = frame.tick
         self._frames.append(
-            frame._replace(vehicles=self._rows, lives=self._lives, tumbles=self._tumbles, memory=self._memory)
+            structs.replace(frame, vehicles=self._rows, lives=self._lives, tumbles=self._tumbles, memory=self._memory)
         )
         self._rows, self._lives, self._tumbles, self._memory = (), (), (), b""
         self._write()

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from msgspec.structs import astuple
 
 from agents.agent import Agent, make_agent
 from agents.controllers import BUILT_IN, laws
@@ -180,4 +181,4 @@ def _read(
                 src = int(record.topic.removeprefix("link/").split("-")[0])
                 sent = record.publish_ns // tick_ns
                 deliveries.append(Delivery(record.log_ns // tick_ns, sent, src, m.seq, m.copy, m.payload))
-    return navs, commands, sorted(deliveries)
+    return navs, commands, sorted(deliveries, key=astuple)

@@ -52,9 +52,10 @@ from netem.errors import BusError, MalformedMessage, OutOfPlace
 from netem.faults import NetFault, fault_values
 from netem.wire.access import CONSOLE, LEASE_MS, NETEM, OPERATOR, Credentials, Door, agent_role, generate
 from netem.wire.bus import Bus, Respond
+from netem.wire.codec import encode
 from netem.wire.control import read_map, request
 from netem.wire.keys import Keys, vehicle_of
-from netem.wire.messages import PROTOCOL_VERSION, RUN_OVER, Ailments, Frames, Grant, Hello, LinkReport, Note, encode
+from netem.wire.messages import PROTOCOL_VERSION, RUN_OVER, Frames, Grant, Hello, LinkReport, Note, WorldFaults
 from netem.wire.queues import Quota
 from netem.wire.settings import PENDING
 from netem.wire.shell import expect
@@ -376,7 +377,7 @@ class Console:
 
         def tell_world(faults: tuple[WorldFault, ...]) -> None:
             # On the key of the grants, so that it is there before any tick that is granted later.
-            self._grant(encode(Ailments(msgpack.packb([fault.to_values() for fault in faults]))))
+            self._grant(encode(WorldFaults(msgpack.packb([fault.to_values() for fault in faults]))))
 
         return Operator(
             self._scenario,

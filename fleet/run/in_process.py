@@ -25,20 +25,8 @@ from fleet.scenario.sections.timeline import MOST_RESTARTS
 from netem.errors import MalformedMessage, OutOfPlace
 from netem.lives import Absence
 from netem.rounds import Rounds
-from netem.wire.messages import (
-    Command,
-    Frame,
-    Frames,
-    Inbox,
-    LinkReport,
-    Memory,
-    Message,
-    Nav,
-    Round,
-    Transmission,
-    decode,
-    encode,
-)
+from netem.wire.codec import decode, encode
+from netem.wire.messages import Command, Frame, Frames, Inbox, LinkReport, Memory, Message, Nav, Round, Transmission
 from world.lockstep import Lockstep, NavTo
 
 WORLD, NETEM, CONSOLE = 0, -1, -2  # addresses; agents have their positive numbers

@@ -23,7 +23,8 @@ from fleet.scenario.scenario import Scenario
 from fleet.scenario.sections.timeline import MOST_RESTARTS, Kill
 from netem.lives import Absence, Lives
 from netem.wire.access import NETEM, agent_role
-from netem.wire.messages import Death, Restart, encode
+from netem.wire.codec import encode
+from netem.wire.messages import Death, Restart
 
 WORLD = world.process.WORLD
 CONTROLLER_FAILED = agents.process.CONTROLLER_FAILED

@@ -1,7 +1,7 @@
-"""Every message of a run, declared once: field, unit, one-line meaning.
+"""Every message of a run, declared once: field, meaning, unit.
 
-A message is a MessagePack array `[kind, field, field, ...]` in the declared order. The encoder, the strict
-decoder and the protocol page (`fleet protocol`) all follow from the declarations in this file.
+A message is a MessagePack array `[kind, field, field, ...]` in the declared order. The encoder, the strict decoder
+(`netem.wire.codec`) and the protocol page (`fleet protocol`) follow from the declarations in this file.
 
 Integers are unsigned; reals are IEEE-754 doubles (an integer is accepted where a real is expected, because
 some languages' MessagePack writes 1.0 as 1). Ticks count control periods Ts from the start of the run.
@@ -9,123 +9,29 @@ some languages' MessagePack writes 1.0 as 1). Ticks count control periods Ts fro
 
 from __future__ import annotations
 
-import re
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
-from math import isfinite
-from typing import Annotated, Any, NamedTuple, TypeVar, get_args, get_type_hints
+from typing import Annotated, ClassVar, NamedTuple
 
-import msgspec
-
-from netem.errors import MalformedMessage
+from msgspec import Meta, Struct
 
 PROTOCOL_VERSION = 1
+RUN_OVER = "the run is over"  # the reason of nearly every End
 
-Reals = tuple[float, ...]
+_GREATEST = 1.7976931348623157e308  # the greatest finite double
 
-
-@dataclass(frozen=True, slots=True)
-class Field:
-    """The declaration of one field: unit ("" when it has none), meaning, wire type.
-
-    A wire type is uint, bool, str, bin, a record's name, real[n] or real[*] (of any number), or an array of one of
-    them, marked by another [*]. Reals must be finite unless said otherwise.
-    """
-
-    unit: str
-    meaning: str
-    wire: str
-    finite: bool = True
+Uint = Annotated[int, Meta(ge=0)]
+Text = Annotated[str, Meta(max_length=4096)]
+Real = Annotated[float, Meta(ge=-_GREATEST, le=_GREATEST)]  # the bounds refuse NaN and infinity
+Reals = tuple[Real, ...]
+Reals3 = Annotated[Reals, Meta(min_length=3, max_length=3)]
+Reals5 = Annotated[Reals, Meta(min_length=5, max_length=5)]
 
 
-def fields_of(cls: type) -> dict[str, Field]:
-    """The declared fields of a message or record, in wire order."""
-    found = {}
-    for name, hint in get_type_hints(cls, include_extras=True).items():
-        found[name] = next(a for a in get_args(hint) if isinstance(a, Field))
-    return found
+def about(meaning: str, unit: str = "") -> Meta:
+    """What a field means, in one line, and its unit ("" when it has none)."""
+    return Meta(description=meaning, extra={"unit": unit})
 
 
-def uint(unit: str, meaning: str) -> Field:
-    return Field(unit, meaning, "uint")
-
-
-def real(unit: str, meaning: str, size: int | None, *, finite: bool = True) -> Field:
-    return Field(unit, meaning, f"real[{'*' if size is None else size}]", finite)
-
-
-class _InvalidError(ValueError):
-    pass
-
-
-# What msgspec is told of each wire type; it refuses everything else, true where a number is expected included.
-_TYPES: dict[str, Any] = {
-    "uint": Annotated[int, msgspec.Meta(ge=0)],
-    "bool": bool,
-    "str": Annotated[str, msgspec.Meta(max_length=4096)],
-    "bin": bytes,
-    "real[*]": tuple[float, ...],
-}
-_RECORDS: dict[str, type] = {}
-
-
-def _type_of(wire: str) -> Any:
-    """The type that msgspec decodes a wire type into."""
-    if wire in _TYPES:
-        return _TYPES[wire]
-    if match := re.fullmatch(r"real\[(\d+)\]", wire):
-        return tuple.__class_getitem__((float,) * int(match[1]))
-    if wire in _RECORDS:
-        return tuple.__class_getitem__(tuple(_type_of(field.wire) for field in fields_of(_RECORDS[wire]).values()))
-    return tuple[_type_of(wire.removesuffix("[*]")), ...]  # type: ignore[misc]
-
-
-def _finite(values: Reals) -> None:
-    # One addition chain is far cheaper than a test per element; only its failure looks closer.
-    if not isfinite(sum(values)) and not all(map(isfinite, values)):
-        index = next(i for i, x in enumerate(values) if not isfinite(x))
-        raise _InvalidError(f"element {index} is {values[index]}, expected a finite number")
-
-
-def _each_finite(rows: Sequence[Reals]) -> None:
-    for values in rows:
-        _finite(values)
-
-
-def _builder(cls: type) -> Callable[[tuple[Any, ...]], Any]:
-    """What makes a record or message out of its decoded fields, and refuses what is not finite."""
-    checks: list[tuple[int, Callable[[Any], None]]] = []
-    records: list[tuple[int, Callable[[tuple[Any, ...]], Any]]] = []
-    for index, field in enumerate(fields_of(cls).values()):
-        item = field.wire.removesuffix("[*]")
-        if item in _RECORDS:
-            records.append((index, _builder(_RECORDS[item])))
-        elif item.startswith("real") and field.finite:
-            checks.append((index, _each_finite if item.endswith("]") and item != field.wire else _finite))
-    make = cls._make  # type: ignore[attr-defined]
-
-    def build(values: tuple[Any, ...]) -> Any:
-        for index, check in checks:
-            check(values[index])
-        if records:
-            fields = list(values)
-            for index, of in records:
-                fields[index] = tuple([of(item) for item in values[index]])
-            values = tuple(fields)
-        return make(values)
-
-    return build
-
-
-_MESSAGES: dict[str, type] = {}
-_DECODERS: dict[str, Callable[[bytes], Any]] = {}
-_BY_HEAD: dict[bytes, str] = {}  # a kind as MessagePack writes it after the array's first byte
-_KINDS: dict[type, str] = {}
-_M = TypeVar("_M", bound=type)
-
-
-@dataclass(frozen=True, slots=True)
-class Route:
+class Route(NamedTuple):
     """Where a message travels: key expression below the run's prefix, sender, receiver."""
 
     key: str
@@ -133,377 +39,287 @@ class Route:
     receiver: str
 
 
-_ROUTES: dict[str, Route] = {}
-
-
-_ENCODER = msgspec.msgpack.Encoder()
-
-
-def _decoder(cls: type) -> Callable[[bytes], Any]:
-    types = tuple(_type_of(field.wire) for field in fields_of(cls).values())
-    read = msgspec.msgpack.Decoder(tuple.__class_getitem__((str, *types))).decode
-    build = _builder(cls)
-    return lambda data: build(read(data)[1:])
-
-
-def _record(cls: _M) -> _M:
-    """Declare a record, so that fields may name it."""
-    _RECORDS[cls.__name__] = cls
-    return cls
-
-
-def _declare(kind: str, key: str, sender: str, receiver: str) -> Callable[[_M], _M]:
-    def register(cls: _M) -> _M:
-        _MESSAGES[kind] = cls
-        _KINDS[cls] = kind
-        _DECODERS[kind] = _decoder(cls)
-        _BY_HEAD[_ENCODER.encode(kind)] = kind
-        _ROUTES[kind] = Route(key, sender, receiver)
-        return cls
-
-    return register
+# Without a garbage collector's header: what holds numbers, texts, bytes and tuples of them alone is in no circle.
+class Record(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, gc=False):
+    """A MessagePack array of fields; a message is a record with a tag, which comes first in the array."""
 
 
 # ------------------------------------------------------------------------------------------ records
 
 
-@_record
-class Delivery(NamedTuple):
+class Delivery(Record, frozen=True):
     """One payload that reaches an agent."""
 
-    due_tick: Annotated[int, uint("tick", "first tick at which the receiver may use it")]
-    sent_tick: Annotated[int, uint("tick", "round tick at which it was sent")]
-    src: Annotated[int, uint("", "sending vehicle")]
-    seq: Annotated[int, uint("", "number of the payload on its directed link, from 0")]
-    copy: Annotated[int, uint("", "0 for the original, 1.. for duplicates made by the network")]
-    payload: Annotated[bytes, Field("", "opaque to the network", "bin")]
+    due_tick: Annotated[Uint, about("first tick at which the receiver may use it", "tick")]
+    sent_tick: Annotated[Uint, about("round tick at which it was sent", "tick")]
+    src: Annotated[Uint, about("sending vehicle")]
+    seq: Annotated[Uint, about("number of the payload on its directed link, from 0")]
+    copy: Annotated[Uint, about("0 for the original, 1.. for duplicates made by the network")]
+    payload: Annotated[bytes, about("opaque to the network")]
 
 
-@_record
-class Fate(NamedTuple):
+class Fate(Record, frozen=True):
     """The one, final record of a packet: netem writes it at the tick where the fate became final."""
 
-    final_tick: Annotated[int, uint("tick", "due tick if delivered, drop tick if lost, end tick if in flight")]
-    src: Annotated[int, uint("", "sending vehicle")]
-    dst: Annotated[int, uint("", "receiving vehicle")]
-    seq: Annotated[int, uint("", "number of the payload on its directed link, from 0")]
-    copy: Annotated[int, uint("", "0 for the original, 1.. for duplicates")]
-    sent_tick: Annotated[int, uint("tick", "round tick at which it was sent")]
-    due_tick: Annotated[int, uint("tick", "tick at which it was, or would have been, usable")]
-    delay_ns: Annotated[int, uint("ns", "drawn delay of the link, before rounding up to ticks")]
-    cause: Annotated[str, Field("", "delivered, in flight, or the cause of its loss", "str")]
-    corrupted: Annotated[bool, Field("", "whether the link changed the payload", "bool")]
-    payload: Annotated[bytes, Field("", "the payload's bytes", "bin")]
+    final_tick: Annotated[Uint, about("due tick if delivered, drop tick if lost, end tick if in flight", "tick")]
+    src: Annotated[Uint, about("sending vehicle")]
+    dst: Annotated[Uint, about("receiving vehicle")]
+    seq: Annotated[Uint, about("number of the payload on its directed link, from 0")]
+    copy: Annotated[Uint, about("0 for the original, 1.. for duplicates")]
+    sent_tick: Annotated[Uint, about("round tick at which it was sent", "tick")]
+    due_tick: Annotated[Uint, about("tick at which it was, or would have been, usable", "tick")]
+    delay_ns: Annotated[Uint, about("drawn delay of the link, before rounding up to ticks", "ns")]
+    cause: Annotated[Text, about("delivered, in flight, or the cause of its loss")]
+    corrupted: Annotated[bool, about("whether the link changed the payload")]
+    payload: Annotated[bytes, about("the payload's bytes")]
 
 
-@_record
-class VehicleFrame(NamedTuple):
+class VehicleFrame(Record, frozen=True):
     """One vehicle in one tick, as the world saw it."""
 
-    id: Annotated[int, uint("", "vehicle number")]
-    eta: Annotated[Reals, real("m, rad", "true x, y, z (NED), theta, psi", 5)]
-    nu: Annotated[Reals, real("m/s, rad/s", "true u, v, w (body, over ground), q, r", 5)]
-    nav: Annotated[Reals, real("", "what its sensor reported: eta then nu; empty when not sensed", None)]
-    tau: Annotated[Reals, real("N, N m", "applied thrust and moments after limits; empty at the end", None)]
-    command: Annotated[bytes, Field("", "the agent's Command message; empty when none", "bin")]
+    id: Annotated[Uint, about("vehicle number")]
+    eta: Annotated[Reals5, about("true x, y, z (NED), theta, psi", "m, rad")]
+    nu: Annotated[Reals5, about("true u, v, w (body, over ground), q, r", "m/s, rad/s")]
+    nav: Annotated[Reals, about("what its sensor reported: eta then nu; empty when not sensed")]
+    tau: Annotated[Reals, about("applied thrust and moments after limits; empty at the end", "N, N m")]
+    command: Annotated[bytes, about("the agent's Command message; empty when none")]
 
 
-@_record
-class Arrival(NamedTuple):
+class Arrival(Record, frozen=True):
     """One delivery as its receiver saw it."""
 
-    src: Annotated[int, uint("", "sending vehicle")]
-    seq: Annotated[int, uint("", "number of the payload on its directed link")]
-    copy: Annotated[int, uint("", "0 for the original, 1.. for duplicates")]
-    at_ns: Annotated[int, uint("ns", "when it came in, by CLOCK_MONOTONIC of the agent's host")]
+    src: Annotated[Uint, about("sending vehicle")]
+    seq: Annotated[Uint, about("number of the payload on its directed link")]
+    copy: Annotated[Uint, about("0 for the original, 1.. for duplicates")]
+    at_ns: Annotated[Uint, about("when it came in, by CLOCK_MONOTONIC of the agent's host", "ns")]
+
+
+class Life(Record, frozen=True):
+    """A vehicle lost its agent, or got another one."""
+
+    tick: Annotated[Uint, about("first tick without, or with", "tick")]
+    vehicle: Annotated[Uint, about("vehicle number")]
+    begins: Annotated[bool, about("true when another agent takes over")]
+    diverged: Annotated[
+        bool, about("true when the vehicle's motion left the finite numbers: it is not integrated any more")
+    ]
+
+
+class Tumble(Record, frozen=True):
+    """A vehicle's pitch went beyond its limit, or came back."""
+
+    tick: Annotated[Uint, about("first tick at which it is so", "tick")]
+    vehicle: Annotated[Uint, about("vehicle number")]
+    begins: Annotated[bool, about("false when the vehicle has come back")]
+    number: Annotated[Uint, about("how often it has tumbled, this time included")]
+
+
+class Frame(Record, frozen=True):
+    """All vehicles at one tick; the log's source."""
+
+    tick: Annotated[Uint, about("control tick; consecutive on this key", "tick")]
+    more: Annotated[bool, about("more vehicles of the same tick follow")]
+    lives: Annotated[tuple[Life, ...], about("since the frame before; with the first part")]
+    tumbles: Annotated[tuple[Tumble, ...], about("likewise")]
+    vehicles: Annotated[tuple[VehicleFrame, ...], about("ascending by id")]
+    memory: Annotated[bytes, about("of the world and all agents before this tick, as MessagePack; mostly empty")]
 
 
 # ------------------------------------------------------------------------------------------ messages
 
 
-@_declare("hello", "any", "any", "any")
-class Hello(NamedTuple):
+class Hello(Record, frozen=True, tag="hello"):
     """Readiness probe; whoever receives one on its own key answers with `echo` set."""
 
-    role: Annotated[str, Field("", "agent, world, netem or console", "str")]
-    id: Annotated[int, uint("", "vehicle number; 0 for other roles")]
-    incarnation: Annotated[int, uint("", "0 for the first life of an agent, then 1, 2, ...")]
-    version: Annotated[int, uint("", "protocol version")]
-    echo: Annotated[bool, Field("", "true in the answer", "bool")]
+    route: ClassVar[Route] = Route("any", "any", "any")
+
+    role: Annotated[Text, about("agent, world, netem or console")]
+    id: Annotated[Uint, about("vehicle number; 0 for other roles")]
+    incarnation: Annotated[Uint, about("0 for the first life of an agent, then 1, 2, ...")]
+    version: Annotated[Uint, about("protocol version")]
+    echo: Annotated[bool, about("true in the answer")]
 
 
-@_declare("nav", "nav/{i}", "world", "agent i")
-class Nav(NamedTuple):
+class Nav(Record, frozen=True, tag="nav"):
     """The vehicle's own measured pose and velocity at a tick, and nothing else."""
 
-    incarnation: Annotated[int, uint("", "life of the agent it is meant for")]
-    tick: Annotated[int, uint("tick", "control tick; consecutive on this key")]
-    eta: Annotated[Reals, real("m, rad", "x, y, z (NED), theta, psi (unwrapped)", 5)]
-    nu: Annotated[Reals, real("m/s, rad/s", "u, v, w (body, over ground), q, r", 5)]
+    route: ClassVar[Route] = Route("nav/{i}", "world", "agent i")
+
+    incarnation: Annotated[Uint, about("life of the agent it is meant for")]
+    tick: Annotated[Uint, about("control tick; consecutive on this key", "tick")]
+    eta: Annotated[Reals5, about("x, y, z (NED), theta, psi (unwrapped)", "m, rad")]
+    nu: Annotated[Reals5, about("u, v, w (body, over ground), q, r", "m/s, rad/s")]
 
 
-RUN_OVER = "the run is over"  # why nearly everyone's life ends
-
-
-@_declare("end", "nav/{i}", "world", "agent i")
-class End(NamedTuple):
+class End(Record, frozen=True, tag="end"):
     """No Nav follows for this life of the agent: it closes its session. Only agents that others started are told."""
 
-    incarnation: Annotated[int, uint("", "life of the agent that is over; of a later one this says nothing")]
-    tick: Annotated[int, uint("tick", "first tick without it; of no meaning when the run is over")]
-    reason: Annotated[str, Field("", "one line for a person", "str")]
+    route: ClassVar[Route] = Route("nav/{i}", "world", "agent i")
+
+    incarnation: Annotated[Uint, about("life of the agent that is over; of a later one this says nothing")]
+    tick: Annotated[Uint, about("first tick without it; of no meaning when the run is over", "tick")]
+    reason: Annotated[Text, about("one line for a person")]
 
 
-@_declare("cmd", "cmd/{i}", "agent i", "world")
-class Command(NamedTuple):
+class Command(Record, frozen=True, tag="cmd"):
     """The agent's answer to Nav of the same tick."""
 
-    incarnation: Annotated[int, uint("", "life of the sending agent")]
-    tick: Annotated[int, uint("tick", "tick of the Nav it answers")]
-    tau: Annotated[Reals, real("N, N m", "surge force, pitch moment, yaw moment", 3)]
+    route: ClassVar[Route] = Route("cmd/{i}", "agent i", "world")
+
+    incarnation: Annotated[Uint, about("life of the sending agent")]
+    tick: Annotated[Uint, about("tick of the Nav it answers", "tick")]
+    tau: Annotated[Reals3, about("surge force, pitch moment, yaw moment", "N, N m")]
     telemetry: Annotated[
-        Reals, real("", "controller signals in their declared order, or none at all", None, finite=False)
+        tuple[float, ...], about("controller signals in their declared order, or none at all; need not be finite")
     ]
 
 
-@_declare("memory", "cmd/{i}", "agent i", "world")
-class Memory(NamedTuple):
+class Memory(Record, frozen=True, tag="memory"):
     """All that an agent's next samples depend on; before the Command of a tick at which the run is kept whole."""
 
-    incarnation: Annotated[int, uint("", "life of the sending agent")]
-    tick: Annotated[int, uint("tick", "of the Command that follows")]
-    state: Annotated[bytes, Field("", "its own affair, as MessagePack", "bin")]
+    route: ClassVar[Route] = Route("cmd/{i}", "agent i", "world")
+
+    incarnation: Annotated[Uint, about("life of the sending agent")]
+    tick: Annotated[Uint, about("of the Command that follows", "tick")]
+    state: Annotated[bytes, about("its own affair, as MessagePack")]
 
 
-@_declare("tx", "tx/{i}", "agent i", "netem")
-class Transmission(NamedTuple):
+class Transmission(Record, frozen=True, tag="tx"):
     """What the agent sends at a round tick; an empty list is the null message and is required."""
 
-    incarnation: Annotated[int, uint("", "life of the sending agent")]
-    tick: Annotated[int, uint("tick", "round tick")]
-    payloads: Annotated[tuple[bytes, ...], Field("", "each goes to every graph neighbour", "bin[*]")]
+    route: ClassVar[Route] = Route("tx/{i}", "agent i", "netem")
+
+    incarnation: Annotated[Uint, about("life of the sending agent")]
+    tick: Annotated[Uint, about("round tick", "tick")]
+    payloads: Annotated[tuple[bytes, ...], about("each goes to every graph neighbour")]
 
 
-@_declare("receipt", "tx/{i}", "agent i", "netem")
-class Receipt(NamedTuple):
+class Receipt(Record, frozen=True, tag="receipt"):
     """With a real clock: the deliveries that an agent took at a tick, and when they had come. Optional."""
 
-    incarnation: Annotated[int, uint("", "life of the sending agent")]
-    tick: Annotated[int, uint("tick", "of the Nav at which it first used them")]
-    arrivals: Annotated[tuple[Arrival, ...], Field("", "in the order in which they were used", "Arrival[*]")]
+    route: ClassVar[Route] = Route("tx/{i}", "agent i", "netem")
+
+    incarnation: Annotated[Uint, about("life of the sending agent")]
+    tick: Annotated[Uint, about("of the Nav at which it first used them", "tick")]
+    arrivals: Annotated[tuple[Arrival, ...], about("in the order in which they were used")]
 
 
-@_declare("rx", "rx/{i}", "netem", "agent i")
-class Inbox(NamedTuple):
+class Inbox(Record, frozen=True, tag="rx"):
     """All that will be delivered to the agent after its previous inbox's `until`, up to this one's."""
 
-    incarnation: Annotated[int, uint("", "life of the agent it is meant for")]
-    until: Annotated[int, uint("tick", "the inbox is known up to this tick")]
-    more: Annotated[bool, Field("", "more deliveries of the same inbox follow", "bool")]
-    deliveries: Annotated[
-        tuple[Delivery, ...],
-        Field("", "ordered by (due, sent, src, seq, copy)", "Delivery[*]"),
-    ]
+    route: ClassVar[Route] = Route("rx/{i}", "netem", "agent i")
+
+    incarnation: Annotated[Uint, about("life of the agent it is meant for")]
+    until: Annotated[Uint, about("the inbox is known up to this tick", "tick")]
+    more: Annotated[bool, about("more deliveries of the same inbox follow")]
+    deliveries: Annotated[tuple[Delivery, ...], about("ordered by (due, sent, src, seq, copy)")]
 
 
-@_declare("round", "round", "world", "netem")
-class Round(NamedTuple):
+class Round(Record, frozen=True, tag="round"):
     """Everyone's command for a round tick is in: who is alive, and where."""
 
-    tick: Annotated[int, uint("tick", "round tick")]
-    alive: Annotated[tuple[int, ...], Field("", "vehicles alive at the tick, ascending", "uint[*]")]
-    positions: Annotated[
-        tuple[Reals, ...],
-        Field("m", "true x, y, z (NED) of each alive vehicle", "real[3][*]"),
-    ]
-    paused: Annotated[tuple[int, ...], Field("", "those of them that are suspended: no transmission comes", "uint[*]")]
+    route: ClassVar[Route] = Route("round", "world", "netem")
+
+    tick: Annotated[Uint, about("round tick", "tick")]
+    alive: Annotated[tuple[Uint, ...], about("vehicles alive at the tick, ascending")]
+    positions: Annotated[tuple[Reals3, ...], about("true x, y, z (NED) of each alive vehicle", "m")]
+    paused: Annotated[tuple[Uint, ...], about("those of them that are suspended: no transmission comes")]
 
 
-@_declare("pace", "round", "world", "netem")
-class Pace(NamedTuple):
+class Pace(Record, frozen=True, tag="pace"):
     """With a real clock: when ticks begin, before the Round of the same tick."""
 
-    tick: Annotated[int, uint("tick", "round tick")]
-    at_ns: Annotated[int, uint("ns", "when it begins, by CLOCK_MONOTONIC of the world's host")]
-    period_ns: Annotated[int, uint("ns", "of wall time per tick, until told otherwise")]
+    route: ClassVar[Route] = Route("round", "world", "netem")
+
+    tick: Annotated[Uint, about("round tick", "tick")]
+    at_ns: Annotated[Uint, about("when it begins, by CLOCK_MONOTONIC of the world's host", "ns")]
+    period_ns: Annotated[Uint, about("of wall time per tick, until told otherwise", "ns")]
 
 
-@_record
-class Life(NamedTuple):
-    """A vehicle lost its agent, or got another one."""
-
-    tick: Annotated[int, uint("tick", "first tick without, or with")]
-    vehicle: Annotated[int, uint("", "vehicle number")]
-    begins: Annotated[bool, Field("", "true when another agent takes over", "bool")]
-    diverged: Annotated[
-        bool, Field("", "true when the vehicle's motion left the finite numbers: it is not integrated any more", "bool")
-    ]
-
-
-@_record
-class Tumble(NamedTuple):
-    """A vehicle's pitch went beyond its limit, or came back."""
-
-    tick: Annotated[int, uint("tick", "first tick at which it is so")]
-    vehicle: Annotated[int, uint("", "vehicle number")]
-    begins: Annotated[bool, Field("", "false when the vehicle has come back", "bool")]
-    number: Annotated[int, uint("", "how often it has tumbled, this time included")]
-
-
-@_record
-class Frame(NamedTuple):
-    """All vehicles at one tick; the log's source."""
-
-    tick: Annotated[int, uint("tick", "control tick; consecutive on this key")]
-    more: Annotated[bool, Field("", "more vehicles of the same tick follow", "bool")]
-    lives: Annotated[tuple[Life, ...], Field("", "since the frame before; with the first part", "Life[*]")]
-    tumbles: Annotated[tuple[Tumble, ...], Field("", "likewise", "Tumble[*]")]
-    vehicles: Annotated[
-        tuple[VehicleFrame, ...],
-        Field("", "ascending by id", "VehicleFrame[*]"),
-    ]
-    memory: Annotated[
-        bytes, Field("", "of the world and all agents before this tick, as MessagePack; mostly empty", "bin")
-    ]
-
-
-@_declare("frames", "frame", "world", "console")
-class Frames(NamedTuple):
+class Frames(Record, frozen=True, tag="frames"):
     """Consecutive frames in one message: the world saves a message per tick while it has more to do."""
 
-    frames: Annotated[tuple[Frame, ...], Field("", "ascending by tick", "Frame[*]")]
+    route: ClassVar[Route] = Route("frame", "world", "console")
+
+    frames: Annotated[tuple[Frame, ...], about("ascending by tick")]
 
 
-@_declare("links", "links", "netem", "console")
-class LinkReport(NamedTuple):
+class LinkReport(Record, frozen=True, tag="links"):
     """Every fate that became final after the previous report's `until`, up to this one's."""
 
-    until: Annotated[int, uint("tick", "fates are complete up to this tick")]
-    closing: Annotated[bool, Field("", "true for the last report of a run", "bool")]
-    more: Annotated[bool, Field("", "more fates of the same report follow", "bool")]
-    fates: Annotated[
-        tuple[Fate, ...],
-        Field("", "ordered by (final, src, dst, seq, copy)", "Fate[*]"),
-    ]
-    memory: Annotated[bytes, Field("", "of the network before this round, as MessagePack; mostly empty", "bin")]
+    route: ClassVar[Route] = Route("links", "netem", "console")
+
+    until: Annotated[Uint, about("fates are complete up to this tick", "tick")]
+    closing: Annotated[bool, about("true for the last report of a run")]
+    more: Annotated[bool, about("more fates of the same report follow")]
+    fates: Annotated[tuple[Fate, ...], about("ordered by (final, src, dst, seq, copy)")]
+    memory: Annotated[bytes, about("of the network before this round, as MessagePack; mostly empty")]
 
 
-@_declare("grant", "cmd/grant", "console", "world")
-class Grant(NamedTuple):
+class Grant(Record, frozen=True, tag="grant"):
     """Ticks below `until` may be started."""
 
-    until: Annotated[int, uint("tick", "state `until` will exist, Nav(`until`) is not sent")]
+    route: ClassVar[Route] = Route("cmd/grant", "console", "world")
+
+    until: Annotated[Uint, about("state `until` will exist, Nav(`until`) is not sent", "tick")]
 
 
-@_declare("death", "cmd/grant", "console", "world")
-class Death(NamedTuple):
+class Death(Record, frozen=True, tag="death"):
     """An agent has ended, or will: from a tick on its vehicle is not waited for any more."""
 
-    vehicle: Annotated[int, uint("", "vehicle number")]
-    tick: Annotated[int, uint("tick", "first tick without an agent; 0: its process has ended, it is the next one")]
-    incarnation: Annotated[int, uint("", "the life that ended, if it has")]
-    until: Annotated[int, uint("tick", "round tick at which another agent takes over; 0: none that was not planned")]
+    route: ClassVar[Route] = Route("cmd/grant", "console", "world")
+
+    vehicle: Annotated[Uint, about("vehicle number")]
+    tick: Annotated[Uint, about("first tick without an agent; 0: its process has ended, it is the next one", "tick")]
+    incarnation: Annotated[Uint, about("the life that ended, if it has")]
+    until: Annotated[Uint, about("round tick at which another agent takes over; 0: none that was not planned", "tick")]
 
 
-@_declare("restart", "cmd/grant", "console", "world")
-class Restart(NamedTuple):
+class Restart(Record, frozen=True, tag="restart"):
     """Another agent takes a vehicle over earlier than was said; that tick is not granted before it is ready."""
 
-    vehicle: Annotated[int, uint("", "vehicle number")]
-    begin: Annotated[int, uint("tick", "since when it has none; 2^63 - 1: whenever")]
-    tick: Annotated[int, uint("tick", "round tick, its first sample")]
+    route: ClassVar[Route] = Route("cmd/grant", "console", "world")
+
+    vehicle: Annotated[Uint, about("vehicle number")]
+    begin: Annotated[Uint, about("since when it has none; 2^63 - 1: whenever", "tick")]
+    tick: Annotated[Uint, about("round tick, its first sample", "tick")]
 
 
-@_declare("ailments", "cmd/grant", "console", "world")
-class Ailments(NamedTuple):
+class WorldFaults(Record, frozen=True, tag="ailments"):
     """The faults of sensors, actuators and sea, all of them: they replace those that were told before."""
 
-    faults: Annotated[bytes, Field("", "MessagePack: a list of world.faults.WorldFault values", "bin")]
+    route: ClassVar[Route] = Route("cmd/grant", "console", "world")
+
+    faults: Annotated[bytes, about("MessagePack: a list of world.faults.WorldFault values")]
 
 
-@_declare("note", "note", "world, netem, agents", "console")
-class Note(NamedTuple):
+class Note(Record, frozen=True, tag="note"):
     """Something a person should know: a rejected message, a failed controller, a counter."""
 
-    role: Annotated[str, Field("", "who noticed", "str")]
-    subject: Annotated[int, uint("", "vehicle concerned; 0 for none")]
-    tick: Annotated[int, uint("tick", "tick at which it was noticed")]
-    text: Annotated[str, Field("", "one line", "str")]
+    route: ClassVar[Route] = Route("note", "world, netem, agents", "console")
+
+    role: Annotated[Text, about("who noticed")]
+    subject: Annotated[Uint, about("vehicle concerned; 0 for none")]
+    tick: Annotated[Uint, about("tick at which it was noticed", "tick")]
+    text: Annotated[Text, about("one line")]
 
 
-Told = Grant | Death | Restart | Ailments  # by the console to the world
-Timed = Pace | Receipt  # only with a real clock
 Message = (
-    Hello | Nav | End | Command | Memory | Transmission | Inbox | Round | Frames | LinkReport | Told | Timed | Note
+    Hello
+    | Nav
+    | End
+    | Command
+    | Memory
+    | Transmission
+    | Receipt
+    | Inbox
+    | Round
+    | Pace
+    | Frames
+    | LinkReport
+    | Grant
+    | Death
+    | Restart
+    | WorldFaults
+    | Note
 )
-
-
-def encode(message: Message) -> bytes:
-    """MessagePack array `[kind, field, ...]` of a declared message."""
-    return _ENCODER.encode((_KINDS[type(message)], *message))
-
-
-def decode(data: bytes) -> Message:
-    """The message in `data`, every field checked against its declaration.
-
-    Raises:
-        MalformedMessage: not MessagePack, not an array, an unknown kind, or a field out of range.
-    """
-    # The kind as every encoder of short arrays writes it; what is written otherwise takes the long way.
-    kind = _BY_HEAD.get(data[1 : 2 + (data[1] & 0x1F)]) if len(data) > 1 else None
-    if kind is None:
-        kind = _kind_of(data)
-    try:
-        message: Message = _DECODERS[kind](data)
-    except _InvalidError as error:
-        raise MalformedMessage(kind, str(error)) from None
-    except (msgspec.MsgspecError, RecursionError, UnicodeDecodeError) as error:
-        raise MalformedMessage(kind, _explain(kind, str(error) or type(error).__name__)) from None
-    return message
-
-
-def _kind_of(data: bytes) -> str:
-    try:
-        values = msgspec.msgpack.decode(data)
-    except Exception as error:  # bytes that are no MessagePack, in one of many ways
-        raise MalformedMessage("unknown", f"not MessagePack ({error or type(error).__name__})"[:150]) from None
-    if type(values) is not list or not values or type(values[0]) is not str:
-        raise MalformedMessage("unknown", "expected an array that starts with the message kind")
-    if values[0] not in _DECODERS:
-        raise MalformedMessage("unknown", f"no message kind {values[0]!r:.40}")
-    return values[0]
-
-
-def _explain(kind: str, reason: str) -> str:
-    """msgspec's words with the field's name: ``Expected `int` >= 0 - at `$[1]` `` of a nav is about its incarnation."""
-    reason = reason.replace("Expected `int` >= 0", "expected an unsigned integer")
-    match = re.search(r"(.*) - at `\$\[(\d+)\](.*)`", reason)
-    if match is None:
-        return reason
-    names = ["kind", *fields_of(_MESSAGES[kind])]
-    index = int(match[2])
-    return f"{names[index] if index < len(names) else index}{match[3]}: {match[1]}"
-
-
-_T = TypeVar("_T")
-
-
-def split(items: Sequence[_T], size: Callable[[_T], int], limit: int) -> Iterator[tuple[Sequence[_T], bool]]:
-    """Consecutive parts of `items`, each of at most `limit` bytes or a single item, with whether more follow."""
-    begin = total = 0
-    for index, item in enumerate(items):
-        total += (one := size(item))
-        if total > limit and index > begin:
-            yield items[begin:index], True
-            begin, total = index, one
-    yield items[begin:], False
-
-
-def pieces(data: bytes, limit: int) -> list[bytes]:
-    """The same bytes, at most `limit` at a time; none of no bytes."""
-    return [data[begin : begin + limit] for begin in range(0, len(data), limit)]
-
-
-def declared() -> dict[str, tuple[type, Route]]:
-    """Every message kind with its class and its route, for the protocol page and the tests' sweep."""
-    return {kind: (cls, _ROUTES[kind]) for kind, cls in _MESSAGES.items()}

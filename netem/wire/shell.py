@@ -16,8 +16,9 @@ from typing import NamedTuple
 
 from netem.errors import MalformedMessage, OutOfPlace
 from netem.wire.bus import Bus, Respond
+from netem.wire.codec import decode, encode
 from netem.wire.keys import tail, vehicle_of
-from netem.wire.messages import Message, Note, decode, encode
+from netem.wire.messages import Message, Note
 from netem.wire.queues import Quota
 
 log = logging.getLogger(__name__)

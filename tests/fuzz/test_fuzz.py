@@ -51,6 +51,7 @@ from netem.realtime_process import FreeNetemProcess
 from netem.realtime_rounds import FreeRounds
 from netem.rounds import Rounds
 from netem.wire.bus import PART_BYTES
+from netem.wire.codec import decode, encode
 from netem.wire.keys import Keys
 from netem.wire.messages import (
     PROTOCOL_VERSION,
@@ -65,8 +66,6 @@ from netem.wire.messages import (
     Receipt,
     Round,
     Transmission,
-    decode,
-    encode,
 )
 from netem.wire.messages import Pace as Begins
 from netem.wire.settings import MAX_BYTES

@@ -18,7 +18,8 @@ from netem.errors import OutOfPlace
 from netem.ledger import Ledger
 from netem.network import Netem
 from netem.rounds import Rounds
-from netem.wire.messages import Fate, Round, Transmission, split
+from netem.wire.messages import Fate, Round, Transmission
+from netem.wire.parts import split
 
 TICK_NS = 10_000_000
 ALL_LINKS: tuple[Link, ...] = tuple((j, i) for j in (1, 2, 3) for i in (1, 2, 3) if i != j)

@@ -8,20 +8,10 @@ from typing import Any
 from hypothesis import strategies as st
 from hypothesis.strategies import SearchStrategy
 
-from netem.wire.messages import (
-    Arrival,
-    Delivery,
-    Fate,
-    Frame,
-    Life,
-    Message,
-    Tumble,
-    VehicleFrame,
-    declared,
-    fields_of,
-)
+from netem.wire.messages import Message
+from netem.wire.wire_types import declared, fields_of, records
 
-RECORDS = {record.__name__: record for record in (Arrival, Delivery, Fate, Frame, Life, Tumble, VehicleFrame)}
+RECORDS = records()
 KINDS = sorted(declared())
 UINTS = st.one_of(st.integers(0, 300), st.integers(0, 2**64 - 1))
 REALS = st.floats(allow_nan=False, allow_infinity=False)
@@ -46,7 +36,7 @@ def values(wire: str) -> SearchStrategy[Any]:
 
 
 def messages(cls: type) -> SearchStrategy[Any]:
-    return st.tuples(*(values(field.wire) for field in fields_of(cls).values())).map(cls._make)  # type: ignore[attr-defined]
+    return st.tuples(*(values(field.wire) for field in fields_of(cls).values())).map(lambda given: cls(*given))
 
 
 ANY_MESSAGE: SearchStrategy[Message] = st.sampled_from(KINDS).flatmap(lambda kind: messages(declared()[kind][0]))

@@ -25,8 +25,9 @@ from fleet.run.execute import Options, Result, Status, execute
 from fleet.scenario.loading import load_scenario
 from netem.wire.access import OBSERVER, OPERATOR, Credentials, generate
 from netem.wire.bus import Bus
+from netem.wire.codec import encode
 from netem.wire.keys import Keys
-from netem.wire.messages import Hello, Note, encode
+from netem.wire.messages import Hello, Note
 from netem.wire.open_bus import OpenBus
 from netem.wire.queues import MOST_WAITING
 from netem.wire.shell import Shell

@@ -32,8 +32,9 @@ from fleet.run.execute import Options, Result, Status, execute
 from fleet.scenario.loading import load_scenario
 from netem.wire.access import Credentials
 from netem.wire.bus import Bus
+from netem.wire.codec import encode
 from netem.wire.keys import Keys
-from netem.wire.messages import Command, Frames, Hello, LinkReport, Nav, Note, Transmission, encode
+from netem.wire.messages import Command, Frames, Hello, LinkReport, Nav, Note, Transmission
 
 END_S = 5.0  # promised: 2 s
 # Of which the first seconds are seen; what follows a death unless the scenario says otherwise is tested further down.

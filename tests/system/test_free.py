@@ -46,22 +46,10 @@ from netem.errors import OutOfPlace
 from netem.histogram import Spread
 from netem.realtime_process import FreeNetemProcess
 from netem.realtime_rounds import FreeRounds
+from netem.wire.codec import decode, encode
 from netem.wire.control import request
 from netem.wire.keys import Keys
-from netem.wire.messages import (
-    Arrival,
-    Command,
-    Delivery,
-    Inbox,
-    LinkReport,
-    Nav,
-    Pace,
-    Receipt,
-    Round,
-    Transmission,
-    decode,
-    encode,
-)
+from netem.wire.messages import Arrival, Command, Delivery, Inbox, LinkReport, Nav, Pace, Receipt, Round, Transmission
 from netem.wire.shell import Item
 from world.lockstep import NavTo
 from world.realtime import RealtimeRun

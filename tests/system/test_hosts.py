@@ -48,9 +48,10 @@ from netem.errors import BusError
 from netem.whole_file import write_whole
 from netem.wire.access import Credentials, Door, agent_role, generate
 from netem.wire.bus import Bus
+from netem.wire.codec import decode
 from netem.wire.keys import Keys
 from netem.wire.linger import never_linger
-from netem.wire.messages import End, decode
+from netem.wire.messages import End
 
 x509 = pytest.importorskip("cryptography.x509", reason="cryptography is not installed: pip install 'uuv-fleet[hosts]'")
 KEYS = Keys("5ea")

@@ -17,18 +17,11 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from netem.errors import MalformedMessage
+from netem.wire.codec import decode, encode
 from netem.wire.control import read_map
-from netem.wire.messages import (
-    Command,
-    Hello,
-    Message,
-    Nav,
-    declared,
-    decode,
-    encode,
-    fields_of,
-)
+from netem.wire.messages import Command, Hello, Message, Nav
 from netem.wire.shell import expect
+from netem.wire.wire_types import declared, fields_of
 
 
 def plainest(wire: str) -> Any:

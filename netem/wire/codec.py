@@ -1,0 +1,62 @@
+"""Messages to bytes and back; what is not declared in `netem.wire.messages` is refused with a reason."""
+
+from __future__ import annotations
+
+import re
+from typing import get_args
+
+import msgspec
+
+from netem.errors import MalformedMessage
+from netem.wire.messages import Message
+
+_CLASSES: dict[str, type[msgspec.Struct]] = {cls.__struct_config__.tag: cls for cls in get_args(Message)}
+_ENCODER = msgspec.msgpack.Encoder()
+_DECODER: msgspec.msgpack.Decoder[Message] = msgspec.msgpack.Decoder(Message)
+
+
+def encode(message: Message) -> bytes:
+    """MessagePack array `[kind, field, ...]` of a declared message."""
+    return _ENCODER.encode(message)
+
+
+def decode(data: bytes) -> Message:
+    """The message in `data`, every field checked against its declaration.
+
+    Raises:
+        MalformedMessage: not MessagePack, not an array, an unknown kind, or a field out of range.
+    """
+    try:
+        return _DECODER.decode(data)
+    except (msgspec.MsgspecError, RecursionError, UnicodeDecodeError) as error:
+        kind = _kind_of(data)
+        raise MalformedMessage(kind, _explain(kind, str(error) or type(error).__name__)) from None
+
+
+def _kind_of(data: bytes) -> str:
+    """The kind of a message that cannot be decoded.
+
+    Raises:
+        MalformedMessage: it has none.
+    """
+    try:
+        values = msgspec.msgpack.decode(data)
+    except Exception as error:  # bytes that are no MessagePack, in one of many ways
+        raise MalformedMessage("unknown", f"not MessagePack ({error or type(error).__name__})"[:150]) from None
+    if type(values) is not list or not values or type(values[0]) is not str:
+        raise MalformedMessage("unknown", "expected an array that starts with the message kind")
+    if values[0] not in _CLASSES:
+        raise MalformedMessage("unknown", f"no message kind {values[0]!r:.40}")
+    return values[0]
+
+
+def _explain(kind: str, reason: str) -> str:
+    """The words of msgspec with the field's name: ``Expected `int` >= 0 - at `$[1]` `` of a nav is its incarnation."""
+    reason = reason.replace("Expected `int` >= 0", "expected an unsigned integer")
+    reason = re.sub(r"Expected `float` [<>]= -?1\.79\S+", "expected a finite number", reason)
+    match = re.search(r"(.*) - at `\$\[(\d+)\](.*)`", reason)
+    if match is None:
+        return reason
+    names = ["kind", *_CLASSES[kind].__struct_fields__]
+    index = int(match[2])
+    return f"{names[index] if index < len(names) else index}{match[3]}: {match[1]}"

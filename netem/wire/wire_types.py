@@ -1,0 +1,63 @@
+"""The declared messages and records as rows of a table: field, wire type, unit, meaning.
+
+A wire type is uint, bool, str, bin, the name of a record, or an array of one of these or of reals: `real[3]` of a
+declared length, `[*]` of any.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple, get_args
+
+from msgspec import inspect
+
+from netem.wire.messages import Message, Record, Route
+
+_SCALARS: dict[type[inspect.Type], str] = {
+    inspect.IntType: "uint",
+    inspect.FloatType: "real",
+    inspect.BoolType: "bool",
+    inspect.StrType: "str",
+    inspect.EnumType: "str",
+    inspect.BytesType: "bin",
+}
+
+
+class Field(NamedTuple):
+    """One field of a message or record."""
+
+    wire: str
+    unit: str  # "" when it has none
+    meaning: str
+
+
+def declared() -> dict[str, tuple[type[Record], Route]]:
+    """Every kind of message with its class and its route, in the order of declaration."""
+    return {cls.__struct_config__.tag: (cls, cls.route) for cls in get_args(Message)}
+
+
+def records() -> dict[str, type[Record]]:
+    """Every record that a field may name, in the order of declaration."""
+    return {cls.__name__: cls for cls in Record.__subclasses__() if cls.__struct_config__.tag is None}
+
+
+def fields_of(cls: type[Record]) -> dict[str, Field]:
+    """The fields of a message or record, in wire order."""
+    info = inspect.type_info(cls)
+    assert isinstance(info, inspect.StructType)
+    return {field.name: _field(field.type) for field in info.fields}
+
+
+def _field(declared: inspect.Type) -> Field:
+    assert isinstance(declared, inspect.Metadata), "a field is declared with `about`"
+    unit = (declared.extra or {})["unit"]
+    meaning = (declared.extra_json_schema or {})["description"]
+    return Field(_wire_type(declared.type), unit, meaning)
+
+
+def _wire_type(declared: inspect.Type) -> str:
+    match declared:
+        case inspect.StructType(cls=cls):
+            return cls.__name__
+        case inspect.VarTupleType(item_type=item, min_length=size):
+            return f"{_wire_type(item)}[{'*' if size is None else size}]"
+    return _SCALARS[type(declared)]

@@ -290,7 +290,7 @@ class WorldFaults(Record, frozen=True, tag="ailments"):
 
     route: ClassVar[Route] = Route("cmd/grant", "console", "world")
 
-    faults: Annotated[bytes, about("MessagePack: a list of world.faults.WorldFault values")]
+    faults: Annotated[bytes, about("MessagePack: Fault[*]")]
 
 
 class Note(Record, frozen=True, tag="note"):

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from loops import agent_config
+from msgspec import structs
 
 from agents.agent import Agent
 from agents.compact import PER_METRE, PER_MPS, ROUNDS, SIZE, OutOfRange, decode, encode
@@ -113,13 +114,13 @@ def test_agents_speak_and_understand_it() -> None:
     nav = Nav(0, 0, (1.23, 4.56, 7.89, 0.0, 0.0), (0.7, 0.0, 0.0, 0.0, 0.0))
     [payload] = one.transmit(nav)
     assert len(payload) == SIZE
-    two.step(nav._replace(eta=(0.0,) * 5), ())
-    two.step(nav._replace(tick=7, eta=(0.0,) * 5), [Delivery(7, 0, 1, 0, 0, payload)])
+    two.step(structs.replace(nav, eta=(0.0,) * 5), ())
+    two.step(structs.replace(nav, tick=7, eta=(0.0,) * 5), [Delivery(7, 0, 1, 0, 0, payload)])
     [heard] = two._neighbours.heard(7)
     assert (heard.id, heard.age) == (1, 0.07)
     assert heard.velocity == (0.7, 0.0, 0.0)
     assert two.counters()["accepted"] == 1
-    two.step(nav._replace(tick=8, eta=(0.0,) * 5), [Delivery(8, 0, 1, 1, 0, b"\0" * 63)])
+    two.step(structs.replace(nav, tick=8, eta=(0.0,) * 5), [Delivery(8, 0, 1, 1, 0, b"\0" * 63)])
     assert two.counters()["length"] == 1
 
 
@@ -127,12 +128,12 @@ def test_a_state_beyond_the_range_is_noted_once_and_not_sent() -> None:
     one = compact_agent(1)
     far = Nav(0, 0, (7000.0, 0.0, 0.0, 0.0, 0.0), (0.0,) * 5)
     assert one.transmit(far) == ()
-    assert one.transmit(far._replace(tick=10)) == ()
+    assert one.transmit(structs.replace(far, tick=10)) == ()
     [(tick, text)] = one.take_notes()
     assert tick == 0
     assert "x is 7000, beyond 6553.55" in text
-    assert len(one.transmit(far._replace(tick=20, eta=(0.0,) * 5))) == 1
+    assert len(one.transmit(structs.replace(far, tick=20, eta=(0.0,) * 5))) == 1
     again = compact_agent(1)
     again.restore(one.state())
-    assert again.transmit(far._replace(tick=30)) == ()
+    assert again.transmit(structs.replace(far, tick=30)) == ()
     assert again.take_notes() == []

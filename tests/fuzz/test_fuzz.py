@@ -24,6 +24,7 @@ from any_message import ANY_MESSAGE, messages
 from click.testing import CliRunner
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from msgspec.structs import astuple
 from nowhere import Nowhere, serve
 
 import fleet
@@ -321,7 +322,7 @@ def test_no_neighbour_crashes_an_agent(controller: str, heard: list[tuple[int, b
                 Delivery(max(1, when + tick), tick, sender, number, 0, payload)
                 for number, (when, payload) in enumerate(heard)
             ]
-            kept = tuple(sorted(d for d in due if tick < d.due_tick <= tick + m))
+            kept = tuple(sorted((d for d in due if tick < d.due_tick <= tick + m), key=astuple))
             answers += loop.inbox(Inbox(0, tick + m, False, kept))
         answers += loop.nav(Nav(0, tick, eta, nu))
     commands = [answer for answer in answers if isinstance(answer, Command)]

@@ -7,12 +7,14 @@ import subprocess
 import sys
 from dataclasses import fields
 from pathlib import Path
+from typing import get_args
 
 import pytest
 from repository import ROOT
 
 from fleet.protocol import slice_fields
-from fleet.protocol.page import page
+from fleet.protocol.page import FAULT, page
+from world.faults import WorldFault, WorldFaultKind
 
 CHECKS = {
     "ruff check": [sys.executable, "-m", "ruff", "check", "."],
@@ -74,6 +76,27 @@ def test_paper_page_links_lead_to_what_they_name() -> None:
 def test_the_protocol_page_knows_every_field_of_a_slice(cls: type) -> None:
     """And calls them by the keys under which they travel, in their order."""
     assert list(slice_fields.FIELDS[cls]) == [field.name for field in fields(cls)]
+
+
+def test_the_protocol_page_defines_every_type_that_it_names() -> None:
+    """Who writes a decoder finds each type of a table as a heading, or among the basic types of the first section."""
+    text = page()
+    basic = {"uint", "bool", "str", "bin", "real", "map", "nil", "null"}
+    assert all(f"`{name}" in text for name in basic - {"map", "nil", "null"})
+    headings = set(re.findall(r"^###? `(\w+)`", text, re.MULTILINE))
+    tables = re.findall(r"^\| (?:field|key) \| type .*\n\|[-|]+\n((?:\|.*\n)+)", text, re.MULTILINE)
+    types = {row.split(" | ")[1] for table in tables for row in table.splitlines()}
+    words = {word for cell in types for word in re.split(r"\[\S*\]|, | or ", cell) if word}
+    assert {"Life", "Tumble", "Frame", "Fate", "Offset"} <= words
+    assert words <= headings | basic
+    named = set(re.findall(r"(\w+)\[(?:\*|n|\d)\]", text)) - {"x"}
+    assert named <= headings | basic
+    assert "world.faults" not in text
+
+
+def test_the_protocol_page_knows_every_field_of_a_fault() -> None:
+    assert list(FAULT) == list(WorldFault.__annotations__)
+    assert all(f"\n| {kind}" in page() or f", {kind} |" in page() for kind in get_args(WorldFaultKind))
 
 
 def test_protocol_page_is_current() -> None:

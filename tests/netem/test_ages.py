@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from msgspec.structs import astuple
 
 from fleet.recorder.connectivity import Connectivity
 from fleet.recorder.separation import Separation
@@ -36,7 +37,7 @@ def histories(draw: st.DrawFn) -> tuple[list[Fate], int]:
     )  # fmt: skip
     fates = [fate(*link, sent, min(sent + late, end - 1), cause, bad and cause == "delivered")
              for link, sent, late, cause, bad in draw(st.lists(some, max_size=40))]  # fmt: skip
-    return sorted(fates), end
+    return sorted(fates, key=astuple), end
 
 
 def ages(fates: list[Fate], link: tuple[int, int], end: int) -> list[int]:

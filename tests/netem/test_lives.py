@@ -15,6 +15,7 @@ from fault_histories import EVERYTHING, drive, told, world
 from hypothesis import given
 from hypothesis import strategies as st
 from live import LiveRun
+from msgspec.structs import astuple
 from small_scenario import only_problem, small
 
 from fleet.logs.reader import digest
@@ -70,7 +71,7 @@ def test_a_restart_is_a_new_incarnation_from_its_round_on() -> None:
     assert navs == [(k, 0) for k in range(17)] + [(k, 1) for k in range(30, 50)]
     assert [r.alive for r in kept(out, "Round")] == [(1, 2, 3, 4)] * 2 + [(1, 3, 4)] + [(1, 2, 3, 4)] * 2
     # Every fourth tick is told, and still when exactly somebody went and came.
-    told_when = [(f.tick, *f.lives) for f in kept(out, "Frame") if f.lives]
+    told_when = [(f.tick, *map(astuple, f.lives)) for f in kept(out, "Frame") if f.lives]
     assert told_when == [(20, (17, 2, False, False)), (32, (30, 2, True, False))]
     rows = {f.tick: f.vehicles[1] for f in kept(out, "Frame")}
     assert [bool(rows[k].command) for k in (16, 20, 28, 32)] == [True, False, False, True]

@@ -10,6 +10,7 @@ import pytest
 from any_condition import conditions as any_conditions
 from hypothesis import given
 from hypothesis import strategies as st
+from msgspec.structs import astuple
 
 from netem.condition import Condition, Link
 from netem.config import NetemConfig
@@ -87,7 +88,7 @@ def test_inboxes_hold_exactly_what_is_delivered_in_order(per_link: dict[Link, Co
         outcome = netem.exchange(tick, {i: sent.get(i, ()) for i in (1, 2, 3)})
         told += outcome.fates
         for i, inbox in outcome.inboxes.items():
-            assert list(inbox) == sorted(inbox, key=lambda d: d[:5])
+            assert list(inbox) == sorted(inbox, key=lambda d: astuple(d)[:5])
             assert all(tick < d.due_tick <= tick + 10 for d in inbox)
             delivered += [(d.src, i, d.seq, d.due_tick, d.payload) for d in inbox]
     end = 10 * len(traffic)

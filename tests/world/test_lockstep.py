@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from msgspec.structs import replace
 
 from agents.loop import AgentLoop
 from fleet.recorder.journal import Journal
@@ -71,7 +72,7 @@ def test_commands_out_of_place_are_refused() -> None:
     with pytest.raises(OutOfPlace, match="incarnation"):
         lockstep.command(1, command(0, incarnation=1))
     with pytest.raises(OutOfPlace, match="telemetry values"):
-        lockstep.command(1, command(0)._replace(telemetry=(1.0,)))
+        lockstep.command(1, replace(command(0), telemetry=(1.0,)))
     lockstep.command(1, command(0))
     assert lockstep.waiting_for[0] == (2, 0)
     with pytest.raises(OutOfPlace, match="tick: expected 1, got 0"):
@@ -128,7 +129,7 @@ def test_an_inbox_in_parts_counts_once_it_is_whole() -> None:
     loop = AgentLoop(core, 2)
     loop.nav(nav(0))
     loop.nav(nav(1))
-    assert loop.inbox(inbox(2, 1)._replace(more=True)) == []
+    assert loop.inbox(replace(inbox(2, 1), more=True)) == []
     assert [type(m) for m in loop.inbox(inbox(2, 1))] == [Command]
     assert core.seen[-1] == (1, [1, 1])
 

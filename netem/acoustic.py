@@ -40,7 +40,7 @@ from typing import Any, NamedTuple
 from netem.causes import COLLISION, DEAD_RECEIVER, DEAD_SENDER, HALF_DUPLEX, IN_FLIGHT, MTU, MUTE, RANGE, REPLACED, SNR
 from netem.config import NetemConfig
 from netem.draws import uniform
-from netem.faults import Weather, weather
+from netem.faults import ActiveFaults, active_faults
 from netem.network import Exchange, Netem, Packet
 from netem.propagation import decibels, power
 from netem.wire.messages import Fate
@@ -133,7 +133,7 @@ class AcousticNetem(Netem):
         """
         if positions is None:
             raise ValueError("an acoustic channel needs the vehicles' positions")
-        now, until = weather(self.faults, tick), tick + self.config.round_ticks
+        now, until = active_faults(self.faults, tick), tick + self.config.round_ticks
         self._places.update(positions)
         for src in sorted(transmissions):
             for payload in transmissions[src]:
@@ -164,7 +164,7 @@ class AcousticNetem(Netem):
 
     # ---------------------------------------------------------------------------------- the modems
 
-    def _take(self, tick: int, src: int, payload: bytes, now: Weather) -> None:
+    def _take(self, tick: int, src: int, payload: bytes, now: ActiveFaults) -> None:
         """An agent's payload comes, and enters every link of its sender."""
         station = self._stations[src]
         sent = Waiting(tick + now.slow.get(src, 0), station.seq, tick, payload)
@@ -176,7 +176,7 @@ class AcousticNetem(Netem):
         else:
             station.late = sorted([*station.late, sent])
 
-    def _starts(self, src: int, until: int, now: Weather) -> Iterator[tuple[int, Waiting]]:
+    def _starts(self, src: int, until: int, now: ActiveFaults) -> Iterator[tuple[int, Waiting]]:
         """What a modem puts on the air before tick `until`, with the ticks at which each starts."""
         station = self._stations[src]
         while True:
@@ -225,7 +225,7 @@ class AcousticNetem(Netem):
 
     # ---------------------------------------------------------------------------------- the water
 
-    def _transmit(self, src: int, start: int, sent: Waiting, now: Weather) -> Burst:
+    def _transmit(self, src: int, start: int, sent: Waiting, now: ActiveFaults) -> Burst:
         """Put a payload on the air: on every link of its sender either lost at once, or to be received."""
         tick_ns, modem = self.config.tick_ns, self._acoustic.modem
         airtime = modem.airtime_ns(len(sent.payload))

@@ -91,7 +91,7 @@ def _check(condition: Condition) -> None:
         msgspec.convert(asdict(model), type(model))
 
 
-class Weather(NamedTuple):
+class ActiveFaults(NamedTuple):
     """What the faults that are active at a tick do."""
 
     conditions: dict[Link, Condition]  # in place of the link's own
@@ -102,14 +102,14 @@ class Weather(NamedTuple):
     slow: dict[int, int]  # vehicle -> by how many ticks what it sends is late
 
 
-CALM = Weather({}, {}, frozenset(), frozenset(), frozenset(), {})
+NO_FAULTS = ActiveFaults({}, {}, frozenset(), frozenset(), frozenset(), {})
 
 
-def weather(faults: tuple[NetFault, ...], tick: int) -> Weather:
+def active_faults(faults: tuple[NetFault, ...], tick: int) -> ActiveFaults:
     """What holds at a tick; `faults` in the order in which they begin."""
     active = [fault for fault in faults if fault.active(tick)]
     if not active:
-        return CALM
+        return NO_FAULTS
     conditions: dict[Link, Condition] = {}
     cut: dict[Link, str] = {}
     mute: set[int] = set()
@@ -133,4 +133,4 @@ def weather(faults: tuple[NetFault, ...], tick: int) -> Weather:
                 mute.update(fault.vehicles)
             case "deaf":
                 deaf.update(fault.vehicles)
-    return Weather(conditions, cut, frozenset(mute), frozenset(deaf), frozenset(up), slow)
+    return ActiveFaults(conditions, cut, frozenset(mute), frozenset(deaf), frozenset(up), slow)

@@ -10,7 +10,7 @@ PER_DECADE = 20  # buckets, so a percentile is at most 12 % too high
 LEAST_NS = 1_000  # everything below counts as this
 
 
-class Spread:
+class Histogram:
     """A histogram of durations [ns] on a logarithmic scale; negative ones are counted apart from it."""
 
     def __init__(self) -> None:

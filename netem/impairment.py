@@ -35,7 +35,7 @@ _NORMAL = NormalDist()
 _TINY = 2.0**-53
 
 
-class Verdict(NamedTuple):
+class LinkOutcome(NamedTuple):
     """The fate decided at the sending tick: when the packet leaves, its payload then, or the cause of its loss."""
 
     delay_ns: int
@@ -82,7 +82,7 @@ class LinkModel:
     def state(self) -> LinkState:
         return self._state
 
-    def enter(self, now_ns: int, seq: int, payload: bytes, over: Condition | None = None) -> list[Verdict]:
+    def enter(self, now_ns: int, seq: int, payload: bytes, over: Condition | None = None) -> list[LinkOutcome]:
         """The verdict on packet `seq`, sent at `now_ns`; a second one when the link duplicates it.
 
         `over` is the condition of a fault that lies over the link's own.
@@ -92,19 +92,19 @@ class LinkModel:
         c = self.condition if over is None else over
         self._used = c
         if not c.up:
-            return [Verdict(0, DOWN, payload, False)]
+            return [LinkOutcome(0, DOWN, payload, False)]
         copies = 2 if c.duplicate and self._chance("duplicate", c.duplicate, c.duplicate_correlation, seq, 0) else 1
         lost = self._lost(seq, 0)
         if copies == 1:
-            return [Verdict(0, LOSS, payload, False) if lost else self._queue(now_ns, seq, 0, payload)]
+            return [LinkOutcome(0, LOSS, payload, False) if lost else self._queue(now_ns, seq, 0, payload)]
         # The clone enters first and is not duplicated again, but may be lost on its own.
         if lost:
             return [self._queue(now_ns, seq, 0, payload)]
         clone_lost = self._lost(seq, 1)
-        clone = Verdict(0, LOSS, payload, False) if clone_lost else self._queue(now_ns, seq, 1, payload)
+        clone = LinkOutcome(0, LOSS, payload, False) if clone_lost else self._queue(now_ns, seq, 1, payload)
         return [self._queue(now_ns, seq, 0, payload), clone]
 
-    def _queue(self, now_ns: int, seq: int, copy: int, payload: bytes) -> Verdict:
+    def _queue(self, now_ns: int, seq: int, copy: int, payload: bytes) -> LinkOutcome:
         c, leaving = self._used, self._state.leaving_ns
         corrupted = bool(payload and c.corrupt) and self._chance("corrupt", c.corrupt, c.corrupt_correlation, seq, copy)
         if corrupted:
@@ -112,10 +112,10 @@ class LinkModel:
         while leaving and leaving[0] <= now_ns:
             leaving.pop(0)
         if len(leaving) >= c.limit:
-            return Verdict(0, QUEUE, payload, corrupted)
+            return LinkOutcome(0, QUEUE, payload, corrupted)
         if self._reordered(seq, copy):
             self._state.since_reordered = 0
-            return Verdict(0, "", payload, corrupted)
+            return LinkOutcome(0, "", payload, corrupted)
         self._state.since_reordered += 1
         delay = self._delay(seq, copy)
         start = now_ns
@@ -130,7 +130,7 @@ class LinkModel:
         while at and leaving[at - 1] > leaves:
             at -= 1
         leaving.insert(at, leaves)
-        return Verdict(leaves - now_ns, "", payload, corrupted)
+        return LinkOutcome(leaves - now_ns, "", payload, corrupted)
 
     def _reordered(self, seq: int, copy: int) -> bool:
         c = self._used

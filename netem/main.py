@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from netem.config import NetemConfig
 from netem.process import NetemProcess
-from netem.realtime_rounds import FreeRounds
+from netem.realtime_rounds import RealtimeRounds
 from netem.rounds import Rounds
 from netem.wire.access import Credentials
 from netem.wire.bus import Bus, quiet_zenoh
@@ -24,6 +24,6 @@ def run(endpoint: str, run_id: str, credentials: Credentials, config: NetemConfi
 def _process(bus: Bus, keys: Keys, config: NetemConfig, real: bool) -> NetemProcess:
     if not real:
         return NetemProcess(bus, keys, config, Rounds(config))
-    from netem.realtime_process import FreeNetemProcess  # which is one of these
+    from netem.realtime_process import RealtimeNetemProcess  # which is one of these
 
-    return FreeNetemProcess(bus, keys, config, FreeRounds(config))
+    return RealtimeNetemProcess(bus, keys, config, RealtimeRounds(config))

@@ -17,8 +17,8 @@ from msgspec.structs import astuple, replace
 from netem.causes import DEAD_RECEIVER, DEAF, DELIVERED, IN_FLIGHT, MUTE
 from netem.condition import Condition, Link, condition_from_values, condition_values
 from netem.config import NetemConfig
-from netem.faults import Weather, fault_from_values, fault_values, weather
-from netem.impairment import LinkModel, LinkState, Verdict
+from netem.faults import ActiveFaults, active_faults, fault_from_values, fault_values
+from netem.impairment import LinkModel, LinkOutcome, LinkState
 from netem.ledger import Ledger
 from netem.wire.messages import Delivery, Fate
 
@@ -88,7 +88,7 @@ class Netem:
             and every fate that became final in (k - m, k].
         """
         config = self.config
-        now = weather(self.faults, tick)
+        now = active_faults(self.faults, tick)
         dropped: list[Fate] = []
         for src in sorted(transmissions):
             for payload in transmissions[src]:
@@ -125,7 +125,7 @@ class Netem:
         """The condition of a link now."""
         return self._models[link].condition
 
-    def _enter(self, tick: int, src: int, dst: int, payload: bytes, now: Weather) -> list[Fate]:
+    def _enter(self, tick: int, src: int, dst: int, payload: bytes, now: ActiveFaults) -> list[Fate]:
         """Let a payload into a link; the fates of what is lost at once."""
         config, link = self.config, (src, dst)
         seq = self._next_seq[link]
@@ -147,7 +147,7 @@ class Netem:
                 heapq.heappush(self._pending[dst], packet)
         return lost
 
-    def _verdicts(self, at_ns: int, link: Link, seq: int, payload: bytes, now: Weather) -> list[Verdict]:
+    def _verdicts(self, at_ns: int, link: Link, seq: int, payload: bytes, now: ActiveFaults) -> list[LinkOutcome]:
         """What a link does to a packet that enters it at a time."""
         model, over = self._models[link], now.conditions.get(link)
         if link in now.up:
@@ -156,7 +156,7 @@ class Netem:
         return model.enter(at_ns, seq, payload, over)
 
     def _announce(
-        self, alive: Mapping[int, Any], until: int, now: Weather
+        self, alive: Mapping[int, Any], until: int, now: ActiveFaults
     ) -> tuple[dict[int, tuple[Delivery, ...]], list[Fate]]:
         """The inboxes of the living, and what falls due at those who cannot hear it."""
         inboxes = {}

@@ -14,7 +14,7 @@ from netem.config import NetemConfig
 from netem.errors import MalformedMessage, OutOfPlace
 from netem.faults import read_faults
 from netem.lives import Absence, Lives
-from netem.realtime_rounds import FreeRounds
+from netem.realtime_rounds import RealtimeRounds
 from netem.rounds import Rounds
 from netem.wire.access import NETEM
 from netem.wire.bus import PART_BYTES, Bus, Respond
@@ -47,10 +47,10 @@ _ECHO = encode(Hello(NETEM, 0, 0, PROTOCOL_VERSION, True))
 class NetemProcess:
     """Dispatches what comes in to `Rounds` and publishes what comes out."""
 
-    def __init__(self, bus: Bus, keys: Keys, config: NetemConfig, rounds: Rounds | FreeRounds) -> None:
+    def __init__(self, bus: Bus, keys: Keys, config: NetemConfig, rounds: Rounds | RealtimeRounds) -> None:
         self._round_key = keys.round
         self._rounds = rounds
-        self._shell = Shell(bus, NETEM, keys.note(NETEM), drop=isinstance(rounds, FreeRounds))
+        self._shell = Shell(bus, NETEM, keys.note(NETEM), drop=isinstance(rounds, RealtimeRounds))
         self._inbox: dict[int, Callable[[bytes], None]] = {i: bus.publisher(keys.rx(i)) for i in config.vehicles}
         self._links = bus.publisher(keys.links)
         self._round_heard = False

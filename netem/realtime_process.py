@@ -8,18 +8,18 @@ from time import monotonic_ns
 from typing import cast
 
 from netem.process import NetemProcess
-from netem.realtime_rounds import FreeRounds
+from netem.realtime_rounds import RealtimeRounds
 from netem.wire.messages import Message, Pace, Receipt, Round, Transmission
 
 
-class FreeNetemProcess(NetemProcess):
+class RealtimeNetemProcess(NetemProcess):
     """Exchanges when it is time. The pace is the world's, which says it anew every round."""
 
     _pace = Pace(0, 0, 1)
 
     def serve(self) -> None:
         """Tick by tick, until the process is ended."""
-        free, shell = cast(FreeRounds, self._rounds), self._shell
+        free, shell = cast(RealtimeRounds, self._rounds), self._shell
         while True:
             wait = (self._middle_ns(free.tick) - monotonic_ns()) / 1e9 if free.known else None
             if wait is None or wait > 0:
@@ -43,7 +43,7 @@ class FreeNetemProcess(NetemProcess):
         return self._pace.at_ns + (tick - self._pace.tick) * self._pace.period_ns
 
     def _from_agent(self, i: int, message: Message) -> None:
-        free = cast(FreeRounds, self._rounds)
+        free = cast(RealtimeRounds, self._rounds)
         if isinstance(message, Receipt):
             free.receipt(i, message, self._begin_ns)
         elif isinstance(message, Transmission):
@@ -53,4 +53,4 @@ class FreeNetemProcess(NetemProcess):
         if isinstance(message, Pace):
             self._pace = message
         elif isinstance(message, Round):
-            cast(FreeRounds, self._rounds).round(message)
+            cast(RealtimeRounds, self._rounds).round(message)

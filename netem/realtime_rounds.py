@@ -17,7 +17,7 @@ from netem.acoustic import AcousticNetem
 from netem.condition import Link
 from netem.config import NetemConfig
 from netem.errors import OutOfPlace
-from netem.histogram import Spread
+from netem.histogram import Histogram
 from netem.lives import Lives
 from netem.network import Netem
 from netem.wire.messages import Delivery, Fate, Inbox, LinkReport, Receipt, Round, Transmission
@@ -34,7 +34,7 @@ class Handed:
     put_ns: int
 
 
-class FreeRounds:
+class RealtimeRounds:
     """Feeds `Netem` tick by tick with what has come."""
 
     def __init__(self, config: NetemConfig) -> None:
@@ -52,10 +52,10 @@ class FreeRounds:
         self._round: Round | None = None
         self._fates: list[Fate] = []
         self._handed: dict[int, dict[tuple[int, int, int], Handed]] = {i: {} for i in config.vehicles}
-        self.injected: dict[Link, Spread] = {link: Spread() for link in config.links}
-        self.measured: dict[Link, Spread] = {link: Spread() for link in config.links}
-        self.hop = Spread()
-        self.margin = Spread()
+        self.injected: dict[Link, Histogram] = {link: Histogram() for link in config.links}
+        self.measured: dict[Link, Histogram] = {link: Histogram() for link in config.links}
+        self.hop = Histogram()
+        self.margin = Histogram()
         self.overdue = 0  # deliveries used after their due tick
 
     @property

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from netem.wire.access import WORLD as WORLD
-from netem.wire.access import Credentials, Door
+from netem.wire.access import Credentials, Listener
 from netem.wire.audit import Refusals, listen
 from netem.wire.bus import Bus, quiet_zenoh
 from netem.wire.keys import Keys
@@ -23,7 +23,7 @@ def run(
     config: WorldConfig,
     frame_every: int,
     speed: float | None,
-    door: Door | None = None,
+    listener: Listener | None = None,
     audit: bool = False,
 ) -> None:
     """Host the router and serve the sea of a run until the process is ended.
@@ -36,11 +36,11 @@ def run(
         config: the world's part of the scenario.
         frame_every: a frame is due every so many ticks.
         speed: how fast ticks begin, times real time; None: lockstep.
-        door: where the router listens besides; None: only at `endpoint`.
+        listener: where the router listens besides; None: only at `endpoint`.
         audit: report also which messages the router refuses, not only which logins.
     """
     keys = Keys(run_id)
-    bus, refusals = host(endpoint, keys, credentials, private, config, door, audit=audit)
+    bus, refusals = host(endpoint, keys, credentials, private, config, listener, audit=audit)
     _process(bus, keys, config, frame_every, speed, refusals).serve()
 
 
@@ -50,14 +50,14 @@ def host(
     credentials: dict[str, Credentials],
     private: Path,
     config: WorldConfig,
-    door: Door | None,
+    listener: Listener | None,
     *,
     audit: bool,
 ) -> tuple[Bus, Refusals]:
     """The run's router, and what it refuses."""
     refusals = Refusals()
     listen(refusals, decisions=audit)
-    bus = Bus.host(endpoint, keys, tuple(setup.id for setup in config.vehicles), credentials, private, door)
+    bus = Bus.host(endpoint, keys, tuple(setup.id for setup in config.vehicles), credentials, private, listener)
     if audit:
         bus.watch_ends(refusals.end)
     return bus, refusals

@@ -5,7 +5,7 @@ from __future__ import annotations
 from time import monotonic_ns
 from typing import Any
 
-from netem.histogram import Spread
+from netem.histogram import Histogram
 from netem.wire.audit import Refusals
 from netem.wire.bus import Bus
 from netem.wire.codec import encode
@@ -45,9 +45,9 @@ class RealtimeWorldProcess(WorldProcess):
         patience = max(LEAST_PATIENCE, PATIENCE_NS // self._schedule.period_ns)
         self._realtime = run = RealtimeRun(config, frame_every=frame_every, patience=patience)
         self._began_ns: dict[int, int] = {}  # by tick, of the last ones
-        self._lag, self._gap = Spread(), Spread()
-        self._response = {i: Spread() for i in run.state.ids}
-        self._gaps = {i: Spread() for i in run.state.ids}
+        self._lag, self._gap = Histogram(), Histogram()
+        self._response = {i: Histogram() for i in run.state.ids}
+        self._gaps = {i: Histogram() for i in run.state.ids}
         self._heard_ns: dict[int, int] = {}
         super().__init__(bus, keys, run, refusals)
 

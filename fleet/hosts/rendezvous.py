@@ -15,7 +15,7 @@ from fleet.errors import FleetError
 from fleet.hosts.certificates import ALWAYS, OWN, SERVER, CertsError, Pair, host_name, read_ca, read_client, read_server
 from fleet.hosts.certificates import path as certificate_path
 from netem.whole_file import read_file
-from netem.wire.access import Credentials, Door, agent_role, generate
+from netem.wire.access import Credentials, Listener, agent_role, generate
 from netem.wire.keys import Keys
 
 # Between hosts. A pull of up to a third of it is carried: the last sign of life may be a quarter of the lease old when
@@ -63,7 +63,7 @@ class Meeting:
     run: str | None = None  # the run's id, where a router has to know it beforehand
     router: str | None = None  # an endpoint: the router that is there already; None: the world hosts one
     credentials: dict[str, Credentials] | None = None  # by role; None: fresh ones
-    door: Door | None = None  # where the run's own router listens for other hosts
+    listener: Listener | None = None  # where the run's own router listens for other hosts
     reached: str = ""  # endpoints for join files, with commas between them; empty: those of this host
     ca: str = ""  # PEM: goes into join files
     certificates: dict[str, Pair] = field(default_factory=dict)  # of external agents, by role
@@ -130,7 +130,9 @@ def listening(
         hosts = hosts or [_own_address() if endpoint.wildcard else endpoint.host]
         reached = ",".join(str(Endpoint("tcp", host, endpoint.port)) for host in hosts)
         warnings = () if endpoint.loopback else (IN_CLEAR.format(endpoint=endpoint),)
-        return Meeting(door=Door((str(endpoint),), lease_ms), reached=reached, lease_ms=lease_ms, warnings=warnings)
+        return Meeting(
+            listener=Listener((str(endpoint),), lease_ms), reached=reached, lease_ms=lease_ms, warnings=warnings
+        )
     if certs is None:
         raise HostsError(f"{endpoint} needs certificates: make them with fleet certs DIR --host NAME, then --certs DIR")
     server = read_server(certs)
@@ -140,7 +142,7 @@ def listening(
     _covered(hosts, server.hosts, certs)
     roles = [agent_role(i) for i in external] if mutual else []
     return Meeting(
-        door=Door(
+        listener=Listener(
             (str(endpoint),), lease_ms, server.ca, server.pair.certificate, server.pair.key, certified=frozenset(roles)
         ),
         reached=",".join(str(Endpoint("tls", host, endpoint.port)) for host in hosts),

@@ -17,7 +17,7 @@ from mcap.writer import CompressionType, Writer
 from fleet.errors import FleetError
 from fleet.replay.capture_format import ATTACHMENT, DELETE, ENCODING, KIND, PROFILE, PUT, message_encoding
 from fleet.terminal.status_line import StatusLine
-from netem.wire.open_bus import OpenBus, Sample, sample_of
+from netem.wire.open_bus import OpenBus, ZenohSample, sample_of
 
 FLUSH_NS = 1_000_000_000  # a recorder that is killed loses so much at most
 POLL_S = 0.1
@@ -63,7 +63,7 @@ class TrafficWriter:
         """How much is written out; what is not flushed yet does not count."""
         return self._file.tell() if not self._file.closed else self.path.stat().st_size
 
-    def add(self, sample: Sample, at_ns: int) -> None:
+    def add(self, sample: ZenohSample, at_ns: int) -> None:
         """Append a sample that was received at `at_ns` [ns since 1970].
 
         Raises:

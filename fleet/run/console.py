@@ -50,7 +50,7 @@ from fleet.run.supervisor import Guardian
 from fleet.scenario.scenario import Scenario, frame_every
 from netem.errors import BusError, MalformedMessage, OutOfPlace
 from netem.faults import NetFault, fault_values
-from netem.wire.access import CONSOLE, LEASE_MS, NETEM, OPERATOR, Credentials, Door, agent_role, generate
+from netem.wire.access import CONSOLE, LEASE_MS, NETEM, OPERATOR, Credentials, Listener, agent_role, generate
 from netem.wire.bus import Bus, Respond
 from netem.wire.codec import encode
 from netem.wire.control import read_map, request
@@ -173,11 +173,15 @@ class Console:
         scenario, keys = self._scenario, self._keys
         meeting = self._meeting
         credentials = meeting.credentials or generate(self._vehicles)
-        door = meeting.door
+        listener = meeting.listener
         if self._port is not None and not meeting.router:
             loopback = f"tcp/127.0.0.1:{free_port(self._port)}"
-            door = Door((loopback,), LEASE_MS) if door is None else replace(door, endpoints=(loopback, *door.endpoints))
-        allow_open_files(scenario.vehicles, strangers=PENDING if door else 0)
+            listener = (
+                Listener((loopback,), LEASE_MS)
+                if listener is None
+                else replace(listener, endpoints=(loopback, *listener.endpoints))
+            )
+        allow_open_files(scenario.vehicles, strangers=PENDING if listener else 0)
         private = self._private = PrivateFolder()
         endpoint = meeting.router or private.endpoint
         if meeting.router:
@@ -186,7 +190,7 @@ class Console:
         sea = scenario.world_config(), frame_every(scenario), self._pace
         network = scenario.netem_config(), self._pace is not None
         targets: dict[str, tuple[Callable[..., None], tuple[Any, ...]]] = {
-            WORLD: (world.main.run, (endpoint, keys.run, clients, private.path, *sea, door, self._audit)),
+            WORLD: (world.main.run, (endpoint, keys.run, clients, private.path, *sea, listener, self._audit)),
             NETEM: (netem.main.run, (endpoint, keys.run, credentials[NETEM], *network)),
         }
         if meeting.router:
@@ -219,7 +223,7 @@ class Console:
         )
         assert self._bus is not None  # the world is among the roles
         joining = {role: meeting.joining(role, known) for role, known in credentials.items()}
-        self._joins.open(meeting.reached or (door.endpoints[0] if door else endpoint), keys.run, joining)
+        self._joins.open(meeting.reached or (listener.endpoints[0] if listener else endpoint), keys.run, joining)
         return self._bus
 
     def _start_process(self, role: str, *target: Any) -> None:

@@ -52,7 +52,7 @@ class Credentials:
 
 
 @dataclass(frozen=True, slots=True)
-class Door:
+class Listener:
     """Where the router listens for others, on this host or elsewhere, besides the socket of the run's own processes."""
 
     endpoints: tuple[str, ...]

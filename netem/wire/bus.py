@@ -17,7 +17,7 @@ import zenoh
 
 from netem.errors import BusError
 from netem.whole_file import write_whole
-from netem.wire.access import LEASE_MS, Credentials, Door, access_control
+from netem.wire.access import LEASE_MS, Credentials, Listener, access_control
 from netem.wire.keys import Keys
 from netem.wire.linger import never_linger
 from netem.wire.queues import Channel, Stamped
@@ -90,28 +90,28 @@ class Bus:
         vehicles: tuple[int, ...],
         credentials: dict[str, Credentials],
         private: Path,
-        door: Door | None = None,
+        listener: Listener | None = None,
     ) -> Bus:
         """The run's router: listens on `endpoint`, knows the users and enforces the access-control list.
 
         Args:
             private: a directory of mode 0700; zenoh reads the users from a file there, which is removed
                 as soon as the session is open.
-            door: where it listens for others than the run's own processes, too.
+            listener: where it listens for others than the run's own processes, too.
 
         Raises:
             BusError: the endpoint is taken or not ours to listen on.
         """
         users = _write_users(private, credentials.values())
-        endpoints = [endpoint, *(door.endpoints if door else ())]
-        certified = {role: [role] for role in door.certified} if door else {}
+        endpoints = [endpoint, *(listener.endpoints if listener else ())]
+        certified = {role: [role] for role in listener.certified} if listener else {}
         control = access_control(keys, vehicles, certified=certified)
         settings = {
-            **router_settings(len(vehicles), door.lease_ms if door else LEASE_MS),
+            **router_settings(len(vehicles), listener.lease_ms if listener else LEASE_MS),
             **listening(endpoints),
             "transport/auth/usrpwd/dictionary_file": str(users),
             "access_control": control,
-            **({} if door is None else server_tls(door)),
+            **({} if listener is None else server_tls(listener)),
         }
         try:
             bus = cls(zenoh.open(_config("router", settings)), endpoint)
@@ -119,7 +119,7 @@ class Bus:
             raise BusError(f"cannot listen on {' and '.join(endpoints)}: {_first_line(error)}") from None
         finally:
             users.unlink(missing_ok=True)
-        if door is not None:
+        if listener is not None:
             bus._watch(zenoh.SampleKind.PUT, lambda _: never_linger())
         return bus
 

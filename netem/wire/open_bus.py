@@ -15,7 +15,7 @@ from netem.wire.keys import Keys
 from netem.wire.settings import OTHERS, client_settings, listening
 
 
-class Sample(NamedTuple):
+class ZenohSample(NamedTuple):
     """What somebody put or deleted, with all that came along."""
 
     key: str
@@ -166,10 +166,10 @@ class OpenBus:
         self._session.close()  # type: ignore[no-untyped-call]
 
 
-def sample_of(received: Any) -> Sample:
+def sample_of(received: Any) -> ZenohSample:
     """Zenoh's sample as plain values."""
     attachment, stamp = received.attachment, received.timestamp
-    return Sample(
+    return ZenohSample(
         str(received.key_expr),
         received.payload.to_bytes(),
         received.kind == zenoh.SampleKind.DELETE,

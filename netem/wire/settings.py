@@ -20,7 +20,7 @@ from __future__ import annotations
 import base64
 from typing import Any
 
-from netem.wire.access import LEASE_MS, Credentials, Door
+from netem.wire.access import LEASE_MS, Credentials, Listener
 
 # ZENOH_RUNTIME, which zenoh reads when the first session of a process opens; it panics if that is malformed.
 RUNTIME = (
@@ -88,14 +88,14 @@ def client_tls(credentials: Credentials) -> dict[str, Any]:
     return settings
 
 
-def server_tls(door: Door) -> dict[str, Any]:
-    """The other side of `client_tls`; nothing where the door has no certificate."""
+def server_tls(listener: Listener) -> dict[str, Any]:
+    """The other side of `client_tls`; empty when the listener has no certificate."""
     settings: dict[str, Any] = {}
-    if door.certificate:
-        settings[f"{_TLS}/root_ca_certificate_base64"] = _base64(door.ca)
-        settings[f"{_TLS}/listen_certificate_base64"] = _base64(door.certificate)
-        settings[f"{_TLS}/listen_private_key_base64"] = _base64(door.key)
-        settings[f"{_TLS}/enable_mtls"] = bool(door.certified)
+    if listener.certificate:
+        settings[f"{_TLS}/root_ca_certificate_base64"] = _base64(listener.ca)
+        settings[f"{_TLS}/listen_certificate_base64"] = _base64(listener.certificate)
+        settings[f"{_TLS}/listen_private_key_base64"] = _base64(listener.key)
+        settings[f"{_TLS}/enable_mtls"] = bool(listener.certified)
     return settings
 
 

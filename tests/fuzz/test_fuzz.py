@@ -48,8 +48,8 @@ from netem.errors import MalformedMessage
 from netem.faults import NetFault, fault_values, read_faults
 from netem.grammar import parse_condition
 from netem.process import NetemProcess
-from netem.realtime_process import FreeNetemProcess
-from netem.realtime_rounds import FreeRounds
+from netem.realtime_process import RealtimeNetemProcess
+from netem.realtime_rounds import RealtimeRounds
 from netem.rounds import Rounds
 from netem.wire.bus import PART_BYTES
 from netem.wire.codec import decode, encode
@@ -243,8 +243,8 @@ def test_no_agent_crashes_a_run_on_a_wall_clock(put: list[tuple[tuple[int, bytes
     """The same for the processes that wait for nobody, while ticks come and go."""
     bus, config = Nowhere(), SCENARIO.world_config()
     world = RealtimeWorldProcess(bus, KEYS, config, 1, 1.0)  # type: ignore[arg-type]
-    rounds = FreeRounds(SCENARIO.netem_config())
-    network = FreeNetemProcess(bus, KEYS, SCENARIO.netem_config(), rounds)  # type: ignore[arg-type]
+    rounds = RealtimeRounds(SCENARIO.netem_config())
+    network = RealtimeNetemProcess(bus, KEYS, SCENARIO.netem_config(), rounds)  # type: ignore[arg-type]
     world._handle(KEYS.grant, encode(Grant(SCENARIO.ticks)))
     network._handle(Item(KEYS.round, encode(Begins(0, 0, config.tick_ns)), None))
     for (i, data), to in put:

@@ -459,12 +459,12 @@ def history(netem: Netem, sent: list[Traffic], where: list[Places], first: int =
 def test_ledger_balances_and_every_fate_is_told_once_in_its_round(
     acoustic: AcousticConfig,
     per_link: dict[Link, Condition],
-    weather: tuple[NetFault, ...],
+    faults: tuple[NetFault, ...],
     sent: list[Traffic],
     where: list[Places],
 ) -> None:
     """sent + duplicated = delivered + lost + in flight; a fate is final in the round that tells it; inboxes agree."""
-    netem = channel(acoustic, conditions=per_link, faults=weather)
+    netem = channel(acoustic, conditions=per_link, faults=faults)
     out = history(netem, sent, where)
     end = ROUND * len(sent)
     closing = netem.close(end)
@@ -492,16 +492,16 @@ def test_ledger_balances_and_every_fate_is_told_once_in_its_round(
 def test_state_and_restore_continue_as_if_uninterrupted(
     acoustic: AcousticConfig,
     per_link: dict[Link, Condition],
-    weather: tuple[NetFault, ...],
+    faults: tuple[NetFault, ...],
     sent: list[Traffic],
     where: list[Places],
     cut: int,
 ) -> None:
     cut = min(cut, len(sent))
     end = ROUND * len(sent)
-    whole = channel(acoustic, conditions=per_link, faults=weather)
+    whole = channel(acoustic, conditions=per_link, faults=faults)
     expected = [*history(whole, sent, where), whole.close(end)]
-    first = channel(acoustic, conditions=per_link, faults=weather)
+    first = channel(acoustic, conditions=per_link, faults=faults)
     out = history(first, sent[:cut], where)
     second = channel(acoustic)
     second.restore(msgpack.unpackb(msgpack.packb(first.state())))

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from netem.condition import Condition, FourState, GilbertElliott, condition_from_values, condition_values
 from netem.config import NetemConfig
-from netem.impairment import LinkModel, LinkState, Verdict
+from netem.impairment import LinkModel, LinkOutcome, LinkState
 from netem.network import Netem
 
 FloatArray = np.ndarray[Any, np.dtype[np.float64]]
@@ -27,7 +27,7 @@ def link(condition: Condition, seed: int = 1) -> LinkModel:
     return LinkModel(condition, seed, (1, 2))
 
 
-def send(model: LinkModel, n: int, every_ns: int = 10**9, payload: bytes = PAYLOAD) -> list[list[Verdict]]:
+def send(model: LinkModel, n: int, every_ns: int = 10**9, payload: bytes = PAYLOAD) -> list[list[LinkOutcome]]:
     """`n` packets, far enough apart that the queue is empty in between."""
     return [model.enter(k * every_ns, k, payload) for k in range(n)]
 

@@ -31,7 +31,7 @@ from fleet.run.directory import RunDirectory
 from fleet.run.execute import Options, Status, execute
 from fleet.scenario.loading import load_scenario
 from netem.errors import BusError
-from netem.wire.access import CONSOLE, LEASE_MS, NETEM, OPERATOR, Credentials, Door, agent_role, generate
+from netem.wire.access import CONSOLE, LEASE_MS, NETEM, OPERATOR, Credentials, Listener, agent_role, generate
 from netem.wire.bus import Bus, Respond
 from netem.wire.keys import Keys
 
@@ -85,8 +85,8 @@ class Hall:
         self.heard: list[tuple[str, str, bytes]] = []  # listener, key, data
         self.tokens: list[str] = []
         self._marks = 0
-        door = Door((self.port,), LEASE_MS)
-        world = Bus.host(self.endpoint, KEYS, VEHICLES, self.credentials, private, door)
+        listener = Listener((self.port,), LEASE_MS)
+        world = Bus.host(self.endpoint, KEYS, VEHICLES, self.credentials, private, listener)
         self.sessions = {WORLD: world}
         for role in ROLES:
             self.sessions[role] = self.join(role)

@@ -43,9 +43,9 @@ from fleet.run.in_process import InProcess
 from fleet.scenario.loading import load_scenario
 from fleet.scenario.scenario import Scenario, frame_every
 from netem.errors import OutOfPlace
-from netem.histogram import Spread
-from netem.realtime_process import FreeNetemProcess
-from netem.realtime_rounds import FreeRounds
+from netem.histogram import Histogram
+from netem.realtime_process import RealtimeNetemProcess
+from netem.realtime_rounds import RealtimeRounds
 from netem.wire.codec import decode, encode
 from netem.wire.control import request
 from netem.wire.keys import Keys
@@ -75,7 +75,7 @@ class Virtual:
         self.log = LogWriter(path, scenario)
         self.journal = Journal(scenario, self.log)
         self.world = RealtimeRun(scenario.world_config(), frame_every=frame_every(scenario))
-        self.network = FreeRounds(scenario.netem_config())
+        self.network = RealtimeRounds(scenario.netem_config())
         self.agents = {i: self._born(i, 0) for i in self.world.state.ids}
 
     def _born(self, i: int, incarnation: int) -> RealtimeLoop:
@@ -296,7 +296,7 @@ def test_ticks_never_begin_early_and_every_moved_moment_is_accounted_for(late: l
 
 @given(st.lists(st.integers(-5, 10**10), min_size=1, max_size=200), st.sampled_from([50, 95, 99]))
 def test_percentiles_are_those_of_numpy_to_the_width_of_a_bucket(values: list[int], percent: int) -> None:
-    spread = Spread()
+    spread = Histogram()
     for value in values:
         spread.add(value)
     exact = max(0.0, float(np.percentile(values, percent, method="inverted_cdf")))
@@ -344,13 +344,13 @@ def test_an_agent_uses_what_is_due_and_says_when_it_came() -> None:
         loop.nav(nav(5))
 
 
-def network() -> FreeRounds:
-    rounds = FreeRounds(load_scenario("paper", ["checks={}", "network.links={'*': 'delay 25ms'}"]).netem_config())
+def network() -> RealtimeRounds:
+    rounds = RealtimeRounds(load_scenario("paper", ["checks={}", "network.links={'*': 'delay 25ms'}"]).netem_config())
     rounds.round(Round(0, (1, 2, 3, 4), ((0.0,) * 3,) * 4, ()))
     return rounds
 
 
-def advance(rounds: FreeRounds, until: int) -> dict[int, list[tuple[int, Delivery]]]:
+def advance(rounds: RealtimeRounds, until: int) -> dict[int, list[tuple[int, Delivery]]]:
     """Exchange up to a tick; what each vehicle got, and when it was handed out."""
     got: dict[int, list[tuple[int, Delivery]]] = {}
     while rounds.tick < until:
@@ -367,7 +367,7 @@ def advance(rounds: FreeRounds, until: int) -> dict[int, list[tuple[int, Deliver
 def test_a_network_that_is_late_exchanges_nothing_after_the_end() -> None:
     """The end may be among what a tick that is overdue still takes in."""
     config, bus, items = SHORT.netem_config(), Nowhere(), Nowhere()
-    network = FreeNetemProcess(bus, KEYS, config, FreeRounds(config))  # type: ignore[arg-type]
+    network = RealtimeNetemProcess(bus, KEYS, config, RealtimeRounds(config))  # type: ignore[arg-type]
     network._shell.queue = items  # type: ignore[assignment]
     for said in (Pace(0, 0, 1000), Round(0, (1, 2, 3, 4), ((0.0,) * 3,) * 4, ())):
         items.queue.append(Item(KEYS.round, encode(said), None))

@@ -46,7 +46,7 @@ from fleet.run.connection import ask, find
 from fleet.scenario.loading import load_scenario
 from netem.errors import BusError
 from netem.whole_file import write_whole
-from netem.wire.access import Credentials, Door, agent_role, generate
+from netem.wire.access import Credentials, Listener, agent_role, generate
 from netem.wire.bus import Bus
 from netem.wire.codec import decode
 from netem.wire.keys import Keys
@@ -182,7 +182,11 @@ def test_any_other_text_is_refused_in_words(text: str) -> None:
 def test_agents_are_told_what_the_certificate_holds(made: Path) -> None:
     everywhere = listening("tls/0.0.0.0:7447", made)
     assert everywhere.reached == "tls/sea.example.org:7447,tls/192.0.2.7:7447,tls/[2001:db8::7]:7447"
-    assert everywhere.ca == (made / "ca.pem").read_text() and everywhere.door and everywhere.door.certified == set()
+    assert (
+        everywhere.ca == (made / "ca.pem").read_text()
+        and everywhere.listener
+        and everywhere.listener.certified == set()
+    )
     assert listening("tls/192.0.2.7:1", made).reached == "tls/192.0.2.7:1"
     assert listening("tls/0.0.0.0:1", made, ["SEA.example.org"]).reached == "tls/sea.example.org:1"
     with pytest.raises(HostsError, match=r"not for 192\.0\.2\.8.*fleet certs .* --host 192\.0\.2\.8 --force"):
@@ -212,7 +216,7 @@ def test_listening_for_nobody_is_warned_of(made: Path) -> None:
 
 def test_mutual_tls_takes_the_external_agents_certificates(made: Path) -> None:
     found = listening("tls/0.0.0.0:1", made, external=[2], mutual=True)
-    assert found.door and found.door.certified == {"agent-2"}
+    assert found.listener and found.listener.certified == {"agent-2"}
     assert found.certificates["agent-2"].certificate == (made / "agent-2.pem").read_text()
     with pytest.raises(CertsError, match=r"agent-3\.pem is missing; make it: fleet certs .* --agents 3"):
         listening("tls/0.0.0.0:1", made, external=[3], mutual=True)
@@ -481,14 +485,14 @@ class Port:
     def __init__(self, protocol: str, made: Path, private: Path, certified: tuple[str, ...] = ()) -> None:
         self.port, server = free_port(), certificates.read_server(made)
         self.credentials = generate((1, 2))
-        door = Door((f"{protocol}/127.0.0.1:{self.port}",), 20_000)
+        listener = Listener((f"{protocol}/127.0.0.1:{self.port}",), 20_000)
         if protocol == "tls":
             pem = (server.ca, server.pair.certificate, server.pair.key)
-            door = Door(door.endpoints, 20_000, *pem, certified=frozenset(certified))
+            listener = Listener(listener.endpoints, 20_000, *pem, certified=frozenset(certified))
         self.local = f"tcp/127.0.0.1:{free_port()}"
         self.relay = Relay(self.port)
         self.remote = f"{protocol}/127.0.0.1:{self.relay.port}"
-        self.bus = Bus.host(self.local, KEYS, (1, 2), self.credentials, private, door)
+        self.bus = Bus.host(self.local, KEYS, (1, 2), self.credentials, private, listener)
         self.bus.answer(KEYS.cfg("*"), lambda key, _, respond: respond(b"the slice for " + key.encode()))
 
     def user(self, role: str, **more: str) -> Credentials:
@@ -597,7 +601,11 @@ def test_the_pages_service_is_one(tmp_path: Path) -> None:
 
 def test_nothing_that_holds_secrets_shows_them() -> None:
     secret = Credentials("u", "swordfish", key="-----KEY-----")
-    values = [secret, Meeting(credentials={agent_role(1): secret}, door=Door((), 1, key="-----KEY-----")), [secret]]
+    values = [
+        secret,
+        Meeting(credentials={agent_role(1): secret}, listener=Listener((), 1, key="-----KEY-----")),
+        [secret],
+    ]
     assert "swordfish" not in f"{values}" and "-----KEY-----" not in f"{values}"
     assert Credentials.from_values(secret.to_values() | {"more": 1}) == secret
     assert secret.to_values() == {"user": "u", "password": "swordfish", "key": "-----KEY-----"}

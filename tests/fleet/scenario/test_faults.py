@@ -24,7 +24,7 @@ from fleet.scenario.loading import load_scenario, parse_scenario
 from fleet.scenario.sections.partitions import FaultError, partition
 from netem.condition import Condition
 from netem.config import NetemConfig
-from netem.faults import CALM, NetFault, weather
+from netem.faults import NO_FAULTS, NetFault, active_faults
 from netem.lives import Absence
 from netem.network import Netem
 from world.lockstep import Lockstep, NavTo
@@ -108,9 +108,15 @@ def test_faults_lie_over_the_links_own_condition() -> None:
         NetFault("b", 20, 30, "link", ((1, 2),), (), slow),
         NetFault("c", 20, None, "mute", vehicles=(3,)),
     )
-    assert [weather(faults, k).conditions.get((1, 2)) for k in (0, 10, 20, 30, 40)] == [None, lossy, slow, lossy, None]
-    assert [weather(faults, k).mute for k in (19, 20, 999)] == [frozenset(), frozenset({3}), frozenset({3})]
-    assert weather(faults, 5) == CALM
+    assert [active_faults(faults, k).conditions.get((1, 2)) for k in (0, 10, 20, 30, 40)] == [
+        None,
+        lossy,
+        slow,
+        lossy,
+        None,
+    ]
+    assert [active_faults(faults, k).mute for k in (19, 20, 999)] == [frozenset(), frozenset({3}), frozenset({3})]
+    assert active_faults(faults, 5) == NO_FAULTS
 
 
 def netem(*faults: NetFault) -> Netem:

@@ -19,7 +19,7 @@ from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 
-from netem.causes import DELIVERED
+from netem.causes import Cause
 from netem.condition import Link
 from netem.wire.messages import Fate
 
@@ -75,7 +75,7 @@ class Ages:
         Raises:
             KeyError: it names a link that does not exist.
         """
-        if fate.cause == DELIVERED and not fate.corrupted:
+        if fate.cause == Cause.DELIVERED and not fate.corrupted:
             self.links[fate.src, fate.dst].hear(fate.sent_tick, fate.due_tick)
 
     def heard(self) -> list[list[int]]:

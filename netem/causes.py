@@ -1,15 +1,33 @@
-"""What may become of a packet: the causes of a loss in the order of the ledger's columns, and the other fates."""
+"""What may become of a packet: the causes of a loss, and the other two fates."""
 
 from __future__ import annotations
 
-# The declared causes of a loss, in the order of the ledger's columns.
-LOSS, DOWN, QUEUE = "loss", "down", "queue"
-PARTITION, MUTE, DEAF, DEAD_RECEIVER = "partition", "mute", "deaf", "dead receiver"
-REPLACED, MTU, RANGE, HALF_DUPLEX = "replaced", "mtu", "range", "half duplex"
-COLLISION, SNR, DEAD_SENDER = "collision", "snr", "dead sender"
-CAUSES: tuple[str, ...] = (
-    LOSS, DOWN, PARTITION, MUTE, QUEUE,
-    REPLACED, MTU, RANGE, HALF_DUPLEX, COLLISION, SNR, DEAD_SENDER,  # of the acoustic channel
-    DEAF, DEAD_RECEIVER,
-)  # fmt: skip
-DELIVERED, IN_FLIGHT = "delivered", "in flight"
+from enum import StrEnum
+
+
+class Cause(StrEnum):
+    """What became of a packet: delivered, in flight when the run ended, or the cause of its loss."""
+
+    # The causes of a loss, in the order of the ledger's columns.
+    LOSS = "loss"
+    DOWN = "down"
+    PARTITION = "partition"
+    MUTE = "mute"
+    QUEUE = "queue"
+    # Of the acoustic channel only.
+    REPLACED = "replaced"
+    MTU = "mtu"
+    RANGE = "range"
+    HALF_DUPLEX = "half duplex"
+    COLLISION = "collision"
+    SNR = "snr"
+    DEAD_SENDER = "dead sender"
+    # Of every network again.
+    DEAF = "deaf"
+    DEAD_RECEIVER = "dead receiver"
+
+    DELIVERED = "delivered"
+    IN_FLIGHT = "in flight"
+
+
+LOSSES = tuple(cause for cause in Cause if cause not in (Cause.DELIVERED, Cause.IN_FLIGHT))

@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any, Literal
+from dataclasses import dataclass
+from typing import Any, Literal
 
-if TYPE_CHECKING:
-    pass
-
+import msgspec
+from msgspec import Struct
 
 Link = tuple[int, int]  # (src, dst), vehicle numbers
 Distribution = Literal["uniform", "normal", "pareto", "paretonormal"]
 DEFAULT_LIMIT = 1000  # packets, as in tc-netem(8)
 
 
-@dataclass(frozen=True, slots=True)
-class FourState:
+class FourState(Struct, frozen=True, tag=True):
     """`loss state`: 1 good in a gap, 2 good in a burst, 3 lost in a burst, 4 lost alone; pXY from X to Y."""
 
     p13: float
@@ -25,8 +23,7 @@ class FourState:
     p14: float = 0.0
 
 
-@dataclass(frozen=True, slots=True)
-class GilbertElliott:
+class GilbertElliott(Struct, frozen=True, tag=True):
     """`loss gemodel`: p from good to bad, r back; a packet is lost with `bad` (1-h) and `good` (1-k) in each."""
 
     p: float
@@ -64,17 +61,20 @@ class Condition:
 
 
 def condition_values(condition: Condition) -> dict[str, Any]:
-    """A condition as plain values."""
-    values = asdict(condition)
-    if condition.loss_model is not None:
-        values["loss_model"] = [type(condition.loss_model).__name__, values["loss_model"]]
+    """A condition as plain values; the loss model as [name, values], which is how snapshots in logs have it."""
+    values: dict[str, Any] = msgspec.to_builtins(condition)
+    if (model := values["loss_model"]) is not None:
+        values["loss_model"] = [model.pop("type"), model]
     return values
 
 
 def condition_from_values(values: dict[str, Any]) -> Condition:
-    """The inverse of `condition_values`."""
-    model = values["loss_model"]
-    if model is not None:
-        kind = {cls.__name__: cls for cls in (FourState, GilbertElliott)}[model[0]]
-        model = kind(**model[1])
-    return Condition(**values | {"loss_model": model})
+    """The inverse of `condition_values`.
+
+    Raises:
+        msgspec.ValidationError: a value does not have the type that is declared for it.
+    """
+    match values.get("loss_model"):
+        case [name, {**model}]:
+            values = values | {"loss_model": {"type": name, **model}}
+    return msgspec.convert(values, Condition)

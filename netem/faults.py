@@ -6,19 +6,19 @@ fault heals by ending, and faults that overlap need no order of ending.
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
-from typing import Any, Literal, NamedTuple, get_type_hints
+from typing import Any, Literal, NamedTuple
 
 import msgspec
+from msgspec import Struct, structs
 
+from netem.causes import Cause
 from netem.condition import Condition, Link, condition_from_values, condition_values
 from netem.errors import MalformedMessage
 
 FaultKind = Literal["link", "down", "up", "partition", "mute", "deaf", "slow"]
 
 
-@dataclass(frozen=True, slots=True)
-class NetFault:
+class NetFault(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
     """One fault: from tick `begin` to before `end` (None: to the end of the run)."""
 
     id: str
@@ -35,67 +35,52 @@ class NetFault:
         return self.begin <= tick and (self.end is None or tick < self.end)
 
 
+_CONDITION = NetFault.__struct_fields__.index("condition")
+
+
 def fault_values(fault: NetFault) -> list[Any]:
-    """A fault as plain values."""
-    condition = None if fault.condition is None else condition_values(fault.condition)
-    links = [list(link) for link in fault.links]
-    return [fault.id, fault.begin, fault.end, fault.kind, links, list(fault.vehicles), condition, fault.ticks]
+    """A fault as plain values, with its condition as `condition_values` writes it."""
+    values: list[Any] = msgspec.to_builtins(structs.replace(fault, condition=None))
+    if fault.condition is not None:
+        values[_CONDITION] = condition_values(fault.condition)
+    return values
 
 
 def fault_from_values(values: list[Any]) -> NetFault:
-    """The inverse of `fault_values`."""
-    name, begin, end, kind, links, vehicles, condition, ticks = values
-    return NetFault(
-        name,
-        begin,
-        end,
-        kind,
-        tuple((src, dst) for src, dst in links),
-        tuple(vehicles),
-        None if condition is None else condition_from_values(condition),
-        ticks,
-    )
+    """The inverse of `fault_values`.
 
-
-_FAULT = tuple[str, int, int | None, FaultKind, list[tuple[int, int]], list[int], dict[str, Any] | None, int]
+    Raises:
+        msgspec.ValidationError: a value does not have the type that is declared for it.
+    """
+    plain = [*values]
+    condition = None
+    if len(plain) > _CONDITION and plain[_CONDITION] is not None:
+        condition = condition_from_values(msgspec.convert(plain[_CONDITION], dict[str, Any]))
+        plain[_CONDITION] = None
+    return structs.replace(msgspec.convert(plain, NetFault), condition=condition)
 
 
 def read_faults(values: Any) -> tuple[NetFault, ...]:
-    """Faults from the plain values that somebody sent.
+    """Faults from the plain values of a request.
 
     Raises:
         MalformedMessage: they are no such values.
     """
     try:
-        faults = [fault_from_values(list(fault)) for fault in msgspec.convert(values, list[_FAULT])]
-        for fault in faults:
-            if fault.condition is not None:
-                _check(fault.condition)
-            elif fault.kind == "link":
-                raise MalformedMessage("control", f"the fault {fault.id!r:.40} of a link has no condition")
-    except (msgspec.ValidationError, LookupError, TypeError) as error:
+        faults = tuple(fault_from_values(fault) for fault in msgspec.convert(values, list[list[Any]]))
+    except msgspec.ValidationError as error:
         raise MalformedMessage("control", f"expected faults: {error!s:.150}") from None
-    return tuple(faults)
-
-
-# Without the loss model: msgspec cannot tell two data classes apart.
-_CONDITION = msgspec.defstruct(
-    "Condition", [(name, kind) for name, kind in get_type_hints(Condition).items() if name != "loss_model"]
-)
-
-
-def _check(condition: Condition) -> None:
-    """Raise msgspec's ValidationError unless every value has the type that is declared for it."""
-    msgspec.convert({k: v for k, v in condition_values(condition).items() if k != "loss_model"}, _CONDITION)
-    if (model := condition.loss_model) is not None:
-        msgspec.convert(asdict(model), type(model))
+    for fault in faults:
+        if fault.kind == "link" and fault.condition is None:
+            raise MalformedMessage("control", f"the fault {fault.id!r:.40} of a link has no condition")
+    return faults
 
 
 class ActiveFaults(NamedTuple):
-    """What the faults that are active at a tick do."""
+    """What the faults that hold at a tick do."""
 
     conditions: dict[Link, Condition]  # in place of the link's own
-    cut: dict[Link, str]  # links that lose everything, with the cause
+    cut: dict[Link, Cause]  # links that lose everything, with the cause
     mute: frozenset[int]
     deaf: frozenset[int]
     up: frozenset[Link]  # links that are up whatever their own condition says
@@ -111,7 +96,7 @@ def active_faults(faults: tuple[NetFault, ...], tick: int) -> ActiveFaults:
     if not active:
         return NO_FAULTS
     conditions: dict[Link, Condition] = {}
-    cut: dict[Link, str] = {}
+    cut: dict[Link, Cause] = {}
     mute: set[int] = set()
     deaf: set[int] = set()
     up: set[Link] = set()
@@ -122,10 +107,10 @@ def active_faults(faults: tuple[NetFault, ...], tick: int) -> ActiveFaults:
                 assert fault.condition is not None
                 conditions |= dict.fromkeys(fault.links, fault.condition)
             case "down" | "partition":
-                cut |= dict.fromkeys(fault.links, fault.kind)
+                cut |= dict.fromkeys(fault.links, Cause(fault.kind))
                 up -= set(fault.links)
             case "up":
-                cut = {link: cause for link, cause in cut.items() if cause != "down" or link not in fault.links}
+                cut = {link: cause for link, cause in cut.items() if cause != Cause.DOWN or link not in fault.links}
                 up |= set(fault.links)
             case "slow":
                 slow |= {i: max(fault.ticks, slow.get(i, 0)) for i in fault.vehicles}

@@ -3,7 +3,7 @@
 duplicate, lose, corrupt, drop at the queue's limit, and then either reorder (send at once) or delay and rate-limit.
 `docs/guide/netem.md` lists where we differ from the kernel.
 
-A rule returns a verdict and moves no time: the caller (`netem.network`) owns ticks and queues. Every draw is keyed by
+A rule returns an outcome and moves no time: the caller (`netem.medium`) owns ticks and queues. Every draw is keyed by
 (seed, purpose, link, sequence number, copy), so that changing one link, or one value of a link, never shifts another
 draw. What a link remembers between packets (correlations, loss states, its queue) is plain values.
 
@@ -18,15 +18,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from enum import IntEnum
 from statistics import NormalDist
 from typing import Any, NamedTuple
 
-from netem.causes import DOWN, LOSS, QUEUE
+from netem.causes import Cause
 from netem.condition import Condition, FourState, GilbertElliott, Link
 from netem.draws import bits, uniform
 
 GOOD, BAD = 0, 1  # of Gilbert and Elliott
-GAP, BURST, LOST_IN_BURST, LOST_ALONE = 1, 2, 3, 4  # of the four-state model
 
 # iproute2's tables for Pareto: shape 3, shifted to mean 0, scaled by 4/3 and cut at 32767 / 8192.
 _PARETO_SHAPE, _PARETO_MEAN, _PARETO_SCALE, _PARETO_MOST = 3.0, 1.5, 4.0 / 3.0, 32767.0 / 8192.0
@@ -35,11 +35,20 @@ _NORMAL = NormalDist()
 _TINY = 2.0**-53
 
 
+class LossState(IntEnum):
+    """A state of the four-state model, by its number in tc-netem(8)."""
+
+    GAP = 1
+    BURST = 2
+    LOST_IN_BURST = 3
+    LOST_ALONE = 4
+
+
 class LinkOutcome(NamedTuple):
-    """The fate decided at the sending tick: when the packet leaves, its payload then, or the cause of its loss."""
+    """What a link makes of a packet that enters it: when it leaves and with which payload, or the cause of its loss."""
 
     delay_ns: int
-    cause: str  # "" if it is not lost
+    cause: Cause | None  # None: it is not lost
     payload: bytes
     corrupted: bool
 
@@ -83,7 +92,7 @@ class LinkModel:
         return self._state
 
     def enter(self, now_ns: int, seq: int, payload: bytes, over: Condition | None = None) -> list[LinkOutcome]:
-        """The verdict on packet `seq`, sent at `now_ns`; a second one when the link duplicates it.
+        """What becomes of packet `seq`, sent at `now_ns`; a second outcome when the link duplicates it.
 
         `over` is the condition of a fault that lies over the link's own.
 
@@ -92,16 +101,16 @@ class LinkModel:
         c = self.condition if over is None else over
         self._used = c
         if not c.up:
-            return [LinkOutcome(0, DOWN, payload, False)]
+            return [LinkOutcome(0, Cause.DOWN, payload, False)]
         copies = 2 if c.duplicate and self._chance("duplicate", c.duplicate, c.duplicate_correlation, seq, 0) else 1
         lost = self._lost(seq, 0)
         if copies == 1:
-            return [LinkOutcome(0, LOSS, payload, False) if lost else self._queue(now_ns, seq, 0, payload)]
+            return [LinkOutcome(0, Cause.LOSS, payload, False) if lost else self._queue(now_ns, seq, 0, payload)]
         # The clone enters first and is not duplicated again, but may be lost on its own.
         if lost:
             return [self._queue(now_ns, seq, 0, payload)]
         clone_lost = self._lost(seq, 1)
-        clone = LinkOutcome(0, LOSS, payload, False) if clone_lost else self._queue(now_ns, seq, 1, payload)
+        clone = LinkOutcome(0, Cause.LOSS, payload, False) if clone_lost else self._queue(now_ns, seq, 1, payload)
         return [self._queue(now_ns, seq, 0, payload), clone]
 
     def _queue(self, now_ns: int, seq: int, copy: int, payload: bytes) -> LinkOutcome:
@@ -112,10 +121,10 @@ class LinkModel:
         while leaving and leaving[0] <= now_ns:
             leaving.pop(0)
         if len(leaving) >= c.limit:
-            return LinkOutcome(0, QUEUE, payload, corrupted)
+            return LinkOutcome(0, Cause.QUEUE, payload, corrupted)
         if self._reordered(seq, copy):
             self._state.since_reordered = 0
-            return LinkOutcome(0, "", payload, corrupted)
+            return LinkOutcome(0, None, payload, corrupted)
         self._state.since_reordered += 1
         delay = self._delay(seq, copy)
         start = now_ns
@@ -130,7 +139,7 @@ class LinkModel:
         while at and leaving[at - 1] > leaves:
             at -= 1
         leaving.insert(at, leaves)
-        return LinkOutcome(leaves - now_ns, "", payload, corrupted)
+        return LinkOutcome(leaves - now_ns, None, payload, corrupted)
 
     def _reordered(self, seq: int, copy: int) -> bool:
         c = self._used
@@ -175,16 +184,20 @@ class LinkModel:
         """The state moves, and the packet is lost when it is one of the lost states then."""
         state, x = self._state, self._draw("loss state", seq, copy)
         match state.loss_state:
-            case 3:
-                after = BURST if x < model.p32 else GAP if x < model.p32 + model.p31 else LOST_IN_BURST
-            case 2:
-                after = LOST_IN_BURST if x < model.p23 else BURST
-            case 4:
-                after = GAP
+            case LossState.LOST_IN_BURST if x < model.p32:
+                after = LossState.BURST
+            case LossState.LOST_IN_BURST:
+                after = LossState.GAP if x < model.p32 + model.p31 else LossState.LOST_IN_BURST
+            case LossState.BURST:
+                after = LossState.LOST_IN_BURST if x < model.p23 else LossState.BURST
+            case LossState.LOST_ALONE:
+                after = LossState.GAP
+            case _ if x < model.p14:  # in a gap
+                after = LossState.LOST_ALONE
             case _:
-                after = LOST_ALONE if x < model.p14 else LOST_IN_BURST if x < model.p14 + model.p13 else GAP
+                after = LossState.LOST_IN_BURST if x < model.p14 + model.p13 else LossState.GAP
         state.loss_state = after
-        return after in (LOST_IN_BURST, LOST_ALONE)
+        return after in (LossState.LOST_IN_BURST, LossState.LOST_ALONE)
 
     def flipped(self, payload: bytes, seq: int, copy: int) -> bytes:
         """One bit of the payload turned over, always the same: its own inverse."""

@@ -5,11 +5,13 @@ sent + duplicated = delivered + sum(lost by cause) + in flight at the end
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from netem.causes import CAUSES, DELIVERED, IN_FLIGHT, REPLACED
+import msgspec
+
+from netem.causes import LOSSES, Cause
 from netem.condition import Link
 from netem.wire.messages import Fate
 
@@ -21,9 +23,9 @@ class Account:
     sent: int = 0
     duplicated: int = 0
     delivered: int = 0
+    lost: dict[Cause, int] = field(default_factory=dict)
     in_flight: int = 0
     corrupted: int = 0  # of those delivered
-    lost: dict[str, int] = field(default_factory=dict)
 
     @property
     def balance(self) -> int:
@@ -33,24 +35,12 @@ class Account:
     @property
     def replaced(self) -> int:
         """Payloads that a newer one took the place of before they were sent, which no channel has lost."""
-        return self.lost.get(REPLACED, 0)
-
-    def restore(self, values: dict[str, Any]) -> None:
-        """The inverse of `to_values`."""
-        for name in ("sent", "duplicated", "delivered", "in_flight", "corrupted"):
-            setattr(self, name, values[name])
-        self.lost = dict(values["lost"])
+        return self.lost.get(Cause.REPLACED, 0)
 
     def to_values(self) -> dict[str, Any]:
-        """Plain values, causes in their declared order."""
-        return {
-            "sent": self.sent,
-            "duplicated": self.duplicated,
-            "delivered": self.delivered,
-            "lost": {cause: self.lost[cause] for cause in CAUSES if cause in self.lost},
-            "in_flight": self.in_flight,
-            "corrupted": self.corrupted,
-        }
+        """Plain values, causes in their declared order; `msgspec.convert` is the inverse."""
+        values: dict[str, Any] = msgspec.to_builtins(self)
+        return values | {"lost": {str(cause): self.lost[cause] for cause in LOSSES if cause in self.lost}}
 
 
 class Ledger:
@@ -65,6 +55,10 @@ class Ledger:
         account.sent += sent
         account.duplicated += duplicated
 
+    def restore(self, link: Link, values: Mapping[str, Any]) -> None:
+        """Go on with the account of a link as `Account.to_values` wrote it."""
+        self.accounts[link] = msgspec.convert(values, Account)
+
     def settle(self, fates: Iterable[Fate]) -> None:
         """Count final fates.
 
@@ -74,12 +68,12 @@ class Ledger:
         """
         for fate in fates:
             account = self.accounts[(fate.src, fate.dst)]
-            if fate.cause == DELIVERED:
+            if fate.cause == Cause.DELIVERED:
                 account.delivered += 1
                 account.corrupted += fate.corrupted
-            elif fate.cause == IN_FLIGHT:
+            elif fate.cause == Cause.IN_FLIGHT:
                 account.in_flight += 1
-            elif fate.cause in CAUSES:
+            elif fate.cause in LOSSES:
                 account.lost[fate.cause] = account.lost.get(fate.cause, 0) + 1
             else:
                 raise ValueError(f"undeclared cause {fate.cause!r} on link {fate.src}->{fate.dst}")

@@ -1,9 +1,10 @@
-"""The netem process: connects, and serves the network of a run in lockstep or on a wall clock."""
+"""The netem process: connects, and serves the network of a run in lockstep or in real time."""
 
 from __future__ import annotations
 
 from netem.config import NetemConfig
 from netem.process import NetemProcess
+from netem.realtime_process import RealtimeNetemProcess
 from netem.realtime_rounds import RealtimeRounds
 from netem.rounds import Rounds
 from netem.wire.access import Credentials
@@ -12,18 +13,20 @@ from netem.wire.keys import Keys
 from netem.wire.link_loss import end_with_link
 
 
-def run(endpoint: str, run_id: str, credentials: Credentials, config: NetemConfig, real: bool) -> None:
-    """Serve the network of a run until the process is ended; `real`: on a wall clock, not in lockstep."""
+def run(endpoint: str, run_id: str, credentials: Credentials, config: NetemConfig, realtime: bool) -> None:
+    """Serve the network of a run until the process is ended.
+
+    Args:
+        realtime: ticks begin when the world says; otherwise the run is in lockstep.
+
+    Raises:
+        BusError: there is no router at the endpoint, or it refuses the credentials.
+    """
     quiet_zenoh()
     keys = Keys(run_id)
     bus = Bus.connect(endpoint, credentials)
     end_with_link(bus, credentials)
-    _process(bus, keys, config, real).serve()
-
-
-def _process(bus: Bus, keys: Keys, config: NetemConfig, real: bool) -> NetemProcess:
-    if not real:
-        return NetemProcess(bus, keys, config, Rounds(config))
-    from netem.realtime_process import RealtimeNetemProcess  # which is one of these
-
-    return RealtimeNetemProcess(bus, keys, config, RealtimeRounds(config))
+    if realtime:
+        RealtimeNetemProcess(bus, keys, config, RealtimeRounds(config)).serve()
+    else:
+        NetemProcess(bus, keys, config, Rounds(config)).serve()

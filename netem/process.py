@@ -97,7 +97,7 @@ class NetemProcess:
 
     def _from_agent(self, i: int, message: Message) -> None:
         if not isinstance(message, Transmission):
-            raise MalformedMessage("receipt", "nobody asks for receipts in lockstep")
+            raise MalformedMessage("receipt", "receipts belong to realtime runs")
         self._rounds.transmission(i, message)
         self._exchange()
 
@@ -112,7 +112,7 @@ class NetemProcess:
 
     def _from_world(self, message: Message) -> None:
         if not isinstance(message, Round):
-            raise MalformedMessage("pace", "there is no pace in lockstep")
+            raise MalformedMessage("pace", "a pace belongs to realtime runs")
         self._rounds.round(message)
         self._exchange()
 

@@ -1,4 +1,4 @@
-"""The netem process on a wall clock: in the middle of each tick it hands out what is due at the next."""
+"""The netem process of a realtime run: in the middle of each tick it hands out what is due at the next."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from netem.wire.messages import Message, Pace, Receipt, Round, Transmission
 
 
 class RealtimeNetemProcess(NetemProcess):
-    """Exchanges when it is time. The pace is the world's, which says it anew every round."""
+    """Exchanges when a tick is half over. The world sends the pace anew every round."""
 
     _pace = Pace(0, 0, 1)
 
     def serve(self) -> None:
         """Tick by tick, until the process is ended."""
-        free, shell = cast(RealtimeRounds, self._rounds), self._shell
+        rounds, shell = cast(RealtimeRounds, self._rounds), self._shell
         while True:
-            wait = (self._middle_ns(free.tick) - monotonic_ns()) / 1e9 if free.known else None
+            wait = (self._middle_ns(rounds.tick) - monotonic_ns()) / 1e9 if rounds.known else None
             if wait is None or wait > 0:
                 with suppress(Empty):
                     self._handle(shell.take(wait))
@@ -29,9 +29,9 @@ class RealtimeNetemProcess(NetemProcess):
             # What is there by now still belongs to this tick.
             for _ in range(shell.queue.qsize()):
                 self._handle(shell.take())
-            if not free.known:
+            if not rounds.known:
                 continue  # among it was that the run is over
-            inboxes, report = free.exchange(monotonic_ns())
+            inboxes, report = rounds.exchange(monotonic_ns())
             self._hand_out(inboxes)
             if report is not None:
                 self._report(report)
@@ -43,11 +43,11 @@ class RealtimeNetemProcess(NetemProcess):
         return self._pace.at_ns + (tick - self._pace.tick) * self._pace.period_ns
 
     def _from_agent(self, i: int, message: Message) -> None:
-        free = cast(RealtimeRounds, self._rounds)
+        rounds = cast(RealtimeRounds, self._rounds)
         if isinstance(message, Receipt):
-            free.receipt(i, message, self._begin_ns)
+            rounds.receipt(i, message, self._begin_ns)
         elif isinstance(message, Transmission):
-            free.transmission(i, message)
+            rounds.transmission(i, message)
 
     def _from_world(self, message: Message) -> None:
         if isinstance(message, Pace):

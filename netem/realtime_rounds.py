@@ -1,8 +1,8 @@
 """The network without rounds: a packet enters at the tick in which it comes, and is handed out a tick before it is due.
 
-A pure state machine like `Rounds`; the shell says what tick it is. A transmission of round tick k that comes in the
-first half of tick k enters at k, as in lockstep; a later one at the tick in which it comes, so that what the network
-adds to it counts from there. The impairment models are the same, and so is the least latency of one tick.
+A pure state machine like `Rounds`; the process decides when a tick is exchanged. A transmission of round tick k that
+comes in the first half of tick k enters at k, as in lockstep; a later one at the tick in which it comes, so that what
+the network adds to it counts from there. The impairment models are the same, and so is the least latency of one tick.
 """
 
 from __future__ import annotations
@@ -13,7 +13,6 @@ from typing import Any
 
 from msgspec.structs import astuple
 
-from netem.acoustic import AcousticNetem
 from netem.condition import Link
 from netem.config import NetemConfig
 from netem.errors import OutOfPlace
@@ -35,12 +34,12 @@ class Handed:
 
 
 class RealtimeRounds:
-    """Feeds `Netem` tick by tick with what has come."""
+    """Gives `Netem` what has come, tick by tick."""
 
     def __init__(self, config: NetemConfig) -> None:
         self.config = config
         every_tick = replace(config, round_ticks=1, memory_ticks=0)
-        self.netem = Netem(every_tick) if config.acoustic is None else AcousticNetem(every_tick)
+        self.netem = Netem(every_tick)
         self.lives = Lives(config.absences)
         self.late = dict.fromkeys(config.vehicles, 0)  # transmissions that entered after their tick
         self._tick = 0  # exchanged next
@@ -65,7 +64,7 @@ class RealtimeRounds:
 
     @property
     def missing(self) -> list[int]:
-        """Nobody is waited for."""
+        """No vehicle: in real time the network waits for none."""
         return []
 
     @property
@@ -91,7 +90,7 @@ class RealtimeRounds:
         self._came.setdefault(i, []).extend(message.payloads)
 
     def round(self, message: Round) -> None:
-        """Take the world's word on who is alive at a round tick, not silent, and where."""
+        """Take from the world who is alive at a round tick, who of them is suspended, and where they are."""
         self._round = message
         for i in message.paused:
             self._resumed[i] = message.tick + self.config.round_ticks
@@ -130,10 +129,13 @@ class RealtimeRounds:
         return inboxes
 
     def receipt(self, i: int, receipt: Receipt, due_ns: Callable[[int], int]) -> None:
-        """Vehicle i used these deliveries at a tick. `due_ns` says when a tick begins.
+        """Take the report of vehicle i on which deliveries it used at a tick.
+
+        Args:
+            due_ns: when a tick begins [ns, CLOCK_MONOTONIC].
 
         Raises:
-            OutOfPlace: of another incarnation, or something that it was not given.
+            OutOfPlace: of another incarnation, or of a delivery that was not handed out to it.
         """
         self.lives.check(i, receipt.tick, receipt.incarnation)
         tick_ns = self.config.tick_ns

@@ -1,7 +1,7 @@
 """The network's place in the lockstep: collect a round's transmissions, exchange, answer.
 
-A pure state machine: messages in, addressed messages out. It exchanges round k once the world has said who is
-alive at k and exactly those vehicles have transmitted. On an ideal network it does not wait for the world,
+A pure state machine: messages in, addressed messages out. It exchanges round k once the Round of the world names who
+is alive at k and exactly those vehicles have transmitted. On an ideal network it does not wait for the world,
 whose commands of the same tick depend on the exchange.
 """
 
@@ -11,20 +11,20 @@ from typing import Any
 
 import msgpack
 
-from netem.acoustic import AcousticNetem
 from netem.config import NetemConfig
 from netem.errors import OutOfPlace
+from netem.links import PERFECT
 from netem.lives import Lives
-from netem.network import PERFECT, Netem
+from netem.network import Netem
 from netem.wire.messages import Inbox, LinkReport, Round, Transmission
 
 
 class Rounds:
-    """Feeds `Netem` with whole rounds."""
+    """Gives `Netem` whole rounds."""
 
     def __init__(self, config: NetemConfig) -> None:
         self.config = config
-        self.netem = Netem(config) if config.acoustic is None else AcousticNetem(config)
+        self.netem = Netem(config)
         self._next = 0
         self.lives = Lives(config.absences)
         self._transmissions: dict[int, dict[int, tuple[bytes, ...]]] = {}
@@ -61,7 +61,7 @@ class Rounds:
         taken[i] = message.payloads
 
     def round(self, message: Round) -> None:
-        """Take the world's word on who is alive at a round tick.
+        """Take from the world who is alive at a round tick.
 
         Raises:
             OutOfPlace: not the next round.
@@ -90,7 +90,7 @@ class Rounds:
         return out, LinkReport(tick, False, False, fates, memory)
 
     def _speakers(self, tick: int) -> list[int] | None:
-        """Those whose transmission of a round must come: the living but for the suspended."""
+        """Those whose transmission of a round must come: who is alive and not suspended."""
         where = self._alive.get(tick)
         return None if where is None else [i for i in where.alive if i not in where.paused]
 
@@ -99,11 +99,11 @@ class Rounds:
         return LinkReport(end_tick, True, False, self.netem.close(end_tick), b"")
 
     def timing(self) -> dict[str, Any]:
-        """Nothing: in lockstep nobody is late."""
+        """Empty: in lockstep nothing is late."""
         return {}
 
     def resume(self, tick: int, memory: dict[str, Any]) -> None:
-        """Go on at a round tick with what was remembered before it in another run of the same graph."""
+        """Go on at a round tick with the state that another run of the same graph had before it."""
         faults = self.netem.faults
         self.netem.restore(memory | {"faults": []})
         self.netem.faults = faults
@@ -112,7 +112,7 @@ class Rounds:
         self._next = tick
 
     def _memory(self, tick: int) -> bytes:
-        """All that the network remembers before a round, but for the faults, which a log has anyway."""
+        """The state of the network before a round, without the faults, which a log has anyway."""
         every = self.config.memory_ticks
         if not every or tick % every or tick == 0:
             return b""

@@ -12,7 +12,7 @@ from fleet.analysis.preflight import large_log_hint
 from fleet.analysis.punctuality import summary
 from fleet.recorder.metrics import Spread
 from fleet.run.execute import Result, Status
-from netem.causes import REPLACED
+from netem.causes import Cause
 
 MOST_ROWS = 20
 
@@ -80,12 +80,14 @@ def _vehicles(rows: dict[str, dict[str, float | None]]) -> Table:
 
 def _links(rows: dict[str, dict[str, Any]], ages: dict[str, dict[str, float]]) -> Table:
     """Packets and ages of the links: of all, or of those with the oldest information; columns of zeros are left out."""
-    lost = sorted({cause for row in rows.values() for cause in row["lost"]} - {REPLACED})
+    lost = sorted({cause for row in rows.values() for cause in row["lost"]} - {Cause.REPLACED})
     numbers = {
         name: {
             "sent": row["sent"],
             "duplicated": row["duplicated"],
-            "replaced": row["lost"].get(REPLACED, 0),  # replaced by newer data before it was sent: not lost on the way
+            "replaced": row["lost"].get(
+                Cause.REPLACED, 0
+            ),  # by newer data before it was sent: not lost on the way
             "delivered": row["delivered"],
             **{f"lost: {cause}": row["lost"].get(cause, 0) for cause in lost},
             "in flight": row["in_flight"],

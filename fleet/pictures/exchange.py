@@ -19,16 +19,16 @@ from fleet.pictures.axes import SPAN_IN, finish, legend_of, marks_legend, over_t
 from fleet.pictures.runs import Look, NothingToDraw, Run
 from fleet.pictures.style import plain_decades
 from fleet.quantities import vehicle_numbers
-from netem.causes import DELIVERED, IN_FLIGHT, REPLACED
+from netem.causes import Cause
 from netem.condition import Link
 
 CORRUPTED = "corrupted"
 # Fate -> (mark, colour). Every one has a mark of its own, so that colour is never the only difference; what tends to
 # happen together differs in both.
 FATES: dict[str, tuple[str, str]] = {
-    DELIVERED: ("|", "#56B4E9"),
+    Cause.DELIVERED: ("|", "#56B4E9"),
     CORRUPTED: ("2", "#E69F00"),
-    IN_FLIGHT: (".", "#777777"),
+    Cause.IN_FLIGHT: (".", "#777777"),
     "loss": ("x", "#D55E00"),
     "down": ("v", "#000000"),
     "partition": ("s", "#0072B2"),
@@ -65,7 +65,7 @@ def _fates(run: Run, link: Link) -> tuple[Array, Array, Array, Array]:
     packets = run.log[f"link/{link[0]}-{link[1]}"]
     if not len(packets):
         return np.empty(0), np.empty(0), np.empty(0, object), np.empty(0, np.int64)
-    fate = np.where(packets["corrupted"] & (packets["fate"] == DELIVERED), CORRUPTED, packets["fate"])
+    fate = np.where(packets["corrupted"] & (packets["fate"] == Cause.DELIVERED), CORRUPTED, packets["fate"])
     return packets["sent"], packets["due"], fate.astype(object), packets["seq"]
 
 
@@ -106,7 +106,7 @@ def timeline(runs: Sequence[Run], look: Look) -> Figure:
     for name in sorted(by_fate, key=_rank):
         mark, colour = _style(name)
         x, y = (np.concatenate(part) for part in zip(*by_fate[name], strict=True))
-        thin, behind = name == DELIVERED, name == REPLACED
+        thin, behind = name == Cause.DELIVERED, name == Cause.REPLACED
         width = float(np.clip(0.3 * size, 0.4, 1.2)) if thin else 0.7
         ax.plot(
             x, y, linestyle="", marker=mark, color=colour, markersize=tall if thin else size, markeredgewidth=width,
@@ -149,7 +149,7 @@ def spacetime(runs: Sequence[Run], look: Look) -> Figure:
         shown = (sent <= last) & (np.maximum(sent, due) >= first)
         for s, d, name in zip(sent[shown], due[shown], fate[shown], strict=True):
             # A lost one turns off before it arrives; one whose due time is its sending time has a slope all the same.
-            lost = name not in (DELIVERED, CORRUPTED, IN_FLIGHT)
+            lost = name not in (Cause.DELIVERED, CORRUPTED, Cause.IN_FLIGHT)
             share = 0.45 if lost else 1.0
             until = max(d, s + 0.01 * (last - first)) if lost else d
             end = s + share * (until - s), place[a] + share * (place[b] - place[a])
@@ -160,14 +160,16 @@ def spacetime(runs: Sequence[Run], look: Look) -> Figure:
     handles = []
     for name in sorted(lines, key=_rank):
         mark, colour = _style(name)
-        if name == DELIVERED:
+        if name == Cause.DELIVERED:
             colour, mark = COLOURS[0], "."
         ax.add_collection(
             LineCollection(lines[name], colors=colour, linewidths=0.6, gid=f"fate-{name}",
-                           linestyles="-" if name in (DELIVERED, CORRUPTED) else (0, (3, 1.5)), zorder=2)
+                           linestyles="-" if name in (Cause.DELIVERED, CORRUPTED) else (0, (3, 1.5)), zorder=2)
         )  # fmt: skip
         x, y = zip(*ends[name], strict=True)
-        ax.plot(x, y, linestyle="", marker=mark, color=colour, markersize=2.5 if name == DELIVERED else 3.5, zorder=3)
+        ax.plot(
+            x, y, linestyle="", marker=mark, color=colour, markersize=2.5 if name == Cause.DELIVERED else 3.5, zorder=3
+        )
         handles.append(Line2D([], [], marker=mark, color=colour, linewidth=0.6, markersize=4, label=name))
     ax.set_ylim(len(vehicles) - 0.5, -0.5)
     ax.set_yticks(range(len(vehicles)), [f"UUV {i}" for i in vehicles])
@@ -187,7 +189,7 @@ def _moment(run: Run, packets: dict[Link, tuple[Array, Array, Array, Array]]) ->
         raise NothingToDraw("no packet was sent")
     period = float(np.median(np.diff(sent))) if len(sent) > 1 else 1.0
     width = max(_ROUNDS * period, 4.0 * float(np.percentile(due, 95)), 10 * run.tick_s)
-    lost = [s[f != DELIVERED] for s, _, f, _ in packets.values()]
+    lost = [s[f != Cause.DELIVERED] for s, _, f, _ in packets.values()]
     first_lost = min((float(times.min()) for times in lost if len(times)), default=run.log.end / 2)
     begin = (run.log.faults[0].begin if run.log.faults else first_lost) - width / 3
     begin = max(0.0, min(begin, run.log.end - width))
@@ -225,7 +227,7 @@ def peak_ages(run: Run, link: Link, edges: Array) -> Array:
     ticks = int(run.log.run.get("ticks", 0))
     count = min(round(run.log.end / run.tick_s) + 1, ticks) if ticks else round(run.log.end / run.tick_s) + 1
     sent, due, fate, _ = _fates(run, link)
-    good = fate == DELIVERED
+    good = fate == Cause.DELIVERED
     arrived = np.rint(due[good] / run.tick_s).astype(np.int64)
     order = np.argsort(arrived, kind="stable")
     arrived = arrived[order]
@@ -305,7 +307,7 @@ def _bins(tables: Sequence[tuple[Run, Sequence[Link]]], span: float) -> int:
     for run, links in tables:
         for link in links:
             _, due, fate, _ = _fates(run, link)
-            gaps.append(np.diff(np.unique(due[fate == DELIVERED])))
+            gaps.append(np.diff(np.unique(due[fate == Cause.DELIVERED])))
     together = np.concatenate(gaps) if gaps else np.empty(0)
     tooth = float(np.median(together)) if len(together) else 0.0
     if tooth > 8.0 * span / _BINS:

@@ -23,7 +23,7 @@ from fleet.pictures.runs import Look, Run
 from fleet.pictures.style import DPI
 from fleet.pictures.whole_file import whole_file
 from netem.ages import Ages
-from netem.causes import DELIVERED, IN_FLIGHT
+from netem.causes import Cause
 from netem.wire.messages import Fate
 
 _STYLE = """
@@ -204,10 +204,10 @@ def _from_log(run: Run) -> tuple[dict[str, Any], dict[str, Any]]:
         ledger[f"{src}->{dst}"] = {
             "sent": int((packets["copy"] == 0).sum()),
             "duplicated": int((packets["copy"] > 0).sum()),
-            "delivered": fates[DELIVERED],
-            "in_flight": fates[IN_FLIGHT],
+            "delivered": fates[Cause.DELIVERED],
+            "in_flight": fates[Cause.IN_FLIGHT],
             "corrupted": int(packets["corrupted"].sum()),
-            "lost": {cause: count for cause, count in fates.items() if cause not in (DELIVERED, IN_FLIGHT)},
+            "lost": {cause: count for cause, count in fates.items() if cause not in (Cause.DELIVERED, Cause.IN_FLIGHT)},
         }
         if tick_s:
             rows = zip(packets["seq"], packets["copy"], packets["sent"], packets["due"], packets["fate"],

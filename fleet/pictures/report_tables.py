@@ -7,7 +7,7 @@ from html import escape
 from typing import Any
 
 from fleet.pictures.runs import Run
-from netem.causes import REPLACED
+from netem.causes import Cause
 
 MOST_ROWS = 40  # of a table of links
 _ONLY_IF_ANY = ("duplicated", "in flight", "corrupted")  # columns that are left out where every link has a 0
@@ -35,7 +35,7 @@ def side_by_side(runs: Sequence[Run], results: Sequence[Mapping[str, Any] | None
             numbers = [vehicle[key] for vehicle in vehicles]
             row.append("-" if None in numbers or not numbers else f"{of_all(numbers):.4g}")
         accounts = values["ledger"].values()
-        entered = sum(a["sent"] + a["duplicated"] - a["lost"].get(REPLACED, 0) for a in accounts)
+        entered = sum(a["sent"] + a["duplicated"] - a["lost"].get(Cause.REPLACED, 0) for a in accounts)
         row.append(f"{sum(a['delivered'] for a in accounts) / entered:.1%}" if entered else "-")
         age = values["ages"].get("*")
         rows.append([*row, f"{age['max_s']:.4g}" if age else "-"])
@@ -55,7 +55,7 @@ def links_table(ledger: Mapping[str, Any], ages: Mapping[str, Any]) -> str:
     """Packets and ages of all links, or of those that grew oldest; `ledger` and `ages` as in result.json."""
     # What a modem never sent, because there were news, was not lost on the way.
     causes = sorted(
-        {cause for account in ledger.values() for cause in account["lost"]}, key=lambda c: (c != REPLACED, c)
+        {cause for account in ledger.values() for cause in account["lost"]}, key=lambda c: (c != Cause.REPLACED, c)
     )
     names = sorted(ledger, key=lambda name: -ages[name]["max_s"] if name in ages else 0.0)
     names = list(ledger) if len(ledger) <= MOST_ROWS else names[:MOST_ROWS]
@@ -69,7 +69,7 @@ def links_table(ledger: Mapping[str, Any], ages: Mapping[str, Any]) -> str:
         times = ["-"] * 3 if age is None else [f"{age[key]:.3f}" for key in ("mean_s", "p95_s", "max_s")]
         rows.append(("all" if name == "*" else name, *numbers, *losses, *times))
     headings = ("link", *(key.replace("_", " ") for key in counted),
-                *(cause if cause == REPLACED else f"lost: {cause}" for cause in causes),
+                *(cause if cause == Cause.REPLACED else f"lost: {cause}" for cause in causes),
                 "mean age [s]", "95 % [s]", "max [s]")  # fmt: skip
     kept = [k for k, heading in enumerate(headings) if heading not in _ONLY_IF_ANY or rows[0][k]]
     rows, headings = [tuple(row[k] for k in kept) for row in rows], tuple(headings[k] for k in kept)

@@ -10,7 +10,7 @@ from fleet.protocol import slice_fields
 from netem.wire.access import LEASE_MS
 from netem.wire.messages import PROTOCOL_VERSION
 from netem.wire.settings import MAX_BYTES
-from netem.wire.wire_types import Field, declared, fields_of, records
+from netem.wire.wire_types import Field, declared, fields_of, records, texts
 from world import faults
 
 _HEAD = f"""# Wire protocol, version {PROTOCOL_VERSION}
@@ -136,6 +136,8 @@ def page() -> str:
         parts.append(f"## `{kind}`\n\n{where} {getdoc(cls)}\n\n{_table(fields_of(cls))}")
     parts.append("## Records\n")
     parts += [f"### `{name}`\n\n{getdoc(cls)}\n\n{_table(fields_of(cls))}" for name, cls in sorted(records().items())]
+    for name, enum in texts().items():
+        parts.append(f"### `{name}`\n\n{getdoc(enum)} One of these texts: {', '.join(f'`{text}`' for text in enum)}.\n")
     parts.append(f"### `Fault`\n\nOne fault of a sensor, an actuator or the sea.\n\n{_table(FAULT)}\n{_kinds()}")
     parts.append(f"## The payload of our own agents\n\nOpaque to the network.\n\n{getdoc(payload)}\n")
     parts.append(f"### The compact payload\n\n{getdoc(compact)}\n")

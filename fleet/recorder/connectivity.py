@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 from fleet.quantities import vehicle_numbers
 from fleet.scenario.scenario import Scenario
-from netem.causes import DELIVERED
+from netem.causes import Cause
 from netem.condition import Link
 from netem.wire.messages import Fate
 
@@ -84,7 +84,7 @@ class Connectivity:
 
     def settle(self, fate: Fate) -> None:
         """Take a final fate."""
-        if fate.cause != DELIVERED or fate.corrupted:
+        if fate.cause != Cause.DELIVERED or fate.corrupted:
             return
         if fate.due_tick > self._now:
             self._go_to(fate.due_tick)

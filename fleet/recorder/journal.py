@@ -90,7 +90,7 @@ class Journal:
         tick = snapshot.tick
         self.written, self.framed, self.reported = tick - 1, tick - self._frame_every, tick - self._round_ticks
         for src, dst, values in snapshot.network["ledger"]:
-            self.ledger.accounts[src, dst].restore(values | {"sent": 0, "duplicated": 0})  # they come at the end
+            self.ledger.restore((src, dst), values | {"sent": 0, "duplicated": 0})  # they come at the end
         self.ages.resume(tick, snapshot.heard)
         if self.connectivity is not None:
             self.connectivity.resume(tick)

@@ -31,7 +31,7 @@ from fleet.palette import COLOURS
 from fleet.recorder.snapshot import Snapshot
 from fleet.recorder.transforms import NO_TURN, REFERENCE, enu, stamp_at
 from fleet.scenario.scenario import Scenario
-from netem.causes import DEAD_RECEIVER, DEAD_SENDER, DEAF, DELIVERED, DOWN, IN_FLIGHT, MUTE, PARTITION
+from netem.causes import Cause
 from netem.condition import Link
 from netem.wire.messages import Fate, Frame
 from world.vectors import Vec3
@@ -45,7 +45,7 @@ SLENDER = 7.0  # length over diameter, as of the small torpedo-shaped vehicles
 HISTORY = 10  # packets of a link that count
 UNHEARD_OF = 5  # lost in a row: nothing arrives any more
 UNHEARD_NS = 500_000_000  # for so long without a command: nobody is there
-CUTS = frozenset({DOWN, PARTITION, MUTE, DEAF, DEAD_RECEIVER, DEAD_SENDER})
+CUTS = frozenset({Cause.DOWN, Cause.PARTITION, Cause.MUTE, Cause.DEAF, Cause.DEAD_RECEIVER, Cause.DEAD_SENDER})
 
 # No black, which vanishes in a viewer's dark theme; vehicles 1 to 4 have the colours of our plots.
 HULLS = tuple(colour for colour in COLOURS if colour != "#000000")
@@ -67,9 +67,9 @@ class LinkHistories:
 
     def settle(self, fate: Fate) -> None:
         """Take one packet's fate; what is in flight at the end has none."""
-        if fate.cause == IN_FLIGHT:
+        if fate.cause == Cause.IN_FLIGHT:
             return
-        arrived = fate.cause == DELIVERED and not fate.corrupted
+        arrived = fate.cause == Cause.DELIVERED and not fate.corrupted
         mark = "+" if arrived else "x" if fate.cause in CUTS else "-"
         link = fate.src, fate.dst
         self._of[link] = (self._of[link] + mark)[-HISTORY:]

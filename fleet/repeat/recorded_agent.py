@@ -20,7 +20,7 @@ from fleet.logs.schemas import COMMAND, DoublesEncoder, signal_columns
 from fleet.recorder.snapshot import TOPIC, Snapshot
 from fleet.scenario.scenario import Scenario
 from netem.impairment import LinkModel
-from netem.network import PERFECT
+from netem.links import PERFECT
 from netem.wire.messages import Delivery, Memory, Nav
 from world.vectors import ZERO, Vec3
 

@@ -10,6 +10,7 @@ import msgspec
 from netem.errors import MalformedMessage
 from netem.wire.messages import Message
 
+LONGEST_REASON = 150  # characters: what was sent shall not fill the logs
 _CLASSES: dict[str, type[msgspec.Struct]] = {cls.__struct_config__.tag: cls for cls in get_args(Message)}
 _ENCODER = msgspec.msgpack.Encoder()
 _DECODER: msgspec.msgpack.Decoder[Message] = msgspec.msgpack.Decoder(Message)
@@ -30,7 +31,7 @@ def decode(data: bytes) -> Message:
         return _DECODER.decode(data)
     except (msgspec.MsgspecError, RecursionError, UnicodeDecodeError) as error:
         kind = _kind_of(data)
-        raise MalformedMessage(kind, _explain(kind, str(error) or type(error).__name__)) from None
+        raise MalformedMessage(kind, _explain(kind, str(error) or type(error).__name__)[:LONGEST_REASON]) from None
 
 
 def _kind_of(data: bytes) -> str:
@@ -42,7 +43,9 @@ def _kind_of(data: bytes) -> str:
     try:
         values = msgspec.msgpack.decode(data)
     except Exception as error:  # bytes that are no MessagePack, in one of many ways
-        raise MalformedMessage("unknown", f"not MessagePack ({error or type(error).__name__})"[:150]) from None
+        raise MalformedMessage(
+            "unknown", f"not MessagePack ({error or type(error).__name__})"[:LONGEST_REASON]
+        ) from None
     if type(values) is not list or not values or type(values[0]) is not str:
         raise MalformedMessage("unknown", "expected an array that starts with the message kind")
     if values[0] not in _CLASSES:

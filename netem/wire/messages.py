@@ -13,6 +13,8 @@ from typing import Annotated, ClassVar, NamedTuple
 
 from msgspec import Meta, Struct
 
+from netem.causes import Cause
+
 PROTOCOL_VERSION = 1
 RUN_OVER = "the run is over"  # the reason of nearly every End
 
@@ -69,7 +71,7 @@ class Fate(Record, frozen=True):
     sent_tick: Annotated[Uint, about("round tick at which it was sent", "tick")]
     due_tick: Annotated[Uint, about("tick at which it was, or would have been, usable", "tick")]
     delay_ns: Annotated[Uint, about("drawn delay of the link, before rounding up to ticks", "ns")]
-    cause: Annotated[Text, about("delivered, in flight, or the cause of its loss")]
+    cause: Annotated[Cause, about("delivered, in flight, or the cause of its loss")]
     corrupted: Annotated[bool, about("whether the link changed the payload")]
     payload: Annotated[bytes, about("the payload's bytes")]
 

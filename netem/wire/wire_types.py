@@ -1,15 +1,17 @@
 """The declared messages and records as rows of a table: field, wire type, unit, meaning.
 
-A wire type is uint, bool, str, bin, the name of a record, or an array of one of these or of reals: `real[3]` of a
-declared length, `[*]` of any.
+A wire type is uint, bool, str, bin, the name of a record or of an enumeration of texts, or an array of one of these or
+of reals: `real[3]` of a declared length, `[*]` of any.
 """
 
 from __future__ import annotations
 
+from enum import StrEnum
 from typing import NamedTuple, get_args
 
 from msgspec import inspect
 
+from netem.causes import Cause
 from netem.wire.messages import Message, Record, Route
 
 _SCALARS: dict[type[inspect.Type], str] = {
@@ -17,7 +19,6 @@ _SCALARS: dict[type[inspect.Type], str] = {
     inspect.FloatType: "real",
     inspect.BoolType: "bool",
     inspect.StrType: "str",
-    inspect.EnumType: "str",
     inspect.BytesType: "bin",
 }
 
@@ -40,6 +41,11 @@ def records() -> dict[str, type[Record]]:
     return {cls.__name__: cls for cls in Record.__subclasses__() if cls.__struct_config__.tag is None}
 
 
+def texts() -> dict[str, type[StrEnum]]:
+    """Every enumeration of texts that a field may name."""
+    return {Cause.__name__: Cause}
+
+
 def fields_of(cls: type[Record]) -> dict[str, Field]:
     """The fields of a message or record, in wire order."""
     info = inspect.type_info(cls)
@@ -56,7 +62,7 @@ def _field(declared: inspect.Type) -> Field:
 
 def _wire_type(declared: inspect.Type) -> str:
     match declared:
-        case inspect.StructType(cls=cls):
+        case inspect.StructType(cls=cls) | inspect.EnumType(cls=cls):
             return cls.__name__
         case inspect.VarTupleType(item_type=item, min_length=size):
             return f"{_wire_type(item)}[{'*' if size is None else size}]"

@@ -12,15 +12,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from msgspec.structs import astuple
 
-from netem.acoustic import AcousticNetem
-from netem.causes import CAUSES
+from netem.acoustic import AcousticChannel
+from netem.causes import LOSSES
 from netem.condition import Condition, Link
 from netem.config import NetemConfig
 from netem.faults import NetFault
 from netem.ledger import Ledger
+from netem.links import Links
 from netem.modem import AcousticConfig, Modem
 from netem.network import Netem, fate_order
 from netem.rounds import Rounds
+from netem.transit import Transit
 from netem.wire.messages import Delivery, Fate, Round, Transmission
 
 TICK_NS = 10_000_000
@@ -44,10 +46,8 @@ def channel(
     faults: tuple[NetFault, ...] = (),
     vehicles: tuple[int, ...] = (1, 2, 3),
     seed: int = 1,
-) -> AcousticNetem:
-    return AcousticNetem(
-        NetemConfig(seed, TICK_NS, ROUND, vehicles, links, conditions or {}, faults, acoustic=acoustic)
-    )
+) -> Netem:
+    return Netem(NetemConfig(seed, TICK_NS, ROUND, vehicles, links, conditions or {}, faults, acoustic=acoustic))
 
 
 def play(netem: Netem, traffic: list[Traffic], places: Places | list[Places] = CLOSE, first: int = 0) -> list[Fate]:
@@ -357,19 +357,21 @@ def test_positions_of_the_round_of_the_start_count() -> None:
 def test_every_cause_of_the_channel_has_its_history() -> None:
     """A cause that is declared and never tested would be one that nobody knows to work."""
     text = Path(__file__).read_text("utf-8")
-    assert [cause for cause in CAUSES if cause != "queue" and f'"{cause}"' not in text] == []
+    assert [cause for cause in LOSSES if cause != "queue" and f'"{cause}"' not in text] == []
 
 
 def test_an_acoustic_channel_needs_positions_and_a_modem() -> None:
     with pytest.raises(ValueError, match="positions"):
         channel().exchange(0, {1: ()})
     with pytest.raises(ValueError, match="modem"):
-        AcousticNetem(NetemConfig(1, TICK_NS, ROUND, (1, 2), ((1, 2),)))
+        AcousticChannel(bare := NetemConfig(1, TICK_NS, ROUND, (1, 2), ((1, 2),)), Links(bare), Transit(bare))
+    with pytest.raises(ValueError, match="not ideal"):
+        Netem(NetemConfig(1, TICK_NS, ROUND, (1, 2), ((1, 2),), ideal=True, acoustic=AT_ONCE))
 
 
 def test_rounds_choose_the_channel() -> None:
     rounds = Rounds(NetemConfig(1, TICK_NS, ROUND, (1, 2), ((1, 2),), acoustic=AT_ONCE))
-    assert isinstance(rounds.netem, AcousticNetem)
+    assert isinstance(rounds.netem._medium, AcousticChannel)
     for i in (1, 2):
         rounds.transmission(i, Transmission(0, 0, (b"a",) if i == 1 else ()))
     rounds.round(Round(0, (1, 2), ((0.0, 0.0, 0.0), (15.0, 0.0, 0.0)), ()))

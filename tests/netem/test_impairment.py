@@ -235,8 +235,8 @@ def test_a_full_queue_drops() -> None:
     """`limit 3` at one packet per second: ten at once leave three, and there is room again when one has left."""
     model = link(Condition(rate_bit_s=800, limit=3))
     causes = [model.enter(0, k, bytes(100))[0].cause for k in range(10)]
-    assert causes == [""] * 3 + ["queue"] * 7
-    assert [model.enter(10**9, k, bytes(100))[0].cause for k in (10, 11)] == ["", "queue"]
+    assert causes == [None] * 3 + ["queue"] * 7
+    assert [model.enter(10**9, k, bytes(100))[0].cause for k in (10, 11)] == [None, "queue"]
 
 
 @given(st.integers(100, 10**6), st.lists(st.tuples(st.integers(0, 10**9), st.integers(1, 500)), max_size=30))
@@ -289,9 +289,9 @@ def test_any_change_keeps_what_is_on_its_way(before: Condition, after: Condition
     """Back to perfect included: what was sent keeps its due tick, and every packet still has one final fate."""
     netem = Netem(NetemConfig(1, 10 * MS, 10, (1, 2), ((1, 2),), {(1, 2): before}))
     fates = list(netem.exchange(0, {1: (PAYLOAD,) * 5, 2: ()}).fates)
-    due = sorted(p.due_tick for p in [*netem._announced, *netem._pending[2]])
+    due = sorted(p.due_tick for p in [*netem._transit.announced, *netem._transit.pending[2]])
     netem.set_condition((1, 2), after)
-    assert sorted(p.due_tick for p in [*netem._announced, *netem._pending[2]]) == due
+    assert sorted(p.due_tick for p in [*netem._transit.announced, *netem._transit.pending[2]]) == due
     fates += netem.exchange(10, {1: (PAYLOAD,) * 5, 2: ()}).fates
     netem.set_condition((1, 2), Condition())
     fates += netem.exchange(20, {1: (PAYLOAD,), 2: ()}).fates

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from hypothesis.strategies import SearchStrategy
 
 from netem.wire.messages import Message
-from netem.wire.wire_types import declared, fields_of, records
+from netem.wire.wire_types import declared, fields_of, records, texts
 
 RECORDS = records()
 KINDS = sorted(declared())
@@ -22,6 +22,8 @@ def values(wire: str) -> SearchStrategy[Any]:
     """Values that a declared wire type allows, as a message holds them."""
     if wire in RECORDS:
         return messages(RECORDS[wire])
+    if wire in texts():
+        return st.sampled_from([*texts()[wire]])
     if match := ARRAY.fullmatch(wire):
         item, size = match.groups()
         least, most = (0, 4) if size == "*" else (int(size), int(size))

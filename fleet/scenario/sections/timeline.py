@@ -17,14 +17,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, get_args
 
 from fleet.quantities import vehicle_numbers
 from fleet.scenario.schema.faults import FaultAction, FaultSection
 from fleet.scenario.schema.spec import ScenarioSpec
 from fleet.scenario.sections.partitions import partition
 from netem.condition import Link
-from netem.faults import NetFault
+from netem.faults import FaultKind, NetFault
 from netem.grammar import print_condition
 from netem.lives import Absence
 from netem.selectors import parse_selector, select
@@ -33,7 +33,7 @@ from world.faults import WorldFault
 if TYPE_CHECKING:
     pass
 
-OF_THE_NETWORK = ("link", "down", "up", "partition", "mute", "deaf", "slow")
+OF_THE_NETWORK: tuple[str, ...] = get_args(FaultKind)
 OF_AGENTS = ("kill", "pause")
 OF_THE_WORLD = (
     *("noise", "bias", "freeze", "dropout", "efficiency", "saturate", "off", "stuck"),

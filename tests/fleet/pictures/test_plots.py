@@ -33,7 +33,7 @@ from fleet.pictures.runs import Look, NothingToDraw, Run, load, with_gaps
 from fleet.pictures.style import panels, plain_decades
 from fleet.run.execute import Options, execute
 from fleet.scenario.loading import load_scenario
-from netem.causes import CAUSES, DELIVERED, IN_FLIGHT
+from netem.causes import LOSSES, Cause
 
 
 def logged(out: Path, name: str, *overrides: str) -> Path:
@@ -236,7 +236,7 @@ def test_each_packet_is_a_mark_of_its_fate(runs: dict[str, Run]) -> None:
     for a, b in log.links:
         link = log[f"link/{a}-{b}"]
         for fate, corrupted in zip(link.fate, link.corrupted, strict=True):
-            name = "corrupted" if corrupted and fate == DELIVERED else fate
+            name = "corrupted" if corrupted and fate == Cause.DELIVERED else fate
             told[f"fate-{name}"] = told.get(f"fate-{name}", 0) + 1
     assert shown == told
     assert {"fate-loss", "fate-partition", "fate-dead receiver", "fate-corrupted"} <= set(shown)
@@ -244,7 +244,7 @@ def test_each_packet_is_a_mark_of_its_fate(runs: dict[str, Run]) -> None:
 
 
 def test_every_fate_has_a_mark_of_its_own() -> None:
-    assert set(exchange.FATES) == {DELIVERED, IN_FLIGHT, exchange.CORRUPTED, *CAUSES}
+    assert set(exchange.FATES) == {Cause.DELIVERED, Cause.IN_FLIGHT, exchange.CORRUPTED, *LOSSES}
     assert len({mark for mark, _ in exchange.FATES.values()}) == len(exchange.FATES)
 
 

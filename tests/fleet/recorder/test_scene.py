@@ -25,7 +25,7 @@ from fleet.recorder.transforms import quaternion
 from fleet.repeat.resume import prepare
 from fleet.run.execute import Options, Result, execute
 from fleet.scenario.loading import load_scenario
-from netem.causes import CAUSES, DELIVERED, IN_FLIGHT
+from netem.causes import LOSSES, Cause
 from netem.wire.messages import Fate, Frame, VehicleFrame
 
 FAULTS = "faults=[{at: 1.5 s, for: 1 s, partition: halves}, {at: 2 s, for: 600 ms, kill: 4}, {at: 2.2 s, pause: 1}]"
@@ -200,17 +200,17 @@ def fate(cause: str, corrupted: bool = False) -> Fate:
     return Fate(1, 1, 2, 0, 0, 0, 1, 0, cause, corrupted, b"")
 
 
-@given(st.lists(st.sampled_from([*CAUSES, DELIVERED, IN_FLIGHT]), max_size=3 * HISTORY))
+@given(st.lists(st.sampled_from([*LOSSES, Cause.DELIVERED, Cause.IN_FLIGHT]), max_size=3 * HISTORY))
 def test_the_state_of_a_link_is_that_of_its_last_packets(causes: list[str]) -> None:
     histories = LinkHistories([(1, 2)])
     for cause in causes:
         histories.settle(fate(cause))
-    last = [cause for cause in causes if cause != IN_FLIGHT][-HISTORY:]
+    last = [cause for cause in causes if cause != Cause.IN_FLIGHT][-HISTORY:]
     found = histories.state((1, 2))
     assert found in LINKS
     assert (found == "silent") == (not last)
-    assert (found == "delivering") == (bool(last) and set(last) == {DELIVERED})
-    if last and last[-1] == DELIVERED:
+    assert (found == "delivering") == (bool(last) and set(last) == {Cause.DELIVERED})
+    if last and last[-1] == Cause.DELIVERED:
         assert found in ("delivering", "losing")
     if last and last[-1] in CUTS:
         assert found == "cut"
@@ -221,7 +221,7 @@ def test_the_state_of_a_link_is_that_of_its_last_packets(causes: list[str]) -> N
 def test_a_corrupted_packet_is_a_lost_one() -> None:
     histories = LinkHistories([(1, 2)])
     for corrupted in (False, True):
-        histories.settle(fate(DELIVERED, corrupted))
+        histories.settle(fate(Cause.DELIVERED, corrupted))
     assert histories.state((1, 2)) == "losing"
 
 

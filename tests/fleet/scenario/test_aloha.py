@@ -7,9 +7,9 @@ import math
 import pytest
 
 from fleet.scenario.sections.aloha import talking
-from netem.acoustic import AcousticNetem
 from netem.config import NetemConfig
 from netem.modem import AcousticConfig, Modem
+from netem.network import Netem
 
 TICK_NS = 10_000_000
 AIRED = 6000
@@ -21,7 +21,7 @@ def measured(round_ticks: int, airtime: int, backoff: int, vehicles: int, rounds
     modem = Modem(1e6, airtime * TICK_NS / 1e9 - 8e-6, 26e3, 16e3, 200.0, 0.0, 1e5, 1e5, 64, 8.0, 8.0, 100.0)
     everyone = tuple(range(1, vehicles + 1))
     ring = tuple((i, i % vehicles + 1) for i in everyone)
-    netem = AcousticNetem(
+    netem = Netem(
         NetemConfig(1, TICK_NS, round_ticks, everyone, ring, acoustic=AcousticConfig(modem, "aloha", backoff))
     )
     assert modem.airtime_ns(1) == airtime * TICK_NS

@@ -21,13 +21,15 @@ from netem.wire.codec import decode, encode
 from netem.wire.control import read_map
 from netem.wire.messages import Command, Grant, Hello, Message, Nav
 from netem.wire.shell import expect
-from netem.wire.wire_types import declared, fields_of, records
+from netem.wire.wire_types import declared, fields_of, records, texts
 
 
 def plainest(wire: str) -> Any:
     """The smallest value of a wire type, as it stands on the wire; an array without a size has one element."""
     if wire in RECORDS:
         return [plainest(field.wire) for field in fields_of(RECORDS[wire]).values()]
+    if wire in texts():
+        return min(texts()[wire]).value
     if match := ARRAY.fullmatch(wire):
         item, size = match.groups()
         return [plainest(item)] * (1 if size == "*" else int(size))
@@ -49,6 +51,8 @@ def spoilt(wire: str) -> Iterator[Any]:
         if size != "*":
             yield from (good[:-1], [*good, good[0]], [])
         yield from (None, 0, 0.5, {}, "", b"", dict.fromkeys("012", good[0]))
+    elif wire in texts():
+        yield from (None, True, 0, 0.5, b"", [], {}, "", "x" * 4097, good.upper(), f"{good} ")
     else:
         everything = [None, True, 0, -1, -(2**63), 0.5, nan, inf, -inf, "0", "x" * 4097, b"", [], [0], {}]
         everything += [msgpack.ExtType(1, b""), msgpack.Timestamp(1)]

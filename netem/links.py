@@ -1,0 +1,41 @@
+"""The directed links of a run: who receives from whom, what each link does to a packet, and each link's account."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from netem.condition import Condition, Link
+from netem.config import NetemConfig
+from netem.faults import ActiveFaults
+from netem.impairment import LinkModel, LinkOutcome
+from netem.ledger import Ledger
+
+PERFECT = Condition()
+
+
+class Links:
+    """What a medium asks about links; a fault's condition lies over the link's own."""
+
+    def __init__(self, config: NetemConfig) -> None:
+        self.models = {
+            link: LinkModel(config.conditions.get(link, PERFECT), config.seed, link) for link in config.links
+        }
+        self.receivers: dict[int, list[int]] = {i: [] for i in config.vehicles}
+        for src, dst in sorted(config.links):
+            self.receivers[src].append(dst)
+        self.next_seq: dict[Link, int] = dict.fromkeys(config.links, 0)
+        self.ledger = Ledger(config.links)
+
+    def number(self, link: Link) -> int:
+        """The number of the next payload on a link, from 0; each is given once."""
+        seq = self.next_seq[link]
+        self.next_seq[link] = seq + 1
+        return seq
+
+    def enter(self, at_ns: int, link: Link, seq: int, payload: bytes, faults: ActiveFaults) -> list[LinkOutcome]:
+        """What a link makes of a packet that enters it at a time: one outcome, and one more if it is duplicated."""
+        model, over = self.models[link], faults.conditions.get(link)
+        if link in faults.up:
+            condition = model.condition if over is None else over
+            over = condition if condition.up else replace(condition, up=True)
+        return model.enter(at_ns, seq, payload, over)

@@ -1,0 +1,100 @@
+"""The packets without a final fate: under way, in an inbox but not yet due, or lost at a tick to come."""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Collection
+from typing import NamedTuple
+
+from msgspec.structs import replace
+
+from netem.causes import Cause
+from netem.config import NetemConfig
+from netem.faults import ActiveFaults
+from netem.wire.messages import Delivery, Fate
+
+
+class Packet(NamedTuple):
+    """A payload under way; packets sort by the order in which their receiver sees them."""
+
+    due_tick: int
+    sent_tick: int
+    src: int
+    seq: int
+    copy: int
+    dst: int
+    delay_ns: int
+    payload: bytes
+    corrupted: bool
+
+    def fate(self, final_tick: int, cause: Cause) -> Fate:
+        """The record of the packet once its fate is final."""
+        return Fate(
+            final_tick,
+            self.src,
+            self.dst,
+            self.seq,
+            self.copy,
+            self.sent_tick,
+            self.due_tick,
+            self.delay_ns,
+            cause,
+            self.corrupted,
+            self.payload,
+        )
+
+
+class Transit:
+    """A medium adds packets and losses; rounds take inboxes and final fates out."""
+
+    def __init__(self, config: NetemConfig) -> None:
+        self.pending: dict[int, list[Packet]] = {i: [] for i in config.vehicles}  # heaps of what is in no inbox yet
+        self.announced: list[Packet] = []  # in an inbox, not yet due
+        self.lost: list[Fate] = []  # their final tick is still to come
+
+    def add(self, packet: Packet) -> None:
+        """A packet is on its way to its receiver."""
+        heapq.heappush(self.pending[packet.dst], packet)
+
+    def lose(self, fate: Fate) -> None:
+        """A packet is lost; the fate is reported once its final tick is reached."""
+        self.lost.append(fate)
+
+    def announce(
+        self, alive: Collection[int], until: int, faults: ActiveFaults
+    ) -> tuple[dict[int, tuple[Delivery, ...]], list[Fate]]:
+        """Inboxes of the living with what is due up to tick `until`, and what is lost at receivers that cannot hear."""
+        inboxes = {}
+        unheard = []
+        for i in sorted(self.pending):
+            queue, inbox = self.pending[i], []
+            cause = Cause.DEAD_RECEIVER if i not in alive else Cause.DEAF if i in faults.deaf else None
+            while queue and queue[0].due_tick <= until:
+                packet = heapq.heappop(queue)
+                if cause is not None:
+                    unheard.append(packet.fate(packet.due_tick, cause))
+                else:
+                    self.announced.append(packet)
+                    inbox.append(Delivery(*packet[:5], packet.payload))
+            if i in alive:
+                inboxes[i] = tuple(inbox)
+        return inboxes, unheard
+
+    def settle(self, until: int) -> list[Fate]:
+        """The fates that are final up to tick `until`, each once."""
+        due = [packet for packet in self.announced if packet.due_tick <= until]
+        if due:
+            self.announced = [packet for packet in self.announced if packet.due_tick > until]
+        final = [fate for fate in self.lost if fate.final_tick <= until]
+        if final:
+            self.lost = [fate for fate in self.lost if fate.final_tick > until]
+        return [packet.fate(packet.due_tick, Cause.DELIVERED) for packet in due] + final
+
+    def close(self, end_tick: int) -> list[Fate]:
+        """The fates of everything that is left when the run ends before tick `end_tick` is started."""
+        fates = self.settle(end_tick - 1)
+        rest = self.announced + [p for i in sorted(self.pending) for p in self.pending[i]]
+        fates += [packet.fate(end_tick, Cause.IN_FLIGHT) for packet in rest]
+        fates += [replace(fate, final_tick=end_tick, cause=Cause.IN_FLIGHT) for fate in self.lost]
+        self.announced, self.lost, self.pending = [], [], {i: [] for i in self.pending}
+        return fates

@@ -13,10 +13,11 @@ from agents.process import READY_TIMEOUT_S, RETRY_S, AgentProcess, _give_up
 from agents.realtime_loop import RealtimeLoop
 from netem.errors import BusError
 from netem.wire.access import Credentials, agent_role
-from netem.wire.bus import Bus, quiet_zenoh
+from netem.wire.bus import Bus
 from netem.wire.control import read_map
 from netem.wire.keys import Keys
 from netem.wire.link_loss import end_with_link
+from netem.wire.session import quiet_zenoh
 from netem.wire.shell import Shell
 
 

@@ -8,9 +8,10 @@ from netem.realtime_process import RealtimeNetemProcess
 from netem.realtime_rounds import RealtimeRounds
 from netem.rounds import Rounds
 from netem.wire.access import Credentials
-from netem.wire.bus import Bus, quiet_zenoh
+from netem.wire.bus import Bus
 from netem.wire.keys import Keys
 from netem.wire.link_loss import end_with_link
+from netem.wire.session import quiet_zenoh
 
 
 def run(endpoint: str, run_id: str, credentials: Credentials, config: NetemConfig, realtime: bool) -> None:

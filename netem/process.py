@@ -17,7 +17,7 @@ from netem.lives import Absence, Lives
 from netem.realtime_rounds import RealtimeRounds
 from netem.rounds import Rounds
 from netem.wire.access import NETEM
-from netem.wire.bus import PART_BYTES, Bus, Respond
+from netem.wire.bus import Bus, Respond
 from netem.wire.codec import encode
 from netem.wire.control import read_map
 from netem.wire.keys import Keys, vehicle_of
@@ -34,7 +34,7 @@ from netem.wire.messages import (
     Round,
     Transmission,
 )
-from netem.wire.parts import pieces, split
+from netem.wire.parts import PART_BYTES, pieces, split
 from netem.wire.shell import Item, Probes, Shell, expect
 
 log = logging.getLogger(__name__)

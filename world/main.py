@@ -7,9 +7,10 @@ from pathlib import Path
 from netem.wire.access import WORLD as WORLD
 from netem.wire.access import Credentials, Listener
 from netem.wire.audit import Refusals, listen
-from netem.wire.bus import Bus, quiet_zenoh
+from netem.wire.bus import Bus
 from netem.wire.keys import Keys
 from netem.wire.link_loss import end_with_link
+from netem.wire.session import quiet_zenoh
 from world.config import WorldConfig
 from world.lockstep import Lockstep
 from world.process import WorldProcess

@@ -13,7 +13,7 @@ from netem.lives import Absence
 from netem.wire.access import WORLD as WORLD
 from netem.wire.access import agent_role
 from netem.wire.audit import Refusals
-from netem.wire.bus import PART_BYTES, Bus, Respond
+from netem.wire.bus import Bus, Respond
 from netem.wire.codec import encode
 from netem.wire.control import read_map
 from netem.wire.keys import Keys, vehicle_of
@@ -33,7 +33,7 @@ from netem.wire.messages import (
     VehicleFrame,
     WorldFaults,
 )
-from netem.wire.parts import pieces, split
+from netem.wire.parts import PART_BYTES, pieces, split
 from netem.wire.shell import Probes, Shell, expect
 from world.faults import WorldFault
 from world.lockstep import Lockstep, NavTo, Out

@@ -45,8 +45,8 @@ def agent(path: Path, trust: Trust, quiet: bool) -> None:
 
     from agents.join import serve
     from agents.join_file import JoinError, Joining
-    from netem.wire.bus import quiet_zenoh
     from netem.wire.messages import RUN_OVER
+    from netem.wire.session import quiet_zenoh
 
     def tell(text: str) -> None:
         if not quiet:

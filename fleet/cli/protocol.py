@@ -54,7 +54,7 @@ def check(vehicle: int, scenario: str, trust: Trust, join_file: Path | None, tim
     from fleet.errors import printable
     from fleet.protocol.conformance import Examination
     from fleet.scenario.loading import load_scenario
-    from netem.wire.bus import quiet_zenoh
+    from netem.wire.session import quiet_zenoh
 
     quiet_zenoh()
     examination = Examination(

@@ -206,8 +206,8 @@ def _finish(recorder: Any, writer: Any, line: Any, path: Path) -> None:
 
 def _session(connect: str | None, listen: str | None, credentials: Any) -> Any:
     from fleet.processes.ports import free_port
-    from netem.wire.bus import quiet_zenoh
     from netem.wire.open_bus import OpenBus
+    from netem.wire.session import quiet_zenoh
 
     if connect and listen:
         raise click.UsageError("either --connect or --listen")

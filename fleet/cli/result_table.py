@@ -85,9 +85,7 @@ def _links(rows: dict[str, dict[str, Any]], ages: dict[str, dict[str, float]]) -
         name: {
             "sent": row["sent"],
             "duplicated": row["duplicated"],
-            "replaced": row["lost"].get(
-                Cause.REPLACED, 0
-            ),  # by newer data before it was sent: not lost on the way
+            "replaced": row["lost"].get(Cause.REPLACED, 0),  # by newer data before it was sent: not lost on the way
             "delivered": row["delivered"],
             **{f"lost: {cause}": row["lost"].get(cause, 0) for cause in lost},
             "in flight": row["in_flight"],

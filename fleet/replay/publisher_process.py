@@ -27,9 +27,9 @@ from fleet.replay.capture_format import zenoh_encoding
 from fleet.replay.publisher import ENTRY, LENGTH
 from netem.errors import BusError
 from netem.wire.access import Credentials
-from netem.wire.bus import quiet_zenoh
 from netem.wire.keys import Keys
 from netem.wire.open_bus import OpenBus
+from netem.wire.session import quiet_zenoh
 
 POLL_S = 0.02
 SETTLE_S = 0.1  # whoever subscribes to several keys does so one after another

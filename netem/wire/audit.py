@@ -23,7 +23,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from queue import SimpleQueue
 
-from netem.wire.bus import log_zenoh
+from netem.wire.session import log_zenoh
 from netem.wire.settings import PIECE_BYTES
 
 log = logging.getLogger(__name__)

@@ -5,10 +5,7 @@
 
 from __future__ import annotations
 
-import json
-import os
-import re
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from pathlib import Path
 from threading import Thread
 from typing import Any
@@ -16,38 +13,18 @@ from typing import Any
 import zenoh
 
 from netem.errors import BusError
-from netem.whole_file import write_whole
 from netem.wire.access import LEASE_MS, Credentials, Listener, access_control
 from netem.wire.keys import Keys
 from netem.wire.linger import never_linger
+from netem.wire.parts import PART_BYTES, pieces
 from netem.wire.queues import Channel, Stamped
-from netem.wire.settings import (
-    BASE,
-    MAX_BYTES,
-    RUNTIME,
-    client_settings,
-    client_tls,
-    listening,
-    router_settings,
-    server_tls,
-)
+from netem.wire.session import open_session, reason, users_file
+from netem.wire.settings import MAX_BYTES, client_settings, client_tls, listening, router_settings, server_tls
 
-# Ours, whatever the environment says: zenoh has not read it yet.
-os.environ["ZENOH_RUNTIME"] = RUNTIME
-PART_BYTES = 32_000  # long messages of ours are split into parts of about this size
+CLOSE_S = 3.0
 Handler = Callable[[str, bytes], None]
 Respond = Callable[[bytes], None]
 QueryHandler = Callable[[str, bytes, Respond], None]
-
-
-def _config(mode: str, settings: dict[str, Any]) -> zenoh.Config:
-    config = zenoh.Config()
-    for key, value in ({"mode": mode} | BASE | settings).items():
-        config.insert_json5(key, json.dumps(value))
-    return config
-
-
-CLOSE_S = 3.0
 
 
 class Bus:
@@ -74,12 +51,12 @@ class Bus:
             **client_tls(credentials),
         }
         try:
-            return cls(zenoh.open(_config("client", settings)), endpoint)
+            return cls(open_session("client", settings), endpoint)
         except zenoh.ZError as error:
             tls = ", its certificate is not of the CA that we trust" if "tls/" in endpoint else ""
             raise BusError(
                 f"cannot join the run at {endpoint} as {credentials.user}: nobody listens there{tls}, "
-                f"or the credentials are of another run ({_first_line(error)})"
+                f"or the credentials are of another run ({reason(error)})"
             ) from None
 
     @classmethod
@@ -102,7 +79,7 @@ class Bus:
         Raises:
             BusError: the endpoint is taken or not ours to listen on.
         """
-        users = _write_users(private, credentials.values())
+        users = users_file(private, credentials.values())
         endpoints = [endpoint, *(listener.endpoints if listener else ())]
         certified = {role: [role] for role in listener.certified} if listener else {}
         control = access_control(keys, vehicles, certified=certified)
@@ -114,9 +91,9 @@ class Bus:
             **({} if listener is None else server_tls(listener)),
         }
         try:
-            bus = cls(zenoh.open(_config("router", settings)), endpoint)
+            bus = cls(open_session("router", settings), endpoint)
         except zenoh.ZError as error:
-            raise BusError(f"cannot listen on {' and '.join(endpoints)}: {_first_line(error)}") from None
+            raise BusError(f"cannot listen on {' and '.join(endpoints)}: {reason(error)}") from None
         finally:
             users.unlink(missing_ok=True)
         if listener is not None:
@@ -155,7 +132,7 @@ class Bus:
             try:
                 publisher.put(data)
             except zenoh.ZError as error:
-                raise BusError(f"cannot put on {key}: {_first_line(error)}") from None
+                raise BusError(f"cannot put on {key}: {reason(error)}") from None
 
         return put
 
@@ -196,8 +173,8 @@ class Bus:
 
             def respond(answer: bytes) -> None:
                 # The transport carries no long message: what is long goes in several replies.
-                for begin in range(0, max(1, len(answer)), PART_BYTES):
-                    query.reply(key_expr, answer[begin : begin + PART_BYTES])
+                for piece in pieces(answer, PART_BYTES) or [b""]:
+                    query.reply(key_expr, piece)
                 query.drop()  # type: ignore[no-untyped-call]
 
             handler(str(key_expr), request, respond)
@@ -247,26 +224,3 @@ class Bus:
         closing = Thread(target=self._session.close, daemon=True)
         closing.start()
         closing.join(CLOSE_S)
-
-
-def log_zenoh(levels: str) -> None:
-    """Zenoh's own log to stdout, with these levels unless RUST_LOG says otherwise; once per process."""
-    zenoh.init_log_from_env_or(levels)
-
-
-def quiet_zenoh() -> None:
-    """Zenoh's own log to stdout, errors only unless RUST_LOG says otherwise; not those that a BusError tells."""
-    log_zenoh("error,zenoh_transport::unicast::establishment=off")
-
-
-def _write_users(private: Path, credentials: Iterable[Credentials]) -> Path:
-    """The file from which a router reads who may log in, once."""
-    users = private / "users"
-    write_whole(users, "".join(f"{c.user}:{c.password}\n" for c in credentials).encode())
-    return users
-
-
-def _first_line(error: Exception) -> str:
-    """What zenoh says, without the places in its source where it says so."""
-    text = str(error).splitlines()[0] if str(error) else type(error).__name__
-    return re.sub(r" at /\S+\.rs:\d+\.", "", text)

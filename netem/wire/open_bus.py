@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import zenoh
 
 from netem.errors import BusError
 from netem.wire.access import Credentials, observer_control
-from netem.wire.bus import _config, _first_line, _write_users
 from netem.wire.keys import Keys
+from netem.wire.session import open_session, reason, users_file
 from netem.wire.settings import OTHERS, client_settings, listening
 
 
@@ -76,7 +76,7 @@ class OpenBus:
         Raises:
             BusError: the endpoint is taken or none.
         """
-        users = _write_users(private, [observer])
+        users = users_file(private, [observer])
         settings = {
             "transport/auth/usrpwd/dictionary_file": str(users),
             "access_control": observer_control(keys),
@@ -103,16 +103,16 @@ class OpenBus:
         return cls._open("client", endpoint, settings, "nobody answers, or lets us in, at")
 
     @classmethod
-    def _open(cls, mode: str, endpoint: str, settings: dict[str, Any], problem: str) -> OpenBus:
+    def _open(cls, mode: Literal["client", "router"], endpoint: str, settings: dict[str, Any], problem: str) -> OpenBus:
         universal = {
             "transport/unicast/lowlatency": False,
             "transport/unicast/qos/enabled": True,
             "transport/link/tx/lease": 10_000,
         }
         try:
-            return cls(zenoh.open(_config(mode, universal | settings)), endpoint)
+            return cls(open_session(mode, universal | settings), endpoint)
         except zenoh.ZError as error:
-            raise BusError(f"{problem} {endpoint} ({_first_line(error)})") from None
+            raise BusError(f"{problem} {endpoint} ({reason(error)})") from None
 
     def publication(self, key: str, encoding: str, *, drop: bool) -> Publication:
         """Puts on `key`, in order. With `drop`, what a slow subscriber has no room for is lost to it; otherwise the

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from typing import TypeVar
 
+PART_BYTES = 32_000  # of a long message; well below `netem.wire.settings.MAX_BYTES`
+
 _T = TypeVar("_T")
 
 

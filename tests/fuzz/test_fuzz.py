@@ -51,7 +51,6 @@ from netem.process import NetemProcess
 from netem.realtime_process import RealtimeNetemProcess
 from netem.realtime_rounds import RealtimeRounds
 from netem.rounds import Rounds
-from netem.wire.bus import PART_BYTES
 from netem.wire.codec import decode, encode
 from netem.wire.keys import Keys
 from netem.wire.messages import (
@@ -69,6 +68,7 @@ from netem.wire.messages import (
     Transmission,
 )
 from netem.wire.messages import Pace as Begins
+from netem.wire.parts import PART_BYTES
 from netem.wire.settings import MAX_BYTES
 from netem.wire.shell import Item
 from world.lockstep import Lockstep

@@ -22,7 +22,7 @@ from agents import payload
 from agents.join_file import Joining
 from fleet.errors import FleetError
 from fleet.processes.ports import free_port
-from fleet.protocol.counterpart import Counterpart
+from fleet.protocol.emulated_fleet import Counterpart
 from fleet.scenario.scenario import Scenario
 from netem.errors import BusError, MalformedMessage, OutOfPlace
 from netem.wire.access import agent_role, generate

@@ -22,7 +22,7 @@ from agents import payload
 from agents.join_file import Joining
 from fleet.errors import FleetError
 from fleet.processes.ports import free_port
-from fleet.protocol.emulated_fleet import Counterpart
+from fleet.protocol.emulated_fleet import EmulatedFleet
 from fleet.scenario.scenario import Scenario
 from netem.errors import BusError, MalformedMessage, OutOfPlace
 from netem.wire.access import agent_role, generate
@@ -97,12 +97,16 @@ class Examination:
     """One exchange with one agent."""
 
     def __init__(self, scenario: Scenario, vehicle: int, file: Path, *, port: int | None = None) -> None:
-        """Args:
-        scenario: whose slice the agent is given.
-        file: where the join file goes.
+        """Prepare the exchange; `run` carries it out.
+
+        Args:
+            scenario: the agent is given the slice of one of its vehicles.
+            vehicle: number of that vehicle.
+            file: where the join file goes.
+            port: TCP port of the router on the loopback interface; None: any free one.
 
         Raises:
-            ConformanceError: there is no such vehicle, or the file is there already.
+            ConformanceError: there is no such vehicle, the network is ideal, or the file exists.
         """
         if not 1 <= vehicle <= scenario.vehicles:
             raise ConformanceError(
@@ -122,18 +126,18 @@ class Examination:
         self._reached: set[str] = set()
         self._failed: dict[str, tuple[str, str]] = {}
         self._known = 0  # the tick up to which the agent has its inbox
-        self.notes: list[str] = []  # what the agent said to people
+        self.notes: list[str] = []  # texts of the agent's Note messages
         self.slowest_s = 0.0  # longest wait for an answer
 
-    def run(self, timeout_s: float, say: Callable[[str], None]) -> list[Check]:
-        """Wait for the agent, examine it, and say what came of it.
+    def run(self, timeout_s: float, show: Callable[[str], None]) -> list[Check]:
+        """Wait for the agent, examine it, and return a verdict for each of `CHECKS`.
 
         Args:
-            timeout_s: how long to wait for somebody to start the agent.
-            say: told where the join file is.
+            timeout_s: how long to wait for the agent to be started.
+            show: called with a line that names the join file.
 
         Raises:
-            ConformanceError: nobody came, or the endpoint or the file cannot be made.
+            ConformanceError: no agent came, or the endpoint or the file cannot be made.
         """
         i, begin = self._i, BEGIN_ROUNDS * self._m
         user = generate((i,))[agent_role(i)]
@@ -142,13 +146,13 @@ class Examination:
         told = {"agent": self._config.to_values(), "incarnation": LIFE, "begin": begin, "version": PROTOCOL_VERSION}
         with tempfile.TemporaryDirectory(prefix="uuv-fleet-") as private:
             try:
-                self._other = Counterpart(endpoint, self._keys, i, user, Path(private), told)
+                self._other = EmulatedFleet(endpoint, self._keys, i, user, Path(private), told)
             except BusError as error:
                 raise ConformanceError(str(error)) from None
         try:
             joining.write(self._file)
             file = shlex.quote(str(self._file))
-            say(f"waiting for agent {i}: start it with {file}; ours would be: fleet agent --join {file}")
+            show(f"waiting for agent {i}: start it with {file}; ours would be: fleet agent --join {file}")
             with contextlib.suppress(_BrokenOffError):
                 self._examine(timeout_s, begin)
             self.notes = self._other.notes
@@ -160,7 +164,7 @@ class Examination:
             self._other.close()
 
     def _take(self, deadline: float) -> tuple[str, Message | None] | None:
-        """As `Counterpart.take`, up to a moment; what is malformed is judged, and ends the exchange.
+        """As `EmulatedFleet.take`, up to a moment; what is malformed is judged, and ends the exchange.
 
         A moment and not a span, because an agent may put without end what is no answer.
         """

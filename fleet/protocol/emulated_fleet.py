@@ -22,15 +22,17 @@ MOST_NOTES = 100
 KINDS = {"cmd": (Hello, Command, Memory), "tx": (Hello, Transmission), "note": (Note,)}
 
 
-class Counterpart:
-    """Answers what is always answered (cfg, hello), keeps the agent's notes, and hands out the rest in order."""
+class EmulatedFleet:
+    """Answers every cfg query and hello of the agent, keeps its notes, and hands out the rest in order."""
 
     def __init__(
         self, endpoint: str, keys: Keys, vehicle: int, user: Credentials, private: Path, answer: dict[str, Any]
     ) -> None:
-        """Args:
-        private: a directory of mode 0700, as for `Bus.host`.
-        answer: to the query of cfg.
+        """Open the router and subscribe to what the agent puts.
+
+        Args:
+            private: a directory of mode 0700, as for `Bus.host`.
+            answer: to the query of cfg.
 
         Raises:
             BusError: the endpoint is taken.
@@ -41,7 +43,7 @@ class Counterpart:
         put = came.put
         self._came = came
         self.here = False  # whether the agent holds its token
-        self.notes: list[str] = []  # what the agent says to people
+        self.notes: list[str] = []  # texts of the agent's Note messages
         packed = msgpack.packb(answer)
 
         def receive(key: str, data: bytes) -> None:
@@ -70,7 +72,7 @@ class Counterpart:
 
         Raises:
             MalformedMessage: the agent put what does not belong on that key.
-            OutOfPlace: it says hello more often than world and netem would answer.
+            OutOfPlace: it sends hello more often than world and netem would answer.
         """
         deadline = time.monotonic() + timeout_s
         while (left := deadline - time.monotonic()) > 0:

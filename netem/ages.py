@@ -8,9 +8,9 @@
 
 Delta is the age of S. Kaul, R. Yates, M. Gruteser, "Real-time status: How often should one update?", INFOCOM 2012: a
 sawtooth that grows by one per tick and drops when something newer arrives. What arrives late behind something newer, a
-copy, and a payload that the link corrupted (the agent refuses it by its CRC) do not lower it. At the start nobody
-knows anything of anybody, so the age counts from tick 0: a link that never delivers is as old as the run. It belongs to
-the link, not to an agent's memory: it also grows at a receiver, or of a sender, that is dead.
+copy, and a payload that the link corrupted (the agent refuses it by its CRC) do not lower it. At the start no
+vehicle has heard of another, so the age counts from tick 0: a link that never delivers is as old as the run. It belongs
+to the link, not to an agent's memory: it also grows at a receiver, or of a sender, that is dead.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What netem is told before a run: the directed links and the condition of each at the start."""
+"""The configuration of netem: the directed links and the condition of each at the start of a run."""
 
 from __future__ import annotations
 
@@ -25,6 +25,6 @@ class NetemConfig:
     conditions: dict[Link, Condition] = field(default_factory=dict)
     faults: tuple[NetFault, ...] = ()  # in the order in which they begin
     absences: tuple[Absence, ...] = ()  # when a vehicle has no agent: restarts count incarnations
-    memory_ticks: int = 0  # how often it tells all that it remembers; 0: never
+    memory_ticks: int = 0  # ticks between two snapshots of its state; 0: none
     ideal: bool = False  # zero latency: due in the sending tick itself (in-process only)
     acoustic: AcousticConfig | None = None  # in the water; None: links of their own

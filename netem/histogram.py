@@ -1,4 +1,8 @@
-"""How durations spread, in buckets that grow with the duration: memory stays small and tails stay seen."""
+"""A histogram of durations in logarithmic buckets, so that memory stays small and percentiles have a relative error.
+
+The buckets are those of DDSketch (C. Masson, J. E. Rim, H. K. Lee, "DDSketch: a fast and fully-mergeable quantile
+sketch with relative-error guarantees", VLDB 2019): each ends a fixed factor after the one before.
+"""
 
 from __future__ import annotations
 

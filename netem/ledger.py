@@ -44,7 +44,7 @@ class Account:
 
 
 class Ledger:
-    """Exits counted from final fates; entries come from whoever let the packets in."""
+    """Exits are counted from final fates; entries by the medium that takes the packets."""
 
     def __init__(self, links: Iterable[Link]) -> None:
         self.accounts: dict[Link, Account] = {link: Account() for link in sorted(links)}

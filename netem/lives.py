@@ -1,7 +1,7 @@
 """Who has an agent at which tick, and which life of it that is.
 
 An agent that ended leaves its vehicle without one from a tick on, until another is started in its place: a new
-incarnation, with an empty memory. Both are ticks, so that whatever asks gets the same answer in every process.
+incarnation, with an empty memory. Both are ticks, so every process computes the same answer for the same tick.
 """
 
 from __future__ import annotations
@@ -42,10 +42,10 @@ class Lives:
         return sum(end <= tick for _, end in self._gaps[i]) if i in self._gaps else 0
 
     def check(self, i: int, tick: int, incarnation: int) -> int:
-        """The incarnation of who speaks for vehicle i at a tick.
+        """The incarnation of vehicle i's agent at a tick, which a message of it must name.
 
         Raises:
-            OutOfPlace: it is another one's turn.
+            OutOfPlace: the message names another incarnation.
         """
         expected = self.incarnation(i, tick)
         if incarnation != expected:
@@ -57,12 +57,12 @@ class Lives:
         return [(int(begin), None if end == inf else int(end)) for begin, end in self._gaps.get(i, ())]
 
     def add(self, absence: Absence) -> None:
-        """Take one more."""
+        """Add an absence."""
         self.absences.append(absence)
         self._add_up(absence.vehicle)
 
     def end(self, i: int, tick: int) -> None:
-        """Vehicle i's agent ended without being told to: whoever is to be restarted next brings it back."""
+        """Vehicle i's agent ended at a tick on its own; the next restart that is planned brings it back."""
         if not self.without_agent(i, tick):
             self.add(Absence(i, tick, next((end for _, end in self.gaps(i) if end is None or end > tick), None)))
 

@@ -1,4 +1,4 @@
-"""An acoustic modem, its medium access and its water: what is told to the acoustic channel before a run."""
+"""The configuration of the acoustic channel: modem, medium access, and the water between the vehicles."""
 
 from __future__ import annotations
 

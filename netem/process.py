@@ -45,7 +45,7 @@ _ECHO = encode(Hello(NETEM, 0, 0, PROTOCOL_VERSION, True))
 
 
 class NetemProcess:
-    """Dispatches what comes in to `Rounds` and publishes what comes out."""
+    """Gives messages and control requests to `Rounds` and publishes inboxes and reports."""
 
     def __init__(self, bus: Bus, keys: Keys, config: NetemConfig, rounds: Rounds | RealtimeRounds) -> None:
         self._round_key = keys.round
@@ -72,16 +72,16 @@ class NetemProcess:
             if item.respond is not None:
                 self._control(item.data, item.respond)
             elif item.key == self._round_key:
-                self._told(item.data)
+                self._world_put(item.data)
             else:
-                self._heard(vehicle_of(item.key), item.data)
+                self._agent_put(vehicle_of(item.key), item.data)
         except (MalformedMessage, OutOfPlace) as error:
             self._shell.reject(item.key, self._rounds.tick, error)
             if item.respond is not None:
                 item.respond(msgpack.packb({"error": str(error)}))
 
-    def _heard(self, i: int, data: bytes) -> None:
-        """What an agent says."""
+    def _agent_put(self, i: int, data: bytes) -> None:
+        """Handle a put of agent i: a Transmission, a Hello, or in real time a Receipt."""
         message = expect(data, Transmission, Hello, Receipt)
         if i not in self._inbox:
             raise MalformedMessage("tx", f"no vehicle {i} in this run")
@@ -101,8 +101,8 @@ class NetemProcess:
         self._rounds.transmission(i, message)
         self._exchange()
 
-    def _told(self, data: bytes) -> None:
-        """What the world says."""
+    def _world_put(self, data: bytes) -> None:
+        """Handle a put of the world: a Round, a Hello, or in real time a Pace."""
         message = expect(data, Round, Hello, Pace)
         if isinstance(message, Hello):
             self._round_heard = True

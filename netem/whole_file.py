@@ -11,7 +11,7 @@ from typing import IO
 
 
 def write_whole(path: Path, data: bytes, mode: int = 0o600) -> None:
-    """Make a file, or replace it: nobody sees a part of it, and it never has another mode.
+    """Make a file, or replace it: no reader sees a part of it, and it never has another mode.
 
     Raises:
         OSError: it cannot be written; nothing is left behind, and what was there before stays.

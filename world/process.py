@@ -72,7 +72,7 @@ class WorldProcess:
         bus.watch_tokens(keys.alive("*"), self._token)
         bus.token(keys.alive(WORLD))
         self._refusals = refusals or Refusals()
-        self._refusals.tell(lambda text: self._shell.note(0, min(map(self._state.tick_of, self._ids)), text))
+        self._refusals.report_to(lambda text: self._shell.note(0, min(map(self._state.tick_of, self._ids)), text))
 
     def _listen(self, bus: Bus) -> None:
         # Commands and grants: an agent owes one at a time, and its memory now and then.

@@ -1,1 +1,1 @@
-"""The wire protocol as a page, and the test that somebody else's agent speaks it."""
+"""The wire protocol as a page, and the test that a foreign agent follows it."""

@@ -143,10 +143,10 @@ class Examination:
         user = generate((i,))[agent_role(i)]
         endpoint = f"tcp/127.0.0.1:{free_port(self._port)}"
         joining = Joining(endpoint, self._keys.run, i, user.user, user.password, PROTOCOL_VERSION, "check", LIFE, begin)
-        told = {"agent": self._config.to_values(), "incarnation": LIFE, "begin": begin, "version": PROTOCOL_VERSION}
+        answer = {"agent": self._config.to_values(), "incarnation": LIFE, "begin": begin, "version": PROTOCOL_VERSION}
         with tempfile.TemporaryDirectory(prefix="uuv-fleet-") as private:
             try:
-                self._other = EmulatedFleet(endpoint, self._keys, i, user, Path(private), told)
+                self._fleet = EmulatedFleet(endpoint, self._keys, i, user, Path(private), answer)
             except BusError as error:
                 raise ConformanceError(str(error)) from None
         try:
@@ -155,22 +155,22 @@ class Examination:
             show(f"waiting for agent {i}: start it with {file}; ours would be: fleet agent --join {file}")
             with contextlib.suppress(_BrokenOffError):
                 self._examine(timeout_s, begin)
-            self.notes = self._other.notes
+            self.notes = self._fleet.notes
             return self._verdicts()
         except OSError as error:
             raise ConformanceError(f"cannot write {self._file}: {error.strerror}") from None
         finally:
             self._file.unlink(missing_ok=True)
-            self._other.close()
+            self._fleet.close()
 
     def _take(self, deadline: float) -> tuple[str, Message | None] | None:
-        """As `EmulatedFleet.take`, up to a moment; what is malformed is judged, and ends the exchange.
+        """As `EmulatedFleet.take`, up to a deadline; a malformed message is judged, and ends the exchange.
 
-        A moment and not a span, because an agent may put without end what is no answer.
+        A deadline and not a span, because an agent may put messages without end that are no answer.
         """
         while True:
             try:
-                return self._other.take(deadline - time.monotonic())
+                return self._fleet.take(deadline - time.monotonic())
             except MalformedMessage as error:
                 self._fail(FORM, "hello, memory and cmd on cmd, hello and tx on tx", error)
                 raise _BrokenOffError from None
@@ -210,13 +210,13 @@ class Examination:
         for k in range(begin + 2, tick):
             self._ask(k)
         for junk in _JUNK:
-            self._other.nav(junk)
-            self._other.rx(junk)
+            self._fleet.nav(junk)
+            self._fleet.rx(junk)
         self._ask(tick, MALFORMED)
         self._reached.add(MALFORMED)
-        self._other.nav(encode(Nav(LIFE - 1, tick + 1, *self._state)))
-        self._other.rx(encode(Inbox(LIFE - 1, self._known + m, False, ())))
-        self._other.nav(encode(End(LIFE - 1, tick + 1, "this life is over long ago")))
+        self._fleet.nav(encode(Nav(LIFE - 1, tick + 1, *self._state)))
+        self._fleet.rx(encode(Inbox(LIFE - 1, self._known + m, False, ())))
+        self._fleet.nav(encode(End(LIFE - 1, tick + 1, "this life is over long ago")))
         self._silence(EARLIER, tick + 1, f"no answer to what is meant for incarnation {LIFE - 1}")
         self._ask(tick + 1, EARLIER)
         tick += 2 * m + 2
@@ -230,8 +230,8 @@ class Examination:
         asked = ready = False
         probed: set[str] = set()
         steps, deadline = 0, time.monotonic() + timeout_s
-        while not (asked and ready and len(probed) == 2 and self._other.here):
-            if (done := asked + ready + len(probed) + self._other.here) > steps:
+        while not (asked and ready and len(probed) == 2 and self._fleet.here):
+            if (done := asked + ready + len(probed) + self._fleet.here) > steps:
                 steps, deadline = done, time.monotonic() + 2 * ANSWER_S
             taken = self._take(deadline)
             if taken is None and not steps:
@@ -258,12 +258,12 @@ class Examination:
             (ASKS, asked, f"a query on {self._keys.cfg(self._i)}", "none"),
             (HELLO, len(probed) == 2, "hello on cmd and on tx", f"it on {' and '.join(sorted(probed)) or 'neither'}"),
             (READY, ready, "hello with echo set on cmd", "none"),
-            (TOKEN, self._other.here, f"the token {self._keys.alive(agent_role(self._i))}", "none"),
+            (TOKEN, self._fleet.here, f"the token {self._keys.alive(agent_role(self._i))}", "none"),
         ):
             self._reached.add(check)
             if not done:
                 self._fail(check, expected_, f"{got_} within {2 * ANSWER_S:g} s")
-        if not (asked and ready and len(probed) == 2 and self._other.here):
+        if not (asked and ready and len(probed) == 2 and self._fleet.here):
             raise _BrokenOffError
 
     def _ask(self, tick: int, blame: str = COMMANDS) -> None:
@@ -279,7 +279,7 @@ class Examination:
         transmitted = False
         while True:
             taken = self._take(began + ANSWER_S)
-            if taken is None or (taken[0] == "token" and not self._other.here):
+            if taken is None or (taken[0] == "token" and not self._fleet.here):
                 why = f"none within {ANSWER_S:g} s" if taken is None else "its token is gone"
                 self._fail(blame, f"cmd of tick {tick}", why)
                 raise _BrokenOffError
@@ -320,15 +320,15 @@ class Examination:
             elif message is not None and not isinstance(message, Hello):
                 self._fail(check, expected, _shown(message))
                 raise _BrokenOffError
-            if taken[0] == "token" and not self._other.here:
+            if taken[0] == "token" and not self._fleet.here:
                 self._fail(check, "that it stays", "its token is gone")
                 raise _BrokenOffError
 
     def _end(self, tick: int) -> None:
         self._reached.add(ENDS)
-        self._other.nav(encode(End(LIFE, tick, RUN_OVER)))
+        self._fleet.nav(encode(End(LIFE, tick, RUN_OVER)))
         deadline = time.monotonic() + ANSWER_S
-        while self._other.here:
+        while self._fleet.here:
             taken = self._take(deadline)
             if taken is None:
                 self._fail(ENDS, "that its token goes", f"it is there {ANSWER_S:g} s later")
@@ -337,10 +337,10 @@ class Examination:
                 self._fail(UNASKED, "nothing after the end", _shown(taken[1]))
 
     def _send_nav(self, tick: int) -> None:
-        self._other.nav(encode(Nav(LIFE, tick, *self._state)))
+        self._fleet.nav(encode(Nav(LIFE, tick, *self._state)))
 
     def _send_inbox(self, deliveries: tuple[Delivery, ...] = (), *, more: bool = False) -> None:
-        self._other.rx(encode(Inbox(LIFE, self._known + self._m, more, deliveries)))
+        self._fleet.rx(encode(Inbox(LIFE, self._known + self._m, more, deliveries)))
         if not more:
             self._known += self._m
 

@@ -1,1 +1,1 @@
-"""Zenoh and the messages on it: no other room knows zenoh."""
+"""Zenoh and the messages on it: no other room imports zenoh."""

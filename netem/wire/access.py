@@ -42,7 +42,7 @@ class Credentials:
         return f"Credentials(user={self.user!r}, ***)"
 
     def to_values(self) -> dict[str, Any]:
-        """What a file for this process holds: user, password, and whatever else it needs."""
+        """What a file for this process holds: user, password, and every other field that is not at its default."""
         return {each.name: value for each in fields(self) if (value := getattr(self, each.name)) != each.default}
 
     @classmethod

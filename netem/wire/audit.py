@@ -1,13 +1,13 @@
 """What the router refused, in a line each: taken from zenoh's own log, all else of which is left out.
 
 Zenoh refuses silently but for its log: a login at level debug, once per connection, and what access control decides
-at level trace, a line per message, allowed or not. Refused logins are therefore always told, and refused messages
-when a run is audited, which costs about a tenth of its speed. Zenoh writes to stdout; here that is a socket, which a
-thread reads.
+at level trace, a line per message, allowed or not. Refused logins are therefore always reported, and refused
+messages when a run is audited, which costs about a tenth of its speed. Zenoh writes to stdout; here that is a socket,
+which a thread reads.
 
-Whoever writes a line of the log waits when nobody reads it, and that is any thread of the router, perhaps one that
-holds Python's lock. So the reader only reads and counts: what is to be told, it leaves to another thread, since telling
-is a put, which writes lines of its own. And nobody waits longer than WRITE_S: what finds no room until then is lost.
+A thread that writes a line of the log waits while the buffer is full, and that is any thread of the router, perhaps one
+that holds Python's lock. So the reader only reads and counts. Another thread reports what it found, since a report is
+a put, which writes lines of its own. No thread waits longer than WRITE_S: a line that finds no room until then is lost.
 """
 
 from __future__ import annotations
@@ -34,8 +34,8 @@ LOGINS = (
 )
 DECISIONS = LOGINS + ",zenoh::net::routing::interceptor::access_control=trace"
 MOST_ENDED = 1000  # sessions that are remembered
-MOST_KINDS = 200  # of refusals that are told apart
-MOST_KEY = 200  # characters of a key that are told
+MOST_KINDS = 200  # of refusals that are counted apart
+MOST_KEY = 200  # characters of a key that are reported
 MOST_LINE = 1000  # bytes of a line that are looked at: a key may have 48,000
 WRITE_S = 0.05
 BUFFER = 1 << 20  # bytes between zenoh and the reader
@@ -65,28 +65,28 @@ _LOGINS = {
 
 
 class Refusals:
-    """Reads zenoh's log line by line, counts what was refused by kind, and tells the first of each kind."""
+    """Reads zenoh's log line by line, counts what was refused by kind, and reports the first of each kind."""
 
     def __init__(self) -> None:
         self.counts: Counter[str] = Counter()
-        self._untold: SimpleQueue[str] = SimpleQueue()  # each kind once
-        self._told_by: threading.Thread | None = None
+        self._unreported: SimpleQueue[str] = SimpleQueue()  # each kind once
+        self._reporter: threading.Thread | None = None
         self._users: dict[str, str] = {}  # by zenoh id of the session
         self._ended: dict[str, None] = {}  # zenoh ids of sessions, in the order in which they ended
         self._skip: dict[str, int] = {}  # by thread: decisions in advance still to come
-        self._too_long: set[str] = set()  # threads that have found a piece too long, and will say whose
+        self._too_long: set[str] = set()  # threads that have logged a piece too long, and will log whose it is
         self._fragmenting: dict[str, None] = {}  # zenoh ids of sessions that are not low-latency, the oldest first
 
-    def tell(self, tell: Callable[[str], None]) -> None:
-        """From now on call `tell`, on a thread of its own, with the first of each kind, also with those before."""
-        assert self._told_by is None
+    def report_to(self, report: Callable[[str], None]) -> None:
+        """Call `report` with the first refusal of each kind, past ones included, on a thread of its own."""
+        assert self._reporter is None
 
         def serve() -> None:
             while True:
-                tell(self._untold.get())
+                report(self._unreported.get())
 
-        self._told_by = threading.Thread(target=serve, name="refusals", daemon=True)
-        self._told_by.start()
+        self._reporter = threading.Thread(target=serve, name="refusals", daemon=True)
+        self._reporter.start()
 
     def line(self, line: str) -> bool:
         """Take one line; False if it is about something else, and worth keeping."""
@@ -108,7 +108,7 @@ class Refusals:
         return False
 
     def end(self, session: str) -> None:
-        """A session has ended: its user may log in again. Zenoh's log may still tell of it for a while."""
+        """A session has ended: its user may log in again. Zenoh's log may still have lines about it for a while."""
         self._ended[session] = None
         if len(self._ended) > MOST_ENDED:
             oldest = next(iter(self._ended))
@@ -117,7 +117,7 @@ class Refusals:
 
     def _fragments(self, session: str) -> None:
         """A session that is not low-latency sends long messages in pieces. Zenoh drops them without a word, and leaves
-        the session alone: that it could is all that can be told."""
+        the session alone: only that it could happen can be reported."""
         self._fragmenting[session] = None
         if len(self._fragmenting) > MOST_ENDED:
             del self._fragmenting[next(iter(self._fragmenting))]
@@ -174,13 +174,13 @@ class Refusals:
         self.counts[what] += 1
         if self.counts[what] == 1:
             log.warning("%s", what)
-            self._untold.put(what)
+            self._unreported.put(what)
 
 
 def listen(refusals: Refusals, *, decisions: bool) -> None:
     """Start zenoh's log and feed it to `refusals`; lines about anything else go where stdout went before.
 
-    With RUST_LOG set, zenoh's log goes to stdout as it is: somebody wants to see all of it.
+    With RUST_LOG set, zenoh's log goes to stdout as it is: the operator wants to see all of it.
     """
     if os.environ.get("RUST_LOG"):
         log_zenoh("error")
@@ -193,7 +193,7 @@ def listen(refusals: Refusals, *, decisions: bool) -> None:
         os.dup2(writer.fileno(), 1)
 
     def read() -> None:
-        with reader:  # if it ends, zenoh is told at once that nobody reads
+        with reader:  # if it ends, writes of zenoh fail at once
             _follow(reader.fileno(), stdout, refusals)
 
     threading.Thread(target=read, name="audit", daemon=True).start()
@@ -211,7 +211,7 @@ def _follow(source: int, stdout: int, refusals: Refusals) -> None:
             if at > 0 and head[at - 1 : at] == b" " and b"Username" not in head:
                 continue  # nearly all of them, when decisions are logged
             if not refusals.line(head.decode("utf-8", "replace")):
-                # Whatever becomes of the line (the disk may be full), zenoh would wait if nobody read on.
+                # Whatever becomes of the line (the disk may be full), zenoh would wait if this thread did not read on.
                 with suppress(OSError):
                     os.write(stdout, line + b"\n")
 

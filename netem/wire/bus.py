@@ -1,6 +1,6 @@
 """Zenoh as the processes of a run use it: sessions, puts, subscriptions, queries, tokens.
 
-`netem.wire.settings` says with which settings, and why.
+`netem.wire.settings` has the settings and the reasons for them.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class Bus:
             endpoint: several, with commas between them, are tried in turn.
 
         Raises:
-            BusError: nobody listens there, or the credentials are refused.
+            BusError: there is no router, or it refuses the credentials.
         """
         settings = {
             **client_settings(endpoint.split(","), credentials, timeout_ms),
@@ -69,7 +69,7 @@ class Bus:
         private: Path,
         listener: Listener | None = None,
     ) -> Bus:
-        """The run's router: listens on `endpoint`, knows the users and enforces the access-control list.
+        """The run's router: listens on `endpoint`, checks the users and enforces the access-control list.
 
         Args:
             private: a directory of mode 0700; zenoh reads the users from a file there, which is removed
@@ -103,7 +103,7 @@ class Bus:
     def on_lost(self, handler: Callable[[], None]) -> None:
         """Call `handler()` on a zenoh thread when the link to the router, or to a client of this router, has ended.
 
-        A client's session makes another link by itself, and what was on the way is lost without a word.
+        A client's session makes another link by itself; messages on the way are lost without an error.
         """
 
         self.watch_ends(lambda _: handler())
@@ -147,11 +147,11 @@ class Bus:
     def channel(self, key: str, capacity: int = 4096) -> Channel:
         """A queue of every put on `key`, filled by zenoh without a Python callback.
 
-        A callback needs the interpreter lock, and so interrupts whatever the main thread computes; for the
+        A callback needs the interpreter lock, and so interrupts the main thread; for the
         hot path of world and agents this costs a fifth of their CPU time. When the channel is full, the
         senders' links wait, and so does everything else that comes in on the session: who takes from one channel only
-        must not let another one fill. Where a stranger may put, the capacity should be small: each put that waits may
-        hold half a megabyte (measured: zenoh keeps the buffer that it came in).
+        must not let another one fill. Where other programs may put, the capacity should be small: each put that waits
+        may hold half a megabyte (measured: zenoh keeps the buffer that it came in).
         """
         return Channel(self._session.declare_subscriber(key, zenoh.handlers.FifoChannel(capacity)))
 
@@ -182,7 +182,7 @@ class Bus:
         self._held.append(self._session.declare_queryable(key, receive))
 
     def ask(self, key: str, request: bytes = b"", *, timeout_s: float = 2.0) -> bytes | None:
-        """The answer to a query on `key`, its replies joined; None when nobody answered, or not to the end, in time."""
+        """The answer to a query on `key`, its replies joined; None when no answer, or only a part, came in time."""
         parts = []
         every = zenoh.ConsolidationMode.NONE  # otherwise replies on one key replace each other
         for reply in self._session.get(key, payload=request, timeout=timeout_s, consolidation=every):
@@ -204,11 +204,11 @@ class Bus:
         self._held.append(self._session.liveliness().declare_subscriber(key, receive, history=True))
 
     def watch_ends(self, handler: Callable[[str], None]) -> None:
-        """Call `handler(zenoh id)` when somebody's session has ended."""
+        """Call `handler(zenoh id)` when a session of another process has ended."""
         self._watch(zenoh.SampleKind.DELETE, handler)
 
     def _watch(self, kind: zenoh.SampleKind, handler: Callable[[str], None]) -> None:
-        """Call `handler(zenoh id)` when somebody's session has begun (PUT) or ended (DELETE)."""
+        """Call `handler(zenoh id)` when a session of another process has begun (PUT) or ended (DELETE)."""
 
         def receive(event: zenoh.TransportEvent) -> None:
             if event.kind == kind:
@@ -220,7 +220,7 @@ class Bus:
     def close(self) -> None:
         """Close the session; everything declared through it is gone."""
         self._held.clear()
-        # A session that still receives into a channel that nobody empties would never close.
+        # A session that still receives into a full channel would never close.
         closing = Thread(target=self._session.close, daemon=True)
         closing.start()
         closing.join(CLOSE_S)

@@ -10,7 +10,7 @@ import msgspec
 from netem.errors import MalformedMessage
 from netem.wire.messages import Message
 
-LONGEST_REASON = 150  # characters: what was sent shall not fill the logs
+LONGEST_REASON = 150  # characters, so that a sender cannot fill the logs
 _CLASSES: dict[str, type[msgspec.Struct]] = {cls.__struct_config__.tag: cls for cls in get_args(Message)}
 _ENCODER = msgspec.msgpack.Encoder()
 _DECODER: msgspec.msgpack.Decoder[Message] = msgspec.msgpack.Decoder(Message)

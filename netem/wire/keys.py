@@ -36,7 +36,7 @@ class Keys:
         return f"fleet/{self.run}/cfg/{i}"
 
     def note(self, role: str) -> str:
-        """Any process to console: something a person should know."""
+        """Any process to console: a line for the operator."""
         return f"fleet/{self.run}/note/{role}"
 
     def alive(self, role: str) -> str:

@@ -1,8 +1,8 @@
 """Connections of this process are closed without waiting.
 
 Zenoh 1.10 opens them with SO_LINGER, 10 s: closing one that has unsent bytes waits for these, on the one thread that
-does all of zenoh's work here. Behind a cable that was pulled nobody takes them. While zenoh waits, it gives no signs of
-life on its other links either, and these end, too, when that takes longer than their lease. Without SO_LINGER the
+does all of zenoh's work here. Behind a cable that was pulled they are never taken. While zenoh waits, it gives no signs
+of life on its other links either, and these end, too, when that takes longer than their lease. Without SO_LINGER the
 kernel goes on sending in the background, as for every other program.
 """
 
@@ -21,7 +21,7 @@ _OFF = struct.pack("ii", 0, 0)
 def never_linger() -> None:
     """Take the option from every TCP connection that is open now.
 
-    It belongs to what all duplicates of a descriptor share, so a duplicate, which nobody closes meanwhile, will do.
+    All duplicates of a descriptor share it, so it can be set on a duplicate, which no other thread closes meanwhile.
     """
     for place in Path("/proc/self/fd").iterdir():
         with suppress(OSError):  # closed meanwhile

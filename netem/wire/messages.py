@@ -77,7 +77,7 @@ class Fate(Record, frozen=True):
 
 
 class VehicleFrame(Record, frozen=True):
-    """One vehicle in one tick, as the world saw it."""
+    """One vehicle at one tick, as the world computed it."""
 
     id: Annotated[Uint, about("vehicle number")]
     eta: Annotated[Reals5, about("true x, y, z (NED), theta, psi", "m, rad")]
@@ -88,7 +88,7 @@ class VehicleFrame(Record, frozen=True):
 
 
 class Arrival(Record, frozen=True):
-    """One delivery as its receiver saw it."""
+    """When one delivery came to its receiver."""
 
     src: Annotated[Uint, about("sending vehicle")]
     seq: Annotated[Uint, about("number of the payload on its directed link")]
@@ -154,7 +154,7 @@ class Nav(Record, frozen=True, tag="nav"):
 
 
 class End(Record, frozen=True, tag="end"):
-    """No Nav follows for this life of the agent: it closes its session. Only agents that others started are told."""
+    """No Nav follows for this life of the agent, which closes its session. Only external agents get it."""
 
     route: ClassVar[Route] = Route("nav/{i}", "world", "agent i")
 
@@ -177,13 +177,13 @@ class Command(Record, frozen=True, tag="cmd"):
 
 
 class Memory(Record, frozen=True, tag="memory"):
-    """All that an agent's next samples depend on; before the Command of a tick at which the run is kept whole."""
+    """Everything that an agent's next samples depend on; put before the Command of a tick with a snapshot."""
 
     route: ClassVar[Route] = Route("cmd/{i}", "agent i", "world")
 
     incarnation: Annotated[Uint, about("life of the sending agent")]
     tick: Annotated[Uint, about("of the Command that follows", "tick")]
-    state: Annotated[bytes, about("its own affair, as MessagePack")]
+    state: Annotated[bytes, about("in a format of the agent's own, as MessagePack")]
 
 
 class Transmission(Record, frozen=True, tag="tx"):
@@ -197,7 +197,7 @@ class Transmission(Record, frozen=True, tag="tx"):
 
 
 class Receipt(Record, frozen=True, tag="receipt"):
-    """With a real clock: the deliveries that an agent took at a tick, and when they had come. Optional."""
+    """In a realtime run: the deliveries that an agent used at a tick, and when they had come. Optional."""
 
     route: ClassVar[Route] = Route("tx/{i}", "agent i", "netem")
 
@@ -218,7 +218,7 @@ class Inbox(Record, frozen=True, tag="rx"):
 
 
 class Round(Record, frozen=True, tag="round"):
-    """Everyone's command for a round tick is in: who is alive, and where."""
+    """All commands of a round tick have come: which vehicles are alive, and where."""
 
     route: ClassVar[Route] = Route("round", "world", "netem")
 
@@ -229,17 +229,17 @@ class Round(Record, frozen=True, tag="round"):
 
 
 class Pace(Record, frozen=True, tag="pace"):
-    """With a real clock: when ticks begin, before the Round of the same tick."""
+    """In a realtime run: when ticks begin; put before the Round of the same tick."""
 
     route: ClassVar[Route] = Route("round", "world", "netem")
 
     tick: Annotated[Uint, about("round tick", "tick")]
     at_ns: Annotated[Uint, about("when it begins, by CLOCK_MONOTONIC of the world's host", "ns")]
-    period_ns: Annotated[Uint, about("of wall time per tick, until told otherwise", "ns")]
+    period_ns: Annotated[Uint, about("of wall time per tick, until the next Pace", "ns")]
 
 
 class Frames(Record, frozen=True, tag="frames"):
-    """Consecutive frames in one message: the world saves a message per tick while it has more to do."""
+    """Consecutive frames in one message: while the world is busy it saves a message per tick."""
 
     route: ClassVar[Route] = Route("frame", "world", "console")
 
@@ -274,11 +274,11 @@ class Death(Record, frozen=True, tag="death"):
     vehicle: Annotated[Uint, about("vehicle number")]
     tick: Annotated[Uint, about("first tick without an agent; 0: its process has ended, it is the next one", "tick")]
     incarnation: Annotated[Uint, about("the life that ended, if it has")]
-    until: Annotated[Uint, about("round tick at which another agent takes over; 0: none that was not planned", "tick")]
+    until: Annotated[Uint, about("round tick at which another agent takes over; 0: no other than planned", "tick")]
 
 
 class Restart(Record, frozen=True, tag="restart"):
-    """Another agent takes a vehicle over earlier than was said; that tick is not granted before it is ready."""
+    """Another agent takes a vehicle over earlier than planned; that tick is not granted before it is ready."""
 
     route: ClassVar[Route] = Route("cmd/grant", "console", "world")
 
@@ -288,7 +288,7 @@ class Restart(Record, frozen=True, tag="restart"):
 
 
 class WorldFaults(Record, frozen=True, tag="ailments"):
-    """The faults of sensors, actuators and sea, all of them: they replace those that were told before."""
+    """The faults of sensors, actuators and sea, all of them: they replace those sent before."""
 
     route: ClassVar[Route] = Route("cmd/grant", "console", "world")
 
@@ -296,11 +296,11 @@ class WorldFaults(Record, frozen=True, tag="ailments"):
 
 
 class Note(Record, frozen=True, tag="note"):
-    """Something a person should know: a rejected message, a failed controller, a counter."""
+    """A line for the operator: a rejected message, a failed controller, a counter."""
 
     route: ClassVar[Route] = Route("note", "world, netem, agents", "console")
 
-    role: Annotated[Text, about("who noticed")]
+    role: Annotated[Text, about("the sending process")]
     subject: Annotated[Uint, about("vehicle concerned; 0 for none")]
     tick: Annotated[Uint, about("tick at which it was noticed", "tick")]
     text: Annotated[Text, about("one line")]

@@ -16,7 +16,7 @@ from netem.wire.settings import OTHERS, client_settings, listening
 
 
 class ZenohSample(NamedTuple):
-    """What somebody put or deleted, with all that came along."""
+    """A put or a delete of another program, with everything that zenoh delivers with it."""
 
     key: str
     payload: bytes
@@ -46,10 +46,10 @@ class Publication:
 
 
 class OpenBus:
-    """A session for the traffic of others: journals that are published or played, and whatever is recorded.
+    """A session for the traffic of others: journals that are published or played, and traffic that is recorded.
 
     Unlike `Bus` it speaks zenoh's universal transport, which fragments long messages, sends from a task of its own
-    and drops for a reader that is too slow, if told to; with `lowlatency` such a reader holds the sender up.
+    and can drop messages for a reader that is too slow; with `lowlatency` such a reader holds the sender up.
     """
 
     def __init__(self, session: zenoh.Session, endpoint: str) -> None:
@@ -59,7 +59,7 @@ class OpenBus:
 
     @classmethod
     def listen(cls, endpoint: str) -> OpenBus:
-        """A router that anybody may join who reaches the endpoint.
+        """A router without credentials: whoever reaches the endpoint may join.
 
         Raises:
             BusError: the endpoint is taken or none.
@@ -68,7 +68,7 @@ class OpenBus:
 
     @classmethod
     def host(cls, endpoint: str, keys: Keys, observer: Credentials, private: Path) -> OpenBus:
-        """A router where the observer may read the journal of a run, and nobody may do anything else.
+        """A router where the observer may read the journal of a run; everything else is refused.
 
         Args:
             private: a directory of mode 0700, as for `Bus.host`.
@@ -97,7 +97,7 @@ class OpenBus:
         """A client of a router or peer.
 
         Raises:
-            BusError: nobody listens there, or the credentials are refused.
+            BusError: there is no router, or it refuses the credentials.
         """
         settings = client_settings([endpoint], credentials, timeout_ms) | OTHERS
         return cls._open("client", endpoint, settings, "nobody answers, or lets us in, at")

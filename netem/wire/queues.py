@@ -9,7 +9,7 @@ from typing import Any
 
 
 class Channel:
-    """What came in on a key expression, in order."""
+    """The puts on a key expression, in order."""
 
     def __init__(self, subscriber: Any) -> None:
         self._subscriber = subscriber
@@ -25,7 +25,7 @@ class Channel:
         return None if sample is None else (str(sample.key_expr), sample.payload.to_bytes())
 
 
-MOST_WAITING = 1000  # puts on one key of those who are not to wait; a fleet that works has a few
+MOST_WAITING = 1000  # puts on one key of senders that must not wait; a healthy fleet has a few
 
 
 class Quota:
@@ -47,7 +47,7 @@ class Quota:
         return True
 
     def release(self, key: str) -> None:
-        """One of them waits no longer."""
+        """One that waited was taken out."""
         self._taken[key] += 1
 
 
@@ -57,7 +57,7 @@ class Stamped:
     def __init__(self) -> None:
         self._queue: SimpleQueue[tuple[str, bytes, int]] = SimpleQueue()
         self._quota = Quota()
-        self.flooded: Counter[str] = Counter()  # puts by key that were dropped, since as many wait as may
+        self.flooded: Counter[str] = Counter()  # puts by key that were dropped because the quota was used up
 
     def put(self, key: str, data: bytes) -> None:
         """Called on a zenoh thread."""

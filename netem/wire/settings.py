@@ -3,7 +3,7 @@
 * `transport/unicast/lowlatency` with QoS off: 20-40 % less per round trip; our messages have one priority.
 * `transport/link/tx/lease` of one hour on loopback: at the 10 s default a merely suspended process loses its messages
   silently and reconnects as if nothing had happened. Deaths show as process exits and closed sockets. Between hosts a
-  cable may be pulled, which closes no socket: there the lease is short, and `on_lost` tells that it has run out.
+  cable may be pulled, which closes no socket: there the lease is short, and `Bus.on_lost` reports that it has run out.
 * congestion control BLOCK and reliable: DROP loses messages silently. Grants bound what is in flight.
 * scouting and the admin space are off: a run is a closed box.
 * shared memory is off: our messages are far below its threshold, and it starts threads.

@@ -1,4 +1,4 @@
-"""What every process of a run has around its core: a queue fed by zenoh's threads, and a count of rejects.
+"""The shell round the core of each process of a run: a queue filled by zenoh's threads, and a count of rejects.
 
 A zenoh callback runs on a receive thread, so all it does is to put what came into the queue; the process's main
 thread takes it out, one item at a time, and is the only one that touches the core.
@@ -39,7 +39,12 @@ class Shell:
     """The queue of one process, with the bus that feeds it."""
 
     def __init__(self, bus: Bus, role: str, note_key: str, *, drop: bool = False) -> None:
-        """`drop`: what floods a key is dropped and counted, where nobody may be late; otherwise whoever puts waits."""
+        """Make the queue; `subscribe` and `answer` fill it.
+
+        Args:
+            note_key: key expression of the notes to the console.
+            drop: drop and count what exceeds the quota of a key, as a realtime run must; otherwise the sender waits.
+        """
         self._drop = drop
         self._room = Semaphore(ROOM)
         self.bus = bus
@@ -83,7 +88,7 @@ class Shell:
         self.bus.answer(key, lambda k, data, respond: put(Item(k, data, respond)))
 
     def reject(self, key: str, tick: int, error: MalformedMessage | OutOfPlace) -> None:
-        """Count and drop a message; the first of its kind from a key is also told to the console."""
+        """Count and drop a message; the first of its kind from a key is also sent to the console as a note."""
         subject = vehicle_of(key)
         kind = f"{tail(key)}: {type(error).__name__}"
         self.rejected[kind] += 1
@@ -92,12 +97,12 @@ class Shell:
             self.note(subject, tick, f"rejected on {key}: {error}")
 
     def note(self, subject: int, tick: int, text: str) -> None:
-        """Tell the console something a person should know."""
+        """Send the console a line for the operator: `subject` is a vehicle, or 0."""
         self._note(encode(Note(self.role, subject, tick, text[:2000])))
 
 
 class Probes:
-    """Lets so many probes of each agent be answered, so that a flood of them is not answered by another one."""
+    """Bounds how many probes of each agent are answered, so that a flood of them makes no flood of answers."""
 
     BURST, PER_S = 60, 60.0  # an agent that gets ready asks every 20 ms
 
@@ -106,10 +111,10 @@ class Probes:
         self._left: dict[int, tuple[float, float]] = {}  # by agent: how many, at what time
 
     def spend(self, i: int) -> None:
-        """Another one of agent i.
+        """Count a probe of agent i.
 
         Raises:
-            OutOfPlace: it is one too many.
+            OutOfPlace: the agent has sent more than BURST, and more than PER_S a second since.
         """
         now = self._now()
         left, since = self._left.get(i, (float(self.BURST), now))

@@ -110,7 +110,7 @@ def test_telling_holds_up_nobody() -> None:
     """To tell is to put, which waits, and writes lines into the log that is being read."""
     found, (source, sink) = Refusals(), os.pipe()
     never = threading.Event()
-    found.tell(lambda _: bool(never.wait()))
+    found.report_to(lambda _: bool(never.wait()))
     lines = "".join(f"{ACL}{WHO} is unauthorized to Put (ingress) on fleet/x/{n:0900}\n" for n in range(400)).encode()
     feeding = threading.Thread(target=lambda: os.write(sink, lines) and os.close(sink))
     feeding.start()
@@ -180,7 +180,7 @@ def test_a_flood_of_refusals_fills_nothing() -> None:
     for n in range(2 * MOST_KINDS):
         found.line(f"{ACL}{WHO} is unauthorized to Put (ingress) on fleet/x/{n}")
         if n == 3:
-            found.tell(told.append)
+            found.report_to(told.append)
     assert len(found.counts) == MOST_KINDS + 1
     assert found.counts["refused more kinds of messages"] == MOST_KINDS
     wait_for(lambda: told == list(found.counts), 10.0, "each kind, once")  # on a thread of its own

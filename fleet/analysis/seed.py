@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from fleet.scenario.scenario import Scenario
+from fleet.scenario.sections.partitions import is_drawn
 from netem.condition import Condition
 from netem.faults import NetFault
 from world.faults import WorldFault
 
-DRAWN_PARTITIONS = frozenset({"one", "majority", "ring", "bridge"})
 NOTHING = "nothing in this scenario depends on the seed: every seed gives the same run"
 HINT = "initial: {scatter: 1 m}, sensors.position_noise or a loss would make seeds differ"
 
@@ -36,7 +36,7 @@ def _chances(scenario: Scenario) -> Iterator[str]:
     if acoustic is not None and acoustic.mac == "aloha" and acoustic.backoff_ticks:
         yield "backoff of aloha"
     sections = zip((f.id or f"f{n}" for n, f in enumerate(spec.faults, start=1)), spec.faults, strict=True)
-    drawn = {name for name, section in sections if section.partition in DRAWN_PARTITIONS}
+    drawn = {name for name, section in sections if section.partition and is_drawn(section.partition)}
     for part in scenario.faults.parts:
         random = isinstance(part, NetFault) and part.condition is not None and _drawn(part.condition)
         random |= isinstance(part, WorldFault) and part.kind in ("noise", "dropout")

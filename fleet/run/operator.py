@@ -15,21 +15,10 @@ from pydantic import TypeAdapter, ValidationError
 
 from fleet.recorder.journal import Journal
 from fleet.run.clock import LiveClock
+from fleet.scenario.rules.faults import fault_problems
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.schema.faults import FaultEntry, FaultSection
-from fleet.scenario.sections.partitions import FaultError
-from fleet.scenario.sections.timeline import (
-    ACTIONS,
-    Event,
-    Kill,
-    Part,
-    action,
-    begin_and_end,
-    does_nothing,
-    parts,
-    vehicles_of,
-    words,
-)
+from fleet.scenario.sections.timeline import Event, Kill, Part, action, begin_and_end, parts, words
 from netem.faults import NetFault
 from netem.lives import WHENEVER
 from world.faults import WorldFault
@@ -116,31 +105,22 @@ class Operator:
             said = str(first.get("ctx", {}).get("message", first["msg"]))
             where = ".".join(str(step) for step in first["loc"] if step != "[key]")
             raise RefusedError(f"{where}: {said[:1].lower()}{said[1:]}") from None
-        if len([name for name in ACTIONS if getattr(section, name) is not None]) != 1:
-            raise RefusedError(f"a fault does exactly one thing, one of {', '.join(ACTIONS)}")
-        if section.for_ is not None and section.for_ % self.scenario.tick_ns:
-            raise RefusedError(f"the duration is not a whole number of ticks of {self.scenario.tick_ns / 1e6:g} ms")
-        if does_nothing(section):
-            raise RefusedError(f"this {action(section)} changes nothing: give it a value")
+        problem = next(fault_problems(section, self.scenario.spec, self.scenario.graph.links), None)
+        if problem is not None:
+            raise RefusedError(str(problem))
         if any(condition.seed is not None for condition in (section.link or {}).values()):
             raise RefusedError("seed belongs in a scenario: a link that runs keeps its draws")
         name = section.id or next(n for n in map("live-{}".format, count(1)) if n not in self._words)
         if name in self._words:
             raise RefusedError(f"there is a fault {name} already")
-        self._check_vehicles(section)
         self._add(section, name)
         return {"id": name, "at_s": self._seconds(tick), "what": words(section)}
 
     def _add(self, section: FaultSection, name: str) -> None:
         scenario = self.scenario
-        try:
-            found = parts(section, name, scenario.spec, scenario.graph.links)
-        except FaultError as error:
-            raise RefusedError(f"{error.message}; {error.hint}" if error.hint else error.message) from None
+        found = parts(section, name, scenario.spec, scenario.graph.links)
         if not any(not isinstance(part, NetFault) or part.links or part.vehicles for part in found):
-            shown = ", ".join(f"{src}->{dst}" for src, dst in scenario.graph.links[:12])
-            more = " and more" if len(scenario.graph.links) > 12 else ""
-            raise RefusedError(f"the graph has no such link; it has {shown}{more}")
+            raise RefusedError(f"this {action(section)} concerns no link of the graph")
         self._replace([*self.faults, *found])
         for part in found:
             if isinstance(part, Kill):
@@ -212,11 +192,6 @@ class Operator:
             case other:
                 raise RefusedError(f"the clock knows pause, resume, step N and speed X, not {other!r}")
         return {"clock": self.clock.describe(), "at_s": self._seconds(self.granted())}
-
-    def _check_vehicles(self, section: FaultSection) -> None:
-        for i in vehicles_of(section):
-            if not 1 <= i <= self.scenario.vehicles:
-                raise RefusedError(f"there is no vehicle {i}: they are 1 to {self.scenario.vehicles}")
 
     def _listed(self) -> list[dict[str, Any]]:
         """Every fault there is, was or will be, as things stand at the tick that comes next."""

@@ -134,7 +134,7 @@ def test_what_cannot_be_injected_is_refused_in_words(tmp_path: Path) -> None:
         cases: list[tuple[list[str], str, int]] = [
             (["inject", "lnk", "1->2", "loss 3%"], 'did you mean "link"', 2),
             (["inject", "link", "1->2"], "a link fault is: link SELECTOR CONDITION", 2),
-            (["inject", "link", "1->3", "loss 3%"], "the graph has no such link", 3),
+            (["inject", "link", "1->3", "loss 3%"], "the graph has no link 1->3; links: 2->1, 1->2", 3),
             (["inject", "link", "1->2", "lss 3%"], 'unknown link condition "lss"', 3),
             (["inject", "link", "1->2", "loss 3% seed 7"], "seed belongs in a scenario", 3),
             (["inject", "mute", "9"], "there is no vehicle 9", 3),

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from typing import NamedTuple
+
 from fleet.quantities import show_time
-from fleet.scenario.rules.report import Report, whole_multiple
+from fleet.scenario.rules.report import Report, known_links, no_whole_ticks, whole_multiple
 from fleet.scenario.rules.views import graph_links
-from fleet.scenario.schema.faults import FaultAction
+from fleet.scenario.schema.faults import FaultAction, FaultSection
 from fleet.scenario.schema.spec import ScenarioSpec
 from fleet.scenario.sections.nemesis import count as nemesis_faults
-from fleet.scenario.sections.partitions import FaultError, partition
-from fleet.scenario.sections.timeline import ACTIONS, OF_THE_WORLD, action, does_nothing, vehicles_of
+from fleet.scenario.sections.partitions import FaultError, is_drawn, partition
+from fleet.scenario.sections.timeline import ACTIONS, OF_THE_WORLD, does_nothing, vehicles_of
 from fleet.scenario.sections.timeline import plan as fault_plan
 from netem.condition import Link
 from netem.selectors import parse_selector, select
@@ -36,16 +39,11 @@ def faults(spec: ScenarioSpec, report: Report) -> None:
     seen: dict[str, int] = {}
     for index, fault in enumerate(spec.faults):
         path: tuple[str | int, ...] = ("faults", index)
-        if not one_action(fault, path, report):
-            continue
         name = fault.id or f"f{index + 1}"
         if name in seen:
             report.add((*path, "id"), f'fault {seen[name] + 1} is called "{name}" as well')
         seen[name] = index
-        whole_multiple(report, (*path, "at"), fault.at, spec.tick)
-        if fault.for_ is not None:
-            whole_multiple(report, (*path, "for"), fault.for_, spec.tick)
-        fault_targets(spec, report, path, fault, links)
+        report_fault(report, path, fault, spec, links)
 
 
 def most_faults(spec: ScenarioSpec) -> int:
@@ -75,46 +73,76 @@ def nemesis(spec: ScenarioSpec, report: Report) -> None:
         if pick.drawn is not None:
             if spec.network.ideal and pick.drawn not in OF_THE_WORLD:
                 report.add(path, f"{pick.drawn} needs a network, and this one is ideal", "give the network a period")
-        elif one_action(pick, path, report):
-            fault_targets(spec, report, path, pick, links)
+        else:
+            report_fault(report, path, pick, spec, links)
 
 
-def one_action(fault: FaultAction, path: tuple[str | int, ...], report: Report) -> bool:
+def report_fault(
+    report: Report, path: tuple[str | int, ...], fault: FaultAction, spec: ScenarioSpec, links: tuple[Link, ...]
+) -> None:
+    """Report every mistake in the fault at `path`."""
+    for problem in fault_problems(fault, spec, links):
+        at = (*path, problem.key) if problem.key else path
+        report.add(at, problem.message, problem.hint, key=problem.at_key)
+
+
+class FaultProblem(NamedTuple):
+    """One mistake in a fault."""
+
+    key: str  # of the fault; "": the mistake is in the fault as a whole
+    message: str
+    hint: str = ""
+    at_key: bool = False  # shown at the key and not at its value
+
+    def __str__(self) -> str:
+        text = f"{self.key or 'fault'}: {self.message}"
+        return f"{text}; {self.hint}" if self.hint else text
+
+
+def fault_problems(fault: FaultAction, spec: ScenarioSpec, links: tuple[Link, ...]) -> Iterator[FaultProblem]:
+    """The mistakes in one fault, whether a scenario has it or an operator injects it.
+
+    Args:
+        fault: with its times, or without as a nemesis has it.
+        spec: the scenario that the fault is for.
+        links: of the scenario's graph.
+    """
     given_actions = [name for name in ACTIONS if getattr(fault, name) is not None]
     if len(given_actions) != 1:
         got = " and ".join(given_actions) or "none"
-        report.add(path, f"does exactly one thing, got {got}", f"one of {', '.join(ACTIONS)}")
-    return len(given_actions) == 1
+        yield FaultProblem("", f"does exactly one thing, got {got}", f"one of {', '.join(ACTIONS)}")
+        return
+    if isinstance(fault, FaultSection):
+        for key, time in (("at", fault.at), ("for", fault.for_)):
+            if time is not None and (wrong := no_whole_ticks(time, spec.tick)):
+                yield FaultProblem(key, *wrong)
+    yield from _target_problems(given_actions[0], fault, spec, links)
 
 
-def fault_targets(
-    spec: ScenarioSpec, report: Report, path: tuple[str | int, ...], fault: FaultAction, links: tuple[Link, ...]
-) -> None:
-    kind = action(fault)
+def _target_problems(
+    kind: str, fault: FaultAction, spec: ScenarioSpec, links: tuple[Link, ...]
+) -> Iterator[FaultProblem]:
+    """What is wrong with the links or vehicles of a fault, and with what it does to them."""
     if spec.network.ideal and kind not in OF_THE_WORLD:
-        report.add(path, f"{kind} needs a network, and this one is ideal", "give the network a period")
-        return
-    if does_nothing(fault):
-        report.add((*path, kind), "changes nothing: give it a value", key=True)
-        return
-    if kind == "partition":
+        yield FaultProblem("", f"{kind} needs a network, and this one is ideal", "give the network a period")
+    elif does_nothing(fault):
+        yield FaultProblem(kind, "changes nothing: give it a value", at_key=True)
+    elif kind == "partition":
+        assert fault.partition is not None
         try:
-            cut = partition(fault.partition or "", spec.vehicles, spec.seed, "", links)
+            cut = partition(fault.partition, spec.vehicles, spec.seed, "", links)
         except FaultError as error:
-            report.add((*path, kind), error.message, error.hint)
+            yield FaultProblem(kind, error.message, error.hint)
             return
-        drawn = fault.partition in ("one", "majority", "ring", "bridge")  # may cut none, this time
-        if not cut and not drawn:
-            report.add((*path, kind), "cuts no link of the graph")
-        return
-    if kind == "link" and not fault.link:
-        report.add((*path, kind), "names no link", "write link 1->2: loss 30%")
-        return
-    if kind in ("link", "down", "up"):
+        if not cut and not is_drawn(fault.partition):  # one that is drawn may cut no link, this time
+            yield FaultProblem(kind, "cuts no link of the graph")
+    elif kind == "link" and not fault.link:
+        yield FaultProblem(kind, "names no link", "write link 1->2: loss 30%")
+    elif kind in ("link", "down", "up"):
         for text in (fault.link or ()) if kind == "link" else [getattr(fault, kind)]:
-            if not select(parse_selector(text or ""), links) and text != "*":
-                report.add((*path, kind), f"the graph has no link {text}")
-        return
-    for number in vehicles_of(fault):
-        if not 1 <= number <= spec.vehicles:
-            report.add((*path, kind), f"there is no vehicle {number}: they are 1 to {spec.vehicles}")
+            if not select(parse_selector(text), links) and text != "*":
+                yield FaultProblem(kind, f"the graph has no link {text}", known_links(links))
+    else:
+        for number in vehicles_of(fault):
+            if not 1 <= number <= spec.vehicles:
+                yield FaultProblem(kind, f"there is no vehicle {number}: they are 1 to {spec.vehicles}")

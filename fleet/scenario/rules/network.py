@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from fleet.quantities import show_time
-from fleet.scenario.rules.report import LINKS_SHOWN, Report, whole_multiple
+from fleet.scenario.rules.report import Report, known_links, whole_multiple
 from fleet.scenario.rules.views import choices, graph_links, offset_plans
 from fleet.scenario.schema.spec import ScenarioSpec
 from fleet.scenario.sections import acoustic as channel
@@ -29,9 +29,7 @@ def links(spec: ScenarioSpec, report: Report) -> None:
         # (None, None), "*", is every link there is, even if that is none: a fleet of one keeps its scenario.
         there = (selector.src, selector.dst) in known
         if not there and not (selector.both and (selector.dst, selector.src) in known):
-            shown = ", ".join(f"{src}->{dst}" for src, dst in links[:LINKS_SHOWN])
-            more = f" and {len(links) - LINKS_SHOWN} more" if len(links) > LINKS_SHOWN else ""
-            report.add(path, "the graph has no such link", f"links: {shown}{more}", key=True)
+            report.add(path, "the graph has no such link", known_links(links), key=True)
 
 
 def acoustic(spec: ScenarioSpec, report: Report) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,7 @@ from fleet.quantities import show_time, vehicle_numbers
 from fleet.scenario.schema.spec import ScenarioSpec
 from fleet.scenario.text.yaml_reader import Mapping, locate
 from fleet.scenario.trust import READING, Policy
+from netem.condition import Link
 
 Entries = tuple[str, ...]  # the keys of per_vehicle that name a vehicle
 LINKS_SHOWN = 12
@@ -97,11 +99,25 @@ def _packed(numbers: str) -> str:
 
 
 def whole_multiple(report: Report, path: tuple[str | int, ...], ns: int, tick: int) -> None:
-    if ns % tick:
-        below = ns // tick * tick
-        near = " or ".join(show_time(t) for t in (below, below + tick) if t)
-        message = f"{show_time(ns)} is not a whole number of ticks of {show_time(tick)}"
-        report.add(path, message, f"nearest: {near}")
+    """Report a time that is not a whole number of ticks."""
+    if wrong := no_whole_ticks(ns, tick):
+        report.add(path, *wrong)
+
+
+def no_whole_ticks(ns: int, tick: int) -> tuple[str, str] | None:
+    """Message and hint for a time [ns] that is not a whole number of ticks; None for one that is."""
+    if ns % tick == 0:
+        return None
+    below = ns // tick * tick
+    near = " or ".join(show_time(t) for t in (below, below + tick) if t)
+    return f"{show_time(ns)} is not a whole number of ticks of {show_time(tick)}", f"nearest: {near}"
+
+
+def known_links(links: Sequence[Link]) -> str:
+    """A hint with the first links of a graph."""
+    shown = ", ".join(f"{src}->{dst}" for src, dst in links[:LINKS_SHOWN])
+    more = f" and {len(links) - LINKS_SHOWN} more" if len(links) > LINKS_SHOWN else ""
+    return f"links: {shown}{more}"
 
 
 def vehicles_exist(spec: ScenarioSpec, report: Report, path: tuple[str | int, ...], text: str) -> None:

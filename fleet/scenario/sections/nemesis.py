@@ -10,12 +10,12 @@ from collections.abc import Sequence
 
 from fleet.scenario.schema.faults import DrawnKind, FaultSection, NemesisSection
 from fleet.scenario.schema.spec import ScenarioSpec
-from fleet.scenario.sections.partitions import partition
+from fleet.scenario.sections.partitions import DRAWN_PARTITIONS, partition
 from netem.condition import Link
 from netem.draws import bits
 from netem.selectors import Selector
 
-PARTITIONS = ("halves", "one", "majority", "ring", "bridge")
+PARTITIONS = ("halves", *DRAWN_PARTITIONS)
 
 
 def unleash(spec: ScenarioSpec, links: Sequence[Link]) -> ScenarioSpec:

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterable, Iterator
-from typing import TYPE_CHECKING
 
 from fleet.quantities import vehicle_numbers
 from netem.condition import Link
 from netem.draws import uniform
 
-if TYPE_CHECKING:
-    pass
-
-
-NAMED_PARTITIONS = ("halves", "one", "majority", "ring", "bridge", "isolate:N")
+DRAWN_PARTITIONS = ("one", "majority", "ring", "bridge")  # who is cut off depends on the seed and the fault's id
+NAMED_PARTITIONS = ("halves", *DRAWN_PARTITIONS, "isolate:N")
+_ISOLATE = re.compile(r"isolate:\s*(\d{1,9})", re.ASCII)
 
 
 class FaultError(ValueError):
@@ -35,14 +33,19 @@ def partition(text: str, vehicles: int, seed: int, name: str, among: Iterable[Li
     return {(a, b) for a, b in (_all(vehicles) if among is None else among) if cut(a, b)}
 
 
+def is_drawn(text: str) -> bool:
+    """Whether it depends on the seed which links a partition cuts."""
+    return text.strip() in DRAWN_PARTITIONS
+
+
 def _cut(text: str, vehicles: int, seed: int, name: str) -> Callable[[int, int], bool]:
-    """Whether a partition cuts the link from a to b."""
+    """A function of two vehicles a and b: whether the partition cuts the link from a to b."""
     everyone = range(1, vehicles + 1)
     if "/" in text:
         groups = _groups(text, vehicles)
         return _between({i: number for number, group in enumerate(groups) for i in group})
-    which, _, who = text.strip().partition(":")
-    if which in ("one", "majority", "bridge", "ring"):
+    which = text.strip()
+    if is_drawn(text):
         drawn = sorted(everyone, key=lambda i: (uniform(seed, f"partition {which} {name}", i), i))
     half = (vehicles + 1) // 2
     match which:
@@ -61,8 +64,8 @@ def _cut(text: str, vehicles: int, seed: int, name: str) -> Callable[[int, int],
             reach = -(-(vehicles // 2) // 2)  # on each side: 2 reach + 1 is the least odd majority
             place = {i: n for n, i in enumerate(drawn)}
             return lambda a, b: _apart(place[a], place[b], vehicles) > reach
-        case "isolate" if who.strip().isdigit() and 1 <= int(who) <= vehicles:
-            alone = int(who)
+        case _ if (isolated := _ISOLATE.fullmatch(which)) and 1 <= int(isolated[1]) <= vehicles:
+            alone = int(isolated[1])
             return lambda a, b: (a == alone) != (b == alone)
     raise FaultError(
         f'"{text[:40]}" is no partition of vehicles 1 to {vehicles}',

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, get_args
+from typing import get_args
 
 from fleet.quantities import vehicle_numbers
 from fleet.scenario.schema.faults import FaultAction, FaultSection
@@ -29,9 +29,6 @@ from netem.grammar import print_condition
 from netem.lives import Absence
 from netem.selectors import parse_selector, select
 from world.faults import WorldFault
-
-if TYPE_CHECKING:
-    pass
 
 OF_THE_NETWORK: tuple[str, ...] = get_args(FaultKind)
 OF_AGENTS = ("kill", "pause")

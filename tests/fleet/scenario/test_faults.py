@@ -85,7 +85,8 @@ def test_bridge_leaves_one_that_both_halves_see() -> None:
 
 @pytest.mark.parametrize(
     ("text", "words"),
-    [("halve", "is no partition"), ("1,2 / 2,3", "vehicle 2 is in two groups"), ("1 / 9", "there is no vehicle 9"),
+    [("halve", "is no partition"), ("one:3", "is no partition"), ("isolate:\u00b2", "is no partition"),
+     ("1,2 / 2,3", "vehicle 2 is in two groups"), ("1 / 9", "there is no vehicle 9"),
      ("isolate:9", "is no partition"), ("a / b", "expected vehicle numbers"), ("", "is no partition")],
 )  # fmt: skip
 def test_bad_partitions(text: str, words: str) -> None:

@@ -48,7 +48,7 @@ def scenario(vehicles: int, condition: str, seconds: float) -> Scenario:
 
 def packets_per_second(condition: str, rounds: int) -> float:
     """How many packets one core takes, impairs and hands out."""
-    config = scenario(AGENTS, condition, 10.0).netem_config()
+    config = scenario(AGENTS, condition, 10.0).netem_config
     netem = Netem(config)
     payloads = dict.fromkeys(config.vehicles, (_PAYLOAD,))
     began = time.perf_counter()
@@ -70,7 +70,7 @@ def share_of_a_run(seconds: float) -> float:
         def snapshot(self, _: object) -> None: ...
 
     fleet = InProcess(run, Journal(run, Nowhere()))
-    core = fleet.rounds.netem = Timed(run.netem_config())
+    core = fleet.rounds.netem = Timed(run.netem_config)
     began = time.perf_counter()
     fleet.serve(Clock(run.ticks, run.tick_ns, run.round_ticks, frame_every(run)), lambda: None)
     return core.spent_s / (time.perf_counter() - began)

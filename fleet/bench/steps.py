@@ -24,7 +24,7 @@ def steps(repeats: int) -> dict[str, float]:
     nav = Nav(0, 1, (-1.0, -10.0, 1.0, 0.1, 0.1), (0.7, 0.05, 0.02, 0.01, 0.01))
     size = load_scenario("paper").layout(1).size
     # Undisturbed and straight ahead: an open-loop vehicle in rough sea ends up vertical.
-    world = World(load_scenario("paper").world_config())
+    world = World(load_scenario("paper").world_config)
     command = Command(0, 0, (1.0, 2.0, 3.0), (0.5,) * size)
     return {
         **agent_steps(max(60, repeats)),

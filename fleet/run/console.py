@@ -187,8 +187,8 @@ class Console:
         if meeting.router:
             self._listen(self._visit(endpoint, credentials[CONSOLE]))
         clients = {role: c for role, c in credentials.items() if role != WORLD}
-        sea = scenario.world_config(), frame_every(scenario), self._pace
-        network = scenario.netem_config(), self._pace is not None
+        sea = scenario.world_config, frame_every(scenario), self._pace
+        network = scenario.netem_config, self._pace is not None
         targets: dict[str, tuple[Callable[..., None], tuple[Any, ...]]] = {
             WORLD: (world.main.run, (endpoint, keys.run, clients, private.path, *sea, listener, self._audit)),
             NETEM: (netem.main.run, (endpoint, keys.run, credentials[NETEM], *network)),

@@ -52,8 +52,8 @@ class InProcess:
         """
         self._other_agents = agents or {}
         self._scenario, self._journal, self._begin = scenario, journal, start
-        self._world = Lockstep(scenario.world_config(), frame_every=frame_every(scenario))
-        self.rounds = Rounds(scenario.netem_config())
+        self._world = Lockstep(scenario.world_config, frame_every=frame_every(scenario))
+        self.rounds = Rounds(scenario.netem_config)
         self._loops: dict[int, AgentLoop] = {}
         self.notes: list[str] = []
         self.deaths: dict[int, list[str]] = {}  # how agents ended that nobody told to

@@ -68,11 +68,11 @@ def parse_scenario(
         name = re.sub(r"[^a-z0-9_-]+", "-", Path(source_name).stem.lower()).strip("-_")[:64] or "scenario"
         root = root.with_entry("name", root.place, Scalar(name, root.place))
     root, more = apply(root, overrides)
-    spec, found = validate(root, folder, policy)
-    everything = [*problems, *more, *found]
-    if spec is None or everything:
-        raise ScenarioError(sorted(everything, key=lambda p: _order(p, source, overrides)))
-    return Scenario.compile(spec, source_name, folder)
+    parts, mistakes = validate(root, folder, policy)
+    problems += [*more, *mistakes]
+    if parts is None or problems:
+        raise ScenarioError(sorted(problems, key=lambda p: _order(p, source, overrides)))
+    return Scenario.compile(parts, source_name)
 
 
 def _order(problem: Problem, source: Source, overrides: Sequence[str]) -> tuple[int, int, int]:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
+from functools import cached_property
 from math import gcd
 from pathlib import Path
 
@@ -16,31 +17,32 @@ from agents.offset import Change, Offset
 from agents.signals import Layout
 from agents.trajectory import Reference
 from fleet.quantities import vehicle_numbers
+from fleet.scenario.parts import Parts
 from fleet.scenario.schema.sea import CurrentSection
 from fleet.scenario.schema.spec import ScenarioSpec
 from fleet.scenario.schema.vehicle import VehicleSection
-from fleet.scenario.sections import acoustic as acoustics
-from fleet.scenario.sections import formation, graph, nemesis, reference
-from fleet.scenario.sections import per_vehicle as tuning
-from fleet.scenario.sections import timeline as faults
+from fleet.scenario.sections.acoustic import inlined_modem
 from fleet.scenario.sections.graph import Graph
 from fleet.scenario.sections.log_rates import log_every, memory_ticks
 from fleet.scenario.sections.modem_files import shipped as shipped_modems
-from fleet.scenario.sections.per_vehicle import Control
+from fleet.scenario.sections.per_vehicle import Control, inlined_vehicle
+from fleet.scenario.sections.timeline import Plan
 from fleet.scenario.sections.vehicle_files import shipped as shipped_vehicles
 from fleet.scenario.text import yaml_writer
 from netem.condition import Condition, Link
 from netem.config import NetemConfig
 from netem.modem import AcousticConfig
-from netem.selectors import parse_selector, select
 from world import disturbance
 from world.config import Harmonic, NavNoise, VehicleSetup, WorldConfig
 from world.vectors import Vec3, Vec5, minus
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Scenario:
-    """A valid scenario. Two are equal if they determine the same run and the same verdict."""
+    """A valid scenario. Two are equal if they determine the same run and the same verdict.
+
+    The configurations of the cores are made once, when they are asked for.
+    """
 
     spec: ScenarioSpec  # what the file says, in SI units
     reference: Reference
@@ -49,34 +51,26 @@ class Scenario:
     initial: tuple[tuple[Vec5, Vec5], ...]  # (eta0, nu0) of each vehicle
     conditions: dict[Link, Condition]  # of every link that is not perfect at the start
     controls: tuple[Control, ...]  # what each vehicle is and runs
-    faults: faults.Plan
+    faults: Plan
     other_laws: tuple[tuple[str, Law], ...]  # kind and law of those that are not ours, each name once
     acoustic: AcousticConfig | None  # None: no water between them
     source: str = field(default="", compare=False)  # the shipped name or the path it was loaded from
+    _layouts: dict[int, Layout] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     @classmethod
-    def compile(cls, spec: ScenarioSpec, source: str = "", folder: Path | None = None) -> Scenario:
-        """The scenario of a valid specification; `folder` is where its file lies."""
-        plans = formation.plans(spec.formation, spec.vehicles)
-        places = tuple(plan.start for plan in plans)
-        links = graph.build(spec.graph, places, spec.seed)
-        spec = nemesis.unleash(spec, links.links)
-        trajectory = reference.build(spec.reference)
-        conditions: dict[Link, Condition] = {}
-        for selector, condition in spec.network.links.items():
-            conditions |= dict.fromkeys(select(parse_selector(selector), links.links), condition)
-        controls = tuple(tuning.control(spec, i, folder) for i in range(1, spec.vehicles + 1))
+    def compile(cls, parts: Parts, source: str = "") -> Scenario:
+        """The scenario of a valid specification, from its parts."""
         return cls(
-            spec=_standing_alone(spec, folder),
-            reference=trajectory,
-            plans=plans,
-            graph=links,
-            initial=formation.initial_states(spec.initial, places, trajectory.at(0.0), spec.seed),
-            conditions={k: conditions[k] for k in links.links if k in conditions and conditions[k] != Condition()},
-            faults=faults.plan(spec, links.links),
-            acoustic=acoustics.compile_acoustic(spec.network, spec.vehicles, spec.tick, folder),
-            controls=controls,
-            other_laws=_others(controls),
+            spec=_without_files(parts.explicit, parts.folder),
+            reference=parts.reference,
+            plans=parts.plans,
+            graph=parts.graph,
+            initial=parts.initial,
+            conditions=parts.conditions,
+            controls=parts.controls,
+            faults=parts.faults,
+            acoustic=parts.acoustic,
+            other_laws=_others(parts.controls),
             source=source,
         )
 
@@ -125,7 +119,7 @@ class Scenario:
 
     @property
     def external(self) -> tuple[int, ...]:
-        """The vehicles whose agents somebody else starts, ascending."""
+        """The vehicles whose agents are not started by the run, ascending."""
         return tuple(i for i, control in enumerate(self.controls, start=1) if control.external)
 
     @property
@@ -141,18 +135,19 @@ class Scenario:
         """The periodic forces on every vehicle; empty: none."""
         return disturbance.PAPER if self.spec.sea.disturbance == "paper" else ()
 
-    @property
+    @cached_property
     def memory_ticks(self) -> int:
-        """Ticks between two snapshots; 0: none. Laws that are not ours are asked, and imported for that."""
+        """Ticks between two snapshots; 0: none. Imports the laws that are not ours, to see if they can be saved."""
         return memory_ticks(self.spec, self.other_laws)
 
-    @property
+    @cached_property
     def log_every(self) -> dict[str, int]:
         """Ticks between two records of each topic group."""
         return log_every(self.spec)
 
+    @cached_property
     def world_config(self) -> WorldConfig:
-        """The world's part."""
+        """The configuration of the world. Raises PluginError: a law cannot be used."""
         spec = self.spec
         return WorldConfig(
             seed=spec.seed,
@@ -180,11 +175,20 @@ class Scenario:
         )
 
     def layout(self, i: int) -> Layout:
-        """What agent i reports."""
-        return layout(self.agent_config(i))
+        """What agent i reports. Raises PluginError: one of its laws cannot be used."""
+        if i not in self._layouts:  # one by one: another agent's laws may be such as must not be imported
+            self._layouts[i] = layout(self.agent_config(i))
+        return self._layouts[i]
 
     def agent_config(self, i: int) -> AgentConfig:
-        """The slice of agent i, counted from 1."""
+        """The configuration of agent i, counted from 1."""
+        return self._agent_configs[i - 1]
+
+    @cached_property
+    def _agent_configs(self) -> tuple[AgentConfig, ...]:
+        return tuple(self._agent_config(i) for i in range(1, self.vehicles + 1))
+
+    def _agent_config(self, i: int) -> AgentConfig:
         spec, own, control = self.spec, self.plans[i - 1], self.controls[i - 1]
         standby = self.standby_for(i)
         return AgentConfig(
@@ -225,8 +229,9 @@ class Scenario:
             return ()
         return tuple(j for j, _ in self.graph.neighbours(i) if self.b[j - 1])
 
+    @cached_property
     def netem_config(self) -> NetemConfig:
-        """The network's part."""
+        """The configuration of the network."""
         return NetemConfig(
             seed=self.seed,
             tick_ns=self.tick_ns,
@@ -254,22 +259,22 @@ def _others(controls: Iterable[Control]) -> tuple[tuple[str, Law], ...]:
     return tuple(found.values())
 
 
-def _standing_alone(spec: ScenarioSpec, folder: Path | None) -> ScenarioSpec:
-    """The same specification without files of vehicles and modems beside it."""
+def _without_files(spec: ScenarioSpec, folder: Path | None) -> ScenarioSpec:
+    """The same specification, with the numbers of a user's files of vehicles and modems in place of the files."""
 
-    def alone(section: VehicleSection | None) -> VehicleSection | None:
+    def in_numbers(section: VehicleSection | None) -> VehicleSection | None:
         if section is None or section.model is None or section.model in shipped_vehicles():
             return section
-        return tuning.inlined(section, folder)
+        return inlined_vehicle(section, folder)
 
     per_vehicle = {
-        numbers: overrides.model_copy(update={"vehicle": alone(overrides.vehicle)})
+        numbers: overrides.model_copy(update={"vehicle": in_numbers(overrides.vehicle)})
         for numbers, overrides in spec.per_vehicle.items()
     }
     network, acoustic = spec.network, spec.network.acoustic
     if acoustic is not None and acoustic.modem not in shipped_modems():
-        network = network.model_copy(update={"acoustic": acoustics.inlined(acoustic, folder)})
-    changes = {"vehicle": alone(spec.vehicle), "per_vehicle": per_vehicle, "network": network}
+        network = network.model_copy(update={"acoustic": inlined_modem(acoustic, folder)})
+    changes = {"vehicle": in_numbers(spec.vehicle), "per_vehicle": per_vehicle, "network": network}
     return spec.model_copy(update=changes)
 
 

@@ -13,8 +13,9 @@ from pydantic_core import ErrorDetails
 
 from fleet.errors import Problem
 from fleet.quantities import describe
+from fleet.scenario.parts import Parts, UnknownValueError
 from fleet.scenario.rules.apply import check
-from fleet.scenario.rules.report import Report, UnknownValueError
+from fleet.scenario.rules.report import Report
 from fleet.scenario.schema.section import Section
 from fleet.scenario.schema.spec import ScenarioSpec
 from fleet.scenario.text.yaml_reader import Items, Mapping, Node, locate, plain, text_place
@@ -24,24 +25,25 @@ from netem.parsing import nearest
 Loc = tuple[str | int, ...]
 
 
-def validate(
-    root: Mapping, folder: Path | None = None, policy: Policy = READING
-) -> tuple[ScenarioSpec | None, list[Problem]]:
-    """The specification that the tree holds, or None and what is wrong with it; `folder` is where its file lies.
+def validate(root: Mapping, folder: Path | None = None, policy: Policy = READING) -> tuple[Parts | None, list[Problem]]:
+    """The parts of the specification that the tree holds, or None, and every mistake in it.
 
-    The rules between keys run even if some keys are wrong: on those that are right.
+    The rules between keys are applied even if some keys are wrong: to those that are right.
+
+    Args:
+        folder: where the scenario's file lies.
+        policy: which laws may be imported.
     """
     data = plain(root)
-    report = Report(root, folder, policy=policy)
-    spec: ScenarioSpec | None = None
+    report = Report(root, policy=policy)
     try:
         spec = ScenarioSpec.model_validate(data)
-        check(spec, report)
     except ValidationError as error:
-        details = error.errors(include_url=False)
-        report.problems += [_explain(root, detail) for detail in details]
-        check(cast(ScenarioSpec, _Partial(ScenarioSpec, data)), report)
-    return (None if report.problems else spec), report.problems
+        report.problems += [_explain(root, detail) for detail in error.errors(include_url=False)]
+        spec = cast(ScenarioSpec, _Partial(ScenarioSpec, data))
+    parts = Parts(spec, folder)
+    check(parts, report)
+    return (None if report.problems else parts), report.problems
 
 
 class _Partial:

@@ -168,7 +168,7 @@ FROM_AGENTS = st.tuples(
 def test_no_agent_crashes_the_world(put: list[tuple[int, bytes]], until: int) -> None:
     """Whatever comes on cmd/<i> is taken, or counted and named once; what the world says of it all is well formed."""
     bus = Nowhere()
-    world = WorldProcess(bus, KEYS, Lockstep(SCENARIO.world_config(), frame_every=1))  # type: ignore[arg-type]
+    world = WorldProcess(bus, KEYS, Lockstep(SCENARIO.world_config, frame_every=1))  # type: ignore[arg-type]
     bus.queue.append((KEYS.grant, encode(Grant(until))))
     bus.queue.extend((KEYS.cmd(i), data) for i, data in put)
     serve(world)
@@ -191,7 +191,7 @@ def test_a_hostile_agent_does_not_disturb_the_rest(put: list[tuple[int, bytes]],
 def run_world(also: list[int], between: dict[int, bytes]) -> list[bytes]:
     """What the vehicles 2 to 4 are told when each is answered with a constant command for five ticks."""
     bus = Nowhere()
-    world = WorldProcess(bus, KEYS, Lockstep(SCENARIO.world_config(), frame_every=1))  # type: ignore[arg-type]
+    world = WorldProcess(bus, KEYS, Lockstep(SCENARIO.world_config, frame_every=1))  # type: ignore[arg-type]
     bus.queue.append((KEYS.grant, encode(Grant(5))))
     serve(world)
     told, seen = [], 0
@@ -207,7 +207,7 @@ def run_world(also: list[int], between: dict[int, bytes]) -> list[bytes]:
             if not isinstance(message, Nav) or i == "1":
                 continue
             told.append(key.encode() + wire)
-            size = SCENARIO.world_config().vehicles[int(i) - 1].telemetry_size or 0
+            size = SCENARIO.world_config.vehicles[int(i) - 1].telemetry_size or 0
             answer = Command(message.incarnation, message.tick, (20.0, 0.5, -0.5), (0.0,) * size)
             bus.queue.append((KEYS.cmd(i), encode(answer)))
         serve(world)
@@ -219,7 +219,7 @@ def run_world(also: list[int], between: dict[int, bytes]) -> list[bytes]:
 def test_no_agent_crashes_netem(put: list[tuple[tuple[int, bytes], bool]]) -> None:
     """Whatever comes on tx/<i>, rounds go on among them: taken or refused, and everything that goes out fits."""
     bus = Nowhere()
-    network = NetemProcess(bus, KEYS, SCENARIO.netem_config(), Rounds(SCENARIO.netem_config()))  # type: ignore[arg-type]
+    network = NetemProcess(bus, KEYS, SCENARIO.netem_config, Rounds(SCENARIO.netem_config))  # type: ignore[arg-type]
     items = [(KEYS.tx(i), data) for (i, data), _ in put]
     tick = 0
     for number, (_, round_follows) in enumerate(put):
@@ -241,10 +241,10 @@ def test_no_agent_crashes_netem(put: list[tuple[tuple[int, bytes], bool]]) -> No
 @fuzz
 def test_no_agent_crashes_a_run_on_a_wall_clock(put: list[tuple[tuple[int, bytes], str]]) -> None:
     """The same for the processes that wait for nobody, while ticks come and go."""
-    bus, config = Nowhere(), SCENARIO.world_config()
+    bus, config = Nowhere(), SCENARIO.world_config
     world = RealtimeWorldProcess(bus, KEYS, config, 1, 1.0)  # type: ignore[arg-type]
-    rounds = RealtimeRounds(SCENARIO.netem_config())
-    network = RealtimeNetemProcess(bus, KEYS, SCENARIO.netem_config(), rounds)  # type: ignore[arg-type]
+    rounds = RealtimeRounds(SCENARIO.netem_config)
+    network = RealtimeNetemProcess(bus, KEYS, SCENARIO.netem_config, rounds)  # type: ignore[arg-type]
     world._handle(KEYS.grant, encode(Grant(SCENARIO.ticks)))
     network._handle(Item(KEYS.round, encode(Begins(0, 0, config.tick_ns)), None))
     for (i, data), to in put:
@@ -262,7 +262,7 @@ def test_no_agent_crashes_a_run_on_a_wall_clock(put: list[tuple[tuple[int, bytes
 def test_a_huge_payload_is_no_end_of_netem(size: int) -> None:
     """With its header, a payload that an agent could just send no longer fits into an inbox: refused, not forwarded."""
     bus = Nowhere()
-    network = NetemProcess(bus, KEYS, SCENARIO.netem_config(), Rounds(SCENARIO.netem_config()))  # type: ignore[arg-type]
+    network = NetemProcess(bus, KEYS, SCENARIO.netem_config, Rounds(SCENARIO.netem_config))  # type: ignore[arg-type]
     items = Nowhere()
     network._shell.queue = items  # type: ignore[assignment]
     everybody = tuple(range(1, N + 1))
@@ -359,8 +359,8 @@ REQUESTS = st.one_of(
 def test_control_requests_are_answered(requests: list[bytes]) -> None:
     """World and netem answer whatever is asked on ctl/*; a round afterwards is exchanged as ever."""
     bus = Nowhere()
-    WorldProcess(bus, KEYS, Lockstep(SCENARIO.world_config(), frame_every=1))  # type: ignore[arg-type]
-    network = NetemProcess(bus, KEYS, SCENARIO.netem_config(), Rounds(SCENARIO.netem_config()))  # type: ignore[arg-type]
+    WorldProcess(bus, KEYS, Lockstep(SCENARIO.world_config, frame_every=1))  # type: ignore[arg-type]
+    network = NetemProcess(bus, KEYS, SCENARIO.netem_config, Rounds(SCENARIO.netem_config))  # type: ignore[arg-type]
     items = Nowhere()
     network._shell.queue = items  # type: ignore[assignment]
     answers: list[bytes] = []
@@ -578,8 +578,7 @@ def test_no_scenario_text_crashes_the_loader(name: str, seed: int) -> None:
     else:
         for i in range(1, min(scenario.vehicles, 3) + 1):
             msgpack.packb(scenario.agent_config(i).to_values())
-        scenario.world_config()
-        scenario.netem_config()
+        assert scenario.world_config and scenario.netem_config
 
 
 @pytest.mark.parametrize(

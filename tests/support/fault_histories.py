@@ -31,7 +31,7 @@ def drive(lockstep: Lockstep, until: int, answer: set[int]) -> list[WorldOut]:
 def world(**changes: Any) -> WorldConfig:
     from dataclasses import replace
 
-    config = load_scenario("paper", ["duration=500 ms", "checks={}"]).world_config()
+    config = load_scenario("paper", ["duration=500 ms", "checks={}"]).world_config
     config = replace(config, vehicles=tuple(replace(v, telemetry_size=None) for v in config.vehicles))
     return replace(config, **changes)
 

@@ -74,8 +74,8 @@ class Virtual:
         self.unanswered: list[Nav] = []
         self.log = LogWriter(path, scenario)
         self.journal = Journal(scenario, self.log)
-        self.world = RealtimeRun(scenario.world_config(), frame_every=frame_every(scenario))
-        self.network = RealtimeRounds(scenario.netem_config())
+        self.world = RealtimeRun(scenario.world_config, frame_every=frame_every(scenario))
+        self.network = RealtimeRounds(scenario.netem_config)
         self.agents = {i: self._born(i, 0) for i in self.world.state.ids}
 
     def _born(self, i: int, incarnation: int) -> RealtimeLoop:
@@ -190,7 +190,7 @@ def command(tick: int, force: float = 1.0, incarnation: int = 0) -> Command:
 
 
 def free() -> RealtimeRun:
-    world = RealtimeRun(SHORT.world_config())
+    world = RealtimeRun(SHORT.world_config)
     world.grant(SHORT.ticks)
     return world
 
@@ -345,7 +345,7 @@ def test_an_agent_uses_what_is_due_and_says_when_it_came() -> None:
 
 
 def network() -> RealtimeRounds:
-    rounds = RealtimeRounds(load_scenario("paper", ["checks={}", "network.links={'*': 'delay 25ms'}"]).netem_config())
+    rounds = RealtimeRounds(load_scenario("paper", ["checks={}", "network.links={'*': 'delay 25ms'}"]).netem_config)
     rounds.round(Round(0, (1, 2, 3, 4), ((0.0,) * 3,) * 4, ()))
     return rounds
 
@@ -366,7 +366,7 @@ def advance(rounds: RealtimeRounds, until: int) -> dict[int, list[tuple[int, Del
 
 def test_a_network_that_is_late_exchanges_nothing_after_the_end() -> None:
     """The end may be among what a tick that is overdue still takes in."""
-    config, bus, items = SHORT.netem_config(), Nowhere(), Nowhere()
+    config, bus, items = SHORT.netem_config, Nowhere(), Nowhere()
     network = RealtimeNetemProcess(bus, KEYS, config, RealtimeRounds(config))  # type: ignore[arg-type]
     network._shell.queue = items  # type: ignore[assignment]
     for said in (Pace(0, 0, 1000), Round(0, (1, 2, 3, 4), ((0.0,) * 3,) * 4, ())):

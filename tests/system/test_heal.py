@@ -102,7 +102,7 @@ def test_no_speed_breaks_the_console(tmp_path: Path) -> None:
 def lives_told(vehicle: int, absences: list[tuple[int, int | None]], late: bool) -> list[tuple[int, bool]]:
     """(tick, begins) of all that a world of silent agents tells of one vehicle; `late`: told when it is there."""
     scenario = load_scenario("paper", ["duration=1 s"])
-    world = Lockstep(scenario.world_config())
+    world = Lockstep(scenario.world_config)
     told: list[tuple[int, bool]] = []
 
     def go_on(until: int) -> None:
@@ -131,7 +131,7 @@ def test_an_agent_that_ended_before_it_began_is_told(late: bool) -> None:
 
 
 def test_an_agent_that_ended_at_its_first_tick_is_told_in_this_order() -> None:
-    world = Lockstep(load_scenario("paper", ["duration=1 s", "vehicles=1"]).world_config())
+    world = Lockstep(load_scenario("paper", ["duration=1 s", "vehicles=1"]).world_config)
     world.state.lives.add(Absence(1, 0, 10))
     lives = [life for out in world.grant(11) if isinstance(out, Frame) for life in out.lives]
     lives += [life for out in world.end(1, 1, 20) if isinstance(out, Frame) for life in out.lives]

@@ -185,7 +185,7 @@ def test_a_world_goes_on_from_its_plain_values(found: list[tuple[str, int, int]]
 )
 def test_what_a_scenario_says(entry: str, kind: str, values: tuple[float, ...]) -> None:
     s = small(f"faults=[{{at: 100 ms, for: 200 ms, {entry}}}]", "network=ideal")
-    (found,) = s.world_config().faults
+    (found,) = s.world_config.faults
     assert (found.kind, found.begin, found.end, found.values) == (kind, 10, 30, values)
     assert parse_scenario(s.to_yaml(), "again.yaml") == s
     assert WorldFault.from_values(msgpack.unpackb(msgpack.packb(found.to_values()))) == found

@@ -29,7 +29,7 @@ def command(tick: int, incarnation: int = 0) -> Command:
 
 def run(order: list[int], frame_every: int = 1) -> tuple[list[Frame], list[Round]]:
     """Answer navs in whatever order `order` picks among the waiting vehicles; all frames and rounds."""
-    lockstep = Lockstep(SCENARIO.world_config(), frame_every=frame_every)
+    lockstep = Lockstep(SCENARIO.world_config, frame_every=frame_every)
     out: list[Any] = list(lockstep.grant(SCENARIO.ticks))
     waiting = [nav for nav in out if isinstance(nav, NavTo)]
     frames, rounds, step = [], [], 0
@@ -57,7 +57,7 @@ def test_thinned_frames_end_with_the_state_at_the_end() -> None:
 
 
 def test_nothing_starts_beyond_the_grant() -> None:
-    lockstep = Lockstep(SCENARIO.world_config())
+    lockstep = Lockstep(SCENARIO.world_config)
     assert lockstep.grant(0) == []
     assert len(lockstep.grant(1)) == 4
     assert not [o for o in lockstep.command(1, command(0)) if isinstance(o, NavTo)]
@@ -65,7 +65,7 @@ def test_nothing_starts_beyond_the_grant() -> None:
 
 
 def test_commands_out_of_place_are_refused() -> None:
-    lockstep = Lockstep(SCENARIO.world_config())
+    lockstep = Lockstep(SCENARIO.world_config)
     lockstep.grant(5)
     with pytest.raises(OutOfPlace, match="tick: expected 0, got 3"):
         lockstep.command(1, command(3))

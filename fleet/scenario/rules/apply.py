@@ -8,21 +8,21 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from fleet.scenario.parts import Parts, UnknownValueError
 from fleet.scenario.rules import checks, faults, laws, motion, network, timing
-from fleet.scenario.rules.report import Report, UnknownValueError
-from fleet.scenario.schema.spec import ScenarioSpec
+from fleet.scenario.rules.report import Report
 
 
-def check(spec: ScenarioSpec, report: Report) -> None:
+def check(parts: Parts, report: Report) -> None:
     """Apply every rule."""
     for rule in RULES:
         try:
-            rule(spec, report)
+            rule(parts, report)
         except UnknownValueError:
             continue
 
 
-RULES: tuple[Callable[[ScenarioSpec, Report], None], ...] = (
+RULES: tuple[Callable[[Parts, Report], None], ...] = (
     timing.duration,
     timing.network_period,
     timing.policies,

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 from fleet.quantities import show_time, vehicle_numbers
+from fleet.scenario.parts import Parts
 from fleet.scenario.rules.faults import fault_names
-from fleet.scenario.rules.report import LINKS_SHOWN, Report, UnknownValueError, vehicles_exist, whole_multiple
-from fleet.scenario.rules.views import graph_links
+from fleet.scenario.rules.report import LINKS_SHOWN, Report, vehicles_exist, whole_multiple
 from fleet.scenario.schema.checks import EVERY
-from fleet.scenario.schema.spec import ScenarioSpec
-from fleet.scenario.sections.nemesis import unleash
 from netem.selectors import parse_selector, select
 
 
-def checks(spec: ScenarioSpec, report: Report) -> None:
+def checks(parts: Parts, report: Report) -> None:
+    spec = parts.spec
     for name in ("formation_error", "consensus_error", "min_separation", "connected", "tumbled"):
         check = getattr(spec.checks, name)
         if check is not None and check.vehicles:
@@ -22,7 +21,8 @@ def checks(spec: ScenarioSpec, report: Report) -> None:
         report.add(("checks", "min_separation", "vehicles"), "a distance is between two vehicles or more")
 
 
-def max_age(spec: ScenarioSpec, report: Report) -> None:
+def max_age(parts: Parts, report: Report) -> None:
+    spec = parts.spec
     check = spec.checks.max_age
     if check is None:
         return
@@ -32,11 +32,12 @@ def max_age(spec: ScenarioSpec, report: Report) -> None:
             f"every age grows to a round of {show_time(spec.network.period)} before the next can be heard",
             "choose more",
         )
-    if check.links != "*" and not select(parse_selector(check.links), graph_links(spec)):
+    if check.links != "*" and not select(parse_selector(check.links), parts.links):
         report.add(("checks", "max_age", "links"), f"the graph has no link {check.links}")
 
 
-def connected(spec: ScenarioSpec, report: Report) -> None:
+def connected(parts: Parts, report: Report) -> None:
+    spec = parts.spec
     check = spec.checks.connected
     if check is None:
         return
@@ -47,14 +48,12 @@ def connected(spec: ScenarioSpec, report: Report) -> None:
         report.add(path, message, "choose several rounds")
 
 
-def recovery_time(spec: ScenarioSpec, report: Report) -> None:
+def recovery_time(parts: Parts, report: Report) -> None:
+    spec = parts.spec
     checks = spec.checks.recovery_time
-    if not checks:
+    if not checks or report.mistaken("faults", "nemesis"):
         return
-    if any(problem.message.startswith(("faults", "nemesis")) for problem in report.problems):
-        raise UnknownValueError  # there is no timeline yet
-    spec = unleash(spec, graph_links(spec))
-    known, lasting = fault_names(spec)
+    known, lasting = fault_names(parts)
     one = bool(report.keys("checks", "recovery_time"))  # given without the list
     for index, check in enumerate(checks):
         path: tuple[str | int, ...] = ("checks", "recovery_time", *(() if one else (index,)))

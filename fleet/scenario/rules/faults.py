@@ -6,14 +6,13 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 from fleet.quantities import show_time
+from fleet.scenario.parts import Parts
 from fleet.scenario.rules.report import Report, known_links, no_whole_ticks, whole_multiple
-from fleet.scenario.rules.views import graph_links
 from fleet.scenario.schema.faults import FaultAction, FaultSection
 from fleet.scenario.schema.spec import ScenarioSpec
 from fleet.scenario.sections.nemesis import count as nemesis_faults
 from fleet.scenario.sections.partitions import FaultError, is_drawn, partition
 from fleet.scenario.sections.timeline import ACTIONS, OF_THE_WORLD, does_nothing, vehicles_of
-from fleet.scenario.sections.timeline import plan as fault_plan
 from netem.condition import Link
 from netem.selectors import parse_selector, select
 
@@ -21,9 +20,9 @@ MOST_FAULTS = 5000  # of one scenario, those of its nemesis included: each is lo
 MOST_TARGETS = 100_000  # faults times vehicles: each may be about all of them
 
 
-def fault_names(spec: ScenarioSpec) -> tuple[list[str], set[str]]:
-    """The ids of all faults in their order, and those of which nothing says that they end before the run."""
-    events = fault_plan(spec, graph_links(spec)).events
+def fault_names(parts: Parts) -> tuple[list[str], set[str]]:
+    """The ids of all faults in their order, and those of the faults that last to the end of the run."""
+    spec, events = parts.explicit, parts.faults.events
     last = spec.duration // spec.tick
     ending = {event.fault for event in events if event.action == "ends" and event.tick < last}
     written = {fault.id or f"f{n}": fault for n, fault in enumerate(spec.faults, start=1)}
@@ -31,11 +30,12 @@ def fault_names(spec: ScenarioSpec) -> tuple[list[str], set[str]]:
     return list(dict.fromkeys([*written, *(event.fault for event in events)])), lasting
 
 
-def faults(spec: ScenarioSpec, report: Report) -> None:
+def faults(parts: Parts, report: Report) -> None:
+    spec = parts.spec
     if len(spec.faults) > (most := most_faults(spec)):
         report.add(("faults",), f"{len(spec.faults)} faults, expected at most {most}")
         return
-    links = graph_links(spec)
+    links = parts.links
     seen: dict[str, int] = {}
     for index, fault in enumerate(spec.faults):
         path: tuple[str | int, ...] = ("faults", index)
@@ -50,7 +50,8 @@ def most_faults(spec: ScenarioSpec) -> int:
     return min(MOST_FAULTS, MOST_TARGETS // spec.vehicles)
 
 
-def nemesis(spec: ScenarioSpec, report: Report) -> None:
+def nemesis(parts: Parts, report: Report) -> None:
+    spec = parts.spec
     nemesis = spec.nemesis
     if nemesis is None:
         return
@@ -67,7 +68,7 @@ def nemesis(spec: ScenarioSpec, report: Report) -> None:
     if (drawn := nemesis_faults(nemesis, spec)) + len(spec.faults) > most:
         message = f"{drawn} faults, one every {show_time(nemesis.every)}, expected at most {most} in a scenario"
         report.add(("nemesis", "every"), message, "make it rarer, or end it earlier with until")
-    links = graph_links(spec)
+    links = parts.links
     for index, pick in enumerate(nemesis.pick):
         path = ("nemesis", "pick", index)
         if pick.drawn is not None:

@@ -9,16 +9,20 @@ from agents.controllers import BUILT_IN, CONTROLLERS
 from agents.errors import PluginError, UntrustedError
 from agents.plugins.loading import load
 from agents.profiles import profile
+from agents.trajectory import PathError
 from fleet.quantities import RATE, SPEED, QuantityError, Vec3, show, show_vector, vehicle_numbers
+from fleet.scenario.parts import Parts, UnknownValueError
 from fleet.scenario.rules.report import Report, _packed
-from fleet.scenario.rules.views import choices, desired_velocity, guidance, key_of, layers
 from fleet.scenario.schema.spec import ScenarioSpec
-from fleet.scenario.sections.per_vehicle import given, law_names, merged, used, vehicle, wrong_model
+from fleet.scenario.sections.per_vehicle import Entries, given, law_names, used, wrong_model
 from fleet.scenario.sections.vehicle_files import VehicleFileError, mass_problems
 from netem.parsing import nearest
 
+_BLEND_SAMPLES = 40  # of a change of the formation
 
-def per_vehicle(spec: ScenarioSpec, report: Report) -> None:
+
+def per_vehicle(parts: Parts, report: Report) -> None:
+    spec = parts.spec
     seen: dict[str, str] = {}
     for text in report.keys("per_vehicle"):
         try:
@@ -35,8 +39,9 @@ def per_vehicle(spec: ScenarioSpec, report: Report) -> None:
                 break
 
 
-def laws(spec: ScenarioSpec, report: Report) -> None:
+def laws(parts: Parts, report: Report) -> None:
     """Every law that is named exists, and can be made with its parameters."""
+    spec = parts.spec
     places: list[tuple[tuple[str, ...], Any]] = [((), spec)]
     places += [(("per_vehicle", numbers), overrides) for numbers, overrides in spec.per_vehicle.items()]
     for path, place in places:
@@ -46,10 +51,10 @@ def laws(spec: ScenarioSpec, report: Report) -> None:
                 if section is not None and getattr(section, "parameters", None):
                     report.add((*path, kind, "parameters"), "belong to a law: name it with law", key=True)
                 continue
-            law(report, (*path, kind), kind, Law(section.law, section.parameters or {}))
+            law(parts, report, (*path, kind), kind, Law(section.law, section.parameters or {}))
 
 
-def law(report: Report, path: tuple[str, ...], kind: str, law: Law) -> None:
+def law(parts: Parts, report: Report, path: tuple[str, ...], kind: str, law: Law) -> None:
     ours = list(CONTROLLERS) if kind == "controller" else list(BUILT_IN[kind])
     if law.name in ours:
         if law.parameters:
@@ -60,7 +65,7 @@ def law(report: Report, path: tuple[str, ...], kind: str, law: Law) -> None:
     if not (typed or report.policy.imports):
         return
     try:
-        report.policy.admit(kind, law, report.folder, typed=typed)
+        report.policy.admit(kind, law, parts.folder, typed=typed)
         load(kind, law)
     except UntrustedError as error:
         report.refuse(at, f"{law.name}: {error.problem}", error.hint)
@@ -73,12 +78,13 @@ def law(report: Report, path: tuple[str, ...], kind: str, law: Law) -> None:
             report.add(at, f"{law.name}: {error.problem}", error.hint)
 
 
-def effective(spec: ScenarioSpec, report: Report) -> None:
+def effective(parts: Parts, report: Report) -> None:
     """A parameter that no law reads is a mistake, not a comment."""
+    spec = parts.spec
     for kind in ("guidance", "tracking"):
-        for path, section in layers(spec, kind):
+        for path, section in parts.sections(kind):
             where = vehicle_numbers(path[1]) if path else range(spec.vehicles + 1)
-            names = {law_names(merged(spec, i)) for i in where}
+            names = {law_names(parts.choice(entries)) for entries in {parts.entries(i) for i in where}}
             if any(n is not None and ":" in n[kind == "tracking"] for n in names):
                 continue
             running = {n[kind == "tracking"] for n in names if n is not None}
@@ -91,12 +97,12 @@ def effective(spec: ScenarioSpec, report: Report) -> None:
                 report.add((*path, kind, "law"), message, key=True)
 
 
-def vehicles(spec: ScenarioSpec, report: Report) -> None:
+def vehicles(parts: Parts, report: Report) -> None:
     """Each vehicle's numbers can be read, and make a vehicle; so does what the controller believes."""
-    for entries, choice in choices(spec):
-        assert choice.vehicle is not None and choice.model_error is not None
+    for entries, choice in parts.choices():
+        assert choice.model_error is not None
         try:
-            params, _ = vehicle(choice.vehicle, report.folder)
+            params, _ = parts.vehicle(entries)
         except VehicleFileError as error:
             for problem in error.problems:
                 report.add(report.origin(entries, "vehicle", "model") or ("vehicle", "model"), problem)
@@ -108,10 +114,10 @@ def vehicles(spec: ScenarioSpec, report: Report) -> None:
                 report.add(report.origin(entries, "model_error") or ("model_error",), f"with it, {problem}")
 
 
-def velocity_bounds(spec: ScenarioSpec, report: Report) -> None:
+def velocity_bounds(parts: Parts, report: Report) -> None:
     """Strictly inside, the QP is feasible for every consensus error: some k > 0 exists on each axis."""
-    low, high = desired_velocity(spec)
-    for entries, law, section, name in guidance(spec):
+    low, high = desired_velocity(parts)
+    for entries, law, section, name in parts.guidance():
         if law != "optimal":
             continue
         preset = profile(name)[0]
@@ -128,12 +134,35 @@ def velocity_bounds(spec: ScenarioSpec, report: Report) -> None:
                 side, extreme = ("below", "least ") if sign > 0 else ("above", "greatest ")
                 extreme = "" if low == high else extreme
                 report.add(
-                    ours or reference_place(spec),
+                    ours or reference_place(parts.spec),
                     f"{bound_name} {show_vector(bound, SPEED)} must be {side} the {extreme}reference velocity "
                     f"{rounded(speeds)} on every axis; it is not on {axis}",
                     "" if ours else f"the bound is that of profile {name}; set {key_of(entries, bound_name)}",
                 )
                 break
+
+
+def desired_velocity(parts: Parts) -> tuple[Vec3, Vec3]:
+    """Least and greatest velocity that any vehicle is asked for on each axis, changes of the formation included."""
+    try:
+        low, high = map(list, parts.reference.velocity_bounds())
+    except PathError:
+        raise UnknownValueError from None
+    for change in parts.spec.formation.changes or ():
+        for step in range(_BLEND_SAMPLES + 1):
+            t = (change.at + change.over * step / _BLEND_SAMPLES) / 1e9
+            velocity = parts.reference.at(t).velocity
+            for plan in parts.plans:
+                rate = plan.at(t).velocity
+                for axis in range(3):
+                    low[axis] = min(low[axis], velocity[axis] + rate[axis])
+                    high[axis] = max(high[axis], velocity[axis] + rate[axis])
+    return (low[0], low[1], low[2]), (high[0], high[1], high[2])
+
+
+def key_of(entries: Entries, key: str) -> str:
+    """The nearest key that sets a guidance parameter of the vehicles that these entries name."""
+    return f"per_vehicle.{entries[-1]}.guidance.{key}" if entries else f"guidance.{key}"
 
 
 def rounded(speeds: Vec3) -> str:
@@ -144,8 +173,8 @@ def reference_place(spec: ScenarioSpec) -> tuple[str, ...]:
     return ("reference", "velocity") if spec.reference.velocity is not None else ("reference", "speed")
 
 
-def gain_bounds(spec: ScenarioSpec, report: Report) -> None:
-    for entries, law, section, name in guidance(spec):
+def gain_bounds(parts: Parts, report: Report) -> None:
+    for entries, law, section, name in parts.guidance():
         preset = profile(name)[0]
         k_min, k_max = section.k_min or preset.k_min, section.k_max or preset.k_max
         if k_min > k_max and {"k_min", "k_max"} <= used("guidance", law):
@@ -156,7 +185,7 @@ def gain_bounds(spec: ScenarioSpec, report: Report) -> None:
             report.add(path, f"k_min {show(k_min, RATE)} is above k_max {show(k_max, RATE)}", hint)
 
 
-def cosine_guard(spec: ScenarioSpec, report: Report) -> None:
-    for path, section in layers(spec, "tracking"):
+def cosine_guard(parts: Parts, report: Report) -> None:
+    for path, section in parts.sections("tracking"):
         if section.cos_eps is not None and section.cos_eps >= 1.0:
             report.add((*path, "tracking", "cos_eps"), f"is a cosine and must be below 1, got {section.cos_eps!r}")

@@ -5,32 +5,29 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from agents.trajectory import Path as Path_
-from agents.trajectory import PathError
+from agents.trajectory import Path, PathError
 from fleet.quantities import show_time, vehicle_numbers
+from fleet.scenario.parts import Parts
 from fleet.scenario.rules.report import Report, dotted
-from fleet.scenario.rules.views import graph_links
 from fleet.scenario.schema.motion import FormationShape
 from fleet.scenario.schema.shapes import FORMATION, GRAPH, REFERENCE, Keys
 from fleet.scenario.schema.spec import ScenarioSpec
 from fleet.scenario.sections.graph import parse_edge
-from fleet.scenario.sections.per_vehicle import merged
-from fleet.scenario.sections.reference import build as build_reference
 from netem.condition import Link
 
 Table = dict[str, Keys]
 
 
-def reference(spec: ScenarioSpec, report: Report) -> None:
-    r = spec.reference
+def reference(parts: Parts, report: Report) -> None:
+    r = parts.spec.reference
     if not shape_keys(report, ("reference",), r, r.shape or "line", REFERENCE):
         return
     if r.shape == "lawn-mower" and r.leg is not None and r.spacing is not None and r.leg < r.spacing:
         text = f"a leg of {r.leg:g} m is shorter than the two arcs of {r.spacing / 2:g} m at its ends"
         report.add(("reference", "leg"), text, "make it at least the spacing")
         return
-    path = build_reference(r)
-    if isinstance(path, Path_):
+    path = parts.reference
+    if isinstance(path, Path):
         try:
             path.length  # noqa: B018 - walks the path
         except PathError as error:
@@ -59,7 +56,8 @@ def shape_keys(report: Report, path: tuple[str | int, ...], section: Any, shape:
     return fine
 
 
-def formation(spec: ScenarioSpec, report: Report) -> None:
+def formation(parts: Parts, report: Report) -> None:
+    spec = parts.spec
     formation_shape(spec, report, ("formation",), spec.formation)
     end = 0
     for index, change in enumerate(spec.formation.changes or ()):
@@ -83,7 +81,8 @@ def formation_shape(spec: ScenarioSpec, report: Report, path: tuple[str | int, .
         one_each(report, (*path, "offsets"), len(f.offsets), spec.vehicles)
 
 
-def initial(spec: ScenarioSpec, report: Report) -> None:
+def initial(parts: Parts, report: Report) -> None:
+    spec = parts.spec
     states = spec.initial.vehicles
     if states is not None:
         one_each(report, ("initial",), len(states), spec.vehicles)
@@ -98,7 +97,8 @@ def one_each(report: Report, path: tuple[str | int, ...], got: int, vehicles: in
         report.add(path, f"expected {vehicles} entries, one per vehicle, got {got}", hint, key=True)
 
 
-def graph_form(spec: ScenarioSpec, report: Report) -> None:
+def graph_form(parts: Parts, report: Report) -> None:
+    spec = parts.spec
     g = spec.graph
     if g.edges is None and g.shape is None:
         report.add(("graph",), 'needs a shape, or edges such as {"1->2": 1.0}', key=True)
@@ -116,7 +116,8 @@ def graph_form(spec: ScenarioSpec, report: Report) -> None:
         report.add(("graph", "count"), message, "use complete for all of them")
 
 
-def edges(spec: ScenarioSpec, report: Report) -> None:
+def edges(parts: Parts, report: Report) -> None:
+    spec = parts.spec
     seen: set[Link] = set()
     for text in report.keys("graph", "edges"):
         path = ("graph", "edges", text)
@@ -134,7 +135,8 @@ def edges(spec: ScenarioSpec, report: Report) -> None:
                 report.add(path, f"there is no vehicle {end}: they are 1 to {spec.vehicles}", key=True)
 
 
-def followers(spec: ScenarioSpec, report: Report) -> None:
+def followers(parts: Parts, report: Report) -> None:
+    spec = parts.spec
     followers = spec.graph.reference
     if followers == "all":
         return
@@ -153,11 +155,12 @@ def followers(spec: ScenarioSpec, report: Report) -> None:
         seen.add(number)
 
 
-def knowledge(spec: ScenarioSpec, report: Report) -> None:
+def knowledge(parts: Parts, report: Report) -> None:
     """Who follows the reference or stands by to must hear whom it stands by for; who does not know it cannot use it."""
+    spec = parts.spec
     followers = set(range(1, spec.vehicles + 1) if spec.graph.reference == "all" else spec.graph.reference)
     standby = vehicle_numbers(spec.graph.standby.vehicles) if spec.graph.standby else []
-    hear_one = {dst for src, dst in graph_links(spec) if src in followers} if standby else set()
+    hear_one = {dst for src, dst in parts.links if src in followers} if standby else set()
     path = ("graph", "standby", "vehicles")
     for i in standby:
         if not 1 <= i <= spec.vehicles:
@@ -168,7 +171,7 @@ def knowledge(spec: ScenarioSpec, report: Report) -> None:
             text = f"vehicle {i} hears none of those that follow the reference, and so cannot tell when they are silent"
             report.add(path, text, "let it hear one of graph.reference, or choose another vehicle")
     for i in sorted(set(range(1, spec.vehicles + 1)) - followers - set(standby)):
-        choice = merged(spec, i)
+        choice = parts.choice(parts.entries(i))
         assert choice.neighbours is not None
         told = choice.knows_reference is not False
         if not told and choice.neighbours.extrapolate == "reference" and choice.agent is None:

@@ -1,20 +1,20 @@
-"""Rules on links and on the acoustic channel."""
+"""Rules on links and on the acoustic"""
 
 from __future__ import annotations
 
 from fleet.quantities import show_time
+from fleet.scenario.parts import Parts
 from fleet.scenario.rules.report import Report, known_links, whole_multiple
-from fleet.scenario.rules.views import choices, graph_links, offset_plans
-from fleet.scenario.schema.spec import ScenarioSpec
-from fleet.scenario.sections import acoustic as channel
+from fleet.scenario.sections.acoustic import SIZES, extent_m, guard_ns, speed_of_sound
 from fleet.scenario.sections.data_files import DataFileError
+from fleet.scenario.sections.modem_files import modem_problems
 from netem.parsing import GrammarError
 from netem.selectors import parse_selector
 
 
-def links(spec: ScenarioSpec, report: Report) -> None:
+def links(parts: Parts, report: Report) -> None:
     written: dict[str, str] = {}
-    links = graph_links(spec)
+    links = parts.links
     known: set[tuple[int | None, int | None]] = {(None, None), *links}
     known |= {(src, None) for src, _ in links} | {(None, dst) for _, dst in links}
     for text in report.keys("network", "links"):
@@ -32,8 +32,9 @@ def links(spec: ScenarioSpec, report: Report) -> None:
             report.add(path, "the graph has no such link", known_links(links), key=True)
 
 
-def acoustic(spec: ScenarioSpec, report: Report) -> None:
+def acoustic(parts: Parts, report: Report) -> None:
     """The modem, and what belongs to the way in which turns are taken."""
+    spec = parts.spec
     section = spec.network.acoustic
     if section is None:
         return
@@ -65,29 +66,30 @@ def acoustic(spec: ScenarioSpec, report: Report) -> None:
     if section.wind > 100.0:
         report.add((*at, "wind"), f"must be at most 100 m/s, is {section.wind:g}")
     try:
-        wrong = channel.problems(section, report.folder)
+        wrong = modem_problems(parts.modem_numbers)
     except DataFileError as error:
         wrong = error.problems
     for problem in wrong:
         report.add((*at, "modem"), problem)
 
 
-def talking(spec: ScenarioSpec, report: Report) -> None:
+def talking(parts: Parts, report: Report) -> None:
     """What our agents say fits into a packet, and into a slot with its guard, which sound crosses the fleet in."""
+    spec = parts.spec
     section = spec.network.acoustic
     if section is None:
         return
     at = ("network", "acoustic")
     try:
-        if channel.problems(section, report.folder):
+        if modem_problems(parts.modem_numbers):
             return
-        modem = channel.modem(section, report.folder)
+        modem = parts.modem
     except DataFileError:
         return  # reported already
-    codec, size = spec.network.payload, channel.SIZES[spec.network.payload]
-    ours = any(choice.agent is None for _, choice in choices(spec))
+    codec, size = spec.network.payload, SIZES[spec.network.payload]
+    ours = any(choice.agent is None for _, choice in parts.choices())
     if ours and size > modem.mtu:
-        compact = channel.SIZES["compact"]
+        compact = SIZES["compact"]
         hint = f"network.payload: compact has {compact} bytes" if codec == "full" and compact <= modem.mtu else ""
         report.add(
             (*at, "modem"), f"the {codec} payload of {size} bytes is longer than its mtu, {modem.mtu} bytes", hint
@@ -95,15 +97,15 @@ def talking(spec: ScenarioSpec, report: Report) -> None:
         return
     if section.mac != "tdma" or section.slot is None:
         return
-    airtime, guard = modem.airtime_ns(size) if ours else modem.airtime_ns(0), channel.guard_ns(section)
+    airtime, guard = modem.airtime_ns(size) if ours else modem.airtime_ns(0), guard_ns(section)
     if airtime + guard > section.slot:
         text = (
             f"{show_time(section.slot)} are too short: {size} bytes are {airtime / 1e9:g} s on the air, "
             f"and the guard is {show_time(guard)}"
         )
         report.add((*at, "slot"), text, f"at least {(airtime + guard) / 1e9:g} s")
-    extent = channel.extent_m(offset_plans(spec))
-    crossing = extent / channel.speed_of_sound(section)
+    extent = extent_m(parts.plans)
+    crossing = extent / speed_of_sound(section)
     if crossing * 1e9 > guard:
         text = (
             f"{show_time(guard)} are too short: sound takes {crossing:.4g} s over the {extent:.4g} m of the formation"

@@ -4,17 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 from fleet.errors import Problem
 from fleet.quantities import show_time, vehicle_numbers
 from fleet.scenario.schema.spec import ScenarioSpec
+from fleet.scenario.sections.per_vehicle import Entries
 from fleet.scenario.text.yaml_reader import Mapping, locate
 from fleet.scenario.trust import READING, Policy
 from netem.condition import Link
 
-Entries = tuple[str, ...]  # the keys of per_vehicle that name a vehicle
 LINKS_SHOWN = 12
 
 
@@ -22,16 +21,11 @@ def dotted(path: tuple[str | int, ...]) -> str:
     return ".".join(str(step + 1) if isinstance(step, int) else step for step in path)
 
 
-class UnknownValueError(Exception):
-    """The value that a rule needs is itself wrong."""
-
-
 @dataclass
 class Report:
     """The problems found so far in one tree."""
 
     root: Mapping
-    folder: Path | None = None  # where the scenario's file lies
     problems: list[Problem] = field(default_factory=list)
     policy: Policy = READING
     _added: set[Problem] = field(default_factory=set)
@@ -55,6 +49,10 @@ class Report:
     def typed(self, path: tuple[str | int, ...]) -> bool:
         """Whether the value at `path` was given on the command line."""
         return locate(self.root, self._written(path)).source.rank > 0
+
+    def mistaken(self, *keys: str) -> bool:
+        """Whether a mistake in one of these sections has been reported."""
+        return any(problem.message.startswith(keys) for problem in self.problems)
 
     def add_missing(self, path: tuple[str | int, ...], key: str, why: str) -> None:
         """Report a key that a section should have."""

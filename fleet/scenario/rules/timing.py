@@ -3,24 +3,26 @@
 from __future__ import annotations
 
 from fleet.quantities import show_time
+from fleet.scenario.parts import Parts
 from fleet.scenario.rules.report import Report, whole_multiple
-from fleet.scenario.rules.views import guidance, layers
-from fleet.scenario.schema.spec import ScenarioSpec
 from fleet.scenario.sections.log_rates import snapshot_grid
 from fleet.scenario.sections.per_vehicle import qp_period_ns, used
 
 
-def duration(spec: ScenarioSpec, report: Report) -> None:
+def duration(parts: Parts, report: Report) -> None:
+    spec = parts.spec
     whole_multiple(report, ("duration",), spec.duration, spec.tick)
 
 
-def network_period(spec: ScenarioSpec, report: Report) -> None:
+def network_period(parts: Parts, report: Report) -> None:
+    spec = parts.spec
     if not spec.network.ideal:
         whole_multiple(report, ("network", "period"), spec.network.period, spec.tick)
 
 
-def qp_period(spec: ScenarioSpec, report: Report) -> None:
-    for entries, law, section, name in guidance(spec):
+def qp_period(parts: Parts, report: Report) -> None:
+    spec = parts.spec
+    for entries, law, section, name in parts.guidance():
         period = qp_period_ns(name, section)
         if "qp_period" not in used("guidance", law) or period % spec.tick == 0:
             continue
@@ -36,17 +38,19 @@ def qp_period(spec: ScenarioSpec, report: Report) -> None:
             )
 
 
-def policies(spec: ScenarioSpec, report: Report) -> None:
+def policies(parts: Parts, report: Report) -> None:
+    spec = parts.spec
     if spec.network.ideal and spec.on_controller_error == "die":
         message = "the others of an ideal network wait for everybody, also for an agent that is gone"
         report.add(("on_controller_error",), message, "abort, coast, or give the network a period")
-    for path, external in layers(spec, "external"):
+    for path, external in parts.sections("external"):
         if external and spec.network.ideal:
             message = "nobody can join an ideal network, which runs in one process"
             report.add((*path, "external"), message, "give the network a period")
 
 
-def snapshot(spec: ScenarioSpec, report: Report) -> None:
+def snapshot(parts: Parts, report: Report) -> None:
+    spec = parts.spec
     if spec.log.snapshot:
         every = snapshot_grid(spec)
         if spec.log.snapshot % (every * spec.tick):

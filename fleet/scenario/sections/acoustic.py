@@ -22,7 +22,7 @@ from agents.config import Codec
 from agents.offset import Offset
 from fleet.scenario.schema.network import AcousticSection, NetworkSection
 from fleet.scenario.sections.aloha import Talking, talking
-from fleet.scenario.sections.modem_files import NUMBERS, load_modem, modem_of, modem_problems
+from fleet.scenario.sections.modem_files import NUMBERS, load_modem
 from netem.modem import DEFAULT_GUARD_NS, SOUND_SPEED, AcousticConfig, Modem
 from netem.propagation import sound_speed
 
@@ -30,7 +30,7 @@ DEFAULT_MODEM: str = AcousticSection().modem
 SIZES: dict[Codec, int] = {"full": payload.SIZE, "compact": compact.SIZE}
 
 
-def numbers(section: AcousticSection, folder: Path | None) -> dict[str, float]:
+def modem_numbers(section: AcousticSection, folder: Path | None) -> dict[str, float]:
     """The numbers of a section's modem: those of its file, changed as the section says. Raises DataFileError."""
     base = load_modem(section.modem, folder).modem
     return {key: _given(section, key, getattr(base, key)) for key in NUMBERS}
@@ -41,38 +41,25 @@ def _given(section: AcousticSection, key: str, otherwise: float) -> float:
     return otherwise if value is None else value / 1e9 if key == "preamble" else value
 
 
-def modem(section: AcousticSection, folder: Path | None) -> Modem:
-    """The modem of a valid section. Raises DataFileError."""
-    return modem_of(numbers(section, folder))
-
-
-def inlined(section: AcousticSection, folder: Path | None) -> AcousticSection:
+def inlined_modem(section: AcousticSection, folder: Path | None) -> AcousticSection:
     """The same channel with every number of the modem written out, so that it no longer needs the modem's file."""
-    values = numbers(section, folder)
+    values = modem_numbers(section, folder)
     written = {key: round(value * 1e9) if key == "preamble" else value for key, value in values.items()}
     return section.model_copy(update={"modem": DEFAULT_MODEM, **written})
 
 
-def problems(section: AcousticSection, folder: Path | None) -> list[str]:
-    """What is wrong with the numbers of a section's modem. Raises DataFileError."""
-    return modem_problems(numbers(section, folder))
-
-
 def compile_acoustic(
-    network: NetworkSection, vehicles: int, tick_ns: int, folder: Path | None = None
-) -> AcousticConfig | None:
-    """What the channel of a valid scenario is told; None when there is none.
+    section: AcousticSection, modem: Modem, codec: Codec, vehicles: int, tick_ns: int
+) -> AcousticConfig:
+    """The configuration of the channel of a valid section.
 
-    Raises:
-        DataFileError: its modem cannot be read.
+    Args:
+        codec: of the agents' payloads.
+        vehicles: how many share the channel.
     """
-    section = network.acoustic
-    if section is None:
-        return None
-    ours = modem(section, folder)
-    backoff = backoff_ns(section, ours, network.payload, vehicles) if section.mac == "aloha" else 0
+    backoff = backoff_ns(section, modem, codec, vehicles) if section.mac == "aloha" else 0
     return AcousticConfig(
-        modem=ours,
+        modem=modem,
         mac=section.mac,
         backoff_ticks=-(-backoff // tick_ns),
         slot_ticks=(section.slot or 0) // tick_ns,

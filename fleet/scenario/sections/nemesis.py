@@ -18,13 +18,10 @@ from netem.selectors import Selector
 PARTITIONS = ("halves", *DRAWN_PARTITIONS)
 
 
-def unleash(spec: ScenarioSpec, links: Sequence[Link]) -> ScenarioSpec:
-    """The same scenario with the faults of its nemesis written out after its own."""
-    nemesis = spec.nemesis
-    if nemesis is None:
-        return spec
+def drawn_faults(spec: ScenarioSpec, nemesis: NemesisSection, links: Sequence[Link]) -> list[FaultSection]:
+    """The faults that a nemesis draws for a scenario, in order of time; no id is one of the scenario's own."""
     taken = {fault.id for fault in spec.faults}
-    faults = list(spec.faults)
+    faults: list[FaultSection] = []
     for number, at in enumerate(_times(nemesis, spec), start=1):
         name = f"nemesis-{number}"
         while name in taken:
@@ -40,7 +37,7 @@ def unleash(spec: ScenarioSpec, links: Sequence[Link]) -> ScenarioSpec:
             body = {pick.drawn: _target(pick.drawn, name, spec, number, links)}
         times = {"at": f"{at} ns", "for": f"{nemesis.for_} ns"}
         faults.append(FaultSection.model_validate({"id": name, **times, **body}))
-    return spec.model_copy(update={"faults": faults, "nemesis": None})
+    return faults
 
 
 def count(nemesis: NemesisSection, spec: ScenarioSpec) -> int:

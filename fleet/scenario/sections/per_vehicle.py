@@ -6,12 +6,11 @@ from collections.abc import Iterable
 from dataclasses import dataclass, fields, replace
 from functools import reduce
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 from agents.config import Extrapolation, GuidanceParams, Law, TrackingParams
 from agents.controllers import CONTROLLERS, GUIDANCE, TRACKING
 from agents.profiles import profile
-from fleet.quantities import vehicle_numbers
 from fleet.scenario.schema.control import GuidanceSection, LawSection, TrackingSection, VehicleOverrides
 from fleet.scenario.schema.section import Section
 from fleet.scenario.schema.spec import ScenarioSpec
@@ -26,7 +25,7 @@ _PROFILE_TICK_NS = 10_000_000
 
 _NAMES = {"qp_period": "qp_ticks", "horizon": "horizon_s"}  # scenario key -> parameter
 
-S = TypeVar("S", bound=Section)
+Entries = tuple[str, ...]  # keys of per_vehicle
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,10 +54,10 @@ class Control:
         return self.agent is None and self.controller is None
 
 
-def merged(spec: ScenarioSpec, i: int) -> VehicleOverrides:
-    """Every section that may be per vehicle, as it holds for vehicle i; 0 is a vehicle that has nothing of its own."""
+def merged(spec: ScenarioSpec, entries: Entries) -> VehicleOverrides:
+    """Every section that may be per vehicle, as it holds for the vehicles that these entries of `per_vehicle` name."""
     layers = [VehicleOverrides.model_construct(**{key: getattr(spec, key) for key in VehicleOverrides.model_fields})]
-    layers += [o for numbers, o in spec.per_vehicle.items() if i in vehicle_numbers(numbers)]
+    layers += [overrides for entry, overrides in spec.per_vehicle.items() if entry in entries]
     return reduce(_over, layers)
 
 
@@ -99,24 +98,24 @@ def law_names(choice: VehicleOverrides) -> tuple[str, str] | None:
     return choice.guidance.law or guidance, choice.tracking.law or tracking
 
 
-def control(spec: ScenarioSpec, i: int, folder: Path | None = None) -> Control:
-    """What vehicle i of a valid scenario is and runs.
+def control(choice: VehicleOverrides, tick_ns: int, vehicle: tuple[VehicleParams, Vec3]) -> Control:
+    """What a vehicle of a valid scenario is and runs.
 
-    Raises:
-        VehicleFileError: its model cannot be read.
+    Args:
+        choice: every section as it holds for this vehicle.
+        vehicle: its parameters and its limits [N, N m, N m].
     """
-    choice = merged(spec, i)
     assert choice.controller is not None and choice.guidance is not None and choice.tracking is not None
     assert choice.neighbours is not None and choice.vehicle is not None and choice.model_error is not None
     names = law_names(choice)
     guidance_name, tracking_name = names or ("optimal", "neurodynamic")
-    params, tau_max = vehicle(choice.vehicle, folder)
+    params, tau_max = vehicle
     return Control(
         agent=_law(choice.agent),
         controller=_law(choice.controller) if choice.agent is None and names is None else None,
         guidance_law=Law(guidance_name, choice.guidance.parameters or {}),
         tracking_law=Law(tracking_name, choice.tracking.parameters or {}),
-        guidance=guidance_params(choice.profile or "paper", guidance_name, choice.guidance, spec.tick),
+        guidance=guidance_params(choice.profile or "paper", guidance_name, choice.guidance, tick_ns),
         tracking=tracking_params(choice.profile or "paper", tracking_name, choice.tracking),
         extrapolation=choice.neighbours.extrapolate,
         age_cap_s=choice.neighbours.age_cap / 1e9,
@@ -212,7 +211,7 @@ def _only(values: dict[str, Any], keys: frozenset[str]) -> dict[str, Any]:
     return {key: value for key, value in values.items() if key in keys}
 
 
-def inlined(section: VehicleSection, folder: Path | None) -> VehicleSection:
+def inlined_vehicle(section: VehicleSection, folder: Path | None) -> VehicleSection:
     """The same vehicle with every number written out, so that it no longer needs its file."""
     params, limits = vehicle(section, folder)
     values: dict[str, Any] = {key: getattr(params, key) for key in vehicle_files.PARAMETERS}

@@ -16,10 +16,11 @@ from fleet.scenario.sections.per_vehicle import (
     control,
     given,
     guidance_section,
-    inlined,
+    inlined_vehicle,
     law_names,
     merged,
     tracking_section,
+    vehicle,
 )
 from fleet.scenario.sections.vehicle_files import LIMITS
 from fleet.scenario.text.yaml_reader import resolve
@@ -60,12 +61,13 @@ def _supplied(spec: ScenarioSpec) -> dict[str, tuple[str, dict[str, Any]]]:
     found: dict[str, tuple[str, dict[str, Any]]] = {}
     model = spec.vehicle.model or "paper"
     if set(given(spec.vehicle)) <= {"model", "tumble_pitch", *LIMITS}:
-        found["vehicle"] = f"vehicle {model}", inlined(VehicleSection(model=model), None).model_dump()
-    names = law_names(merged(spec, 0))
+        found["vehicle"] = f"vehicle {model}", inlined_vehicle(VehicleSection(model=model), None).model_dump()
+    choice = merged(spec, ())
+    names = law_names(choice)
     if names is not None:
         guidance, tracking = names
         profile = f"profile {spec.profile}"
-        params = control(spec, 0)
+        params = control(choice, spec.tick, vehicle(spec.vehicle, None))
         shown_guidance = guidance_section(params.guidance, guidance, spec.tick).model_dump()
         shown_tracking = tracking_section(params.tracking, tracking).model_dump()
         found["guidance"] = f"{profile}, law {guidance}", shown_guidance

@@ -212,17 +212,15 @@ TIMELINE = (
 def test_a_timeline_compiles_and_prints_back() -> None:
     s = small(TIMELINE)
     assert parse_scenario(s.to_yaml(), "again.yaml") == s
-    kinds = [(f.id, f.kind, f.begin, f.end) for f in s.netem_config().faults]
+    kinds = [(f.id, f.kind, f.begin, f.end) for f in s.netem_config.faults]
     assert kinds == [
         ("f1", "link", 10, 30),
         ("split", "partition", 20, None),
         ("f3", "down", 30, 40),
         ("f4", "mute", 40, 50),
     ]
-    assert (
-        s.world_config().absences == s.netem_config().absences == (Absence(3, 50, 65),)
-    )  # with a round, every 5 ticks
-    assert s.netem_config().faults[0].links == ((1, 2),)
+    assert s.world_config.absences == s.netem_config.absences == (Absence(3, 50, 65),)  # with a round, every 5 ticks
+    assert s.netem_config.faults[0].links == ((1, 2),)
 
 
 @pytest.mark.parametrize(
@@ -253,8 +251,8 @@ def test_each_rule_of_faults_speaks(entry: str, words: str) -> None:
 def test_a_fault_behind_the_end_is_warned_of() -> None:
     """A run may be cut short with --duration; that is no mistake in its faults."""
     s = small("faults=[{at: 2 s, mute: 1}, {at: 3 s, kill: 2}, {at: 0 s, deaf: 1}]")
-    assert [fault.id for fault in s.netem_config().faults] == ["f3"]
-    assert s.world_config().absences == ()
+    assert [fault.id for fault in s.netem_config.faults] == ["f3"]
+    assert s.world_config.absences == ()
     assert "fault f1, f2: the run is over before it begins" in analyse(s).warnings
 
 

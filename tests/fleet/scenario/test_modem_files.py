@@ -38,7 +38,7 @@ def small(*overrides: str, folder: Path | None = None) -> Scenario:
 
 
 def told(*overrides: str, folder: Path | None = None) -> AcousticConfig:
-    acoustic = small(*overrides, folder=folder).netem_config().acoustic
+    acoustic = small(*overrides, folder=folder).netem_config.acoustic
     assert acoustic is not None
     return acoustic
 
@@ -118,9 +118,9 @@ def test_defaults() -> None:
     # 2 T (2 n - 1) with T = 2.5 s and three vehicles.
     assert acoustic.backoff_ticks == 2500
     assert small().agent_config(1).codec == "compact"
-    assert small("network={}").netem_config().acoustic is None
+    assert small("network={}").netem_config.acoustic is None
     assert small("network={}").agent_config(1).codec == "full"
-    everything = small("network=acoustic").netem_config().acoustic
+    everything = small("network=acoustic").netem_config.acoustic
     assert everything is not None
     assert everything.modem == load_modem("s2c").modem
     assert small("network=acoustic") == small("network={acoustic: }") == small("network={acoustic: s2c}")
@@ -236,7 +236,7 @@ def test_every_valid_channel_round_trips(overrides: list[str]) -> None:
         return
     again = parse_scenario(s.to_yaml(), "small.yaml")
     assert again == s
-    assert again.netem_config() == s.netem_config()
+    assert again.netem_config == s.netem_config
     assert again.agent_config(1) == s.agent_config(1)
     assert again.to_yaml() == s.to_yaml()
 

@@ -50,7 +50,7 @@ def test_the_paper_is_the_paper() -> None:
     assert s.graph.weights == {(1, 2): 1, (2, 3): 1, (3, 4): 1, (2, 1): 0.8, (3, 2): 0.8, (4, 3): 0.8}
     assert s.b == (1, 1, 1, 1)
     assert s.conditions == {}
-    world = s.world_config()
+    world = s.world_config
     assert [v.id for v in world.vehicles] == [1, 2, 3, 4]
     starts = [(0, 0, 0, 0, 0), (-1, -10, 0, 0, 0), (8.5, -10.1, 0, 0, 0), (8.4, -0.1, 0, 0, 0)]
     assert [v.eta0 for v in world.vehicles] == starts
@@ -65,7 +65,7 @@ def test_the_paper_is_the_paper() -> None:
     assert agent.reference_weight == 1
     assert (agent.guidance, agent.tracking) == profile("paper")
     assert agent.extrapolation == "neighbour"
-    net = s.netem_config()
+    net = s.netem_config
     assert net.vehicles == (1, 2, 3, 4)
     assert set(net.links) == set(s.graph.weights)
     assert not net.ideal
@@ -73,7 +73,7 @@ def test_the_paper_is_the_paper() -> None:
 
 def test_disturbance_of_the_paper() -> None:
     """(3.1 sin t, 3.1 cos t, 2.1 sin t, 1.1 sin t, 1.1 sin t)."""
-    world = load_scenario("paper-disturbed").world_config()
+    world = load_scenario("paper-disturbed").world_config
     assert [(h.amplitude, h.omega) for h in world.disturbance] == [(a, 1) for a in (3.1, 3.1, 2.1, 1.1, 1.1)]
     assert [h.phase for h in world.disturbance] == [0, pi / 2, 0, 0, 0]
 
@@ -84,7 +84,7 @@ def test_rough_sea_and_ideal() -> None:
     bounds = {"rho_lo": (-1.8, -1.8, -1.0), "rho_hi": (1.8, 1.8, 1.0)}
     assert rough.agent_config(1).guidance == replace(profile("hardened")[0], **bounds)
     ideal = load_scenario("ideal")
-    assert ideal.netem_config().ideal
+    assert ideal.netem_config.ideal
     assert ideal.round_ticks == 1
 
 
@@ -102,7 +102,7 @@ def test_neighbours_offsets_cancel() -> None:
     delta = {(i, n.id): n.offset.start for i in range(1, 10) for n in s.agent_config(i).neighbours}
     for (i, j), offset in delta.items():
         assert offset == tuple(-x for x in delta[j, i])
-    assert {(j, i) for i, j in delta} == set(s.netem_config().links)
+    assert {(j, i) for i, j in delta} == set(s.netem_config.links)
 
 
 def test_later_link_rules_win() -> None:
@@ -229,8 +229,8 @@ def test_every_valid_scenario_round_trips(overrides: list[str]) -> None:
         return
     again = parse_scenario(s.to_yaml(), "small.yaml")
     assert again == s
-    assert again.world_config() == s.world_config()
-    assert again.netem_config() == s.netem_config()
+    assert again.world_config == s.world_config
+    assert again.netem_config == s.netem_config
     assert again.agent_config(1) == s.agent_config(1)
 
 
@@ -246,7 +246,7 @@ def test_an_explicit_profile_can_still_be_changed() -> None:
 def test_overrides_apply_in_order() -> None:
     assert small("seed=3", "seed=4").seed == 4
     assert load_scenario("paper", ["initial.2.surge=0.3 m/s"]).initial[1][1][0] == 0.3
-    assert small("sea.current=0.1 0 0 m/s").world_config().current == (0.1, 0, 0)
+    assert small("sea.current=0.1 0 0 m/s").world_config.current == (0.1, 0, 0)
 
 
 @pytest.mark.parametrize(
@@ -295,7 +295,7 @@ def test_shapes_scale_by_themselves(name: str, vehicles: int) -> None:
 @pytest.mark.parametrize("vehicles", [1, 2, 20, 100])
 def test_scaling(name: str, vehicles: int) -> None:
     s = load_scenario(name, [f"vehicles={vehicles}"])
-    assert s.vehicles == len(s.plans) == len(s.initial) == len(s.world_config().vehicles) == vehicles
+    assert s.vehicles == len(s.plans) == len(s.initial) == len(s.world_config.vehicles) == vehicles
     assert places(s) == grid(vehicles, 10.0)
     assert len(s.graph.links) == 2 * (vehicles - 1)
     assert {nu0[0] for _, nu0 in s.initial} == {load_scenario(name).initial[0][1][0]}

@@ -259,7 +259,7 @@ def test_a_vehicle_file(tmp_path: Path) -> None:
     )
     s = with_vehicle(tmp_path, text)
     assert s.controls[0].vehicle.m == 12.0
-    assert s.world_config().vehicles[0].params.m == s.agent_config(1).vehicle.m == 12.0
+    assert s.world_config.vehicles[0].params.m == s.agent_config(1).vehicle.m == 12.0
     (tmp_path / "mine.toml").unlink()
     assert parse_scenario(s.to_yaml(), "again.yaml") == s
     one = with_vehicle(tmp_path, text, "per_vehicle.2.vehicle.model=mine.toml")
@@ -302,7 +302,7 @@ def test_model_error_is_the_controllers_alone() -> None:
     assert {c.vehicle.m for c in s.controls} == {10.0}
     assert s.agent_config(2).vehicle.m == pytest.approx(12.0)
     assert s.agent_config(1).vehicle.beta_b == pytest.approx(0.05)
-    assert s.world_config().vehicles[1].params.m == 10.0
+    assert s.world_config.vehicles[1].params.m == 10.0
 
 
 # --- per vehicle -----------------------------------------------------------

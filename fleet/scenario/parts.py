@@ -1,0 +1,192 @@
+"""What a specification determines: graph, reference, offsets, laws, faults; each is computed once.
+
+The rules look at these parts while the specification may still hold mistakes, and a valid scenario is made of them.
+A part that depends on a wrong value raises `UnknownValueError`: the mistake itself is reported elsewhere.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from agents.offset import Offset
+from agents.trajectory import Reference
+from fleet.quantities import vehicle_numbers
+from fleet.scenario.schema.control import GuidanceSection, VehicleOverrides
+from fleet.scenario.schema.shapes import REFERENCE
+from fleet.scenario.schema.spec import ScenarioSpec
+from fleet.scenario.sections import formation, graph, nemesis, per_vehicle, reference, timeline
+from fleet.scenario.sections.acoustic import compile_acoustic, modem_numbers
+from fleet.scenario.sections.graph import Graph
+from fleet.scenario.sections.modem_files import modem_of
+from fleet.scenario.sections.per_vehicle import Control, Entries
+from netem.condition import Condition, Link
+from netem.modem import AcousticConfig, Modem
+from netem.selectors import parse_selector, select
+from world.vectors import Vec3, Vec5
+from world.vehicle import VehicleParams
+
+
+class UnknownValueError(Exception):
+    """A value that cannot be known, because one that it depends on is wrong."""
+
+
+class Parts:
+    """The parts of one specification. `UnknownValueError` may come from each of them until the specification is valid.
+
+    Args:
+        spec: the specification; reading a wrong value of it raises UnknownValueError.
+        folder: where the scenario's file lies; files of vehicles and modems are looked for there first.
+    """
+
+    def __init__(self, spec: ScenarioSpec, folder: Path | None = None) -> None:
+        self.spec = spec
+        self.folder = folder
+        self._choices: dict[Entries, VehicleOverrides] = {}
+        self._vehicles: dict[Entries, tuple[VehicleParams, Vec3]] = {}
+
+    # --- motion ---------------------------------------------------------------------------------------------------
+
+    @cached_property
+    def reference(self) -> Reference:
+        """The reference trajectory; its length may still raise PathError."""
+        section = self.spec.reference
+        if any(getattr(section, key) is None for key in REFERENCE[section.shape or "line"].needed):
+            raise UnknownValueError
+        return reference.build(section)
+
+    @cached_property
+    def plans(self) -> tuple[Offset, ...]:
+        """p_i(t) of each vehicle [m, NED]."""
+        section, vehicles = self.spec.formation, self.spec.vehicles
+        shapes = [section, *(section.changes or ())]
+        if any((f.offsets is None) == (f.shape is None) for f in shapes):
+            raise UnknownValueError
+        if any(f.offsets is not None and len(f.offsets) != vehicles for f in shapes):
+            raise UnknownValueError
+        return formation.plans(section, vehicles)
+
+    @cached_property
+    def initial(self) -> tuple[tuple[Vec5, Vec5], ...]:
+        """(eta0, nu0) of each vehicle."""
+        places = tuple(plan.start for plan in self.plans)
+        return formation.initial_states(self.spec.initial, places, self.reference.at(0.0), self.spec.seed)
+
+    # --- network --------------------------------------------------------------------------------------------------
+
+    @cached_property
+    def graph(self) -> Graph:
+        """Who hears whom."""
+        section = self.spec.graph
+        if (section.edges is None) == (section.shape is None):
+            raise UnknownValueError
+        if any(graph.parse_edge(text) is None for text in section.edges or ()):
+            raise UnknownValueError
+        # Only these two shapes depend on places and on the seed, which may be wrong.
+        places = tuple(plan.start for plan in self.plans) if section.shape == "nearest" else None
+        seed = self.spec.seed if section.shape == "random" else 0
+        return graph.build(section, places or ((0.0, 0.0, 0.0),) * self.spec.vehicles, seed)
+
+    @property
+    def links(self) -> tuple[Link, ...]:
+        """The links of the graph."""
+        return self.graph.links
+
+    @cached_property
+    def conditions(self) -> dict[Link, Condition]:
+        """The condition of every link that is not perfect at the start, in the order of the links."""
+        written: dict[Link, Condition] = {}
+        for selector, condition in self.spec.network.links.items():
+            written |= dict.fromkeys(select(parse_selector(selector), self.links), condition)
+        return {link: written[link] for link in self.links if written.get(link, Condition()) != Condition()}
+
+    @cached_property
+    def modem_numbers(self) -> dict[str, float]:
+        """The numbers of the modem, which may make none. Raises DataFileError: its file cannot be read."""
+        assert self.spec.network.acoustic is not None
+        return modem_numbers(self.spec.network.acoustic, self.folder)
+
+    @cached_property
+    def modem(self) -> Modem:
+        """The modem, if its numbers make one. Raises DataFileError: its file cannot be read."""
+        return modem_of(self.modem_numbers)
+
+    @cached_property
+    def acoustic(self) -> AcousticConfig | None:
+        """The acoustic channel; None without one. Raises DataFileError: its modem's file cannot be read."""
+        spec = self.spec
+        if spec.network.acoustic is None:
+            return None
+        return compile_acoustic(spec.network.acoustic, self.modem, spec.network.payload, spec.vehicles, spec.tick)
+
+    # --- vehicles -------------------------------------------------------------------------------------------------
+
+    @cached_property
+    def _named(self) -> dict[str, frozenset[int]]:
+        return {entry: frozenset(vehicle_numbers(entry)) for entry in self.spec.per_vehicle}
+
+    def entries(self, i: int) -> Entries:
+        """The keys of `per_vehicle` that name vehicle i; none name 0, a vehicle that has nothing of its own."""
+        return tuple(entry for entry, vehicles in self._named.items() if i in vehicles)
+
+    def choice(self, entries: Entries) -> VehicleOverrides:
+        """Every section that may be per vehicle, as it holds for the vehicles that these entries name."""
+        if entries not in self._choices:
+            self._choices[entries] = per_vehicle.merged(self.spec, entries)
+        return self._choices[entries]
+
+    def choices(self) -> Iterator[tuple[Entries, VehicleOverrides]]:
+        """Entries and choice, once for all vehicles that the same entries name; first without any entry."""
+        for entries in dict.fromkeys(self.entries(i) for i in range(self.spec.vehicles + 1)):
+            yield entries, self.choice(entries)
+
+    def guidance(self) -> Iterator[tuple[Entries, str, GuidanceSection, str]]:
+        """(entries, law, section, profile) of the choices with which a guidance law runs."""
+        for entries, choice in self.choices():
+            names = per_vehicle.law_names(choice)
+            if names is not None:
+                assert choice.guidance is not None and choice.profile is not None
+                yield entries, names[0], choice.guidance, choice.profile
+
+    def vehicle(self, entries: Entries) -> tuple[VehicleParams, Vec3]:
+        """Parameters and limits [N, N m, N m] of the vehicles that these entries name.
+
+        Raises:
+            VehicleFileError: their model cannot be read.
+        """
+        if entries not in self._vehicles:
+            section = self.choice(entries).vehicle
+            assert section is not None
+            self._vehicles[entries] = per_vehicle.vehicle(section, self.folder)
+        return self._vehicles[entries]
+
+    @cached_property
+    def controls(self) -> tuple[Control, ...]:
+        """What each vehicle is and runs. Raises VehicleFileError: a model cannot be read."""
+        tick = self.spec.tick
+        made = {e: per_vehicle.control(choice, tick, self.vehicle(e)) for e, choice in self.choices()}
+        return tuple(made[self.entries(i)] for i in range(1, self.spec.vehicles + 1))
+
+    def sections(self, key: str) -> Iterator[tuple[tuple[str, ...], Any]]:
+        """(path of its parent, section) of a section wherever it is written: for all vehicles, and for some."""
+        yield (), getattr(self.spec, key)
+        for entry, overrides in self.spec.per_vehicle.items():
+            if getattr(overrides, key) is not None:
+                yield ("per_vehicle", entry), getattr(overrides, key)
+
+    # --- faults ---------------------------------------------------------------------------------------------------
+
+    @cached_property
+    def explicit(self) -> ScenarioSpec:
+        """The specification with the faults that its nemesis draws written out after its own."""
+        if self.spec.nemesis is None:
+            return self.spec
+        faults = [*self.spec.faults, *nemesis.drawn_faults(self.spec, self.spec.nemesis, self.links)]
+        return self.spec.model_copy(update={"faults": faults, "nemesis": None})
+
+    @cached_property
+    def faults(self) -> timeline.Plan:
+        """Every fault, for the cores; the faults must be valid."""
+        return timeline.plan(self.explicit, self.links)

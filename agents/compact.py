@@ -23,7 +23,7 @@ from __future__ import annotations
 
 from binascii import crc_hqx
 
-from agents.errors import PayloadError
+from agents.errors import AgentError, PayloadError
 from agents.payload import StateMessage
 
 VERSION = 1
@@ -37,7 +37,7 @@ _VELOCITY_BITS = (9, 9, 9)
 _NAMES = ("x", "y", "z", "the velocity along x", "the velocity along y", "the velocity along z")
 
 
-class OutOfRange(ValueError):
+class OutOfRange(AgentError):
     """A state that does not fit into the message."""
 
 

@@ -19,6 +19,7 @@ from functools import cached_property
 from math import atan2, cos, hypot, pi, sin, tan
 from typing import Any, Literal, NamedTuple
 
+from agents.errors import AgentError
 from world.vectors import ZERO, Vec3, dot, minus, moved, perpendicular, scale
 
 # Directions closer than this [rad] need no arc between them.
@@ -98,7 +99,7 @@ class Circle:
         return (-v, -v, self.sink), (v, v, self.sink)
 
 
-class PathError(ValueError):
+class PathError(AgentError):
     """Points that no path with these arcs goes through; `leg` counts from 1, 0 when it is about all of them."""
 
     def __init__(self, leg: int, message: str) -> None:

@@ -1,4 +1,77 @@
-"""What can go wrong on the operator's side; data in fields, so that callers can print their own words."""
+"""The errors of the whole program, drawn, and those of them that several rooms of `fleet` raise.
+
+Each package has one base. An error keeps its data in fields, so that a caller can print its own words.
+
+```
+Exception
+├── AgentError
+│   ├── ControllerError
+│   ├── JoinError
+│   ├── OutOfRange
+│   ├── PathError
+│   ├── PayloadError
+│   ├── PluginError
+│   │   └── UntrustedError
+│   └── UnknownNameError
+├── FleetError
+│   ├── BenchError
+│   ├── CertsError
+│   ├── ConformanceError
+│   ├── DataFileError
+│   │   └── VehicleFileError
+│   ├── ExportError
+│   ├── ExternalError
+│   ├── HostsError
+│   ├── LogError
+│   ├── LogReadError
+│   │   ├── LogKeyError
+│   │   └── TooLargeError
+│   ├── LookError
+│   ├── NewFileError
+│   ├── NonsenseError
+│   ├── NotLinear
+│   ├── NotRecordedError
+│   ├── NothingToDraw
+│   ├── NothingToVerify
+│   ├── PictureError
+│   ├── PublishError
+│   ├── RecordError
+│   ├── RecoverError
+│   ├── RefusedError
+│   ├── RemoteError
+│   ├── ReplayError
+│   ├── ReportError
+│   ├── ReproduceError
+│   ├── ResultError
+│   ├── RunBroken
+│   ├── RunDirectoryError
+│   ├── ScenarioError
+│   ├── ScriptError
+│   ├── SelectionError
+│   ├── SnapshotError
+│   ├── StoppedError
+│   ├── UnknownValueError
+│   └── WhatIfError
+├── NetemError
+│   ├── BusError
+│   ├── MalformedMessage
+│   ├── OutOfPlace
+│   └── TextError
+│       ├── GrammarError
+│       ├── PartitionError
+│       └── QuantityError
+├── OutputError
+└── WorldError
+    ├── CommandError
+    ├── IntegrationError
+    │   └── NonFiniteStateError
+    └── UnknownVehicleError
+KeyboardInterrupt
+└── HungUp
+```
+
+`HungUp` stands for a signal, and `OutputError` means that nothing can be printed: neither is caught with `FleetError`.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +83,7 @@ MOST_SHOWN = 200  # problems of one scenario; more are only counted
 
 
 class FleetError(Exception):
-    """Base of every error of this package that a user can cause or cure.
+    """Base of every error of this package.
 
     `status` is what `fleet run` exits with: 2 when something else should have been asked for, 3 when the machine does
     not do what was rightly asked (a full disk, a process that does not start).
@@ -19,12 +92,12 @@ class FleetError(Exception):
     status = 2
 
 
-class StoppedError(Exception):
+class StoppedError(FleetError):
     """An operator stopped the run."""
 
 
 class RunBroken(FleetError):
-    """The run cannot go on: a process died, nothing moves, or nobody became ready. `lines` explain it."""
+    """A run that cannot go on: a process ended or did not become ready, or nothing moves. `lines` explain it."""
 
     status = 3
 
@@ -78,7 +151,7 @@ class ScenarioError(FleetError):
 
 
 def printable(text: str) -> str:
-    """The same on one line, and with nothing that a terminal would obey: for the words of others."""
+    """The same text without line breaks and control characters, so that a terminal does not obey a foreign text."""
     return "".join(c if c.isprintable() else "\ufffd" for c in text)
 
 

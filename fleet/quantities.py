@@ -14,7 +14,7 @@ from decimal import Decimal
 from fractions import Fraction
 from typing import Any
 
-from fleet import quantities as q
+from netem.errors import TextError
 from netem.parsing import exact_number, nearest
 
 Vec3 = tuple[float, float, float]
@@ -75,14 +75,8 @@ DIMENSIONS = (
 )  # fmt: skip
 
 
-class QuantityError(ValueError):
-    """Text that is not the quantity it should be; `column` counts from 0 within the text."""
-
-    def __init__(self, message: str, column: int = 0, hint: str = "") -> None:
-        super().__init__(message)
-        self.message = message
-        self.column = column
-        self.hint = hint
+class QuantityError(TextError):
+    """A text, or a value in its place, that is not the quantity it should be."""
 
 
 def parse(value: Any, dimension: Dimension, count: int = 1) -> tuple[Fraction, ...]:
@@ -249,8 +243,8 @@ def vehicle_numbers(text: str) -> list[int]:
     for part in text.split(","):
         match = re.fullmatch(r"\s*(\d{1,4})\s*(?:-\s*(\d{1,4})\s*)?", part, re.ASCII)
         if match is None:
-            raise q.QuantityError(f'expected vehicle numbers such as "3" or "2-4, 7", got {q.describe(text)}')
+            raise QuantityError(f'expected vehicle numbers such as "3" or "2-4, 7", got {describe(text)}')
         found += range(int(match[1]), int(match[2] or match[1]) + 1)
     if not found:
-        raise q.QuantityError(f"names no vehicle: {q.describe(text)}")
+        raise QuantityError(f"names no vehicle: {describe(text)}")
     return found

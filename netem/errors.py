@@ -7,6 +7,22 @@ class NetemError(Exception):
     """Base of every error of this package."""
 
 
+class TextError(NetemError):
+    """A text of a user that cannot be read.
+
+    Args:
+        message: what is wrong: expected against got.
+        column: of the character where it is wrong, counted from 0 within the text.
+        hint: what to write instead; may be empty.
+    """
+
+    def __init__(self, message: str, column: int = 0, hint: str = "") -> None:
+        super().__init__(message)
+        self.message = message
+        self.column = column
+        self.hint = hint
+
+
 class MalformedMessage(NetemError):
     """Bytes that are no message of ours, or a message whose fields are out of their declared range."""
 

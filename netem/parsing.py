@@ -1,4 +1,4 @@
-"""What every text of ours is read with: exact numbers, an error with a place, the nearest known word."""
+"""What every reader of text needs: exact numbers, the error of the grammar, the nearest known word."""
 
 from __future__ import annotations
 
@@ -8,24 +8,18 @@ from decimal import Decimal
 from difflib import get_close_matches
 from fractions import Fraction
 
-from netem.errors import NetemError
+from netem.errors import TextError
 
 NUMBER = re.compile(r"[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d{1,3})?", re.ASCII)
 LONGEST_NUMBER = 40  # characters: keeps exact arithmetic cheap whatever the text
 
 
-class GrammarError(NetemError):
-    """Text that is no condition or selector; `column` counts from 0 within the text."""
-
-    def __init__(self, message: str, column: int = 0, hint: str = "") -> None:
-        super().__init__(message)
-        self.message = message
-        self.column = column
-        self.hint = hint
+class GrammarError(TextError):
+    """A text that is no link condition or link selector."""
 
 
 def exact_number(text: str) -> Fraction | None:
-    """The decimal number that `text` is, exactly, or None: no text, however long, takes long."""
+    """The exact value of a decimal number; None if `text` is none, or has more than 40 characters."""
     if len(text) > LONGEST_NUMBER or not NUMBER.fullmatch(text):
         return None
     return Fraction(Decimal(text))
@@ -39,4 +33,5 @@ def nearest(word: str, known: Iterable[str]) -> str:
 
 
 def quoted(text: str) -> str:
+    """The first 40 characters of a text in quotation marks, for an error; `nothing` for an empty text."""
     return f'"{text[:40]}"' if text else "nothing"

@@ -128,7 +128,7 @@ class Vehicles(click.ParamType[tuple[int, ...]]):
 
         try:
             return tuple(vehicle_numbers(str(value)))
-        except ValueError as error:
+        except QuantityError as error:
             self.fail(str(error), param, ctx)
 
 

@@ -15,6 +15,8 @@ import zstandard
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, DataEnd, Header, Metadata, Schema
 
+from fleet.errors import FleetError
+
 MAGIC = b"\x89MCAP0\r\n"
 MOST_BYTES = 64 << 20  # of one record, packed or not; our own chunks hold 1 MiB and one message
 MOST_IN_BLOCK = 65_536  # messages
@@ -114,7 +116,7 @@ def together(blocks: Sequence[Block]) -> Block:
     )  # fmt: skip
 
 
-class NonsenseError(Exception):
+class NonsenseError(FleetError):
     """What stands in a chunk are no records."""
 
 

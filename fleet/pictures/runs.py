@@ -21,7 +21,7 @@ from fleet.scenario.scenario import Scenario
 GAP = 1.5  # times the usual distance of two samples: more, and the line is broken
 
 
-class NothingToDraw(Exception):
+class NothingToDraw(FleetError):
     """The log does not hold what the picture shows; says what is missing."""
 
 

@@ -13,6 +13,7 @@ from typing import Any
 
 from pydantic import TypeAdapter, ValidationError
 
+from fleet.errors import FleetError
 from fleet.recorder.journal import Journal
 from fleet.run.clock import LiveClock
 from fleet.scenario.rules.faults import fault_problems
@@ -27,7 +28,7 @@ MOST_SPEED = 1e6  # times real time; more than any machine makes, and finite
 _ENTRY: TypeAdapter[FaultSection] = TypeAdapter(FaultEntry)
 
 
-class RefusedError(Exception):
+class RefusedError(FleetError):
     """What was asked cannot be done; its text says why."""
 
 

@@ -13,6 +13,7 @@ from typing import Any
 
 from agents.offset import Offset
 from agents.trajectory import Reference
+from fleet.errors import FleetError
 from fleet.quantities import vehicle_numbers
 from fleet.scenario.schema.control import GuidanceSection, VehicleOverrides
 from fleet.scenario.schema.shapes import REFERENCE
@@ -29,7 +30,7 @@ from world.vectors import Vec3, Vec5
 from world.vehicle import VehicleParams
 
 
-class UnknownValueError(Exception):
+class UnknownValueError(FleetError):
     """A value that cannot be known, because one that it depends on is wrong."""
 
 

@@ -11,7 +11,7 @@ from fleet.scenario.rules.report import Report, known_links, no_whole_ticks, who
 from fleet.scenario.schema.faults import FaultAction, FaultSection
 from fleet.scenario.schema.spec import ScenarioSpec
 from fleet.scenario.sections.nemesis import count as nemesis_faults
-from fleet.scenario.sections.partitions import FaultError, is_drawn, partition
+from fleet.scenario.sections.partitions import PartitionError, is_drawn, partition
 from fleet.scenario.sections.timeline import ACTIONS, OF_THE_WORLD, does_nothing, vehicles_of
 from netem.condition import Link
 from netem.selectors import parse_selector, select
@@ -132,7 +132,7 @@ def _target_problems(
         assert fault.partition is not None
         try:
             cut = partition(fault.partition, spec.vehicles, spec.seed, "", links)
-        except FaultError as error:
+        except PartitionError as error:
             yield FaultProblem(kind, error.message, error.hint)
             return
         if not cut and not is_drawn(fault.partition):  # one that is drawn may cut no link, this time

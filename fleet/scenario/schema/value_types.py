@@ -18,8 +18,8 @@ from pydantic_core import CoreSchema, PydanticCustomError, core_schema
 from fleet import quantities as q
 from fleet.quantities import vehicle_numbers
 from netem.condition import Condition
+from netem.errors import TextError
 from netem.grammar import parse_condition, print_condition
-from netem.parsing import GrammarError
 from netem.selectors import parse_selector
 
 Vec3 = q.Vec3
@@ -48,7 +48,7 @@ class Text:
     def _validate(self, value: Any) -> Any:
         try:
             result = self.read(value)
-        except (q.QuantityError, GrammarError) as error:
+        except TextError as error:
             raise mistake(error.message, error.column, error.hint) from None
         for number in result if isinstance(result, tuple) else (result,):
             if self.bound == "positive" and number <= 0:

@@ -5,29 +5,25 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable, Iterator
 
-from fleet.quantities import vehicle_numbers
+from fleet.quantities import QuantityError, vehicle_numbers
 from netem.condition import Link
 from netem.draws import uniform
+from netem.errors import TextError
 
 DRAWN_PARTITIONS = ("one", "majority", "ring", "bridge")  # who is cut off depends on the seed and the fault's id
 NAMED_PARTITIONS = ("halves", *DRAWN_PARTITIONS, "isolate:N")
 _ISOLATE = re.compile(r"isolate:\s*(\d{1,9})", re.ASCII)
 
 
-class FaultError(ValueError):
-    """A partition that cannot be made; `hint` says what to write."""
-
-    def __init__(self, message: str, hint: str = "") -> None:
-        super().__init__(message)
-        self.message = message
-        self.hint = hint
+class PartitionError(TextError):
+    """A text that names no partition of the vehicles."""
 
 
 def partition(text: str, vehicles: int, seed: int, name: str, among: Iterable[Link] | None = None) -> set[Link]:
     """The directed links that a partition cuts, of all there could be, or of those given.
 
     Raises:
-        FaultError: the text names no partition of these vehicles.
+        PartitionError: the text names no partition of these vehicles.
     """
     cut = _cut(text, vehicles, seed, name)
     return {(a, b) for a, b in (_all(vehicles) if among is None else among) if cut(a, b)}
@@ -67,9 +63,9 @@ def _cut(text: str, vehicles: int, seed: int, name: str) -> Callable[[int, int],
         case _ if (isolated := _ISOLATE.fullmatch(which)) and 1 <= int(isolated[1]) <= vehicles:
             alone = int(isolated[1])
             return lambda a, b: (a == alone) != (b == alone)
-    raise FaultError(
+    raise PartitionError(
         f'"{text[:40]}" is no partition of vehicles 1 to {vehicles}',
-        f'write groups such as "1,2 / 3,4", or one of {", ".join(NAMED_PARTITIONS)}',
+        hint=f'write groups such as "1,2 / 3,4", or one of {", ".join(NAMED_PARTITIONS)}',
     )
 
 
@@ -78,13 +74,13 @@ def _groups(text: str, vehicles: int) -> list[list[int]]:
     for part in text.split("/"):
         try:
             group = vehicle_numbers(part)
-        except ValueError as error:
-            raise FaultError(str(error), 'write groups such as "1,2 / 3,4"') from None
+        except QuantityError as error:
+            raise PartitionError(error.message, hint='write groups such as "1,2 / 3,4"') from None
         for i in group:
             if not 1 <= i <= vehicles:
-                raise FaultError(f"there is no vehicle {i}: they are 1 to {vehicles}")
+                raise PartitionError(f"there is no vehicle {i}: they are 1 to {vehicles}")
             if any(i in other for other in groups):
-                raise FaultError(f"vehicle {i} is in two groups")
+                raise PartitionError(f"vehicle {i} is in two groups")
         groups.append(group)
     return groups
 

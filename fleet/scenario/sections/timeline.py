@@ -107,7 +107,7 @@ def plan(spec: ScenarioSpec, links: Sequence[Link]) -> Plan:
     """The faults of a valid scenario.
 
     Raises:
-        FaultError: a partition cannot be made.
+        PartitionError: a partition cannot be made.
     """
     found: list[Part] = []
     events: list[Event] = []
@@ -139,7 +139,7 @@ def parts(section: FaultSection, name: str, spec: ScenarioSpec, links: Sequence[
     """What the cores are told of one fault, called `name`.
 
     Raises:
-        FaultError: a partition cannot be made.
+        PartitionError: a partition cannot be made.
     """
     begin = section.at // spec.tick
     end = None if section.for_ is None else begin + section.for_ // spec.tick

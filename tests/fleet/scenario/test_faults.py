@@ -21,7 +21,7 @@ from fleet.analysis.stability import analyse
 from fleet.errors import ScenarioError
 from fleet.run.execute import Options, Result, Status, execute
 from fleet.scenario.loading import load_scenario, parse_scenario
-from fleet.scenario.sections.partitions import FaultError, partition
+from fleet.scenario.sections.partitions import PartitionError, partition
 from netem.condition import Condition
 from netem.config import NetemConfig
 from netem.faults import NO_FAULTS, NetFault, active_faults
@@ -90,7 +90,7 @@ def test_bridge_leaves_one_that_both_halves_see() -> None:
      ("isolate:9", "is no partition"), ("a / b", "expected vehicle numbers"), ("", "is no partition")],
 )  # fmt: skip
 def test_bad_partitions(text: str, words: str) -> None:
-    with pytest.raises(FaultError, match=words):
+    with pytest.raises(PartitionError, match=words):
         partition(text, 4, 1, 1)
 
 

@@ -3,11 +3,7 @@
 So an override obeys the rules of the file, and a mistake in one is reported with those of the file. Steps
 into a list count from 1, as vehicles do: `initial.2.surge=0.3 m/s`.
 
-`vehicles=N` scales the scenario, before the other overrides apply. What the file writes out vehicle by vehicle
-cannot fit another number of them, so it is replaced by what can: the formation's offsets by a grid, the
-initial states by a scatter, the graph's edges by a path (a shape scales by itself). What is said of links and
-vehicles that may be gone is dropped, and so are faults and changes of the formation, whose ways grow with the fleet.
-`--show-config` shows the result.
+`vehicles=N` scales the scenario (see `scaling`), before the other overrides apply. `--show-config` shows the result.
 """
 
 from __future__ import annotations

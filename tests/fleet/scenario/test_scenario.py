@@ -280,6 +280,9 @@ def test_mistakes_of_file_and_overrides_come_together() -> None:
     assert [p.file for p in caught.value.problems] == ["t.yaml", "--set nope=1", "--set seed=y"]
 
 
+CHAINS = ["follow-the-leader", "leader-lost", "leader-lost-standby", "rough-sea"]
+
+
 @pytest.mark.parametrize("name", ["survey", "helix", "acoustic-80bps", "acoustic-s2c", "acoustic-noise"])
 @pytest.mark.parametrize("vehicles", [1, 2, 3, 20])
 def test_shapes_scale_by_themselves(name: str, vehicles: int) -> None:
@@ -297,9 +300,30 @@ def test_scaling(name: str, vehicles: int) -> None:
     s = load_scenario(name, [f"vehicles={vehicles}"])
     assert s.vehicles == len(s.plans) == len(s.initial) == len(s.world_config.vehicles) == vehicles
     assert places(s) == grid(vehicles, 10.0)
-    assert len(s.graph.links) == 2 * (vehicles - 1)
+    assert len(s.graph.links) == (1 if name in CHAINS else 2) * (vehicles - 1)
     assert {nu0[0] for _, nu0 in s.initial} == {load_scenario(name).initial[0][1][0]}
     assert set(s.graph.weights.values()) <= {1.0, 0.8}
+
+
+@pytest.mark.parametrize("name", CHAINS)
+def test_a_chain_stays_a_chain(name: str) -> None:
+    """Vehicle k hears vehicle k - 1 alone: nobody is heard by those ahead, also with more vehicles."""
+    assert load_scenario(name).graph.links == ((1, 2), (2, 3), (3, 4))
+    assert load_scenario(name, ["vehicles=6"]).graph.links == ((1, 2), (2, 3), (3, 4), (4, 5), (5, 6))
+    assert load_scenario(name, ["vehicles=2"]).graph.links == ((1, 2),)
+
+
+def test_a_scaled_chain_keeps_its_weights_and_link_conditions() -> None:
+    text = load_scenario("paper").to_yaml()
+    text = text.replace("period: 100 ms", 'period: 100 ms\n  links: {"*": loss 1%, 4->3: loss 3%, 2->1: loss 2%}')
+    shape = "  shape: path\n  ahead: 1\n  behind: 0.8\n"
+    backwards = text.replace(shape, '  edges: {"2->1": 1, "3->2": 0.5, "4->3": 0.7}\n')
+    s = parse_scenario(backwards, "t.yaml", ["vehicles=6"])
+    assert s.graph.weights == {(2, 1): 1.0, (3, 2): 0.5, (4, 3): 0.7, (5, 4): 0.7, (6, 5): 0.7}
+    assert (s.conditions[2, 1].loss, s.conditions[4, 3].loss, s.conditions[6, 5].loss) == (0.02, 0.03, 0.01)
+    s = parse_scenario(backwards, "t.yaml", ["vehicles=2"])
+    assert (s.graph.weights, s.conditions) == ({(2, 1): 1.0}, {(2, 1): Condition(loss=0.02)})
+    assert parse_scenario(backwards, "t.yaml", ["vehicles=1"]).graph.links == ()
 
 
 def test_scaling_to_the_same_number_changes_nothing() -> None:

@@ -91,13 +91,13 @@ def parse(value: Any, dimension: Dimension, count: int = 1) -> tuple[Fraction, .
     example = dimension.example if count == 1 else dimension.vector_example()
     expected = f'expected {_phrase(dimension, count)} such as "{example}"'
     if isinstance(value, bool) or not isinstance(value, (int, float, str)):
-        raise QuantityError(f"{expected}, got {describe(value)}")
+        raise QuantityError(f"{expected}, got {describe_value(value)}")
     if isinstance(value, float) and not math.isfinite(value):
-        raise QuantityError(f"{expected}, got {describe(value)}: every number must be finite")
+        raise QuantityError(f"{expected}, got {describe_value(value)}: every number must be finite")
     text = value if isinstance(value, str) else repr(value)
     numbers, unit, column = _split(text)
     if not numbers:
-        raise QuantityError(f"{expected}, got {describe(value)}")
+        raise QuantityError(f"{expected}, got {describe_value(value)}")
     factor = _factor(unit, dimension, expected, text, column)
     if len(numbers) != count:
         given = f"{len(numbers)} number{'s' if len(numbers) > 1 else ''}"
@@ -160,7 +160,7 @@ def show_time(ns: int) -> str:
     return f"{ns} ns"
 
 
-def describe(value: Any) -> str:
+def describe_value(value: Any) -> str:
     """A YAML value in a user's words."""
     if value is None:
         return "nothing"
@@ -243,8 +243,8 @@ def vehicle_numbers(text: str) -> list[int]:
     for part in text.split(","):
         match = re.fullmatch(r"\s*(\d{1,4})\s*(?:-\s*(\d{1,4})\s*)?", part, re.ASCII)
         if match is None:
-            raise QuantityError(f'expected vehicle numbers such as "3" or "2-4, 7", got {describe(text)}')
+            raise QuantityError(f'expected vehicle numbers such as "3" or "2-4, 7", got {describe_value(text)}')
         found += range(int(match[1]), int(match[2] or match[1]) + 1)
     if not found:
-        raise QuantityError(f"names no vehicle: {describe(text)}")
+        raise QuantityError(f"names no vehicle: {describe_value(text)}")
     return found

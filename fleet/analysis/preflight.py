@@ -11,14 +11,13 @@ from fleet.quantities import vehicle_numbers
 from fleet.recorder.settling import least_s
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.schema.checks import EVERY
+from fleet.scenario.sections.timeline import OF_THE_NETWORK
 from netem.correlation import effective
 
 LARGE_MB = 50.0  # from which on a log is worth a word
 MESSAGE_BYTES = 70  # in a log, compressed and indexed: 68 to 72 measured with 3, 4 and 12 vehicles
 THIN = "log: {every: 10 ticks}"
-BY_ROUND = frozenset(
-    {"link", "down", "up", "partition", "mute", "deaf"}
-)  # faults that are asked for at round ticks only
+BY_ROUND = frozenset(OF_THE_NETWORK) - {"slow"}  # faults that act at round ticks only
 
 
 def doubts(scenario: Scenario) -> list[str]:

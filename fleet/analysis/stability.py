@@ -29,7 +29,7 @@ from fleet.analysis.border import MOST_DELAY_S, LinearFleet, Mode, linear_fleet
 from fleet.analysis.linear import NotLinear
 from fleet.recorder.connectivity import Connectivity
 from fleet.scenario.scenario import Scenario
-from fleet.scenario.sections import acoustic as acoustics
+from fleet.scenario.sections.acoustic import describe_noise, describe_turns, greatest_age_s
 from fleet.scenario.sections.per_vehicle import Control
 from world.vectors import Vec3
 
@@ -120,9 +120,9 @@ def report(scenario: Scenario, found: Analysis) -> list[str]:
     ]
     network, acoustic = scenario.spec.network, scenario.acoustic
     if acoustic is not None:
-        talking = acoustics.describe(network, acoustic, n, scenario.tick_ns)
+        talking = describe_turns(network, acoustic, n, scenario.tick_ns)
         lines.append(f"{talking}; what is heard is up to {oldest_s(scenario):.4g} s old without loss")
-        lines.append(acoustics.describe_noise(network, acoustic, scenario.plans))
+        lines.append(describe_noise(network, acoustic, scenario.plans))
     if found.gain_max is not None:
         lines += _limits(scenario, found)
         thumb = "rule of thumb, necessary and not sufficient:"
@@ -187,7 +187,7 @@ def oldest_s(scenario: Scenario) -> float:
     tick = scenario.tick_ns
     worst = max((condition.delay_ns + condition.jitter_ns for condition in scenario.conditions.values()), default=0)
     if scenario.acoustic is not None:
-        age = acoustics.oldest_s(scenario.spec.network, scenario.acoustic, scenario.plans, tick)
+        age = greatest_age_s(scenario.spec.network, scenario.acoustic, scenario.plans, tick)
         return age + worst / 1e9
     usable = max(1, -(-worst // tick))
     return (usable + scenario.round_ticks - 1) * tick / 1e9

@@ -17,7 +17,7 @@ from fleet.scenario.validation import validate
 from netem.parsing import nearest
 from netem.whole_file import read_bounded, read_file
 
-_MAX_BYTES = 4_000_000  # no fewer than yaml_marks takes characters
+_MAX_BYTES = 4_000_000  # as many as the characters that yaml_reader takes can have
 
 
 def load_scenario(
@@ -32,8 +32,8 @@ def load_scenario(
 
     Args:
         trust: which modules may run that are neither installed nor the user's own; see `fleet.scenario.trust`.
-        imports: whether the laws that the file names are imported, to see if they can be used.
-        refused: gets the laws that may not run, in place of an error.
+        imports: whether the laws that the file names are imported, to check that they can be used.
+        refused: a list to which the laws that may not run are appended; None: such a law is an error.
 
     Raises:
         ScenarioError: with every mistake that was found, in the order of the file.
@@ -50,10 +50,14 @@ def parse_scenario(
     folder: Path | None = None,
     policy: Policy = READING,
 ) -> Scenario:
-    """The scenario that `text` describes; `source_name` is what problems call it.
+    """The scenario that `text` describes. A text without a name is named after its source.
 
-    A text without a name is named after its source. Vehicle files, and the modules of laws that are not installed,
-    are looked for in `folder` and in the current directory; `policy` says which of them may run, by itself none.
+    Args:
+        source_name: the name of the text in problems.
+        overrides: `key.path=value`, applied in order.
+        folder: where files of vehicles, and modules of laws that are not installed, are looked for besides the
+            current directory.
+        policy: which of these modules may run; by default none.
 
     Raises:
         ScenarioError: with every mistake that was found, in the order of the text.
@@ -81,21 +85,21 @@ def _order(problem: Problem, source: Source, overrides: Sequence[str]) -> tuple[
 
 
 def list_scenarios() -> list[tuple[str, str, int, float, str]]:
-    """(name, title, vehicles, duration in s, what it is meant to: pass or fail) of every shipped scenario, by name."""
-    found = [load_scenario(name) for name in shipped()]
-    return [(s.name, s.title, s.vehicles, s.duration_ns / 1e9, s.spec.expect) for s in found]
+    """(name, title, vehicles, duration [s], expected verdict: pass or fail) of every shipped scenario, by name."""
+    scenarios = [load_scenario(name) for name in shipped_scenarios()]
+    return [(s.name, s.title, s.vehicles, s.duration_ns / 1e9, s.spec.expect) for s in scenarios]
 
 
-def shipped() -> list[str]:
+def shipped_scenarios() -> list[str]:
     """The names of the scenarios that come with the package."""
     folder = resources.files("fleet.scenario.shipped")
     return sorted(entry.name.removesuffix(".yaml") for entry in folder.iterdir() if entry.name.endswith(".yaml"))
 
 
 def _text(name_or_path: str) -> tuple[str, str, Path | None]:
-    """What to call the source, its text and its folder. A suffix or a slash makes a path of an unknown name."""
+    """Name of the source for problems, its text and its folder. An unknown name with a suffix or a slash is a path."""
     try:
-        if name_or_path in shipped():
+        if name_or_path in shipped_scenarios():
             entry = resources.files("fleet.scenario.shipped") / f"{name_or_path}.yaml"
             return f"{name_or_path}.yaml", entry.read_text("utf-8"), None
         path = Path(name_or_path)
@@ -110,13 +114,13 @@ def _text(name_or_path: str) -> tuple[str, str, Path | None]:
         raise _unreadable(name_or_path, "is a directory, not a scenario file", hint) from None
     except (OSError, ValueError) as error:
         raise _unreadable(name_or_path, getattr(error, "strerror", None) or str(error)) from None
-    hint = nearest(name_or_path, shipped()) or "a file needs its suffix, as in my-scenario.yaml"
-    message = f"there is no such shipped scenario; there are {', '.join(shipped())}"
+    hint = nearest(name_or_path, shipped_scenarios()) or "a file needs its suffix, as in my-scenario.yaml"
+    message = f"there is no such shipped scenario; there are {', '.join(shipped_scenarios())}"
     raise _unreadable(name_or_path, message, hint)
 
 
 def _content(path: Path) -> bytes:
-    """Of a file, or of what is open already: /dev/stdin, or /dev/fd/63 as a shell writes <(command)."""
+    """The bytes of a file, or of an open descriptor: /dev/stdin, or /dev/fd/63 as a shell writes <(command)."""
     if path == Path("/dev/stdin") or path.parent in (Path("/dev/fd"), Path("/proc/self/fd")):
         with path.open("rb") as file:
             return read_bounded(file, _MAX_BYTES)

@@ -1,7 +1,4 @@
-"""A scenario: what a run is told, validated, and compiled into what each core receives.
-
-`load_scenario` reads a shipped scenario or a file, applies overrides, and reports every mistake at once.
-"""
+"""A valid scenario, and the configuration that each core of a run gets from it. `loading` reads one."""
 
 from __future__ import annotations
 
@@ -24,10 +21,10 @@ from fleet.scenario.schema.vehicle import VehicleSection
 from fleet.scenario.sections.acoustic import inlined_modem
 from fleet.scenario.sections.graph import Graph
 from fleet.scenario.sections.log_rates import log_every, memory_ticks
-from fleet.scenario.sections.modem_files import shipped as shipped_modems
+from fleet.scenario.sections.modem_files import shipped_modems
 from fleet.scenario.sections.per_vehicle import Control, inlined_vehicle
 from fleet.scenario.sections.timeline import Plan
-from fleet.scenario.sections.vehicle_files import shipped as shipped_vehicles
+from fleet.scenario.sections.vehicle_files import shipped_vehicles
 from fleet.scenario.text import yaml_writer
 from netem.condition import Condition, Link
 from netem.config import NetemConfig
@@ -52,8 +49,8 @@ class Scenario:
     conditions: dict[Link, Condition]  # of every link that is not perfect at the start
     controls: tuple[Control, ...]  # what each vehicle is and runs
     faults: Plan
-    other_laws: tuple[tuple[str, Law], ...]  # kind and law of those that are not ours, each name once
-    acoustic: AcousticConfig | None  # None: no water between them
+    other_laws: tuple[tuple[str, Law], ...]  # kind and law of those that are not built in, each name once
+    acoustic: AcousticConfig | None  # None: the network is not acoustic
     source: str = field(default="", compare=False)  # the shipped name or the path it was loaded from
     _layouts: dict[int, Layout] = field(default_factory=dict, init=False, repr=False, compare=False)
 
@@ -137,7 +134,7 @@ class Scenario:
 
     @cached_property
     def memory_ticks(self) -> int:
-        """Ticks between two snapshots; 0: none. Imports the laws that are not ours, to see if they can be saved."""
+        """Ticks between two snapshots; 0: none. Imports the laws that are not built in, to see if they can."""
         return memory_ticks(self.spec, self.other_laws)
 
     @cached_property
@@ -197,7 +194,7 @@ class Scenario:
             tick_ns=spec.tick,
             round_ticks=self.round_ticks,
             offset=own,
-            reference=self.reference if control.told or self.b[i - 1] or standby else None,
+            reference=self.reference if control.knows_reference or self.b[i - 1] or standby else None,
             reference_weight=self.b[i - 1],
             neighbours=tuple(
                 Neighbour(id=j, weight=weight, offset=_difference(own, self.plans[j - 1]))
@@ -223,7 +220,7 @@ class Scenario:
         )
 
     def standby_for(self, i: int) -> tuple[int, ...]:
-        """The neighbours of vehicle i that follow the reference, if it is to do so itself when they are silent."""
+        """The neighbours whose silence makes vehicle i follow the reference itself; none if it is not on standby."""
         standby = self.spec.graph.standby
         if standby is None or i not in vehicle_numbers(standby.vehicles):
             return ()
@@ -292,7 +289,7 @@ def _difference(a: Offset, b: Offset) -> Offset:
 
 
 def timeline(scenario: Scenario) -> list[tuple[str, float, float, str]]:
-    """(id, begin [s], end [s], what in the scenario's words) of each fault, in the order in which they begin."""
+    """(id, begin [s], end [s], text) of each fault, in the order in which they begin."""
     tick_s = scenario.tick_ns / 1e9
     ends = {event.fault: event.tick for event in scenario.faults.events if event.action == "ends"}
     begun = (event for event in scenario.faults.events if event.action == "begins")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 from typing import Any, cast, get_args, get_origin
@@ -12,10 +12,10 @@ from pydantic import TypeAdapter, ValidationError
 from pydantic_core import ErrorDetails
 
 from fleet.errors import Problem
-from fleet.quantities import describe
+from fleet.quantities import describe_value
 from fleet.scenario.parts import Parts, UnknownValueError
 from fleet.scenario.rules.apply import check
-from fleet.scenario.rules.report import Report
+from fleet.scenario.rules.report import Report, dotted
 from fleet.scenario.schema.section import Section
 from fleet.scenario.schema.spec import ScenarioSpec
 from fleet.scenario.text.yaml_reader import Items, Mapping, Node, locate, plain, text_place
@@ -108,37 +108,34 @@ def _explain(root: Mapping, error: ErrorDetails) -> Problem:
         case "literal_error":
             words = re.findall(r"'([^']*)'", context["expected"])
             hint = nearest(value, words) if isinstance(value, str) else ""
-            message = f"expected {' or '.join(words)}, got {describe(value)}"
+            message = f"expected {' or '.join(words)}, got {describe_value(value)}"
         case "int_type" | "int_parsing" | "int_from_float" | "int_parsing_size":
-            message, hint = f"expected a whole number, got {describe(value)}", ""
+            message, hint = f"expected a whole number, got {describe_value(value)}", ""
         case "greater_than_equal":
-            message, hint = f"must be {context['ge']} or more, got {describe(value)}", ""
+            message, hint = f"must be {context['ge']} or more, got {describe_value(value)}", ""
         case "less_than_equal":
-            message, hint = f"must be {context['le']} or less, got {describe(value)}", ""
+            message, hint = f"must be {context['le']} or less, got {describe_value(value)}", ""
         case "less_than":
-            message, hint = f"must be less than {context['lt']}, got {describe(value)}", ""
+            message, hint = f"must be less than {context['lt']}, got {describe_value(value)}", ""
         case "model_type" | "dict_type" | "model_attributes_type":
-            message, hint = f"expected a mapping of keys to values, got {describe(value)}", ""
+            message, hint = f"expected a mapping of keys to values, got {describe_value(value)}", ""
         case "list_type":
-            message, hint = f"expected a list, got {describe(value)}", ""
+            message, hint = f"expected a list, got {describe_value(value)}", ""
         case "string_type":
-            message, hint = f"expected a text, got {describe(value)}", "quotes make it a text"
+            message, hint = f"expected a text, got {describe_value(value)}", "quotes make it a text"
         case "string_pattern_mismatch":
-            message = f"expected lower-case letters, digits, - and _, got {describe(value)}"
+            message = f"expected lower-case letters, digits, - and _, got {describe_value(value)}"
             hint = "it names the run's directory"
         case _:
-            message, hint = f"{error['msg']}, got {describe(value)}", ""
+            message, hint = f"{error['msg']}, got {describe_value(value)}", ""
     return locate(root, path).problem(f"{_short(name)}: {message}", hint)
 
 
-def dotted(path: Sequence[str | int]) -> str:
-    """A path as `--set` writes it: entries of a list count from 1."""
-    return ".".join(str(step + 1) if isinstance(step, int) else step for step in path)
-
-
 def _in_file(root: Mapping, loc: Loc) -> Loc:
-    """The path in the file: without the step that tells the two forms of `initial` apart in the model, and without
-    the place in a list where the file has an entry without the list."""
+    """The path in the file of a path in the model.
+
+    The model has a step more for the form of `initial`, and for an entry that the file writes without its list.
+    """
     if loc[0] == "initial" and len(loc) > 1:
         return loc[:1] + loc[2:]
     path: Loc = ()

@@ -42,7 +42,7 @@ from fleet.recorder.journal import Journal
 from fleet.run.clock import Clock, LiveClock
 from fleet.run.execute import Options, execute
 from fleet.run.operator import Operator
-from fleet.scenario.loading import load_scenario, parse_scenario, shipped
+from fleet.scenario.loading import load_scenario, parse_scenario, shipped_scenarios
 from fleet.scenario.trust import Policy
 from netem.errors import MalformedMessage
 from netem.faults import NetFault, fault_values, read_faults
@@ -564,7 +564,7 @@ def worn(text: str, rng: random.Random) -> str:
     return "\n".join(lines)
 
 
-TEXTS = {name: load_scenario(name).to_yaml() for name in shipped()}
+TEXTS = {name: load_scenario(name).to_yaml() for name in shipped_scenarios()}
 
 
 @given(st.sampled_from(sorted(TEXTS)), st.integers(0, 2**63))

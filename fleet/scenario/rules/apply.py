@@ -1,7 +1,7 @@
-"""What a scenario's keys must fulfil together.
+"""The rules that the keys of a scenario must fulfil together.
 
-Each rule looks at a few keys and reports what does not fit. A rule that reads a key which is wrong by itself,
-and so is reported already, stops there (`UnknownValueError`) and the other rules go on.
+Each rule looks at a few keys and reports what does not fit. A rule stops when it reads a value that is wrong by itself
+(`UnknownValueError`): that mistake is reported already. The other rules go on.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from fleet.scenario.rules.report import Report
 
 
 def check(parts: Parts, report: Report) -> None:
-    """Apply every rule."""
+    """Report every mistake that a rule finds."""
     for rule in RULES:
         try:
             rule(parts, report)

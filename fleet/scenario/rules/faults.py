@@ -10,7 +10,7 @@ from fleet.scenario.parts import Parts
 from fleet.scenario.rules.report import Report, known_links, no_whole_ticks, whole_multiple
 from fleet.scenario.schema.faults import FaultAction, FaultSection
 from fleet.scenario.schema.spec import ScenarioSpec
-from fleet.scenario.sections.nemesis import count as nemesis_faults
+from fleet.scenario.sections.nemesis import fault_count
 from fleet.scenario.sections.partitions import PartitionError, is_drawn, partition
 from fleet.scenario.sections.timeline import ACTIONS, OF_THE_WORLD, does_nothing, vehicles_of
 from netem.condition import Link
@@ -65,7 +65,7 @@ def nemesis(parts: Parts, report: Report) -> None:
         span = f"from {show_time(first)} to {show_time(until)}"
         report.add(("nemesis", "for"), f"no fault of {show_time(nemesis.for_)} fits: it acts {span}")
     most = most_faults(spec)
-    if (drawn := nemesis_faults(nemesis, spec)) + len(spec.faults) > most:
+    if (drawn := fault_count(nemesis, spec)) + len(spec.faults) > most:
         message = f"{drawn} faults, one every {show_time(nemesis.every)}, expected at most {most} in a scenario"
         report.add(("nemesis", "every"), message, "make it rarer, or end it earlier with until")
     links = parts.links

@@ -17,15 +17,16 @@ from netem.condition import Link
 LINKS_SHOWN = 12
 
 
-def dotted(path: tuple[str | int, ...]) -> str:
+def dotted(path: Sequence[str | int]) -> str:
+    """A path as `--set` writes it: entries of a list count from 1."""
     return ".".join(str(step + 1) if isinstance(step, int) else step for step in path)
 
 
 @dataclass
 class Report:
-    """The problems found so far in one tree."""
+    """The problems found so far in the tree of one scenario."""
 
-    root: Mapping
+    root: Mapping  # the tree
     problems: list[Problem] = field(default_factory=list)
     policy: Policy = READING
     _added: set[Problem] = field(default_factory=set)
@@ -39,7 +40,7 @@ class Report:
             self.problems.append(problem)
 
     def refuse(self, path: tuple[str | int, ...], message: str, hint: str) -> None:
-        """Report a law that may not run."""
+        """Report a law that may not run: as a mistake, or where the policy collects such laws."""
         if self.policy.refused is None:
             self.add(path, message, hint)
         else:
@@ -60,7 +61,7 @@ class Report:
         self.problems.append(place.problem(f'"{key}" is missing in "{dotted(path)}"{why}'))
 
     def has(self, path: tuple[str, ...]) -> bool:
-        """Whether the file says anything at `path`."""
+        """Whether the tree has a value at `path`."""
         node: Any = self.root
         for step in self._written(path):
             if not isinstance(node, Mapping) or step not in node.entries:
@@ -79,12 +80,12 @@ class Report:
         return list(node.entries)
 
     def origin(self, entries: Entries, *path: str) -> tuple[str, ...] | None:
-        """Where a value was written that holds for vehicles: in the last of their entries that has it, or for all."""
+        """The path of a value that holds for some vehicles: in the last of their entries that has it, or for all."""
         places = [*(("per_vehicle", numbers, *path) for numbers in reversed(entries)), path]
         return next((place for place in places if self.has(place)), None)
 
     def _written(self, path: tuple[Any, ...]) -> tuple[Any, ...]:
-        """`path` with the spaces that its vehicle numbers have in the file."""
+        """`path` with its vehicle numbers as the file writes them, spaces included."""
         if len(path) < 2 or path[0] != "per_vehicle" or path[1] in self.keys("per_vehicle"):
             return path
         text = next((text for text in self.keys("per_vehicle") if _packed(text) == path[1]), path[1])
@@ -119,6 +120,7 @@ def known_links(links: Sequence[Link]) -> str:
 
 
 def vehicles_exist(spec: ScenarioSpec, report: Report, path: tuple[str | int, ...], text: str) -> None:
+    """Report the first vehicle in `text` that the scenario does not have."""
     for number in vehicle_numbers(text):
         if not 1 <= number <= spec.vehicles:
             report.add(path, f"there is no vehicle {number}: they are 1 to {spec.vehicles}")

@@ -103,7 +103,7 @@ class FaultTimes(Section):
 
 
 class FaultAction(Section):
-    """Exactly one thing that a fault does."""
+    """What a fault does: exactly one of these keys is given. This list of kinds is the one that all others follow."""
 
     link: dict[LinkSelector, LinkCondition] | None = None  # in place of the links' own conditions
     down: LinkSelector | None = None
@@ -111,9 +111,9 @@ class FaultAction(Section):
     partition: str | None = None  # "1,2 / 3,4", or halves, one, majority, ring, bridge, isolate:3
     mute: VehicleNumbers | None = None  # sends nothing
     deaf: VehicleNumbers | None = None  # hears nothing
+    slow: Slow | None = None
     kill: VehicleNumbers | None = None  # the agent ends; the vehicle drifts until it is restarted
     pause: VehicleNumbers | None = None  # the agent is suspended; the vehicle holds its last command
-    slow: Slow | None = None
     noise: SensorNoise | None = None
     bias: SensorBias | None = None
     freeze: VehicleNumbers | None = None  # the same measurement again and again
@@ -145,6 +145,7 @@ def _fault(value: Any) -> Any:
 
 
 FaultEntry = Annotated[FaultSection, BeforeValidator(_fault)]
+# The kinds that need nothing but a target, which a nemesis draws.
 DrawnKind = Literal["partition", "down", "mute", "deaf", "kill", "pause", "freeze", "off", "stuck"]
 
 

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, GetCoreSchemaHandler
 from pydantic_core import CoreSchema, core_schema
 
-from fleet.quantities import QuantityError, describe, vehicle_numbers
+from fleet.quantities import QuantityError, describe_value, vehicle_numbers
 from fleet.scenario.schema.section import Section
 from fleet.scenario.schema.value_types import (
     Length,
@@ -98,7 +98,7 @@ class _Followers:
                 return vehicle_numbers(value)
             except QuantityError as error:
                 raise mistake(error.message) from None
-        raise mistake(f'expected "all" or a list of vehicle numbers such as [1, 3], got {describe(value)}')
+        raise mistake(f'expected "all" or a list of vehicle numbers such as [1, 3], got {describe_value(value)}')
 
 
 class StandbySection(Section):
@@ -153,7 +153,7 @@ def read_initial(value: Any) -> Any:
         return {"vehicles": value}
     if isinstance(value, dict):
         return {"scatter": value}
-    raise mistake(f"expected a list with one entry per vehicle, or a scatter, got {describe(value)}")
+    raise mistake(f"expected a list with one entry per vehicle, or a scatter, got {describe_value(value)}")
 
 
 class InitialSection(Section):

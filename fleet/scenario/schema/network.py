@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BeforeValidator, Field
 
 from agents.config import Codec
-from fleet.quantities import describe, show_time
+from fleet.quantities import describe_value, show_time
 from fleet.scenario.schema.section import Section
 from fleet.scenario.schema.value_types import (
     BitRate,
@@ -91,7 +91,7 @@ def read_network(value: Any) -> Any:
         if "ideal" in value:
             raise mistake('write "network: ideal" for the network without latency, which then is nothing else')
         return value
-    raise mistake(f'expected a mapping with a period and links, or "ideal", or "acoustic", got {describe(value)}')
+    raise mistake(f'expected a mapping with a period and links, or "ideal", or "acoustic", got {describe_value(value)}')
 
 
 def show_network(network: NetworkSection) -> Any:

@@ -52,9 +52,9 @@ class Text:
             raise mistake(error.message, error.column, error.hint) from None
         for number in result if isinstance(result, tuple) else (result,):
             if self.bound == "positive" and number <= 0:
-                raise mistake(f"must be above 0, got {q.describe(value)}")
+                raise mistake(f"must be above 0, got {q.describe_value(value)}")
             if self.bound == "not negative" and number < 0:
-                raise mistake(f"must be 0 or more, got {q.describe(value)}")
+                raise mistake(f"must be 0 or more, got {q.describe_value(value)}")
         return result
 
 
@@ -73,7 +73,9 @@ def _show_ticks(number: int) -> str:
 def _condition(value: Any) -> Condition:
     if isinstance(value, str):
         return parse_condition(value)
-    raise q.QuantityError(f'expected a link condition such as "delay 200ms 50ms loss 30%", got {q.describe(value)}')
+    raise q.QuantityError(
+        f'expected a link condition such as "delay 200ms 50ms loss 30%", got {q.describe_value(value)}'
+    )
 
 
 def _within(dimension: q.Dimension, low: float, high: float, said: str) -> Callable[[Any], float]:
@@ -82,7 +84,7 @@ def _within(dimension: q.Dimension, low: float, high: float, said: str) -> Calla
     def read(value: Any) -> float:
         number = q.scalar(value, dimension)
         if not low <= number <= high:
-            raise q.QuantityError(f"must be between {said}, got {q.describe(value)}")
+            raise q.QuantityError(f"must be between {said}, got {q.describe_value(value)}")
         return number
 
     return read
@@ -97,7 +99,7 @@ _spreading = _within(q.NUMBER, 1.0, 2.0, "1 (cylindrical) and 2 (spherical)")
 def _bytes(value: Any) -> int:
     number = q.parse(value, q.SIZE)[0]
     if number.denominator != 1 or number > 10**9:
-        raise q.QuantityError(f"{q.describe(value)} is not a whole number of bytes")
+        raise q.QuantityError(f"{q.describe_value(value)} is not a whole number of bytes")
     return number.numerator
 
 

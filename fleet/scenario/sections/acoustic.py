@@ -1,4 +1,4 @@
-"""The acoustic part of a scenario: from its keys to what the channel is told, and what that means for talking.
+"""The acoustic part of a scenario: the configuration of the channel, and how often vehicles can send on it.
 
 | symbol | meaning | unit |
 |---|---|---|
@@ -7,9 +7,9 @@
 | B | largest back-off of `aloha` | s |
 | G | load: transmissions that begin during an airtime | 1 |
 
-Pure ALOHA carries most, 1/(2e) of the time, at G = 1/2 (N. Abramson, "The ALOHA system", AFIPS 1970). With news always
-waiting a vehicle talks every T + B/2 on average, so G = n T / (T + B/2), and B = 2 T (2 n - 1) is the default.
-That is for many vehicles; `aloha` has the numbers for few, and for news that is not always waiting.
+Pure ALOHA carries most, 1/(2e) of the time, at G = 1/2 (N. Abramson, "The ALOHA system", AFIPS 1970). A vehicle that
+always has a state to send sends every T + B/2 on average, so G = n T / (T + B/2), and B = 2 T (2 n - 1) is the default.
+That holds for many vehicles; `aloha` computes it for few vehicles, and for states that do not always wait.
 """
 
 from __future__ import annotations
@@ -73,14 +73,14 @@ def compile_acoustic(
 
 
 def backoff_ns(section: AcousticSection, modem: Modem, codec: Codec, vehicles: int) -> int:
-    """The largest back-off: the one given, or that of ALOHA's best load with our own payloads."""
+    """The largest back-off [ns]: the one given, or that of ALOHA's best load with the payloads of our agents."""
     if section.backoff is not None:
         return section.backoff
     return 2 * modem.airtime_ns(SIZES[codec]) * (2 * vehicles - 1)
 
 
 def guard_ns(section: AcousticSection) -> int:
-    """The silent part of a slot."""
+    """The silent part of a slot [ns]."""
     return DEFAULT_GUARD_NS if section.guard is None else section.guard
 
 
@@ -104,7 +104,7 @@ def extent_m(plans: tuple[Offset, ...]) -> float:
 
 
 def turn_s(network: NetworkSection, acoustic: AcousticConfig, vehicles: int, tick_ns: int) -> tuple[float, float]:
-    """How often a vehicle talks: on average, and the longest from one start to the next [s]."""
+    """The time from one transmission of a vehicle to its next: on average, and the longest [s]."""
     period = network.period / 1e9
     if acoustic.mac == "tdma":
         turn = vehicles * acoustic.slot_ticks * tick_ns / 1e9
@@ -119,10 +119,10 @@ def _talking(network: NetworkSection, acoustic: AcousticConfig, vehicles: int, t
     return talking(network.period // tick_ns, max(1, airtime), acoustic.backoff_ticks, vehicles)
 
 
-def oldest_s(network: NetworkSection, acoustic: AcousticConfig, plans: tuple[Offset, ...], tick_ns: int) -> float:
-    """How old what an agent hears can become without a loss [s].
+def greatest_age_s(network: NetworkSection, acoustic: AcousticConfig, plans: tuple[Offset, ...], tick_ns: int) -> float:
+    """The greatest age that a neighbour's state can have when it is used, if none is lost [s].
 
-    A state waits a round at most, until it starts; it is used until the next one of the same sender has arrived.
+    A state waits for at most a round before it is sent, and is used until the next one of the same sender arrives.
     """
     airtime = acoustic.modem.airtime_ns(SIZES[network.payload]) / 1e9
     flight = extent_m(plans) / acoustic.sound_speed
@@ -130,8 +130,8 @@ def oldest_s(network: NetworkSection, acoustic: AcousticConfig, plans: tuple[Off
     return network.period / 1e9 + longest + airtime + flight
 
 
-def describe(network: NetworkSection, acoustic: AcousticConfig, vehicles: int, tick_ns: int) -> str:
-    """Airtime and turns in a line of text."""
+def describe_turns(network: NetworkSection, acoustic: AcousticConfig, vehicles: int, tick_ns: int) -> str:
+    """A line of text on the airtime and on how often each vehicle sends."""
     assert network.acoustic is not None
     size = SIZES[network.payload]
     airtime = acoustic.modem.airtime_ns(size) / 1e9
@@ -146,7 +146,7 @@ def describe(network: NetworkSection, acoustic: AcousticConfig, vehicles: int, t
 
 
 def describe_noise(network: NetworkSection, acoustic: AcousticConfig, plans: tuple[Offset, ...]) -> str:
-    """Whether noise loses packets, and from which range on."""
+    """A line of text on whether noise loses packets, and from which range on."""
     modem, size = acoustic.modem, SIZES[network.payload]
     snr = acoustic.snr(modem.max_range)
     if acoustic.packet_error_rate(modem.max_range, size) == 0.0:

@@ -30,7 +30,7 @@ def shipped(package: str) -> list[str]:
 
 
 def find(kind: str, name: str, package: str, folder: Path | None) -> tuple[bytes, str]:
-    """The content of a shipped file by name, or of a file looked for in `folder` and then where we are, and its path.
+    """Content and path of a shipped file by its name, or of a file in `folder` or in the current directory.
 
     Raises:
         DataFileError: there is none, or it cannot be read.

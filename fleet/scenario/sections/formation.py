@@ -1,4 +1,4 @@
-"""Where each vehicle belongs: the offsets p_i of a formation, and the states at t = 0.
+"""The place of each vehicle: the offsets p_i of a formation, and the states at t = 0.
 
 | symbol | meaning | unit, frame |
 |---|---|---|
@@ -103,8 +103,8 @@ def initial_states(
     """(eta0, nu0) of every vehicle; `start` is the reference at t = 0.
 
     A scatter puts vehicle i at its place plus draws that depend on (seed, i) alone, so that a larger fleet starts
-    with the same first vehicles. It never lifts a vehicle: z is down, and nobody should start above the
-    surface."""
+    with the same first vehicles. It moves a vehicle only down (z is down), so that none starts above the surface.
+    """
     if initial.vehicles is not None:
         return tuple(
             (

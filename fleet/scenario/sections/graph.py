@@ -44,7 +44,7 @@ def parse_edge(text: str) -> Link | None:
 
 
 def build(section: GraphSection, places: tuple[Vec3, ...], seed: int) -> Graph:
-    """The graph of a valid section (`fleet.scenario.rules.apply` has looked at it).
+    """The graph of a section that `Parts.graph` accepts.
 
     Args:
         places: the offsets at the start [m, NED], for `nearest`.

@@ -1,27 +1,23 @@
-"""How often what is logged and remembered, as a scenario asks for it."""
+"""How often each topic group is logged and a snapshot is taken."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 from math import gcd, lcm
-from typing import TYPE_CHECKING
 
 from agents.config import Law
 from agents.controllers import law_class
 from agents.errors import PluginError
 from agents.plugins.checks import resumable
-
-if TYPE_CHECKING:
-    from fleet.scenario.schema.spec import ScenarioSpec
-
+from fleet.scenario.schema.spec import ScenarioSpec
 
 SNAPSHOT_NS = 10_000_000_000
 LOG_GROUPS = ("pose", "state", "nav", "command", "guidance", "control", "error")
-DRAWN_GROUPS = {"transforms": 100_000_000, "scene": 500_000_000}  # of the whole fleet: about how often [ns]
+DRAWN_GROUPS = {"transforms": 100_000_000, "scene": 500_000_000}  # topics of the whole fleet: about how often [ns]
 
 
 def snapshot_grid(spec: ScenarioSpec) -> int:
-    """Ticks between the moments at which there can be one: rounds whose frame the log needs."""
+    """Ticks between the moments at which a snapshot can be taken: rounds whose frame the log needs."""
     rounds = 1 if spec.network.ideal else spec.network.period // spec.tick
     return lcm(max(1, rounds), gcd(*log_every(spec).values()))
 
@@ -37,10 +33,10 @@ def log_every(spec: ScenarioSpec) -> dict[str, int]:
 
 
 def memory_ticks(spec: ScenarioSpec, others: Iterable[tuple[str, Law]]) -> int:
-    """Ticks between two snapshots; 0 for none, also where a law cannot tell what it remembers.
+    """Ticks between two snapshots; 0 for none, also where a law cannot save its state.
 
     Args:
-        others: kind and law of those that are not ours.
+        others: kind and law of those that are not built in.
     """
     wanted = SNAPSHOT_NS if spec.log.snapshot is None else spec.log.snapshot
     if wanted == 0 or without_snapshots(others):
@@ -50,7 +46,7 @@ def memory_ticks(spec: ScenarioSpec, others: Iterable[tuple[str, Law]]) -> int:
 
 
 def without_snapshots(others: Iterable[tuple[str, Law]]) -> list[str]:
-    """Those of some laws that cannot give and take back their state, by name; one that may not run is one of them."""
+    """The names of those laws that cannot save and restore their state; a law that may not run cannot, either."""
     return list(dict.fromkeys(law.name for kind, law in others if not _resumable(kind, law)))
 
 

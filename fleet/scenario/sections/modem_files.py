@@ -37,7 +37,7 @@ NUMBERS: dict[str, q.Dimension] = {
     "clear_above": q.LEVEL,
     "capture": q.LEVEL,
 }
-# What the formulas can bear, wider than any modem there is.
+# The ranges in which the formulas hold; wider than those of any real modem.
 BOUNDS: dict[str, tuple[float, float]] = {
     "bit_rate": (0.1, 1e8),
     "preamble": (0.0, 3600.0),
@@ -63,13 +63,13 @@ class ModemFile:
     modem: Modem
 
 
-def shipped() -> list[str]:
+def shipped_modems() -> list[str]:
     """The modems that come with the package."""
     return data_files.shipped(_PACKAGE)
 
 
 def load_modem(name: str, folder: Path | None = None) -> ModemFile:
-    """A shipped modem by name, or a file, looked for in `folder` (the scenario's) and then where we are.
+    """A shipped modem by its name, or that of a file in `folder` (the scenario's) or in the current directory.
 
     Raises:
         DataFileError: with every mistake that was found.
@@ -93,12 +93,12 @@ def parse_modem(data: bytes, name: str) -> ModemFile:
 
 
 def modem_of(numbers: Mapping[str, float]) -> Modem:
-    """The modem of all its numbers."""
+    """The modem with these numbers."""
     return Modem(**dict(numbers) | {"mtu": int(numbers["mtu"])})  # type: ignore[arg-type]
 
 
 def modem_problems(numbers: Mapping[str, float]) -> list[str]:
-    """What no modem can have."""
+    """A line for each number that no modem can have."""
     found = []
     for key, (low, high) in BOUNDS.items():
         if not low <= numbers[key] <= high:

@@ -1,7 +1,7 @@
-"""Random faults from the seed: a `nemesis:` becomes an explicit timeline before anything runs.
+"""Random faults from the seed: a `nemesis:` becomes explicit faults before the run starts.
 
-What comes when is a pure function of (seed, number of the fault), so the timeline can be printed, edited and run
-again. The word, and the idea that faults come by themselves and go again, are Jepsen's.
+Each fault is a pure function of (seed, number of the fault), so the faults can be printed, edited and run again.
+The word, and the idea of faults that come and go by themselves, are Jepsen's.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ def drawn_faults(spec: ScenarioSpec, nemesis: NemesisSection, links: Sequence[Li
         name = f"nemesis-{number}"
         while name in taken:
             name += "x"
-        # A fleet of one keeps its scenario: what needs a link does not come.
+        # A fleet of one keeps its scenario: faults that need a link are left out.
         picks = [pick for pick in nemesis.pick if links or pick.drawn not in ("partition", "down")]
         if not picks:
             break
@@ -40,8 +40,8 @@ def drawn_faults(spec: ScenarioSpec, nemesis: NemesisSection, links: Sequence[Li
     return faults
 
 
-def count(nemesis: NemesisSection, spec: ScenarioSpec) -> int:
-    """How many faults it would become."""
+def fault_count(nemesis: NemesisSection, spec: ScenarioSpec) -> int:
+    """How many faults a nemesis draws."""
     return len(_times(nemesis, spec))
 
 

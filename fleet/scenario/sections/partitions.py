@@ -86,7 +86,7 @@ def _groups(text: str, vehicles: int) -> list[list[int]]:
 
 
 def _between(group: dict[int, int]) -> Callable[[int, int], bool]:
-    """Groups from each other, and those in none of them from all."""
+    """Cuts the groups from each other, and a vehicle in none of them from all."""
     return lambda a, b: group.get(a, -a) != group.get(b, -b)
 
 

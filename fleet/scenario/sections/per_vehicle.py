@@ -1,4 +1,4 @@
-"""What each vehicle runs: laws, parameters, models; merged from the profile, the scenario, and what is per vehicle."""
+"""What each vehicle is and runs: vehicle, laws and parameters, from the profile, the scenario and `per_vehicle`."""
 
 from __future__ import annotations
 
@@ -45,8 +45,8 @@ class Control:
     model: VehicleParams  # what the controller believes
     tau_max: Vec3  # N, N m, N m
     tumble_limit: float  # |pitch| beyond which it tumbles [rad]
-    external: bool  # somebody else starts its agent
-    told: bool  # knows the reference, also if it does not follow it
+    external: bool  # the run does not start its agent
+    knows_reference: bool  # also if it does not follow it
 
     @property
     def cascade(self) -> bool:
@@ -125,7 +125,7 @@ def control(choice: VehicleOverrides, tick_ns: int, vehicle: tuple[VehicleParams
         tau_max=tau_max,
         tumble_limit=choice.vehicle.tumble_pitch or LIMIT_RAD,
         external=bool(choice.external),
-        told=choice.knows_reference is not False,
+        knows_reference=choice.knows_reference is not False,
     )
 
 
@@ -199,7 +199,7 @@ def tracking_section(params: TrackingParams, law: str) -> TrackingSection:
 
 
 def used(kind: str, law: str) -> frozenset[str]:
-    """The scenario keys that a law of ours uses; a law of yours is given all and told nothing."""
+    """The scenario keys that a built-in law uses; all of them for a law of the user's."""
     laws: dict[str, Any] = {"guidance": GUIDANCE, "tracking": TRACKING}[kind]  # type: ignore[assignment]
     params = GuidanceParams if kind == "guidance" else TrackingParams
     names: Iterable[str] = laws[law].uses if law in laws else (f.name for f in fields(params))
@@ -212,7 +212,7 @@ def _only(values: dict[str, Any], keys: frozenset[str]) -> dict[str, Any]:
 
 
 def inlined_vehicle(section: VehicleSection, folder: Path | None) -> VehicleSection:
-    """The same vehicle with every number written out, so that it no longer needs its file."""
+    """The same vehicle with all its numbers in place of the name of its file."""
     params, limits = vehicle(section, folder)
     values: dict[str, Any] = {key: getattr(params, key) for key in vehicle_files.PARAMETERS}
     values |= zip(vehicle_files.LIMITS, limits, strict=True)

@@ -1,4 +1,4 @@
-"""From a scenario's `reference:` to the trajectory that every agent knows."""
+"""The reference trajectory of a scenario, from its `reference:` section."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from world.vectors import Vec3
 
 
 def build(section: ReferenceSection) -> Reference:
-    """The trajectory of a section whose keys fit its shape (`fleet.scenario.rules.apply` has looked at it).
+    """The trajectory of a section that has the keys of its shape.
 
     A path is not walked here: `Path.length` raises PathError if its arcs do not fit.
     """

@@ -1,4 +1,4 @@
-"""From a scenario's `faults:` to what each core is told: explicit links, vehicles and ticks.
+"""The faults of a scenario as each core gets them: with links, vehicles and ticks.
 
 | partition | what is cut, both ways |
 |---|---|
@@ -10,7 +10,7 @@
 | `bridge` | two halves from each other, but for one vehicle between them, drawn, that both see |
 | `isolate:3` | vehicle 3 from all |
 
-The named ones are Jepsen's. What is drawn depends on (seed, id of the fault) alone.
+The named partitions are Jepsen's. What is drawn depends on (seed, id of the fault) alone.
 """
 
 from __future__ import annotations
@@ -28,22 +28,18 @@ from netem.faults import FaultKind, NetFault
 from netem.grammar import print_condition
 from netem.lives import Absence
 from netem.selectors import parse_selector, select
-from world.faults import WorldFault
+from world.faults import WorldFault, WorldFaultKind
 
+ACTIONS = tuple(FaultAction.model_fields)
 OF_THE_NETWORK: tuple[str, ...] = get_args(FaultKind)
-OF_AGENTS = ("kill", "pause")
-OF_THE_WORLD = (
-    *("noise", "bias", "freeze", "dropout", "efficiency", "saturate", "off", "stuck"),
-    *("current", "gust", "wrench"),
-)
+OF_THE_WORLD: tuple[str, ...] = tuple(kind for kind in get_args(WorldFaultKind) if kind not in ("pause", "slow"))
 TUMBLED, DIVERGED = "tumbled", "diverged"  # in the log: what happened to a vehicle, which no scenario asks for
-MOST_RESTARTS = 3  # of one agent that nobody killed on purpose: its next life would end the same way
-ACTIONS = (*OF_THE_NETWORK, *OF_AGENTS, *OF_THE_WORLD)
+MOST_RESTARTS = 3  # of one agent that no fault has killed: its next life would end the same way
 
 
 @dataclass(frozen=True, slots=True)
 class Event:
-    """A fault begins or ends: what the log and the console are told."""
+    """The begin or the end of a fault, for the log and the console."""
 
     tick: int
     fault: str  # its id
@@ -52,18 +48,18 @@ class Event:
 
     @property
     def is_fault(self) -> bool:
-        """Whether somebody or something disturbed the fleet; that a vehicle tumbles is what came of it."""
+        """Whether it is a fault; a vehicle that tumbles is the consequence of one."""
         return is_fault(self.what)
 
 
 def is_fault(what: str) -> bool:
-    """Whether an event of the log, by its words, is a fault and not what became of a vehicle."""
+    """Whether the text of an event in the log is that of a fault, and not of what happened to a vehicle."""
     return what.partition(" ")[0] not in (TUMBLED, DIVERGED)
 
 
 @dataclass(frozen=True, slots=True)
 class Kill:
-    """Agents that are ended at tick `begin` and, unless `end` is None, started anew at tick `end`."""
+    """Agents that end at tick `begin` and, unless `end` is None, are started again at tick `end`."""
 
     id: str
     begin: int
@@ -72,7 +68,7 @@ class Kill:
     kind: str = "kill"
 
     def active(self, tick: int) -> bool:
-        """Whether they are missing at a tick."""
+        """Whether the agents are missing at a tick."""
         return self.begin <= tick and (self.end is None or tick < self.end)
 
     @property
@@ -80,12 +76,12 @@ class Kill:
         return [Absence(i, self.begin, self.end) for i in self.vehicles]
 
 
-Part = NetFault | WorldFault | Kill  # of a fault: what one core is told
+Part = NetFault | WorldFault | Kill  # of a fault: what one core does
 
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """Every fault of a scenario, for the cores."""
+    """Every fault of a scenario, as the cores get it."""
 
     parts: tuple[Part, ...]  # in order of time
     events: tuple[Event, ...]  # in order of time
@@ -129,14 +125,14 @@ def event_order(event: Event) -> tuple[int, bool, str]:
 
 
 def begin_and_end(of_this: Sequence[Part], section: FaultSection, last: int) -> tuple[Event, Event]:
-    """What the log is told of a fault in a run of `last` ticks."""
+    """The events of a fault in a run of `last` ticks."""
     part, what = of_this[0], words(section)
     end = last if part.end is None else min(part.end, last)
     return Event(part.begin, part.id, "begins", what), Event(end, part.id, "ends", what)
 
 
 def parts(section: FaultSection, name: str, spec: ScenarioSpec, links: Sequence[Link]) -> list[Part]:
-    """What the cores are told of one fault, called `name`.
+    """The parts of one fault, called `name`, one for each core that it concerns.
 
     Raises:
         PartitionError: a partition cannot be made.
@@ -167,7 +163,7 @@ def parts(section: FaultSection, name: str, spec: ScenarioSpec, links: Sequence[
             ]
         case "kill":
             if end is not None:
-                # Whoever comes back does so with a round: that is when agents talk, and the network counts.
+                # An agent begins again with a round: only then do agents send, and the network counts their messages.
                 m = 1 if spec.network.ideal else spec.network.period // spec.tick
                 end = -(-end // m) * m
                 end = end if end < spec.duration // spec.tick else None
@@ -200,7 +196,7 @@ def _numbers_of(section: FaultAction) -> tuple[float, ...]:
     return ()
 
 
-_ANY = 1e300  # N, N m: no limit of a fault's own
+_ANY = 1e300  # N, N m: a limit that nothing reaches
 
 
 def does_nothing(section: FaultAction) -> bool:
@@ -221,7 +217,7 @@ def does_nothing(section: FaultAction) -> bool:
 
 
 def vehicles_of(section: FaultAction) -> tuple[int, ...]:
-    """The vehicles that a fault names; none where it concerns all."""
+    """The vehicles that a fault names; none if it concerns all."""
     value = getattr(section, action(section))
     text = value if isinstance(value, str) else getattr(value, "vehicles", None)
     if text is None or action(section) in ("down", "up", "partition"):
@@ -230,12 +226,12 @@ def vehicles_of(section: FaultAction) -> tuple[int, ...]:
 
 
 def action(section: FaultAction) -> str:
-    """What a valid fault does."""
+    """The kind of a valid fault."""
     return next(name for name in ACTIONS if getattr(section, name) is not None)
 
 
 def words(section: FaultAction) -> str:
-    """A fault in the words of the scenario."""
+    """A fault as a scenario writes it, without its times."""
     name = action(section)
     if name == "link":
         assert section.link is not None

@@ -52,18 +52,18 @@ class Vehicle:
     shipped: bool
 
 
-def shipped() -> list[str]:
+def shipped_vehicles() -> list[str]:
     """The vehicles that come with the package."""
     return data_files.shipped(_PACKAGE)
 
 
 def load_vehicle(name: str, folder: Path | None = None) -> Vehicle:
-    """A shipped vehicle by name, or a file, looked for in `folder` (the scenario's) and then where we are.
+    """A shipped vehicle by its name, or that of a file in `folder` (the scenario's) or in the current directory.
 
     Raises:
         VehicleFileError: with every mistake that was found.
     """
-    if name in shipped():
+    if name in shipped_vehicles():
         return _shipped(name)
     try:
         return parse_vehicle(*data_files.find("vehicle", name, _PACKAGE, folder))

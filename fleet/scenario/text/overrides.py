@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from fleet.errors import Problem
-from fleet.quantities import describe
+from fleet.quantities import describe_value
 from fleet.scenario.text.scaling import scale
 from fleet.scenario.text.yaml_reader import Items, Mapping, Node, Place, Scalar, Source, read
 
@@ -89,5 +89,5 @@ def _set(node: Node | None, steps: list[Step], value: Node) -> Node:
         items[index - 1] = _set(items[index - 1], rest, value)
         return Items(tuple(items), node.place)
     raise _UnreachableError(
-        place.problem(f'there is no "{key}" here: the scenario has {describe(node.value)}, not a mapping')
+        place.problem(f'there is no "{key}" here: the scenario has {describe_value(node.value)}, not a mapping')
     )

@@ -7,7 +7,7 @@ import os
 import signal
 from collections import Counter
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import msgpack
 import pytest
@@ -21,12 +21,15 @@ from fleet.analysis.stability import analyse
 from fleet.errors import ScenarioError
 from fleet.run.execute import Options, Result, Status, execute
 from fleet.scenario.loading import load_scenario, parse_scenario
+from fleet.scenario.schema.faults import DrawnKind
 from fleet.scenario.sections.partitions import PartitionError, partition
+from fleet.scenario.sections.timeline import ACTIONS
 from netem.condition import Condition
 from netem.config import NetemConfig
-from netem.faults import NO_FAULTS, NetFault, active_faults
+from netem.faults import NO_FAULTS, FaultKind, NetFault, active_faults
 from netem.lives import Absence
 from netem.network import Netem
+from world.faults import WorldFaultKind
 from world.lockstep import Lockstep, NavTo
 from world.lockstep import Out as WorldOut
 
@@ -246,6 +249,12 @@ def test_a_timeline_compiles_and_prints_back() -> None:
 )
 def test_each_rule_of_faults_speaks(entry: str, words: str) -> None:
     assert words in only_problem(f"faults=[{entry}]")
+
+
+def test_every_kind_of_fault_has_a_core() -> None:
+    """The schema lists the kinds; what no core knows would be accepted and do nothing."""
+    assert set(ACTIONS) == {*get_args(FaultKind), "kill", *get_args(WorldFaultKind)}
+    assert set(get_args(DrawnKind)) <= set(ACTIONS)
 
 
 def test_a_fault_behind_the_end_is_warned_of() -> None:

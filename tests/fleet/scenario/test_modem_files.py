@@ -16,9 +16,9 @@ from fleet.errors import ScenarioError
 from fleet.scenario.loading import load_scenario, parse_scenario
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.schema.network import AcousticSection
-from fleet.scenario.sections import acoustic as acoustics
+from fleet.scenario.sections.acoustic import turn_s
 from fleet.scenario.sections.data_files import DataFileError
-from fleet.scenario.sections.modem_files import NUMBERS, load_modem, parse_modem, shipped
+from fleet.scenario.sections.modem_files import NUMBERS, load_modem, parse_modem, shipped_modems
 from netem.modem import AcousticConfig
 
 SMALL = """\
@@ -47,15 +47,15 @@ def told(*overrides: str, folder: Path | None = None) -> AcousticConfig:
 
 
 def test_modems_ship() -> None:
-    assert shipped() == ["fsk-80", "mfsk-1066", "s2c"]
+    assert shipped_modems() == ["fsk-80", "mfsk-1066", "s2c"]
     assert load_modem("fsk-80").modem.airtime_ns(15) == 2_500_000_000
     assert load_modem("s2c").modem.airtime_ns(63) == 100_000_000 + 36_258_993
-    for name in shipped():
+    for name in shipped_modems():
         assert load_modem(name).name == name
         assert load_modem(name).title
 
 
-@pytest.mark.parametrize("name", shipped())
+@pytest.mark.parametrize("name", shipped_modems())
 def test_every_number_says_where_it_comes_from(name: str) -> None:
     """And whoever could not read a source says that it is an assumption."""
     values = tomllib.loads((resources.files("netem.modems") / f"{name}.toml").read_text("utf-8"))
@@ -63,7 +63,7 @@ def test_every_number_says_where_it_comes_from(name: str) -> None:
     assert all(len(entry["source"]) > 10 for entry in values["modem"].values())
 
 
-@pytest.mark.parametrize("name", shipped())
+@pytest.mark.parametrize("name", shipped_modems())
 def test_modems_hear_each_other_within_their_range(name: str) -> None:
     """At the largest range a compact payload gets through on a calm day: the numbers belong to each other."""
     modem = load_modem(name).modem
@@ -301,5 +301,5 @@ def test_the_default_back_off_is_the_best_load() -> None:
         s = small(f"vehicles={vehicles}")
         assert s.acoustic is not None
         airtime = s.acoustic.modem.airtime_ns(15) / 1e9
-        mean, _ = acoustics.turn_s(s.spec.network, s.acoustic, vehicles, s.tick_ns)
+        mean, _ = turn_s(s.spec.network, s.acoustic, vehicles, s.tick_ns)
         assert vehicles * airtime / mean == pytest.approx(0.5)

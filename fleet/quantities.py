@@ -16,8 +16,7 @@ from typing import Any
 
 from netem.errors import TextError
 from netem.parsing import exact_number, nearest
-
-Vec3 = tuple[float, float, float]
+from world.vectors import Vec3
 
 _MAX_NS = 2**63 - 1  # stamps are signed 64-bit nanoseconds on the wire and in the log
 
@@ -161,7 +160,7 @@ def show_time(ns: int) -> str:
 
 
 def describe_value(value: Any) -> str:
-    """A YAML value in a user's words."""
+    """A YAML value in words, for an error."""
     if value is None:
         return "nothing"
     if isinstance(value, bool):
@@ -239,12 +238,12 @@ def _short(text: str) -> str:
 
 def vehicle_numbers(text: str) -> list[int]:
     """The vehicles that `2-4, 7` stands for, in order. Raises QuantityError."""
-    found: list[int] = []
+    numbers: list[int] = []
     for part in text.split(","):
         match = re.fullmatch(r"\s*(\d{1,4})\s*(?:-\s*(\d{1,4})\s*)?", part, re.ASCII)
         if match is None:
             raise QuantityError(f'expected vehicle numbers such as "3" or "2-4, 7", got {describe_value(text)}')
-        found += range(int(match[1]), int(match[2] or match[1]) + 1)
-    if not found:
+        numbers += range(int(match[1]), int(match[2] or match[1]) + 1)
+    if not numbers:
         raise QuantityError(f"names no vehicle: {describe_value(text)}")
-    return found
+    return numbers

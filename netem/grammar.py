@@ -14,13 +14,14 @@ Conditions are written in the grammar of Linux tc-netem (tc-netem(8)):
     TIME         := number followed by us, ms or s        PERCENT, CORRELATION := number followed by %
     RATE         := number followed by bit, kbit, mbit, gbit (bits per second), or bps, kbps, mbps, gbps (bytes!)
 
-tc reads a TIME without a unit as microseconds and a PERCENT without a sign as percent; here units are required, since
-200 for "200 ms" is a slip that would otherwise pass. `down` is ours. `slot` and `ecn` are refused by name.
+tc reads a TIME without a unit as microseconds and a PERCENT without a sign as percent; here units are required, because
+200 instead of "200 ms" would be a mistake without a message. `down` is not part of tc-netem; `slot` and `ecn` of
+tc-netem are refused by name.
 
-Selectors say which directed links are meant; an arrow points the way the payload travels:
+Selectors name directed links; an arrow points in the direction of the payload (`netem.selectors` reads them):
 
     *        every link          1->*  all that vehicle 1 sends
-    1->2     1's payloads to 2   *->2  all that vehicle 2 hears      1<->2   1->2 and 2->1
+    1->2     1's payloads to 2   *->2  all that vehicle 2 receives   1<->2   1->2 and 2->1
 """
 
 from __future__ import annotations

@@ -28,8 +28,8 @@ def exact_number(text: str) -> Fraction | None:
 def nearest(word: str, known: Iterable[str]) -> str:
     """`did you mean "delay"?` when one of the known words is near, else nothing."""
     lower = {name.lower(): name for name in known}
-    found = get_close_matches(word.lower()[:60], lower, n=1, cutoff=0.6)
-    return f'did you mean "{lower[found[0]]}"?' if found else ""
+    close = get_close_matches(word.lower()[:60], lower, n=1, cutoff=0.6)
+    return f'did you mean "{lower[close[0]]}"?' if close else ""
 
 
 def quoted(text: str) -> str:

@@ -1,4 +1,4 @@
-"""Which directed links a text means; an arrow points the way the payload travels."""
+"""Link selectors: a text for a set of directed links. An arrow points in the direction of the payload."""
 
 from __future__ import annotations
 
@@ -25,6 +25,7 @@ class Selector:
         return side[0] + ("<->" if self.both else "->") + side[1]
 
     def matches(self, link: Link) -> bool:
+        """Whether a link is in the set."""
         return self._one_way(link) or (self.both and self._one_way((link[1], link[0])))
 
     def _one_way(self, link: Link) -> bool:

@@ -1,1 +1,1 @@
-"""A scenario: read, checked, and compiled into what each core is told."""
+"""A scenario: read, checked, and compiled into the configuration of each core."""

@@ -79,7 +79,7 @@ class Parts:
 
     @cached_property
     def graph(self) -> Graph:
-        """Who hears whom."""
+        """The communication graph."""
         section = self.spec.graph
         if (section.edges is None) == (section.shape is None):
             raise UnknownValueError

@@ -41,7 +41,7 @@ class Scenario:
     The configurations of the cores are made once, when they are asked for.
     """
 
-    spec: ScenarioSpec  # what the file says, in SI units
+    spec: ScenarioSpec  # the values of the file, in SI units
     reference: Reference
     plans: tuple[Offset, ...]  # p_i(t) [m, NED]
     graph: Graph
@@ -249,11 +249,11 @@ class Scenario:
 
 
 def _others(controls: Iterable[Control]) -> tuple[tuple[str, Law], ...]:
-    found: dict[str, tuple[str, Law]] = {}
+    others: dict[str, tuple[str, Law]] = {}
     for kind, law in (running for control in controls for running in laws(control).items()):
         if law.name not in BUILT_IN[kind]:
-            found.setdefault(law.name, (kind, law))
-    return tuple(found.values())
+            others.setdefault(law.name, (kind, law))
+    return tuple(others.values())
 
 
 def _without_files(spec: ScenarioSpec, folder: Path | None) -> ScenarioSpec:

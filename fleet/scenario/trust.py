@@ -1,7 +1,7 @@
-"""Whose scenario it is, and so which modules it may have imported; see `agents.plugins.trust` for what that means.
+"""The origin of a scenario, and the modules that may be imported for it; see `agents.plugins.trust`.
 
-What the user types on the command line is his own. A scenario file is his own if it lies in the current directory or
-below it. A log, the scenario in a run directory and a file from elsewhere are a stranger's.
+A name on the command line is trusted as the user's own; so is a scenario file in the current directory or below it.
+A log, the scenario in a run directory and a file from elsewhere are foreign.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ A_LOG = "a log names it"
 
 @dataclass(frozen=True, slots=True)
 class Policy:
-    """What may be imported while a scenario is read."""
+    """The modules that may be imported while a scenario is read."""
 
     trust: Trust = NOTHING
-    stranger: str = A_LOG  # why the text may name no module that is not installed; "": it is the user's own
+    stranger: str = A_LOG  # why only installed modules may be named; "": the user's own scenario
     imports: bool = True  # False: a law that the text names is taken by its name, and nothing is imported
-    refused: list[Problem] | None = None  # gets what may not run, which is then no error
+    refused: list[Problem] | None = None  # collects the laws that may not run; None: they are errors
 
     def admit(self, kind: str, law: Law, folder: Path | None, *, typed: bool) -> None:
         """Let the module of a law be imported if it may run.

@@ -190,9 +190,9 @@ def section_of(annotation: Any) -> type[Section] | None:
     if isinstance(annotation, type) and issubclass(annotation, Section):
         return annotation
     for argument in get_args(annotation):
-        found = section_of(argument)
-        if found is not None:
-            return found
+        section = section_of(argument)
+        if section is not None:
+            return section
     return None
 
 

@@ -16,7 +16,7 @@ from fleet.scenario.sections.timeline import ACTIONS, OF_THE_WORLD, does_nothing
 from netem.condition import Link
 from netem.selectors import parse_selector, select
 
-MOST_FAULTS = 5000  # of one scenario, those of its nemesis included: each is looked at in every tick
+MOST_FAULTS = 5000  # of one scenario, those of its nemesis included: the cores test each in every tick
 MOST_TARGETS = 100_000  # faults times vehicles: each may be about all of them
 
 

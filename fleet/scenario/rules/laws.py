@@ -10,13 +10,14 @@ from agents.errors import PluginError, UntrustedError
 from agents.plugins.loading import load
 from agents.profiles import profile
 from agents.trajectory import PathError
-from fleet.quantities import RATE, SPEED, QuantityError, Vec3, show, show_vector, vehicle_numbers
+from fleet.quantities import RATE, SPEED, QuantityError, show, show_vector, vehicle_numbers
 from fleet.scenario.parts import Parts, UnknownValueError
-from fleet.scenario.rules.report import Report, _packed
+from fleet.scenario.rules.report import Report, packed
 from fleet.scenario.schema.spec import ScenarioSpec
 from fleet.scenario.sections.per_vehicle import Entries, given, law_names, used, wrong_model
 from fleet.scenario.sections.vehicle_files import VehicleFileError, mass_problems
 from netem.parsing import nearest
+from world.vectors import Vec3
 
 _BLEND_SAMPLES = 40  # of a change of the formation
 
@@ -29,9 +30,9 @@ def per_vehicle(parts: Parts, report: Report) -> None:
             numbers = vehicle_numbers(text)
         except QuantityError:
             continue  # reported by the schema
-        if _packed(text) in seen:
-            report.add(("per_vehicle", text), f'the same vehicles as "{seen[_packed(text)]}"', key=True)
-        seen[_packed(text)] = text
+        if packed(text) in seen:
+            report.add(("per_vehicle", text), f'the same vehicles as "{seen[packed(text)]}"', key=True)
+        seen[packed(text)] = text
         for number in numbers:
             if not 1 <= number <= spec.vehicles:
                 message = f"there is no vehicle {number}: they are 1 to {spec.vehicles}"
@@ -55,8 +56,8 @@ def laws(parts: Parts, report: Report) -> None:
 
 
 def law(parts: Parts, report: Report, path: tuple[str, ...], kind: str, law: Law) -> None:
-    ours = list(CONTROLLERS) if kind == "controller" else list(BUILT_IN[kind])
-    if law.name in ours:
+    built_in = list(CONTROLLERS) if kind == "controller" else list(BUILT_IN[kind])
+    if law.name in built_in:
         if law.parameters:
             report.add((*path, "parameters"), f"{law.name} takes none: its gains are keys of guidance and tracking")
         return
@@ -71,9 +72,9 @@ def law(parts: Parts, report: Report, path: tuple[str, ...], kind: str, law: Law
         report.refuse(at, f"{law.name}: {error.problem}", error.hint)
     except PluginError as error:
         if ":" not in law.name and "does not load" not in error.problem:
-            close = nearest(law.name, ours) if ours else ""
-            known = f"known: {', '.join(ours)}, or package.module:Class" if ours else "write package.module:Class"
-            report.add(at, f'there is no {kind} "{law.name}"', close or known)
+            close = nearest(law.name, built_in) if built_in else ""
+            known = f"known: {', '.join(built_in)}, or" if built_in else "write"
+            report.add(at, f'there is no {kind} "{law.name}"', close or f"{known} package.module:Class")
         else:
             report.add(at, f"{law.name}: {error.problem}", error.hint)
 
@@ -115,7 +116,7 @@ def vehicles(parts: Parts, report: Report) -> None:
 
 
 def velocity_bounds(parts: Parts, report: Report) -> None:
-    """Strictly inside, the QP is feasible for every consensus error: some k > 0 exists on each axis."""
+    """Every reference velocity is strictly inside the bounds: then the QP has a solution k > 0 for every error."""
     low, high = desired_velocity(parts)
     for entries, law, section, name in parts.guidance():
         if law != "optimal":
@@ -130,14 +131,14 @@ def velocity_bounds(parts: Parts, report: Report) -> None:
             for axis, limit, speed in zip("xyz", bound, speeds, strict=True):
                 if sign * limit < sign * speed:
                     continue
-                ours = report.origin(entries, "guidance", bound_name)
+                written = report.origin(entries, "guidance", bound_name)
                 side, extreme = ("below", "least ") if sign > 0 else ("above", "greatest ")
                 extreme = "" if low == high else extreme
                 report.add(
-                    ours or reference_place(parts.spec),
+                    written or reference_place(parts.spec),
                     f"{bound_name} {show_vector(bound, SPEED)} must be {side} the {extreme}reference velocity "
                     f"{rounded(speeds)} on every axis; it is not on {axis}",
-                    "" if ours else f"the bound is that of profile {name}; set {key_of(entries, bound_name)}",
+                    "" if written else f"the bound is that of profile {name}; set {key_of(entries, bound_name)}",
                 )
                 break
 

@@ -156,7 +156,7 @@ def followers(parts: Parts, report: Report) -> None:
 
 
 def knowledge(parts: Parts, report: Report) -> None:
-    """Who follows the reference or stands by to must hear whom it stands by for; who does not know it cannot use it."""
+    """A vehicle on standby hears a vehicle that follows the reference; one that does not know it does not use it."""
     spec = parts.spec
     followers = set(range(1, spec.vehicles + 1) if spec.graph.reference == "all" else spec.graph.reference)
     standby = vehicle_numbers(spec.graph.standby.vehicles) if spec.graph.standby else []
@@ -173,8 +173,8 @@ def knowledge(parts: Parts, report: Report) -> None:
     for i in sorted(set(range(1, spec.vehicles + 1)) - followers - set(standby)):
         choice = parts.choice(parts.entries(i))
         assert choice.neighbours is not None
-        told = choice.knows_reference is not False
-        if not told and choice.neighbours.extrapolate == "reference" and choice.agent is None:
+        knows = choice.knows_reference is not False
+        if not knows and choice.neighbours.extrapolate == "reference" and choice.agent is None:
             entries = tuple(n for n in spec.per_vehicle if i in vehicle_numbers(n))
             at = report.origin(entries, "neighbours", "extrapolate") or ("knows_reference",)
             text = f"vehicle {i} does not know the reference (knows_reference: false), so it cannot extrapolate by it"

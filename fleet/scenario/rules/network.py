@@ -33,7 +33,7 @@ def links(parts: Parts, report: Report) -> None:
 
 
 def acoustic(parts: Parts, report: Report) -> None:
-    """The modem, and what belongs to the way in which turns are taken."""
+    """The numbers of the modem and of the water, and the keys that belong to the medium access."""
     spec = parts.spec
     section = spec.network.acoustic
     if section is None:
@@ -74,7 +74,7 @@ def acoustic(parts: Parts, report: Report) -> None:
 
 
 def talking(parts: Parts, report: Report) -> None:
-    """What our agents say fits into a packet, and into a slot with its guard, which sound crosses the fleet in."""
+    """The payload fits into a packet, and with its guard into a slot; sound crosses the formation within the guard."""
     spec = parts.spec
     section = spec.network.acoustic
     if section is None:
@@ -87,8 +87,8 @@ def talking(parts: Parts, report: Report) -> None:
     except DataFileError:
         return  # reported already
     codec, size = spec.network.payload, SIZES[spec.network.payload]
-    ours = any(choice.agent is None for _, choice in parts.choices())
-    if ours and size > modem.mtu:
+    built_in = any(choice.agent is None for _, choice in parts.choices())
+    if built_in and size > modem.mtu:
         compact = SIZES["compact"]
         hint = f"network.payload: compact has {compact} bytes" if codec == "full" and compact <= modem.mtu else ""
         report.add(
@@ -97,7 +97,7 @@ def talking(parts: Parts, report: Report) -> None:
         return
     if section.mac != "tdma" or section.slot is None:
         return
-    airtime, guard = modem.airtime_ns(size) if ours else modem.airtime_ns(0), guard_ns(section)
+    airtime, guard = modem.airtime_ns(size) if built_in else modem.airtime_ns(0), guard_ns(section)
     if airtime + guard > section.slot:
         text = (
             f"{show_time(section.slot)} are too short: {size} bytes are {airtime / 1e9:g} s on the air, "

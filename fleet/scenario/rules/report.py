@@ -88,11 +88,11 @@ class Report:
         """`path` with its vehicle numbers as the file writes them, spaces included."""
         if len(path) < 2 or path[0] != "per_vehicle" or path[1] in self.keys("per_vehicle"):
             return path
-        text = next((text for text in self.keys("per_vehicle") if _packed(text) == path[1]), path[1])
+        text = next((text for text in self.keys("per_vehicle") if packed(text) == path[1]), path[1])
         return (path[0], text, *path[2:])
 
 
-def _packed(numbers: str) -> str:
+def packed(numbers: str) -> str:
     """Vehicle numbers as the schema keeps them."""
     return "".join(numbers.split())
 

@@ -1,1 +1,1 @@
-"""What a scenario may say: its sections, keys, units and defaults."""
+"""The sections of a scenario: their keys, units and defaults."""

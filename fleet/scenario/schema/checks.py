@@ -1,4 +1,4 @@
-"""What must hold for a run to pass."""
+"""The checks that a run must pass."""
 
 from __future__ import annotations
 
@@ -19,6 +19,8 @@ class Below(Section):
 
 
 class AtMost(Section):
+    """A count stays within a limit."""
+
     at_most: Count
 
 
@@ -26,7 +28,7 @@ WAIVED = "waived"
 
 
 class Standing(AtMost):
-    """A check that stands in every scenario, with at most 0, unless it says more here or `waived`."""
+    """A check that every scenario has, with at most 0, unless the file gives another limit or waives it."""
 
     at_most: Count = 0
     waived: bool = False  # `tumbled: waived` in the file
@@ -49,14 +51,14 @@ def _show_standing(check: Standing | None) -> Any:
 
 
 class MaxAge(Section):
-    """The age of what was heard last stays below a limit on some links, from a time to the end."""
+    """The age of the last message that was delivered stays below a limit on some links, from a time to the end."""
 
     below: Period
     after: Time = 0
     links: LinkSelector = "*"
 
 
-EVERY = "every"  # in place of a fault's id: each that ends before the run does
+EVERY = "every"  # in place of a fault's id: each fault that ends before the run
 
 
 class Recovery(Section):
@@ -73,7 +75,7 @@ class Recovery(Section):
 
 
 class MinSeparation(Section):
-    """No two vehicles, of all or of those named, come nearer to each other, from a time to the end."""
+    """The distance of any two vehicles, of all or of those named, stays above a limit from a time to the end."""
 
     above: PositiveLength
     after: Time = 0
@@ -81,15 +83,15 @@ class MinSeparation(Section):
 
 
 class Connected(Section):
-    """What is delivered within every window of some length connects each vehicle with the reference."""
+    """The messages delivered within every window of some length connect each vehicle with the reference."""
 
     window: Period
     after: Time = 0  # when the first window begins
-    vehicles: VehicleNumbers | None = None  # who must be reached
+    vehicles: VehicleNumbers | None = None  # the vehicles that must be connected; all
 
 
 def _recoveries(value: Any) -> Any:
-    """One may be given without the list."""
+    """A single check may be given without the list."""
     if isinstance(value, dict):
         return [value]
     return None if value == [] else value
@@ -101,7 +103,7 @@ def _show_recoveries(recoveries: list[Recovery] | None) -> Any:
 
 
 class ChecksSection(Section):
-    """What decides whether a run passes; `tumbled` and `deaths` also where nothing is said of them."""
+    """The checks that decide whether a run passes; `tumbled` and `deaths` are checked by default."""
 
     formation_error: Below | None = None  # |eta_i - eta_i^d|
     consensus_error: Below | None = None  # |e_i| from true positions

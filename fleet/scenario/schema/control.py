@@ -25,7 +25,7 @@ from fleet.scenario.schema.vehicle import ModelErrorSection, VehicleSection
 
 
 class LawSection(Section):
-    """A law by name, `package.module:Class`, or entry point; and what a law of yours is made with."""
+    """A law by name, `package.module:Class` or entry point, and the parameters of a law of the user."""
 
     law: str
     parameters: dict[str, Any] | None = None
@@ -88,15 +88,15 @@ TrackingChoice = Annotated[TrackingSection, BeforeValidator(named)]
 
 
 class NeighboursSection(Section):
-    """How an agent estimates where a neighbour is now from what it heard last."""
+    """How an agent estimates the present state of a neighbour from its last message."""
 
     extrapolate: Extrapolation = "hold"
-    age_cap: Time = 0  # of the extrapolation; 0: none
-    drop_after: Time = 0  # without news for so long, a neighbour's weight is 0 until the next; 0: never
+    age_cap: Time = 0  # the longest extrapolation; 0: no limit
+    drop_after: Time = 0  # a neighbour that is silent for so long has weight 0 until its next message; 0: never
 
 
 class VehicleOverrides(Section):
-    """What is different about some vehicles."""
+    """The sections that may differ for some vehicles."""
 
     agent: LawChoice | None = None
     controller: LawChoice | None = None
@@ -106,5 +106,5 @@ class VehicleOverrides(Section):
     neighbours: NeighboursSection | None = None
     vehicle: VehicleSection | None = None
     model_error: ModelErrorSection | None = None
-    external: bool | None = None  # somebody else starts its agent, `fleet agent --join` or one of another make
+    external: bool | None = None  # the run does not start its agent
     knows_reference: bool | None = None

@@ -1,4 +1,4 @@
-"""Faults at given times, and those that a nemesis draws."""
+"""Faults at given times, and faults that a nemesis draws."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class SensorBias(Section):
 
 
 class Efficiency(Section):
-    """What is left of what the actuators should do."""
+    """The share of each command that the actuators still produce."""
 
     vehicles: VehicleNumbers | None = None
     surge: Ratio = 1.0
@@ -56,7 +56,7 @@ class Efficiency(Section):
 
 
 class Saturation(Section):
-    """Smaller limits."""
+    """Smaller limits of the actuators."""
 
     vehicles: VehicleNumbers | None = None
     surge_force: Force | None = None
@@ -74,21 +74,21 @@ class Wrench(Section):
 
 
 class Dropout(Section):
-    """Every so often the navigation sensor has nothing new, and reports what it did before."""
+    """The navigation sensor repeats its last measurement, with this probability at each tick."""
 
     vehicles: VehicleNumbers | None = None
     probability: Probability
 
 
 class Slow(Section):
-    """What an agent decides and sends is late."""
+    """The commands and the messages of an agent are late."""
 
     vehicles: VehicleNumbers | None = None
     by: Ticks
 
 
 class Gust(Section):
-    """A current that rises to a velocity and falls again, for everybody."""
+    """A current that rises to a velocity and falls again, for all vehicles."""
 
     velocity: Velocity
     over: Period
@@ -110,7 +110,7 @@ class FaultAction(Section):
     up: LinkSelector | None = None  # the end of every down, and of the links' own
     partition: str | None = None  # "1,2 / 3,4", or halves, one, majority, ring, bridge, isolate:3
     mute: VehicleNumbers | None = None  # sends nothing
-    deaf: VehicleNumbers | None = None  # hears nothing
+    deaf: VehicleNumbers | None = None  # receives nothing
     slow: Slow | None = None
     kill: VehicleNumbers | None = None  # the agent ends; the vehicle drifts until it is restarted
     pause: VehicleNumbers | None = None  # the agent is suspended; the vehicle holds its last command
@@ -122,7 +122,7 @@ class FaultAction(Section):
     saturate: Saturation | None = None
     off: VehicleNumbers | None = None  # no force, no moments
     stuck: VehicleNumbers | None = None  # those of the tick at which it began
-    current: Current | None = None  # on top of the sea's own, for everybody
+    current: Current | None = None  # in addition to the sea's own, for all vehicles
     gust: Gust | None = None
     wrench: Wrench | None = None
 
@@ -165,7 +165,7 @@ def _pick(value: Any) -> Any:
 
 
 class NemesisSection(Section):
-    """Faults at random, from the seed: every so often one of those to pick from, each for a while."""
+    """Random faults from the seed: one of `pick` in every period `every`, each for the time `for`."""
 
     every: Period
     for_: Annotated[Period, Field(alias="for")]

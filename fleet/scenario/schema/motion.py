@@ -1,4 +1,4 @@
-"""Where the fleet goes: reference, formation, graph and initial states."""
+"""Reference, formation, graph and initial states."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from fleet.scenario.schema.value_types import (
 
 
 class ReferenceSection(Section):
-    """The trajectory that the fleet follows, the paper's eta_1^d(t); `shapes` says which keys a shape takes."""
+    """The trajectory that the fleet follows, the paper's eta_1^d(t); `shapes` lists the keys of each shape."""
 
     shape: Literal["line", "circle", "helix", "lawn-mower", "waypoints"] | None = None  # line
     start: Position | None = None  # NED: north, east, down
@@ -51,7 +51,7 @@ class ReferenceSection(Section):
 
 
 class FormationShape(Section):
-    """Where each vehicle belongs: explicit `offsets`, or a named `shape`."""
+    """The place of each vehicle in the formation: explicit `offsets`, or a named `shape`."""
 
     offsets: list[Position] | None = None  # p_1, p_2, ...; Delta_ij = p_i - p_j
     shape: Literal["line", "column", "wedge", "circle", "grid"] | None = None
@@ -60,14 +60,14 @@ class FormationShape(Section):
 
 
 class FormationChange(FormationShape):
-    """A new formation, taken up smoothly."""
+    """A new formation, which the vehicles take up smoothly in the time `over`."""
 
     at: Time
     over: Period
 
 
 class FormationSection(FormationShape):
-    """Where each vehicle belongs, relative to the reference, and how that changes."""
+    """The place of each vehicle relative to the reference, and how it changes."""
 
     changes: list[FormationChange] | None = None
 
@@ -102,25 +102,25 @@ class _Followers:
 
 
 class StandbySection(Section):
-    """Vehicles that follow the reference themselves while none of those they hear that follow it has been heard."""
+    """Vehicles that follow the reference themselves while those of their neighbours that follow it are silent."""
 
     vehicles: VehicleNumbers
-    after: Period  # for so long
+    after: Period  # of silence
 
 
 class GraphSection(Section):
-    """Who hears whom: `edges`, or a named `shape`; and who follows the reference itself."""
+    """The communication graph, as `edges` or as a named `shape`; and the vehicles that follow the reference."""
 
     shape: Literal["path", "ring", "star", "complete", "nearest", "random"] | None = None
     ahead: PositiveNumber | None = None  # path, ring: a_(i,i-1); 1
     behind: PositiveNumber | None = None  # path, ring: a_(i,i+1); 1
     weight: PositiveNumber | None = None  # the other shapes: every a_ij; 1
-    hub: Annotated[int, Field(ge=1)] | None = None  # star: who hears all and is heard by all; 1
-    count: Annotated[int, Field(ge=1)] | None = None  # nearest: how many each vehicle hears; 2
+    hub: Annotated[int, Field(ge=1)] | None = None  # star: the vehicle that is linked with all others; 1
+    count: Annotated[int, Field(ge=1)] | None = None  # nearest: how many others each vehicle receives from; 2
     probability: Probability | None = None  # random: of each pair beyond the tree that connects all; 20 %
-    edges: dict[str, PositiveNumber] | None = None  # "1->2": a_21, vehicle 2 hears vehicle 1
-    reference: Annotated[list[int] | Literal["all"], _Followers()] = "all"  # who has b_i = 1; the others have 0
-    standby: StandbySection | None = None  # who gets b_i = 1 when those are silent
+    edges: dict[str, PositiveNumber] | None = None  # "1->2": a_21, vehicle 2 receives from vehicle 1
+    reference: Annotated[list[int] | Literal["all"], _Followers()] = "all"  # those with b_i = 1; the others have 0
+    standby: StandbySection | None = None  # the vehicles that get b_i = 1 when those are silent
 
 
 class InitialState(Section):
@@ -139,8 +139,8 @@ class InitialState(Section):
 class Scatter(Section):
     """Every vehicle near its place: x and y uniform within the scatter, z below the place by at most it.
 
-    `around` the origin the place is the vehicle's offset p_i; around the reference it is where the vehicle should be
-    at t = 0, with the reference's course.
+    With `around: origin` the place is the vehicle's offset p_i; with `around: reference` it is the vehicle's place in
+    the formation at t = 0, with the course of the reference.
     """
 
     scatter: Length
@@ -149,6 +149,7 @@ class Scatter(Section):
 
 
 def read_initial(value: Any) -> Any:
+    """The model's form of what the file has: a list of states, or a scatter."""
     if isinstance(value, list):
         return {"vehicles": value}
     if isinstance(value, dict):
@@ -164,6 +165,7 @@ class InitialSection(Section):
 
 
 def show_initial(initial: InitialSection) -> Any:
+    """The file's form of the initial states: a list or a scatter."""
     entries = initial.vehicles if initial.vehicles is not None else initial.scatter
     if entries is None:
         return None

@@ -32,7 +32,7 @@ from netem.grammar import print_condition
 
 
 class WaterSection(Section):
-    """What the speed of sound follows from."""
+    """The properties of water from which the speed of sound follows."""
 
     temperature: Temperature
     salinity: Salinity = 35.0  # ppt
@@ -40,7 +40,7 @@ class WaterSection(Section):
 
 
 class AcousticSection(Section):
-    """The acoustic channel: a modem, shipped or a TOML file, and what differs from it; when each talks; the water."""
+    """The acoustic channel: a modem (shipped, or a TOML file) and changes of its numbers; medium access; the water."""
 
     modem: str = "s2c"
     bit_rate: BitRate | None = None
@@ -56,7 +56,7 @@ class AcousticSection(Section):
     clear_above: Level | None = None
     capture: Level | None = None
     mac: Literal["aloha", "tdma"] = "aloha"
-    backoff: Time | None = None  # aloha: the largest; what makes pure ALOHA carry most
+    backoff: Time | None = None  # aloha: the largest; by default that of the highest throughput
     slot: Period | None = None  # tdma
     guard: Time | None = None  # tdma; 100 ms
     buffer: Annotated[int, Field(ge=1, le=1000)] = 1  # payloads that wait
@@ -68,7 +68,7 @@ class AcousticSection(Section):
 
 
 def _acoustic(value: Any) -> Any:
-    """A modem may be given by its name alone; with nothing at all everything is as it comes."""
+    """A modem may be given by its name alone, and an empty section has all defaults."""
     return {"modem": value} if isinstance(value, str) else {} if value is None else value
 
 
@@ -79,10 +79,11 @@ class NetworkSection(Section):
     period: Period = 100_000_000  # one round: every agent sends once per period
     links: dict[LinkSelector, LinkCondition] = {}  # the last that matches a link wins
     acoustic: Annotated[AcousticSection | None, BeforeValidator(_acoustic)] = None  # in the water
-    payload: Codec = "full"  # how our own agents write what they tell each other
+    payload: Codec = "full"  # the encoding of the messages between built-in agents
 
 
 def read_network(value: Any) -> Any:
+    """The model's form of the section, which may be one word in the file."""
     if value == "ideal":
         return {"ideal": True}
     if value == "acoustic":
@@ -95,6 +96,7 @@ def read_network(value: Any) -> Any:
 
 
 def show_network(network: NetworkSection) -> Any:
+    """The file's form of the section."""
     if network.ideal:
         return "ideal"
     links = {selector: print_condition(condition) for selector, condition in network.links.items()}

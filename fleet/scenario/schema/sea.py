@@ -34,6 +34,8 @@ Current = Annotated[CurrentSection, BeforeValidator(_current), PlainSerializer(_
 
 
 class SeaSection(Section):
+    """The forces of the sea on every vehicle."""
+
     disturbance: Literal["none", "paper"] = "none"
     current: Current = CurrentSection()
 

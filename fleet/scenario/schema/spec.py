@@ -1,7 +1,7 @@
-"""What a scenario file may say: every key, its meaning, its unit, its default.
+"""The schema of a scenario file: every key, its meaning, its unit, its default.
 
-The models hold validated values in SI units (times: integer ns) and print themselves with units. What needs
-two keys at once is checked in `fleet.scenario.rules.apply`.
+The models hold validated values in SI units (times: integer ns) and print themselves with units. The rules that
+concern several keys at once are in `fleet.scenario.rules`.
 """
 
 from __future__ import annotations
@@ -77,7 +77,7 @@ class ScenarioSpec(Section):
     duration: Period
     tick: Period = 10_000_000  # the control period Ts
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 1
-    on_death: Literal["continue", "restart", "abort"] = "continue"  # when an agent ends that nobody was to kill
+    on_death: Literal["continue", "restart", "abort"] = "continue"  # when an agent ends that no fault kills
     stall_timeout: Period = 30_000_000_000  # wall time without progress that ends the run
     reference: ReferenceSection
     formation: FormationSection
@@ -87,7 +87,7 @@ class ScenarioSpec(Section):
     sea: SeaSection = SeaSection()
     sensors: SensorsSection = SensorsSection()
     model_error: ModelErrorSection = ModelErrorSection()
-    external: bool | None = None  # true: every agent is started by somebody else
+    external: bool | None = None  # true: the run starts no agent
     knows_reference: bool | None = None  # false: only those in graph.reference and graph.standby know it
     agent: LawChoice | None = None  # in place of controller, guidance and tracking
     controller: LawChoice = LawSection(law="nboc")
@@ -95,7 +95,7 @@ class ScenarioSpec(Section):
     guidance: GuidanceChoice = GuidanceSection()
     tracking: TrackingChoice = TrackingSection()
     on_controller_error: OnError = "abort"
-    controller_budget: Time = 0  # wall time that a law of yours may take for a sample; 0: any
+    controller_budget: Time = 0  # wall time that a law of the user may take for a sample; 0: any
     neighbours: NeighboursSection = NeighboursSection()
     per_vehicle: dict[VehicleNumbers, VehicleOverrides] = {}  # "3" or "2-4, 7"; later ones over earlier ones
     network: Annotated[NetworkSection, BeforeValidator(read_network), PlainSerializer(show_network)]

@@ -1,6 +1,6 @@
 """The kinds of value that a scenario's keys take: how each is read from text, bounded, and printed back.
 
-Each kind is an `Annotated` type, so that a model of `fleet.scenario.schema` says unit and bound beside the key, and
+Each kind is an `Annotated` type, so that a model of `fleet.scenario.schema` has unit and bound beside the key, and
 pydantic's errors arrive with the words and the column of the text at fault.
 """
 
@@ -21,8 +21,7 @@ from netem.condition import Condition
 from netem.errors import TextError
 from netem.grammar import parse_condition, print_condition
 from netem.selectors import parse_selector
-
-Vec3 = q.Vec3
+from world.vectors import Vec3
 
 
 def mistake(message: str, column: int = 0, hint: str = "") -> PydanticCustomError:
@@ -78,13 +77,13 @@ def _condition(value: Any) -> Condition:
     )
 
 
-def _within(dimension: q.Dimension, low: float, high: float, said: str) -> Callable[[Any], float]:
-    """A reader of numbers between two, which are `said` in its error."""
+def _within(dimension: q.Dimension, low: float, high: float, limits: str) -> Callable[[Any], float]:
+    """A reader of numbers from `low` to `high`; `limits` are these two in the words of its error."""
 
     def read(value: Any) -> float:
         number = q.scalar(value, dimension)
         if not low <= number <= high:
-            raise q.QuantityError(f"must be between {said}, got {q.describe_value(value)}")
+            raise q.QuantityError(f"must be between {limits}, got {q.describe_value(value)}")
         return number
 
     return read

@@ -1,1 +1,1 @@
-"""What each section means: trajectories, links, laws and faults computed from what it says."""
+"""The meaning of each section: trajectories, links, laws and faults computed from its values."""

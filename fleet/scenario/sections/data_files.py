@@ -35,12 +35,12 @@ def find(kind: str, name: str, package: str, folder: Path | None) -> tuple[bytes
     Raises:
         DataFileError: there is none, or it cannot be read.
     """
-    ours = shipped(package)
-    if name in ours:
+    known = shipped(package)
+    if name in known:
         return (resources.files(package) / f"{name}.toml").read_bytes(), name
     if not name.endswith(".toml"):
-        hint = nearest(name, ours) or "a file ends in .toml"
-        raise DataFileError(kind, name, [f"there is no such {kind}; there are {', '.join(ours)} ({hint})"])
+        hint = nearest(name, known) or "a file ends in .toml"
+        raise DataFileError(kind, name, [f"there is no such {kind}; there are {', '.join(known)} ({hint})"])
     places = [folder / name] if folder is not None else []
     for path in [*places, Path(name)]:
         try:
@@ -66,7 +66,7 @@ def read(kind: str, data: bytes, name: str) -> dict[str, Any]:
 
 
 def table(values: dict[str, Any], section: str, known: dict[str, q.Dimension], problems: list[str]) -> dict[str, float]:
-    """The numbers of a section in SI units; whatever is not right becomes a line in `problems`."""
+    """The numbers of a section in SI units; a line for each mistake is appended to `problems`."""
     entries = values.get(section)
     if not isinstance(entries, dict):
         problems.append(f"there is no [{section}]")
@@ -74,7 +74,7 @@ def table(values: dict[str, Any], section: str, known: dict[str, q.Dimension], p
     for key in [key for key in entries if key not in known]:
         hint = nearest(key, known)
         problems.append(f"unknown {section}.{key}" + (f" ({hint})" if hint else ""))
-    found = {}
+    numbers = {}
     for key, dimension in known.items():
         entry = entries.get(key)
         if entry is None:
@@ -91,7 +91,7 @@ def table(values: dict[str, Any], section: str, known: dict[str, q.Dimension], p
             problems.append(f"{section}.{key}: say where the number comes from")
             continue
         try:
-            found[key] = q.scalar(f"{number!r} {unit}", dimension)
+            numbers[key] = q.scalar(f"{number!r} {unit}", dimension)
         except q.QuantityError as error:
             problems.append(f"{section}.{key}: {error.message}")
-    return found
+    return numbers

@@ -1,8 +1,8 @@
-"""Who hears whom: the directed communication graph and its weights.
+"""The directed communication graph and its weights.
 
 | symbol | meaning | unit |
 |---|---|---|
-| a_ij | weight that vehicle i gives to what it hears from j; the link (j, i) exists iff a_ij > 0 | 1 |
+| a_ij | weight that vehicle i gives to the state received from j; the link (j, i) exists iff a_ij > 0 | 1 |
 | b_i | weight that vehicle i gives to its own reference | 1 |
 """
 
@@ -33,12 +33,12 @@ class Graph:
         return tuple(self.weights)
 
     def neighbours(self, i: int) -> tuple[tuple[int, float], ...]:
-        """The vehicles that i hears, in order, with a_ij."""
+        """The vehicles from which i receives, in order, with a_ij."""
         return tuple((src, weight) for (src, dst), weight in self.weights.items() if dst == i)
 
 
 def parse_edge(text: str) -> Link | None:
-    """`1->2` is the link (1, 2), by which vehicle 2 hears vehicle 1; None if the text is no link."""
+    """`1->2` is the link (1, 2), from vehicle 1 to vehicle 2; None if the text is no link."""
     match = _EDGE.fullmatch(text)
     return (int(match[1]), int(match[2])) if match else None
 

@@ -8,7 +8,7 @@ bit_rate = { value = 400, unit = "bit/s", source = "data sheet, 2024, p. 2" }
 ...
 ```
 
-`netem.modem.Modem` says what each number means; `netem/modems` holds those that ship.
+`netem.modem.Modem` documents each number; `netem/modems` has the shipped files.
 """
 
 from __future__ import annotations
@@ -99,13 +99,13 @@ def modem_of(numbers: Mapping[str, float]) -> Modem:
 
 def modem_problems(numbers: Mapping[str, float]) -> list[str]:
     """A line for each number that no modem can have."""
-    found = []
+    problems = []
     for key, (low, high) in BOUNDS.items():
         if not low <= numbers[key] <= high:
             unit = next(unit for unit, size in NUMBERS[key].units.items() if size == 1)
-            found.append(f"{key} must be between {low:g} and {high:g} {unit}, is {numbers[key]:g}")
+            problems.append(f"{key} must be between {low:g} and {high:g} {unit}, is {numbers[key]:g}")
     if numbers["mtu"] != int(numbers["mtu"]):
-        found.append(f"mtu must be a whole number of bytes, is {numbers['mtu']:g}")
+        problems.append(f"mtu must be a whole number of bytes, is {numbers['mtu']:g}")
     if numbers["lost_below"] > numbers["clear_above"]:
-        found.append(f"lost_below {numbers['lost_below']:g} dB is above clear_above {numbers['clear_above']:g} dB")
-    return found
+        problems.append(f"lost_below {numbers['lost_below']:g} dB is above clear_above {numbers['clear_above']:g} dB")
+    return problems

@@ -105,17 +105,17 @@ def plan(spec: ScenarioSpec, links: Sequence[Link]) -> Plan:
     Raises:
         PartitionError: a partition cannot be made.
     """
-    found: list[Part] = []
+    all_parts: list[Part] = []
     events: list[Event] = []
     last = spec.duration // spec.tick
     for number, section in enumerate(spec.faults, start=1):
         name = section.id or f"f{number}"
         if section.at // spec.tick < last:  # beyond it: a run cut short with --duration; `fleet check` warns
-            found += (of_this := parts(section, name, spec, links))
+            all_parts += (of_this := parts(section, name, spec, links))
             events += begin_and_end(of_this, section, last)
-    found.sort(key=lambda part: part.begin)
+    all_parts.sort(key=lambda part: part.begin)
     events.sort(key=event_order)
-    return Plan(tuple(found), tuple(events))
+    return Plan(tuple(all_parts), tuple(events))
 
 
 def event_order(event: Event) -> tuple[int, bool, str]:
@@ -155,10 +155,10 @@ def parts(section: FaultSection, name: str, spec: ScenarioSpec, links: Sequence[
             return [NetFault(name, begin, end, kind, vehicles=who)]
         case "slow":
             assert section.slow is not None
-            everybody = who or tuple(range(1, spec.vehicles + 1))
+            vehicles = who or tuple(range(1, spec.vehicles + 1))
             late = section.slow.by
             return [
-                NetFault(name, begin, end, kind, vehicles=everybody, ticks=late),
+                NetFault(name, begin, end, kind, vehicles=vehicles, ticks=late),
                 WorldFault(name, begin, end, kind, who, (float(late),)),
             ]
         case "kill":

@@ -105,6 +105,6 @@ def parse_vehicle(data: bytes, name: str, *, shipped: bool = False) -> Vehicle:
 
 
 def mass_problems(params: VehicleParams) -> list[str]:
-    """What makes the equations of motion unsolvable: an inertia that is not positive."""
+    """A line for each inertia that is not positive, with which the equations of motion cannot be solved."""
     names = ("m - beta_udot", "m - beta_vdot", "m - beta_wdot", "Iy - beta_qdot", "Iz - beta_rdot")
     return [f"{name} must be above 0, is {m:g}" for name, m in zip(names, params.inertia, strict=True) if m <= 0.0]

@@ -21,7 +21,7 @@ Step = tuple[str, Place]
 
 
 def override_name(override: str) -> str:
-    """What problems call the source of an override."""
+    """The name of an override in problems."""
     return f"--set {override}"
 
 
@@ -36,8 +36,8 @@ def apply(root: Mapping, overrides: Sequence[str]) -> tuple[Mapping, list[Proble
             hint = "write key.path=value, such as network.period=50ms"
             problems.append(Place(source, 1, 1).problem("not an override", hint))
             continue
-        value, found = read(source, start=len(path) + 1)
-        problems += found
+        value, mistakes = read(source, start=len(path) + 1)
+        problems += mistakes
         if value is None:
             continue
         if path == "vehicles":
@@ -56,7 +56,7 @@ def apply(root: Mapping, overrides: Sequence[str]) -> tuple[Mapping, list[Proble
 
 
 class _UnreachableError(Exception):
-    """A path that leads through something that is no mapping or list."""
+    """A path that leads through a value that is neither a mapping nor a list."""
 
     def __init__(self, problem: Problem) -> None:
         super().__init__(problem.message)

@@ -1,4 +1,4 @@
-"""YAML as a tree in which every key and value knows where it was written.
+"""A reader of YAML: a tree in which every key and value has its place in the text.
 
 Built from libyaml's events rather than with PyYAML's loaders, for three reasons: the loaders keep no marks,
 they read YAML 1.1 (`1e-3` is text, `on` is true, `12:30` is 750, the last of two equal keys wins), and they
@@ -39,7 +39,7 @@ _WORDS |= {dot: float("nan") for dot in (".nan", ".NaN", ".NAN")}
 
 @dataclass(frozen=True)
 class Source:
-    """Where text came from: a file, or one `--set` argument. `rank` orders the sources of one scenario."""
+    """A text that is read: a file, or one `--set` argument. `rank` orders the sources of one scenario."""
 
     name: str
     text: str
@@ -110,7 +110,7 @@ Node = Scalar | Items | Mapping
 
 
 def plain(node: Node) -> Any:
-    """The values without the marks."""
+    """The values of a tree without their places."""
     if isinstance(node, Scalar):
         return node.value
     if isinstance(node, Items):

@@ -30,7 +30,7 @@ _PLAIN = re.compile(r"(?:[A-Za-z0-9]|-?[0-9.])(?:[A-Za-z0-9 ._/%^<>+-]*[A-Za-z0-
 
 
 def scenario_yaml(spec: ScenarioSpec) -> str:
-    """The text of a scenario; what its profile and its vehicle's model supply is shown as comments."""
+    """The text of a scenario; values that its profile and its vehicle's model supply are comments."""
     values = spec.model_dump(exclude_none=True, by_alias=True)
     values["per_vehicle"] = {
         numbers: overrides.model_dump(exclude_none=True, exclude_unset=True, by_alias=True)
@@ -57,11 +57,11 @@ def scenario_yaml(spec: ScenarioSpec) -> str:
 
 
 def _supplied(spec: ScenarioSpec) -> dict[str, tuple[str, dict[str, Any]]]:
-    """What sections get from elsewhere: section -> (where from, values), for vehicles with nothing of their own."""
-    found: dict[str, tuple[str, dict[str, Any]]] = {}
+    """The values that profile and model supply: section -> (origin, values), for vehicles without own entries."""
+    supplied: dict[str, tuple[str, dict[str, Any]]] = {}
     model = spec.vehicle.model or "paper"
     if set(given(spec.vehicle)) <= {"model", "tumble_pitch", *LIMITS}:
-        found["vehicle"] = f"vehicle {model}", inlined_vehicle(VehicleSection(model=model), None).model_dump()
+        supplied["vehicle"] = f"vehicle {model}", inlined_vehicle(VehicleSection(model=model), None).model_dump()
     choice = merged(spec, ())
     names = law_names(choice)
     if names is not None:
@@ -70,9 +70,9 @@ def _supplied(spec: ScenarioSpec) -> dict[str, tuple[str, dict[str, Any]]]:
         params = control(choice, spec.tick, vehicle(spec.vehicle, None))
         shown_guidance = guidance_section(params.guidance, guidance, spec.tick).model_dump()
         shown_tracking = tracking_section(params.tracking, tracking).model_dump()
-        found["guidance"] = f"{profile}, law {guidance}", shown_guidance
-        found["tracking"] = f"{profile}, law {tracking}", shown_tracking
-    return found
+        supplied["guidance"] = f"{profile}, law {guidance}", shown_guidance
+        supplied["tracking"] = f"{profile}, law {tracking}", shown_tracking
+    return supplied
 
 
 def _entry(key: str, value: Any, depth: int) -> list[str]:

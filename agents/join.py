@@ -16,7 +16,7 @@ from threading import Event, Thread
 from agents.config import AgentConfig
 from agents.controllers import BUILT_IN, laws
 from agents.errors import PluginError
-from agents.join_file import ENDPOINT, JoinError, Joining
+from agents.join_file import ENDPOINT, JoinError, JoinFile
 from agents.main import begin_life, is_realtime
 from agents.plugins.loading import admit
 from agents.plugins.trust import NOTHING, Permission, Trust
@@ -31,7 +31,7 @@ ASK_S = 10.0
 WATCH_S = 0.2  # how often to look whether the run is still there
 
 
-def serve(joining: Joining, notify: Callable[[str], None], trust: Trust = NOTHING) -> End:
+def serve(joining: JoinFile, notify: Callable[[str], None], trust: Trust = NOTHING) -> End:
     """Serve as the agent of a join file until the world ends its life.
 
     Args:
@@ -103,7 +103,7 @@ def _outcome(lost: Event, ended: SimpleQueue[End | BaseException]) -> End:
         return outcome
 
 
-def _connect(joining: Joining) -> Bus:
+def _connect(joining: JoinFile) -> Bus:
     endpoints = joining.endpoint.split(",")
     reached = [endpoint for endpoint in endpoints if _reached(endpoint)]
     for endpoint in reached:

@@ -27,7 +27,7 @@ class JoinError(AgentError):
 
 
 @dataclass(frozen=True, slots=True)
-class Joining:
+class JoinFile:
     """The content of a join file."""
 
     endpoint: str  # of the run's router, as zenoh writes it
@@ -50,7 +50,7 @@ class Joining:
         return Credentials(self.user, self.password, self.ca, self.certificate, self.key, self.lease_ms)
 
     def __repr__(self) -> str:
-        return f"Joining({self.endpoint!r}, run={self.run!r}, vehicle={self.vehicle}, password=***)"
+        return f"JoinFile({self.endpoint!r}, run={self.run!r}, vehicle={self.vehicle}, password=***)"
 
     def write(self, path: Path) -> None:
         """Make the file, or replace it as a whole; only this user can read it.
@@ -62,7 +62,7 @@ class Joining:
         write_whole(path, (json.dumps(values, indent=2) + "\n").encode())
 
     @classmethod
-    def read(cls, path: Path) -> Joining:
+    def read(cls, path: Path) -> JoinFile:
         """Read what `write` wrote.
 
         Raises:

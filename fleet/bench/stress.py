@@ -21,7 +21,7 @@ from typing import Any
 
 from rich.table import Table
 
-from agents.join_file import Joining
+from agents.join_file import JoinFile
 from fleet.bench.soak import Soak, result_of
 from netem.errors import BusError
 from netem.wire.bus import Bus
@@ -95,7 +95,7 @@ class _Flood:
         if not path.exists():
             return "the run did not wait for it"
         with _process(["agent", "--join", str(path)]):
-            joining = Joining.read(path)
+            joining = JoinFile.read(path)
             keys = Keys(joining.run)
             with suppress(BusError):
                 bus = Bus.connect(joining.endpoint, joining.credentials)

@@ -14,7 +14,7 @@ from fleet.cli.completion import scenarios
 from fleet.cli.types import Duration
 
 if TYPE_CHECKING:
-    from fleet.hosts.rendezvous import Meeting
+    from fleet.hosts.rendezvous import Rendezvous
     from fleet.scenario.scenario import Scenario
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -43,7 +43,7 @@ def hosts_options(command: F) -> F:
     return command
 
 
-def meeting(scenario: Scenario, options: dict[str, Any], *, in_process: bool) -> Meeting | None:
+def meeting(scenario: Scenario, options: dict[str, Any], *, in_process: bool) -> Rendezvous | None:
     """Where the processes meet, by the options of `hosts_options`; None if none of these options is given.
 
     Raises:

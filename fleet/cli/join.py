@@ -44,7 +44,7 @@ def agent(path: Path, trust: Trust, quiet: bool) -> None:
     import setproctitle
 
     from agents.join import serve
-    from agents.join_file import JoinError, Joining
+    from agents.join_file import JoinError, JoinFile
     from netem.wire.messages import RUN_OVER
     from netem.wire.session import quiet_zenoh
 
@@ -60,7 +60,7 @@ def agent(path: Path, trust: Trust, quiet: bool) -> None:
         tell(f"{text}; Ctrl-C leaves it")
 
     try:
-        joining = Joining.read(path)
+        joining = JoinFile.read(path)
         setproctitle.setproctitle(f"fleet agent {joining.vehicle} [{joining.scenario}]")
         quiet_zenoh()
         end = serve(joining, begun, trust)

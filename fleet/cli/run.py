@@ -148,7 +148,7 @@ def run(
         most_missed=max_missed,
         start_order=_shuffle(start_order),
         join_timeout_s=join_timeout / 1e9,
-        meeting=meeting,
+        rendezvous=meeting,
         audit=audit,
     )
     if start is not None and not quiet:

@@ -57,7 +57,7 @@ class Endpoint:
 
 
 @dataclass(frozen=True, slots=True)
-class Meeting:
+class Rendezvous:
     """How the processes of one run find each other, and what protects them on the way."""
 
     run: str | None = None  # the run's id, where a router has to know it beforehand
@@ -106,7 +106,7 @@ def listening(
     external: Sequence[int] = (),
     mutual: bool = False,
     lease_ms: int = LEASE_MS,
-) -> Meeting:
+) -> Rendezvous:
     """The run's own router also listens for other hosts.
 
     Args:
@@ -130,7 +130,7 @@ def listening(
         hosts = hosts or [_own_address() if endpoint.wildcard else endpoint.host]
         reached = ",".join(str(Endpoint("tcp", host, endpoint.port)) for host in hosts)
         warnings = () if endpoint.loopback else (IN_CLEAR.format(endpoint=endpoint),)
-        return Meeting(
+        return Rendezvous(
             listener=Listener((str(endpoint),), lease_ms), reached=reached, lease_ms=lease_ms, warnings=warnings
         )
     if certs is None:
@@ -141,7 +141,7 @@ def listening(
         hosts = (others or list(server.hosts)) if endpoint.wildcard else [endpoint.host]
     _covered(hosts, server.hosts, certs)
     roles = [agent_role(i) for i in external] if mutual else []
-    return Meeting(
+    return Rendezvous(
         listener=Listener(
             (str(endpoint),), lease_ms, server.ca, server.pair.certificate, server.pair.key, certified=frozenset(roles)
         ),
@@ -182,7 +182,7 @@ def through_router(
     external: Sequence[int] = (),
     mutual: bool = False,
     lease_ms: int = LEASE_MS,
-) -> Meeting:
+) -> Rendezvous:
     """The run's processes join a router that is there already.
 
     Args:
@@ -207,7 +207,7 @@ def through_router(
     ca = read_ca(certs) if certs else ""
     own = read_client(certs, OWN) if certs and mutual else Pair("", "")
     roles = [agent_role(i) for i in external] if mutual else []
-    return Meeting(
+    return Rendezvous(
         run=run,
         router=str(endpoint),
         credentials={

@@ -38,7 +38,7 @@ def holding_interrupts() -> Iterator[Callable[[], KeyboardInterrupt | None]]:
         yield lambda: ending(came[0]) if came else None
 
 
-class Unbroken:
+class DeferInterrupts:
     """Within `with` blocks of this object these signals wait for the block's end, which is to come soon.
 
     The blocks cost next to nothing; `guarding`, around all of them, takes the signals.

@@ -19,7 +19,7 @@ from secrets import token_hex
 import msgpack
 
 from agents import payload
-from agents.join_file import Joining
+from agents.join_file import JoinFile
 from fleet.errors import FleetError
 from fleet.processes.ports import free_port
 from fleet.protocol.emulated_fleet import EmulatedFleet
@@ -142,7 +142,9 @@ class Examination:
         i, begin = self._i, BEGIN_ROUNDS * self._m
         user = generate((i,))[agent_role(i)]
         endpoint = f"tcp/127.0.0.1:{free_port(self._port)}"
-        joining = Joining(endpoint, self._keys.run, i, user.user, user.password, PROTOCOL_VERSION, "check", LIFE, begin)
+        joining = JoinFile(
+            endpoint, self._keys.run, i, user.user, user.password, PROTOCOL_VERSION, "check", LIFE, begin
+        )
         answer = {"agent": self._config.to_values(), "incarnation": LIFE, "begin": begin, "version": PROTOCOL_VERSION}
         with tempfile.TemporaryDirectory(prefix="uuv-fleet-") as private:
             try:

@@ -26,7 +26,7 @@ import netem.process
 import world.main
 import world.process
 from fleet.errors import RunBroken, StoppedError, printable
-from fleet.hosts.rendezvous import Meeting
+from fleet.hosts.rendezvous import Rendezvous
 from fleet.processes.children import (
     FORKSERVER_LOST,
     Child,
@@ -44,9 +44,9 @@ from fleet.processes.private_folder import PrivateFolder
 from fleet.recorder.journal import Journal
 from fleet.run.clock import Clock, LiveClock
 from fleet.run.directory import RunDirectory
-from fleet.run.external_agents import Joins
+from fleet.run.external_agents import ExternalAgents
 from fleet.run.operator import Operator
-from fleet.run.supervisor import Guardian
+from fleet.run.supervisor import Supervisor
 from fleet.scenario.scenario import Scenario, frame_every
 from netem.errors import BusError, MalformedMessage, OutOfPlace
 from netem.faults import NetFault, fault_values
@@ -93,7 +93,7 @@ class Console:
         port: int | None = None,
         audit: bool = False,
         start_order: Callable[[list[str]], list[str]] | None = None,
-        meeting: Meeting | None = None,
+        rendezvous: Rendezvous | None = None,
         join_timeout_s: float = JOIN_TIMEOUT_S,
         say: Callable[[str], None] = lambda _: None,
         pace: float | None = None,
@@ -107,7 +107,7 @@ class Console:
         self._private: PrivateFolder | None = None
         self._audit = audit
         self._start_order = start_order
-        self._meeting = meeting or Meeting()
+        self._rendezvous = rendezvous or Rendezvous()
         self._events: SimpleQueue[tuple[str, Any]] = SimpleQueue()
         self._children = Children(lambda ended: self._events.put((EXIT, ended)))
         self._bus: Bus | None = None
@@ -120,10 +120,10 @@ class Console:
         self.middleware_lost = 0  # messages that zenoh lost; any makes the run invalid
         self._agent_arguments: dict[int, tuple[Any, ...]] = {}
         self._granted = 0
-        self._joins = Joins(scenario, directory, say)
+        self._external = ExternalAgents(scenario, directory, say)
         self._join_timeout_s = join_timeout_s
-        self._guardian = Guardian(
-            scenario, journal, self._children, self._joins, self.notes, lambda: self._granted, self._start_agent
+        self._supervisor = Supervisor(
+            scenario, journal, self._children, self._external, self.notes, lambda: self._granted, self._start_agent
         )
         self.operator: Operator | None = None
         self.waiting = ""  # who is being waited for, when nothing moves
@@ -138,7 +138,7 @@ class Console:
     @property
     def deaths(self) -> dict[int, list[str]]:
         """By vehicle, how agents ended that nobody told to."""
-        return self._guardian.deaths
+        return self._supervisor.deaths
 
     def serve(self, clock: Clock, progress: Callable[[], None]) -> dict[str, Any]:
         """Run to the end; returns what the processes reported when they closed.
@@ -165,16 +165,16 @@ class Console:
                 if self._bus is not None:
                     self._bus.close()
                 self._directory.connection.unlink(missing_ok=True)
-                self._joins.close()
+                self._external.close()
                 if self._private is not None:
                     self._private.close()
 
     def _start(self) -> Bus:
         scenario, keys = self._scenario, self._keys
-        meeting = self._meeting
-        credentials = meeting.credentials or generate(self._vehicles)
-        listener = meeting.listener
-        if self._port is not None and not meeting.router:
+        rendezvous = self._rendezvous
+        credentials = rendezvous.credentials or generate(self._vehicles)
+        listener = rendezvous.listener
+        if self._port is not None and not rendezvous.router:
             loopback = f"tcp/127.0.0.1:{free_port(self._port)}"
             listener = (
                 Listener((loopback,), LEASE_MS)
@@ -183,8 +183,8 @@ class Console:
             )
         allow_open_files(scenario.vehicles, strangers=PENDING if listener else 0)
         private = self._private = PrivateFolder()
-        endpoint = meeting.router or private.endpoint
-        if meeting.router:
+        endpoint = rendezvous.router or private.endpoint
+        if rendezvous.router:
             self._listen(self._visit(endpoint, credentials[CONSOLE]))
         clients = {role: c for role, c in credentials.items() if role != WORLD}
         sea = scenario.world_config, frame_every(scenario), self._pace
@@ -193,11 +193,11 @@ class Console:
             WORLD: (world.main.run, (endpoint, keys.run, clients, private.path, *sea, listener, self._audit)),
             NETEM: (netem.main.run, (endpoint, keys.run, credentials[NETEM], *network)),
         }
-        if meeting.router:
+        if rendezvous.router:
             targets[WORLD] = world.main.join, (endpoint, keys.run, credentials[WORLD], *sea)
         for i in self._vehicles:
             role = agent_role(i)
-            if i in self._joins.vehicles:
+            if i in self._external.vehicles:
                 continue
             self._agent_arguments[i] = (endpoint, keys.run, i, credentials[role])
             targets[role] = (agents.main.run, self._agent_arguments[i])
@@ -208,7 +208,7 @@ class Console:
             self._start_process(role, *_flat(targets[role]))
             if role == order[0]:
                 self._children.watch()
-            if role == WORLD and not meeting.router:
+            if role == WORLD and not rendezvous.router:
                 # Now, because an agent that finds nobody to ask for its configuration keeps asking.
                 bus = self._bus = self._join(endpoint, credentials[CONSOLE])
                 self._listen(bus)
@@ -222,8 +222,8 @@ class Console:
             }
         )
         assert self._bus is not None  # the world is among the roles
-        joining = {role: meeting.joining(role, known) for role, known in credentials.items()}
-        self._joins.open(meeting.reached or (listener.endpoints[0] if listener else endpoint), keys.run, joining)
+        joining = {role: rendezvous.joining(role, known) for role, known in credentials.items()}
+        self._external.open(rendezvous.reached or (listener.endpoints[0] if listener else endpoint), keys.run, joining)
         return self._bus
 
     def _start_process(self, role: str, *target: Any) -> None:
@@ -253,14 +253,14 @@ class Console:
         bus.subscribe(keys.note("*"), note)
         clock = {} if self._pace is None else {"clock": "real"}
         slices = {keys.cfg(i): {"agent": scenario.agent_config(i).to_values()} | clock for i in self._vehicles}
-        strangers = {keys.cfg(i): i for i in self._joins.vehicles}
+        strangers = {keys.cfg(i): i for i in self._external.vehicles}
 
         def configure(key: str, _: bytes, respond: Respond) -> None:
-            more = self._joins.answer(strangers[key]) if key in strangers else {}
+            more = self._external.answer(strangers[key]) if key in strangers else {}
             respond(msgpack.packb(more if "error" in more else slices[key] | more))
 
         bus.answer(keys.cfg("*"), configure)
-        for key, i in {keys.alive(agent_role(i)): i for i in self._joins.vehicles}.items():
+        for key, i in {keys.alive(agent_role(i)): i for i in self._external.vehicles}.items():
             bus.watch_tokens(key, partial(self._token, i))
         bus.answer(f"{keys.op}/*", lambda _, data, respond: put((OPERATION, (data, respond))))
 
@@ -303,10 +303,10 @@ class Console:
             answer = self._control(bus, WORLD, "ready")
             network = self._control(bus, NETEM, "ready")
             ready = {i for i, _ in answer.get("ready", ())}
-            for i in self._joins.awaited:
-                if i in ready and self._joins.here(i):
-                    self._joins.joined(i)
-            ready -= {*self._joins.awaited}
+            for i in self._external.awaited:
+                if i in ready and self._external.here(i):
+                    self._external.joined(i)
+            ready -= {*self._external.awaited}
             absent = [i for i in self._vehicles if i not in ready]
             unheard = {FRAME, LINKS} - self._hello
             if not absent and not unheard and network.get("round") and answer.get("grant"):
@@ -315,7 +315,7 @@ class Console:
                 missing = "agents " + ", ".join(map(str, absent)) if len(absent) < 9 else f"{len(absent)} agents"
             else:
                 missing = "netem" if not network.get("round") else ", ".join(sorted(unheard)) or "the clock's key"
-            if absent == self._joins.awaited and network.get("round") and answer.get("grant"):
+            if absent == self._external.awaited and network.get("round") and answer.get("grant"):
                 # Everyone of ours is ready, so whoever starts the others has all the time.
                 deadline = self._wait_to_join(began, progress)
             elif time.monotonic() > deadline:
@@ -333,10 +333,10 @@ class Console:
         now = time.monotonic()
         if now - since > self._join_timeout_s:
             raise RunBroken(
-                f"{self._joins.waiting().removeprefix('waiting for ').removesuffix(' to join')} did not join within "
+                f"{self._external.waiting().removeprefix('waiting for ').removesuffix(' to join')} did not join within "
                 f"{self._join_timeout_s:g} s; --join-timeout gives more time"
             )
-        self.waiting = f"{self._joins.waiting()}, {now - since:.0f} s"
+        self.waiting = f"{self._external.waiting()}, {now - since:.0f} s"
         progress()
         return now + READY_S
 
@@ -346,11 +346,11 @@ class Console:
         live = LiveClock(clock, moved)
         self.operator = self._operator(bus, live)
         self.waiting = ""
-        self._guardian.connect(self._grant, partial(self._control, bus))
+        self._supervisor.connect(self._grant, partial(self._control, bus))
         while journal.framed < clock.ticks:
-            self._guardian.tend()
+            self._supervisor.tend()
             now = time.monotonic()
-            until = min(live.until(journal.written, now), hold := self._guardian.next_restart())
+            until = min(live.until(journal.written, now), hold := self._supervisor.next_restart())
             if until > self._granted:
                 self._granted = until
                 self._grant(encode(Grant(until)))
@@ -361,7 +361,7 @@ class Console:
                 raise StoppedError
             if journal.framed != before or live.paused:
                 moved, self.waiting = now, "paused" if live.paused else ""
-            elif self._joins.awaited:
+            elif self._external.awaited:
                 self._wait_to_join(moved, progress)
                 continue
             elif now - max(moved, asked) > QUIET_S:
@@ -388,10 +388,10 @@ class Console:
             self._journal,
             clock,
             tell_netem,
-            self._guardian.end_agents,
-            self._guardian.restart_agent,
+            self._supervisor.end_agents,
+            self._supervisor.restart_agent,
             lambda: self._granted,
-            self._guardian.without_agent,
+            self._supervisor.without_agent,
             lambda: self.waiting,
             tell_world=tell_world,
         )
@@ -457,17 +457,17 @@ class Console:
             raise RunBroken(f"the link to the router at {data} has ended at {at}: closed, or silent for the lease")
         if kind == TOKEN:
             i, alive = data
-            was_here = self._joins.here(i)
-            self._joins.token(i, alive)
+            was_here = self._external.here(i)
+            self._external.token(i, alive)
             if alive:
-                self._guardian.came(i)
+                self._supervisor.came(i)
             if was_here and not alive and not self.started_s:
-                self._joins.expect(i, 0, 0)  # it left before the run began: another one may come
-            elif was_here and not alive and not self._guardian.left(i):
+                self._external.expect(i, 0, 0)  # it left before the run began: another one may come
+            elif was_here and not alive and not self._supervisor.left(i):
                 raise RunBroken(f"agent {i} (external) left at {self._seconds(self._journal.framed)}")
             return
         if kind == EXIT:
-            if self._guardian.bury(data):
+            if self._supervisor.bury(data):
                 return
             self._explain([data])
         if kind == NOTE:
@@ -492,8 +492,8 @@ class Console:
             raise RunBroken(f"a damaged message on {kind}: {error}") from error
 
     def _start_agent(self, i: int, incarnation: int, begin: int) -> None:
-        if i in self._joins.vehicles:
-            self._joins.expect(i, incarnation, begin)
+        if i in self._external.vehicles:
+            self._external.expect(i, incarnation, begin)
             return
         role = agent_role(i)
         self._start_process(role, agents.main.run, *self._agent_arguments[i], incarnation, begin)
@@ -525,7 +525,7 @@ class Console:
 
     def _who_waits(self, bus: Bus) -> str:
         """Who has not answered, in words."""
-        if starting := self._guardian.starting:
+        if starting := self._supervisor.starting:
             return "waiting for agents to start again: " + ", ".join(map(str, sorted(starting)))
         waiting = self._control(bus, WORLD, "waiting")
         network = self._control(bus, NETEM, "waiting")
@@ -541,7 +541,7 @@ class Console:
             return "waiting for the log" if self._journal.written < self._journal.framed else "waiting"
         stopped = [
             f"agent {i}"
-            + (" (external)" if i in self._joins.vehicles else _suspended(self._children.by_role[agent_role(i)]))
+            + (" (external)" if i in self._external.vehicles else _suspended(self._children.by_role[agent_role(i)]))
             for i in late[:8]
         ]
         more = f" and {len(late) - 8} more" if len(late) > 8 else ""
@@ -551,9 +551,9 @@ class Console:
         """The run is over, whatever the reason: those whom nobody ends are told."""
         with contextlib.suppress(MalformedMessage):
             sea = self._children.by_role.get(WORLD)
-            if self._joins.vehicles and self._bus is not None and sea is not None and sea.process.is_alive():
-                self._guardian.connect(self._grant, partial(self._control, self._bus))
-                self._guardian.dismiss(RUN_OVER)
+            if self._external.vehicles and self._bus is not None and sea is not None and sea.process.is_alive():
+                self._supervisor.connect(self._grant, partial(self._control, self._bus))
+                self._supervisor.dismiss(RUN_OVER)
 
     def _control(self, bus: Bus, role: str, op: str, *, timeout_s: float = 1.0, **fields: Any) -> dict[str, Any]:
         answer = bus.ask(self._keys.ctl(role), request(op, **fields), timeout_s=timeout_s)

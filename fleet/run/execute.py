@@ -18,8 +18,8 @@ from fleet.analysis import punctuality
 from fleet.analysis.punctuality import MOST_MISSED
 from fleet.analysis.verdicts import Verdict, judge, judge_expected
 from fleet.errors import RunBroken, StoppedError
-from fleet.hosts.rendezvous import Meeting
-from fleet.processes.interrupts import HungUp, Unbroken
+from fleet.hosts.rendezvous import Rendezvous
+from fleet.processes.interrupts import DeferInterrupts, HungUp
 from fleet.processes.ports import free_port
 from fleet.recorder.journal import Journal, Spell
 from fleet.recorder.snapshot import Start
@@ -77,7 +77,7 @@ class Options:
     start_order: Callable[[list[str]], list[str]] | None = None
     audit: bool = False  # tell also which messages the router refuses
     join_timeout_s: float = JOIN_TIMEOUT_S  # how long to wait for an agent that somebody else starts
-    meeting: Meeting | None = None  # how processes on several hosts meet; None: all on this one
+    rendezvous: Rendezvous | None = None  # how processes on several hosts meet; None: all on this one
 
 
 def execute(scenario: Scenario, options: Options, terminal: Terminal | None = None) -> Result:
@@ -90,12 +90,12 @@ def execute(scenario: Scenario, options: Options, terminal: Terminal | None = No
         RunBroken: the port is taken.
         ExternalError: somebody else is to start an agent, and the run is to be one process.
     """
-    whole = Unbroken()
+    whole = DeferInterrupts()
     with whole.guarding():
         return _execute(scenario, options, terminal or Terminal(stderr=True), whole)
 
 
-def _execute(scenario: Scenario, options: Options, terminal: Terminal, whole: Unbroken) -> Result:
+def _execute(scenario: Scenario, options: Options, terminal: Terminal, whole: DeferInterrupts) -> Result:
     in_process = options.in_process or scenario.ideal or options.start is not None
     if in_process:
         refuse(scenario, "a run in one process")
@@ -108,7 +108,7 @@ def _execute(scenario: Scenario, options: Options, terminal: Terminal, whole: Un
 
     directory = RunDirectory(options.out, scenario.name, scenario.seed)
     directory.write_scenario(scenario.to_yaml())
-    run = (options.meeting and options.meeting.run) or secrets.token_hex(4)
+    run = (options.rendezvous and options.rendezvous.run) or secrets.token_hex(4)
     publisher = LivePublisher(run, directory.observe, wait=options.wait) if options.publish else None
     log = LogWriter(directory.log, scenario, options.start, publisher, lockstep=options.pace is None)
     if publisher is not None:
@@ -129,7 +129,7 @@ def _execute(scenario: Scenario, options: Options, terminal: Terminal, whole: Un
             audit=options.audit,
             start_order=options.start_order,
             pace=options.pace,
-            meeting=options.meeting,
+            rendezvous=options.rendezvous,
             join_timeout_s=options.join_timeout_s,
             say=say,
         )

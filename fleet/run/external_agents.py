@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-from agents.join_file import Joining
+from agents.join_file import JoinFile
 from fleet.errors import FleetError
 from fleet.run.directory import RunDirectory
 from fleet.scenario.scenario import Scenario
@@ -43,7 +43,7 @@ def named(vehicles: Sequence[int]) -> str:
     return f"vehicles {', '.join(map(str, vehicles[:-1]))} and {vehicles[-1]} are external"
 
 
-class Joins:
+class ExternalAgents:
     """Who has joined, on the console's main thread; only `answer` is called from another."""
 
     def __init__(self, scenario: Scenario, directory: RunDirectory, say: Callable[[str], None]) -> None:
@@ -52,8 +52,8 @@ class Joins:
         """
         self.vehicles = scenario.external
         self._scenario, self._directory, self._say = scenario, directory, say
-        self._files: dict[int, Joining] = {}
-        self._awaited: dict[int, Joining] = {}
+        self._files: dict[int, JoinFile] = {}
+        self._awaited: dict[int, JoinFile] = {}
         self._here: set[int] = set()  # vehicles whose agent holds its token
 
     @property
@@ -69,7 +69,7 @@ class Joins:
         """
         for i in self.vehicles:
             known = credentials[agent_role(i)]
-            self._files[i] = Joining(endpoint, run, i, **known.to_values(), scenario=self._scenario.name)
+            self._files[i] = JoinFile(endpoint, run, i, **known.to_values(), scenario=self._scenario.name)
             self.expect(i, 0, 0)
 
     def expect(self, i: int, incarnation: int, begin: int) -> None:

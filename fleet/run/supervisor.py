@@ -18,7 +18,7 @@ import world.process
 from fleet.errors import RunBroken
 from fleet.processes.children import FORKSERVER_LOST, Children, Exit, describe_exit
 from fleet.recorder.journal import Journal
-from fleet.run.external_agents import Joins
+from fleet.run.external_agents import ExternalAgents
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.sections.timeline import MOST_RESTARTS, Kill
 from netem.lives import Absence, Lives
@@ -34,7 +34,7 @@ POLL_S = 0.02
 Ask = Callable[..., dict[str, Any]]  # (role, operation, **fields) to the answer, an empty map when there is none
 
 
-class Guardian:
+class Supervisor:
     """Tends the agents of one run. Everything happens on the console's main thread."""
 
     def __init__(
@@ -42,7 +42,7 @@ class Guardian:
         scenario: Scenario,
         journal: Journal,
         children: Children,
-        joins: Joins,
+        external: ExternalAgents,
         notes: list[str],
         granted: Callable[[], int],
         start: Callable[[int, int, int], None],
@@ -52,7 +52,7 @@ class Guardian:
         granted: ticks below it may have been started.
         start: starts an agent again, given vehicle, incarnation and first tick.
         """
-        self._scenario, self._journal, self._children, self._joins = scenario, journal, children, joins
+        self._scenario, self._journal, self._children, self._external = scenario, journal, children, external
         self._notes, self._granted, self._start = notes, granted, start
         self._vehicles = tuple(range(1, scenario.vehicles + 1))
         self._grant: Callable[[bytes], None] | None = None  # None before the first grant: no agent may end
@@ -131,7 +131,7 @@ class Guardian:
 
     def dismiss(self, reason: str) -> None:
         """Tell the external agents that are there that no nav will follow."""
-        here = [[i, self._incarnation[i], 0] for i in self._joins.vehicles if self._joins.here(i)]
+        here = [[i, self._incarnation[i], 0] for i in self._external.vehicles if self._external.here(i)]
         if here:
             self._ask(WORLD, "dismiss", agents=here, reason=reason)
 
@@ -167,9 +167,9 @@ class Guardian:
         if self.starting:
             ready = {(i, life) for i, life in self._ask(WORLD, "ready").get("ready", ())}
             for i in [i for i in self.starting if (i, self._incarnation[i]) in ready]:
-                if i not in self._joins.vehicles or self._joins.here(i):
+                if i not in self._external.vehicles or self._external.here(i):
                     del self.starting[i]
-                    self._joins.joined(i)
+                    self._external.joined(i)
         granted = self._granted()
         due = {i: gap for i in self._vehicles if (gap := self._gap(i)) is not None and gap[0] <= granted}
         alive = [i for i in due if i not in self._told_to_end | self._gone]
@@ -189,7 +189,7 @@ class Guardian:
 
     def _send_away(self, i: int, tick: int) -> None:
         """End the agent of a vehicle; one that is not ours is told, and not listened to any more."""
-        if i in self._joins.vehicles:
+        if i in self._external.vehicles:
             life = [[i, self._incarnation[i], tick]]
             self._ask(WORLD, "dismiss", agents=life, reason="it was killed by a fault of the scenario or the operator")
             self._gone.add(i)

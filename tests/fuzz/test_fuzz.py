@@ -30,7 +30,7 @@ from nowhere import Nowhere, serve
 import fleet
 from agents.agent import make_agent
 from agents.join import serve as serve_agent
-from agents.join_file import JoinError, Joining
+from agents.join_file import JoinError, JoinFile
 from agents.loop import AgentLoop
 from agents.payload import StateMessage
 from agents.payload import encode as state_payload
@@ -662,5 +662,5 @@ def test_no_join_file_crashes_an_agent(tmp_path_factory: pytest.TempPathFactory,
     path.touch(0o600)
     path.write_bytes(text.encode("utf-8", "surrogateescape"))
     with pytest.raises(JoinError) as caught:
-        serve_agent(Joining.read(path), lambda _: None)
+        serve_agent(JoinFile.read(path), lambda _: None)
     assert 0 < len(str(caught.value)) < 1000

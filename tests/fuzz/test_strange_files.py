@@ -18,7 +18,7 @@ import pytest
 from live import Stopwatch
 from repository import ROOT
 
-from agents.join_file import JoinError, Joining
+from agents.join_file import JoinError, JoinFile
 from fleet.analysis.stability import oldest_s
 from fleet.cli.main import cli
 from fleet.errors import ScenarioError
@@ -70,7 +70,7 @@ def read_all(pipe: Path) -> None:
         (lambda: load_scenario(pipe), ScenarioError),
         (lambda: load_vehicle(str(pipe)), Exception),
         (lambda: load_modem(str(pipe)), Exception),
-        (lambda: Joining.read(pipe), JoinError),
+        (lambda: JoinFile.read(pipe), JoinError),
         (lambda: read_credentials(pipe, 4), HostsError),
         (lambda: read_pem(pipe), CertsError),
     )

@@ -20,7 +20,7 @@ from waiting import wait_for
 from fleet.logs.reader import LogReader
 from fleet.processes import children
 from fleet.processes.children import Children
-from fleet.processes.interrupts import HungUp, Unbroken, holding_interrupts
+from fleet.processes.interrupts import DeferInterrupts, HungUp, holding_interrupts
 
 FLEET = [sys.executable, "-m", "fleet"]
 LONG = ["--duration", "60 s", "--speed", "5"]
@@ -139,7 +139,7 @@ def test_a_run_without_a_hang_up_outlives_its_terminal(tmp_path: Path) -> None:
 def test_a_hang_up_waits_for_the_end_of_a_write() -> None:
     before = signal.signal(signal.SIGHUP, signal.default_int_handler)
     try:
-        whole, written = Unbroken(), []
+        whole, written = DeferInterrupts(), []
 
         def write() -> None:
             with whole:

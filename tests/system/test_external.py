@@ -21,7 +21,7 @@ from live import LiveRun
 from tool import tool as op
 from waiting import wait_for
 
-from agents.join_file import JoinError, Joining
+from agents.join_file import JoinError, JoinFile
 from fleet.cli.main import cli
 from fleet.logs.reader import digest
 from fleet.run.execute import Options, execute
@@ -100,11 +100,11 @@ def test_who_joins_is_the_agent_that_would_have_been_started(tmp_path: Path) -> 
         }  # fmt: skip
         assert (values["vehicle"], values["user"], values["begin"]) == (3, "agent-3", 0)
         wrong = tmp_path / "wrong.json"
-        Joining(values["endpoint"], values["run"], 3, "agent-3", "guess").write(wrong)
+        JoinFile(values["endpoint"], values["run"], 3, "agent-3", "guess").write(wrong)
         code, said = ended(agent(wrong))
         assert (code, "does not let agent-3 in: the password is wrong" in said, said.count("\n")) == (2, True, 1), said
         kept = tmp_path / "kept.json"
-        Joining(**values).write(kept)
+        JoinFile(**values).write(kept)
         code, said = ended(agent(path))
         assert (code, said.splitlines()[-1]) == (0, "agent 3: the run is over")
         assert run.status() == 0, run.printed
@@ -208,7 +208,7 @@ def test_what_is_wrong_with_a_join_file(values: Any, mode: int, expected: str, t
         path.write_text(values if isinstance(values, str) else json.dumps(values))
         path.chmod(mode)
     with pytest.raises(JoinError) as caught:
-        Joining.read(path)
+        JoinFile.read(path)
     assert expected in str(caught.value)
     result = CliRunner().invoke(cli, ["agent"])
     assert result.exit_code == 2
@@ -224,22 +224,22 @@ def test_what_is_wrong_with_a_join_file(values: Any, mode: int, expected: str, t
 )
 def test_what_cannot_be_connected_with_is_said_before_that(key: str, value: str, expected: str, tmp_path: Path) -> None:
     path = tmp_path / "join-3.json"
-    Joining("tcp/127.0.0.1:1", "5ea", 3, "agent-3", "secret").write(path)
+    JoinFile("tcp/127.0.0.1:1", "5ea", 3, "agent-3", "secret").write(path)
     path.write_text(json.dumps(json.loads(path.read_text()) | {key: value}))
     with pytest.raises(JoinError, match=expected):
-        Joining.read(path)
+        JoinFile.read(path)
 
 
 def test_a_join_file_round_trips(tmp_path: Path) -> None:
     path = tmp_path / "join-7.json"
-    joining = Joining("tls/host:7447", "ab", 7, "agent-7", "secret", scenario="s", incarnation=2, begin=40)
+    joining = JoinFile("tls/host:7447", "ab", 7, "agent-7", "secret", scenario="s", incarnation=2, begin=40)
     joining = replace(joining, ca="-----BEGIN CERTIFICATE-----")
     joining.write(path)
     joining.write(path)  # it replaces the one that was there
     assert path.stat().st_mode & 0o777 == 0o600
-    assert Joining.read(path) == joining
+    assert JoinFile.read(path) == joining
     assert "secret" not in repr(joining)
     several = replace(joining, endpoint="tls/[::1]:7447#iface=lo,tcp/host:1")  # as zenoh writes them
     several.write(path)
-    assert Joining.read(path) == several
+    assert JoinFile.read(path) == several
     assert [entry.name for entry in tmp_path.iterdir()] == ["join-7.json"]

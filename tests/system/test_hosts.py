@@ -28,14 +28,14 @@ from live import LiveRun
 from repository import ROOT
 from waiting import wait_for
 
-from agents.join_file import Joining
+from agents.join_file import JoinFile
 from fleet.cli.hosts import meeting
 from fleet.cli.main import cli
 from fleet.hosts import certificates, router_config
 from fleet.hosts.certificates import CertsError
 from fleet.hosts.rendezvous import (
     HostsError,
-    Meeting,
+    Rendezvous,
     listening,
     parse_endpoint,
     read_credentials,
@@ -421,7 +421,7 @@ def test_who_comes_back_after_his_death_is_sent_away(tmp_path: Path) -> None:
     with LiveRun(tmp_path, "paper", *arguments) as run:
         file = tmp_path / "latest" / "join-1.json"
         wait_for(file.exists, LIMIT_S, "the join file")
-        joining, keys = Joining.read(file), Keys(Joining.read(file).run)
+        joining, keys = JoinFile.read(file), Keys(JoinFile.read(file).run)
         agent = subprocess.Popen(
             [sys.executable, "-m", "fleet", "agent", "--join", str(file)], stderr=subprocess.DEVNULL
         )
@@ -603,7 +603,7 @@ def test_nothing_that_holds_secrets_shows_them() -> None:
     secret = Credentials("u", "swordfish", key="-----KEY-----")
     values = [
         secret,
-        Meeting(credentials={agent_role(1): secret}, listener=Listener((), 1, key="-----KEY-----")),
+        Rendezvous(credentials={agent_role(1): secret}, listener=Listener((), 1, key="-----KEY-----")),
         [secret],
     ]
     assert "swordfish" not in f"{values}" and "-----KEY-----" not in f"{values}"

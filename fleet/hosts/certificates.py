@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from fleet.errors import FleetError
+from netem.private_file import ExposedFile, read_private
 from netem.whole_file import read_file, write_whole
 
 CA, SERVER = "ca", "server"
@@ -145,9 +146,7 @@ def read_client(directory: Path, who: str) -> Pair:
 
     ca_path, certificate_path, key_path = path(directory, CA), path(directory, who), path(directory, who, key=True)
     authorities = _parse(ca_path, _read(ca_path))
-    pair = Pair(_read(certificate_path), _read(key_path))
-    if key_path.stat().st_mode & 0o077:
-        raise CertsError(f"others than you may read {key_path}; make it yours alone: chmod 600 {key_path}")
+    pair = Pair(_read(certificate_path), _read(key_path, private=True))
     certificate, *between = _parse(certificate_path, pair.certificate)
     try:
         key = load_pem_private_key(pair.key.encode(), password=None)
@@ -253,9 +252,11 @@ def _again(directory: Path, agents: str = "") -> str:
     return f"fleet certs {directory} --host NAME{agents}{more}"
 
 
-def _read(file: Path) -> str:
+def _read(file: Path, *, private: bool = False) -> str:
     try:
-        return read_file(file, _MOST_BYTES).decode("ascii")
+        return (read_private if private else read_file)(file, _MOST_BYTES).decode("ascii")
+    except ExposedFile as error:
+        raise CertsError(str(error)) from None
     except FileNotFoundError:
         agents = f" --agents {who.group(1)}" if (who := re.match(r"agent-(\d+)", file.name)) else ""
         raise CertsError(f"{file} is missing; make it: {_again(file.parent, agents)}") from None

@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import contextlib
 import ipaddress
-import json
+import re
 import socket
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
+
+import msgspec
 
 from fleet.errors import FleetError
 from fleet.hosts.certificates import ALWAYS, OWN, SERVER, CertsError, Pair, host_name, read_ca, read_client, read_server
 from fleet.hosts.certificates import path as certificate_path
-from netem.whole_file import read_file
+from netem.private_file import DamagedFile, ExposedFile, parse_json, read_private
 from netem.wire.access import Credentials, Listener, agent_role, generate
 from netem.wire.keys import Keys
 
@@ -22,6 +24,7 @@ from netem.wire.keys import Keys
 # it begins, and TCP's next attempt may come as late again as the pull was long.
 LEASE_MS = 20_000
 MOST_BYTES = 1_000_000  # of a credentials file
+RUN_ID = r"^(?=.*[A-Za-z0-9])[A-Za-z0-9_-]{1,64}$"  # one piece of a key expression
 IN_CLEAR = (
     "{endpoint} is not encrypted and is for other hosts: whoever sees the traffic reads every state and can take over "
     "an agent's connection. Use it on a network that you trust, or make certificates with fleet certs and use tls/"
@@ -220,6 +223,14 @@ def through_router(
     )
 
 
+class _CredentialsFile(msgspec.Struct):
+    """What `fleet acl` writes for `fleet run`."""
+
+    run: Annotated[str, msgspec.Meta(pattern=RUN_ID)]
+    vehicles: Annotated[int, msgspec.Meta(ge=1)]
+    users: dict[str, tuple[str, str]]  # by role: user and password
+
+
 def new_credentials(run: str, vehicles: int) -> dict[str, Any]:
     """What a credentials file holds: the run's id, and user and password of every role."""
     fresh = generate(tuple(range(1, vehicles + 1)), prefix=f"{run}-", world=True)
@@ -230,24 +241,22 @@ def read_credentials(file: Path, vehicles: int) -> tuple[str, dict[str, Credenti
     """The run's id and the credentials by role.
 
     Raises:
-        HostsError: no such file, others may read it, it is damaged, or made for another number of vehicles.
+        HostsError: no such file, others can read it, it is damaged, or made for another number of vehicles.
     """
     again = "make it with fleet acl SCENARIO -o DIR"
     try:
-        mode, values = file.stat().st_mode, json.loads(read_file(file, MOST_BYTES))
-        run, made_for, users = str(values["run"]), int(values["vehicles"]), values["users"]
-        found = {role: Credentials(str(user), str(password)) for role, (user, password) in users.items()}
+        found = parse_json(read_private(file, MOST_BYTES), _CredentialsFile)
     except OSError as error:
         raise HostsError(f"{file} cannot be read: {error.strerror}; {again}") from None
-    except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError):
-        raise HostsError(f"{file} is no credentials file; {again}") from None
-    if mode & 0o077:
-        raise HostsError(f"others than you may read {file}; make it yours alone: chmod 600 {file}")
-    if made_for != vehicles:
-        raise HostsError(f"{file} was made for {made_for} vehicles, and the scenario has {vehicles}; {again}")
-    if missing := new_credentials(run, vehicles)["users"].keys() - found.keys():
+    except ExposedFile as error:
+        raise HostsError(str(error)) from None
+    except DamagedFile as error:
+        raise HostsError(f"{file} is no credentials file: {error}; {again}") from None
+    if found.vehicles != vehicles:
+        raise HostsError(f"{file} was made for {found.vehicles} vehicles, and the scenario has {vehicles}; {again}")
+    if missing := new_credentials(found.run, vehicles)["users"].keys() - found.users.keys():
         raise HostsError(f"{file} lacks {', '.join(sorted(missing))}; {again}")
-    return run, found
+    return found.run, {role: Credentials(*known) for role, known in found.users.items()}
 
 
 def run_id(text: str) -> str:
@@ -256,7 +265,7 @@ def run_id(text: str) -> str:
     Raises:
         HostsError: it cannot be.
     """
-    if not text.isascii() or not text.replace("-", "").replace("_", "").isalnum() or len(text) > 64:
+    if not re.fullmatch(RUN_ID, text):
         raise HostsError(f"--run: expected letters, digits, - and _ such as sea-trial-3, got {text!r}")
     return Keys(text).run
 

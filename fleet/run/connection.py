@@ -12,6 +12,7 @@ import msgspec
 
 from fleet.errors import FleetError
 from netem.errors import BusError
+from netem.private_file import DamagedFile, parse_json
 from netem.whole_file import read_file
 from netem.wire.access import LEASE_MS, Credentials
 from netem.wire.bus import Bus
@@ -28,8 +29,31 @@ class RemoteError(FleetError):
     status = 3
 
 
+class ConnectionFile(msgspec.Struct):
+    """What a connection file says; one that says anything else is not ours."""
+
+    scenario: str
+    pid: Annotated[int, msgspec.Meta(gt=0)]  # of the console
+    endpoint: str  # of the run's router, as zenoh writes it
+    run: Annotated[str, msgspec.Meta(pattern=r"^[\w-]+$")]  # the run's id
+    user: str
+    password: str
+    ca: str = ""  # PEM, as are the next two
+    certificate: str = ""
+    key: str = ""
+    lease_ms: Annotated[int, msgspec.Meta(gt=0)] = LEASE_MS
+
+    @classmethod
+    def read(cls, path: Path) -> ConnectionFile | None:
+        """What the file says; None: there is none of ours."""
+        try:
+            return parse_json(read_file(path, MOST_BYTES), cls)
+        except (OSError, DamagedFile):
+            return None
+
+
 @dataclass(frozen=True, slots=True)
-class Found:
+class LiveRun:
     """A live run: its directory and what its connection file says."""
 
     directory: Path
@@ -40,12 +64,12 @@ class Found:
     credentials: Credentials
 
     def __repr__(self) -> str:
-        return f"Found({self.directory}, pid {self.pid})"
+        return f"LiveRun({self.directory}, pid {self.pid})"
 
 
-def live_runs(out: Path) -> list[Found]:
+def live_runs(out: Path) -> list[LiveRun]:
     """The runs under a directory whose console lives, the newest first."""
-    found: list[tuple[float, Found]] = []
+    found: list[tuple[float, LiveRun]] = []
     for path in out.glob("*/connection.json"):
         if path.parent.is_symlink():
             continue
@@ -57,7 +81,7 @@ def live_runs(out: Path) -> list[Found]:
     return [one for _, one in sorted(found, key=lambda pair: -pair[0])]
 
 
-def find(run: Path | None, out: Path) -> Found:
+def find(run: Path | None, out: Path) -> LiveRun:
     """The run that is meant: a run directory, or the newest live one under `out`.
 
     Raises:
@@ -78,12 +102,12 @@ def find(run: Path | None, out: Path) -> Found:
     return one
 
 
-def is_live(found: Found) -> bool:
+def is_live(found: LiveRun) -> bool:
     """Whether the console of a run lives and has not finished."""
     return _read(found.directory / "connection.json") is not None
 
 
-def ask(found: Found, op: str, **fields: Any) -> dict[str, Any]:
+def ask(found: LiveRun, op: str, **fields: Any) -> dict[str, Any]:
     """The console's answer.
 
     Raises:
@@ -107,14 +131,14 @@ def ask(found: Found, op: str, **fields: Any) -> dict[str, Any]:
 
 def _forget(path: Path) -> None:
     """Remove what a console that was killed has left: it holds a password, and nobody answers any more."""
-    values = _values(path)
+    values = ConnectionFile.read(path)
     if values is not None and not Path(f"/proc/{values.pid}").exists():
         with contextlib.suppress(OSError):
             path.unlink()
 
 
-def _read(path: Path) -> Found | None:
-    values = _values(path)
+def _read(path: Path) -> LiveRun | None:
+    values = ConnectionFile.read(path)
     if values is None:
         return None
     try:
@@ -122,26 +146,4 @@ def _read(path: Path) -> Found | None:
     except (OSError, OverflowError):
         return None
     credentials = Credentials.from_values(msgspec.structs.asdict(values))
-    return Found(path.parent, values.scenario, values.pid, values.endpoint, values.run, credentials)
-
-
-class _Connection(msgspec.Struct):
-    """What a connection file says; one that says anything else is not ours."""
-
-    scenario: str
-    pid: Annotated[int, msgspec.Meta(gt=0)]
-    endpoint: str
-    run: Annotated[str, msgspec.Meta(pattern=r"^[\w-]+$")]
-    user: str
-    password: str
-    ca: str = ""
-    certificate: str = ""
-    key: str = ""
-    lease_ms: Annotated[int, msgspec.Meta(gt=0)] = LEASE_MS
-
-
-def _values(path: Path) -> _Connection | None:
-    try:
-        return msgspec.json.decode(read_file(path, MOST_BYTES), type=_Connection)
-    except (OSError, RecursionError, ValueError, msgspec.MsgspecError):
-        return None
+    return LiveRun(path.parent, values.scenario, values.pid, values.endpoint, values.run, credentials)

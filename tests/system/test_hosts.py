@@ -109,7 +109,7 @@ def _other_ca(directory: Path) -> None:
 DAMAGES: dict[str, tuple[Any, str]] = {
     "no CA": (lambda d: (d / "ca.pem").unlink(), r"ca\.pem is missing; make it: fleet certs"),
     "no key": (lambda d: (d / "server-key.pem").unlink(), r"server-key\.pem is missing"),
-    "key for all": (lambda d: (d / "server-key.pem").chmod(0o644), "others than you may read .*chmod 600"),
+    "key for all": (lambda d: (d / "server-key.pem").chmod(0o644), "can be read by others .*chmod 600"),
     "no PEM": (lambda d: (d / "server.pem").write_bytes(b"\xff\x00"), "is not PEM"),
     "no certificate": (lambda d: (d / "server.pem").write_text("x"), "holds no certificate in PEM"),
     "no private key": (lambda d: (d / "server-key.pem").write_text("x"), "holds no private key"),
@@ -276,7 +276,7 @@ def test_credentials_of_another_run_are_refused(tmp_path: Path) -> None:
     with pytest.raises(HostsError, match="made for 3 vehicles, and the scenario has 4"):
         read_credentials(tmp_path / router_config.CREDENTIALS, 4)
     (tmp_path / router_config.CREDENTIALS).chmod(0o640)
-    with pytest.raises(HostsError, match="others than you may read"):
+    with pytest.raises(HostsError, match="can be read by others"):
         read_credentials(tmp_path / router_config.CREDENTIALS, 3)
     for text in (
         "",

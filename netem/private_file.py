@@ -1,0 +1,67 @@
+"""Files with secrets, which may be damaged or readable by others: read only if private, checked as a whole."""
+
+from __future__ import annotations
+
+import os
+import re
+import stat
+from pathlib import Path
+from typing import TypeVar
+
+import msgspec
+
+from netem.errors import NetemError
+from netem.whole_file import open_file, read_bounded
+
+T = TypeVar("T")
+
+
+class ExposedFile(NetemError):
+    """A file that holds a secret and that others can read."""
+
+
+class DamagedFile(NetemError):
+    """A file that does not say what it should; the text says where, what was expected and what is there."""
+
+
+def read_private(path: Path, most: int) -> bytes:
+    """What is in a regular file of at most so many bytes that nobody but its owner can read.
+
+    Raises:
+        OSError: it is no regular file, it is larger, or it cannot be read.
+        ExposedFile: others can read it.
+    """
+    with open_file(path) as file:
+        mode = stat.S_IMODE(os.fstat(file.fileno()).st_mode)
+        data = read_bounded(file, most)
+    if mode & 0o077:
+        raise ExposedFile(
+            f"{path} holds a secret and can be read by others (mode {mode:04o}, expected 0600): chmod 600 {path}"
+        )
+    return data
+
+
+def parse_json(data: bytes, kind: type[T]) -> T:
+    """JSON as a value of a type that msgspec can check; fields that it does not have are ignored.
+
+    Raises:
+        DamagedFile: it is not JSON, or a field is missing, has another type or is out of its range.
+    """
+    try:
+        return msgspec.json.decode(data, type=kind)
+    except msgspec.ValidationError as error:
+        raise DamagedFile(_words(str(error))) from None
+    except (ValueError, RecursionError) as error:
+        raise DamagedFile(f"not JSON ({error!s:.100})") from None
+
+
+def _words(text: str) -> str:
+    """msgspec's `Expected `int`, got `str` - at `$.vehicle`` as `vehicle: expected int, got str`."""
+    if missing := re.fullmatch(r"Object missing required field `(\w+)`.*", text):
+        return f"it has no {missing[1]!r}"
+    what, _, where = text.partition(" - at `$")
+    for theirs, ours in (("Expected `object`", "expected a map"), ("Expected `array`", "expected a list")):
+        what = what.replace(theirs, ours)
+    what = what.replace("`object`", "map").replace("`array`", "list").replace("`", "")
+    place = where.removesuffix("`").removeprefix(".")
+    return f"{place}: {what[0].lower()}{what[1:]}" if place else f"{what[0].lower()}{what[1:]}"

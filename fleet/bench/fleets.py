@@ -22,7 +22,8 @@ from fleet.bench.journal import measure_recorder
 from fleet.bench.memory import sampled_pss
 from fleet.bench.network_core import SHARE, SHARE_GOAL, netem_figures
 from fleet.bench.steps import steps
-from fleet.run.execute import Options, Status, execute
+from fleet.run.execute import Status, execute
+from fleet.run.options import Options
 from fleet.scenario.loading import load_scenario
 from fleet.scenario.scenario import Scenario
 

@@ -22,7 +22,7 @@ from fleet.replay.capture import Limits, Recorder, TrafficWriter
 from fleet.replay.playback import Replay, Wishes
 from fleet.run.clock import Clock
 from fleet.run.in_process import InProcess
-from fleet.scenario.scenario import Scenario, frame_every
+from fleet.scenario.scenario import Scenario
 from fleet.scenario.sections.timeline import Event
 from fleet.terminal.keyboard import Keyboard
 from fleet.terminal.status_line import StatusLine
@@ -69,7 +69,7 @@ def measure_recorder(scenario: Scenario, say: Callable[[str], None]) -> dict[str
         say(f"N = {scenario.vehicles}: journal, written and read")
         log = LogWriter(path, scenario)
         timed = _Timed(log)
-        clock = Clock(scenario.ticks, scenario.tick_ns, scenario.round_ticks, frame_every(scenario))
+        clock = Clock.of(scenario)
         InProcess(scenario, Journal(scenario, timed)).serve(clock, lambda: None)
         log.close()
         began = time.perf_counter()

@@ -9,7 +9,7 @@ from fleet.recorder.journal import Journal
 from fleet.run.clock import Clock
 from fleet.run.in_process import InProcess
 from fleet.scenario.loading import load_scenario
-from fleet.scenario.scenario import Scenario, frame_every
+from fleet.scenario.scenario import Scenario
 from netem.config import NetemConfig
 from netem.network import Exchange, Netem
 from netem.wire.messages import Fate
@@ -72,7 +72,7 @@ def share_of_a_run(seconds: float) -> float:
     fleet = InProcess(run, Journal(run, Nowhere()))
     core = fleet.rounds.netem = Timed(run.netem_config)
     began = time.perf_counter()
-    fleet.serve(Clock(run.ticks, run.tick_ns, run.round_ticks, frame_every(run)), lambda: None)
+    fleet.serve(Clock.of(run), lambda: None)
     return core.spent_s / (time.perf_counter() - began)
 
 

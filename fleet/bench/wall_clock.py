@@ -16,7 +16,8 @@ from rich.table import Table
 
 from fleet.analysis.punctuality import MOST_MISSED, missed_share, moved_share
 from fleet.errors import FleetError
-from fleet.run.execute import Options, Result, Status, execute
+from fleet.run.execute import Result, Status, execute
+from fleet.run.options import Options
 from fleet.scenario.loading import load_scenario
 from fleet.scenario.scenario import Scenario
 
@@ -72,7 +73,7 @@ def measure(sizes: Sequence[int], speeds: Sequence[float], seconds: float, say: 
 
 
 def _on_wall_clock(folder: Path, speed: float) -> Options:
-    return Options(folder, quiet=True, pace=speed, most_missed=1.0)
+    return Options(folder, quiet=True, realtime_speed=speed, most_missed=1.0)
 
 
 def _run(scenario: Scenario, options: Options) -> Result:

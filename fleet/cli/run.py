@@ -122,7 +122,8 @@ def run(
         click.echo(loaded.to_yaml(), nl=False)
         return
     from fleet.cli.result_table import show
-    from fleet.run.execute import Options, Status, execute
+    from fleet.run.execute import Status, execute
+    from fleet.run.options import Options
 
     terminal = Terminal(stderr=True)
     if not quiet:
@@ -138,13 +139,13 @@ def run(
     options = Options(
         out,
         in_process=in_process,
-        speed=speed,
+        speed_limit=speed,
         quiet=quiet,
         publish=publish,
         wait=wait_for_subscribers,
         port=port,
         start=start,
-        pace=pace,
+        realtime_speed=pace,
         most_missed=max_missed,
         start_order=_shuffle(start_order),
         join_timeout_s=join_timeout / 1e9,

@@ -150,7 +150,8 @@ def _draw_all(
 
 def _network_check(tell: Tell) -> str:
     """A few seconds of the network case as real processes over zenoh, against the same in this process."""
-    from fleet.run.execute import Options, Status, execute
+    from fleet.run.execute import Status, execute
+    from fleet.run.options import Options
     from fleet.scenario.loading import load_scenario
 
     tell("a distributed run, to compare with the in-process one", 0.0)

@@ -1,12 +1,14 @@
 """The console's clock: how far the world may go.
 
 Grant T means that ticks < T may be started. Grants run at most a window ahead of what the log has written, so a
-slow disk slows the run and loses nothing, and with a speed at most that many times wall time.
+slow disk slows the run and loses nothing, and with a speed limit at most that many times wall time.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+
+from fleet.scenario.scenario import Scenario, frame_every
 
 WINDOW_NS = 500_000_000  # sim time; also the latency of a live action
 
@@ -22,8 +24,14 @@ class Clock:
     tick_ns: int
     round_ticks: int
     frame_every: int
-    speed: float | None = None  # sim seconds per wall second; None: as fast as it goes
-    lead_ns: int = 0  # sim time by which grants go ahead of that speed: a world on a wall clock waits for its own time
+    speed_limit: float | None = None  # sim seconds per wall second; None: as fast as it goes
+    lead_ns: int = 0  # sim time by which grants go ahead of that limit: in real time the world itself keeps the speed
+
+    @classmethod
+    def of(cls, scenario: Scenario, speed_limit: float | None = None, *, lead_ns: int = 0) -> Clock:
+        """The clock of a scenario."""
+        m = scenario.round_ticks
+        return cls(scenario.ticks, scenario.tick_ns, m, frame_every(scenario), speed_limit, lead_ns)
 
     @property
     def window(self) -> int:
@@ -35,17 +43,17 @@ class Clock:
     def until(self, written: int, wall_s: float) -> int:
         """The grant when ticks up to `written` are in the log and `wall_s` has passed since the start."""
         limit = min(written + 1 + self.window, self.ticks)
-        if self.speed is None:
+        if self.speed_limit is None:
             return limit
-        return min(limit, (int(wall_s * self.speed * 1e9) + self.lead_ns) // self.tick_ns + 1)
+        return min(limit, (int(wall_s * self.speed_limit * 1e9) + self.lead_ns) // self.tick_ns + 1)
 
 
 class LiveClock:
-    """A grant policy that an operator may pause, step and pace while it runs."""
+    """A grant policy that an operator may pause, step, slow down and speed up while it runs."""
 
     def __init__(self, clock: Clock, now: float) -> None:
         self._clock = clock
-        self._speed = clock.speed
+        self._speed_limit = clock.speed_limit
         self._origin = now, 0  # wall time and tick from which the speed counts
         self._now = now
         self._held: int | None = None  # paused at this grant
@@ -55,12 +63,13 @@ class LiveClock:
         return self._clock.ticks
 
     @property
-    def speed(self) -> float | None:
-        return self._speed
+    def speed_limit(self) -> float | None:
+        """At most so many times real time; None: no limit."""
+        return self._speed_limit
 
     @property
-    def real(self) -> bool:
-        """Whether the world goes by the wall clock itself."""
+    def realtime(self) -> bool:
+        """Whether ticks begin by the wall clock, whose speed nobody changes."""
         return self._clock.lead_ns > 0
 
     @property
@@ -76,13 +85,13 @@ class LiveClock:
     def until(self, written: int, now: float) -> int:
         """The grant when ticks up to `written` are in the log, at wall time `now` [s]."""
         self._now = now
-        limit = replace(self._clock, speed=None).until(written, 0.0)
+        limit = replace(self._clock, speed_limit=None).until(written, 0.0)
         if self._held is not None:
             return min(limit, self._held)
-        if self._speed is None:
+        if self._speed_limit is None:
             return limit
         since, tick = self._origin
-        passed = int((now - since) * self._speed * 1e9) + self._clock.lead_ns
+        passed = int((now - since) * self._speed_limit * 1e9) + self._clock.lead_ns
         return min(limit, tick + passed // self._clock.tick_ns + 1)
 
     def pause(self, granted: int) -> None:
@@ -99,13 +108,13 @@ class LiveClock:
         """Grant so many ticks and pause."""
         self._held = min(granted + ticks, self._clock.ticks)
 
-    def set_speed(self, granted: int, speed: float | None) -> None:
-        """So many times real time from now on; None: as fast as it goes."""
-        self._speed = speed
+    def set_speed_limit(self, granted: int, speed_limit: float | None) -> None:
+        """Go at most so many times real time from now on; None: as fast as it goes."""
+        self._speed_limit = speed_limit
         self._origin = self._now, granted
 
     def describe(self) -> str:
         """In words."""
         if self.paused:
             return "paused"
-        return "as fast as it goes" if self._speed is None else f"{self._speed:g} x real time"
+        return "as fast as it goes" if self._speed_limit is None else f"{self._speed_limit:g} x real time"

@@ -5,7 +5,6 @@ from __future__ import annotations
 import secrets
 import sys
 import time
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import IntEnum
 from pathlib import Path
@@ -15,23 +14,23 @@ from rich.console import Console as Terminal
 
 from agents.errors import AgentError
 from fleet.analysis import punctuality
-from fleet.analysis.punctuality import MOST_MISSED
 from fleet.analysis.verdicts import Verdict, judge, judge_expected
 from fleet.errors import RunBroken, StoppedError
-from fleet.hosts.rendezvous import Rendezvous
 from fleet.processes.interrupts import DeferInterrupts, HungUp
 from fleet.processes.ports import free_port
 from fleet.recorder.journal import Journal, Spell
-from fleet.recorder.snapshot import Start
 from fleet.recorder.writer import LogError, LogWriter
-from fleet.replay.publisher import LivePublisher, PublishError
+from fleet.replay.publisher import PublishError
 from fleet.run.clock import WINDOW_NS, Clock
-from fleet.run.console import JOIN_TIMEOUT_S, Console
+from fleet.run.console import Console
 from fleet.run.directory import RunDirectory
 from fleet.run.external_agents import ExternalError, refuse
 from fleet.run.in_process import InProcess
+from fleet.run.options import Options
 from fleet.run.progress import ProgressLine
-from fleet.scenario.scenario import Scenario, frame_every
+from fleet.run.publication import NoPublication, Publication
+from fleet.run.runner import Runner
+from fleet.scenario.scenario import Scenario
 from netem.condition import Link
 from world.errors import WorldError
 
@@ -60,28 +59,31 @@ class Result:
     values: dict[str, Any] = field(default_factory=dict)
 
 
-@dataclass(frozen=True, slots=True)
-class Options:
-    """How to run, as opposed to what: nothing here may change a byte of the log."""
+@dataclass(slots=True)
+class _Run:
+    """A run that is prepared, and what has become of it so far."""
 
-    out: Path = Path("runs")
-    in_process: bool = False
-    speed: float | None = None
-    quiet: bool = False
-    publish: bool = False
-    wait: bool = False  # with `publish`: begin when somebody listens
-    port: int | None = None
-    start: Start | None = None  # where it goes on from another run; in-process only
-    pace: float | None = None  # on a wall clock, so many times as fast as real; None: in lockstep
-    most_missed: float = MOST_MISSED  # share of its ticks that an agent may miss on a wall clock
-    start_order: Callable[[list[str]], list[str]] | None = None
-    audit: bool = False  # tell also which messages the router refuses
-    join_timeout_s: float = JOIN_TIMEOUT_S  # how long to wait for an agent that somebody else starts
-    rendezvous: Rendezvous | None = None  # how processes on several hosts meet; None: all on this one
+    scenario: Scenario
+    options: Options
+    directory: RunDirectory
+    publication: NoPublication
+    log: LogWriter
+    journal: Journal
+    runner: Runner
+    result: Result
+    in_process: bool
+    wall_s: float = 0.0  # from the first process on
+
+    @property
+    def realtime(self) -> bool:
+        return self.options.realtime_speed is not None
 
 
 def execute(scenario: Scenario, options: Options, terminal: Terminal | None = None) -> Result:
     """Run a scenario to its verdict. Only a caller's mistake raises; a run that breaks is a result.
+
+    Args:
+        terminal: where progress is shown; None: stderr.
 
     Raises:
         RunDirectoryError: the run directory cannot be made or written.
@@ -90,12 +92,20 @@ def execute(scenario: Scenario, options: Options, terminal: Terminal | None = No
         RunBroken: the port is taken.
         ExternalError: somebody else is to start an agent, and the run is to be one process.
     """
-    whole = DeferInterrupts()
-    with whole.guarding():
-        return _execute(scenario, options, terminal or Terminal(stderr=True), whole)
+    terminal = terminal or Terminal(stderr=True)
+    interrupts = DeferInterrupts()
+    with interrupts.guarding():
+        run = _prepare(scenario, options, terminal, interrupts)
+        _serve(run, terminal)
+        with interrupts:  # what there is gets written, whatever comes meanwhile
+            _settle(run)
+            _judge(run)
+            _report(run)
+    return run.result
 
 
-def _execute(scenario: Scenario, options: Options, terminal: Terminal, whole: DeferInterrupts) -> Result:
+def _prepare(scenario: Scenario, options: Options, terminal: Terminal, interrupts: DeferInterrupts) -> _Run:
+    """Make the run directory, the log and the journal; start the publisher, if there is one, and nothing else."""
     in_process = options.in_process or scenario.ideal or options.start is not None
     if in_process:
         refuse(scenario, "a run in one process")
@@ -108,48 +118,36 @@ def _execute(scenario: Scenario, options: Options, terminal: Terminal, whole: De
 
     directory = RunDirectory(options.out, scenario.name, scenario.seed)
     directory.write_scenario(scenario.to_yaml())
-    run = (options.rendezvous and options.rendezvous.run) or secrets.token_hex(4)
-    publisher = LivePublisher(run, directory.observe, wait=options.wait) if options.publish else None
-    log = LogWriter(directory.log, scenario, options.start, publisher, lockstep=options.pace is None)
-    if publisher is not None:
-        publisher.open()
-        say(f"publishing fleet/{run}/log/** at {publisher.endpoint}; how to join: {directory.observe}")
-    journal = Journal(scenario, log, whole)
-    clock = _clock(scenario, options)
-    fleet: InProcess | Console
+    number = (options.rendezvous and options.rendezvous.run) or secrets.token_hex(4)
+    publication = NoPublication()
+    if options.publish:
+        publication = Publication(number, directory.observe, say, wait=options.wait)
+    lockstep = options.realtime_speed is None
+    log = LogWriter(directory.log, scenario, options.start, publication.publisher, lockstep=lockstep)
+    publication.open()
+    journal = Journal(scenario, log, interrupts)
+    runner: Runner
     if in_process:
-        fleet = InProcess(scenario, journal, options.start)
+        runner = InProcess(scenario, journal, options.start)
     else:
-        fleet = Console(
-            scenario,
-            directory,
-            journal,
-            run=run,
-            port=options.port,
-            audit=options.audit,
-            start_order=options.start_order,
-            pace=options.pace,
-            rendezvous=options.rendezvous,
-            join_timeout_s=options.join_timeout_s,
-            say=say,
-        )
+        runner = Console(scenario, directory, journal, options, number, say)
     result = Result(Status.PASS, directory.path, "")
-    closing: dict[str, Any] = {"entered": {}, "rejected": {}}
-    began = time.monotonic()
+    return _Run(scenario, options, directory, publication, log, journal, runner, result, in_process)
+
+
+def _serve(run: _Run, terminal: Terminal) -> None:
+    """Let the fleet run to the end of the scenario, or as far as it goes."""
+    result, began = run.result, time.monotonic()
     try:
-        if publisher is not None and options.wait:
-            say("waiting for a subscriber")
-            publisher.heard()
-            began = time.monotonic()
+        run.publication.wait()
+        began = time.monotonic()
         with ProgressLine(
-            scenario, journal, terminal, quiet=options.quiet, waiting=lambda: getattr(fleet, "waiting", "")
+            run.scenario, run.journal, terminal, quiet=run.options.quiet, waiting=lambda: run.runner.waiting
         ) as progress:
-            closing = fleet.serve(clock, progress)
+            run.runner.serve(_clock(run.scenario, run.options), progress)
     except RunBroken as error:
         result.status, result.reason, result.lines = Status.BROKEN, error.reason, error.lines
-    except (AgentError, WorldError, PublishError, ExternalError) as error:
-        result.status, result.reason = Status.BROKEN, str(error)
-    except LogError as error:
+    except (AgentError, WorldError, PublishError, ExternalError, LogError) as error:
         result.status, result.reason = Status.BROKEN, str(error)
     except HungUp:
         result.status, result.reason = Status.HUNG_UP, "the terminal was closed"
@@ -158,56 +156,69 @@ def _execute(scenario: Scenario, options: Options, terminal: Terminal, whole: De
     except StoppedError:
         result.status, result.reason = Status.INTERRUPTED, "stopped by the operator"
     finally:
-        wall_s = time.monotonic() - began
-        if publisher is not None:
-            publisher.close()
-    with whole:  # what there is gets written, whatever comes meanwhile
-        _close_log(log, result)
-        for link, (sent, duplicated) in closing["entered"].items():
-            journal.ledger.enter(link, sent=sent, duplicated=duplicated)
-        journal.finish()
-        if result.status is Status.PASS:
-            result.verdicts = judge(scenario, journal, middleware_lost=fleet.middleware_lost)
-            if options.pace is not None:
-                result.verdicts.append(punctuality.verdict(closing["timing"], options.most_missed))
-            expected = judge_expected(scenario, result.verdicts)
-            if expected is not None:
-                result.verdicts.append(expected)
-            deciding = result.verdicts if expected is None else [expected]
-            if not all(verdict.passed for verdict in deciding):
-                result.status = Status.CHECK_FAILED
-            if fleet.middleware_lost:
-                result.status = Status.BROKEN
-                result.reason = f"the middleware lost {fleet.middleware_lost} messages: the run is invalid"
-        result.digest = log.digest
-        started_s = getattr(fleet, "started_s", 0.0)
-        result.values = _values(scenario, journal, log, result, fleet.middleware_lost)
-        result.values["wall"] = {
-            "in_process": in_process,
-            "startup_s": started_s,
-            "run_s": wall_s - started_s,
-            "x_real_time": max(0, journal.written) * scenario.tick_ns / 1e9 / max(1e-9, wall_s - started_s),
-        }
-        if publisher is not None:
-            result.values["published"] = {"messages": publisher.published, "dropped": publisher.dropped}
-        if options.pace is not None and (measured := closing.get("timing") or getattr(fleet, "timing", {})):
-            name, reasons = punctuality.label(measured)
-            result.values["timing"] = {"clock": "real", "speed": options.pace, "label": name, "reasons": reasons}
-            result.values["timing"] |= measured
-        result.values["rejected"] = closing["rejected"]
-        result.values["deaths"] = {str(i): how for i, how in fleet.deaths.items()}
-        result.values["notes"] = list(getattr(fleet, "notes", ()))
-        try:
-            directory.write_result(result.values)
-        except OSError as error:
-            result.lines.append(f"result.json could not be written: {error.strerror}")
-            directory.remove_result()
-    return result
+        run.wall_s = time.monotonic() - began
+        run.publication.close()
+
+
+def _settle(run: _Run) -> None:
+    """Close the log, and enter into the ledger what was still on the way."""
+    _close_log(run.log, run.result)
+    run.result.digest = run.log.digest
+    for link, (sent, duplicated) in run.runner.closing.entered.items():
+        run.journal.ledger.enter(link, sent=sent, duplicated=duplicated)
+    run.journal.finish()
+
+
+def _judge(run: _Run) -> None:
+    """Judge a run that came to its end."""
+    result, lost = run.result, run.runner.middleware_lost
+    if result.status is not Status.PASS:
+        return
+    result.verdicts = judge(run.scenario, run.journal, middleware_lost=lost)
+    if run.realtime:
+        result.verdicts.append(punctuality.verdict(run.runner.closing.timing, run.options.most_missed))
+    expected = judge_expected(run.scenario, result.verdicts)
+    if expected is not None:
+        result.verdicts.append(expected)
+    deciding = result.verdicts if expected is None else [expected]
+    if not all(verdict.passed for verdict in deciding):
+        result.status = Status.CHECK_FAILED
+    if lost:
+        result.status = Status.BROKEN
+        result.reason = f"the middleware lost {lost} messages: the run is invalid"
+
+
+def _report(run: _Run) -> None:
+    """Write result.json."""
+    runner, result, closing = run.runner, run.result, run.runner.closing
+    run_s = run.wall_s - runner.started_s
+    sim_s = max(0, run.journal.written) * run.scenario.tick_ns / 1e9
+    result.values = _values(run.scenario, run.journal, run.log, result, runner.middleware_lost)
+    result.values["wall"] = {
+        "in_process": run.in_process,
+        "startup_s": runner.started_s,
+        "run_s": run_s,
+        "x_real_time": sim_s / max(1e-9, run_s),
+    }
+    result.values |= run.publication.summary()
+    if run.realtime and closing.timing:
+        name, reasons = punctuality.label(closing.timing)
+        timing = {"clock": "real", "speed": run.options.realtime_speed, "label": name, "reasons": reasons}
+        result.values["timing"] = timing | closing.timing
+    result.values["rejected"] = closing.rejected
+    result.values["deaths"] = {str(i): how for i, how in runner.deaths.items()}
+    result.values["notes"] = list(runner.notes)
+    try:
+        run.directory.write_result(result.values)
+    except OSError as error:
+        result.lines.append(f"result.json could not be written: {error.strerror}")
+        run.directory.remove_result()
 
 
 def _clock(scenario: Scenario, options: Options) -> Clock:
-    speed, lead_ns = (options.speed, 0) if options.pace is None else (options.pace, WINDOW_NS)
-    return Clock(scenario.ticks, scenario.tick_ns, scenario.round_ticks, frame_every(scenario), speed, lead_ns)
+    if options.realtime_speed is None:
+        return Clock.of(scenario, options.speed_limit)
+    return Clock.of(scenario, options.realtime_speed, lead_ns=WINDOW_NS)
 
 
 def _close_log(log: LogWriter, result: Result) -> None:

@@ -7,9 +7,10 @@ joined (which life, from which tick on) is in its join file and in the answer to
 from __future__ import annotations
 
 import shlex
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
+
+from msgspec.structs import replace
 
 from agents.join_file import JoinFile
 from fleet.errors import FleetError
@@ -96,8 +97,13 @@ class ExternalAgents:
         """Whether the agent of vehicle i holds its token."""
         return i in self._here
 
+    def note_ready(self, ready: Iterable[int]) -> None:
+        """Record that the world heard these agents: those that hold their token have joined."""
+        for i in sorted(set(ready) & self._awaited.keys() & self._here):
+            self.joined(i)
+
     def joined(self, i: int) -> None:
-        """It is ready."""
+        """Record that the agent of vehicle i is ready."""
         if self._awaited.pop(i, None) is not None:
             self._say(f"agent {i} (external) has joined")
 
@@ -110,11 +116,11 @@ class ExternalAgents:
             return {"error": f"an agent {i} is here already"}
         return {"incarnation": awaited.incarnation, "begin": awaited.begin, "version": PROTOCOL_VERSION}
 
-    def waiting(self) -> str:
-        """Who is waited for, in words; nothing if nobody is."""
+    def absent(self) -> str:
+        """Who is waited for, in words: `agent 3 (external), agent 4 (external)`; empty: nobody."""
         names = ", ".join(f"agent {i} (external)" for i in self.awaited[:8])
         more = f" and {len(self._awaited) - 8} more" if len(self._awaited) > 8 else ""
-        return f"waiting for {names}{more} to join" if names else ""
+        return f"{names}{more}"
 
     def close(self) -> None:
         """Remove the join files."""

@@ -18,7 +18,7 @@ from fleet.recorder.metrics import VehicleError
 from fleet.recorder.snapshot import Snapshot
 from fleet.run.clock import Clock
 from fleet.run.in_process import InProcess
-from fleet.scenario.scenario import Scenario, frame_every
+from fleet.scenario.scenario import Scenario
 from fleet.scenario.sections.timeline import Event
 from netem.wire.messages import Command, Fate, Frame
 from world.errors import WorldError
@@ -107,7 +107,7 @@ def record(scenario: Scenario, progress: Callable[[float], None] = lambda _: Non
     """
     capture = _Capture(scenario)
     journal = Journal(scenario, capture)
-    clock = Clock(scenario.ticks, scenario.tick_ns, scenario.round_ticks, frame_every(scenario))
+    clock = Clock.of(scenario)
     broken = ""
     next_report = 0.0
 

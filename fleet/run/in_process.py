@@ -8,7 +8,6 @@ from __future__ import annotations
 import time
 from collections import deque
 from collections.abc import Callable, Mapping
-from typing import Any
 
 import msgpack
 
@@ -20,6 +19,8 @@ from fleet.errors import RunBroken
 from fleet.recorder.journal import Journal
 from fleet.recorder.snapshot import Start
 from fleet.run.clock import Clock
+from fleet.run.notes import note_text
+from fleet.run.runner import Closing
 from fleet.scenario.scenario import Scenario, frame_every
 from fleet.scenario.sections.timeline import MOST_RESTARTS
 from netem.errors import MalformedMessage, OutOfPlace
@@ -35,7 +36,11 @@ MakeLoop = Callable[[int, int], AgentLoop]  # (incarnation, begin) -> one life o
 
 
 class InProcess:
-    """One run; `serve` returns when it is complete."""
+    """One run: a `Runner`."""
+
+    waiting = ""  # nobody waits for anybody here
+    started_s = 0.0
+    middleware_lost = 0  # there is no middleware here
 
     def __init__(
         self,
@@ -44,7 +49,7 @@ class InProcess:
         start: Start | None = None,
         agents: Mapping[int, MakeLoop] | None = None,
     ) -> None:
-        """A run that is about to begin.
+        """Prepare a run.
 
         Args:
             start: where it goes on from another run; None: at its beginning.
@@ -56,14 +61,20 @@ class InProcess:
         self.rounds = Rounds(scenario.netem_config)
         self._loops: dict[int, AgentLoop] = {}
         self.notes: list[str] = []
-        self.deaths: dict[int, list[str]] = {}  # how agents ended that nobody told to
-        self._gone: set[tuple[int, int]] = set()  # those agents, and which life of theirs
+        self.deaths: dict[int, list[str]] = {}
+        self.closing = Closing()
+        self._dead: set[tuple[int, int]] = set()  # (vehicle, life) of agents that ended by themselves
         self._granted = 0
-        self.middleware_lost = 0  # there is no middleware here
         self._post: deque[tuple[int, int, bytes]] = deque()  # (from, to, message)
 
-    def serve(self, clock: Clock, progress: Callable[[], None]) -> dict[str, Any]:
-        """Run to the end; returns what the processes of a distributed run report when they close."""
+    def serve(self, clock: Clock, progress: Callable[[], None]) -> None:
+        """Run to the end.
+
+        Raises:
+            RunBroken: a core sent what cannot be used.
+            AgentError: an agent failed, and the scenario does not go on without it.
+            WorldError: the world failed.
+        """
         began = time.monotonic()
         scenario = self._scenario
         for i in range(1, scenario.vehicles + 1):
@@ -75,7 +86,7 @@ class InProcess:
             self._granted = max(self._granted, until)
             self._from_world(self._world.grant(until))
             if not self._post:
-                time.sleep(0.002)  # paced by --speed: nothing to do until the wall clock moves on
+                time.sleep(0.002)  # --speed: nothing to do until the wall clock moves on
             while self._post:
                 sender, receiver, data = self._post.popleft()
                 try:
@@ -83,13 +94,13 @@ class InProcess:
                 except ControllerError as error:
                     if scenario.spec.on_controller_error != "die" or scenario.spec.on_death == "abort":
                         raise
-                    self._bury(receiver, error)
+                    self._died(receiver, error)
                 except (MalformedMessage, OutOfPlace) as error:
                     who = f"agent {sender}" if sender > 0 else {WORLD: "the world", NETEM: "netem"}[sender]
                     raise RunBroken(f"{who} sent what cannot be used: {error}") from error
             progress()
         self._journal.links(self.rounds.close(self._scenario.ticks))
-        return {"entered": self.rounds.netem.entered, "rejected": {}}
+        self.closing = Closing(entered=self.rounds.netem.entered)
 
     def _resume(self, start: Start) -> None:
         snapshot = start.snapshot
@@ -116,21 +127,21 @@ class InProcess:
         )
 
     def _loop(self, i: int, incarnation: int) -> AgentLoop:
-        """Agent i, another one when that is what it is asked for."""
+        """The life `incarnation` of agent i, which is made when it is asked for."""
         if incarnation > self._loops[i].incarnation:
             begin = self._world.state.lives.gaps(i)[incarnation - 1][1]
-            assert begin is not None  # otherwise nobody would ask
+            assert begin is not None  # otherwise no message would name this life
             self._loops[i] = self._born(i, incarnation, begin)
         return self._loops[i]
 
-    def _bury(self, i: int, error: ControllerError) -> None:
-        """Agent i ended by itself, as its process would have."""
-        died = self.deaths.setdefault(i, [])
-        self.notes.append(note_text(self._scenario, error.tick, f"agent {i}", f"controller failed: {error}"))
-        restart = self._scenario.spec.on_death == "restart" and len(died) < MOST_RESTARTS
+    def _died(self, i: int, error: ControllerError) -> None:
+        """Account for an agent that ended by itself, as its process would have."""
+        deaths = self.deaths.setdefault(i, [])
+        self._note(error.tick, f"agent {i}", f"controller failed: {error}")
+        restart = self._scenario.spec.on_death == "restart" and len(deaths) < MOST_RESTARTS
         until = self._scenario.next_round(self._granted) if restart else 0
-        died.append("controller failed")
-        self._gone.add((i, self._loops[i].incarnation))
+        deaths.append("controller failed")
+        self._dead.add((i, self._loops[i].incarnation))
         if until:
             self.rounds.lives.add(Absence(i, until - 1, until))
         self._from_world(self._world.end(i, self._loops[i].incarnation, until or None))
@@ -140,7 +151,7 @@ class InProcess:
 
     def _from_world(self, outs: list[NavTo | Round | Frame]) -> None:
         for i, tick, text in self._world.state.notes:
-            self.notes.append(note_text(self._scenario, tick, f"vehicle {i}", text))
+            self._note(tick, f"vehicle {i}", text)
         self._world.state.notes.clear()
         for out in outs:
             if isinstance(out, NavTo):
@@ -152,7 +163,7 @@ class InProcess:
 
     def _deliver(self, sender: int, receiver: int, message: Message, data: bytes) -> None:
         match message:
-            case Nav() | Inbox() if (receiver, message.incarnation) in self._gone:
+            case Nav() | Inbox() if (receiver, message.incarnation) in self._dead:
                 return
             case Nav():
                 self._answer(receiver, self._loop(receiver, message.incarnation).nav(message))
@@ -178,9 +189,12 @@ class InProcess:
 
     def _answer(self, i: int, messages: list[Answer]) -> None:
         for tick, text in self._loops[i].core.take_notes():
-            self.notes.append(note_text(self._scenario, tick, f"agent {i}", text))
+            self._note(tick, f"agent {i}", text)
         for message in messages:
             self._send(i, NETEM if isinstance(message, Transmission) else WORLD, message)
+
+    def _note(self, tick: int, who: str, text: str) -> None:
+        self.notes.append(note_text(tick, self._scenario.tick_ns, who, text))
 
     def _exchange(self) -> None:
         while (outcome := self.rounds.exchange()) is not None:
@@ -188,11 +202,6 @@ class InProcess:
             for i, inbox in inboxes:
                 self._send(NETEM, i, inbox)
             self._send(NETEM, CONSOLE, report)
-
-
-def note_text(scenario: Scenario, tick: int, who: str, text: str) -> str:
-    """A note as the console and the result show it."""
-    return f"t = {max(0, tick) * scenario.tick_ns / 1e9:.2f} s (tick {max(0, tick)}) {who}: {text}"
 
 
 def _over_the_wire(config: AgentConfig) -> AgentConfig:

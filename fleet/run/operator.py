@@ -6,7 +6,7 @@ is acknowledged with that time, logged like a scripted fault, and so can be prin
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from itertools import count
 from typing import Any
@@ -16,6 +16,7 @@ from pydantic import TypeAdapter, ValidationError
 from fleet.errors import FleetError
 from fleet.recorder.journal import Journal
 from fleet.run.clock import LiveClock
+from fleet.run.fleet import Fleet
 from fleet.scenario.rules.faults import fault_problems
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.schema.faults import FaultEntry, FaultSection
@@ -39,14 +40,8 @@ class Operator:
     scenario: Scenario
     journal: Journal
     clock: LiveClock
-    tell_netem: Callable[[tuple[NetFault, ...]], bool]  # False: it did not answer
-    end_agents: Callable[[Kill], None]
-    restart_agent: Callable[[int, int, int], None]  # vehicle, without one since, tick
-    granted: Callable[[], int]
-    dead: Callable[[], list[int]]
-    waiting: Callable[[], str]
-    stopping: bool = False
-    tell_world: Callable[[tuple[WorldFault, ...]], None] = lambda _: None
+    fleet: Fleet
+    stopping: bool = False  # the operator asked for the end of the run
     faults: list[Part] = field(default_factory=list)
     _words: dict[str, str] = field(default_factory=dict)
 
@@ -89,12 +84,12 @@ class Operator:
             "delivered": total.delivered,
             "lost": sum(total.lost.values()) - total.replaced,
             "faults": [fault for fault in self._listed() if fault["active"]],
-            "dead": self.dead(),
-            "waiting": self.waiting(),
+            "dead": self.fleet.without_agent(),
+            "waiting": self.fleet.waiting,
         }
 
     def _inject(self, entry: Any) -> dict[str, Any]:
-        tick = self.granted()
+        tick = self.fleet.granted
         if tick >= self.scenario.ticks:
             raise RefusedError("the run is about to end")
         if not isinstance(entry, dict) or "at" in entry:
@@ -126,13 +121,13 @@ class Operator:
         for part in found:
             if isinstance(part, Kill):
                 self.journal.tell_deaths(part.absences)
-                self.end_agents(part)
+                self.fleet.end_agents(part)
         self._words[name] = words(section)
         for event in begin_and_end(found, section, scenario.ticks):
             self.journal.add_event(event)
 
     def _heal(self, name: Any) -> dict[str, Any]:
-        tick = self.granted()
+        tick = self.fleet.granted
         m = self.scenario.round_ticks
         round_tick = -(-tick // m) * m  # of a restart
         lasting = [part for part in self.faults if part.active(tick)]
@@ -162,41 +157,41 @@ class Operator:
         ends = {part: round_tick if isinstance(part, Kill) else tick for part in lasting if part.id in healed}
         self._replace([replace(part, end=ends[part]) if part in ends else part for part in self.faults])
         for i in restarted:
-            self.restart_agent(i, WHENEVER, round_tick)
+            self.fleet.restart_agent(i, WHENEVER, round_tick)
         for kill in kills:
             for i in kill.vehicles:
-                self.restart_agent(i, kill.begin, round_tick)
+                self.fleet.restart_agent(i, kill.begin, round_tick)
         for fault in sorted({(part.id, end) for part, end in ends.items()}):
             self.journal.end_event(*fault)
         return {"healed": sorted(healed), "at_s": self._seconds(acts)}
 
     def _replace(self, faults: Sequence[Part]) -> None:
         ordered = sorted(faults, key=lambda fault: fault.begin)
-        if not self.tell_netem(tuple(fault for fault in ordered if isinstance(fault, NetFault))):
+        if not self.fleet.set_network_faults(tuple(fault for fault in ordered if isinstance(fault, NetFault))):
             raise RefusedError("netem did not answer; nothing was changed")
-        self.tell_world(tuple(fault for fault in ordered if isinstance(fault, WorldFault)))
+        self.fleet.set_world_faults(tuple(fault for fault in ordered if isinstance(fault, WorldFault)))
         self.faults = ordered
 
     def _clock(self, request: dict[str, Any]) -> dict[str, Any]:
         match request.get("do"), request.get("value"):
             case "pause", _:
-                self.clock.pause(self.granted())
+                self.clock.pause(self.fleet.granted)
             case "resume", _:
                 self.clock.resume()
             case "step", int(count) if count > 0:
-                self.clock.step(self.granted(), count)
+                self.clock.step(self.fleet.granted, count)
                 return {"clock": self.clock.describe(), "at_s": self._seconds(self.clock.held)}
-            case "speed", _ if self.clock.real:
+            case "speed", _ if self.clock.realtime:
                 raise RefusedError("a run on a wall clock keeps the pace with which it began (fleet run --speed)")
             case "speed", (int() | float() | None) as speed if speed is None or 0 < speed <= MOST_SPEED:
-                self.clock.set_speed(self.granted(), None if speed is None else float(speed))
+                self.clock.set_speed_limit(self.fleet.granted, None if speed is None else float(speed))
             case other:
                 raise RefusedError(f"the clock knows pause, resume, step N and speed X, not {other!r}")
-        return {"clock": self.clock.describe(), "at_s": self._seconds(self.granted())}
+        return {"clock": self.clock.describe(), "at_s": self._seconds(self.fleet.granted)}
 
     def _listed(self) -> list[dict[str, Any]]:
         """Every fault there is, was or will be, as things stand at the tick that comes next."""
-        now, last = min(self.granted(), self.scenario.ticks - 1), self.scenario.ticks
+        now, last = min(self.fleet.granted, self.scenario.ticks - 1), self.scenario.ticks
         found: dict[str, dict[str, Any]] = {}
         for fault in self.faults:
             state = "active" if fault.active(now) else "over" if fault.begin < now else "to come"

@@ -1,7 +1,6 @@
-"""The care of agents' lives in a distributed run: who ended, who is to end, and who takes over.
+"""The supervisor of agents' lives in a distributed run: who ended, who is to end, and who takes over.
 
-The console hands in exits of processes and asks, between two grants, what is to be done. World and netem are told of
-every life by tick, so that all three agree on who has an agent when (`netem.lives`).
+World and netem receive every life by tick, so that all three agree on who has an agent when (`netem.lives`).
 """
 
 from __future__ import annotations
@@ -10,220 +9,217 @@ import contextlib
 import os
 import signal
 import time
-from collections.abc import Callable
-from typing import Any
 
 import agents.process
-import world.process
 from fleet.errors import RunBroken
 from fleet.processes.children import FORKSERVER_LOST, Children, Exit, describe_exit
 from fleet.recorder.journal import Journal
 from fleet.run.external_agents import ExternalAgents
+from fleet.run.fleet import Fleet
+from fleet.run.notes import Notes, tick_text
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.sections.timeline import MOST_RESTARTS, Kill
 from netem.lives import Absence, Lives
-from netem.wire.access import NETEM, agent_role
-from netem.wire.codec import encode
+from netem.wire.access import WORLD, agent_role
 from netem.wire.messages import Death, Restart
 
-WORLD = world.process.WORLD
 CONTROLLER_FAILED = agents.process.CONTROLLER_FAILED
 POLL_S = 0.02
 
 
-Ask = Callable[..., dict[str, Any]]  # (role, operation, **fields) to the answer, an empty map when there is none
-
-
 class Supervisor:
-    """Tends the agents of one run. Everything happens on the console's main thread."""
+    """Ends and restarts the agents of one run. Everything happens on the console's main thread.
+
+    An agent's lives count from 0. It is *ended* when the scenario or the operator wants its vehicle without an agent;
+    when it ends by itself, that is a *death*, and the scenario's `on_death` says what follows.
+    """
 
     def __init__(
         self,
+        fleet: Fleet,
         scenario: Scenario,
         journal: Journal,
         children: Children,
         external: ExternalAgents,
-        notes: list[str],
-        granted: Callable[[], int],
-        start: Callable[[int, int, int], None],
+        notes: Notes,
     ) -> None:
-        """Args:
-        notes: told how agents ended.
-        granted: ticks below it may have been started.
-        start: starts an agent again, given vehicle, incarnation and first tick.
-        """
-        self._scenario, self._journal, self._children, self._external = scenario, journal, children, external
-        self._notes, self._granted, self._start = notes, granted, start
+        self._fleet, self._scenario, self._journal = fleet, scenario, journal
+        self._children, self._external, self._notes = children, external, notes
         self._vehicles = tuple(range(1, scenario.vehicles + 1))
-        self._grant: Callable[[bytes], None] | None = None  # None before the first grant: no agent may end
-        self._ask: Ask = _nobody
         self._lives = Lives(scenario.faults.absences)
         self._incarnation = dict.fromkeys(self._vehicles, 0)  # of the agent that was started last
         self.starting: dict[int, int] = {}  # vehicle -> tick of the agent that was started again and is not ready
-        self._looked = 0.0
-        self._told_to_end: set[int] = set()  # vehicles whose agent, the one that was started last, is to go
-        self._gone: set[int] = set()  # and whose has gone
-        self._restarted: dict[int, int] = {}  # vehicle -> how often because of on_death
-        self.deaths: dict[int, list[str]] = {}  # how agents ended that nobody told to
-
-    def connect(self, grant: Callable[[bytes], None], ask: Ask) -> None:
-        """The run begins: `grant` puts on the key of the grants, `ask` asks world and netem."""
-        self._grant, self._ask = grant, ask
+        self._polled_s = 0.0
+        self._ending: set[int] = set()  # vehicles whose agent, the one that was started last, was asked to end
+        self._gone: set[int] = set()  # and whose has ended
+        self._restarts: dict[int, int] = {}  # vehicle -> how often because of on_death
+        self.deaths: dict[int, list[str]] = {}  # vehicle -> how its agents died
 
     def without_agent(self) -> list[int]:
         """The vehicles that have no agent now."""
         return [i for i in self._vehicles if self._lives.without_agent(i, max(0, self._journal.framed))]
 
     def end_agents(self, kill: Kill) -> None:
-        """An operator ends agents."""
+        """End agents because the operator asks for it."""
         for absence in kill.absences:
             self._lives.add(absence)
-            self._tell_world(Death(absence.vehicle, kill.begin, 0, kill.end or 0))
-        self._tell_netem()
+            self._fleet.announce(Death(absence.vehicle, kill.begin, 0, kill.end or 0))
+        self._fleet.set_absences(self._lives.absences)
 
     def restart_agent(self, i: int, begin: int, tick: int) -> None:
-        """An operator has an agent, that is missing since `begin`, begin again at a tick."""
+        """Start vehicle i's agent again at a tick because the operator asks for it.
+
+        Args:
+            begin: the tick since which it has been missing.
+        """
         self._lives.restart(i, begin, tick)
-        self._tell_world(Restart(i, begin, tick))
-        self._tell_netem()
+        self._fleet.announce(Restart(i, begin, tick))
+        self._fleet.set_absences(self._lives.absences)
 
     def next_restart(self) -> int:
-        """No tick from here on may start: somebody who begins there is not ready yet."""
+        """The first tick at which an agent begins that is not ready yet: the clock stops before it."""
         planned = [gap[1] for i in self._vehicles if (gap := self._gap(i)) is not None and gap[1] is not None]
         return min([*planned, *self.starting.values()], default=self._scenario.ticks)
 
-    def bury(self, ended: Exit) -> bool:
-        """Take that a process is gone; False if the run cannot go on without it.
+    def ended(self, exit_: Exit) -> bool:
+        """Record that a process ended. False: the run cannot go on without it.
 
-        If it is an agent that nobody told to go, the world is told, which decides at which tick it ended.
+        When an agent died, the world decides at which tick that was.
         """
-        if not ended.role.startswith("agent-"):
+        if not exit_.role.startswith("agent-"):
             return False
-        i = int(ended.role.removeprefix("agent-"))
-        if i not in self._told_to_end:
-            if not self._survivable(ended):
+        i = int(exit_.role.removeprefix("agent-"))
+        if i not in self._ending:
+            if not self._survivable(exit_):
                 return False
-            child = self._children.by_role[ended.role]
-            how = describe_exit(ended.code)
+            child = self._children.by_role[exit_.role]
+            how = describe_exit(exit_.code)
             last = f"; last line of {child.log_path}: {line}" if (line := "".join(child.tail()[-1:])) else ""
-            self._end(i, f"agent {i} (pid {child.pid}) {how}", how, last)
+            self._died(i, f"agent {i} (pid {child.pid}) {how}", how, last)
         self._gone.add(i)
         return True
 
-    def left(self, i: int) -> bool:
-        """Take that an external agent's token is gone; False if the run cannot go on without it."""
-        if self._grant is None or i in self.starting or i in self._gone:
-            return True  # another one may join in its place, or it had its time
-        if self._scenario.spec.on_death == "abort":
-            return False
-        self._end(i, f"agent {i} (external) left", "left: its session ended", "")
-        self._gone.add(i)
-        return True
+    def registered(self, i: int) -> None:
+        """Record that an external agent's liveliness token appeared.
 
-    def came(self, i: int) -> None:
-        """Take that an external agent's token is there: one whose life is over is told so, or it would hold the place.
-
-        A session whose link was cut links again by itself, with its token, and what it missed is lost.
+        A session whose link was cut links again by itself, with its token, but what it missed is lost. So an agent
+        whose life is over is dismissed; otherwise it would keep others from joining.
         """
+        self._external.token(i, True)
         over = self._incarnation[i] - (i not in self._gone)
-        if self._grant is not None and over >= 0:
-            self._ask(WORLD, "dismiss", agents=[[i, over, 0]], reason="its link had ended, and its life with it")
+        if self._fleet.begun and over >= 0:
+            self._dismiss(i, over, 0, "its link had ended, and its life with it")
 
-    def dismiss(self, reason: str) -> None:
-        """Tell the external agents that are there that no nav will follow."""
-        here = [[i, self._incarnation[i], 0] for i in self._external.vehicles if self._external.here(i)]
-        if here:
-            self._ask(WORLD, "dismiss", agents=here, reason=reason)
+    def unregistered(self, i: int) -> None:
+        """Record that an external agent's liveliness token disappeared.
 
-    def _end(self, i: int, who: str, how: str, last: str) -> None:
-        """An agent has ended that nobody told to."""
-        life = self._incarnation[i]
-        gap = self._gap(i)
-        begin = self.starting.pop(i, None)
-        until = 0
-        if gap is None or gap[0] > self._granted():
-            again = self._scenario.spec.on_death == "restart" and i not in self._journal.diverged
-            if again and self._restarted.get(i, 0) < MOST_RESTARTS:
-                self._restarted[i] = self._restarted.get(i, 0) + 1
-                until = self._scenario.next_round(self._granted())
-            # The world will say when it was; here it matters only when another one takes over.
-            since = max(self._journal.framed, 0 if life == 0 else self._lives.gaps(i)[life - 1][1] or 0)
-            self._lives.add(Absence(i, since, until or (gap and gap[1])))
-        # One that has not been ready never got a nav: its life ends where it would have begun.
-        self._tell_world(Death(i, begin or 0, life, until))
-        if until:
-            self._tell_netem()
-        self.deaths.setdefault(i, []).append(how)
-        at = self._seconds(self._journal.framed)
-        then = f", another one takes over at {self._seconds(until)}" if until else ""
-        fate = "is not integrated any more" if i in self._journal.diverged else f"drifts without thrust{then}"
-        self._notes.append(f"{at} {who}: its vehicle {fate}{last}")
-
-    def tend(self) -> None:
-        """End the agents whose time has come, and start those that follow them."""
-        if not self._lives.absences or time.monotonic() < self._looked + POLL_S:
+        Raises:
+            RunBroken: the agent died, and the run does not go on without it.
+        """
+        was_there = self._external.here(i)
+        self._external.token(i, False)
+        if not was_there:
             return
-        self._looked = time.monotonic()
+        if not self._fleet.begun:
+            self._external.expect(i, 0, 0)  # another one may join in its place
+        elif i not in self.starting and i not in self._gone:
+            if self._scenario.spec.on_death == "abort":
+                raise RunBroken(f"agent {i} (external) left at {self._now()}")
+            self._died(i, f"agent {i} (external) left", "left: its session ended", "")
+            self._gone.add(i)
+
+    def dismiss_external(self, reason: str) -> None:
+        """Notify the external agents that have joined that no nav will follow."""
+        joined = [[i, self._incarnation[i], 0] for i in self._external.vehicles if self._external.here(i)]
+        if joined:
+            self._fleet.ask(WORLD, "dismiss", agents=joined, reason=reason)
+
+    def poll(self) -> None:
+        """End the agents whose time has come, and start those that follow them; cheap when nothing is due."""
+        if not self._lives.absences or time.monotonic() < self._polled_s + POLL_S:
+            return
+        self._polled_s = time.monotonic()
         if self.starting:
-            ready = {(i, life) for i, life in self._ask(WORLD, "ready").get("ready", ())}
-            for i in [i for i in self.starting if (i, self._incarnation[i]) in ready]:
-                if i not in self._external.vehicles or self._external.here(i):
-                    del self.starting[i]
-                    self._external.joined(i)
-        granted = self._granted()
+            self._note_ready()
+        granted = self._fleet.granted
         due = {i: gap for i in self._vehicles if (gap := self._gap(i)) is not None and gap[0] <= granted}
-        alive = [i for i in due if i not in self._told_to_end | self._gone]
-        # The world asks nobody for a command from the gap's first tick on: once it is there, nothing is lost.
-        reached = dict(self._ask(WORLD, "ticks").get("ticks", ())) if alive else {}
+        alive = [i for i in due if i not in self._ending | self._gone]
+        # The world asks for no command from the gap's first tick on: once it has reached it, nothing is lost.
+        reached = dict(self._fleet.ask(WORLD, "ticks").get("ticks", ())) if alive else {}
         for i, (begin, end) in due.items():
             if i in alive and i not in self.starting and reached.get(i, -1) >= begin:
-                self._told_to_end.add(i)
-                self._send_away(i, begin)
+                self._ending.add(i)
+                self._end(i, begin)
             elif i in self._gone and end is not None and end <= granted:
-                # Not before: until the clock waits there, an operator may still move that tick, and it is told which.
-                self._told_to_end.discard(i)
+                # Not before: until the clock waits at that tick, an operator may still move it.
+                self._ending.discard(i)
                 self._gone.discard(i)
                 self._incarnation[i] += 1
                 self.starting[i] = end
-                self._start(i, self._incarnation[i], end)
+                self._fleet.start_agent(i, self._incarnation[i], end)
 
-    def _send_away(self, i: int, tick: int) -> None:
-        """End the agent of a vehicle; one that is not ours is told, and not listened to any more."""
+    def _note_ready(self) -> None:
+        ready = {(i, life) for i, life in self._fleet.ask(WORLD, "ready").get("ready", ())}
+        for i in [i for i in self.starting if (i, self._incarnation[i]) in ready]:
+            if i not in self._external.vehicles or self._external.here(i):
+                del self.starting[i]
+                self._external.joined(i)
+
+    def _died(self, i: int, who: str, how: str, last: str) -> None:
+        """Account for an agent that ended by itself.
+
+        Args:
+            who: the agent and what happened, for a note.
+            how: what happened, for the result.
+            last: its last words, for the note.
+        """
+        life, granted = self._incarnation[i], self._fleet.granted
+        gap = self._gap(i)
+        begin = self.starting.pop(i, None)
+        until = 0
+        if gap is None or gap[0] > granted:
+            restart = self._scenario.spec.on_death == "restart" and i not in self._journal.diverged
+            if restart and self._restarts.get(i, 0) < MOST_RESTARTS:
+                self._restarts[i] = self._restarts.get(i, 0) + 1
+                until = self._scenario.next_round(granted)
+            # The world will report when it was; here it matters only when another one takes over.
+            since = max(self._journal.framed, 0 if life == 0 else self._lives.gaps(i)[life - 1][1] or 0)
+            self._lives.add(Absence(i, since, until or (gap and gap[1])))
+        # An agent that was never ready got no nav: its life ends where it would have begun.
+        self._fleet.announce(Death(i, begin or 0, life, until))
+        if until:
+            self._fleet.set_absences(self._lives.absences)
+        self.deaths.setdefault(i, []).append(how)
+        then = f", another one takes over at {tick_text(until, self._scenario.tick_ns)}" if until else ""
+        fate = "is not integrated any more" if i in self._journal.diverged else f"drifts without thrust{then}"
+        self._notes.add(self._journal.framed, who, f"its vehicle {fate}{last}")
+
+    def _end(self, i: int, tick: int) -> None:
+        """End the agent of a vehicle. An external one is dismissed, and ignored from then on."""
         if i in self._external.vehicles:
-            life = [[i, self._incarnation[i], tick]]
-            self._ask(WORLD, "dismiss", agents=life, reason="it was killed by a fault of the scenario or the operator")
+            self._dismiss(i, self._incarnation[i], tick, "it was killed by a fault of the scenario or the operator")
             self._gone.add(i)
             return
         with contextlib.suppress(ProcessLookupError):
             os.kill(self._children.by_role[agent_role(i)].pid, signal.SIGKILL)
 
-    def _survivable(self, ended: Exit) -> bool:
-        """Whether the run goes on without this process."""
+    def _dismiss(self, i: int, incarnation: int, tick: int, reason: str) -> None:
+        self._fleet.ask(WORLD, "dismiss", agents=[[i, incarnation, tick]], reason=reason)
+
+    def _survivable(self, exit_: Exit) -> bool:
+        """Whether the run goes on without this agent."""
         return (
-            self._grant is not None
+            self._fleet.begun
             and self._scenario.spec.on_death != "abort"
-            and ended.code != FORKSERVER_LOST
-            and (ended.code != CONTROLLER_FAILED or self._scenario.spec.on_controller_error == "die")
+            and exit_.code != FORKSERVER_LOST
+            and (exit_.code != CONTROLLER_FAILED or self._scenario.spec.on_controller_error == "die")
         )
 
     def _gap(self, i: int) -> tuple[int, int | None] | None:
-        """How the life of agent i that was started last ends, if it does: (begin, end) of the gap after it."""
+        """The gap (begin, end) after the life of agent i that was started last, if there is one."""
         gaps = self._lives.gaps(i)
         life = self._incarnation[i]
         return gaps[life] if life < len(gaps) else None
 
-    def _tell_world(self, message: Death | Restart) -> None:
-        assert self._grant is not None  # nobody ends before the run begins
-        self._grant(encode(message))
-
-    def _tell_netem(self) -> None:
-        """Netem must know which life of an agent it talks to."""
-        if "tick" not in self._ask(NETEM, "absences", absences=[list(a) for a in self._lives.absences]):
-            raise RunBroken("netem did not answer")
-
-    def _seconds(self, tick: int) -> str:
-        return f"t = {max(0, tick) * self._scenario.tick_ns / 1e9:.2f} s (tick {max(0, tick)})"
-
-
-def _nobody(role: str, op: str, **fields: Any) -> dict[str, Any]:
-    raise AssertionError("the run has not begun yet")
+    def _now(self) -> str:
+        return tick_text(self._journal.framed, self._scenario.tick_ns)

@@ -19,7 +19,8 @@ from agents.payload import StateMessage, encode
 from fleet.analysis.seed import chances
 from fleet.errors import ScenarioError
 from fleet.repeat.resume import prepare
-from fleet.run.execute import Options, execute
+from fleet.run.execute import execute
+from fleet.run.options import Options
 from fleet.scenario.loading import load_scenario
 from fleet.scenario.scenario import Scenario
 from netem.wire.messages import Nav

@@ -35,7 +35,8 @@ from agents.signals import COMMANDED, HEARD
 from fleet.cli.main import cli
 from fleet.cli.new import KINDS
 from fleet.errors import ScenarioError
-from fleet.run.execute import Options, Result, Status, execute
+from fleet.run.execute import Result, Status, execute
+from fleet.run.options import Options
 from fleet.scenario.loading import load_scenario
 from fleet.scenario.scenario import Scenario
 

@@ -13,7 +13,7 @@ import json
 import os
 import random
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from math import isfinite
 from pathlib import Path
 from typing import Any
@@ -40,8 +40,9 @@ from fleet.logs.reader import LogReader
 from fleet.logs.recover import recover
 from fleet.recorder.journal import Journal
 from fleet.run.clock import Clock, LiveClock
-from fleet.run.execute import Options, execute
+from fleet.run.execute import execute
 from fleet.run.operator import Operator
+from fleet.run.options import Options
 from fleet.scenario.loading import load_scenario, parse_scenario, shipped_scenarios
 from fleet.scenario.trust import Policy
 from netem.errors import MalformedMessage
@@ -442,17 +443,30 @@ def test_every_operation_is_answered(asked: list[dict[str, Any]]) -> None:
 def an_operator(granted: int = 3) -> Operator:
     clock = LiveClock(Clock(SCENARIO.ticks, SCENARIO.tick_ns, SCENARIO.round_ticks, 1, None), 0.0)
     journal = Journal(SCENARIO, Silent())  # type: ignore[arg-type]
-    return Operator(
-        SCENARIO,
-        journal,
-        clock,
-        lambda _: True,
-        lambda _: None,
-        lambda *_: None,
-        lambda: granted,
-        list,
-        str,
-    )
+    return Operator(SCENARIO, journal, clock, Obedient(granted))
+
+
+class Obedient:
+    """A fleet that does whatever its operator asks for."""
+
+    begun, waiting = True, ""
+
+    def __init__(self, granted: int) -> None:
+        self.granted = granted
+
+    def ask(self, role: str, op: str, **fields: Any) -> dict[str, Any]:
+        return {}
+
+    def set_network_faults(self, faults: Sequence[NetFault]) -> bool:
+        return True
+
+    def without_agent(self) -> list[int]:
+        return []
+
+    def _done(self, *_: Any) -> None:
+        pass
+
+    set_world_faults = set_absences = announce = start_agent = end_agents = restart_agent = _done
 
 
 # --- files -------------------------------------------------------------------

@@ -29,7 +29,8 @@ from fleet.logs.result_file import ResultError, read_result, read_timing
 from fleet.pictures.report import page
 from fleet.pictures.runs import Look, Run, load
 from fleet.run.connection import live_runs
-from fleet.run.execute import Options, execute
+from fleet.run.execute import execute
+from fleet.run.options import Options
 from fleet.scenario.loading import load_scenario, parse_scenario
 from fleet.scenario.sections.modem_files import load_modem
 from fleet.scenario.sections.vehicle_files import load_vehicle

@@ -7,7 +7,8 @@ from pathlib import Path
 import pytest
 from repository import ROOT
 
-from fleet.run.execute import Options, Status, execute
+from fleet.run.execute import Status, execute
+from fleet.run.options import Options
 from fleet.scenario.loading import list_scenarios, load_scenario
 
 # name: how long the distributed run is [s]; what happens to a fleet there has happened by then

@@ -20,7 +20,8 @@ from small_scenario import only_problem, small
 
 from fleet.logs.reader import digest
 from fleet.repeat.recorded_run import script
-from fleet.run.execute import Options, Result, Status, execute
+from fleet.run.execute import Result, Status, execute
+from fleet.run.options import Options
 from fleet.scenario.loading import load_scenario, parse_scenario
 from netem.lives import WHENEVER, Absence, Lives
 from world.faults import WorldFault

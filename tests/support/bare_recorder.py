@@ -21,7 +21,7 @@ from fleet.recorder.writer import LogWriter
 from fleet.run.clock import Clock
 from fleet.run.in_process import InProcess
 from fleet.scenario.loading import load_scenario
-from fleet.scenario.scenario import Scenario, frame_every
+from fleet.scenario.scenario import Scenario
 
 OVERRIDES = ["vehicles=3", "duration=4 s", "checks={}", "network.links={'*': 'delay 200ms 50ms loss 30%'}"]
 
@@ -45,7 +45,7 @@ class Can:
 def canned(scenario: Scenario) -> Can:
     """Everything that a recorder is told in one run."""
     can = Can()
-    clock = Clock(scenario.ticks, scenario.tick_ns, scenario.round_ticks, frame_every(scenario))
+    clock = Clock.of(scenario)
     InProcess(scenario, Journal(scenario, can)).serve(clock, lambda: None)
     return can
 

@@ -6,7 +6,8 @@ from pathlib import Path
 
 from first_difference import assert_same_bytes
 
-from fleet.run.execute import Options, Result, Status, execute
+from fleet.run.execute import Result, Status, execute
+from fleet.run.options import Options
 from fleet.scenario.loading import load_scenario
 
 

@@ -24,11 +24,12 @@ from first_difference import assert_same_bytes
 from live import FORKSERVER, LiveRun, Stopwatch
 from waiting import wait_for
 
-import fleet.run.console
+import fleet.run.launch
 from agents.errors import ControllerError
 from fleet.logs.reader import LogReader
 from fleet.run.directory import RunDirectory
-from fleet.run.execute import Options, Result, Status, execute
+from fleet.run.execute import Result, Status, execute
+from fleet.run.options import Options
 from fleet.scenario.loading import load_scenario
 from netem.wire.access import Credentials
 from netem.wire.bus import Bus
@@ -400,7 +401,7 @@ class Intruder:
         self._over = Event()
         self._thread: Thread | None = None
         self.rounds = 0
-        generate, write = fleet.run.console.generate, RunDirectory.write_connection
+        generate, write = fleet.run.launch.generate, RunDirectory.write_connection
 
         def generate_and_leak(vehicles: tuple[int, ...]) -> dict[str, Credentials]:
             self._credentials = generate(vehicles)
@@ -411,7 +412,7 @@ class Intruder:
             self._thread = Thread(target=self._talk, args=(values["endpoint"], values["run"]))
             self._thread.start()
 
-        monkeypatch.setattr(fleet.run.console, "generate", generate_and_leak)
+        monkeypatch.setattr(fleet.run.launch, "generate", generate_and_leak)
         monkeypatch.setattr(RunDirectory, "write_connection", write_and_join)
 
     def _talk(self, endpoint: str, run: str) -> None:
@@ -427,7 +428,7 @@ class Intruder:
     def run(self, tmp_path: Path, *overrides: str) -> Result:
         scenario = load_scenario("paper", [CHECKS, "duration=4 s", *overrides])
         try:
-            return execute(scenario, Options(tmp_path / "runs", quiet=True, speed=4.0))
+            return execute(scenario, Options(tmp_path / "runs", quiet=True, speed_limit=4.0))
         finally:
             self._over.set()
             if self._thread is not None:

@@ -19,7 +19,8 @@ from mcap.stream_reader import StreamReader
 
 from fleet.logs.reader import LogReader, digest
 from fleet.run.directory import RunDirectory
-from fleet.run.execute import Options, Status, execute
+from fleet.run.execute import Status, execute
+from fleet.run.options import Options
 from fleet.scenario.loading import load_scenario
 
 CHECKS = "checks={qp_infeasible: {at_most: 0}, ledger: balanced, middleware_loss: {at_most: 0}}"
@@ -107,8 +108,8 @@ def test_another_seed_gives_another_log(tmp_path: Path) -> None:
 def test_speed_changes_nothing(tmp_path: Path) -> None:
     """Grants paced by the wall clock come in other portions than grants ahead of it; neither is a result."""
     fast = run(tmp_path, "thinned log", in_process=True)
-    assert_same_bytes(fast, run(tmp_path, "thinned log", in_process=True, speed=6.0))
-    assert_same_bytes(fast, run(tmp_path, "thinned log", speed=4.0))
+    assert_same_bytes(fast, run(tmp_path, "thinned log", in_process=True, speed_limit=6.0))
+    assert_same_bytes(fast, run(tmp_path, "thinned log", speed_limit=4.0))
 
 
 # --- what the log holds ----------------------------------------------------

@@ -11,21 +11,22 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 from click.testing import CliRunner
 from live import LiveRun
+from msgspec.structs import replace
 from tool import tool as op
 from waiting import wait_for
 
 from agents.join_file import JoinError, JoinFile
 from fleet.cli.main import cli
 from fleet.logs.reader import digest
-from fleet.run.execute import Options, execute
+from fleet.run.execute import execute
 from fleet.run.external_agents import ExternalError
+from fleet.run.options import Options
 from fleet.scenario.loading import load_scenario, parse_scenario
 from netem.wire.messages import PROTOCOL_VERSION
 

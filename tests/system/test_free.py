@@ -38,8 +38,9 @@ from fleet.repeat.verify import verify
 from fleet.repeat.what_if import whatif
 from fleet.run.clock import Clock
 from fleet.run.connection import RemoteError
-from fleet.run.execute import Options, Status, execute
+from fleet.run.execute import Status, execute
 from fleet.run.in_process import InProcess
+from fleet.run.options import Options
 from fleet.scenario.loading import load_scenario
 from fleet.scenario.scenario import Scenario, frame_every
 from netem.errors import OutOfPlace
@@ -127,7 +128,7 @@ class Virtual:
 def lockstep(scenario: Scenario, path: Path) -> str:
     log = LogWriter(path, scenario)
     fleet = InProcess(scenario, Journal(scenario, log))
-    fleet.serve(Clock(scenario.ticks, scenario.tick_ns, scenario.round_ticks, frame_every(scenario)), lambda: None)
+    fleet.serve(Clock.of(scenario), lambda: None)
     log.close()
     return log.digest
 
@@ -417,7 +418,7 @@ def test_the_network_waits_for_the_world_but_not_for_agents() -> None:
 
 
 def test_grants_on_a_wall_clock_go_ahead_of_it() -> None:
-    clock = Clock(10_000, PERIOD_NS, 10, 1, speed=1.0, lead_ns=500_000_000)
+    clock = Clock(10_000, PERIOD_NS, 10, 1, speed_limit=1.0, lead_ns=500_000_000)
     assert clock.until(-1, 0.0) == 51
     assert clock.until(40, 0.4) == 91
 
@@ -491,7 +492,7 @@ SLEEPER = """
 
 def test_a_real_run_is_on_time_and_lockstep_or_says_why_not(tmp_path: Path) -> None:
     scenario = load_scenario("paper", ["duration=2 s", "checks={ledger: balanced, middleware_loss: {at_most: 0}}"])
-    found = execute(scenario, Options(tmp_path, quiet=True, pace=0.5, most_missed=1.0))
+    found = execute(scenario, Options(tmp_path, quiet=True, realtime_speed=0.5, most_missed=1.0))
     same = execute(scenario, Options(tmp_path, quiet=True, in_process=True))
     assert (found.status, found.reason) == (Status.PASS, "")
     measured = found.values["timing"]
@@ -521,7 +522,7 @@ def test_an_agent_too_slow_for_its_ticks_is_named(tmp_path: Path, monkeypatch: p
     scenario = load_scenario(
         "paper", ["duration=2 s", "checks={}", "per_vehicle={2: {controller: 'sleeper:Sleeper'}}", "graph.shape=path"]
     )
-    found = execute(scenario, Options(tmp_path, quiet=True, pace=1.0))
+    found = execute(scenario, Options(tmp_path, quiet=True, realtime_speed=1.0))
     assert found.status is Status.CHECK_FAILED
     rows = found.values["timing"]["vehicles"]
     # Twenty times it sleeps, and each time seven more ticks go by; fewer where the machine stops the world, too.

@@ -14,7 +14,8 @@ from waiting import wait_for
 from fleet.logs.reader import digest
 from fleet.repeat.recorded_run import script
 from fleet.run.connection import RemoteError, ask
-from fleet.run.execute import Options, execute
+from fleet.run.execute import execute
+from fleet.run.options import Options
 from fleet.scenario.loading import load_scenario
 from netem.lives import Absence
 from netem.wire.messages import Command, Frame

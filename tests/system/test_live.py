@@ -17,7 +17,8 @@ from fleet.logs.reader import digest
 from fleet.repeat.recorded_run import script
 from fleet.run.clock import Clock, LiveClock
 from fleet.run.connection import RemoteError, find, live_runs
-from fleet.run.execute import Options, execute
+from fleet.run.execute import execute
+from fleet.run.options import Options
 from fleet.scenario.loading import parse_scenario
 
 TICK_NS = 10_000_000
@@ -51,9 +52,9 @@ def test_a_change_of_speed_counts_from_where_it_is() -> None:
     assert clock.until(900, 150.0) == 101
     clock.resume()
     assert clock.until(900, 150.0) == 102
-    clock.set_speed(102, 2.0)
+    clock.set_speed_limit(102, 2.0)
     assert clock.until(900, 151.0) == 303
-    clock.set_speed(303, None)
+    clock.set_speed_limit(303, None)
     assert clock.until(900, 151.0) == 951
 
 

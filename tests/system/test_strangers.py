@@ -24,12 +24,13 @@ from live import LiveRun
 from waiting import wait_for
 
 import fleet.processes.private_folder
-import fleet.run.console
+import fleet.run.launch
 from fleet.errors import RunBroken
 from fleet.processes.children import Children, Exit
 from fleet.processes.private_folder import PREFIX, PrivateFolder
 from fleet.run.directory import RunDirectory
-from fleet.run.execute import Options, Result, Status, execute
+from fleet.run.execute import Result, Status, execute
+from fleet.run.options import Options
 from fleet.scenario.loading import load_scenario
 from netem.wire.access import Credentials
 from netem.wire.audit import CUT_OFF
@@ -54,7 +55,7 @@ def attacked(
         thief.wait_until_up(keys, values["endpoint"])
         attack(thief, keys, values["endpoint"])
 
-    patch.setattr(fleet.run.console, "generate", thief.generate)
+    patch.setattr(fleet.run.launch, "generate", thief.generate)
     patch.setattr(RunDirectory, "write_connection", write_and_attack)
     try:
         return execute(load_scenario("paper", SCENARIO), Options(out, quiet=True, audit=audit))

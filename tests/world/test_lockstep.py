@@ -168,7 +168,7 @@ def test_the_clock_never_deadlocks(ticks: int, round_ticks: int, every: int, tic
 
 
 def test_the_clock_paces_by_wall_time() -> None:
-    clock = Clock(6000, 10_000_000, 10, 1, speed=2.0)
+    clock = Clock(6000, 10_000_000, 10, 1, speed_limit=2.0)
     assert clock.until(5999, 0.0) == 1
     assert clock.until(5999, 1.0) == 201
     assert Clock(6000, 10_000_000, 10, 1).until(-1, 0.0) == 50

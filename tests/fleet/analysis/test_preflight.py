@@ -8,7 +8,8 @@ import pytest
 from small_scenario import small
 
 from fleet.analysis.preflight import LARGE_MB, doubts, log_mb
-from fleet.run.execute import Options, execute
+from fleet.run.execute import execute
+from fleet.run.options import Options
 from fleet.scenario.loading import list_scenarios, load_scenario
 
 WATER = "network={period: 1 s, payload: compact, acoustic: {modem: mfsk-1066, mac: tdma, slot: 1500 ms, guard: 200 ms}}"

@@ -28,7 +28,8 @@ from fleet.logs.reader import LogReader, LogReadError
 from fleet.pictures.gallery import draw
 from fleet.pictures.runs import Look, load
 from fleet.pictures.whole_file import whole_file
-from fleet.run.execute import Options, execute
+from fleet.run.execute import execute
+from fleet.run.options import Options
 from fleet.scenario.loading import load_scenario
 from fleet.terminal import share_done
 

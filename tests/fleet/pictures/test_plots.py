@@ -31,7 +31,8 @@ from fleet.pictures.report import write as write_report
 from fleet.pictures.report_tables import links_table
 from fleet.pictures.runs import Look, NothingToDraw, Run, load, with_gaps
 from fleet.pictures.style import panels, plain_decades
-from fleet.run.execute import Options, execute
+from fleet.run.execute import execute
+from fleet.run.options import Options
 from fleet.scenario.loading import load_scenario
 from netem.causes import LOSSES, Cause
 

@@ -23,7 +23,8 @@ from fleet.logs.reader import LogReader
 from fleet.recorder.scene import CUTS, HISTORY, LINKS, LinkHistories, Scene, diameter, hull
 from fleet.recorder.transforms import quaternion
 from fleet.repeat.resume import prepare
-from fleet.run.execute import Options, Result, execute
+from fleet.run.execute import Result, execute
+from fleet.run.options import Options
 from fleet.scenario.loading import load_scenario
 from netem.causes import LOSSES, Cause
 from netem.wire.messages import Fate, Frame, VehicleFrame

@@ -19,7 +19,8 @@ from fleet.cli.main import cli
 from fleet.logs.schemas import Column, DoublesEncoder
 from fleet.repeat.recorded_agent import NotRecordedError
 from fleet.repeat.verify import describe, verify
-from fleet.run.execute import Options, Status, execute
+from fleet.run.execute import Status, execute
+from fleet.run.options import Options
 from fleet.scenario.loading import load_scenario
 
 EXTERNAL = "per_vehicle={3: {external: true}}"

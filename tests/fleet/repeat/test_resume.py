@@ -19,7 +19,8 @@ from fleet.recorder.snapshot import Snapshot, SnapshotError, Start, find
 from fleet.repeat.recorded_run import script
 from fleet.repeat.resume import parse_from, prepare
 from fleet.repeat.verify import describe, verify
-from fleet.run.execute import Options, Result, Status, execute
+from fleet.run.execute import Result, Status, execute
+from fleet.run.options import Options
 from fleet.scenario.loading import load_scenario
 from fleet.scenario.scenario import Scenario
 

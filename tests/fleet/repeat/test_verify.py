@@ -26,7 +26,8 @@ from fleet.logs.records import Block, Message
 from fleet.logs.recover import Copy, Recovered, recover
 from fleet.logs.salvage import Item, Salvage
 from fleet.repeat.verify import Verification, describe, verify
-from fleet.run.execute import Options, Status, execute
+from fleet.run.execute import Status, execute
+from fleet.run.options import Options
 from fleet.scenario.loading import load_scenario
 
 Part = Item | Message

@@ -15,7 +15,8 @@ from fault_histories import EVERYTHING
 from fleet.cli.main import cli
 from fleet.errors import ScenarioError
 from fleet.repeat.what_if import WhatIfError, whatif
-from fleet.run.execute import Options, Status, execute
+from fleet.run.execute import Status, execute
+from fleet.run.options import Options
 from fleet.scenario.loading import load_scenario
 
 LINKS = 'network.links={"*": delay 60ms 30ms loss 20% duplicate 20% corrupt 20%}'

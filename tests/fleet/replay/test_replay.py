@@ -40,7 +40,8 @@ from fleet.replay.capture import Gone, TrafficWriter
 from fleet.replay.capture_format import ATTACHMENT, ENCODING, KIND, message_encoding, zenoh_encoding
 from fleet.replay.playback import Replay, Wishes
 from fleet.replay.selection import Renaming, SelectionError, chosen, pattern
-from fleet.run.execute import Options, Status, execute
+from fleet.run.execute import Status, execute
+from fleet.run.options import Options
 from fleet.scenario.loading import load_scenario
 from netem.errors import BusError
 from netem.wire.access import Credentials

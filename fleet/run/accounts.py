@@ -1,0 +1,34 @@
+"""The account of a completed run: every message that one process sent, another received."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from fleet.errors import RunBroken
+
+
+def lost_messages(counts: dict[str, Any], *, barrier: bool = True) -> int:
+    """How many messages left one process of a completed run and never arrived at the other.
+
+    Every nav is answered by one command; agents' own counts are not needed.
+
+    Args:
+        counts: by process (`world`, `netem`, `console`), how many messages of each kind it sent and received.
+        barrier: whether the run was in lockstep. Without, an agent may skip navs, and commands are not counted.
+
+    Raises:
+        RunBroken: a process did not report what it sent and received.
+    """
+    try:
+        world_sent, world_received = counts["world"]["sent"], counts["world"]["received"]
+        netem_sent, netem_received = counts["netem"]["sent"], counts["netem"]["received"]
+        console = counts["console"]
+        pairs = [
+            *([(world_sent["nav"], world_received["cmd"])] if barrier else []),
+            (world_sent["round"], netem_received["round"]),
+            (world_sent["frame"], console["frame"]),
+            (netem_sent["links"], console["links"]),
+        ]
+    except KeyError as error:
+        raise RunBroken(f"a process closed without its count of {error}") from None
+    return sum(abs(sent - received) for sent, received in pairs)

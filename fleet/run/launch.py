@@ -1,0 +1,128 @@
+"""Who is started with what: the world, netem and the agents, each with its credentials and its part of the scenario."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import agents.main
+import netem.main
+import world.main
+from fleet.errors import RunBroken
+from fleet.hosts.rendezvous import Rendezvous
+from fleet.processes.children import Children, forkserver_death
+from fleet.processes.open_files import allow_open_files
+from fleet.processes.ports import free_port
+from fleet.processes.private_folder import PrivateFolder
+from fleet.run.directory import RunDirectory
+from fleet.run.options import Options
+from fleet.scenario.scenario import Scenario, frame_every
+from netem.wire.access import LEASE_MS, NETEM, OPERATOR, WORLD, Credentials, Listener, agent_role, generate
+from netem.wire.keys import Keys
+from netem.wire.settings import PENDING
+
+FORKSERVER_S = 0.2  # how long to wait for the end of a fork server that does not answer
+
+Target = tuple[Callable[..., None], tuple[Any, ...]]  # a function that a process runs, and its arguments
+
+
+class Launch:
+    """Starts the processes of one run, each with what it needs."""
+
+    def __init__(
+        self, scenario: Scenario, options: Options, keys: Keys, directory: RunDirectory, children: Children
+    ) -> None:
+        """Choose endpoints, make credentials and the folder of the run's socket; nothing is started.
+
+        Raises:
+            RunBroken: the port is taken, or this machine allows too few open files, or has no place for the folder.
+        """
+        self._scenario, self._options, self._keys = scenario, options, keys
+        self._directory, self._children = directory, children
+        self._rendezvous = options.rendezvous or Rendezvous()
+        self.credentials = self._rendezvous.credentials or generate(tuple(range(1, scenario.vehicles + 1)))  # by role
+        self.joins_router = self._rendezvous.router is not None  # one that is there already; else the world hosts one
+        self._listener = self._other_endpoints()
+        allow_open_files(scenario.vehicles, strangers=PENDING if self._listener else 0)
+        self._private = PrivateFolder()
+        self.endpoint = self._rendezvous.router or self._private.endpoint  # for the run's own processes
+
+    @property
+    def external_endpoint(self) -> str:
+        """For agents that somebody else starts."""
+        return self._rendezvous.reached or (self._listener.endpoints[0] if self._listener else self.endpoint)
+
+    @property
+    def external_credentials(self) -> dict[str, Credentials]:
+        """For agents that somebody else starts, by role."""
+        return {role: self._rendezvous.joining(role, known) for role, known in self.credentials.items()}
+
+    @property
+    def connection(self) -> dict[str, Any]:
+        """What `fleet status`, `fleet inject` and the like need to reach this run."""
+        return {
+            "endpoint": self.endpoint,
+            "run": self._keys.run,
+            "scenario": self._scenario.name,
+            "pid": os.getpid(),
+            **self.credentials[OPERATOR].to_values(),
+        }
+
+    def targets(self) -> dict[str, Target]:
+        """What each process runs, by role, in the order in which they are started."""
+        targets = {WORLD: self._world(), NETEM: self._netem()}
+        for i in range(1, self._scenario.vehicles + 1):
+            if i not in self._scenario.external:
+                targets[agent_role(i)] = self.agent(i)
+        order = self._options.start_order
+        return targets if order is None else {role: targets[role] for role in order(list(targets))}
+
+    def agent(self, i: int, incarnation: int = 0, begin: int = 0) -> Target:
+        """What an agent's process runs, in the life `incarnation` that begins at tick `begin`."""
+        return agents.main.run, (self.endpoint, self._keys.run, i, self.credentials[agent_role(i)], incarnation, begin)
+
+    def start(self, role: str, target: Target) -> None:
+        """Start a process, named in `ps` after its role and the scenario.
+
+        Raises:
+            RunBroken: it could not be started.
+        """
+        function, arguments = target
+        title = f"fleet {role.replace('-', ' ')} [{self._scenario.name}]"
+        try:
+            self._children.start(role, title, self._directory.process_log(role), function, *arguments)
+        except TimeoutError as error:
+            raise RunBroken(f"{role} could not be started: {error}") from error
+        except (EOFError, OSError) as error:
+            why = forkserver_death(FORKSERVER_S) or str(error) or type(error).__name__
+            raise RunBroken(f"{role} could not be started: {why}") from error
+
+    def close(self) -> None:
+        """Remove the folder of the run's socket: from now on nobody joins."""
+        self._private.close()
+
+    def _world(self) -> Target:
+        sea = self._scenario.world_config, frame_every(self._scenario), self._options.realtime_speed
+        if self.joins_router:
+            return world.main.join, (self.endpoint, self._keys.run, self.credentials[WORLD], *sea)
+        clients = {role: known for role, known in self.credentials.items() if role != WORLD}
+        listener, audit = self._listener, self._options.audit
+        return world.main.run, (self.endpoint, self._keys.run, clients, self._private.path, *sea, listener, audit)
+
+    def _netem(self) -> Target:
+        network = self._scenario.netem_config, self._options.realtime_speed is not None
+        return netem.main.run, (self.endpoint, self._keys.run, self.credentials[NETEM], *network)
+
+    def _other_endpoints(self) -> Listener | None:
+        """Where the run's own router listens besides its Unix socket."""
+        listener = self._rendezvous.listener
+        if self._options.port is None or self.joins_router:
+            return listener
+        loopback = f"tcp/127.0.0.1:{free_port(self._options.port)}"
+        return (
+            Listener((loopback,), LEASE_MS)
+            if listener is None
+            else replace(listener, endpoints=(loopback, *listener.endpoints))
+        )

@@ -1,0 +1,85 @@
+"""Notes: what a run reports in words, each with the time to which it belongs."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+from fleet.errors import printable
+from netem.errors import MalformedMessage
+from netem.wire.access import WORLD
+from netem.wire.keys import vehicle_of
+from netem.wire.messages import Note
+from netem.wire.queues import Quota
+from netem.wire.shell import expect
+
+MOST_NOTES = 1000
+
+
+def tick_text(tick: int, tick_ns: int) -> str:
+    """A tick in words: `t = 1.20 s (tick 120)`."""
+    return f"t = {max(0, tick) * tick_ns / 1e9:.2f} s (tick {max(0, tick)})"
+
+
+def note_text(tick: int, tick_ns: int, who: str, text: str) -> str:
+    """A note as the console and the result show it."""
+    return f"{tick_text(tick, tick_ns)} {who}: {text}"
+
+
+class Notes:
+    """The notes of one distributed run: those of the console, and those that processes publish.
+
+    A flood of notes costs bounded memory: at most `MOST_NOTES` per role wait, and at most as many are kept.
+    """
+
+    def __init__(self, tick_ns: int) -> None:
+        self.lines: list[str] = []
+        self._tick_ns = tick_ns
+        self._queued = Quota(MOST_NOTES)  # by role
+        self._rejected: Counter[str] = Counter()  # by role: malformed, or too many
+
+    @property
+    def rejected(self) -> dict[str, int]:
+        """By key, how many notes were not kept."""
+        return {f"note/{role}": count for role, count in sorted(self._rejected.items())}
+
+    def admit(self, role: str) -> bool:
+        """Whether a note that arrived on the key of a role may wait for `receive`; on any thread."""
+        if self._queued.admit(role):
+            return True
+        self._rejected[role] += 1
+        return False
+
+    def receive(self, role: str, data: bytes, tick: int) -> None:
+        """Take a note that `admit` let in.
+
+        Args:
+            role: to whose key it was put; the router lets nobody else put there.
+            tick: now, for a note that is rejected.
+        """
+        self._queued.release(role)
+        try:
+            note = _read(role, data)
+        except MalformedMessage as error:
+            self._rejected[role] += 1
+            if self._rejected[role] == 1:
+                self.lines.append(f"{tick_text(tick, self._tick_ns)} rejected from {role}: {printable(str(error))}")
+            return
+        if len(self.lines) >= MOST_NOTES:
+            self._rejected[role] += 1
+            return
+        who = f"{'vehicle' if role == WORLD else 'agent'} {note.subject}" if note.subject else role
+        self.add(note.tick, who, printable(note.text))
+
+    def add(self, tick: int, who: str, text: str) -> None:
+        """Keep a note."""
+        self.lines.append(note_text(tick, self._tick_ns, who, text))
+
+
+def _read(role: str, data: bytes) -> Note:
+    """Raises MalformedMessage: it is no note, or `role` speaks for another."""
+    note = expect(data, Note)
+    assert isinstance(note, Note)
+    own = {0, vehicle_of(role.replace("agent-", "/"))} if role.startswith("agent-") else {note.subject}
+    if note.role != role or note.subject not in own:
+        raise MalformedMessage("note", f"{role} speaks as {note.role!r:.40} about {note.subject}")
+    return note

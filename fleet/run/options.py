@@ -1,0 +1,37 @@
+"""How a scenario is run, as opposed to what it is."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from fleet.analysis.punctuality import MOST_MISSED
+from fleet.hosts.rendezvous import Rendezvous
+from fleet.recorder.snapshot import Start
+
+JOIN_TIMEOUT_S = 300.0  # for agents that somebody else starts
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """How to run. In lockstep nothing here changes a byte of the log.
+
+    There are two speeds. In lockstep everyone waits for everyone, and `speed_limit` only holds the run back. With a
+    `realtime_speed` ticks begin by the wall clock and wait for nobody, so agents can be late.
+    """
+
+    out: Path = Path("runs")  # where the run directory is made
+    in_process: bool = False
+    speed_limit: float | None = None  # of a run in lockstep: at most so many times real time; None: no limit
+    quiet: bool = False
+    publish: bool = False  # the journal on zenoh, while the run goes on
+    wait: bool = False  # with `publish`: begin when there is a subscriber
+    port: int | None = None  # of loopback, where the run's router listens as well
+    start: Start | None = None  # where it goes on from another run; in-process only
+    realtime_speed: float | None = None  # times real time; None: lockstep
+    most_missed: float = MOST_MISSED  # share of its ticks that an agent may miss in real time
+    start_order: Callable[[list[str]], list[str]] | None = None  # of roles; None: the usual order
+    audit: bool = False  # report also which messages the router refuses
+    join_timeout_s: float = JOIN_TIMEOUT_S  # how long to wait for an agent that somebody else starts
+    rendezvous: Rendezvous | None = None  # how processes on several hosts meet; None: all are on this one

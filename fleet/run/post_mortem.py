@@ -1,0 +1,87 @@
+"""Why a run cannot go on: whose process ended, how, and what it printed last; or who waits for whom."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from typing import Any
+
+from fleet.errors import RunBroken
+from fleet.processes.children import (
+    FORKSERVER_LOST,
+    Child,
+    Exit,
+    describe_exit,
+    ended,
+    forkserver_death,
+    forkserver_suspended,
+    suspended,
+)
+from netem.wire.access import NETEM, WORLD, agent_role
+
+
+def explain(exits: Sequence[Exit], children: Mapping[str, Child], notes: Sequence[str], at: str) -> RunBroken:
+    """The error for processes that ended: which one ended first, how, and its last lines.
+
+    Args:
+        exits: at least one, all of those that ended at about the same time.
+        children: by role.
+        notes: of the run; those about the agent that ended are repeated.
+        at: the time in the run, in words.
+    """
+    if any(e.code == FORKSERVER_LOST for e in exits) and (death := forkserver_death()) is not None:
+        return RunBroken(f"{death} at {at}; every process of the run ended with it")
+    # The world hosts the router: when it ends, others may lose their session and end as well.
+    first, *others = sorted(exits, key=lambda e: (e.role != WORLD, e.code >= 0, e.role))
+    child = children[first.role]
+    reason = f"{first.role.replace('-', ' ')} (pid {child.pid}) {describe_exit(first.code)} at {at}"
+    lines = [
+        *(note for note in notes if f"agent {first.role.removeprefix('agent-')}:" in note),
+        f"last lines of {child.log_path}:",
+        *(f"  {line}" for line in child.tail() or ["(nothing printed)"]),
+    ]
+    if others:
+        lines.append("also ended: " + ", ".join(f"{e.role} ({describe_exit(e.code)})" for e in others))
+    return RunBroken(reason, lines)
+
+
+def last_lines(children: Mapping[str, Child]) -> list[str]:
+    """The last line of each process, of the first ten that printed one."""
+    return [f"{child.role}: {line}" for child in children.values() for line in child.tail()[-1:]][:10]
+
+
+def who_waits(
+    world: Mapping[str, Any],
+    network: Mapping[str, Any],
+    children: Mapping[str, Child],
+    external: Collection[int],
+    *,
+    log_is_behind: bool,
+) -> str:
+    """Who has not answered, in words.
+
+    Args:
+        world, network: what the world and netem answered to `waiting`; empty: no answer.
+        children: by role.
+        external: vehicles whose agent is no child.
+        log_is_behind: whether the log has less than the journal received.
+    """
+    if not world:
+        return "waiting for the world" + _condition(children[WORLD])
+    if not network:
+        return "waiting for netem" + _condition(children[NETEM])
+    late = sorted({i for i, _ in world.get("waiting", ())})
+    if missing := network.get("missing"):
+        # The rest wait for an inbox, which waits for these.
+        late = [i for i in missing if i in late] or late
+    if not late:
+        return "waiting for the log" if log_is_behind else "waiting"
+    named = [f"agent {i}" + (" (external)" if i in external else _condition(children[agent_role(i)])) for i in late[:8]]
+    more = f" and {len(late) - 8} more" if len(late) > 8 else ""
+    return "waiting for " + ", ".join(named) + more
+
+
+def _condition(child: Child) -> str:
+    """Words on a process that cannot answer, so that a forgotten SIGSTOP is seen at once; usually none."""
+    if ended(child.pid):  # and its exit has not been reported
+        return f" (pid {child.pid} has ended; {forkserver_suspended() or 'it has not been reaped yet'})"
+    return f" (pid {child.pid} is suspended)" if suspended(child.pid) else ""

@@ -1,0 +1,64 @@
+"""The journal of a run on zenoh, while it goes on, or nothing of the kind."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from fleet.replay.publisher import LivePublisher
+
+
+class NoPublication:
+    """A run that is not published."""
+
+    publisher: LivePublisher | None = None  # what the log writer hands each message
+
+    def open(self) -> None:
+        """Begin to publish."""
+
+    def wait(self) -> None:
+        """Wait for a subscriber, if the run is to."""
+
+    def close(self) -> None:
+        """End, once everything is published."""
+
+    def summary(self) -> dict[str, Any]:
+        """What the result says about it."""
+        return {}
+
+
+class Publication(NoPublication):
+    """A run that is published."""
+
+    publisher: LivePublisher
+
+    def __init__(self, run: str, observe: Path, say: Callable[[str], None], *, wait: bool) -> None:
+        """Prepare it; nothing is started.
+
+        Args:
+            run: its id; its keys begin with fleet/<run>/.
+            observe: the file that says, while the run lives, where and as whom to subscribe.
+            say: shows the operator a line that stays.
+            wait: the run begins when there is a subscriber.
+        """
+        self.publisher = LivePublisher(run, observe, wait=wait)
+        self._observe, self._say = observe, say
+
+    def open(self) -> None:
+        """Begin to publish. Raises PublishError: that is not possible."""
+        self.publisher.open()
+        where = f"fleet/{self.publisher.run}/log/** at {self.publisher.endpoint}"
+        self._say(f"publishing {where}; how to join: {self._observe}")
+
+    def wait(self) -> None:
+        """Wait for a subscriber, if the run is to. Raises PublishError: the publisher ended meanwhile."""
+        if self.publisher.wait:
+            self._say("waiting for a subscriber")
+            self.publisher.heard()
+
+    def close(self) -> None:
+        self.publisher.close()
+
+    def summary(self) -> dict[str, Any]:
+        return {"published": {"messages": self.publisher.published, "dropped": self.publisher.dropped}}

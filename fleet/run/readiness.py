@@ -1,0 +1,43 @@
+"""Whether everyone is ready for the first tick."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+
+@dataclass(frozen=True, slots=True)
+class Readiness:
+    """Who is ready, at one moment."""
+
+    missing: str  # who is not, in words; empty: everyone is ready
+    only_external: bool = False  # nobody is missing but agents that somebody else starts
+
+
+def readiness(
+    world: Mapping[str, Any],
+    network: Mapping[str, Any],
+    vehicles: Sequence[int],
+    awaited: Sequence[int],
+    silent: Collection[str],
+) -> Readiness:
+    """Who is ready, by the answers of world and netem to `ready`. Liveliness alone would not show that messages pass.
+
+    Args:
+        world: with `ready`, pairs (vehicle, incarnation) of agents that greeted it, and `grant`: it hears grants.
+        network: with `round`: it hears the world. Both are empty without an answer.
+        vehicles: all of the fleet, ascending.
+        awaited: vehicles whose external agent has not joined, ascending.
+        silent: keys on which the console has heard no greeting.
+    """
+    ready = {i for i, _ in world.get("ready", ())}.difference(awaited)
+    absent = [i for i in vehicles if i not in ready]
+    cores = bool(network.get("round") and world.get("grant"))
+    if absent:
+        missing = "agents " + ", ".join(map(str, absent)) if len(absent) < 9 else f"{len(absent)} agents"
+    elif not network.get("round"):
+        missing = "netem"
+    else:
+        missing = ", ".join(sorted(silent)) or ("" if cores else "the clock's key")
+    return Readiness(missing, only_external=bool(awaited) and absent == list(awaited) and cores)

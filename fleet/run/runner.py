@@ -1,0 +1,53 @@
+"""What a run in one process and a run as a fleet of processes have in common."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+from fleet.run.clock import Clock
+from netem.condition import Link
+
+
+@dataclass(slots=True)
+class Closing:
+    """What the processes of a run report when it ends; empty as far as it ended early."""
+
+    entered: dict[Link, tuple[int, int]] = field(default_factory=dict)  # packets sent on each link, and duplicates
+    rejected: dict[str, int] = field(default_factory=dict)  # by key, messages that were refused
+    timing: dict[str, Any] = field(default_factory=dict)  # of a realtime run: who was how late
+
+
+class Runner(Protocol):
+    """Carries out one run."""
+
+    @property
+    def waiting(self) -> str:
+        """Who waits for whom while nothing moves, in words; empty: the run moves."""
+
+    @property
+    def started_s(self) -> float:
+        """Wall time until everyone was ready [s]."""
+
+    @property
+    def closing(self) -> Closing: ...
+
+    @property
+    def notes(self) -> Sequence[str]: ...
+
+    @property
+    def deaths(self) -> Mapping[int, list[str]]:
+        """By vehicle, how agents ended that were not asked to."""
+
+    @property
+    def middleware_lost(self) -> int:
+        """Messages that zenoh lost; any makes the run invalid."""
+
+    def serve(self, clock: Clock, progress: Callable[[], None]) -> None:
+        """Run to the end; `progress` is called all the time.
+
+        Raises:
+            RunBroken: the run could not be completed.
+            StoppedError: the operator stopped it.
+        """

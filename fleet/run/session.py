@@ -1,0 +1,120 @@
+"""The console's session on the bus: what it publishes, asks and answers, and what it turns into events."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from functools import partial
+from typing import Any
+
+import msgpack
+
+from fleet.errors import RunBroken
+from fleet.run.events import EventKind, EventQueue
+from fleet.run.external_agents import ExternalAgents
+from fleet.run.notes import Notes
+from netem.errors import BusError
+from netem.wire.access import Credentials, agent_role
+from netem.wire.bus import Bus, Respond
+from netem.wire.codec import encode
+from netem.wire.control import read_map, request
+from netem.wire.keys import Keys
+from netem.wire.messages import Message
+
+CONNECT_S = 10.0
+CONNECT_TRY_MS = 500
+
+
+def connect_to_world(endpoint: str, credentials: Credentials, meanwhile: Callable[[], None]) -> Bus:
+    """Connect to the router that the world is starting.
+
+    Args:
+        meanwhile: called after each attempt that failed; it may raise a better explanation.
+
+    Raises:
+        RunBroken: there is no router within `CONNECT_S`.
+    """
+    deadline = time.monotonic() + CONNECT_S
+    while True:
+        try:
+            return Bus.connect(endpoint, credentials, timeout_ms=CONNECT_TRY_MS)
+        except BusError as error:
+            meanwhile()
+            if time.monotonic() > deadline:
+                raise RunBroken(str(error)) from None
+
+
+def connect_to_router(endpoint: str, credentials: Credentials, keys: Keys, events: EventQueue) -> Bus:
+    """Connect to a router that is there already.
+
+    Raises:
+        RunBroken: it does not let us in, or another run uses this run's keys there.
+    """
+    try:
+        bus = Bus.connect(endpoint, credentials)
+    except BusError as error:
+        raise RunBroken(str(error)) from None
+    if tokens := bus.tokens(keys.alive("*")):
+        bus.close()
+        who = ", ".join(token.rsplit("/", 1)[-1] for token in tokens)
+        raise RunBroken(
+            f"run {keys.run} is going on at {endpoint} already ({who}): end it, or make credentials for "
+            "another with fleet acl"
+        )
+    bus.on_lost(partial(events.put, EventKind.ROUTER_LOST, endpoint))
+    return bus
+
+
+class Session:
+    """One session, from the router's answer to the end of the run. It is used on the console's main thread."""
+
+    def __init__(self, bus: Bus, keys: Keys) -> None:
+        self._bus, self._keys = bus, keys
+        self._publish = bus.publisher(keys.grant)
+
+    def put(self, message: Message) -> None:
+        """Publish a message for the world on the key of the grants; zenoh keeps the order."""
+        self._publish(encode(message))
+
+    def ask(self, role: str, op: str, *, timeout_s: float = 1.0, **fields: Any) -> dict[str, Any]:
+        """The answer of world or netem to an operation; empty: no answer in time."""
+        answer = self._bus.ask(self._keys.ctl(role), request(op, **fields), timeout_s=timeout_s)
+        return {} if answer is None else read_map(answer)
+
+    def listen(self, events: EventQueue, notes: Notes) -> None:
+        """Turn what arrives from the processes and from operators into events, from now on."""
+        keys, put = self._keys, events.put
+
+        def queue_note(key: str, data: bytes) -> None:
+            role = key.rsplit("/", 1)[-1]
+            if notes.admit(role):
+                put(EventKind.NOTE, (role, data))
+
+        self._bus.subscribe(keys.frame, lambda _, data: put(EventKind.FRAME, data))
+        self._bus.subscribe(keys.links, lambda _, data: put(EventKind.LINKS, data))
+        self._bus.subscribe(keys.note("*"), queue_note)
+        self._bus.answer(f"{keys.op}/*", lambda _, data, respond: put(EventKind.OPERATION, (data, respond)))
+
+    def configure(self, slices: Mapping[int, dict[str, Any]], external: ExternalAgents, events: EventQueue) -> None:
+        """Answer agents that ask for their slice of the scenario, and watch the tokens of external ones.
+
+        Args:
+            slices: by vehicle.
+        """
+        vehicles = {self._keys.cfg(i): i for i in slices}
+
+        def answer(key: str, _: bytes, respond: Respond) -> None:
+            i = vehicles[key]
+            more = external.answer(i) if i in external.vehicles else {}
+            respond(msgpack.packb(more if "error" in more else slices[i] | more))
+
+        def queue_token(i: int, _: str, alive: bool) -> None:
+            events.put(EventKind.TOKEN, (i, alive))
+
+        self._bus.answer(self._keys.cfg("*"), answer)
+        for i in external.vehicles:
+            self._bus.watch_tokens(self._keys.alive(agent_role(i)), partial(queue_token, i))
+
+    def close(self) -> None:
+        """End the session."""
+        self._bus.close()

@@ -237,7 +237,7 @@ def script(log: Path) -> None:
       fleet script runs/latest > again.yaml && fleet run again.yaml
     """
     from fleet.repeat.recorded_run import script as make
-    from fleet.terminal.share_done import showing
+    from fleet.terminal.progress import showing
 
     with showing(f"reading {log}") as tell:
         made = make(log, tell)

@@ -73,7 +73,7 @@ def plot(
     from fleet.logs.reader import log_path
     from fleet.pictures.gallery import write
     from fleet.pictures.runs import Look, check_look, load
-    from fleet.terminal.share_done import showing
+    from fleet.terminal.progress import showing
 
     said: list[str] = []
     with showing("reading") as tell:
@@ -119,7 +119,7 @@ def export(log: Path, csv: Path | None, parquet: Path | None, topics: tuple[str,
     from fleet.logs.export import export as write
     from fleet.logs.export import fits
     from fleet.logs.open_log import list_topics
-    from fleet.terminal.share_done import showing
+    from fleet.terminal.progress import showing
 
     if csv is None and parquet is None:
         raise click.UsageError("say where the tables go: --csv DIR, --parquet DIR, or both")
@@ -167,7 +167,7 @@ def report(
     """
     from fleet.pictures.report import write
     from fleet.pictures.runs import Look, check_look, load
-    from fleet.terminal.share_done import showing
+    from fleet.terminal.progress import showing
 
     with showing("reading") as tell:
         runs = load(logs, tell)
@@ -193,7 +193,7 @@ def info(log: Path, as_json: bool) -> None:
       fleet info runs/latest/run.mcap --json
     """
     from fleet.logs.info import describe, read_info
-    from fleet.terminal.share_done import showing
+    from fleet.terminal.progress import showing
 
     with showing(f"reading {log}") as tell:
         found = read_info(log, tell)

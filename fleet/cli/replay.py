@@ -102,7 +102,7 @@ def replay(
     from fleet.logs.tape import Tape
     from fleet.replay.playback import Replay, Wishes
     from fleet.terminal.keyboard import Keyboard
-    from fleet.terminal.share_done import showing
+    from fleet.terminal.progress import showing
     from fleet.terminal.status_line import StatusLine
 
     if not run_id or set(run_id) & set("/*$?#"):

@@ -46,7 +46,7 @@ def reproduce(out: Path, jobs: int | None, cases: tuple[str, ...], formats: tupl
     from rich.table import Table
 
     from fleet.reproduce.cases import CASES
-    from fleet.reproduce.progress import showing
+    from fleet.terminal.progress import showing_jobs
 
     names = [name for name in CASES if not cases or any(name.lower().startswith(c.lower()) for c in cases)]
     for case in cases:
@@ -55,7 +55,7 @@ def reproduce(out: Path, jobs: int | None, cases: tuple[str, ...], formats: tupl
     from fleet.reproduce.run import reproduce as run_all
 
     terminal = Terminal(stderr=True)
-    with exit_status(3), showing(terminal) as tell:
+    with exit_status(3), showing_jobs(terminal) as tell:
         path, claims, _ = run_all(out, jobs or len(os.sched_getaffinity(0)), names, formats, tell)
     table = Table(box=None, pad_edge=False)
     for heading in ("verdict", "claim", "under which reading"):

@@ -178,7 +178,7 @@ def _load(
 
     if begin is not None:
         from fleet.repeat.resume import parse_from, prepare
-        from fleet.terminal.share_done import showing
+        from fleet.terminal.progress import showing
 
         with showing(f"reading {begin}", quiet=quiet) as tell:
             return prepare(*parse_from(begin), changes, scenario, trust, tell)

@@ -6,7 +6,6 @@ import sys
 from pathlib import Path
 
 import click
-from rich.console import Console as Terminal
 
 from agents.plugins.trust import Trust
 from fleet.cli.trust import TrustingCommand, trust_option
@@ -33,12 +32,11 @@ def verify(log: Path, trust: Trust, quiet: bool) -> None:
     """
     from fleet.repeat.verify import describe
     from fleet.repeat.verify import verify as check
-    from fleet.terminal.counting import Counting
-    from fleet.terminal.share_done import showing
+    from fleet.terminal.progress import showing, showing_time
 
     with (
         showing(f"reading {log}", quiet=quiet) as reading,
-        Counting(Terminal(stderr=True), "verified", quiet=quiet) as tell,
+        showing_time("verified", quiet=quiet) as tell,
     ):
         found = check(log, tell, trust, reading)
     click.echo("\n".join(describe(found)))
@@ -63,7 +61,7 @@ def diff(a: Path, b: Path, tolerance: float, everything: bool, quiet: bool) -> N
     from fleet.logs.deviation import compare, table
     from fleet.logs.first_difference import besides_messages
     from fleet.logs.reader import LogReader, log_path
-    from fleet.terminal.share_done import showing
+    from fleet.terminal.progress import showing
 
     with showing(f"comparing {a} and {b}", quiet=quiet) as tell:
         left, right = LogReader(log_path(a), tell), LogReader(log_path(b))
@@ -99,7 +97,7 @@ def recover(log: Path, out: Path | None) -> None:
     """
     from fleet.logs.recover import describe
     from fleet.logs.recover import recover as write
-    from fleet.terminal.share_done import showing
+    from fleet.terminal.progress import showing
 
     with showing(f"recovering {log}") as tell:
         found = write(log, out, tell)

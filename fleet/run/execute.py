@@ -31,6 +31,7 @@ from fleet.run.progress import ProgressLine
 from fleet.run.publication import NoPublication, Publication
 from fleet.run.runner import Runner
 from fleet.scenario.scenario import Scenario
+from fleet.terminal.status_line import StatusLine
 from netem.condition import Link
 from world.errors import WorldError
 
@@ -70,6 +71,7 @@ class _Run:
     log: LogWriter
     journal: Journal
     runner: Runner
+    line: StatusLine
     result: Result
     in_process: bool
     wall_s: float = 0.0  # from the first process on
@@ -92,11 +94,10 @@ def execute(scenario: Scenario, options: Options, terminal: Terminal | None = No
         RunBroken: the port is taken.
         ExternalError: somebody else is to start an agent, and the run is to be one process.
     """
-    terminal = terminal or Terminal(stderr=True)
     interrupts = DeferInterrupts()
     with interrupts.guarding():
-        run = _prepare(scenario, options, terminal, interrupts)
-        _serve(run, terminal)
+        run = _prepare(scenario, options, terminal or Terminal(stderr=True), interrupts)
+        _serve(run)
         with interrupts:  # what there is gets written, whatever comes meanwhile
             _settle(run)
             _judge(run)
@@ -112,16 +113,13 @@ def _prepare(scenario: Scenario, options: Options, terminal: Terminal, interrupt
     elif options.port is not None:
         free_port(options.port)  # before anything is made
 
-    def say(text: str) -> None:
-        if not options.quiet:
-            terminal.print(text, highlight=False, markup=False, soft_wrap=True)
-
+    line = StatusLine(terminal, quiet=options.quiet)
     directory = RunDirectory(options.out, scenario.name, scenario.seed)
     directory.write_scenario(scenario.to_yaml())
     number = (options.rendezvous and options.rendezvous.run) or secrets.token_hex(4)
     publication = NoPublication()
     if options.publish:
-        publication = Publication(number, directory.observe, say, wait=options.wait)
+        publication = Publication(number, directory.observe, line.say, wait=options.wait)
     lockstep = options.realtime_speed is None
     log = LogWriter(directory.log, scenario, options.start, publication.publisher, lockstep=lockstep)
     publication.open()
@@ -130,20 +128,19 @@ def _prepare(scenario: Scenario, options: Options, terminal: Terminal, interrupt
     if in_process:
         runner = InProcess(scenario, journal, options.start)
     else:
-        runner = Console(scenario, directory, journal, options, number, say)
+        runner = Console(scenario, directory, journal, options, number, line.say)
     result = Result(Status.PASS, directory.path, "")
-    return _Run(scenario, options, directory, publication, log, journal, runner, result, in_process)
+    return _Run(scenario, options, directory, publication, log, journal, runner, line, result, in_process)
 
 
-def _serve(run: _Run, terminal: Terminal) -> None:
+def _serve(run: _Run) -> None:
     """Let the fleet run to the end of the scenario, or as far as it goes."""
     result, began = run.result, time.monotonic()
     try:
         run.publication.wait()
         began = time.monotonic()
-        with ProgressLine(
-            run.scenario, run.journal, terminal, quiet=run.options.quiet, waiting=lambda: run.runner.waiting
-        ) as progress:
+        with run.line:
+            progress = ProgressLine(run.scenario, run.journal, run.line, lambda: run.runner.waiting)
             run.runner.serve(_clock(run.scenario, run.options), progress)
     except RunBroken as error:
         result.status, result.reason, result.lines = Status.BROKEN, error.reason, error.lines

@@ -1,4 +1,4 @@
-"""One line that says how it goes: rewritten in place on a terminal, a plain line now and then elsewhere."""
+"""One line that shows how the work goes: rewritten in place on a terminal, a plain line now and then elsewhere."""
 
 from __future__ import annotations
 
@@ -9,16 +9,22 @@ from rich.console import Console as Terminal
 
 REFRESH_S = 0.1
 PLAIN_S = 5.0
+BAR = 24  # characters
 
 
 class StatusLine:
     """Ask `due` as often as you like, and `show` something when it is."""
 
     def __init__(self, terminal: Terminal, *, quiet: bool, first_s: float | None = None) -> None:
-        """`first_s`: how long nothing is shown at first; by default nothing on a terminal, a while elsewhere."""
+        """Prepare it; nothing is shown yet.
+
+        Args:
+            quiet: show nothing at all.
+            first_s: how long nothing is shown at first; by default 0 on a terminal, a while elsewhere.
+        """
         self._terminal, self._quiet = terminal, quiet
-        self._live = terminal.is_terminal
-        self._next = time.monotonic() + ((0.0 if self._live else PLAIN_S) if first_s is None else first_s)
+        self.live = terminal.is_terminal  # it can be rewritten
+        self._next = time.monotonic() + ((0.0 if self.live else PLAIN_S) if first_s is None else first_s)
         self._shown = False
 
     def __enter__(self) -> StatusLine:
@@ -30,15 +36,15 @@ class StatusLine:
         self._clear()
 
     def due(self) -> bool:
-        """Whether it is time to show how it goes."""
+        """Whether it is time to show something."""
         return not self._quiet and time.monotonic() >= self._next
 
     def show(self, text: str) -> None:
-        """Show how it goes, on a terminal in place of what was shown before."""
+        """Show a text, on a terminal in place of what was shown before."""
         at = time.monotonic()
         if self._quiet:
             return
-        if self._live:
+        if self.live:
             self._next = at + REFRESH_S
             self._terminal.file.write(f"\r{text[: self._terminal.width - 1]}\x1b[K")
             self._terminal.file.flush()
@@ -48,7 +54,7 @@ class StatusLine:
             self._terminal.print(text, highlight=False, markup=False, soft_wrap=True)
 
     def say(self, text: str) -> None:
-        """A line that stays."""
+        """Print a line that stays."""
         if not self._quiet:
             self._clear()
             self._terminal.print(text, highlight=False, markup=False, soft_wrap=True)
@@ -58,3 +64,9 @@ class StatusLine:
             self._terminal.file.write("\r\x1b[K")
             self._terminal.file.flush()
             self._shown = False
+
+
+def bar(share: float) -> str:
+    """A bar of which a share in 0..1 is drawn heavily."""
+    done = round(BAR * min(1.0, max(0.0, share)))
+    return "\u2501" * done + "\u2500" * (BAR - done)

@@ -545,6 +545,7 @@ def test_what_was_replaced_is_not_called_lost(tmp_path: Path, capsys: pytest.Cap
     from rich.console import Console
 
     from fleet.run.progress import ProgressLine
+    from fleet.terminal.status_line import StatusLine
 
     water = "network={period: 1 s, payload: compact, acoustic: {modem: mfsk-1066, mac: tdma, slot: 1500 ms}}"
     scenario = small("duration=8 s", water)
@@ -555,7 +556,7 @@ def test_what_was_replaced_is_not_called_lost(tmp_path: Path, capsys: pytest.Cap
     journal = Journal(scenario, Nowhere())
     journal.ledger.settle([Fate(k, 1, 2, k, 0, k, k, 0, cause, False, b"") for k, cause in
                            enumerate(("delivered", "replaced", "replaced", "snr"))])  # fmt: skip
-    line = ProgressLine(scenario, journal, Console(quiet=True), quiet=True, waiting=str)
+    line = ProgressLine(scenario, journal, StatusLine(Console(quiet=True), quiet=True), str)
     assert line._state().endswith("packets 1 delivered, 1 lost, 2 replaced")
 
 

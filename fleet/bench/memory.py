@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
-from pathlib import Path
+from contextlib import contextmanager
+
+import psutil
 
 
 @contextmanager
@@ -29,16 +30,14 @@ def sampled_pss() -> Iterator[list[float]]:
 
 
 def _agents() -> Iterator[int]:
-    for folder in Path("/proc").glob("[0-9]*"):
-        with suppress(OSError):  # it ended meanwhile
-            if (folder / "cmdline").read_text("utf-8", "replace").startswith("fleet agent"):
-                yield int(folder.name)
+    for process in psutil.process_iter(["cmdline"]):
+        if " ".join(process.info["cmdline"] or []).startswith("fleet agent"):
+            yield process.pid
 
 
 def pss_mb(pid: int) -> float:
     """A process's own memory and its part of what it shares (PSS); 0 if it has ended."""
     try:
-        lines = Path(f"/proc/{pid}/smaps_rollup").read_text().splitlines()
-    except OSError:
+        return float(psutil.Process(pid).memory_full_info().pss) / 1e6
+    except psutil.Error:
         return 0.0
-    return next((int(line.split()[1]) * 1024 / 1e6 for line in lines if line.startswith("Pss:")), 0.0)

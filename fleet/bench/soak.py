@@ -18,6 +18,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+import psutil
 from rich.table import Table
 
 from fleet.bench.memory import pss_mb
@@ -25,6 +26,7 @@ from fleet.bench.memory import pss_mb
 SAMPLE_S = 0.5
 WARM = 0.25  # share of the run after which memory is compared with the end
 TELL_S = 30.0
+_DEAD = (psutil.STATUS_ZOMBIE, psutil.STATUS_DEAD)
 
 
 @dataclass(frozen=True, slots=True)
@@ -196,11 +198,9 @@ def result_of(folder: Path) -> dict[str, Any]:
 
 def _of_session(session: int) -> list[int]:
     """The processes of a session that are not dead."""
-    found = []
-    for entry in Path("/proc").iterdir():
-        if entry.name.isdigit():
-            with suppress(OSError, IndexError):
-                state, _, _, sid = (entry / "stat").read_text().rsplit(")", 1)[1].split()[:4]
-                if int(sid) == session and state not in "ZX":
-                    found.append(int(entry.name))
-    return found
+    members = []
+    for pid in psutil.pids():
+        with suppress(ProcessLookupError, psutil.Error):  # it ended meanwhile
+            if os.getsid(pid) == session and psutil.Process(pid).status() not in _DEAD:
+                members.append(pid)
+    return members

@@ -19,6 +19,7 @@ from fleet.hosts.certificates import path as certificate_path
 from netem.private_file import DamagedFile, ExposedFile, parse_json, read_private
 from netem.wire.access import Credentials, Listener, agent_role, generate
 from netem.wire.keys import Keys
+from netem.wire.listening import probe_address
 
 # Between hosts. A pull of up to a third of it is carried: the last sign of life may be a quarter of the lease old when
 # it begins, and TCP's next attempt may come as late again as the pull was long.
@@ -163,13 +164,7 @@ def check_free(listen: str) -> None:
     """
     endpoint = parse_endpoint(listen, "--listen")
     try:
-        family, kind, protocol, _, address = socket.getaddrinfo(endpoint.host, endpoint.port, type=socket.SOCK_STREAM)[
-            0
-        ]
-        with socket.socket(family, kind, protocol) as probe:
-            # As zenoh's listener does: a port whose last connections are still winding down is free.
-            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            probe.bind(address)
+        probe_address(endpoint.host, endpoint.port)
     except OSError as error:
         raise HostsError(
             f"--listen: {listen} cannot be used ({error.strerror}); choose another address or port"

@@ -214,20 +214,22 @@ def forkserver_suspended() -> str:
 
 
 def suspended(pid: int) -> bool:
-    """Whether a process is stopped, by a SIGSTOP that somebody forgot for instance."""
-    return _state(pid) in ("T", "t")
+    """Whether a process is stopped, by a forgotten SIGSTOP for instance."""
+    return _status(pid) in ("stopped", "tracing-stop")
 
 
 def ended(pid: int) -> bool:
-    """Whether a process that nobody has reaped is over."""
-    return _state(pid) == "Z"
+    """Whether a process has ended and was not reaped."""
+    return _status(pid) == "zombie"
 
 
-def _state(pid: int) -> str:
-    """The letter that `ps` shows; nothing if there is no such process."""
+def _status(pid: int) -> str:
+    """The state of a process as psutil names it; empty: there is no such process."""
+    import psutil  # only when a run stands still
+
     try:
-        return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0]
-    except (OSError, IndexError):
+        return str(psutil.Process(pid).status())
+    except psutil.Error:
         return ""
 
 

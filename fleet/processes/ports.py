@@ -3,29 +3,26 @@
 from __future__ import annotations
 
 import secrets
-import socket
 
 from fleet.errors import RunBroken
+from netem.wire.listening import probe_address
 
 
 def free_port(wanted: int | None) -> int:
     """A loopback port that is free now: the wanted one, or any.
 
-    Somebody may take it before the world does; then the world's end says so. To make that rare, ports are tried
-    below the range from which the system gives outgoing connections theirs.
+    Another process may take it before the world does; then the world's end says so. To make that rare, ports are
+    tried below the range from which the system gives outgoing connections theirs.
 
     Raises:
         RunBroken: the wanted port is taken.
     """
     problem = ""
     for port in [wanted] if wanted else [secrets.randbelow(22_000) + 10_000 for _ in range(100)]:
-        with socket.socket() as probe:
-            # As zenoh's listener does: a port whose last connections are still winding down is free.
-            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            try:
-                probe.bind(("127.0.0.1", port))
-            except OSError as error:
-                problem = f"port {port} on 127.0.0.1 cannot be used ({error.strerror})"
-            else:
-                return port
+        try:
+            probe_address("127.0.0.1", port)
+        except OSError as error:
+            problem = f"port {port} on 127.0.0.1 cannot be used ({error.strerror})"
+        else:
+            return port
     raise RunBroken(f"{problem}; choose another with --port, or leave it out for a free one")

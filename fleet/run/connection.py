@@ -33,7 +33,7 @@ class ConnectionFile(msgspec.Struct):
     """What a connection file says; one that says anything else is not ours."""
 
     scenario: str
-    pid: Annotated[int, msgspec.Meta(gt=0)]  # of the console
+    pid: Annotated[int, msgspec.Meta(gt=0, lt=2**31)]  # of the console
     endpoint: str  # of the run's router, as zenoh writes it
     run: Annotated[str, msgspec.Meta(pattern=r"^[\w-]+$")]  # the run's id
     user: str
@@ -132,7 +132,9 @@ def ask(found: LiveRun, op: str, **fields: Any) -> dict[str, Any]:
 def _forget(path: Path) -> None:
     """Remove what a console that was killed has left: it holds a password, and nobody answers any more."""
     values = ConnectionFile.read(path)
-    if values is not None and not Path(f"/proc/{values.pid}").exists():
+    import psutil  # only when a run was killed
+
+    if values is not None and not psutil.pid_exists(values.pid):
         with contextlib.suppress(OSError):
             path.unlink()
 
@@ -143,7 +145,7 @@ def _read(path: Path) -> LiveRun | None:
         return None
     try:
         os.kill(values.pid, 0)  # raises when there is no such process
-    except (OSError, OverflowError):
+    except OSError:
         return None
     credentials = Credentials.from_values(msgspec.structs.asdict(values))
     return LiveRun(path.parent, values.scenario, values.pid, values.endpoint, values.run, credentials)

@@ -1,0 +1,62 @@
+"""Files with secrets: read if nobody else can, and refused with the place of the mistake."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Annotated
+
+import msgspec
+import pytest
+
+from netem.private_file import DamagedFile, ExposedFile, parse_json, read_private
+
+
+class Known(msgspec.Struct):
+    name: Annotated[str, msgspec.Meta(max_length=5)]
+    count: Annotated[int, msgspec.Meta(ge=1)] = 1
+    users: dict[str, tuple[str, str]] = {}  # msgspec copies it
+
+
+def test_what_it_says() -> None:
+    assert parse_json(b'{"name": "a", "other": 1}', Known) == Known("a")
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ('{"count": 1}', "it has no 'name'"),
+        ('{"name": 1}', "name: expected str, got int"),
+        ('{"name": "a", "count": true}', "count: expected int, got bool"),
+        ('{"name": "a", "count": 0}', "count: expected int >= 1"),
+        ('{"name": "too long"}', "name: expected str of length <= 5"),
+        ('{"name": "a", "users": {"b": 3}}', "users[...]: expected a list, got int"),
+        ("[1]", "expected a map, got list"),
+        ("{", "not JSON"),
+        ("", "not JSON"),
+        ("NaN", "not JSON"),
+        ('{"name": "' + "\\ud800" + '"}', ""),
+        ('{"users": ' + '{"a":' * 100_000, ""),
+    ],
+)
+def test_what_is_refused(text: str, words: str) -> None:
+    with pytest.raises(DamagedFile) as caught:
+        parse_json(text.encode(), Known)
+    assert words in str(caught.value)
+    assert "`" not in str(caught.value)
+
+
+def test_who_may_read_it(tmp_path: Path) -> None:
+    path = tmp_path / "secret"
+    path.write_bytes(b"x")
+    for mode in (0o640, 0o604, 0o620, 0o601):
+        path.chmod(mode)
+        with pytest.raises(ExposedFile, match=f"mode 0{mode:o}, expected 0600.: chmod 600 {path}"):
+            read_private(path, 10)
+    path.chmod(0o600)
+    assert read_private(path, 1) == b"x"
+    with pytest.raises(OSError, match="larger"):
+        read_private(path, 0)
+    os.mkfifo(tmp_path / "pipe", 0o600)
+    with pytest.raises(OSError, match="it is a pipe"):
+        read_private(tmp_path / "pipe", 10)

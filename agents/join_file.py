@@ -83,7 +83,7 @@ class JoinFile(msgspec.Struct, frozen=True):
                     f"the run of {path} speaks version {version!s:.40} of the protocol, this fleet version "
                     f"{PROTOCOL_VERSION}: use the uuv-fleet that the run uses"
                 )
-            found = parse_json(data, cls)
+            content = parse_json(data, cls)
         except FileNotFoundError:
             raise JoinError(
                 f"there is no {path}: a run writes it for each vehicle that is external, and removes it when it ends"
@@ -94,11 +94,11 @@ class JoinFile(msgspec.Struct, frozen=True):
             raise JoinError(str(error)) from None
         except DamagedFile as error:
             raise JoinError(f"{path} is no join file: {error}") from None
-        for endpoint in found.endpoint.split(","):
+        for endpoint in content.endpoint.split(","):
             if not ENDPOINT.fullmatch(endpoint):
                 known = "tcp/HOST:PORT, tls/HOST:PORT or unixsock-stream/PATH"
                 raise JoinError(f"{path}: endpoint: expected {known}, got {endpoint!r:.80}")
-        for name, text in (("ca", found.ca), ("certificate", found.certificate), ("key", found.key)):
+        for name, text in (("ca", content.ca), ("certificate", content.certificate), ("key", content.key)):
             if text and "-----BEGIN " not in text:
                 raise JoinError(f"{path}: {name}: expected PEM, which has a line -----BEGIN ...-----")
-        return found
+        return content

@@ -120,18 +120,18 @@ def replay(
     played = Replay(tape, wishes)
     with exit_status(3), _ending() as sessions, StatusLine(terminal, quiet=quiet) as line:
         if tape.missing:
-            line.say(f"warning: {log}: {tape.missing}")
+            line.print(f"warning: {log}: {tape.missing}")
         bus = _session(connect, listen, None)
         sessions.append(bus)
         began = time.monotonic()
         try:
             played.open(bus)
             keys = f"fleet/{run_id}/log/**" if played.ours else "its own keys"
-            line.say(f"playing {played.messages} messages on {keys} at {bus.endpoint}")
+            line.print(f"playing {played.messages} messages on {keys} at {bus.endpoint}")
             with Keyboard() as keyboard:
                 played.play(keyboard, line)
         finally:
-            line.say(played.summary(time.monotonic() - began))
+            line.print(played.summary(time.monotonic() - began))
 
 
 @click.command(epilog=EPILOG)
@@ -186,12 +186,12 @@ def record(
         with exit_status(2):
             recorder = Recorder(bus, keys)
             writer = TrafficWriter(path, keys)
-        line.say(f"recording {', '.join(keys)} at {bus.endpoint} to {path}")
+        line.print(f"recording {', '.join(keys)} at {bus.endpoint} to {path}")
         with exit_status(3), holding_interrupts() as interrupted:
             try:
                 limits, over = Limits(duration, max_size), None if run is None else Gone(lambda: bus.connected)
                 if recorder.record(writer, limits, line, interrupted, over):
-                    line.say("the run is over: nobody publishes it any more")
+                    line.print("the run is over: nobody publishes it any more")
             except BaseException:
                 with suppress(FleetError):  # a full disk is reported once
                     _finish(recorder, writer, line, path)
@@ -201,7 +201,7 @@ def record(
 
 def _finish(recorder: Any, writer: Any, line: Any, path: Path) -> None:
     recorder.finish(writer)
-    line.say(f"recorded {writer.samples} messages, {writer.size / 1e6:.2f} MB, to {path}")
+    line.print(f"recorded {writer.samples} messages, {writer.size / 1e6:.2f} MB, to {path}")
 
 
 def _session(connect: str | None, listen: str | None, credentials: Any) -> Any:

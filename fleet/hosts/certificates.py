@@ -1,7 +1,7 @@
-"""Certificates for runs over several hosts: a certificate authority (CA) of one's own and what it signs.
+"""Certificates for runs over several hosts: an own certificate authority (CA) and the certificates that it signs.
 
-The CA's key exists only while `make` runs: nobody can sign anything more with it, and another host means making all
-of them again. That is cheap, because every join file carries the CA that its agent shall trust.
+The CA's key exists only while `make` runs, so nothing more can be signed with it, and another host needs a new set.
+That is cheap, because every join file carries the CA that its agent shall trust.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _LABEL = re.compile(r"[A-Za-z0-9_]([A-Za-z0-9_-]{0,61}[A-Za-z0-9_])?")
 
 
 class CertsError(FleetError):
-    """Certificates that cannot be made, or not be used."""
+    """Certificates that cannot be made or used."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +42,7 @@ class Pair:
 
 @dataclass(frozen=True, slots=True)
 class ServerCertificate:
-    """What a router needs to listen with TLS, and the names and addresses under which it may be reached."""
+    """The certificate of a router that listens with TLS, and the names and addresses for which it is valid."""
 
     ca: str  # PEM
     pair: Pair
@@ -85,12 +85,16 @@ def make(directory: Path, hosts: Sequence[str] = (), *, agents: int = 0, days: i
 
 
 def path(directory: Path, who: str, *, key: bool = False) -> Path:
-    """The file of somebody's certificate, or of the key to it."""
+    """The file of a certificate, or of the key to it.
+
+    Args:
+        who: `CA`, `SERVER`, `OWN` or a role.
+    """
     return directory / f"{who}{'-key' if key else ''}.pem"
 
 
 def host_name(text: str) -> str:
-    """A host name or address, as certificates spell it.
+    """A host name or address in the spelling of certificates.
 
     Raises:
         CertsError: it is neither.
@@ -109,7 +113,7 @@ def host_name(text: str) -> str:
 
 
 def read_ca(directory: Path) -> str:
-    """The CA's certificate, PEM.
+    """Read the CA's certificate, PEM.
 
     Raises:
         CertsError: there is none.
@@ -120,11 +124,11 @@ def read_ca(directory: Path) -> str:
 
 
 def read_server(directory: Path) -> ServerCertificate:
-    """The router's certificate with its key.
+    """Read the router's certificate with its key.
 
     Raises:
         CertsError: a file is missing or damaged, the certificate is out of date or is not the CA's, the key is not
-            the certificate's, or others may read it.
+            the certificate's, or others can read it.
     """
     x509 = _cryptography()
     ca, pair = read_ca(directory), read_client(directory, SERVER)
@@ -137,7 +141,7 @@ def read_server(directory: Path) -> ServerCertificate:
 
 
 def read_client(directory: Path, who: str) -> Pair:
-    """Somebody's certificate with its key.
+    """Read the certificate of a client with its key.
 
     Raises:
         CertsError: as for `read_server`.
@@ -238,7 +242,7 @@ def _san(host: str) -> Any:
 
 
 def _parse(file: Path, text: str) -> list[Any]:
-    """The certificates in it: of a chain somebody's own is the first."""
+    """The certificates in a file; of a chain the first is the own one."""
     try:
         return list(_cryptography().load_pem_x509_certificates(text.encode()))
     except ValueError:
@@ -246,7 +250,7 @@ def _parse(file: Path, text: str) -> list[Any]:
 
 
 def _again(directory: Path, agents: str = "") -> str:
-    """The command that makes a directory of certificates, with a word on those that are there."""
+    """The command that makes a directory of certificates, for errors; it mentions --force if there are some already."""
     there = next(directory.glob("*.pem"), None) is not None
     more = " --force, with each --host that it was for and all agents" if there else ""
     return f"fleet certs {directory} --host NAME{agents}{more}"

@@ -1,4 +1,4 @@
-"""How the processes of a run meet when they are on several hosts: where its router listens, or whose router it uses."""
+"""How processes on several hosts meet in one run: where its router listens, or which other router it uses."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ IN_CLEAR = (
 
 
 class HostsError(FleetError):
-    """Hosts that cannot meet in this way."""
+    """Options for several hosts that cannot be used."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,7 +65,7 @@ class Rendezvous:
     """How the processes of one run find each other, and what protects them on the way."""
 
     run: str | None = None  # the run's id, where a router has to know it beforehand
-    router: str | None = None  # an endpoint: the router that is there already; None: the world hosts one
+    router: str | None = None  # endpoint of a router that is there already; None: the world hosts one
     credentials: dict[str, Credentials] | None = None  # by role; None: fresh ones
     listener: Listener | None = None  # where the run's own router listens for other hosts
     reached: str = ""  # endpoints for join files, with commas between them; empty: those of this host
@@ -74,15 +74,18 @@ class Rendezvous:
     lease_ms: int | None = None  # between hosts; None on one host
     warnings: tuple[str, ...] = ()
 
-    def joining(self, role: str, known: Credentials) -> Credentials:
-        """What an external agent joins with, given what one on this host would."""
+    def external_credentials(self, role: str, known: Credentials) -> Credentials:
+        """The credentials with which an external agent joins, given those for this host."""
         own = self.certificates.get(role, Pair("", ""))
         lease_ms = known.lease_ms if self.lease_ms is None else self.lease_ms
         return Credentials(known.user, known.password, self.ca, own.certificate, own.key, lease_ms)
 
 
 def parse_endpoint(text: str, option: str) -> Endpoint:
-    """An endpoint as zenoh writes it.
+    """Read an endpoint as zenoh writes it.
+
+    Args:
+        option: where it was given, for the error.
 
     Raises:
         HostsError: it is none, or of another protocol.
@@ -93,13 +96,13 @@ def parse_endpoint(text: str, option: str) -> Endpoint:
     known = slash and protocol in ("tcp", "tls")
     if not known or not colon or not host or not port.isdecimal() or not 0 < int(port) < 65536:
         raise HostsError(f"{option}: expected tls/HOST:PORT or tcp/HOST:PORT such as tls/0.0.0.0:7447, got {text!r}")
-    found = Endpoint(protocol, host, int(port))
-    if not found.wildcard:
+    endpoint = Endpoint(protocol, host, int(port))
+    if not endpoint.wildcard:
         try:
             host_name(host)
         except CertsError as error:
             raise HostsError(f"{option}: {error}") from None
-    return found
+    return endpoint
 
 
 def listening(
@@ -111,7 +114,7 @@ def listening(
     mutual: bool = False,
     lease_ms: int = LEASE_MS,
 ) -> Rendezvous:
-    """The run's own router also listens for other hosts.
+    """The rendezvous of a run whose own router also listens for other hosts.
 
     Args:
         listen: an endpoint; `0.0.0.0` and `[::]` mean every address of this host.
@@ -157,7 +160,7 @@ def listening(
 
 
 def check_free(listen: str) -> None:
-    """See whether the world will be able to listen there.
+    """Check that the world will be able to listen there.
 
     Raises:
         HostsError: the port is taken or not for us, or the address is not of this host.
@@ -181,9 +184,10 @@ def through_router(
     mutual: bool = False,
     lease_ms: int = LEASE_MS,
 ) -> Rendezvous:
-    """The run's processes join a router that is there already.
+    """The rendezvous of a run whose processes join a router that is there already.
 
     Args:
+        router: its endpoint.
         credentials: the file that `fleet acl -o` wrote beside the router's configuration.
         vehicles: how many the scenario has.
         certs: a directory with the CA of the router, and for mutual TLS with the clients' certificates.
@@ -255,10 +259,10 @@ def read_credentials(file: Path, vehicles: int) -> tuple[str, dict[str, Credenti
 
 
 def run_id(text: str) -> str:
-    """A run's id, which is one piece of a key expression and begins user names.
+    """Check a run's id, which is one piece of a key expression and the beginning of user names.
 
     Raises:
-        HostsError: it cannot be.
+        HostsError: it has other characters, or too many.
     """
     if not re.fullmatch(RUN_ID, text):
         raise HostsError(f"--run: expected letters, digits, - and _ such as sea-trial-3, got {text!r}")
@@ -273,7 +277,7 @@ def _advertised(host: str) -> str:
 
 
 def _covered(hosts: list[str], named: tuple[str, ...], certs: Path) -> None:
-    """A name that the certificate does not hold would be refused by every agent: better to say so now."""
+    """Refuse names that the certificate does not hold: every agent would refuse them later."""
     for host in hosts:
         wild = "*." + host.partition(".")[2]
         if host not in named and wild not in named:

@@ -1,4 +1,4 @@
-"""The configuration of a zenoh router that is there already, so that it lets one run in and keeps its roles apart."""
+"""The configuration of a zenoh router that is there already: it admits one run, each role with its rights only."""
 
 from __future__ import annotations
 

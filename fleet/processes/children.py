@@ -1,4 +1,4 @@
-"""The processes of a run: started from one preloaded forkserver, watched, explained, and never left behind."""
+"""The processes of a run: started by one preloaded fork server, watched, and ended with the console."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ TAIL_LINES = 12
 
 @dataclass(frozen=True, slots=True)
 class Exit:
-    """A process that ended: its role, its exit code (negative: the signal that killed it) and what its number was."""
+    """The end of a process: its role, its exit code (negative: the signal that killed it) and its process id."""
 
     role: str
     code: int
@@ -64,7 +64,7 @@ class Child:
 
 
 class Children:
-    """Starts processes, reports each exit to `on_exit` (on a thread of its own), and ends them all."""
+    """Starts processes, calls `on_exit` for each that ends (on a thread of its own), and ends them all."""
 
     def __init__(self, on_exit: Callable[[Exit], None]) -> None:
         self._on_exit = on_exit
@@ -74,16 +74,19 @@ class Children:
         self._watcher: threading.Thread | None = None
 
     def start(self, role: str, title: str, log_path: Path, target: Callable[..., None], *args: Any) -> None:
-        """Start `target(*args)` as a process of its own, called `title` in `ps`, printing to `log_path`.
+        """Start `target(*args)` as a process of its own.
 
-        It may take the role of one that has ended.
+        Args:
+            role: the key of the process in `by_role`; that of a process that has ended may be used again.
+            title: its name in `ps`.
+            log_path: where its output goes.
 
         Raises:
-            TimeoutError: the fork server does nothing, and has been ended for it.
-            OSError, EOFError: it is gone, or there is no room for another process.
+            TimeoutError: the fork server did not answer, and was ended.
+            OSError, EOFError: the fork server has ended, or there is no room for another process.
         """
         assert threading.current_thread() is threading.main_thread(), "PDEATHSIG follows the forking thread"
-        # Or the forkserver, a `python -c`, would take a `socket.py` in the current directory for Python's.
+        # Or the forkserver, a `python -c`, would import a `socket.py` in the current directory in place of Python's.
         os.environ["PYTHONSAFEPATH"] = "1"
         self._context.set_forkserver_preload(["fleet.processes.preload"])
         process = self._context.Process(
@@ -97,14 +100,14 @@ class Children:
         self.by_role[role] = Child(role, process, log_path)
 
     def watch(self) -> None:
-        """Begin to report exits, also of what is started later."""
+        """Begin to call `on_exit`, also for processes that are started later."""
         self._watcher = threading.Thread(target=self._watch, name="exit-watch", daemon=True)
         self._watcher.start()
 
     def stop(self) -> None:
-        """End every process: politely, then with SIGKILL, which also ends one that is stopped.
+        """End every process with SIGTERM, then with SIGKILL, which also ends one that is suspended.
 
-        That they have ended is told by the fork server. One that does not tell is suspended, and goes as well.
+        The fork server reports the ends. If it does not, it is suspended, and is ended as well.
         """
         self._stopping.set()
         if self._watcher is not None:
@@ -135,7 +138,7 @@ class Children:
 
 
 def _left(processes: list[BaseProcess]) -> list[BaseProcess]:
-    """Those that have not ended when nobody has for a while."""
+    """Wait for processes to end, until none has for a while; those that have not."""
     remaining: dict[Any, BaseProcess] = {process.sentinel: process for process in processes}
     while remaining and (ended := wait(list(remaining), timeout=GRACE_S)):
         for sentinel in ended:
@@ -145,7 +148,7 @@ def _left(processes: list[BaseProcess]) -> list[BaseProcess]:
 
 @contextlib.contextmanager
 def _named_console() -> Iterator[None]:
-    # For the fork server alone: whoever else had it in the environment would take us for a parent, and end at once.
+    # For the fork server alone: any other process with this variable would expect to be our child, and end at once.
     os.environ[CONSOLE_PID_VARIABLE] = str(os.getpid())
     try:
         yield
@@ -155,14 +158,14 @@ def _named_console() -> Iterator[None]:
 
 @contextlib.contextmanager
 def _bounded_wait() -> Iterator[None]:
-    """To wait for a fork server that does nothing ends with a TimeoutError, and with the fork server."""
+    """Raise TimeoutError where a fork server does not answer in time; it is ended."""
     why: list[str] = []
 
     def give_up() -> None:
         pid = _forkserver_pid()
         how = "is suspended" if pid and suspended(pid) else "does not answer"
         why.append(f"the fork server (pid {pid}) {how}, for {START_S:g} s now")
-        _kill_forkserver()  # whoever waits for its answer gets an end of file
+        _kill_forkserver()  # the thread that waits for its answer gets an end of file
 
     patience = threading.Timer(START_S, give_up)
     patience.daemon = True
@@ -178,7 +181,7 @@ def _bounded_wait() -> Iterator[None]:
 
 
 def _kill_forkserver() -> None:
-    """SIGKILL also ends one that is suspended, and with it what it has started (`fleet.processes.parent_death`)."""
+    """SIGKILL also ends a suspended one; its children end with it (`fleet.processes.parent_death`)."""
     pid = _forkserver_pid()
     if pid is not None:
         with contextlib.suppress(ProcessLookupError):
@@ -190,7 +193,11 @@ def _forkserver_pid() -> int | None:
 
 
 def forkserver_death(patience_s: float = 0.0) -> str | None:
-    """How the forkserver ended, or None while it lives; its sockets close a moment before it can be reaped."""
+    """How the fork server ended, or None while it lives.
+
+    Args:
+        patience_s: how long to wait for it, because its sockets close a moment before it can be reaped.
+    """
     pid = _forkserver_pid()
     if pid is None:
         return None
@@ -208,7 +215,7 @@ def forkserver_death(patience_s: float = 0.0) -> str | None:
 
 
 def forkserver_suspended() -> str:
-    """That the fork server is suspended, in words; nothing if it is not. It alone tells who has ended."""
+    """Words that the fork server, which reports all ends, is suspended; empty: it is not."""
     pid = _forkserver_pid()
     return f"the fork server (pid {pid}) is suspended" if pid is not None and suspended(pid) else ""
 
@@ -246,7 +253,7 @@ def describe_exit(code: int) -> str:
 
 @contextlib.contextmanager
 def _without_main() -> Iterator[None]:
-    # Otherwise every child would import the console's main module again, and with it the whole command line.
+    # Otherwise every child would import the console's main module, and with it the whole command line.
     main = sys.modules["__main__"]
     sys.modules["__main__"] = ModuleType("__main__")
     try:
@@ -302,7 +309,7 @@ def _child(title: str, log_path: str, target: Callable[..., None], args: tuple[A
 
 
 def _end_with_console() -> None:
-    # The second line of defence: end of file on the console's pipe.
+    # Besides PDEATHSIG: end of file on the console's pipe.
     parent = multiprocessing.parent_process()
     if parent is not None:
         parent.join()

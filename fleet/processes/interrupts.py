@@ -1,6 +1,6 @@
-"""What ends a command: Ctrl-C, SIGTERM, and SIGHUP when its terminal closes.
+"""The signals that end a command: SIGINT (Ctrl-C), SIGTERM, and SIGHUP when its terminal closes.
 
-All are kept from the middle of a write: an exception there would leave half a record in a file.
+They can be deferred, because an exception in the middle of a write would leave half a record in a file.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ class HungUp(KeyboardInterrupt):
 
 
 def ending(number: int) -> KeyboardInterrupt:
-    """The exception for one of these signals."""
+    """The exception that one of these signals raises."""
     return HungUp() if number == signal.SIGHUP else KeyboardInterrupt()
 
 
@@ -32,38 +32,42 @@ def ending_status(error: BaseException | None) -> int:
 
 @contextmanager
 def holding_interrupts() -> Iterator[Callable[[], KeyboardInterrupt | None]]:
-    """These signals raise nothing within; asked, the function that is given has the exception if one of them came."""
-    came: list[int] = []
-    with _handling(lambda number, _: came.append(number)):
-        yield lambda: ending(came[0]) if came else None
+    """Within this block the signals raise nothing.
+
+    Yields:
+        A function: the exception of the first signal that came, or None.
+    """
+    received: list[int] = []
+    with _handling(lambda number, _: received.append(number)):
+        yield lambda: ending(received[0]) if received else None
 
 
 class DeferInterrupts:
-    """Within `with` blocks of this object these signals wait for the block's end, which is to come soon.
+    """Within `with` blocks of this object the signals are deferred to the end of the block; blocks should be short.
 
-    The blocks cost next to nothing; `guarding`, around all of them, takes the signals.
+    `handling`, around all blocks, installs the handlers, so that a block costs next to nothing.
     """
 
     def __init__(self) -> None:
         self._within = False
-        self._came: list[int] = []
+        self._deferred: list[int] = []
 
     @contextmanager
-    def guarding(self) -> Iterator[None]:
-        """From here on signals may wait; outside of blocks they do what they did before."""
+    def handling(self) -> Iterator[None]:
+        """Install the handlers; outside of blocks the signals do what they did before."""
         before = {number: signal.getsignal(number) for number in ENDING}
 
-        def arrive(number: int, frame: FrameType | None) -> None:
+        def handle(number: int, frame: FrameType | None) -> None:
             handler = before[signal.Signals(number)]
             if self._within:
-                self._came.append(number)
+                self._deferred.append(number)
             elif callable(handler):
                 handler(number, frame)
             elif handler != signal.SIG_IGN:
                 signal.signal(number, signal.SIG_DFL)
                 signal.raise_signal(number)
 
-        with _handling(arrive):
+        with _handling(handle):
             yield
 
     def __enter__(self) -> None:
@@ -73,24 +77,24 @@ class DeferInterrupts:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._within = False
-        if self._came:
-            number = self._came[0]
-            self._came.clear()
+        if self._deferred:
+            number = self._deferred[0]
+            self._deferred.clear()
             signal.raise_signal(number)
 
 
 @contextmanager
 def _handling(handler: Callable[[int, FrameType | None], Any]) -> Iterator[None]:
     if threading.current_thread() is not threading.main_thread():
-        yield  # signals are for the main thread alone
+        yield  # only the main thread can handle signals
         return
     # A SIGHUP that is ignored, as `nohup` does it, stays ignored.
-    taken = [n for n in ENDING if n != signal.SIGHUP or signal.getsignal(n) != signal.SIG_IGN]
-    before = {number: signal.signal(number, handler) for number in taken}
+    handled = [n for n in ENDING if n != signal.SIGHUP or signal.getsignal(n) != signal.SIG_IGN]
+    before = {number: signal.signal(number, handler) for number in handled}
     try:
         yield
     finally:
         for number in before:
-            # `fleet` ignores them from the first one on; that stays so.
+            # `fleet` ignores all signals after the first one; then its handler stays.
             if signal.getsignal(number) is handler:
                 signal.signal(number, before[number])

@@ -1,4 +1,4 @@
-"""What the machine must allow a run: open files."""
+"""The limit of open files, which a run of many processes needs to be higher than usual."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ from fleet.errors import RunBroken
 FILES, FILES_PER_VEHICLE = 48, 2
 
 
-def allow_open_files(vehicles: int, strangers: int = 0) -> None:
+def allow_open_files(vehicles: int, others: int = 0) -> None:
     """Raise the soft limit as far as a run needs it; children inherit it.
 
     Args:
-        strangers: connections to the router from whoever reaches it: room for them as far as the hard limit lets.
+        others: connections from outside of the run; there is room for them as far as the hard limit allows.
 
     Raises:
         RunBroken: the hard limit is too low.
     """
     needed = FILES + FILES_PER_VEHICLE * vehicles
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
-    wanted = needed + strangers
+    wanted = needed + others
     if soft == resource.RLIM_INFINITY or soft >= wanted:
         return
     if hard != resource.RLIM_INFINITY and hard < needed:

@@ -1,8 +1,8 @@
-"""No orphans: ask the kernel to kill this process when its parent dies.
+"""Ask the kernel to kill this process when its parent dies, so that no process outlives its run.
 
-Forkserver children are not the console's children and would survive its kill -9. So the chain console ->
-forkserver -> child is tied link by link with PR_SET_PDEATHSIG (prctl(2)). The signal follows the *thread* that
-forked, so the forkserver must be started from the console's main thread.
+The children of a fork server are not the console's children and would survive its kill -9. So the fork server asks
+for its end with the console, and each child for its end with the fork server, by PR_SET_PDEATHSIG (prctl(2)). The
+signal follows the *thread* that forked, so the fork server must be started from the console's main thread.
 """
 
 from __future__ import annotations

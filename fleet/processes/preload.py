@@ -1,4 +1,4 @@
-"""What the forkserver loads once, so that a hundred processes share it: imports only, no session, no thread."""
+"""What the fork server imports once, so that a hundred processes share it; it opens no session and starts no thread."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from fleet.processes.parent_death import die_with_parent
 CONSOLE_PID_VARIABLE = "UUV_FLEET_CONSOLE_PID"
 
 if CONSOLE_PID_VARIABLE in os.environ:
-    die_with_parent(int(os.environ.pop(CONSOLE_PID_VARIABLE)))  # what a law starts is no business of ours
+    die_with_parent(int(os.environ.pop(CONSOLE_PID_VARIABLE)))  # or processes that a law starts would see it
 
 # After the tie to the parent, because it takes a while.
 for name in ("agents.main", "netem.main", "world.main"):

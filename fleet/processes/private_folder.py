@@ -1,7 +1,7 @@
-"""Where the processes of a run meet: a Unix socket in a folder that nobody but this user can enter.
+"""The Unix socket of a run's router, in a folder that only this user can enter.
 
-A port on loopback is open to every user of the host. Who only holds connections to it, without ever logging in, takes
-the places of those who want to join; and who takes the port first is taken for the router.
+A port on loopback is open to every user of the host. Another user could keep processes of the run out by holding
+connections without logging in, or could take the port first and play the router.
 """
 
 from __future__ import annotations
@@ -28,10 +28,10 @@ class PrivateFolder:
     """One run's folder, mode 0700, from its beginning to its end."""
 
     def __init__(self) -> None:
-        """Make it, and remove what runs have left here that were killed.
+        """Make the folder, and remove the folders of runs that were killed.
 
         Raises:
-            RunBroken: there is no place for it.
+            RunBroken: no folder can be made for it.
         """
         place = _place()
         _sweep(place)
@@ -44,11 +44,11 @@ class PrivateFolder:
 
     @property
     def endpoint(self) -> str:
-        """The run's router, as zenoh writes it."""
+        """The endpoint of the run's router, as zenoh writes it."""
         return f"unixsock-stream/{self.path / _ROUTER}"
 
     def close(self) -> None:
-        """Nobody joins any more."""
+        """Remove it: from now on nothing can connect."""
         shutil.rmtree(self.path, ignore_errors=True)
 
 
@@ -64,7 +64,7 @@ def _place() -> Path:
 
 
 def _sweep(place: Path) -> None:
-    """A run that was killed leaves its folder."""
+    """Remove the folders of runs that were killed."""
     for folder in place.glob(f"{PREFIX}*"):
         with suppress(OSError):
             found = folder.lstat()

@@ -130,11 +130,11 @@ class Replay:
         self.player = player = self._player(time.monotonic_ns())
         pace = Pace()
         if self.note:
-            line.say(f"warning: {self.note}")
+            line.print(f"warning: {self.note}")
         hz = self._wishes.clock_hz
         beat = None if hz is None else Metronome(hz, time.monotonic_ns())
         while not player.over:
-            if away := keyboard.absence_ns():
+            if away := keyboard.suspended_ns():
                 player.stood_still(away)
                 pace.restart()
             now = time.monotonic_ns()

@@ -15,10 +15,7 @@ WINDOW_NS = 500_000_000  # sim time; also the latency of a live action
 
 @dataclass(frozen=True, slots=True)
 class Clock:
-    """A grant policy over integer ticks.
-
-    Raises nothing and keeps no state: `until` is a function of what is written and of the wall time passed.
-    """
+    """A grant policy over integer ticks. It keeps no state: `until` depends on what is written and on the wall time."""
 
     ticks: int
     tick_ns: int
@@ -41,7 +38,7 @@ class Clock:
         return max((WINDOW_NS + 2 * self.lead_ns) // self.tick_ns, least)
 
     def until(self, written: int, wall_s: float) -> int:
-        """The grant when ticks up to `written` are in the log and `wall_s` has passed since the start."""
+        """The grant when ticks up to `written` are in the log and `wall_s` have passed since the start."""
         limit = min(written + 1 + self.window, self.ticks)
         if self.speed_limit is None:
             return limit
@@ -99,7 +96,7 @@ class LiveClock:
         self._held = granted if self._held is None else self._held
 
     def resume(self) -> None:
-        """Go on at the speed that was."""
+        """Go on at the speed as before."""
         if self._held is not None:
             self._origin = self._now, self._held
             self._held = None
@@ -114,7 +111,7 @@ class LiveClock:
         self._origin = self._now, granted
 
     def describe(self) -> str:
-        """In words."""
+        """The state in words: `paused`, `as fast as it goes`, `2 x real time`."""
         if self.paused:
             return "paused"
         return "as fast as it goes" if self._speed_limit is None else f"{self._speed_limit:g} x real time"

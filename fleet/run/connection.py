@@ -1,4 +1,4 @@
-"""From another terminal: find a live run by its connection file, and ask its console."""
+"""A live run, seen from another terminal: find it by its connection file, and ask its console."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ MOST_BYTES = 100_000  # of a connection file, with certificates
 
 
 class RemoteError(FleetError):
-    """There is no such run, it does not answer, or it refused."""
+    """There is no such run, it does not answer, or it refuses."""
 
     status = 3
 
 
 class ConnectionFile(msgspec.Struct):
-    """What a connection file says; one that says anything else is not ours."""
+    """The content of a connection file; one with any other content is not ours."""
 
     scenario: str
     pid: Annotated[int, msgspec.Meta(gt=0, lt=2**31)]  # of the console
@@ -68,21 +68,24 @@ class LiveRun:
 
 
 def live_runs(out: Path) -> list[LiveRun]:
-    """The runs under a directory whose console lives, the newest first."""
-    found: list[tuple[float, LiveRun]] = []
+    """The runs under a directory whose console lives, the newest first. Files that a killed run left are removed."""
+    runs: list[tuple[float, LiveRun]] = []
     for path in out.glob("*/connection.json"):
         if path.parent.is_symlink():
             continue
         one = _read(path)
         if one is None:
-            _forget(path)
+            _remove_stale(path)
         else:
-            found.append((path.stat().st_mtime, one))
-    return [one for _, one in sorted(found, key=lambda pair: -pair[0])]
+            runs.append((path.stat().st_mtime, one))
+    return [one for _, one in sorted(runs, key=lambda pair: -pair[0])]
 
 
 def find(run: Path | None, out: Path) -> LiveRun:
-    """The run that is meant: a run directory, or the newest live one under `out`.
+    """Find a live run.
+
+    Args:
+        run: its directory, also relative to `out`; None: the newest live run under `out`.
 
     Raises:
         RemoteError: there is none.
@@ -102,35 +105,41 @@ def find(run: Path | None, out: Path) -> LiveRun:
     return one
 
 
-def is_live(found: LiveRun) -> bool:
+def is_live(run: LiveRun) -> bool:
     """Whether the console of a run lives and has not finished."""
-    return _read(found.directory / "connection.json") is not None
+    return _read(run.directory / "connection.json") is not None
 
 
-def ask(found: LiveRun, op: str, **fields: Any) -> dict[str, Any]:
-    """The console's answer.
+def ask(run: LiveRun, op: str, **fields: Any) -> dict[str, Any]:
+    """Ask the console of a run.
+
+    Args:
+        op: what `fleet.run.operator.Operator.handle` understands.
+
+    Returns:
+        Its answer.
 
     Raises:
         RemoteError: it does not answer in time, or refuses.
     """
     try:
-        bus = Bus.connect(found.endpoint, found.credentials, timeout_ms=2000)
+        bus = Bus.connect(run.endpoint, run.credentials, timeout_ms=2000)
     except BusError as error:
-        raise RemoteError(f"the run in {found.directory} cannot be reached: {error}") from None
+        raise RemoteError(f"the run in {run.directory} cannot be reached: {error}") from None
     try:
-        answer = bus.ask(f"{Keys(found.run).op}/{op}", request(op, **fields), timeout_s=ASK_S)
+        answer = bus.ask(f"{Keys(run.run).op}/{op}", request(op, **fields), timeout_s=ASK_S)
     finally:
         bus.close()
     if answer is None:
-        raise RemoteError(f"the run in {found.directory} did not answer within {ASK_S:g} s; is it over?")
+        raise RemoteError(f"the run in {run.directory} did not answer within {ASK_S:g} s; is it over?")
     values = read_map(answer)
     if "error" in values:
         raise RemoteError(f"refused: {values['error']}")
     return values
 
 
-def _forget(path: Path) -> None:
-    """Remove what a console that was killed has left: it holds a password, and nobody answers any more."""
+def _remove_stale(path: Path) -> None:
+    """Remove the file of a console that was killed: it holds a password that is of no use any more."""
     values = ConnectionFile.read(path)
     import psutil  # only when a run was killed
 

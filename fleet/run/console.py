@@ -72,13 +72,13 @@ class Console:
         journal: Journal,
         options: Options,
         run: str,
-        say: Callable[[str], None],
+        print_line: Callable[[str], None],
     ) -> None:
         """Prepare a run; nothing is started.
 
         Args:
             run: its id; its keys begin with fleet/<run>/.
-            say: shows the operator a line that stays.
+            print_line: shows the operator a line that stays.
         """
         self._scenario, self._directory, self._journal, self._options = scenario, directory, journal, options
         self._vehicles = range(1, scenario.vehicles + 1)
@@ -86,7 +86,7 @@ class Console:
         self._keys = Keys(run)
         self._events = EventQueue()
         self._children = Children(partial(self._events.put, EventKind.EXIT))
-        self._external = ExternalAgents(scenario, directory, say)
+        self._external = ExternalAgents(scenario, directory, print_line)
         self._notes = Notes(scenario.tick_ns)
         self._supervisor = Supervisor(self, scenario, journal, self._children, self._external, self._notes)
         self._operator: Operator | None = None  # until everyone is ready
@@ -369,10 +369,10 @@ class Console:
         waited_s = time.monotonic() - since
         if waited_s > self._options.join_timeout_s:
             raise RunBroken(
-                f"{self._external.absent()} did not join within {self._options.join_timeout_s:g} s; "
+                f"{self._external.awaited_text()} did not join within {self._options.join_timeout_s:g} s; "
                 "--join-timeout gives more time"
             )
-        self.waiting = f"waiting for {self._external.absent()} to join, {waited_s:.0f} s"
+        self.waiting = f"waiting for {self._external.awaited_text()} to join, {waited_s:.0f} s"
         progress()
 
     def _who_waits(self) -> str:

@@ -1,4 +1,4 @@
-"""What a run leaves behind: one directory per run, and a `latest` link beside it."""
+"""The directory of a run: its log, its result and the logs of its processes; and a `latest` link beside it."""
 
 from __future__ import annotations
 
@@ -33,8 +33,13 @@ class RunDirectory:
     def __init__(self, out: Path, scenario: str, seed: int) -> None:
         """Make the directory.
 
+        Args:
+            out: where; it is made as well.
+            scenario: its name.
+            seed: of the scenario.
+
         Raises:
-            RunDirectoryError: `out` is not a place where directories can be made.
+            RunDirectoryError: no directory can be made there.
         """
         stamp = time.strftime("%Y%m%d-%H%M%S", time.gmtime())
         base = f"{scenario}-{seed}-{stamp}"
@@ -52,23 +57,23 @@ class RunDirectory:
 
     @property
     def connection(self) -> Path:
-        """Mode 0600; there only while the run lives."""
+        """How to reach the run; mode 0600; it exists only while the run lives."""
         return self.path / "connection.json"
 
     @property
     def observe(self) -> Path:
-        """Mode 0600; there only while a run lives that is published: where and as whom to listen."""
+        """Where and as whom to subscribe to a published run; mode 0600; it exists only while the run lives."""
         return self.path / "observe.json"
 
     def join(self, i: int) -> Path:
-        """Mode 0600; there only while the run lives, if vehicle i is external: what its agent needs to join."""
+        """What the external agent i needs to join; mode 0600; it exists only while the run lives."""
         return self.path / f"join-{i}.json"
 
     def process_log(self, role: str) -> Path:
         return self.path / "log" / f"{role}.log"
 
     def write_scenario(self, text: str) -> None:
-        """Raises RunDirectoryError: there is no room."""
+        """Write the merged scenario. Raises RunDirectoryError: there is no room."""
         path = self.path / "scenario.yaml"
         try:
             path.write_text(text, "utf-8")
@@ -79,11 +84,11 @@ class RunDirectory:
         (self.path / "result.json").write_text(json.dumps(values, indent=2) + "\n", "utf-8")
 
     def remove_result(self) -> None:
-        """Half a result is worse than none."""
+        """Remove the result: half of one is worse than none."""
         (self.path / "result.json").unlink(missing_ok=True)
 
     def write_connection(self, values: dict[str, Any]) -> None:
-        """Raises RunDirectoryError: there is no room."""
+        """Write the connection file. Raises RunDirectoryError: there is no room."""
         try:
             write_whole(self.connection, json.dumps(values).encode())
         except OSError as error:
@@ -95,7 +100,7 @@ class RunDirectory:
             temporary.symlink_to(self.path.name)
             os.replace(temporary, out / LATEST)
         except OSError:
-            # A convenience only: a file system without links, or a directory that somebody called `latest`.
+            # A convenience only: the file system has no links, or `latest` is a directory.
             temporary.unlink(missing_ok=True)
 
 

@@ -95,7 +95,7 @@ def execute(scenario: Scenario, options: Options, terminal: Terminal | None = No
         ExternalError: somebody else is to start an agent, and the run is to be one process.
     """
     interrupts = DeferInterrupts()
-    with interrupts.guarding():
+    with interrupts.handling():
         run = _prepare(scenario, options, terminal or Terminal(stderr=True), interrupts)
         _serve(run)
         with interrupts:  # what there is gets written, whatever comes meanwhile
@@ -119,7 +119,7 @@ def _prepare(scenario: Scenario, options: Options, terminal: Terminal, interrupt
     number = (options.rendezvous and options.rendezvous.run) or secrets.token_hex(4)
     publication = NoPublication()
     if options.publish:
-        publication = Publication(number, directory.observe, line.say, wait=options.wait)
+        publication = Publication(number, directory.observe, line.print, wait=options.wait)
     lockstep = options.realtime_speed is None
     log = LogWriter(directory.log, scenario, options.start, publication.publisher, lockstep=lockstep)
     publication.open()
@@ -128,7 +128,7 @@ def _prepare(scenario: Scenario, options: Options, terminal: Terminal, interrupt
     if in_process:
         runner = InProcess(scenario, journal, options.start)
     else:
-        runner = Console(scenario, directory, journal, options, number, line.say)
+        runner = Console(scenario, directory, journal, options, number, line.print)
     result = Result(Status.PASS, directory.path, "")
     return _Run(scenario, options, directory, publication, log, journal, runner, line, result, in_process)
 

@@ -1,7 +1,7 @@
-"""The agents that somebody else starts: a join file for each, who of them is there, and who is waited for.
+"""External agents, which are started outside of the run: a join file for each, which of them joined, which are awaited.
 
-There is no child to reap, so an external agent is there as long as its liveliness token is. What it was told when it
-joined (which life, from which tick on) is in its join file and in the answer to `cfg/<i>`.
+There is no child process to watch, so an external agent is present as long as its liveliness token is. Its join file
+and the answer to its question for a configuration say which life it is, from which tick on.
 """
 
 from __future__ import annotations
@@ -21,11 +21,14 @@ from netem.wire.messages import PROTOCOL_VERSION
 
 
 class ExternalError(FleetError):
-    """Something that needs an agent which somebody else is to start."""
+    """Something that is not possible with external agents, or the join file of one cannot be written."""
 
 
 def refuse(scenario: Scenario, what: str) -> None:
-    """Refuse to do `what` with agents that only join distributed runs.
+    """Refuse a scenario with external agents, which only join distributed runs.
+
+    Args:
+        what: what is refused, for the error.
 
     Raises:
         ExternalError: the scenario has some.
@@ -45,25 +48,32 @@ def named(vehicles: Sequence[int]) -> str:
 
 
 class ExternalAgents:
-    """Who has joined, on the console's main thread; only `answer` is called from another."""
+    """Which external agents have joined. Everything happens on the console's main thread, except for `answer`."""
 
-    def __init__(self, scenario: Scenario, directory: RunDirectory, say: Callable[[str], None]) -> None:
-        """Args:
-        say: tells the operator whom the run waits for, and how to start it.
+    def __init__(self, scenario: Scenario, directory: RunDirectory, print_line: Callable[[str], None]) -> None:
+        """Prepare it; nothing is written.
+
+        Args:
+            print_line: shows the operator which agents the run waits for, and how to start them.
         """
         self.vehicles = scenario.external
-        self._scenario, self._directory, self._say = scenario, directory, say
+        self._scenario, self._directory, self._print_line = scenario, directory, print_line
         self._files: dict[int, JoinFile] = {}
         self._awaited: dict[int, JoinFile] = {}
-        self._here: set[int] = set()  # vehicles whose agent holds its token
+        self._present: set[int] = set()  # vehicles whose agent holds its token
 
     @property
     def awaited(self) -> list[int]:
-        """The vehicles whose agent is waited for, ascending."""
+        """The vehicles whose agent is awaited, ascending."""
         return sorted(self._awaited)
 
     def open(self, endpoint: str, run: str, credentials: Mapping[str, Credentials]) -> None:
-        """From now on they may join.
+        """Write the join files; from now on the agents may join.
+
+        Args:
+            endpoint: of the run's router, for external agents.
+            run: the run's id.
+            credentials: by role.
 
         Raises:
             ExternalError: a join file cannot be written.
@@ -74,7 +84,11 @@ class ExternalAgents:
             self.expect(i, 0, 0)
 
     def expect(self, i: int, incarnation: int, begin: int) -> None:
-        """Wait for an agent of a vehicle.
+        """Wait for the agent of vehicle i: write its join file.
+
+        Args:
+            incarnation: which life it is.
+            begin: tick of its first nav.
 
         Raises:
             ExternalError: the join file cannot be written.
@@ -87,37 +101,37 @@ class ExternalAgents:
             raise ExternalError(f"cannot write {path}: {error.strerror}") from error
         self._awaited[i] = joining
         from_tick = f", from tick {begin} on" if begin else ""
-        self._say(f"waiting for agent {i} (external){from_tick}: fleet agent --join {shlex.quote(str(path))}")
+        self._print_line(f"waiting for agent {i} (external){from_tick}: fleet agent --join {shlex.quote(str(path))}")
 
     def token(self, i: int, alive: bool) -> None:
-        """A liveliness token appeared, or is gone."""
-        (self._here.add if alive else self._here.discard)(i)
+        """Record that a liveliness token appeared or disappeared."""
+        (self._present.add if alive else self._present.discard)(i)
 
-    def here(self, i: int) -> bool:
+    def present(self, i: int) -> bool:
         """Whether the agent of vehicle i holds its token."""
-        return i in self._here
+        return i in self._present
 
     def note_ready(self, ready: Iterable[int]) -> None:
         """Record that the world heard these agents: those that hold their token have joined."""
-        for i in sorted(set(ready) & self._awaited.keys() & self._here):
+        for i in sorted(set(ready) & self._awaited.keys() & self._present):
             self.joined(i)
 
     def joined(self, i: int) -> None:
         """Record that the agent of vehicle i is ready."""
         if self._awaited.pop(i, None) is not None:
-            self._say(f"agent {i} (external) has joined")
+            self._print_line(f"agent {i} (external) has joined")
 
     def answer(self, i: int) -> dict[str, Any]:
-        """What an agent is told that asks for its slice, besides that: which life it is, or why it cannot join."""
+        """What the answer to agent i says besides its configuration: which life it is, or why it cannot join."""
         awaited = self._awaited.get(i)
         if awaited is None:
             return {"error": f"the run does not wait for an agent {i}: one has joined already, or it has none now"}
-        if i in self._here:
+        if i in self._present:
             return {"error": f"an agent {i} is here already"}
         return {"incarnation": awaited.incarnation, "begin": awaited.begin, "version": PROTOCOL_VERSION}
 
-    def absent(self) -> str:
-        """Who is waited for, in words: `agent 3 (external), agent 4 (external)`; empty: nobody."""
+    def awaited_text(self) -> str:
+        """The awaited agents in words: `agent 3 (external), agent 4 (external)`; empty: none."""
         names = ", ".join(f"agent {i} (external)" for i in self.awaited[:8])
         more = f" and {len(self._awaited) - 8} more" if len(self._awaited) > 8 else ""
         return f"{names}{more}"

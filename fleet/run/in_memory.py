@@ -1,4 +1,4 @@
-"""A run kept in memory as arrays, for whoever wants numbers and no file."""
+"""A run kept in memory as arrays, without a file."""
 
 from __future__ import annotations
 
@@ -36,14 +36,14 @@ class Recording:
     scenario: Scenario
     t: Array  # s, shape (samples,)
     signals: dict[str, Array] = field(default_factory=dict)
-    broken: str = ""  # why the run ended early, or nothing
+    broken: str = ""  # why the run ended early; empty: it did not
 
     def __getitem__(self, name: str) -> Array:
         return self.signals[name]
 
 
 class _Capture:
-    """A sink for the journal that keeps everything in flat arrays."""
+    """A sink for the journal that keeps the signals of every frame in flat arrays."""
 
     def __init__(self, scenario: Scenario) -> None:
         self._ids = range(1, scenario.vehicles + 1)
@@ -65,45 +65,49 @@ class _Capture:
                 self.tau.extend(row.tau)
                 command = commands.get(row.id)
                 size = self._layouts[row.id].size
-                said = () if command is None else command.telemetry
-                self.telemetry[row.id].extend(said if len(said) == size else (nan,) * size)
+                telemetry = () if command is None else command.telemetry
+                self.telemetry[row.id].extend(telemetry if len(telemetry) == size else (nan,) * size)
 
     def packet(self, fate: Fate) -> None:
         """Packets are not kept."""
 
     def event(self, event: Event) -> None:
-        """Nor are faults."""
+        """Faults are not kept."""
 
     def snapshot(self, snapshot: Snapshot) -> None:
-        """Nor are snapshots."""
+        """Snapshots are not kept."""
 
     def recording(self, scenario: Scenario, broken: str) -> Recording:
+        """What was kept, as arrays."""
         n, samples = len(self._ids), len(self.ticks)
         fixed = np.frombuffer(self.fixed).reshape(samples, n, 16)
-        found = Recording(scenario, np.frombuffer(self.ticks) * (scenario.tick_ns / 1e9), broken=broken)
+        made = Recording(scenario, np.frombuffer(self.ticks) * (scenario.tick_ns / 1e9), broken=broken)
         for name, place in (
             ("eta", slice(5)),
             ("nu", slice(5, 10)),
             ("e", slice(10, 13)),
             ("formation", slice(13, 16)),
         ):
-            found.signals[name] = fixed[..., place]
-        found.signals["tau"] = _padded(np.frombuffer(self.tau).reshape(-1, n, 3), samples)
+            made.signals[name] = fixed[..., place]
+        made.signals["tau"] = _padded(np.frombuffer(self.tau).reshape(-1, n, 3), samples)
         for i, layout in self._layouts.items():
             values = np.frombuffer(self.telemetry[i]).reshape(-1, layout.size)
             for _, signal, place in layout.signals():
-                if signal.name not in found.signals:
-                    found.signals[signal.name] = np.full((samples, n, signal.width), np.nan)
-                if found.signals[signal.name].shape[2] == signal.width:
-                    found.signals[signal.name][: len(values), i - 1] = values[:, place]
-        return found
+                if signal.name not in made.signals:
+                    made.signals[signal.name] = np.full((samples, n, signal.width), np.nan)
+                if made.signals[signal.name].shape[2] == signal.width:
+                    made.signals[signal.name][: len(values), i - 1] = values[:, place]
+        return made
 
 
 def record(scenario: Scenario, progress: Callable[[float], None] = lambda _: None) -> Recording:
-    """Run a scenario in this process. A run that breaks gives what there was until then.
+    """Run a scenario in this process.
 
     Args:
-        progress: told the simulated time [s] now and then.
+        progress: called with the simulated time [s] now and then.
+
+    Returns:
+        The whole run, or what there was until it broke.
     """
     capture = _Capture(scenario)
     journal = Journal(scenario, capture)
@@ -111,7 +115,7 @@ def record(scenario: Scenario, progress: Callable[[float], None] = lambda _: Non
     broken = ""
     next_report = 0.0
 
-    def tell() -> None:
+    def report() -> None:
         nonlocal next_report
         now = time.monotonic()
         if now >= next_report:
@@ -119,13 +123,13 @@ def record(scenario: Scenario, progress: Callable[[float], None] = lambda _: Non
             progress(max(0, journal.written) * scenario.tick_ns / 1e9)
 
     try:
-        InProcess(scenario, journal).serve(clock, tell)
+        InProcess(scenario, journal).serve(clock, report)
     except (AgentError, WorldError, RunBroken) as error:
         broken = str(error)
     return capture.recording(scenario, broken)
 
 
 def _padded(values: Array, samples: int) -> Array:
-    """The same with NaN for the samples that are missing at the end."""
+    """The array with NaN for the samples that are missing at the end."""
     missing = samples - len(values)
     return np.concatenate([values, np.full((missing, *values.shape[1:]), np.nan)]) if missing else values

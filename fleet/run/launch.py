@@ -45,7 +45,7 @@ class Launch:
         self.credentials = self._rendezvous.credentials or generate(tuple(range(1, scenario.vehicles + 1)))  # by role
         self.joins_router = self._rendezvous.router is not None  # one that is there already; else the world hosts one
         self._listener = self._other_endpoints()
-        allow_open_files(scenario.vehicles, strangers=PENDING if self._listener else 0)
+        allow_open_files(scenario.vehicles, others=PENDING if self._listener else 0)
         self._private = PrivateFolder()
         self.endpoint = self._rendezvous.router or self._private.endpoint  # for the run's own processes
 
@@ -57,7 +57,7 @@ class Launch:
     @property
     def external_credentials(self) -> dict[str, Credentials]:
         """For agents that somebody else starts, by role."""
-        return {role: self._rendezvous.joining(role, known) for role, known in self.credentials.items()}
+        return {role: self._rendezvous.external_credentials(role, known) for role, known in self.credentials.items()}
 
     @property
     def connection(self) -> dict[str, Any]:

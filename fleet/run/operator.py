@@ -1,7 +1,7 @@
-"""The operator's hand on a running fleet: what `fleet status|inject|faults|heal|clock|stop` ask of the console.
+"""The operator of a running fleet: what `fleet status|inject|faults|heal|clock|stop` ask of the console.
 
-Everything that is injected acts at the tick up to which the clock has been granted, which nobody has started yet. It
-is acknowledged with that time, logged like a scripted fault, and so can be printed as a scenario and run again.
+A fault that is injected acts from the first tick on that is not granted yet, so no process has started it. The answer
+says which time that is. The fault is logged like a scripted one, so the run can be printed as a scenario and run again.
 """
 
 from __future__ import annotations
@@ -30,19 +30,19 @@ _ENTRY: TypeAdapter[FaultSection] = TypeAdapter(FaultEntry)
 
 
 class RefusedError(FleetError):
-    """What was asked cannot be done; its text says why."""
+    """A request that cannot be carried out; the text says why."""
 
 
 @dataclass
 class Operator:
-    """Answers requests on the console's main thread."""
+    """Answers requests, on the console's main thread."""
 
     scenario: Scenario
     journal: Journal
     clock: LiveClock
     fleet: Fleet
     stopping: bool = False  # the operator asked for the end of the run
-    faults: list[Part] = field(default_factory=list)
+    faults: list[Part] = field(default_factory=list)  # scripted and injected
     _words: dict[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -50,7 +50,7 @@ class Operator:
         self._words = {event.fault: event.what for event in self.scenario.faults.events}
 
     def handle(self, request: dict[str, Any]) -> dict[str, Any]:
-        """The answer to one request; a refusal is an answer, too."""
+        """The answer to one request; a refusal is an answer with `error`."""
         try:
             match request.get("op"):
                 case "status":
@@ -190,7 +190,7 @@ class Operator:
         return {"clock": self.clock.describe(), "at_s": self._seconds(self.fleet.granted)}
 
     def _listed(self) -> list[dict[str, Any]]:
-        """Every fault there is, was or will be, as things stand at the tick that comes next."""
+        """Every fault that is, was or will be active, with its state at the first tick that is not granted."""
         now, last = min(self.fleet.granted, self.scenario.ticks - 1), self.scenario.ticks
         found: dict[str, dict[str, Any]] = {}
         for fault in self.faults:
@@ -201,7 +201,7 @@ class Operator:
         return list(found.values())
 
     def _states(self) -> list[Event]:
-        """What became of vehicles and lasts: who tumbled, and whose motion left the finite numbers."""
+        """Lasting states of vehicles: those that tumbled, and those whose motion left the finite numbers."""
         return [*self.journal.tumbled.values(), *self.journal.diverged.values()]
 
     def _row(self, name: str, what: str, begin: int, end: int, state: str) -> dict[str, Any]:

@@ -33,28 +33,28 @@ class Publication(NoPublication):
 
     publisher: LivePublisher
 
-    def __init__(self, run: str, observe: Path, say: Callable[[str], None], *, wait: bool) -> None:
+    def __init__(self, run: str, observe: Path, print_line: Callable[[str], None], *, wait: bool) -> None:
         """Prepare it; nothing is started.
 
         Args:
             run: its id; its keys begin with fleet/<run>/.
             observe: the file that says, while the run lives, where and as whom to subscribe.
-            say: shows the operator a line that stays.
+            print_line: shows the operator a line that stays.
             wait: the run begins when there is a subscriber.
         """
         self.publisher = LivePublisher(run, observe, wait=wait)
-        self._observe, self._say = observe, say
+        self._observe, self._print_line = observe, print_line
 
     def open(self) -> None:
         """Begin to publish. Raises PublishError: that is not possible."""
         self.publisher.open()
         where = f"fleet/{self.publisher.run}/log/** at {self.publisher.endpoint}"
-        self._say(f"publishing {where}; how to join: {self._observe}")
+        self._print_line(f"publishing {where}; how to join: {self._observe}")
 
     def wait(self) -> None:
         """Wait for a subscriber, if the run is to. Raises PublishError: the publisher ended meanwhile."""
         if self.publisher.wait:
-            self._say("waiting for a subscriber")
+            self._print_line("waiting for a subscriber")
             self.publisher.heard()
 
     def close(self) -> None:

@@ -116,7 +116,7 @@ class Supervisor:
         Raises:
             RunBroken: the agent died, and the run does not go on without it.
         """
-        was_there = self._external.here(i)
+        was_there = self._external.present(i)
         self._external.token(i, False)
         if not was_there:
             return
@@ -130,7 +130,7 @@ class Supervisor:
 
     def dismiss_external(self, reason: str) -> None:
         """Notify the external agents that have joined that no nav will follow."""
-        joined = [[i, self._incarnation[i], 0] for i in self._external.vehicles if self._external.here(i)]
+        joined = [[i, self._incarnation[i], 0] for i in self._external.vehicles if self._external.present(i)]
         if joined:
             self._fleet.ask(WORLD, "dismiss", agents=joined, reason=reason)
 
@@ -161,7 +161,7 @@ class Supervisor:
     def _note_ready(self) -> None:
         ready = {(i, life) for i, life in self._fleet.ask(WORLD, "ready").get("ready", ())}
         for i in [i for i in self.starting if (i, self._incarnation[i]) in ready]:
-            if i not in self._external.vehicles or self._external.here(i):
+            if i not in self._external.vehicles or self._external.present(i):
                 del self.starting[i]
                 self._external.joined(i)
 

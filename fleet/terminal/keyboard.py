@@ -1,4 +1,4 @@
-"""Single key presses from a terminal, which is left as it was found in every case that a program lives to see."""
+"""Single key presses from a terminal, whose settings are restored at the end, also before a Ctrl-Z."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ _SEQUENCES = {
 
 
 def decode(typed: bytes) -> tuple[list[Key], bytes]:
-    """The keys in what was typed, and what may be the beginning of another one. What means nothing is skipped."""
+    """The keys in the bytes typed, and the bytes that may begin another one. Other bytes are skipped."""
     keys: list[Key] = []
     while typed:
         if typed[:1] != b"\x1b":
@@ -67,14 +67,14 @@ class Keyboard:
 
     @staticmethod
     def possible() -> bool:
-        """Whether somebody could press a key."""
+        """Whether key presses can be read: stdin is a terminal, and this is not a background job."""
         return sys.stdin is not None and sys.stdin.isatty() and not _in_background(sys.stdin.fileno())
 
     def __init__(self) -> None:
         self._descriptor: int | None = None
         self._before: list[Any] = []
         self._typed = b""
-        self._away_ns = 0
+        self._suspended_ns = 0
 
     def __enter__(self) -> Keyboard:
         if self.possible():
@@ -93,16 +93,16 @@ class Keyboard:
 
     @property
     def there(self) -> bool:
-        """Whether anybody can press a key."""
+        """Whether key presses are read."""
         return self._descriptor is not None
 
-    def absence_ns(self) -> int:
-        """For how long the program was suspended since this was asked before."""
-        away, self._away_ns = self._away_ns, 0
-        return away
+    def suspended_ns(self) -> int:
+        """For how long the program was suspended since the last call [ns]."""
+        suspended, self._suspended_ns = self._suspended_ns, 0
+        return suspended
 
     def read(self, timeout_s: float) -> list[Key]:
-        """The keys that were pressed; waits for the first one so long."""
+        """The keys that were pressed; waits for the first one at most so long."""
         if self._descriptor is None:
             time.sleep(timeout_s)
             return []
@@ -120,17 +120,17 @@ class Keyboard:
         termios.tcsetattr(self._descriptor, termios.TCSADRAIN, self._before)
 
     def _suspend(self, number: int, frame: FrameType | None) -> None:
-        # Ctrl-Z: the shell gets its terminal back, and we ours when we go on.
+        # Ctrl-Z: the shell gets the terminal as it was; when we continue, we set it again.
         self._restore()
         left_ns = time.monotonic_ns()
         os.kill(os.getpid(), signal.SIGSTOP)
-        self._away_ns += time.monotonic_ns() - left_ns
+        self._suspended_ns += time.monotonic_ns() - left_ns
         if self._descriptor is not None:
             tty.setcbreak(self._descriptor)
 
 
 def _in_background(terminal: int) -> bool:
-    """Whether we are a background job, which must not touch the terminal: the system would stop it."""
+    """Whether this is a background job, which the system would stop for touching the terminal."""
     try:
         return os.getpgrp() != os.tcgetpgrp(terminal)
     except OSError:  # a terminal, but not the one that controls us

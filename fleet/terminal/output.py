@@ -1,7 +1,7 @@
 """Standard output and standard error of the command line, wherever they lead.
 
-stdout is data: what cannot be written there (a full disk, a reader that has gone, a descriptor that is closed) is an
-`OutputError`. stderr is talk: where nobody can be told, nothing is said, and the work goes on.
+stdout is data: a failed write there (a full disk, a pipe without a reader, a closed descriptor) raises `OutputError`.
+stderr is messages: a failed write there is ignored, and the work goes on.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ _WORDS = {errno.EBADF: "it is closed", errno.EPIPE: "its reader is gone"}
 
 
 class OutputError(Exception):
-    """What should stand on standard output cannot be written there: the command line's own business, no FleetError."""
+    """A failed write to standard output; only the command line handles it, so it is no FleetError."""
 
     status = 3
 
@@ -33,7 +33,7 @@ class _Data(io.FileIO):
             raise OutputError(error) from error
 
 
-class _Talk(io.FileIO):
+class _Messages(io.FileIO):
     def write(self, data) -> int | None:  # type: ignore[no-untyped-def,override]
         try:
             return super().write(data)
@@ -42,22 +42,22 @@ class _Talk(io.FileIO):
 
 
 def open_streams() -> None:
-    """Begin: stdin, stdout and stderr are there from now on, and fail as this module says."""
+    """Replace stdin, stdout and stderr by streams that exist, and that fail as this module says."""
     for descriptor in (0, 1, 2):
         try:
             os.fstat(descriptor)
         except OSError:
-            # It takes the lowest number, which the log of a run would get otherwise. To write to stdout stays an error.
+            # It takes the lowest number, which the log of a run would get otherwise. Writing to stdout stays an error.
             os.open(os.devnull, os.O_WRONLY if descriptor == 2 else os.O_RDONLY)
             os.set_inheritable(descriptor, True)
     if sys.stdin is None:
         sys.stdin = open(0, encoding="utf-8")  # noqa: SIM115 - for as long as we live
     sys.stdout = _stream(_Data(1, "w", closefd=False), sys.stdout)
-    sys.stderr = _stream(_Talk(2, "w", closefd=False), sys.stderr)
+    sys.stderr = _stream(_Messages(2, "w", closefd=False), sys.stderr)
 
 
 def _stream(raw: io.FileIO, before: TextIO | None) -> TextIO:
-    """As Python makes it, with another lowest layer."""
+    """A text stream as Python makes it, on our raw layer."""
     return io.TextIOWrapper(
         io.BufferedWriter(raw),
         encoding="utf-8" if before is None else before.encoding,
@@ -68,7 +68,7 @@ def _stream(raw: io.FileIO, before: TextIO | None) -> TextIO:
 
 
 def give_up_output() -> None:
-    """Nothing more goes to stdout, also not what is still in its buffer."""
+    """Discard everything for stdout from now on, also what is in its buffer."""
     null = os.open(os.devnull, os.O_WRONLY)
     os.dup2(null, 1)
     os.close(null)

@@ -53,7 +53,7 @@ class StatusLine:
             self._next = at + PLAIN_S
             self._terminal.print(text, highlight=False, markup=False, soft_wrap=True)
 
-    def say(self, text: str) -> None:
+    def print(self, text: str) -> None:
         """Print a line that stays."""
         if not self._quiet:
             self._clear()

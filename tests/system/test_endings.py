@@ -146,7 +146,7 @@ def test_a_hang_up_waits_for_the_end_of_a_write() -> None:
                 signal.raise_signal(signal.SIGHUP)
                 written.append("all of it")
 
-        with whole.guarding(), pytest.raises(KeyboardInterrupt):
+        with whole.handling(), pytest.raises(KeyboardInterrupt):
             write()
         assert written
         with holding_interrupts() as interrupted:

@@ -42,7 +42,7 @@ class External:
         self.tokens: set[int] = set(vehicles)
         self.expected: list[tuple[int, int, int]] = []
 
-    def here(self, i: int) -> bool:
+    def present(self, i: int) -> bool:
         return i in self.tokens
 
     def token(self, i: int, alive: bool) -> None:

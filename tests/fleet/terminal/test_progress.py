@@ -23,7 +23,7 @@ def test_a_terminal_is_rewritten_and_left_clean(monkeypatch: pytest.MonkeyPatch)
     with StatusLine(on, quiet=False) as line:
         assert line.live and line.due()
         line.show("one")
-        line.say("waiting for agent 3")  # a line that stays is not written into the status
+        line.print("waiting for agent 3")  # a line that stays is not written into the status
         line.show("x" * 100)
     assert out.getvalue() == f"\rone\x1b[K\r\x1b[Kwaiting for agent 3\n\r{'x' * 59}\x1b[K\r\x1b[K"
 
@@ -44,7 +44,7 @@ def test_quiet_shows_nothing() -> None:
     on, out = terminal(live=True)
     with StatusLine(on, quiet=True) as line:
         line.show("one")
-        line.say("two")
+        line.print("two")
         assert not line.due()
     assert out.getvalue() == ""
 

@@ -67,7 +67,7 @@ class _Run:
     scenario: Scenario
     options: Options
     directory: RunDirectory
-    publication: NoPublication
+    publication: Publication | NoPublication
     log: LogWriter
     journal: Journal
     runner: Runner
@@ -117,7 +117,7 @@ def _prepare(scenario: Scenario, options: Options, terminal: Terminal, interrupt
     directory = RunDirectory(options.out, scenario.name, scenario.seed)
     directory.write_scenario(scenario.to_yaml())
     number = (options.rendezvous and options.rendezvous.run) or secrets.token_hex(4)
-    publication = NoPublication()
+    publication: Publication | NoPublication = NoPublication()
     if options.publish:
         publication = Publication(number, directory.observe, line.print, wait=options.wait)
     lockstep = options.realtime_speed is None

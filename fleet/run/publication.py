@@ -12,7 +12,7 @@ from fleet.replay.publisher import LivePublisher
 class NoPublication:
     """A run that is not published."""
 
-    publisher: LivePublisher | None = None  # what the log writer hands each message
+    publisher = None
 
     def open(self) -> None:
         """Begin to publish."""
@@ -21,17 +21,15 @@ class NoPublication:
         """Wait for a subscriber, if the run is to."""
 
     def close(self) -> None:
-        """End, once everything is published."""
+        """End."""
 
     def summary(self) -> dict[str, Any]:
         """What the result says about it."""
         return {}
 
 
-class Publication(NoPublication):
+class Publication:
     """A run that is published."""
-
-    publisher: LivePublisher
 
     def __init__(self, run: str, observe: Path, print_line: Callable[[str], None], *, wait: bool) -> None:
         """Prepare it; nothing is started.
@@ -42,7 +40,7 @@ class Publication(NoPublication):
             print_line: shows the operator a line that stays.
             wait: the run begins when there is a subscriber.
         """
-        self.publisher = LivePublisher(run, observe, wait=wait)
+        self.publisher = LivePublisher(run, observe, wait=wait)  # what the log writer hands each message
         self._observe, self._print_line = observe, print_line
 
     def open(self) -> None:
@@ -58,7 +56,9 @@ class Publication(NoPublication):
             self.publisher.heard()
 
     def close(self) -> None:
+        """End, once everything is published."""
         self.publisher.close()
 
     def summary(self) -> dict[str, Any]:
+        """What the result says about it."""
         return {"published": {"messages": self.publisher.published, "dropped": self.publisher.dropped}}

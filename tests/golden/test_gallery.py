@@ -17,7 +17,7 @@ GALLERY = {
     "nemesis": 45, "acoustic-80bps": 25, "acoustic-s2c": 20, "rough-sea": 10, "breakdown": 30, "follow-the-leader": 20,
     "leader-lost": 70, "leader-lost-standby": 70, "acoustic-noise": 25,
 }  # fmt: skip
-README = ROOT / "README.md"
+PAGE = ROOT / "docs" / "guide" / "scenarios.md"
 
 
 @pytest.mark.parametrize("name", GALLERY)
@@ -69,6 +69,6 @@ def test_in_these_the_network_matters(name: str, changes: dict[str, str], passes
     assert failed <= {"formation_error", "tumbled", "qp_infeasible"}  # nothing of ours
 
 
-def test_the_readme_says_what_each_teaches() -> None:
-    text = README.read_text("utf-8")
+def test_the_page_says_what_each_teaches() -> None:
+    text = PAGE.read_text("utf-8")
     assert [name for name, *_ in list_scenarios() if f"| `{name}` |" not in text] == []

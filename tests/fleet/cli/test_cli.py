@@ -225,7 +225,7 @@ def files(directory: Path) -> set[str]:
 
 
 def test_run_directory(tmp_path: Path) -> None:
-    """Exactly what the README lists; `latest` is a relative link to the newest, so that the place can be moved."""
+    """Exactly what docs/reference/run.md lists; `latest` is a relative link to the newest, so the place may move."""
     out = tmp_path / "deep" / "runs"
     first = run(out, "paper", "--duration", "500 ms", *NO_CHECKS)
     processes = {f"log/{role}.log" for role in ("world", "netem", "agent-1", "agent-2", "agent-3", "agent-4")}
@@ -292,12 +292,12 @@ def topics(log: Path) -> Counter[str]:
 
 
 def test_log_opens_in_mcaps_own_reader_with_the_documented_topics(tmp_path: Path) -> None:
-    """Every message decodes with the schema that the file carries, every topic is one of the README's, every one of
-    the README's is there, and each field of ours has a unit and a meaning in the channel's metadata."""
+    """Every message decodes with the schema that the file carries, every topic is one of the page's, every one of the
+    page's is there, and each field of ours has a unit and a meaning in the channel's metadata."""
     log = run(tmp_path, "paper", *QUICK, *NO_CHECKS) / "run.mcap"
-    readme = (ROOT / "README.md").read_text("utf-8")
-    documented = set(re.findall(r"`((?:uuv|link)/<\w+>[^`]*)`", readme))
-    documented |= set(re.findall(r"^\| `(transforms)`, `(scene)` \|", readme, re.MULTILINE)[0])
+    page = (ROOT / "docs" / "reference" / "topics.md").read_text("utf-8")
+    documented = set(re.findall(r"`((?:uuv|link)/<\w+>[^`]*)`", page))
+    documented |= set(re.findall(r"^\| `(transforms)`, `(scene)` \|", page, re.MULTILINE)[0])
     assert len(documented) == 10
     found: dict[str, set[str]] = {}
     with log.open("rb") as file:

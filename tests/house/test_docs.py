@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import importlib.util
 import re
 import subprocess
@@ -61,3 +62,40 @@ def test_links_lead_to_files(name: str) -> None:
         if anchor:
             headings = re.findall(r"^#+ (.*)$", (ROOT / path).read_text("utf-8"), re.MULTILINE)
             assert anchor in {re.sub(r"[^\w -]", "", heading.lower()).replace(" ", "-") for heading in headings}
+
+
+ARCHITECTURE = (ROOT / "docs" / "architecture.md").read_text("utf-8")
+PAGES = {"docs/architecture.md": ARCHITECTURE, "CONTRIBUTING.md": (ROOT / "CONTRIBUTING.md").read_text("utf-8")}
+
+
+def test_the_architecture_page_lists_every_room_with_its_sentence() -> None:
+    rooms = {
+        str(path.parent.relative_to(ROOT)): ast.get_docstring(ast.parse(path.read_text("utf-8")))
+        for package in ("fleet", "agents", "world", "netem")
+        for path in (ROOT / package).rglob("__init__.py")
+    }
+    rows = re.findall(r"^\| `((?:fleet|agents|world|netem)[a-z_/]*)` \| (.*) \|$", ARCHITECTURE, re.MULTILINE)
+    assert dict(rows) == rooms
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_modules_and_functions_that_a_page_names_exist(page: str) -> None:
+    """`module.py` is a file, and in `module.py: Class.method, function` the module defines each name."""
+    missing = []
+    named = re.findall(r"`((?:fleet|agents|world|netem|tests|docs)/[\w/.-]*)(?:: ([\w., ]+))?`", PAGES[page])
+    assert len(named) > 10
+    for path, names in named:
+        if not (ROOT / path).exists():
+            missing.append(path)
+        elif names:
+            defined = set()
+            for node in ast.parse((ROOT / path).read_text("utf-8")).body:
+                if isinstance(node, ast.ClassDef | ast.FunctionDef):
+                    defined.add(node.name)
+                    inner = node.body if isinstance(node, ast.ClassDef) else []
+                    defined |= {f"{node.name}.{each.name}" for each in inner if isinstance(each, ast.FunctionDef)}
+                elif isinstance(node, ast.Assign | ast.AnnAssign):
+                    targets = node.targets if isinstance(node, ast.Assign) else [node.target]
+                    defined |= {target.id for target in targets if isinstance(target, ast.Name)}
+            missing += [f"{path}: {name}" for name in names.split(", ") if name not in defined]
+    assert missing == []

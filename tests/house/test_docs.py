@@ -9,8 +9,11 @@ import subprocess
 import sys
 from pathlib import Path
 
+import click
 import pytest
 from repository import ROOT
+
+from fleet.cli.main import cli
 
 TEXTS = ["README.md", "CONTRIBUTING.md"]
 
@@ -99,3 +102,32 @@ def test_modules_and_functions_that_a_page_names_exist(page: str) -> None:
                     defined |= {target.id for target in targets if isinstance(target, ast.Name)}
             missing += [f"{path}: {name}" for name in names.split(", ") if name not in defined]
     assert missing == []
+
+
+COMMAND = re.compile(r"(?:^|`|&& |\| |bin/)fleet ([a-z][^`#\n|&]*)", re.MULTILINE)
+WITH_COMMANDS = {
+    path: COMMAND.findall((ROOT / path).read_text("utf-8"))
+    for path in ["README.md", "CONTRIBUTING.md", *(str(p.relative_to(ROOT)) for p in sorted(ROOT.glob("docs/*/*.md")))]
+}
+
+
+def test_pages_give_commands() -> None:
+    assert sum(map(len, WITH_COMMANDS.values())) > 200
+
+
+@pytest.mark.parametrize("page", WITH_COMMANDS)
+def test_commands_that_a_page_gives_exist(page: str) -> None:
+    """Every `fleet VERB` is a command, and every option behind it is one of its options."""
+    unknown = []
+    for text in WITH_COMMANDS[page]:
+        command: click.Command = cli
+        for word in text.split():
+            if not isinstance(command, click.Group) or word.startswith("-"):
+                break
+            if word not in command.commands:
+                unknown += [] if command.invoke_without_command else [text]
+                break
+            command = command.commands[word]
+        options = {option for each in command.params for option in (*each.opts, *each.secondary_opts)} | {"--help"}
+        unknown += [f"{text}: {name}" for name in re.findall(r"(?<!\S)--[a-z-]+", text) if name not in options]
+    assert unknown == []

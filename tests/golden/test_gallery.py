@@ -12,12 +12,14 @@ from fleet.run.options import Options
 from fleet.scenario.loading import list_scenarios, load_scenario
 
 # name: how long the distributed run is [s]; what happens to a fleet there has happened by then
+# (deaths, restarts, partitions and draws of other kinds: tests/system/test_determinism.py and test_acoustic_runs.py)
 GALLERY = {
     "lossy": 10, "burst": 10, "partition-heal": 35, "kill": 30, "kill-restart": 40, "gauss-markov-current": 12,
     "nemesis": 45, "acoustic-80bps": 25, "acoustic-s2c": 20, "rough-sea": 10, "breakdown": 30, "follow-the-leader": 20,
     "leader-lost": 70, "leader-lost-standby": 70, "acoustic-noise": 25,
 }  # fmt: skip
 PAGE = ROOT / "docs" / "guide" / "scenarios.md"
+LONG = 20  # [s]; a distributed run of more is one of the slow tests
 
 
 @pytest.mark.parametrize("name", GALLERY)
@@ -27,7 +29,13 @@ def test_a_scenario_keeps_its_promise(name: str, tmp_path: Path) -> None:
     assert result.status is Status.PASS, (result.reason, result.lines, result.verdicts)
 
 
-@pytest.mark.parametrize(("name", "seconds"), GALLERY.items())
+@pytest.mark.parametrize(
+    ("name", "seconds"),
+    [
+        pytest.param(name, seconds, marks=[pytest.mark.slow] if seconds > LONG else [])
+        for name, seconds in GALLERY.items()
+    ],
+)
 def test_distributed_is_in_process(name: str, seconds: int, tmp_path: Path) -> None:
     scenario = load_scenario(
         name,
@@ -43,6 +51,7 @@ def test_distributed_is_in_process(name: str, seconds: int, tmp_path: Path) -> N
     assert fleet.values["deaths"] == {}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "changes", "passes"),
     [

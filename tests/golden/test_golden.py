@@ -83,7 +83,16 @@ def true_error(tick: int, states: Any) -> Any:
     return e
 
 
-@pytest.mark.parametrize("name", CASES)
+# What whole runs show as well (test_fleet_golden), with the same tolerances.
+IN_WHOLE_RUNS = (
+    "NBOC_undisturbed", "NBOC_disturbed", "NBOC_C_undisturbed", "NBOC_H_undisturbed", "net_1tick_hold", "net_10Hz_dr",
+    "net_10Hz_dr_disturbed", "NBOC_H_comms_10Hz_0p5s_hold",
+)  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[pytest.mark.slow] if name in IN_WHOLE_RUNS else []) for name in CASES]
+)
 def test_reference_trajectory(name: str) -> None:
     """The whole 60 s, every 0.1 s, all vehicles."""
     case = CASES[name]

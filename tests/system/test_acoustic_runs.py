@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
 from first_difference import assert_same_bytes
 
 from fleet.run.execute import Result, Status, execute
@@ -33,6 +34,7 @@ def test_distributed_is_in_process(tmp_path: Path) -> None:
     assert_same_bytes(*logs)
 
 
+@pytest.mark.slow
 def test_noise_loses_what_check_says(tmp_path: Path) -> None:
     """`acoustic-noise`: nothing but noise loses, as many as the ranges say, none at less wind and all at 1 dB less."""
     scenario = load_scenario("acoustic-noise")

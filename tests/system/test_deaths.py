@@ -21,6 +21,7 @@ from typing import Any
 import psutil
 import pytest
 from first_difference import assert_same_bytes
+from in_process_runs import Alone, log_of
 from live import FORKSERVER, LiveRun, Stopwatch
 from waiting import wait_for
 
@@ -199,9 +200,9 @@ def test_suspended_process_is_a_stall_that_names_it(suspended: str, tmp_path: Pa
         assert_readable(run)
 
 
-def test_suspension_shorter_than_the_timeout_changes_nothing(tmp_path: Path) -> None:
+def test_suspension_shorter_than_the_timeout_changes_nothing(tmp_path: Path, alone: Alone) -> None:
     """Sim time does not know of the pause: the log is that of a run without it, byte for byte."""
-    arguments = ["--duration", "8 s", "--set", CHECKS]
+    arguments = ["--duration", "4 s", "--set", CHECKS]
     with LiveRun(tmp_path / "paused", "paper", *arguments, "--speed", "2") as run:
         agent = run.until_running().role("agent 2")
         agent.suspend()
@@ -211,9 +212,7 @@ def test_suspension_shorter_than_the_timeout_changes_nothing(tmp_path: Path) -> 
         assert run.logged_s() - stood <= 1.0
         agent.resume()
         assert run.status() == 0, run.printed
-        scenario = load_scenario("paper", [CHECKS, "duration=8 s"])
-        alone = execute(scenario, Options(tmp_path / "alone", in_process=True, quiet=True))
-        assert_same_bytes(alone.directory / "run.mcap", run.log)
+        assert_same_bytes(log_of(alone("paper", CHECKS, "duration=4 s")), run.log)
 
 
 # --- places that cannot be used --------------------------------------------
@@ -435,11 +434,9 @@ class Intruder:
                 self._thread.join()
 
 
-def assert_unaffected(result: Result, tmp_path: Path) -> None:
+def assert_unaffected(result: Result, alone: Alone) -> None:
     assert result.status is Status.PASS, (result.reason, result.lines)
-    scenario = load_scenario("paper", [CHECKS, "duration=4 s"])
-    alone = execute(scenario, Options(tmp_path / "alone", in_process=True, quiet=True))
-    assert_same_bytes(alone.directory / "run.mcap", result.directory / "run.mcap")
+    assert_same_bytes(log_of(alone("paper", CHECKS, "duration=4 s")), log_of(result))
 
 
 def nonsense(keys: Keys) -> list[tuple[str, bytes]]:
@@ -473,27 +470,29 @@ def nonsense(keys: Keys) -> list[tuple[str, bytes]]:
     ]
 
 
-def test_garbage_beside_a_real_agent(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_garbage_beside_a_real_agent(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, alone: Alone) -> None:
     """Malformed, misplaced, mistimed and non-finite messages from an agent's own session, all the run long: each is
     counted and dropped, and the log is byte for byte that of a run in peace."""
     intruder = Intruder(monkeypatch, nonsense)
     result = intruder.run(tmp_path)
     assert intruder.rounds > 10
-    assert_unaffected(result, tmp_path)
+    assert_unaffected(result, alone)
     rejected = json.loads((result.directory / "result.json").read_text())["rejected"]
     for kind in ("cmd/3: MalformedMessage", "cmd/3: OutOfPlace", "tx/3: MalformedMessage", "tx/3: OutOfPlace"):
         assert rejected[kind] > 10
     assert sum("rejected on" in note for note in result.values["notes"]) == 4  # of each kind only the first is told
 
 
-def test_garbage_notes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_garbage_notes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, alone: Alone) -> None:
     """Notes are for people; one that cannot be read is no reason to end a run."""
     bad = [b"", b"\xc1", encode(Nav(0, 3, (0.0,) * 5, (0.0,) * 5))]
     result = Intruder(monkeypatch, lambda keys: [(keys.note("agent-3"), data) for data in bad]).run(tmp_path)
-    assert_unaffected(result, tmp_path)
+    assert_unaffected(result, alone)
 
 
-def test_forged_frames_and_reports_on_the_note_key(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_forged_frames_and_reports_on_the_note_key(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, alone: Alone
+) -> None:
     """The one key on which an agent reaches the console is for notes: what only world and netem may say is refused
     there, or an agent could write the log."""
     forged = [
@@ -502,14 +501,14 @@ def test_forged_frames_and_reports_on_the_note_key(tmp_path: Path, monkeypatch: 
         encode(LinkReport(400, True, False, (), b"")),
     ]
     result = Intruder(monkeypatch, lambda keys: [(keys.note("agent-3"), data) for data in forged]).run(tmp_path)
-    assert_unaffected(result, tmp_path)
+    assert_unaffected(result, alone)
 
 
-def test_notes_that_lie_are_only_notes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_notes_that_lie_are_only_notes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, alone: Alone) -> None:
     """Markup, escapes and absurd numbers in a note reach a person as text and nothing else."""
     lies = [encode(Note("world", 99, 2**63, "[red]\x1b[2Jall is lost[/red]")), encode(Note("x" * 4096, 0, 0, ""))]
     result = Intruder(monkeypatch, lambda keys: [(keys.note("agent-3"), data) for data in lies]).run(tmp_path)
-    assert_unaffected(result, tmp_path)
+    assert_unaffected(result, alone)
 
 
 def test_controller_error_names_vehicle_and_tick() -> None:

@@ -14,6 +14,7 @@ from typing import Any
 
 import pytest
 from first_difference import assert_same_bytes, decode, first_difference
+from in_process_runs import Alone, log_of
 from mcap.records import Attachment, Channel, Message, Metadata, Schema
 from mcap.stream_reader import StreamReader
 
@@ -61,21 +62,26 @@ def run(out: Path, case: str, *more: str, **options: Any) -> Path:
     return result.directory / "run.mcap"
 
 
+def once(alone: Alone, case: str, *more: str) -> Path:
+    """The log of a case in this process, made once."""
+    scenario, overrides = CASES[case]
+    return log_of(alone(scenario, CHECKS, *overrides, *more))
+
+
 @pytest.mark.parametrize("case", CASES)
-def test_same_seed_same_bytes(case: str, tmp_path: Path) -> None:
-    """Two runs one after the other in one process: nothing is left over from the first that the second sees."""
-    assert_same_bytes(run(tmp_path, case, in_process=True), run(tmp_path, case, in_process=True))
+def test_same_seed_same_bytes(case: str, tmp_path: Path, alone: Alone) -> None:
+    """Two runs in one process: nothing is left over from the first, or from one between them, that the second sees."""
+    assert_same_bytes(once(alone, case), run(tmp_path, case, in_process=True))
 
 
 @pytest.mark.parametrize(("case", "order"), [*((case, "world last") for case in CASES), ("rough-sea", "agents first")])
-def test_distributed_is_in_process(case: str, order: str, tmp_path: Path) -> None:
+def test_distributed_is_in_process(case: str, order: str, tmp_path: Path, alone: Alone) -> None:
     """Processes over zenoh and a plain loop write the same file, so no scheduling, no order of arrival and no
     start order reaches a result. Every distributed run schedules differently, so each is a new sample of that."""
-    alone = run(tmp_path, case, in_process=True)
-    assert_same_bytes(alone, run(tmp_path, case, start_order=ORDERS[order]))
+    assert_same_bytes(once(alone, case), run(tmp_path, case, start_order=ORDERS[order]))
 
 
-def test_hash_seed_and_shuffled_starts_change_nothing(tmp_path: Path) -> None:
+def test_hash_seed_and_shuffled_starts_change_nothing(tmp_path: Path, alone: Alone) -> None:
     """Other processes with other PYTHONHASHSEEDs: no order of a set or of a dict by hash reaches a result.
 
     Both runs are subprocesses, because a hash seed is fixed when an interpreter starts; the fork server and with it
@@ -95,19 +101,19 @@ def test_hash_seed_and_shuffled_starts_change_nothing(tmp_path: Path) -> None:
         assert (done.returncode, done.stderr) == (0, "")
         logs.append(tmp_path / seed / "latest" / "run.mcap")
     assert_same_bytes(*logs)
-    assert_same_bytes(logs[0], run(tmp_path, "rough-sea", "duration=3 s", in_process=True))
+    assert_same_bytes(logs[0], once(alone, "rough-sea", "duration=3 s"))
 
 
-def test_another_seed_gives_another_log(tmp_path: Path) -> None:
+def test_another_seed_gives_another_log(alone: Alone) -> None:
     """The seed does determine the draws: otherwise "the same bytes" would hold for the wrong reason."""
-    logs = [run(tmp_path, "rough-sea", "duration=3 s", f"seed={seed}", in_process=True) for seed in (1, 2)]
+    logs = [once(alone, "rough-sea", "duration=3 s", f"seed={seed}") for seed in (1, 2)]
     assert digest(logs[0]) != digest(logs[1])
     assert first_difference(*logs).startswith("message ")
 
 
-def test_speed_changes_nothing(tmp_path: Path) -> None:
+def test_speed_changes_nothing(tmp_path: Path, alone: Alone) -> None:
     """Grants paced by the wall clock come in other portions than grants ahead of it; neither is a result."""
-    fast = run(tmp_path, "thinned log", in_process=True)
+    fast = once(alone, "thinned log")
     assert_same_bytes(fast, run(tmp_path, "thinned log", in_process=True, speed_limit=6.0))
     assert_same_bytes(fast, run(tmp_path, "thinned log", speed_limit=4.0))
 
@@ -116,18 +122,18 @@ def test_speed_changes_nothing(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("case", "end_ns"), [("thinned log", 3_000_000_000), ("short last round", 3_070_000_000)])
-def test_state_at_the_end_tick_is_logged(case: str, end_ns: int, tmp_path: Path) -> None:
+def test_state_at_the_end_tick_is_logged(case: str, end_ns: int, alone: Alone) -> None:
     """Also when neither the log's rate nor the network's round divides the duration."""
-    log = run(tmp_path, case, in_process=True)
+    log = once(alone, case)
     last = {record.topic for record in LogReader(log) if record.log_ns == end_ns}
     expected = {f"uuv/{i}/{group}" for i in (1, 2, 3, 4) for group in ("pose", "state", "error")}
     assert {topic for topic in last if not topic.startswith("link/")} == expected | {"transforms", "scene"}
 
 
-def test_order_of_the_log(tmp_path: Path) -> None:
+def test_order_of_the_log(alone: Alone) -> None:
     """One total order, (tick, topic, vehicle or link, sequence): time never goes back, and within a tick topics
     keep the order in which their channels were declared, links the order of (src, dst) and of their packets."""
-    reader = LogReader(run(tmp_path, "rough-sea", in_process=True))
+    reader = LogReader(once(alone, "rough-sea"))
     groups = ["pose", "state", "nav", "command", "guidance", "control", "error"]
 
     def rank(topic: str) -> tuple[int, ...]:
@@ -192,10 +198,10 @@ def test_log_says_nothing_of_where_and_when(tmp_path: Path, monkeypatch: pytest.
 # --- the tool that explains a mismatch -------------------------------------
 
 
-def test_first_difference_names_the_first_event_that_differs(tmp_path: Path) -> None:
+def test_first_difference_names_the_first_event_that_differs(alone: Alone) -> None:
     """A nudge of one vehicle's start shows as the very first record of that vehicle, both values in clear."""
-    a = run(tmp_path, "paper", "duration=1 s", in_process=True)
-    b = run(tmp_path, "paper", "duration=1 s", "initial.3.position=8.5 -10.2 0 m", in_process=True)
+    a = once(alone, "paper", "duration=1 s")
+    b = once(alone, "paper", "duration=1 s", "initial.3.position=8.5 -10.2 0 m")
     text = first_difference(a, b)
     head, names, field, rest = text.splitlines()
     assert head.startswith("message 2: uuv/3/pose, tick 0,")  # poses of vehicles 1 and 2 come before
@@ -206,22 +212,22 @@ def test_first_difference_names_the_first_event_that_differs(tmp_path: Path) -> 
         assert_same_bytes(a, b)
 
 
-def test_first_difference_in_the_middle(tmp_path: Path) -> None:
+def test_first_difference_in_the_middle(alone: Alone) -> None:
     """Another seed: the first event that differs is a packet, lost in one run and not, or later, in the other."""
-    logs = [run(tmp_path, "rough-sea", "duration=2 s", f"seed={seed}", in_process=True) for seed in (1, 2)]
+    logs = [once(alone, "rough-sea", "duration=3 s", f"seed={seed}") for seed in (1, 2)]
     assert "link/" in first_difference(*logs)
 
 
-def test_first_difference_says_when_one_log_ends(tmp_path: Path) -> None:
-    a = run(tmp_path, "paper", "duration=2 s", in_process=True)
+def test_first_difference_says_when_one_log_ends(tmp_path: Path, alone: Alone) -> None:
+    a = once(alone, "paper")
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(a.read_bytes()[: a.stat().st_size * 2 // 3])
     assert "b: the log ends here (the file is cut" in first_difference(a, cut)
     assert first_difference(a, a) == ""
 
 
-def test_decoded_values_are_those_of_the_log(tmp_path: Path) -> None:
+def test_decoded_values_are_those_of_the_log(alone: Alone) -> None:
     """The helper decodes with the schema that stands in the file, not with ours."""
-    reader = LogReader(run(tmp_path, "paper", "duration=1 s", in_process=True))
+    reader = LogReader(once(alone, "paper", "duration=1 s"))
     first = next(iter(reader))
     assert (first.topic, decode(reader, first).frame_id) == ("uuv/1/pose", "ned")

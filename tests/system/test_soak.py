@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import pytest
+
 from fleet.bench.soak import measure, verdicts
 
 
+@pytest.mark.slow
 def test_two_minutes_of_random_faults() -> None:
     rows = measure(5, 120.0, 120.0, lambda text: None)
     assert verdicts(rows) == []

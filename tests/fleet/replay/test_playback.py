@@ -1,0 +1,218 @@
+"""A log on zenoh again: what a subscriber, a recorder and a person at the keyboard get."""
+
+from __future__ import annotations
+
+import os
+import pty
+import re
+import select
+import signal
+import subprocess
+import sys
+import termios
+from pathlib import Path
+from typing import Any
+
+import pytest
+from google.protobuf.timestamp_pb2 import Timestamp
+from traffic import LIMIT_S, PAGE, Command, Ear, endpoint, len_of, schemas_of, session
+from traffic import log as log
+from traffic import records as records
+from waiting import wait_for
+
+from fleet.logs.reader import Record
+from fleet.logs.tape import Tape
+from fleet.processes.interrupts import holding_interrupts
+from fleet.replay.attachment import Stamp, pack, unpack
+from fleet.replay.capture_format import ENCODING, zenoh_encoding
+from fleet.replay.playback import Replay, Wishes
+from netem.wire.keys import Keys
+from netem.wire.open_bus import OpenBus
+
+
+def test_topics_that_a_renaming_puts_on_one_key(log: Path) -> None:
+    """They are played, with a warning; two that change places are no such thing."""
+    tape = Tape(log)
+    assert Replay(tape, Wishes(remap=("uuv/1:=uuv/2", "uuv/2:=uuv/1"))).note == ""
+    note = Replay(tape, Wishes(remap=("uuv/1:=uuv/2",))).note
+    assert note == "uuv/1/pose and uuv/2/pose are played on one key, fleet/replay/log/uuv/2/pose, and 6 more so"
+
+
+@pytest.mark.parametrize("topics", [[], ["uuv/*/pose", "link/**"]])
+def test_replay_gives_a_recorder_the_log(topics: list[str], log: Path, records: list[Record], tmp_path: Path) -> None:
+    """Played as fast as possible and recorded: the same messages in the same order, with their times and encoding;
+    and the recording, played again, is the same to a subscriber."""
+    expected = [(n, r) for n, r in enumerate(records) if not topics or r.topic.endswith("/pose") or "link" in r.topic]
+    path, where = tmp_path / "x.mcap", endpoint()
+    choice = [word for topic in topics for word in ("--topics", topic)]
+    with Command("record", "--key", "fleet/**", "-o", path, "--listen", where) as recorder:
+        recorder.until("recording")
+        with Command("replay", log, "-r", "0", "--connect", where, "--wait-for-subscribers", *choice) as player:
+            assert player.status() == 0, player.printed
+            assert f"played {len(expected)} messages" in player.printed
+        wait_for(lambda: path.stat().st_size > 0 and len_of(path) >= 2 * len(expected), LIMIT_S, "the last message")
+        recorder.send(signal.SIGINT)
+        assert recorder.status() == 130, recorder.printed
+        assert f"recorded {len(expected)} messages" in recorder.printed
+    tape = Tape(path)
+    assert tape.missing == ""
+    assert len(tape) == 2 * len(expected)
+    schemas = schemas_of(log)
+    for place, (number, record) in enumerate(expected):
+        stamp, payload = tape[2 * place], tape[2 * place + 1]
+        assert unpack(stamp.data) == (record.log_ns, record.publish_ns, record.sequence, number)
+        assert payload.data == record.data
+        assert payload.channel.topic == f"fleet/replay/log/{record.topic}"
+        assert payload.channel.metadata[ENCODING] == zenoh_encoding("protobuf", schemas[record.topic])
+    with session(OpenBus.listen(where := endpoint())) as bus:
+        ear = Ear(bus, "fleet/**")
+        with Command("replay", path, "-r", "0", "--connect", where, "--wait-for-subscribers") as player:
+            heard = ear.until(len(expected))
+            assert player.status() == 0
+    assert [(s.payload, s.attachment) for s in heard] == [
+        (r.data, pack(Stamp(r.log_ns, r.publish_ns, r.sequence, n))) for n, r in expected
+    ]
+
+
+def test_part_of_a_log_renamed_with_a_clock(log: Path, records: list[Record]) -> None:
+    """--start-offset, --duration, --remap, --run, --clock at once, at four times the pace."""
+    with session(OpenBus.listen(where := endpoint())) as bus:
+        ear, clock = Ear(bus, "fleet/demo/log/**"), Ear(bus, "fleet/demo/clock")
+        options = ["-r", "4", "-s", "500 ms", "--duration", "1 s", "--topics", "uuv/2/state", "--remap", "uuv/2:=ghost"]
+        with Command(
+            "replay", log, "--connect", where, "--run", "demo", "--clock", "100", "--wait-for-subscribers", *options
+        ) as player:
+            assert player.status() == 0, player.printed
+        expected = [r for r in records if r.topic == "uuv/2/state" and 500_000_000 <= r.log_ns <= 1_500_000_000]
+        heard = ear.until(len(expected))
+        beats = clock.until(2)
+    assert [s.payload for s in heard] == [r.data for r in expected]
+    assert {s.key for s in heard} == {"fleet/demo/log/ghost/state"}
+    told = [Timestamp.FromString(s.payload) for s in beats]
+    seconds = [t.seconds + t.nanos / 1e9 for t in told]
+    assert seconds == sorted(seconds) and seconds[0] >= 0.5 and seconds[-1] == 1.5
+
+
+def test_whoever_listens_can_ask_for_schemas(log: Path) -> None:
+    """The descriptor set under fleet/{run}/schema/{name} is the log's."""
+    tape = Tape(log)
+    replay = Replay(tape, Wishes())
+    with session(OpenBus.listen(where := endpoint())) as bus, session(OpenBus.connect(where)) as client:
+        replay.open(bus)
+        key = Keys("replay").schema("uuv_fleet.State")
+
+        def answers() -> list[bytes]:
+            replies = client._session.get(key, timeout=1.0)
+            return [reply.ok.payload.to_bytes() for reply in replies if reply.ok is not None]
+
+        found = wait_for(answers, LIMIT_S, "the schema")
+    assert found == [schema.data for schema in tape.schemas.values() if schema.name == "uuv_fleet.State"]
+
+
+def test_loop_ends_with_ctrl_c(log: Path) -> None:
+    with session(OpenBus.listen(where := endpoint())) as bus:
+        ear = Ear(bus, "fleet/**")
+        with Command(
+            "replay", log, "-r", "0", "--loop", "--connect", where, "--topics", "uuv/1/pose", "--wait-for-subscribers"
+        ) as player:
+            ear.until(3 * 201)
+            player.send(signal.SIGINT)
+            assert player.status() == 130
+            assert "Traceback" not in player.printed and "played" in player.printed
+
+
+class Typist:
+    """A replay on a terminal of its own."""
+
+    def __init__(self, *arguments: Any) -> None:
+        self.master, terminal = pty.openpty()
+        self.before = termios.tcgetattr(terminal)
+        self.terminal = terminal
+        self._process = subprocess.Popen(
+            [sys.executable, "-c", _ON_TERMINAL, *map(str, arguments)],
+            stdin=terminal, stdout=terminal, stderr=terminal, start_new_session=True,
+        )  # fmt: skip
+        self.seen = ""
+
+    def until(self, expression: str) -> re.Match[str]:
+        """Wait until the screen has shown that after what was waited for before."""
+
+        def look() -> re.Match[str] | None:
+            if select.select([self.master], [], [], 0)[0]:
+                self.seen += os.read(self.master, 65536).decode("utf-8", "replace")
+            return re.search(expression, self.seen)
+
+        found = wait_for(look, LIMIT_S, f"{expression!r} in {self.seen[-300:]!r}")
+        self.seen = self.seen[found.end() :]
+        return found
+
+    def type(self, keys: bytes) -> None:
+        os.write(self.master, keys)
+
+    def end(self) -> int:
+        code = self._process.wait(LIMIT_S)
+        assert termios.tcgetattr(self.terminal) == self.before, "the terminal is left as it was found"
+        os.close(self.master)
+        os.close(self.terminal)
+        return code
+
+
+# A new session has no terminal until it takes one; then Ctrl-C reaches it as from any terminal.
+_ON_TERMINAL = """
+import fcntl, sys, termios
+fcntl.ioctl(0, termios.TIOCSCTTY, 0)
+sys.argv[0] = "fleet"
+from fleet.__main__ import main
+main()
+"""
+
+
+@pytest.mark.parametrize("how", ["ctrl-c", "sigterm"])
+def test_keys_on_a_terminal(how: str, log: Path) -> None:
+    """Pause, step, rate and seek, as the line shows them; the terminal is restored, however it ends."""
+    player = Typist("replay", log, "--start-paused", "--loop", "--topics", "uuv/1/pose")
+    player.until(r"t = 0\.00 / 2\.00 s  paused")
+    player.type(b"\x1b[C\x1b[C\x1b[C")
+    player.until(r"t = 0\.02 / 2\.00 s  paused  3 messages")
+    player.type(b"]")
+    player.until(r"t = 2\.00 / 2\.00 s  paused  3 messages")
+    player.type(b"\x1b[1;2D")
+    player.until(r"t = 0\.00 / 2\.00 s  paused  3 messages")
+    player.type(b"\x1b[A ")
+    player.until(r"x real time of 1\.1 ")
+    player.until(r"lap 2")
+    if how == "ctrl-c":
+        player.type(b"\x03")
+        assert player.end() == 130
+    else:
+        os.kill(player._process.pid, signal.SIGTERM)
+        assert player.end() == 130
+
+
+def test_an_interrupt_is_held_until_it_is_asked_for() -> None:
+    """And what was before is back afterwards, however often it was recorded."""
+    before = signal.getsignal(signal.SIGINT)
+    for _ in range(2):
+        with holding_interrupts() as interrupted:
+            assert not interrupted()
+            signal.raise_signal(signal.SIGINT)
+            assert interrupted()
+        assert signal.getsignal(signal.SIGINT) is before
+
+
+@pytest.mark.parametrize(("number", "shows"), [(0, "application/protobuf;uuv_fleet.State"), (1, "depth = ")])
+def test_subscriber_of_the_page(number: int, shows: str, log: Path, tmp_path: Path) -> None:
+    """The examples run as they stand, but for the port."""
+    program = re.findall(r"^```python\n(.*?)^```", PAGE, re.MULTILINE | re.DOTALL)[number]
+    where = endpoint()
+    path = tmp_path / "listen.py"
+    path.write_text(program.replace("tcp/127.0.0.1:7447", where))
+    options = ["--listen", where, "--topics", "uuv/*/state", "--wait-for-subscribers", "--loop"]
+    with Command("replay", log, *options) as player:
+        player.until("playing")
+        with subprocess.Popen([sys.executable, str(path)], stdout=subprocess.PIPE, text=True) as listener:
+            assert listener.stdout is not None
+            lines = [listener.stdout.readline() for _ in range(8)]
+            listener.kill()
+    assert all(shows in line for line in lines), lines
+    assert {n for line in lines for n in re.findall(r"uuv/(\d)", line)} == set("1234")

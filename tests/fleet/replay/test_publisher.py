@@ -1,0 +1,107 @@
+"""Runs that are published while they go on."""
+
+from __future__ import annotations
+
+import json
+import signal
+import stat
+from pathlib import Path
+
+import pytest
+from live import LiveRun
+from traffic import LIMIT_S, Command, Ear, schemas_of, session
+from traffic import log as log
+from traffic import records as records
+from waiting import wait_for
+
+from fleet.logs.reader import Record
+from fleet.replay.attachment import unpack
+from fleet.replay.capture_format import zenoh_encoding
+from fleet.run.execute import Options, execute
+from fleet.scenario.loading import load_scenario
+from netem.errors import BusError
+from netem.wire.access import Credentials
+from netem.wire.keys import Keys
+from netem.wire.open_bus import OpenBus
+
+
+@pytest.mark.parametrize("where", ["distributed", "in-process"])
+def test_live_publishing_equals_the_log(where: str, log: Path, records: list[Record], tmp_path: Path) -> None:
+    """From the first sample heard on, every message of the log comes once, in order, with what a replay would say;
+    the log is the same as without; and the way in is private, read-only and gone afterwards."""
+    arguments = ["paper", "--duration", "2 s", "--set", "checks={}", "--speed", "1", "--publish"]
+    arguments += ["--in-process"] if where == "in-process" else []
+    with LiveRun(tmp_path / "runs", *arguments) as run:
+        path = tmp_path / "runs" / "latest" / "observe.json"
+        wait_for(lambda: run.over or (path.exists() and path.stat().st_size), LIMIT_S, "observe.json")
+        assert stat.S_IMODE(path.stat().st_mode) == 0o600
+        values = json.loads(path.read_text())
+        observer = Credentials(values["user"], values["password"])
+        prefix = Keys(values["run"]).prefix
+        with (
+            session(OpenBus.connect(values["endpoint"], observer)) as bus,
+            session(OpenBus.connect(values["endpoint"], observer)) as other,
+        ):
+            ear, overheard = Ear(bus, f"{prefix}/log/**"), Ear(other, "**")
+            other._session.put(f"{prefix}/log/uuv/1/state", b"forged")
+            last = wait_for(
+                lambda: next(
+                    (s for s in ear.samples if s.attachment and unpack(s.attachment).number == len(records) - 1), None
+                ),
+                LIMIT_S,
+                "the last message",
+            )
+        assert last.payload == records[-1].data
+        with pytest.raises(BusError) as caught:
+            OpenBus.connect(values["endpoint"], Credentials("observer", "guess"), timeout_ms=300)
+        assert "guess" not in str(caught.value)
+        assert run.status() == 0, run.printed
+        run.until_nobody_is_left()
+        assert run.log.read_bytes() == log.read_bytes()
+        assert not path.exists()
+        told = json.loads((run.directory / "result.json").read_text())["published"]
+    assert told["dropped"] == 0 and told["messages"] >= len(ear.samples)
+    heard = list(ear.samples)  # and nothing that an observer put
+    stamps = [unpack(s.attachment or b"") for s in heard]
+    first = stamps[0].number
+    assert [s.number for s in stamps] == list(range(first, len(records)))
+    schemas = schemas_of(log)
+    for sample, stamp, record in zip(heard, stamps, records[first:], strict=True):
+        assert stamp[:3] == (record.log_ns, record.publish_ns, record.sequence)
+        assert sample.payload == record.data and not sample.delete
+        assert sample.key == f"{prefix}/log/{record.topic}"
+        assert sample.encoding == zenoh_encoding("protobuf", schemas[record.topic])
+    # The wildcard was refused, because it names more than the journal; what a session says to itself never leaves it.
+    assert {s.payload for s in overheard.samples} <= {b"forged"}
+
+
+def test_a_subscriber_that_sleeps_does_not_hold_the_run(tmp_path: Path) -> None:
+    """It is suspended from the first second on; the run goes on at its pace, ends well, and its log is the same."""
+    arguments = ["paper", "--duration", "10 s", "--set", "checks={}"]
+    with LiveRun(tmp_path / "runs", *arguments, "--speed", "5", "--publish") as run:
+        path = tmp_path / "runs" / "latest" / "observe.json"
+        wait_for(lambda: path.exists() and path.stat().st_size, LIMIT_S, "observe.json")
+        directory = path.parent.resolve()
+        with Command("record", "--run", directory, "-o", tmp_path / "x.mcap") as recorder:
+            recorder.until("recording")
+            recorder.send(signal.SIGSTOP)
+            assert run.status() == 0, run.printed
+        values = json.loads((directory / "result.json").read_text())
+        wall, told = values["wall"], values["published"]
+        assert wall["run_s"] < 10  # 2 s at its pace
+        published = run.log
+        assert told["dropped"] == 0  # the publisher's process never waits for a subscriber
+        plain = execute(load_scenario("paper", ["duration=10 s", "checks={}"]), Options(tmp_path, True, quiet=True))
+        assert (plain.directory / "run.mcap").read_bytes() == published.read_bytes()
+
+
+@pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGKILL, 137)])
+def test_the_publisher_ends_with_the_run(number: signal.Signals, status: int, tmp_path: Path) -> None:
+    """On Ctrl-C and on kill -9."""
+    with LiveRun(tmp_path / "runs", "paper", "--speed", "1", "--publish") as run:
+        run.until_running(0.5)
+        assert any("fleet publisher" in " ".join(process.cmdline()) for process in run.alive())
+        run.send(number)
+        assert run.status() == status
+        run.until_nobody_is_left()
+        assert (run.directory / "observe.json").exists() is (status == 137)

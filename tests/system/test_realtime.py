@@ -1,0 +1,122 @@
+"""Real fleets on a wall clock."""
+
+from __future__ import annotations
+
+import json
+import signal
+from itertools import pairwise
+from pathlib import Path
+from textwrap import dedent
+
+import pytest
+from click.testing import CliRunner
+from hand import Hand
+from live import LiveRun
+
+from fleet.cli.main import cli
+from fleet.pictures.runs import Look, NothingToDraw, load
+from fleet.pictures.timing import punctuality
+from fleet.repeat.recorded_run import ScriptError
+from fleet.repeat.verify import verify
+from fleet.repeat.what_if import whatif
+from fleet.run.connection import RemoteError
+from fleet.run.execute import Options, Status, execute
+from fleet.scenario.loading import load_scenario
+
+SLEEPER = """
+    from time import sleep
+
+    class Sleeper:
+        signals = ()
+
+        def __init__(self, config):
+            pass
+
+        def step(self, sample):
+            if sample.tick % 10 == 5:
+                sleep(0.08)
+            return (0.0, 0.0, 0.0), {}
+"""
+
+
+def test_a_real_run_is_on_time_and_lockstep_or_says_why_not(tmp_path: Path) -> None:
+    scenario = load_scenario("paper", ["duration=2 s", "checks={ledger: balanced, middleware_loss: {at_most: 0}}"])
+    found = execute(scenario, Options(tmp_path, quiet=True, pace=0.5, most_missed=1.0))
+    same = execute(scenario, Options(tmp_path, quiet=True, in_process=True))
+    assert (found.status, found.reason) == (Status.PASS, "")
+    measured = found.values["timing"]
+    assert measured["label"] in ("on time", "degraded")
+    assert found.digest == same.digest or measured["label"] == "degraded"
+    assert (measured["label"] == "on time") == (measured["reasons"] == [])
+    assert all(row["asked"] == 200 for row in measured["vehicles"].values())
+    assert measured["netem"]["hop"]["count"] + measured["netem"]["unread"] == 120
+    assert measured["netem"]["links"]["1->2"]["injected"]["p50_ms"] == 10.0
+    (run,) = load([found.directory])
+    figure = punctuality([run], Look())
+    assert [text.get_text() for text in figure.legends[0].get_texts()] == ["UUV 1", "UUV 2", "UUV 3", "UUV 4"]
+    shares = figure.axes[0].lines[0].get_ydata()
+    assert shares[0] == 1.0
+    assert all(a >= b > 0 for a, b in pairwise(shares))
+    (run,) = load([same.directory])
+    with pytest.raises(NothingToDraw, match="lockstep"):
+        punctuality([run], Look())
+    for refused in (verify, lambda log: whatif(log, 3)):
+        with pytest.raises(ScriptError, match="--clock real"):
+            refused(found.directory)
+
+
+def test_an_agent_too_slow_for_its_ticks_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "sleeper.py").write_text(dedent(SLEEPER))
+    monkeypatch.syspath_prepend(str(tmp_path))
+    scenario = load_scenario(
+        "paper", ["duration=2 s", "checks={}", "per_vehicle={2: {controller: 'sleeper:Sleeper'}}", "graph.shape=path"]
+    )
+    found = execute(scenario, Options(tmp_path, quiet=True, pace=1.0))
+    assert found.status is Status.CHECK_FAILED
+    rows = found.values["timing"]["vehicles"]
+    # Twenty times it sleeps, and each time seven more ticks go by; fewer where the machine stops the world, too.
+    assert rows["2"]["missed"] >= 20 * 3
+    assert rows["2"]["response"]["max_ms"] >= 80.0
+    assert "agent 2 missed" in found.verdicts[-1].found
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["--in-process"], "not with --in-process"),
+        (["--speed", "max"], "has no max"),
+        (["--clock", "lockstep", "--max-missed", "2%"], "is for --clock real"),
+        (["--set", "network=ideal"], "not with network: ideal"),
+        (["--max-missed", "2"], "expected a share"),
+    ],
+)
+def test_what_makes_no_sense_on_a_wall_clock_is_refused(arguments: list[str], said: str) -> None:
+    result = CliRunner().invoke(cli, ["run", "paper", "--clock", "real", *arguments])
+    assert (result.exit_code, said in result.output) == (2, True)
+
+
+def test_a_suspended_agent_does_not_hold_the_others(tmp_path: Path) -> None:
+    """It is named, nobody waits for it, and it is among them again when it goes on."""
+    arguments = ["--clock", "real", "--speed", "2", "--duration", "8 s", "--max-missed", "1"]
+    with LiveRun(tmp_path, "paper", *arguments, "--set", "profile=hardened", "--set", "checks={}") as run:
+        run.until_running(3.0)  # sooner its vehicle would not survive an old command for long
+        hand, agent = Hand(tmp_path), run.role("agent 2")
+        with pytest.raises(RemoteError, match="keeps the pace"):
+            hand.clock("speed", 4.0)
+        agent.suspend()
+        hand.until(hand.now() + 2.0)
+        agent.resume()
+        assert run.status() == 0, run.printed
+        assert "agent 2 was silent for" in run.said
+    notes = [note for note in json.loads((run.directory / "result.json").read_text())["notes"] if "vehicle 2" in note]
+    assert ["has not answered for 100 ticks" in note for note in notes[:1]] == [True], notes
+    assert ["its agent answers again" in note for note in notes[1:]] == [True], notes
+
+
+def test_a_run_that_is_ended_early_says_how_everyone_kept_up(tmp_path: Path) -> None:
+    with LiveRun(tmp_path, "paper", "--clock", "real", "--duration", "60 s", "--set", "checks={}") as run:
+        run.until_running().send(signal.SIGINT, group=True)
+        assert run.status() == 130
+        assert "clock: real, 1 x, a tick every 10 ms" in run.said
+    result = json.loads((run.directory / "result.json").read_text())
+    assert all(100 <= row["asked"] < 6000 for row in result["timing"]["vehicles"].values())

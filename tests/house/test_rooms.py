@@ -1,0 +1,57 @@
+"""Packages are rooms: each says in one sentence what it holds, modules are short, and no two import each other."""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+
+import grimp
+import pytest
+from repository import ROOT
+
+PACKAGES = ("netem", "world", "agents", "fleet")
+MODULES = sorted(path for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
+LIMIT = 400  # lines
+
+# Longer ones, each with its reason.
+LONGER = {
+    "fleet/cli/main.py": "holds the verbs run, check, list, info and reproduce, which are to be modules of their own",
+    "fleet/run/console.py": "holds start-up, the event loop and the post-mortem, which are to be modules of their own",
+    "netem/wire/messages.py": "declares every message and encodes it; the two are to be modules of their own",
+}
+
+
+def name_of(path: Path) -> str:
+    return path.relative_to(ROOT).as_posix()
+
+
+@pytest.mark.parametrize("path", [path for path in MODULES if path.name == "__init__.py"], ids=name_of)
+def test_a_room_says_what_it_holds_in_one_sentence(path: Path) -> None:
+    """And imports nothing: `fleet --help` and the fork server pay for every line here."""
+    tree = ast.parse(path.read_text("utf-8"))
+    sentence = ast.get_docstring(tree) or ""
+    assert sentence.endswith("."), sentence
+    assert sentence.count(". ") == sentence.count("\n") == 0, sentence
+    if name_of(path) != "fleet/__init__.py":  # which gives `Log` and `open_log`, when they are asked for
+        assert len(tree.body) == 1, "only the sentence"
+
+
+def test_modules_are_short() -> None:
+    """One that is longer holds two concepts, or has its reason above."""
+    lengths = {name_of(path): len(path.read_text("utf-8").splitlines()) for path in MODULES}
+    longer = {name: length for name, length in lengths.items() if length >= LIMIT}
+    assert sorted(longer) == sorted(LONGER), longer
+
+
+def test_no_modules_import_each_other() -> None:
+    """Nor in a circle of several: each can be read, tested and imported alone."""
+    graph = grimp.build_graph(*PACKAGES, cache_dir=None)
+    roots = {module for module in graph.modules if graph.find_children(module)}
+    left = {
+        module: graph.find_modules_directly_imported_by(module) - roots - {module} for module in graph.modules - roots
+    }
+    while done := {module for module, imported in left.items() if not imported & left.keys()}:
+        left = {module: imported for module, imported in left.items() if module not in done}
+    while done := {module for module in left if not any(module in imported for imported in left.values())}:
+        left = {module: imported for module, imported in left.items() if module not in done}
+    assert not left, {module: sorted(imported & left.keys()) for module, imported in left.items()}

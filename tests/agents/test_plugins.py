@@ -664,6 +664,7 @@ def test_a_template_may_have_any_other_name(name: str, tmp_path: Path, monkeypat
 # --- the worked example ----------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_worked_example_against_nboc(tmp_path: Path) -> None:
     """The table in docs/guide/plugins.md."""
     rows = {}

@@ -250,8 +250,9 @@ def _places(values: Any) -> Iterator[tuple[Any, Any]]:
             yield from _places(values[key])
 
 
-def test_no_result_stops_a_report(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
-    """500 variants: the page is made, with the verdicts or with what is wrong where; and tables from the log."""
+@pytest.mark.parametrize("seeds", [range(100), pytest.param(range(100, 500), marks=pytest.mark.slow)])
+def test_no_result_stops_a_report(seeds: range, run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of every variant: the page is made, with the verdicts or with what is wrong where; and tables from the log."""
     monkeypatch.setattr("fleet.pictures.report.WHAT", {})
     monkeypatch.setattr("fleet.pictures.report.PER_RUN", set())
     path = run.log.path.parent / "result.json"
@@ -259,7 +260,7 @@ def test_no_result_stops_a_report(run: Run, monkeypatch: pytest.MonkeyPatch) -> 
     used = told = 0
     try:
         assert "result.json" not in page([run], Look())
-        for seed in range(500):
+        for seed in seeds:
             path.write_text(mutated(seed, whole), "utf-8", "surrogatepass")
             text = page([run] if seed % 3 else [run, run], Look())
             assert "Packets per directed link" in text
@@ -270,7 +271,7 @@ def test_no_result_stops_a_report(run: Run, monkeypatch: pytest.MonkeyPatch) -> 
     finally:
         path.write_text(whole)
     print(f"{told} told, {used} used")
-    assert told > 200 and used > 50
+    assert told > 0.4 * len(seeds) and used > 0.1 * len(seeds)
 
 
 @pytest.mark.parametrize(

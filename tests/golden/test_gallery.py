@@ -22,7 +22,13 @@ PAGE = ROOT / "docs" / "guide" / "scenarios.md"
 LONG = 20  # [s]; a distributed run of more is one of the slow tests
 
 
-@pytest.mark.parametrize("name", GALLERY)
+# The longest, of which another one of their kind is here: the same with standby, the same channel with less noise.
+LONGEST = ("leader-lost", "acoustic-noise", "acoustic-80bps")
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[pytest.mark.slow] if name in LONGEST else []) for name in GALLERY]
+)
 def test_a_scenario_keeps_its_promise(name: str, tmp_path: Path) -> None:
     thin = load_scenario(name, ["log.every=50 ticks", "log.snapshot=0 s"])
     result = execute(thin, Options(tmp_path, in_process=True, quiet=True))

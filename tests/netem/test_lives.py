@@ -133,7 +133,7 @@ def test_deaths_and_restarts_are_the_same_everywhere(every: int, tmp_path: Path)
 def test_an_agent_that_is_killed_from_outside_may_be_restarted(tmp_path: Path) -> None:
     """It takes over at a round, is explained, and the script runs to the same digest."""
     checks = "checks={ledger: balanced, middleware_loss: {at_most: 0}, tumbled: waived, deaths: {at_most: 1}}"
-    arguments = ["--duration", "12 s", "--speed", "4", "--set", checks, "--set", "profile=hardened"]
+    arguments = ["--duration", "6 s", "--speed", "4", "--set", checks, "--set", "profile=hardened"]
     with LiveRun(tmp_path / "runs", "paper", *arguments, "--set", "on_death=restart") as live:
         live.until_running()
         os.kill(live.role("agent 3").pid, signal.SIGKILL)

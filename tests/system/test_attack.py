@@ -16,6 +16,7 @@ from typing import Any
 import pytest
 from attack import SCENARIO, Attack
 from free_ports import free_port
+from in_process_runs import Alone, log_of
 from waiting import wait_for
 
 import fleet.run.launch
@@ -59,14 +60,14 @@ def attacked(tmp_path_factory: pytest.TempPathFactory) -> tuple[Attack, Result]:
     return attack, result
 
 
-def test_the_run_goes_on_as_if_nothing_had_happened(attacked: tuple[Attack, Result], tmp_path: Path) -> None:
+def test_the_run_goes_on_as_if_nothing_had_happened(attacked: tuple[Attack, Result], alone: Alone) -> None:
     """The log of the attacked run has the bytes of one in a single process, which nobody can reach."""
     attack, result = attacked
     assert (result.status, result.reason, result.lines) == (Status.PASS, "", [])
     assert attack.stolen == []
-    alone = execute(load_scenario("paper", SCENARIO), Options(tmp_path, quiet=True, in_process=True))
-    assert result.digest == alone.digest
-    assert (result.directory / "run.mcap").read_bytes() == (alone.directory / "run.mcap").read_bytes()
+    undisturbed = alone("paper", *SCENARIO)
+    assert result.digest == undisturbed.digest
+    assert log_of(result).read_bytes() == log_of(undisturbed).read_bytes()
 
 
 def test_every_refusal_is_told(attacked: tuple[Attack, Result]) -> None:
@@ -223,8 +224,11 @@ def test_the_observer_of_a_published_run_only_listens(tmp_path: Path) -> None:
         for key in (keys.log("uuv/1/state"), keys.frame, keys.cmd(1), keys.grant, "**"):
             session.put(key, b"forged")
             session.delete(key)
-        asked = {key: [reply.ok.payload.to_bytes() for reply in session.get(key, timeout=1.0) if reply.ok is not None]
-                 for key in (keys.schema("X"), keys.cfg(1), f"{keys.op}/status")}  # fmt: skip
+        # What is answered may take its time on a busy machine; what is not is waited for in vain.
+        asked = {
+            key: [r.ok.payload.to_bytes() for r in session.get(key, timeout=limit) if r.ok is not None]
+            for key, limit in ((keys.schema("X"), 20.0), (keys.cfg(1), 1.0), (f"{keys.op}/status", 1.0))
+        }
         assert asked == {keys.schema("X"): [b"schema"], keys.cfg(1): [], f"{keys.op}/status": []}
         journal = router.publication(keys.log("x"), "zenoh/bytes", drop=True)
         secret = router.publication(keys.cfg(1), "zenoh/bytes", drop=True)
@@ -234,9 +238,9 @@ def test_the_observer_of_a_published_run_only_listens(tmp_path: Path) -> None:
             journal.put(b"said", None)
             return (keys.log("x"), b"said") in overheard
 
-        wait_for(journal_heard, 10.0, "the journal")
+        wait_for(journal_heard, 30.0, "the journal")
         # Nothing of what the first one put. The router itself may hear a put after those who are linked to it.
-        wait_for(lambda: {what for _, what in heard} >= {b"said", b"secret"}, 10.0, "the router's own")
+        wait_for(lambda: {what for _, what in heard} >= {b"said", b"secret"}, 30.0, "the router's own")
         assert {what for _, what in heard} == {b"said", b"secret"}
         assert {what for _, what in overheard} == {b"said"}
     finally:

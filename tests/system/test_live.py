@@ -158,7 +158,7 @@ def test_what_cannot_be_injected_is_refused_in_words(tmp_path: Path) -> None:
 def test_two_runs_do_not_disturb_each_other(tmp_path: Path) -> None:
     """Started in the same second, side by side: a fault in one is none in the other."""
     out = tmp_path / "runs"
-    arguments = ["paper", "--duration", "10 s", *SLOW]
+    arguments = ["paper", "--duration", "5 s", *SLOW]
     with LiveRun(out, *arguments) as one, LiveRun(tmp_path / "other", *arguments) as other:
         one.until_running()
         other.until_running()

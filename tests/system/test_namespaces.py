@@ -28,6 +28,7 @@ from fleet.scenario.loading import load_scenario
 pytest.importorskip("cryptography", reason="cryptography is not installed: pip install 'uuv-fleet[hosts]'")
 ADDRESSES = {"east": "10.231.1", "west": "10.231.2"}  # of the cable's ends: .1 is the sea
 LIMIT_S = 60.0
+pytestmark = pytest.mark.slow
 
 
 def ip(*words: str, check: bool = True) -> subprocess.CompletedProcess[str]:

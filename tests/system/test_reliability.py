@@ -59,14 +59,16 @@ def test_a_low_soft_limit_of_open_files_is_raised(tmp_path: Path) -> None:
     assert (found.returncode, found.stderr) == (0, "")
 
 
-@pytest.mark.parametrize("whole", [False, True], ids=["console", "whole-group"])
+@pytest.mark.parametrize(
+    "whole", [pytest.param(False, id="console"), pytest.param(True, id="whole-group", marks=pytest.mark.slow)]
+)
 def test_a_suspended_console_only_takes_longer(tmp_path: Path, whole: bool) -> None:
-    with LiveRun(tmp_path, "paper", "--duration", "6 s", "--speed", "4", "--set", CHECKS) as run:
+    with LiveRun(tmp_path, "paper", "--duration", "4 s", "--speed", "4", "--set", CHECKS) as run:
         run.until_running(1.0)
         run.send(signal.SIGSTOP, group=whole)
         sleep(1.0)
         run.send(signal.SIGCONT, group=whole)
         assert run.status() == 0
         values = result(run.directory)
-    assert values["digest"] == undisturbed(tmp_path / "same", "duration=6 s")
+    assert values["digest"] == undisturbed(tmp_path / "same", "duration=4 s")
     assert values["middleware_lost"] == 0

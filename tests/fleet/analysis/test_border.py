@@ -94,8 +94,8 @@ def test_equal_vehicles_have_multiple_zeros() -> None:
     ("what", "case"),
     [
         ("gain", Case("path", 10, 1.0)),
-        ("gain", Case("star", 200, 1.0)),
-        ("gain", Case("ring", 100, 1.0, 0, "reference")),
+        pytest.param("gain", Case("star", 200, 1.0), marks=pytest.mark.slow),
+        pytest.param("gain", Case("ring", 100, 1.0, 0, "reference"), marks=pytest.mark.slow),
         ("delay", Case("ring", 100, 0.9)),
     ],
 )

@@ -116,7 +116,8 @@ def test_beside_the_log_by_default(log: Path, tmp_path: Path) -> None:
 # --- cut --------------------------------------------------------------------
 
 
-def test_cut_at_every_byte_of_the_last_chunk(log: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize("every", [11, pytest.param(1, marks=pytest.mark.slow)])
+def test_cut_at_every_byte_of_the_last_chunk(every: int, log: Path, tmp_path: Path) -> None:
     """Reading gives every complete chunk and nothing else; only the uncut file is whole. (Behind the chunk stands what
     is only an index: every 13th byte of that.)"""
     data = log.read_bytes()
@@ -124,7 +125,7 @@ def test_cut_at_every_byte_of_the_last_chunk(log: Path, tmp_path: Path) -> None:
     (_, behind), (begin, end) = chunks(data)[-2:]
     before = len(read(tmp_path / "a", data[:begin])[0])
     assert 0 < before < len(whole)
-    for size in [*range(behind, end + 1), *range(end + 1, len(data), 13)]:
+    for size in [*range(behind, end - 1, every), end - 1, end, *range(end + 1, len(data), 13)]:
         found, missing = read(tmp_path / "a", data[:size])
         assert found == whole[: len(whole) if size >= end else before], size
         assert missing in (CUT, "the index is missing or damaged"), size
@@ -410,6 +411,7 @@ def test_a_damaged_scenario_is_not_run(log: Path, tmp_path: Path) -> None:
 # --- kill -9, full disks ----------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_recorder_killed_at_random_moments_loses_a_second_at_most(tmp_path: Path) -> None:
     """Fifty times. What is left is how the whole log begins, to the last full second that the recorder had taken."""
     done = subprocess.run(

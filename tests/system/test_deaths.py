@@ -7,42 +7,26 @@ they measured and allow more, because other tests share the machine.
 from __future__ import annotations
 
 import json
-import os
 import signal
 import socket
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
-from textwrap import dedent
-from threading import Event, Thread
-from typing import Any
 
 import psutil
 import pytest
+from ended_runs import CHECKS, LONG
 from first_difference import assert_same_bytes
 from in_process_runs import Alone, log_of
 from live import FORKSERVER, LiveRun, Stopwatch
 from waiting import wait_for
 
-import fleet.run.launch
-from agents.errors import ControllerError
 from fleet.logs.reader import LogReader
-from fleet.run.directory import RunDirectory
-from fleet.run.execute import Result, Status, execute
-from fleet.run.options import Options
+from fleet.run.execute import Options, Status, execute
 from fleet.scenario.loading import load_scenario
-from netem.wire.access import Credentials
-from netem.wire.bus import Bus
-from netem.wire.codec import encode
-from netem.wire.keys import Keys
-from netem.wire.messages import Command, Frames, Hello, LinkReport, Nav, Note, Transmission
 
 END_S = 5.0  # promised: 2 s
-# Of which the first seconds are seen; what follows a death unless the scenario says otherwise is tested further down.
-LONG = ["--duration", "60 s", "--speed", "5", "--set", "on_death=abort"]
-OURS = "ledger: balanced, middleware_loss: {at_most: 0}"
-CHECKS = f"checks={{qp_infeasible: {{at_most: 0}}, {OURS}, tumbled: waived, deaths: waived}}"
 
 
 def assert_readable(run: LiveRun, least_s: float = 1.0) -> None:
@@ -293,248 +277,3 @@ def test_full_disk_in_process(small_disk: Path) -> None:
     assert result.status is Status.BROKEN
     assert "No space left on device" in result.reason
     assert max(record.log_ns for record in LogReader(result.directory / "run.mcap")) >= 1_000_000_000
-
-
-# --- controllers that fail -------------------------------------------------
-
-
-def sabotage(folder: Path, code: str) -> dict[str, str]:
-    """The environment of a run in whose processes `code` is executed before anything else.
-
-    Every interpreter that starts with the folder in PYTHONPATH loads `sitecustomize`, the fork server included.
-    """
-    folder.mkdir()
-    (folder / "sitecustomize.py").write_text(dedent(code), "utf-8")
-    return {"PYTHONPATH": os.pathsep.join([str(folder), *filter(None, [os.environ.get("PYTHONPATH")])])}
-
-
-NAN_IN_THE_CORE = """
-    from agents.agent import Agent
-    guarded = Agent._guarded
-
-    def failing(self, sample):
-        demand, telemetry = guarded(self, sample)
-        if (self.config.id, sample.tick) == (3, 57):
-            nan = float("nan")
-            return (nan, nan, nan), (*telemetry[:-3], nan, nan, nan)
-        return demand, telemetry
-
-    Agent._guarded = failing
-"""
-NAN_COMMAND = """
-    from agents.agent import Agent, Decision
-    decide = Agent.decide
-
-    def failing(self, nav, deliveries):
-        decision = decide(self, nav, deliveries)
-        if (self.config.id, nav.tick) == (3, 57):
-            return Decision((float("nan"), 0.0, 0.0), decision.telemetry)
-        return decision
-
-    Agent.decide = failing
-"""
-
-
-def test_controller_that_computes_nan(tmp_path: Path) -> None:
-    """The agent stops at the sample in which its numbers stop making sense, and what it printed is shown."""
-    with LiveRun(tmp_path / "runs", "paper", *LONG, environment=sabotage(tmp_path / "s", NAN_IN_THE_CORE)) as run:
-        assert run.status(60.0) == 3
-        run.until_nobody_is_left()
-        assert "agent 3 (pid " in run.said
-        assert "exited with status 70 at t = 0.5" in run.said
-        assert "controller failed: agent 3, tick 57: control.demand is (nan, nan, nan)" in run.said
-        assert "last lines of " in run.said
-        assert "agents.errors.ControllerError: agent 3, tick 57" in run.said
-        assert LogReader(run.log).missing == ""
-
-
-def test_controller_that_computes_nan_in_process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Likewise in the plain loop: a broken run with vehicle and tick, not a traceback."""
-    from agents.agent import Agent
-
-    monkeypatch.setattr(Agent, "_guarded", Agent._guarded)  # restored after the sabotage
-    exec(dedent(NAN_IN_THE_CORE), {})
-    result = execute(load_scenario("paper"), Options(tmp_path, in_process=True, quiet=True))
-    assert result.status is Status.BROKEN
-    assert result.reason == "agent 3, tick 57: control.demand is (nan, nan, nan)"
-
-
-def test_nan_command_is_refused_by_the_world(tmp_path: Path) -> None:
-    """An agent that does not check itself: the command is malformed, so the vehicle is waited for in vain, and the
-    end of the run says both."""
-    arguments = [*LONG, "--set", "stall_timeout=1 s"]
-    with LiveRun(tmp_path / "runs", "paper", *arguments, environment=sabotage(tmp_path / "s", NAN_COMMAND)) as run:
-        assert run.status(60.0) == 3
-        run.until_nobody_is_left()
-        assert "waiting for agent 3" in run.said
-        assert "rejected on " in run.said
-        assert "malformed cmd message: element 0 is nan, expected a finite number" in run.said
-        assert "element 0 is nan" in (run.directory / "log" / "world.log").read_text()
-
-
-def test_nan_command_in_process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The plain loop has nobody to wait for: it ends at once, naming the vehicle."""
-    from agents.agent import Agent
-
-    monkeypatch.setattr(Agent, "decide", Agent.decide)  # restored after the sabotage
-    exec(dedent(NAN_COMMAND), {})
-    result = execute(load_scenario("paper"), Options(tmp_path, in_process=True, quiet=True))
-    assert result.status is Status.BROKEN
-    assert "nan" in result.reason
-    assert "3" in result.reason
-
-
-# --- agents that talk nonsense ---------------------------------------------
-
-
-class Intruder:
-    """Agent 3's credentials in other hands: a second session beside the real agent's, from its start to its end.
-
-    The run itself is `execute` on the main thread, where processes must be started; this thread joins as soon as
-    the connection file is written, and puts `nonsense` again and again until told to stop.
-    """
-
-    def __init__(self, monkeypatch: pytest.MonkeyPatch, nonsense: Callable[[Keys], list[tuple[str, bytes]]]) -> None:
-        self._nonsense = nonsense
-        self._credentials: dict[str, Credentials] = {}
-        self._over = Event()
-        self._thread: Thread | None = None
-        self.rounds = 0
-        generate, write = fleet.run.launch.generate, RunDirectory.write_connection
-
-        def generate_and_leak(vehicles: tuple[int, ...]) -> dict[str, Credentials]:
-            self._credentials = generate(vehicles)
-            return self._credentials
-
-        def write_and_join(directory: RunDirectory, values: dict[str, Any]) -> None:
-            write(directory, values)
-            self._thread = Thread(target=self._talk, args=(values["endpoint"], values["run"]))
-            self._thread.start()
-
-        monkeypatch.setattr(fleet.run.launch, "generate", generate_and_leak)
-        monkeypatch.setattr(RunDirectory, "write_connection", write_and_join)
-
-    def _talk(self, endpoint: str, run: str) -> None:
-        bus = Bus.connect(endpoint, self._credentials["agent-3"])
-        messages = self._nonsense(Keys(run))
-        puts = {key: bus.publisher(key) for key, _ in messages}
-        while not self._over.wait(0.01):
-            for key, data in messages:
-                puts[key](data)
-            self.rounds += 1
-        bus.close()
-
-    def run(self, tmp_path: Path, *overrides: str) -> Result:
-        scenario = load_scenario("paper", [CHECKS, "duration=4 s", *overrides])
-        try:
-            return execute(scenario, Options(tmp_path / "runs", quiet=True, speed_limit=4.0))
-        finally:
-            self._over.set()
-            if self._thread is not None:
-                self._thread.join()
-
-
-def assert_unaffected(result: Result, alone: Alone) -> None:
-    assert result.status is Status.PASS, (result.reason, result.lines)
-    assert_same_bytes(log_of(alone("paper", CHECKS, "duration=4 s")), log_of(result))
-
-
-def nonsense(keys: Keys) -> list[tuple[str, bytes]]:
-    """What a broken or hostile agent may put on the keys that are its own."""
-    far = 10**9
-    good = (1.0, 0.0, 0.0)
-    zeros = (0.0,) * 27
-    nan = float("nan")
-    nav = encode(Nav(0, 3, (0.0,) * 5, (0.0,) * 5))
-    anywhere = [b"", b"\xc1", bytes(range(256)), b"\x93\xa3cmd", b"\xc0" * 40_000, nav, b"\x91\xa4nope"]
-    commands = [
-        encode(Command(0, far, good, zeros)),
-        encode(Command(7, 0, good, zeros)),
-        encode(Command(0, far, (nan, 0.0, 0.0), zeros)),
-        encode(Command(0, far, (float("inf"), 0.0, 0.0), zeros)),
-        encode(Command(0, far, (1.0, 0.0), zeros)),
-        encode(Command(0, 2**63, good, zeros)),
-        encode(Hello("agent", 3, 0, 99, False)),
-        encode(Transmission(0, 0, ())),
-    ]
-    transmissions = [
-        encode(Transmission(0, far, (b"late",))),
-        encode(Transmission(0, far + 1, ())),
-        encode(Transmission(7, 0, ())),
-        encode(Transmission(0, 2**63, (b"x" * 1000,) * 10)),
-        encode(Command(0, 0, good, zeros)),
-    ]
-    return [
-        *((keys.cmd(3), data) for data in anywhere + commands),
-        *((keys.tx(3), data) for data in anywhere + transmissions),
-    ]
-
-
-def test_garbage_beside_a_real_agent(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, alone: Alone) -> None:
-    """Malformed, misplaced, mistimed and non-finite messages from an agent's own session, all the run long: each is
-    counted and dropped, and the log is byte for byte that of a run in peace."""
-    intruder = Intruder(monkeypatch, nonsense)
-    result = intruder.run(tmp_path)
-    assert intruder.rounds > 10
-    assert_unaffected(result, alone)
-    rejected = json.loads((result.directory / "result.json").read_text())["rejected"]
-    for kind in ("cmd/3: MalformedMessage", "cmd/3: OutOfPlace", "tx/3: MalformedMessage", "tx/3: OutOfPlace"):
-        assert rejected[kind] > 10
-    assert sum("rejected on" in note for note in result.values["notes"]) == 4  # of each kind only the first is told
-
-
-def test_garbage_notes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, alone: Alone) -> None:
-    """Notes are for people; one that cannot be read is no reason to end a run."""
-    bad = [b"", b"\xc1", encode(Nav(0, 3, (0.0,) * 5, (0.0,) * 5))]
-    result = Intruder(monkeypatch, lambda keys: [(keys.note("agent-3"), data) for data in bad]).run(tmp_path)
-    assert_unaffected(result, alone)
-
-
-def test_forged_frames_and_reports_on_the_note_key(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, alone: Alone
-) -> None:
-    """The one key on which an agent reaches the console is for notes: what only world and netem may say is refused
-    there, or an agent could write the log."""
-    forged = [
-        encode(Frames(())),
-        encode(LinkReport(0, False, False, (), b"")),
-        encode(LinkReport(400, True, False, (), b"")),
-    ]
-    result = Intruder(monkeypatch, lambda keys: [(keys.note("agent-3"), data) for data in forged]).run(tmp_path)
-    assert_unaffected(result, alone)
-
-
-def test_notes_that_lie_are_only_notes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, alone: Alone) -> None:
-    """Markup, escapes and absurd numbers in a note reach a person as text and nothing else."""
-    lies = [encode(Note("world", 99, 2**63, "[red]\x1b[2Jall is lost[/red]")), encode(Note("x" * 4096, 0, 0, ""))]
-    result = Intruder(monkeypatch, lambda keys: [(keys.note("agent-3"), data) for data in lies]).run(tmp_path)
-    assert_unaffected(result, alone)
-
-
-def test_controller_error_names_vehicle_and_tick() -> None:
-    error = ControllerError(3, 57, "control.demand is (nan,)")
-    assert str(error) == "agent 3, tick 57: control.demand is (nan,)"
-
-
-LONG_PAYLOADS = """
-    from agents.agent import Agent
-    transmit = Agent.transmit
-    Agent.transmit = lambda self, nav: tuple(p + b"x" * 30_000 for p in transmit(self, nav))
-"""
-
-
-def test_long_payloads_travel_in_parts(tmp_path: Path) -> None:
-    """Two neighbours' payloads of 30 kB do not fit into one message; the agents refuse them, and nobody dies."""
-    environment = sabotage(tmp_path / "site", LONG_PAYLOADS)
-    command = [sys.executable, "-m", "fleet", "run", "paper", "-q", "--duration", "500 ms", "--set", "checks={}"]
-    done = subprocess.run(
-        [*command, "--out", str(tmp_path / "runs")],
-        env={**os.environ, **environment},
-        capture_output=True,
-        text=True,
-        timeout=60,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
-    result = json.loads((tmp_path / "runs" / "latest" / "result.json").read_text("utf-8"))
-    assert result["vehicles"]["2"]["payloads_rejected"] == 10  # two neighbours, five rounds

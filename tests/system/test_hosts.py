@@ -1,274 +1,49 @@
-"""Runs over several hosts: certificates, where the router listens, whose router it is, what an eavesdropper sees."""
+"""Runs over several hosts: where the router listens, whose router it is, what an eavesdropper sees."""
 
 from __future__ import annotations
 
-import contextlib
 import json
 import os
-import re
-import shutil
 import signal
 import socket
-import stat
 import struct
 import subprocess
 import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
-from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
 import pytest
 from click.testing import CliRunner
-from hypothesis import given
-from hypothesis import strategies as st
+from free_ports import free_port
+from host_certificates import made as made
 from live import LiveRun
-from repository import ROOT
 from waiting import wait_for
 
-from agents.join_file import JoinFile
-from fleet.cli.hosts import meeting
+from agents.join_file import Joining
 from fleet.cli.main import cli
 from fleet.hosts import certificates, router_config
-from fleet.hosts.certificates import CertsError
 from fleet.hosts.rendezvous import (
     HostsError,
-    Rendezvous,
-    listening,
-    parse_endpoint,
     read_credentials,
     run_id,
     through_router,
 )
 from fleet.run.connection import ask, find
-from fleet.scenario.loading import load_scenario
 from netem.errors import BusError
-from netem.whole_file import write_whole
-from netem.wire.access import Credentials, Listener, agent_role, generate
+from netem.wire.access import Credentials, Door, generate
 from netem.wire.bus import Bus
 from netem.wire.codec import decode
 from netem.wire.keys import Keys
 from netem.wire.linger import never_linger
 from netem.wire.messages import End
 
-x509 = pytest.importorskip("cryptography.x509", reason="cryptography is not installed: pip install 'uuv-fleet[hosts]'")
+pytest.importorskip("cryptography", reason="cryptography is not installed: pip install 'uuv-fleet[hosts]'")
+
 KEYS = Keys("5ea")
 LIMIT_S = 20.0
-
-
-@pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    directory = tmp_path_factory.mktemp("pki") / "certs"
-    certificates.make(directory, ["Sea.example.org", "192.0.2.7", "2001:db8::7"], agents=2)
-    return directory
-
-
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port: int = probe.getsockname()[1]
-        return port
-
-
-# Certificates
-
-
-def test_certificates_are_for_the_hosts_and_keys_are_ours_alone(made: Path) -> None:
-    server = certificates.read_server(made)
-    assert server.hosts == ("sea.example.org", "192.0.2.7", "2001:db8::7", "localhost", "127.0.0.1")
-    keys = sorted(file.name for file in made.glob("*-key.pem"))
-    assert keys == ["agent-1-key.pem", "agent-2-key.pem", "fleet-key.pem", "server-key.pem"]  # and none of the CA
-    assert {stat.S_IMODE((made / name).stat().st_mode) for name in keys} == {0o600}
-    assert stat.S_IMODE(made.stat().st_mode) == 0o700
-    certificate = x509.load_pem_x509_certificate((made / "server.pem").read_bytes())
-    now = datetime.now(UTC)  # noqa: TID251
-    assert certificate.not_valid_before_utc < now - timedelta(minutes=50)  # for a client whose clock is late
-    assert timedelta(days=364) < certificate.not_valid_after_utc - now <= timedelta(days=365)
-    assert server.pair.key not in repr(server)
-
-
-def test_nothing_is_replaced_unless_forced(made: Path, tmp_path: Path) -> None:
-    before = {file.name: file.read_bytes() for file in made.iterdir()}
-    with pytest.raises(CertsError, match=r"holds ca\.pem, server\.pem.*--force"):
-        certificates.make(made)
-    assert before == {file.name: file.read_bytes() for file in made.iterdir()}
-    certificates.make(tmp_path / "a")
-    first = (tmp_path / "a" / "ca.pem").read_bytes()
-    certificates.make(tmp_path / "a", force=True)
-    assert (tmp_path / "a" / "ca.pem").read_bytes() != first
-    assert certificates.read_server(tmp_path / "a").hosts == certificates.ALWAYS
-
-
-def _other_ca(directory: Path) -> None:
-    certificates.make(directory.parent / "other")
-    (directory / "ca.pem").write_bytes((directory.parent / "other" / "ca.pem").read_bytes())
-
-
-DAMAGES: dict[str, tuple[Any, str]] = {
-    "no CA": (lambda d: (d / "ca.pem").unlink(), r"ca\.pem is missing; make it: fleet certs"),
-    "no key": (lambda d: (d / "server-key.pem").unlink(), r"server-key\.pem is missing"),
-    "key for all": (lambda d: (d / "server-key.pem").chmod(0o644), "can be read by others .*chmod 600"),
-    "no PEM": (lambda d: (d / "server.pem").write_bytes(b"\xff\x00"), "is not PEM"),
-    "no certificate": (lambda d: (d / "server.pem").write_text("x"), "holds no certificate in PEM"),
-    "no private key": (lambda d: (d / "server-key.pem").write_text("x"), "holds no private key"),
-    "another CA": (lambda d: _other_ca(d), r"server\.pem was not signed by .*ca\.pem.*--force"),
-    "another key": (
-        lambda d: (d / "server-key.pem").write_bytes((d / "agent-1-key.pem").read_bytes()),
-        "is not the key of",
-    ),
-}
-
-
-@pytest.mark.parametrize("damage", DAMAGES)
-def test_certificates_that_cannot_work_are_refused_with_the_cure(damage: str, tmp_path: Path) -> None:
-    certificates.make(tmp_path / "c", agents=1)
-    act, words = DAMAGES[damage]
-    act(tmp_path / "c")
-    with pytest.raises(CertsError, match=words):
-        certificates.read_server(tmp_path / "c")
-
-
-def test_a_certificate_out_of_date_is_refused(made: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    class Later(datetime):
-        @classmethod
-        def now(cls, tz: Any = None) -> Later:
-            return cls.fromtimestamp(datetime.now(tz).timestamp() + 366 * 86400, tz)  # noqa: TID251
-
-    monkeypatch.setattr(certificates, "datetime", Later)
-    with pytest.raises(CertsError, match=r"is valid from .* now it is .*--force"):
-        certificates.read_server(made)
-
-
-def test_a_file_that_cannot_be_written_leaves_nothing_behind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    file = tmp_path / "key.pem"
-    write_whole(file, b"old")
-    assert stat.S_IMODE(file.stat().st_mode) == 0o600
-
-    def full(*_: object) -> None:
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr("netem.whole_file.os.replace", full)
-    with pytest.raises(OSError, match="No space"):
-        write_whole(file, b"new")
-    assert [(path.name, path.read_bytes()) for path in tmp_path.iterdir()] == [("key.pem", b"old")]
-
-
-@pytest.mark.parametrize("text", ["", "a b", "tls/x:1", "x:7447", "0.0.0.0", "::", "1.2.3", "-x", "a..b", "é"])
-def test_what_is_no_host_is_refused(text: str, tmp_path: Path) -> None:
-    with pytest.raises(CertsError):
-        certificates.make(tmp_path / "c", [text])
-    assert not (tmp_path / "c").exists()
-
-
-# Endpoints and options
-
-
-@given(st.sampled_from(["tcp", "tls"]), st.ip_addresses() | st.from_regex(r"[a-z]{1,9}(\.[a-z]{1,5})?", fullmatch=True),
-       st.integers(1, 65535))  # fmt: skip
-def test_an_endpoint_reads_back(protocol: str, host: Any, port: int) -> None:
-    text = f"{protocol}/{f'[{host}]' if ':' in str(host) else host}:{port}"
-    assert str(parse_endpoint(text, "--listen")) == text
-    assert parse_endpoint(str(parse_endpoint(text, "")), "") == parse_endpoint(text, "")
-
-
-@given(st.text(max_size=30))
-def test_any_other_text_is_refused_in_words(text: str) -> None:
-    with contextlib.suppress(HostsError):
-        assert parse_endpoint(text, "--listen").port
-
-
-def test_agents_are_told_what_the_certificate_holds(made: Path) -> None:
-    everywhere = listening("tls/0.0.0.0:7447", made)
-    assert everywhere.reached == "tls/sea.example.org:7447,tls/192.0.2.7:7447,tls/[2001:db8::7]:7447"
-    assert (
-        everywhere.ca == (made / "ca.pem").read_text()
-        and everywhere.listener
-        and everywhere.listener.certified == set()
-    )
-    assert listening("tls/192.0.2.7:1", made).reached == "tls/192.0.2.7:1"
-    assert listening("tls/0.0.0.0:1", made, ["SEA.example.org"]).reached == "tls/sea.example.org:1"
-    with pytest.raises(HostsError, match=r"not for 192\.0\.2\.8.*fleet certs .* --host 192\.0\.2\.8 --force"):
-        listening("tls/0.0.0.0:1", made, ["192.0.2.8"])
-
-
-def test_clear_text_is_warned_of_beyond_this_host() -> None:
-    assert "not encrypted" in listening("tcp/192.0.2.7:1").warnings[0]
-    assert not listening("tcp/127.0.0.1:1").warnings
-    assert listening("tcp/0.0.0.0:1", advertise=["sea", "192.0.2.7"]).reached == "tcp/sea:1,tcp/192.0.2.7:1"
-
-
-def test_listening_for_nobody_is_warned_of(made: Path) -> None:
-    for overrides, warned in (([], True), (["external=true"], False)):
-        options = {
-            "listen": f"tls/127.0.0.1:{free_port()}",
-            "certs": made,
-            "advertise": (),
-            "mutual_tls": False,
-            "lease": 2000,
-        }
-        found = meeting(
-            load_scenario("paper", overrides), options | {"router": None, "credentials": None}, in_process=False
-        )
-        assert found and ["no vehicle is external" in warning for warning in found.warnings] == [True] * warned
-
-
-def test_mutual_tls_takes_the_external_agents_certificates(made: Path) -> None:
-    found = listening("tls/0.0.0.0:1", made, external=[2], mutual=True)
-    assert found.listener and found.listener.certified == {"agent-2"}
-    assert found.certificates["agent-2"].certificate == (made / "agent-2.pem").read_text()
-    with pytest.raises(CertsError, match=r"agent-3\.pem is missing; make it: fleet certs .* --agents 3"):
-        listening("tls/0.0.0.0:1", made, external=[3], mutual=True)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (["--certs", "c"], "--certs needs --listen or --router"),
-        (["--listen", "tls/0.0.0.0:7447"], "needs certificates: make them with fleet certs"),
-        (["--listen", "tcp/127.0.0.1:1", "--certs", "c"], "are for tls: --listen tls/127.0.0.1:1"),
-        (["--listen", "udp/127.0.0.1:1"], "--listen: expected tls/HOST:PORT"),
-        (["--listen", "tcp/127.0.0.1:1", "--router", "tcp/127.0.0.1:2"], "either --listen or --router"),
-        (["--listen", "tcp/127.0.0.1:1", "--credentials", "f"], "--credentials is for --router"),
-        (["--router", "tcp/127.0.0.1:2"], "--router needs --credentials FILE, which fleet acl"),
-        (["--router", "tcp/127.0.0.1:2", "--credentials", "f"], "f cannot be read: No such file"),
-        (["--router", "tcp/0.0.0.0:2", "--credentials", "f"], "is where one listens"),
-        (["--router", "tcp/a:2", "--credentials", "f", "--advertise", "x"], "--advertise is for --listen"),
-        (["--listen", "tcp/192.0.2.7:7447"], "cannot be used (Cannot assign requested address)"),
-        (["--listen", "tcp/127.0.0.1:1", "--in-process"], "a run in one process has no router"),
-        (["--listen", "tcp/127.0.0.1:1", "--lease", "1 s"], "expected 2 s to 1800 s"),
-        (["--listen", "tcp/127.0.0.1:1", "--lease", "60 s"], "--set stall_timeout"),
-    ],
-)
-def test_options_that_do_not_go_together_are_refused(arguments: list[str], words: str, tmp_path: Path) -> None:
-    done = CliRunner().invoke(cli, ["run", "paper", "--out", str(tmp_path / "runs"), *arguments])
-    assert done.exit_code == 2 and words in " ".join(done.output.split()), done.output
-    assert not (tmp_path / "runs").exists()
-
-
-# A router that is there already
-
-
-def test_acl_prints_no_password_and_writes_them_for_us_alone(made: Path, tmp_path: Path) -> None:
-    out = tmp_path / "acl"
-    arguments = ["acl", "paper", "--certs", str(made), "--run", "trial"]
-    printed = CliRunner().invoke(cli, arguments)
-    written = CliRunner().invoke(cli, [*arguments, "-o", str(out)])
-    assert printed.exit_code == written.exit_code == 0, printed.output + written.output
-    run, credentials = read_credentials(out / router_config.CREDENTIALS, 4)
-    assert run == "trial" and credentials["agent-3"].user == "trial-agent-3"
-    users = dict(line.split(":") for line in (out / router_config.USERS).read_text().splitlines())
-    assert users == {c.user: c.password for c in credentials.values()}
-    secrets = [*users.values(), (made / "server-key.pem").read_text().splitlines()[1]]
-    public = printed.output + written.output + (out / router_config.CONFIG).read_text()
-    assert len(set(secrets)) == 9 and not [secret for secret in secrets if secret in public]
-    assert {stat.S_IMODE((out / name).stat().st_mode) for name in (router_config.USERS, router_config.CREDENTIALS)} == {
-        0o600
-    }
-    again = CliRunner().invoke(cli, [*arguments, "-o", str(out)])
-    assert again.exit_code == 2 and "--force" in again.output
-    assert read_credentials(out / router_config.CREDENTIALS, 4)[1] == credentials
 
 
 def test_credentials_of_another_run_are_refused(tmp_path: Path) -> None:
@@ -404,8 +179,6 @@ def test_connections_are_closed_without_waiting() -> None:
 
 
 # What a cut link leaves behind
-
-
 def test_who_comes_back_after_his_death_is_sent_away(tmp_path: Path) -> None:
     """A session of zenoh links again by itself, with its token: it must not hold the place of the next agent."""
     arguments = [
@@ -442,8 +215,6 @@ def test_who_comes_back_after_his_death_is_sent_away(tmp_path: Path) -> None:
 
 
 # What goes over the wire
-
-
 class Relay:
     """A cable with an eavesdropper: passes on what comes to a port, and keeps it."""
 
@@ -571,41 +342,3 @@ def test_over_tls_only_who_has_the_certificates_is_let_in(made: Path, tmp_path: 
         local = Bus.connect(port.local, port.credentials["agent-1"])
         assert local.ask(KEYS.cfg(1), timeout_s=1.0) is None
         local.close()
-
-
-# The page
-
-
-def test_the_page_names_options_that_there_are() -> None:
-    page = (ROOT / "docs" / "guide" / "hosts.md").read_text()
-    named = {command: set() for command in ("run", "certs", "acl", "agent")}
-    for command, rest in re.findall(r"\bfleet (run|certs|acl|agent) ([^`#\n]*)", page):
-        named[command] |= set(re.findall(r"--[a-z-]+", rest))
-    assert {"--listen", "--router", "--certs"} <= named["run"] and named["agent"] == {"--join"}
-    for command, options in named.items():
-        known = {option for parameter in cli.commands[command].params for option in parameter.opts}
-        assert options <= known, command
-
-
-def test_the_pages_service_is_one(tmp_path: Path) -> None:
-    if shutil.which("systemd-analyze") is None:
-        pytest.skip("systemd-analyze is not installed")
-    unit = re.findall(r"```ini\n(.*?)```", (ROOT / "docs" / "guide" / "hosts.md").read_text(), re.DOTALL)
-    assert len(unit) == 1 and unit[0].count("/opt/fleet/bin/fleet") == 1
-    file = tmp_path / "fleet-agent@.service"
-    file.write_text(unit[0].replace("/opt/fleet/bin/fleet", sys.executable))  # it must exist
-    verify = ["systemd-analyze", "verify", "--man=no", str(file)]
-    done = subprocess.run(verify, capture_output=True, text=True, timeout=60, check=False)
-    assert (done.returncode, done.stderr) == (0, "")
-
-
-def test_nothing_that_holds_secrets_shows_them() -> None:
-    secret = Credentials("u", "swordfish", key="-----KEY-----")
-    values = [
-        secret,
-        Rendezvous(credentials={agent_role(1): secret}, listener=Listener((), 1, key="-----KEY-----")),
-        [secret],
-    ]
-    assert "swordfish" not in f"{values}" and "-----KEY-----" not in f"{values}"
-    assert Credentials.from_values(secret.to_values() | {"more": 1}) == secret
-    assert secret.to_values() == {"user": "u", "password": "swordfish", "key": "-----KEY-----"}

@@ -1,0 +1,8 @@
+"""Settings of runs that are disturbed or ended in the middle."""
+
+from __future__ import annotations
+
+# Of which the first seconds are seen.
+LONG = ["--duration", "60 s", "--speed", "5", "--set", "on_death=abort"]
+OURS = "ledger: balanced, middleware_loss: {at_most: 0}"
+CHECKS = f"checks={{qp_infeasible: {{at_most: 0}}, {OURS}, tumbled: waived, deaths: waived}}"

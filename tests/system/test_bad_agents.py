@@ -44,16 +44,16 @@ def sabotage(folder: Path, code: str) -> dict[str, str]:
 
 NAN_IN_THE_CORE = """
     from agents.agent import Agent
-    guarded = Agent._guarded
+    control = Agent._control
 
     def failing(self, sample):
-        demand, telemetry = guarded(self, sample)
+        demand, telemetry = control(self, sample)
         if (self.config.id, sample.tick) == (3, 57):
             nan = float("nan")
             return (nan, nan, nan), (*telemetry[:-3], nan, nan, nan)
         return demand, telemetry
 
-    Agent._guarded = failing
+    Agent._control = failing
 """
 NAN_COMMAND = """
     from agents.agent import Agent, Decision
@@ -86,7 +86,7 @@ def test_controller_that_computes_nan_in_process(tmp_path: Path, monkeypatch: py
     """Likewise in the plain loop: a broken run with vehicle and tick, not a traceback."""
     from agents.agent import Agent
 
-    monkeypatch.setattr(Agent, "_guarded", Agent._guarded)  # restored after the sabotage
+    monkeypatch.setattr(Agent, "_control", Agent._control)  # restored after the sabotage
     exec(dedent(NAN_IN_THE_CORE), {})
     result = execute(load_scenario("paper"), Options(tmp_path, in_process=True, quiet=True))
     assert result.status is Status.BROKEN

@@ -166,10 +166,10 @@ def test_a_run_with_a_controller_that_failed(then: str, tmp_path: Path, monkeypa
     """What it left before is reproduced; what it would do next is not asked for, whether the run went on or not."""
     from agents.agent import Agent
 
-    guarded = Agent._control
+    control = Agent._control
 
     def failing(self: Agent, sample: Any) -> Any:
-        demand, telemetry = guarded(self, sample)
+        demand, telemetry = control(self, sample)
         if (self.config.id, sample.tick) == (3, 57):
             return (nan, nan, nan), (*telemetry[:-3], nan, nan, nan)
         return demand, telemetry

@@ -11,9 +11,10 @@ from realtime import PERIOD_NS, SHORT
 
 from fleet.scenario.loading import load_scenario
 from netem.errors import OutOfPlace
-from netem.histogram import Spread
-from netem.realtime_process import FreeNetemProcess
-from netem.realtime_rounds import FreeRounds
+from netem.histogram import Histogram
+from netem.realtime_process import RealtimeNetemProcess
+from netem.realtime_rounds import RealtimeRounds
+from netem.wire.codec import decode, encode
 from netem.wire.control import request
 from netem.wire.keys import Keys
 from netem.wire.messages import (
@@ -24,8 +25,6 @@ from netem.wire.messages import (
     Receipt,
     Round,
     Transmission,
-    decode,
-    encode,
 )
 from netem.wire.shell import Item
 
@@ -34,7 +33,7 @@ KEYS = Keys("5ea")
 
 @given(st.lists(st.integers(-5, 10**10), min_size=1, max_size=200), st.sampled_from([50, 95, 99]))
 def test_percentiles_are_those_of_numpy_to_the_width_of_a_bucket(values: list[int], percent: int) -> None:
-    spread = Spread()
+    spread = Histogram()
     for value in values:
         spread.add(value)
     exact = max(0.0, float(np.percentile(values, percent, method="inverted_cdf")))
@@ -45,13 +44,13 @@ def test_percentiles_are_those_of_numpy_to_the_width_of_a_bucket(values: list[in
     assert sum(n for _, n in shown["histogram_ms"]) + shown["negative"] == shown["count"] == len(values)
 
 
-def network() -> FreeRounds:
-    rounds = FreeRounds(load_scenario("paper", ["checks={}", "network.links={'*': 'delay 25ms'}"]).netem_config())
+def network() -> RealtimeRounds:
+    rounds = RealtimeRounds(load_scenario("paper", ["checks={}", "network.links={'*': 'delay 25ms'}"]).netem_config)
     rounds.round(Round(0, (1, 2, 3, 4), ((0.0,) * 3,) * 4, ()))
     return rounds
 
 
-def advance(rounds: FreeRounds, until: int) -> dict[int, list[tuple[int, Delivery]]]:
+def advance(rounds: RealtimeRounds, until: int) -> dict[int, list[tuple[int, Delivery]]]:
     """Exchange up to a tick; what each vehicle got, and when it was handed out."""
     got: dict[int, list[tuple[int, Delivery]]] = {}
     while rounds.tick < until:
@@ -67,8 +66,8 @@ def advance(rounds: FreeRounds, until: int) -> dict[int, list[tuple[int, Deliver
 
 def test_a_network_that_is_late_exchanges_nothing_after_the_end() -> None:
     """The end may be among what a tick that is overdue still takes in."""
-    config, bus, items = SHORT.netem_config(), Nowhere(), Nowhere()
-    network = FreeNetemProcess(bus, KEYS, config, FreeRounds(config))  # type: ignore[arg-type]
+    config, bus, items = SHORT.netem_config, Nowhere(), Nowhere()
+    network = RealtimeNetemProcess(bus, KEYS, config, RealtimeRounds(config))  # type: ignore[arg-type]
     network._shell.queue = items  # type: ignore[assignment]
     for said in (Pace(0, 0, 1000), Round(0, (1, 2, 3, 4), ((0.0,) * 3,) * 4, ())):
         items.queue.append(Item(KEYS.round, encode(said), None))

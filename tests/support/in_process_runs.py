@@ -7,7 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from fleet.run.execute import Options, Result, Status, execute
+from fleet.run.execute import Result, Status, execute
+from fleet.run.options import Options
 from fleet.scenario.loading import load_scenario
 
 Alone = Callable[..., Result]

@@ -20,7 +20,7 @@ from waiting import wait_for
 from fleet.logs.reader import LogReader, LogReadError, Record
 from fleet.logs.tape import Tape
 from fleet.processes.ports import free_port
-from netem.wire.open_bus import OpenBus, Sample, sample_of
+from netem.wire.open_bus import OpenBus, ZenohSample, sample_of
 
 LIMIT_S = 30.0
 SHORT = ["duration=2 s", "checks={}"]
@@ -76,10 +76,10 @@ class Ear:
     """Everything that is heard on a key expression, in order."""
 
     def __init__(self, bus: OpenBus, key: str) -> None:
-        self.samples: list[Sample] = []
+        self.samples: list[ZenohSample] = []
         bus.subscribe(key, lambda received: self.samples.append(sample_of(received)))
 
-    def until(self, count: int) -> list[Sample]:
+    def until(self, count: int) -> list[ZenohSample]:
         wait_for(lambda: len(self.samples) >= count, LIMIT_S, f"{count} samples, {len(self.samples)} came")
         return self.samples
 

@@ -18,16 +18,18 @@ from first_difference import assert_same_bytes
 from in_process_runs import Alone, log_of
 from live import LiveRun
 
-import fleet.run.console
+import fleet.run.launch
 from agents.errors import ControllerError
 from fleet.logs.reader import LogReader
 from fleet.run.directory import RunDirectory
-from fleet.run.execute import Options, Result, Status, execute
+from fleet.run.execute import Result, Status, execute
+from fleet.run.options import Options
 from fleet.scenario.loading import load_scenario
 from netem.wire.access import Credentials
 from netem.wire.bus import Bus
+from netem.wire.codec import encode
 from netem.wire.keys import Keys
-from netem.wire.messages import Command, Frames, Hello, LinkReport, Nav, Note, Transmission, encode
+from netem.wire.messages import Command, Frames, Hello, LinkReport, Nav, Note, Transmission
 
 # --- controllers that fail -------------------------------------------------
 
@@ -134,7 +136,7 @@ class Intruder:
         self._over = Event()
         self._thread: Thread | None = None
         self.rounds = 0
-        generate, write = fleet.run.console.generate, RunDirectory.write_connection
+        generate, write = fleet.run.launch.generate, RunDirectory.write_connection
 
         def generate_and_leak(vehicles: tuple[int, ...]) -> dict[str, Credentials]:
             self._credentials = generate(vehicles)
@@ -145,7 +147,7 @@ class Intruder:
             self._thread = Thread(target=self._talk, args=(values["endpoint"], values["run"]))
             self._thread.start()
 
-        monkeypatch.setattr(fleet.run.console, "generate", generate_and_leak)
+        monkeypatch.setattr(fleet.run.launch, "generate", generate_and_leak)
         monkeypatch.setattr(RunDirectory, "write_connection", write_and_join)
 
     def _talk(self, endpoint: str, run: str) -> None:
@@ -161,7 +163,7 @@ class Intruder:
     def run(self, tmp_path: Path, *overrides: str) -> Result:
         scenario = load_scenario("paper", [CHECKS, "duration=4 s", *overrides])
         try:
-            return execute(scenario, Options(tmp_path / "runs", quiet=True, speed=4.0))
+            return execute(scenario, Options(tmp_path / "runs", quiet=True, speed_limit=4.0))
         finally:
             self._over.set()
             if self._thread is not None:

@@ -22,7 +22,7 @@ from host_certificates import made as made
 from live import LiveRun
 from waiting import wait_for
 
-from agents.join_file import Joining
+from agents.join_file import JoinFile
 from fleet.cli.main import cli
 from fleet.hosts import certificates, router_config
 from fleet.hosts.rendezvous import (
@@ -33,7 +33,7 @@ from fleet.hosts.rendezvous import (
 )
 from fleet.run.connection import ask, find
 from netem.errors import BusError
-from netem.wire.access import Credentials, Door, generate
+from netem.wire.access import Credentials, Listener, generate
 from netem.wire.bus import Bus
 from netem.wire.codec import decode
 from netem.wire.keys import Keys

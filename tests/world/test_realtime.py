@@ -21,7 +21,7 @@ from fleet.run.in_process import InProcess
 from fleet.scenario.loading import load_scenario
 from fleet.scenario.scenario import Scenario, frame_every
 from netem.errors import OutOfPlace
-from netem.realtime_rounds import FreeRounds
+from netem.realtime_rounds import RealtimeRounds
 from netem.wire.messages import (
     Command,
     Nav,
@@ -49,8 +49,8 @@ class Virtual:
         self.unanswered: list[Nav] = []
         self.log = LogWriter(path, scenario)
         self.journal = Journal(scenario, self.log)
-        self.world = RealtimeRun(scenario.world_config(), frame_every=frame_every(scenario))
-        self.network = FreeRounds(scenario.netem_config())
+        self.world = RealtimeRun(scenario.world_config, frame_every=frame_every(scenario))
+        self.network = RealtimeRounds(scenario.netem_config)
         self.agents = {i: self._born(i, 0) for i in self.world.state.ids}
 
     def _born(self, i: int, incarnation: int) -> RealtimeLoop:
@@ -165,7 +165,7 @@ def command(tick: int, force: float = 1.0, incarnation: int = 0) -> Command:
 
 
 def free() -> RealtimeRun:
-    world = RealtimeRun(SHORT.world_config())
+    world = RealtimeRun(SHORT.world_config)
     world.grant(SHORT.ticks)
     return world
 
@@ -270,6 +270,6 @@ def test_ticks_never_begin_early_and_every_moved_moment_is_accounted_for(late: l
 
 
 def test_grants_on_a_wall_clock_go_ahead_of_it() -> None:
-    clock = Clock(10_000, PERIOD_NS, 10, 1, speed=1.0, lead_ns=500_000_000)
+    clock = Clock(10_000, PERIOD_NS, 10, 1, speed_limit=1.0, lead_ns=500_000_000)
     assert clock.until(-1, 0.0) == 51
     assert clock.until(40, 0.4) == 91

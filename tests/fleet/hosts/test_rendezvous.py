@@ -25,13 +25,13 @@ from fleet.hosts import router_config
 from fleet.hosts.certificates import CertsError
 from fleet.hosts.rendezvous import (
     HostsError,
-    Meeting,
+    Rendezvous,
     listening,
     parse_endpoint,
     read_credentials,
 )
 from fleet.scenario.loading import load_scenario
-from netem.wire.access import Credentials, Door, agent_role
+from netem.wire.access import Credentials, Listener, agent_role
 
 pytest.importorskip("cryptography", reason="cryptography is not installed: pip install 'uuv-fleet[hosts]'")
 
@@ -153,7 +153,11 @@ def test_the_pages_service_is_one(tmp_path: Path) -> None:
 
 def test_nothing_that_holds_secrets_shows_them() -> None:
     secret = Credentials("u", "swordfish", key="-----KEY-----")
-    values = [secret, Meeting(credentials={agent_role(1): secret}, door=Door((), 1, key="-----KEY-----")), [secret]]
+    values = [
+        secret,
+        Rendezvous(credentials={agent_role(1): secret}, door=Listener((), 1, key="-----KEY-----")),
+        [secret],
+    ]
     assert "swordfish" not in f"{values}" and "-----KEY-----" not in f"{values}"
     assert Credentials.from_values(secret.to_values() | {"more": 1}) == secret
     assert secret.to_values() == {"user": "u", "password": "swordfish", "key": "-----KEY-----"}

@@ -24,10 +24,10 @@ from fleet.logs.tape import Tape
 from fleet.replay.attachment import Stamp, pack, unpack
 from fleet.replay.capture import Gone, TrafficWriter
 from fleet.replay.capture_format import ATTACHMENT, KIND, message_encoding, zenoh_encoding
-from netem.wire.open_bus import OpenBus, Sample
+from netem.wire.open_bus import OpenBus, ZenohSample
 
 
-def traffic(path: Path, samples: list[Sample], every_ns: int = 1_000_000) -> Path:
+def traffic(path: Path, samples: list[ZenohSample], every_ns: int = 1_000_000) -> Path:
     writer = TrafficWriter(path, ["**"])
     for n, sample in enumerate(samples):
         writer.add(sample, 1_700_000_000_000_000_000 + n * every_ns)
@@ -36,13 +36,13 @@ def traffic(path: Path, samples: list[Sample], every_ns: int = 1_000_000) -> Pat
 
 
 SAMPLES = [
-    Sample("robot/1/odom", b"\x00\x01", False, "application/cdr;nav_msgs/msg/Odometry", None, None),
-    Sample("robot/1/status", b'{"ok": true}', False, "application/json", b"seq=1", 1_600_000_000_123_456_789),
-    Sample("robot/2/odom", b"", False, "zenoh/bytes", None, None),
-    Sample("robot/1/status", b"", True, "zenoh/bytes", b"bye", None),
-    Sample("robot/2/blob", bytes(200_000), False, "image/png", b"", None),
-    Sample("robot/1/odom", b"\x02", False, "application/cdr;nav_msgs/msg/Odometry", None, None),
-    Sample("robot/1/status", b"text", False, "text/plain", None, None),
+    ZenohSample("robot/1/odom", b"\x00\x01", False, "application/cdr;nav_msgs/msg/Odometry", None, None),
+    ZenohSample("robot/1/status", b'{"ok": true}', False, "application/json", b"seq=1", 1_600_000_000_123_456_789),
+    ZenohSample("robot/2/odom", b"", False, "zenoh/bytes", None, None),
+    ZenohSample("robot/1/status", b"", True, "zenoh/bytes", b"bye", None),
+    ZenohSample("robot/2/blob", bytes(200_000), False, "image/png", b"", None),
+    ZenohSample("robot/1/odom", b"\x02", False, "application/cdr;nav_msgs/msg/Odometry", None, None),
+    ZenohSample("robot/1/status", b"text", False, "text/plain", None, None),
 ]
 
 
@@ -58,7 +58,7 @@ def put_until(where: str, size: int, recorder: Command, said: str) -> None:
         wait_for(it_says, LIMIT_S, "the end of the recording")
 
 
-def content(samples: list[Sample]) -> list[tuple[Any, ...]]:
+def content(samples: list[ZenohSample]) -> list[tuple[Any, ...]]:
     """All but zenoh's timestamps, which a router sets anew."""
     return [(s.key, s.payload, s.delete, s.encoding, s.attachment) for s in samples]
 
@@ -118,7 +118,7 @@ def test_other_traffic_comes_back_as_it_was(tmp_path: Path) -> None:
     assert [s.key for s in heard] == [s.key.replace("robot/1", "twin") for s in SAMPLES if "robot/1" in s.key]
 
 
-def heard_again(path: Path, key: str, *options: str) -> list[Sample]:
+def heard_again(path: Path, key: str, *options: str) -> list[ZenohSample]:
     with session(OpenBus.listen(where := endpoint())) as bus:
         ear = Ear(bus, key)
         with Command("replay", path, "-r", "0", "--connect", where, "--wait-for-subscribers", *options) as player:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from fleet.run.notes import MOST_NOTES, Notes, tick_text
-from netem.wire.messages import Note, encode
+from netem.wire.codec import encode
+from netem.wire.messages import Note
 
 
 def test_a_tick_in_words() -> None:

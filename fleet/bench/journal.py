@@ -15,6 +15,7 @@ from fleet.logs.reader import LogReader
 from fleet.logs.tape import Tape
 from fleet.processes.ports import free_port
 from fleet.recorder.journal import Journal
+from fleet.recorder.log_file import LogFile
 from fleet.recorder.metrics import VehicleError
 from fleet.recorder.snapshot import Snapshot
 from fleet.recorder.writer import LogWriter
@@ -67,11 +68,11 @@ def measure_recorder(scenario: Scenario, say: Callable[[str], None]) -> dict[str
     with tempfile.TemporaryDirectory(prefix="uuv-fleet-bench-") as folder:
         path, copy = Path(folder) / "run.mcap", Path(folder) / "copy.mcap"
         say(f"N = {scenario.vehicles}: journal, written and read")
-        log = LogWriter(path, scenario)
-        timed = _Timed(log)
+        file = LogFile(path)
+        timed = _Timed(LogWriter(file, scenario))
         clock = Clock.of(scenario)
         InProcess(scenario, Journal(scenario, timed)).serve(clock, lambda: None)
-        log.close()
+        file.close()
         began = time.perf_counter()
         count = sum(1 for _ in LogReader(path))
         read_s = time.perf_counter() - began

@@ -10,6 +10,7 @@ from statistics import median
 
 from fleet.bench.agent_step import agent_steps
 from fleet.recorder.journal import Journal
+from fleet.recorder.log_file import LogFile
 from fleet.recorder.writer import LogWriter
 from fleet.run.clock import Clock
 from fleet.run.in_process import InProcess
@@ -52,7 +53,8 @@ def _log_tick(ticks: int) -> float:
 
     tape: list[tuple[Callable[..., None], object]] = []
     with tempfile.TemporaryDirectory(prefix="uuv-fleet-bench-") as folder:
-        logs = [LogWriter(Path(folder) / name, scenario) for name in ("a.mcap", "b.mcap")]
+        files = [LogFile(Path(folder) / name) for name in ("a.mcap", "b.mcap")]
+        logs = [LogWriter(file, scenario) for file in files]
         first = Tape(scenario, logs[0])
         clock = Clock(scenario.ticks, scenario.tick_ns, scenario.round_ticks, 1)
         InProcess(scenario, first).serve(clock, lambda: None)
@@ -61,8 +63,8 @@ def _log_tick(ticks: int) -> float:
         for take, message in tape:
             take(second, message)
         cost = (time.process_time() - began) / scenario.ticks * 1e6
-        for log in logs:
-            log.close()
+        for file in files:
+            file.close()
     return cost
 
 

@@ -1,32 +1,28 @@
-"""The MCAP log: channels in a fixed order, sim time only, and a digest over the ordered messages.
+"""The log of a run: what the journal records, encoded as messages on channels in a fixed order.
 
-Only what determines results goes in (no wall clock, host, pid or port), so that the same scenario and seed give
-the same bytes. `log_time` is the tick at which something happened, `publish_time` the tick it was sent; both are
-ns = tick * Ts.
+Only what determines results is written (no wall clock, host, pid or port), so that the same scenario and seed give
+the same bytes. `log_time` is the tick at which something happened, `publish_time` the tick at which it was sent; both
+in ns = tick * Ts.
 """
 
 from __future__ import annotations
 
-import hashlib
 import platform
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
 from importlib.metadata import version
-from pathlib import Path
-from typing import IO, NamedTuple, Protocol
+from typing import Protocol
 
 from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
-from mcap.writer import CompressionType, Writer
 
 from agents.config import AgentConfig
 from agents.controllers import law_class, laws
 from agents.plugins.loading import fingerprint
 from agents.signals import Layout
-from fleet.errors import FleetError
-from fleet.logs.reader import CLOCK, REAL, digest_part
+from fleet.logs.reader import CLOCK, REAL
 from fleet.logs.schemas import (
     COMMAND,
     ERROR,
@@ -44,6 +40,7 @@ from fleet.logs.schemas import (
     signal_columns,
     stamp_of,
 )
+from fleet.recorder.log_file import SECOND_NS
 from fleet.recorder.metrics import VehicleError
 from fleet.recorder.scene import SCENE_UNITS, Scene
 from fleet.recorder.snapshot import START, TOPIC, Snapshot, Start
@@ -53,22 +50,19 @@ from fleet.scenario.sections.log_rates import without_snapshots
 from fleet.scenario.sections.timeline import Event
 from netem.wire.messages import Command, Fate, Frame, VehicleFrame
 
-SECOND_NS = 1_000_000_000
 
+class Sink(Protocol):
+    """What takes the messages of a log: a file, or a comparison with another log. Times in ns of simulated time."""
 
-class _Channel(NamedTuple):
-    number: int
-    topic: bytes
-
-
-class LogError(FleetError):
-    """The log cannot be written: the disk is full, or the place is not writable."""
-
-    status = 3
+    def attachment(self, name: str, media_type: str, data: bytes) -> None: ...
+    def metadata(self, name: str, values: Mapping[str, str]) -> None: ...
+    def channel(self, topic: str, schema: Schema) -> int: ...
+    def message(self, channel: int, log_ns: int, publish_ns: int, sequence: int, data: bytes) -> None: ...
+    def flush(self, at_ns: int) -> None: ...
 
 
 class Tap(Protocol):
-    """Who else is told of what is written; it must neither wait nor raise."""
+    """Receives a copy of every message after the sink; it must neither wait nor raise."""
 
     def channel(self, number: int, topic: str, schema: Schema) -> None: ...
     def message(self, channel: int, log_ns: int, publish_ns: int, sequence: int, data: bytes) -> None: ...
@@ -76,87 +70,62 @@ class Tap(Protocol):
 
 
 class LogWriter:
-    """Writes the journal of one run. `close` finishes the file; without it the file is cut but readable."""
+    """Encodes the journal of one run for a sink."""
 
     def __init__(
         self,
-        path: Path,
+        sink: Sink,
         scenario: Scenario,
         start: Start | None = None,
         tap: Tap | None = None,
         *,
         lockstep: bool = True,
     ) -> None:
-        self.path = path
-        self._lockstep = lockstep
+        """Write the scenario and declare all channels.
+
+        Args:
+            start: where the run goes on from a snapshot of another run.
+            tap: receives a copy of every message.
+            lockstep: False if the run is on a wall clock, which its metadata then says.
+
+        Raises:
+            LogError: the sink is a file and cannot be written; so do all methods.
+        """
+        self._sink = sink
         self._tap = tap
+        self._add = sink.message if tap is None else _both(sink, tap)
         self._scenario = scenario
         self._tick_ns = scenario.tick_ns
         self._every = scenario.log_every
-        self._digest = hashlib.sha256()
-        self.messages = 0
-        self._flushed_s = 0
-        try:
-            self._file: IO[bytes] = self._open()
-            self._start(start)
-            self._file.flush()  # killed within the first second, a run leaves its scenario at least
-        except OSError as error:
-            raise _log_error(path, error) from error
-
-    @property
-    def digest(self) -> str:
-        """SHA-256 over (topic, log_time, publish_time, sequence, data) of every message so far."""
-        return self._digest.hexdigest()
-
-    @property
-    def size(self) -> int:
-        """Bytes of the file as it is now; 0 if it has gone."""
-        try:
-            return self.path.stat().st_size
-        except OSError:
-            return 0
-
-    def _open(self) -> IO[bytes]:
-        return self.path.open("xb")
-
-    def _start(self, start: Start | None) -> None:
-        # Without `library` the mcap version would stand in the file, and bytes would differ between versions.
-        self._writer = Writer(self._file, compression=CompressionType.ZSTD)
-        self._writer.start(profile="", library="uuv-fleet")
-        self._writer.add_attachment(0, 0, "scenario.yaml", "application/yaml", self._scenario.to_yaml().encode())
+        sink.attachment("scenario.yaml", "application/yaml", scenario.to_yaml().encode())
         if start is not None:
-            self._writer.add_attachment(0, 0, START, "application/msgpack", start.snapshot.to_bytes())
-        clock = {} if self._lockstep else {CLOCK: REAL}
-        self._writer.add_metadata("run", run_metadata(self._scenario, start) | clock)
-        registered: dict[str, int] = {}
-        self._by_vehicle: dict[str, dict[int, _Channel]] = {}
+            sink.attachment(START, "application/msgpack", start.snapshot.to_bytes())
+        sink.metadata("run", run_metadata(scenario, start) | ({} if lockstep else {CLOCK: REAL}))
+        self._by_vehicle: dict[str, dict[int, int]] = {}  # group -> vehicle -> channel
         self._encoders: dict[str, dict[int, DoublesEncoder]] = {}
         for group, schemas in self._schemas().items():
             self._by_vehicle[group] = {
-                i: self._channel(f"uuv/{i}/{group}", schema, registered) for i, (schema, _) in schemas.items()
+                i: self._channel(f"uuv/{i}/{group}", schema) for i, (schema, _) in schemas.items()
             }
             self._encoders[group] = {i: encoder for i, (_, encoder) in schemas.items() if encoder is not None}
         self._pose = PoseEncoder(NED)
-        self._scene = Scene(self._scenario, None if start is None else start.snapshot)
-        self._drawn: dict[str, tuple[_Channel, Callable[[Frame], bytes]]] = {}
+        self._scene = Scene(scenario, None if start is None else start.snapshot)
+        self._drawn: dict[str, tuple[int, Callable[[Frame], bytes]]] = {}
         for group, drawn, draw in (
-            ("transforms", foxglove_schema(FrameTransforms, TRANSFORMS_UNITS), partial(transforms, self._scenario)),
+            ("transforms", foxglove_schema(FrameTransforms, TRANSFORMS_UNITS), partial(transforms, scenario)),
             ("scene", foxglove_schema(SceneUpdate, SCENE_UNITS), self._scene.message),
         ):
             if self._every[group]:
-                self._drawn[group] = self._channel(group, drawn, registered), draw
+                self._drawn[group] = self._channel(group, drawn), draw
         fault = flat_schema("Fault", FAULT)
         self._fault = fault.message
-        self._faults = self._channel("faults", fault, registered)
+        self._faults = self._channel("faults", fault)
         snapshot = flat_schema("Snapshot", SNAPSHOT)
         self._snapshot = snapshot.message
-        self._snapshots = self._channel(TOPIC, snapshot, registered)
+        self._snapshots = self._channel(TOPIC, snapshot)
         packet = flat_schema("Packet", PACKET)
         self._packet = packet.message
-        self._by_link = {
-            (src, dst): self._channel(f"link/{src}-{dst}", packet, registered)
-            for src, dst in self._scenario.graph.links
-        }
+        self._by_link = {(src, dst): self._channel(f"link/{src}-{dst}", packet) for src, dst in scenario.graph.links}
 
     def _schemas(self) -> dict[str, dict[int, tuple[Schema, DoublesEncoder | None]]]:
         """The schema and the encoder of every topic group and vehicle; vehicles that run the same share both."""
@@ -193,13 +162,11 @@ class LogWriter:
                 found[group][i] = made[group, name, layout]
         return found
 
-    def _channel(self, topic: str, schema: Schema, registered: dict[str, int]) -> _Channel:
-        if schema.name not in registered:
-            registered[schema.name] = self._writer.register_schema(schema.name, "protobuf", schema.descriptor_set)
-        number = self._writer.register_channel(topic, "protobuf", registered[schema.name], {"units": schema.units})
+    def _channel(self, topic: str, schema: Schema) -> int:
+        number = self._sink.channel(topic, schema)
         if self._tap is not None:
             self._tap.channel(number, topic, schema)
-        return _Channel(number, topic.encode())
+        return number
 
     def frame(self, frame: Frame, commands: Mapping[int, Command], errors: Mapping[int, VehicleError]) -> None:
         """Write all topics of one tick, topic group by topic group, vehicles in ascending order; then what is drawn."""
@@ -217,7 +184,7 @@ class LogWriter:
             rows = [row for row in frame.vehicles if row.id in channels]
             for i, data in self._encode(group, rows, commands, errors, at_ns):
                 self._add(channels[i], at_ns, at_ns, tick, data)
-        self._flush(at_ns)
+        self._sink.flush(at_ns)
         if self._tap is not None:
             self._tap.flush()
 
@@ -238,14 +205,14 @@ class LogWriter:
         final_ns = fate.final_tick * tick_ns
         data = message.SerializeToString()
         self._add(self._by_link[fate.src, fate.dst], final_ns, fate.sent_tick * tick_ns, fate.seq, data)
-        self._flush(final_ns)
+        self._sink.flush(final_ns)
 
     def event(self, event: Event) -> None:
         """Write the beginning or end of a fault."""
         message = self._fault(fault=event.fault, action=event.action, what=event.what)
         at_ns = event.tick * self._tick_ns
         self._add(self._faults, at_ns, at_ns, event.tick, message.SerializeToString())
-        self._flush(at_ns)
+        self._sink.flush(at_ns)
 
     def snapshot(self, snapshot: Snapshot) -> None:
         """Write all that determines the rest of the run."""
@@ -253,22 +220,6 @@ class LogWriter:
         snapshot = replace(snapshot, drawn=self._scene.links.values())
         message = self._snapshot(state=snapshot.to_bytes())
         self._add(self._snapshots, at_ns, at_ns, snapshot.tick, message.SerializeToString())
-
-    def close(self) -> None:
-        """Write the index and close the file."""
-        try:
-            self._writer.finish()  # type: ignore[no-untyped-call]
-            self._file.close()
-        except OSError as error:
-            raise _log_error(self.path, error) from error
-
-    def abandon(self) -> None:
-        """Close the file after a write failed; what was flushed before stays readable."""
-        try:
-            self._file.close()
-        except OSError:
-            # The buffer could not be written either: the error is already on its way to the user.
-            return
 
     def _encode(
         self,
@@ -297,25 +248,13 @@ class LogWriter:
                 told = [(row.id, commands[row.id].telemetry) for row in rows if row.id in commands]
                 return [(i, encode[i](telemetry)) for i, telemetry in told if telemetry]
 
-    def _add(self, channel: _Channel, log_ns: int, publish_ns: int, sequence: int, data: bytes) -> None:
-        try:
-            self._writer.add_message(channel.number, log_ns, data, publish_ns, sequence)
-        except OSError as error:
-            raise _log_error(self.path, error) from error
-        self._digest.update(digest_part(channel.topic, log_ns, publish_ns, sequence, data))
-        self.messages += 1
-        if self._tap is not None:
-            self._tap.message(channel.number, log_ns, publish_ns, sequence, data)
 
-    def _flush(self, at_ns: int) -> None:
-        # On sim time, not on the wall clock: chunk borders are part of the bytes.
-        second = at_ns // SECOND_NS
-        if second > self._flushed_s:
-            self._flushed_s = second
-            try:
-                self._writer.flush()  # type: ignore[no-untyped-call]
-            except OSError as error:
-                raise _log_error(self.path, error) from error
+def _both(sink: Sink, tap: Tap) -> Callable[[int, int, int, int, bytes], None]:
+    def message(channel: int, log_ns: int, publish_ns: int, sequence: int, data: bytes) -> None:
+        sink.message(channel, log_ns, publish_ns, sequence, data)
+        tap.message(channel, log_ns, publish_ns, sequence, data)
+
+    return message
 
 
 def run_metadata(scenario: Scenario, start: Start | None = None) -> dict[str, str]:
@@ -361,7 +300,3 @@ def schema_name(config: AgentConfig, group: str) -> str:
         return f"{law.name.replace(':', '.')}{group.capitalize()}"
     words = re.findall(r"[A-Za-z0-9]+", law.name)
     return "".join(word[0].upper() + word[1:] for word in words) + group.capitalize()
-
-
-def _log_error(path: Path, error: OSError) -> LogError:
-    return LogError(f"cannot write the log {path}: {error.strerror or error}")

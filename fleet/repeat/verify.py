@@ -7,12 +7,10 @@ the message at hand.
 
 from __future__ import annotations
 
-import io
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import IO, Any
 
 from agents.errors import AgentError
 from agents.plugins.trust import NOTHING, Trust
@@ -20,6 +18,7 @@ from fleet.errors import FleetError, RunBroken
 from fleet.logs.decoder import Decoder
 from fleet.logs.first_difference import Difference, Side, side
 from fleet.logs.reader import GAPS, RECOVERY, LogReader, Record
+from fleet.logs.schemas import Schema
 from fleet.recorder.journal import Journal
 from fleet.recorder.snapshot import Start
 from fleet.recorder.writer import LogWriter, run_metadata
@@ -95,11 +94,12 @@ def verify(
     start = begun(reader)
     policy = Policy(trust)
     scenario = source.script(policy=policy) if start is not None else _scenario(source, policy)
-    found = Verification(path, last_ns / 1e9, scenario.ticks * scenario.tick_ns / 1e9, missing=reader.missing)
-    found.external = scenario.external
-    _compare_metadata(found, reader.metadata.get("run", {}), run_metadata(scenario, start))
-    _Rerun(found, scenario, reader, last_ns, tell, start).run()
-    return found
+    verification = Verification(path, last_ns / 1e9, scenario.ticks * scenario.tick_ns / 1e9, missing=reader.missing)
+    verification.external = scenario.external
+    _compare_metadata(verification, reader.metadata.get("run", {}), run_metadata(scenario, start))
+    comparison = _Comparison(verification, scenario, reader, last_ns, tell)
+    _run_again(comparison, verification, scenario, last_ns, start)
+    return verification
 
 
 def _scenario(source: Recorded, policy: Policy) -> Scenario:
@@ -120,152 +120,180 @@ def _gaps(reader: LogReader) -> list[int]:
     return [int(number) for number in numbers if number.isdecimal()]
 
 
-def _compare_metadata(found: Verification, recorded: dict[str, str], here: dict[str, str]) -> None:
+def _compare_metadata(verification: Verification, recorded: dict[str, str], here: dict[str, str]) -> None:
     for key in [*here, *(key for key in recorded if key not in here)]:
         left, right = recorded.get(key), here.get(key)
         if left == right:
             continue
         if key in _VERSIONS or key == "resumable" or key.startswith("law "):
             short = [value[:20] if value else "unknown" for value in (left, right)]
-            found.versions.append(f"{key}: recorded with {short[0]}, here is {short[1]}")
+            verification.versions.append(f"{key}: recorded with {short[0]}, here is {short[1]}")
         else:
-            found.contradictions.append(f"metadata {key}: {left}, but its scenario says {right}")
+            verification.contradictions.append(f"metadata {key}: {left}, but its scenario says {right}")
 
 
 class _Over(Exception):
-    """Everything that was recorded has been compared, or they part."""
+    """Everything that was recorded has been compared, or the two differ."""
 
 
-class _Rerun(LogWriter):
-    """A log writer that compares instead of writing."""
+class _Comparison:
+    """A sink of the log writer that compares each message with the recorded one, and writes nothing."""
 
     def __init__(
         self,
-        found: Verification,
+        verification: Verification,
         scenario: Scenario,
         reader: LogReader,
         last_ns: int,
         tell: Tell,
-        start: Start | None,
     ) -> None:
-        super().__init__(found.path, scenario, start)
-        self._begin = start
-        to_the_end = not reader.missing and last_ns == scenario.ticks * self._tick_ns
-        self._external = recorded_agents(LogReader(found.path), scenario, last_ns, whole=to_the_end)
-        self._found, self._tell = found, tell
-        self._first, self._last_ns = reader, last_ns  # read to its end before
-        self._again = LogReader(found.path)
+        """Read what external agents sent.
+
+        Args:
+            verification: is filled in.
+            reader: of the log, read to its end.
+            last_ns: time of the last recorded message.
+            tell: receives how far the comparison has come.
+
+        Raises:
+            NotRecordedError: the log does not hold all commands of an external agent.
+        """
+        self._verification, self._tell = verification, tell
+        self._tick_ns, self._last_ns = scenario.tick_ns, last_ns
+        self._first = reader
+        self._complete = not reader.missing and last_ns == scenario.ticks * scenario.tick_ns
+        self.external = recorded_agents(LogReader(verification.path), scenario, last_ns, whole=self._complete)
+        self._again = LogReader(verification.path)
         self._recorded: Iterator[Record] = iter(self._again)
         self._expected = next(self._recorded, None)
         self._gaps = deque(_gaps(reader))
         self._number = 0  # of the recorded message at hand
-        self._said_ns = 0
+        self._topics: list[str] = []
+        self._reported_ns = 0
 
-    def run(self) -> None:
-        """Run until everything is compared."""
-        scenario, tick = self._scenario, self._last_ns // self._tick_ns
-        journal = Journal(scenario, self)
-        # No further than the recording went: it may have ended because the next tick cannot be computed.
-        every, m = frame_every(scenario), scenario.round_ticks
-        until = min(scenario.ticks, max(-(-tick // every) * every, -(-tick // m) * m) + 1)
-        clock = Clock(until, scenario.tick_ns, m, every)
-        seen = -2
+    def attachment(self, name: str, media_type: str, data: bytes) -> None:
+        """Nothing to compare: the attachments of the log are what is run again."""
 
-        def moved() -> None:
-            nonlocal seen
-            if until < scenario.ticks and journal.written == seen:  # every grant is used up
-                raise _Over
-            seen = journal.written
+    def metadata(self, name: str, values: Mapping[str, str]) -> None:
+        """Nothing to compare: `_compare_metadata` has done so."""
 
-        try:
-            agents = {i: agent.loop for i, agent in self._external.items()}
-            InProcess(scenario, journal, self._begin, agents).serve(clock, moved)
-        except _Over:
-            pass
-        except NotRecordedError as error:
-            self._found.unknown = str(error)
-            return
-        except RunBroken as error:
-            self._found.reason = error.reason
-        except (AgentError, WorldError) as error:
-            self._found.reason = str(error)
-        if self._found.difference is None and self._expected is not None and not self._found.unknown:
-            self._part(None)
+    def channel(self, topic: str, schema: Schema) -> int:
+        """Number a topic."""
+        self._topics.append(topic)
+        return len(self._topics) - 1
 
-    def _open(self) -> IO[bytes]:
-        return io.BytesIO()  # for the declarations, which nobody reads
+    def message(self, channel: int, log_ns: int, publish_ns: int, sequence: int, data: bytes) -> None:
+        """Compare a message with the recorded one.
 
-    def _flush(self, at_ns: int) -> None:
-        if at_ns > self._said_ns:
-            self._said_ns = at_ns
-            self._tell(at_ns / 1e9, self._last_ns / 1e9)
-
-    def _add(self, channel: Any, log_ns: int, publish_ns: int, sequence: int, data: bytes) -> None:
-        topic = channel.topic.decode()
-        here = Record(topic, log_ns, publish_ns, sequence, data)
+        Raises:
+            _Over: it differs, or was the last one.
+        """
+        here = Record(self._topics[channel], log_ns, publish_ns, sequence, data)
         expected = self._expected
-        if expected is None and not self._to_the_end:
+        if expected is None and not self._complete:
             raise _Over
         if expected != here:
             if self._gaps and self._number >= self._gaps[0] and expected is not None and expected[:4] != here[:4]:
-                self._found.skipped += 1
+                self._verification.skipped += 1
                 return
-            self._part(here)
+            self._differ(here)
             self._forgive(log_ns if expected is None else min(log_ns, expected.log_ns))
             raise _Over
         while self._gaps and self._gaps[0] <= self._number:
             self._gaps.popleft()
-        self._found.messages += 1
+        self._verification.messages += 1
         self._number += 1
         self._expected = next(self._recorded, None)
-        if self._expected is None and not self._to_the_end:
+        if self._expected is None and not self._complete:
             raise _Over
+
+    def flush(self, at_ns: int) -> None:
+        """Report how far the comparison has come."""
+        if at_ns > self._reported_ns:
+            self._reported_ns = at_ns
+            self._tell(at_ns / 1e9, self._last_ns / 1e9)
+
+    def finish(self) -> None:
+        """The run has ended: a recorded message that did not come again is a difference."""
+        verification = self._verification
+        if verification.difference is None and self._expected is not None and not verification.unknown:
+            self._differ(None)
 
     def _forgive(self, at_ns: int) -> None:
         """A difference means nothing when what an external agent had sent by then is not in the log."""
-        for i, agent in self._external.items():
+        for i, agent in self.external.items():
             if at_ns > agent.known * self._tick_ns:
-                self._found.difference = None
+                self._verification.difference = None
                 since = agent.known * self._tick_ns / 1e9
-                self._found.unknown = (
+                self._verification.unknown = (
                     f"what vehicle {i} sent after t = {since:g} s was under way when the log ended, and is not in it"
                 )
 
-    @property
-    def _to_the_end(self) -> bool:
-        """Whether the recording says that nothing came after its last message."""
-        return not self._first.missing and self._last_ns == self._scenario.ticks * self._tick_ns
-
-    def _part(self, here: Record | None) -> None:
+    def _differ(self, here: Record | None) -> None:
         recorded = side("recorded", self._again, self._expected)
         if here is not None:
             # By the log's own declarations, which it has of every topic that it shares with the re-run.
             right = Side("re-run", here, Decoder(self._first)(here), self._tick_ns)
         else:
-            right = Side("re-run", None, [], self._tick_ns, self._found.reason)
-        self._found.difference = Difference(self._number, recorded, right)
+            right = Side("re-run", None, [], self._tick_ns, self._verification.reason)
+        self._verification.difference = Difference(self._number, recorded, right)
 
 
-def describe(found: Verification) -> list[str]:
+def _run_again(
+    comparison: _Comparison, verification: Verification, scenario: Scenario, last_ns: int, start: Start | None
+) -> None:
+    """Run until everything is compared."""
+    tick = last_ns // scenario.tick_ns
+    journal = Journal(scenario, LogWriter(comparison, scenario, start))
+    # No further than the recording went: it may have ended because the next tick cannot be computed.
+    every, m = frame_every(scenario), scenario.round_ticks
+    until = min(scenario.ticks, max(-(-tick // every) * every, -(-tick // m) * m) + 1)
+    clock = Clock(until, scenario.tick_ns, m, every)
+    seen = -2
+
+    def moved() -> None:
+        nonlocal seen
+        if until < scenario.ticks and journal.written == seen:  # every grant is used up
+            raise _Over
+        seen = journal.written
+
+    try:
+        agents = {i: agent.loop for i, agent in comparison.external.items()}
+        InProcess(scenario, journal, start, agents).serve(clock, moved)
+    except _Over:
+        pass
+    except NotRecordedError as error:
+        verification.unknown = str(error)
+        return
+    except RunBroken as error:
+        verification.reason = error.reason
+    except (AgentError, WorldError) as error:
+        verification.reason = str(error)
+    comparison.finish()
+
+
+def describe(verification: Verification) -> list[str]:
     """A verification in words."""
-    lines = [f"{named([i])}: its commands and payloads were taken from the log" for i in found.external]
-    how_far = f"up to t = {found.until_s:g} s"
-    if found.missing:
-        how_far += f" of {found.end_s:g} s, as far as the file goes: {found.missing}"
-    elif found.until_s < found.end_s:
-        how_far += f" of {found.end_s:g} s, where the run was ended"
-    if found.unknown:
-        lines.append(f"reproduced bit for bit ({found.messages} messages), and no further: {found.unknown}")
-    elif found.difference is None:
-        if found.messages:
-            lines.append(f"reproduced bit for bit ({found.messages} messages), {how_far}")
-        if found.skipped:
-            lines.append(f"{found.skipped} messages are missing in the file and were not compared")
+    lines = [f"{named([i])}: its commands and payloads were taken from the log" for i in verification.external]
+    how_far = f"up to t = {verification.until_s:g} s"
+    if verification.missing:
+        how_far += f" of {verification.end_s:g} s, as far as the file goes: {verification.missing}"
+    elif verification.until_s < verification.end_s:
+        how_far += f" of {verification.end_s:g} s, where the run was ended"
+    if verification.unknown:
+        lines.append(
+            f"reproduced bit for bit ({verification.messages} messages), and no further: {verification.unknown}"
+        )
+    elif verification.difference is None:
+        if verification.messages:
+            lines.append(f"reproduced bit for bit ({verification.messages} messages), {how_far}")
+        if verification.skipped:
+            lines.append(f"{verification.skipped} messages are missing in the file and were not compared")
     else:
-        lines.append(f"NOT reproduced: {found.messages} messages are the same, then")
-        lines += str(found.difference).splitlines()
-        if found.reason and found.difference.right.record is not None:
-            lines.append(f"the re-run ended: {found.reason}")
-        lines += [f"likely why: {text}" for text in found.versions]
-    lines += [f"contradiction: {text}" for text in found.contradictions]
+        lines.append(f"NOT reproduced: {verification.messages} messages are the same, then")
+        lines += str(verification.difference).splitlines()
+        if verification.reason and verification.difference.right.record is not None:
+            lines.append(f"the re-run ended: {verification.reason}")
+        lines += [f"likely why: {text}" for text in verification.versions]
+    lines += [f"contradiction: {text}" for text in verification.contradictions]
     return lines

@@ -19,7 +19,8 @@ from fleet.errors import RunBroken, StoppedError
 from fleet.processes.interrupts import DeferInterrupts, HungUp
 from fleet.processes.ports import free_port
 from fleet.recorder.journal import Journal, Spell
-from fleet.recorder.writer import LogError, LogWriter
+from fleet.recorder.log_file import LogError, LogFile
+from fleet.recorder.writer import LogWriter
 from fleet.replay.publisher import PublishError
 from fleet.run.clock import WINDOW_NS, Clock
 from fleet.run.console import Console
@@ -68,7 +69,7 @@ class _Run:
     options: Options
     directory: RunDirectory
     publication: Publication | NoPublication
-    log: LogWriter
+    log: LogFile
     journal: Journal
     runner: Runner
     line: StatusLine
@@ -121,9 +122,10 @@ def _prepare(scenario: Scenario, options: Options, terminal: Terminal, interrupt
     if options.publish:
         publication = Publication(number, directory.observe, line.print, wait=options.wait)
     lockstep = options.realtime_speed is None
-    log = LogWriter(directory.log, scenario, options.start, publication.publisher, lockstep=lockstep)
+    log = LogFile(directory.log)
+    writer = LogWriter(log, scenario, options.start, publication.publisher, lockstep=lockstep)
     publication.open()
-    journal = Journal(scenario, log, interrupts)
+    journal = Journal(scenario, writer, interrupts)
     runner: Runner
     if in_process:
         runner = InProcess(scenario, journal, options.start)
@@ -218,16 +220,16 @@ def _clock(scenario: Scenario, options: Options) -> Clock:
     return Clock.of(scenario, options.realtime_speed, lead_ns=WINDOW_NS)
 
 
-def _close_log(log: LogWriter, result: Result) -> None:
+def _close_log(file: LogFile, result: Result) -> None:
     try:
-        log.close()
+        file.close()
     except LogError as error:
-        log.abandon()
+        file.abandon()
         if result.status is Status.PASS:
             result.status, result.reason = Status.BROKEN, str(error)
 
 
-def _values(scenario: Scenario, journal: Journal, log: LogWriter, result: Result, lost: int) -> dict[str, Any]:
+def _values(scenario: Scenario, journal: Journal, file: LogFile, result: Result, lost: int) -> dict[str, Any]:
     return {
         "scenario": scenario.name,
         "seed": scenario.seed,
@@ -252,9 +254,9 @@ def _values(scenario: Scenario, journal: Journal, log: LogWriter, result: Result
             }
             for event in journal.happened
         ],
-        "messages": log.messages,
-        "log_bytes": log.size,
-        "digest": log.digest,
+        "messages": file.messages,
+        "log_bytes": file.size,
+        "digest": file.digest,
         "python": sys.version.split()[0],
     }
 

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from fleet.recorder.journal import Journal
+from fleet.recorder.log_file import LogFile
 from fleet.recorder.writer import LogWriter
 from fleet.run.clock import Clock
 from fleet.run.in_process import InProcess
@@ -52,12 +53,13 @@ def canned(scenario: Scenario) -> Can:
 
 def record(path: Path, scenario: Scenario, can: Can, taken: mmap.mmap) -> None:
     """Write it all; `taken` says the last tick that is."""
-    log = LogWriter(path, scenario)
+    file = LogFile(path)
+    log = LogWriter(file, scenario)
     for kind, arguments in can.calls:
         getattr(log, kind)(*arguments)
         if kind == "frame":
             taken[:8] = int(arguments[0].tick).to_bytes(8, "little")
-    log.close()
+    file.close()
 
 
 def main(folder: Path, kills: int, seed: int) -> None:

@@ -12,6 +12,7 @@ from msgspec.structs import replace
 
 from agents.loop import AgentLoop
 from fleet.recorder.journal import Journal
+from fleet.recorder.log_file import LogFile
 from fleet.recorder.writer import LogWriter
 from fleet.run.clock import Clock
 from fleet.scenario.loading import load_scenario
@@ -175,8 +176,8 @@ def test_the_clock_paces_by_wall_time() -> None:
 
 
 def test_the_journal_notices_what_is_missing(tmp_path: Path) -> None:
-    log = LogWriter(tmp_path / "run.mcap", SCENARIO)
-    journal = Journal(SCENARIO, log)
+    log = LogFile(tmp_path / "run.mcap")
+    journal = Journal(SCENARIO, LogWriter(log, SCENARIO))
     frames = run([0])[0]
     journal.frame(frames[0])
     assert journal.written == -1  # netem has not reported tick 0

@@ -21,7 +21,7 @@ from repository import EXPECTED, ROOT
 
 from fleet.cli.main import cli
 from fleet.logs.reader import digest
-from fleet.recorder.writer import LogError
+from fleet.recorder.log_file import LogError
 from fleet.replay.publisher import PublishError
 from fleet.scenario.loading import list_scenarios, load_scenario
 
@@ -385,7 +385,7 @@ def test_quiet_is_quiet(tmp_path: Path) -> None:
     [
         ("fleet.run.execute.LivePublisher.open", PublishError("no port is free"), "no port is free"),
         (
-            "fleet.run.execute.LogWriter",
+            "fleet.run.execute.LogFile",
             LogError("cannot write the log: No space left on device"),
             "cannot write the log",
         ),

@@ -19,10 +19,10 @@ from typing import Any
 from fleet.bench.agent_step import GOALS_US
 from fleet.bench.barriers import pipe_barrier, zenoh_barrier
 from fleet.bench.journal import measure_recorder
+from fleet.bench.measured_run import measured_run
 from fleet.bench.memory import sampled_pss
 from fleet.bench.network_core import SHARE, SHARE_GOAL, netem_figures
 from fleet.bench.steps import steps
-from fleet.run.execute import Status, execute
 from fleet.run.options import Options
 from fleet.scenario.loading import load_scenario
 from fleet.scenario.scenario import Scenario
@@ -62,7 +62,7 @@ def measure(sizes: list[int], *, quick: bool, say: Callable[[str], None]) -> dic
     """Run every benchmark; `say` hears what is being measured.
 
     Raises:
-        RuntimeError: a benchmark run did not complete.
+        BenchError: a measurement did not come to its end.
     """
     rows = []
     for n in sizes:
@@ -112,9 +112,7 @@ def _scenario(n: int, quick: bool) -> Scenario:
 
 def _wall(scenario: Scenario, *, in_process: bool) -> dict[str, float]:
     with tempfile.TemporaryDirectory(prefix="uuv-fleet-bench-") as out:
-        result = execute(scenario, Options(Path(out), in_process=in_process, quiet=True))
-    if result.status is not Status.PASS:
-        raise RuntimeError(f"{scenario.vehicles} vehicles: {result.reason}")
+        result = measured_run(scenario, Options(Path(out), in_process=in_process, quiet=True))
     wall: dict[str, float] = result.values["wall"]
     return wall
 

@@ -11,6 +11,7 @@ from pathlib import Path
 from rich.console import Console as Terminal
 from rich.table import Table
 
+from fleet.bench.errors import BenchError
 from fleet.logs.reader import LogReader
 from fleet.logs.tape import Tape
 from fleet.processes.ports import free_port
@@ -63,7 +64,7 @@ def measure_recorder(scenario: Scenario, say: Callable[[str], None]) -> dict[str
     `record` is what reaches a file over zenoh, player and recorder sharing this process; the others are one core's.
 
     Raises:
-        RuntimeError: the recorder did not get everything.
+        BenchError: the recorder did not get everything.
     """
     with tempfile.TemporaryDirectory(prefix="uuv-fleet-bench-") as folder:
         path, copy = Path(folder) / "run.mcap", Path(folder) / "copy.mcap"
@@ -114,14 +115,15 @@ def _play(tape: Tape, wishes: Wishes, copy: Path | None) -> float:
         player = threading.Thread(target=replay.play, args=(Keyboard(), line))
         began = time.perf_counter()
         player.start()
-        while writer.samples < replay.messages:
-            recorder.record(writer, Limits(duration_ns=50_000_000), line)
-            if time.perf_counter() - began > PATIENCE_S:
-                raise RuntimeError(f"{replay.messages - writer.samples} messages did not reach the recorder")
-        took = time.perf_counter() - began
-        player.join()
-        recorder.finish(writer)
-        return took
+        try:
+            while writer.samples < replay.messages:
+                recorder.record(writer, Limits(duration_ns=50_000_000), line)
+                if time.perf_counter() - began > PATIENCE_S:
+                    raise BenchError(f"{replay.messages - writer.samples} messages did not reach the recorder")
+            return time.perf_counter() - began
+        finally:
+            player.join()
+            recorder.finish(writer)
     finally:
         if other is not None:
             other.close()

@@ -15,17 +15,11 @@ from typing import Any
 from rich.table import Table
 
 from fleet.analysis.punctuality import MOST_MISSED, missed_share, moved_share
-from fleet.errors import FleetError
-from fleet.run.execute import Result, Status, execute
+from fleet.bench.measured_run import measured_run
+from fleet.run.execute import Result
 from fleet.run.options import Options
 from fleet.scenario.loading import load_scenario
 from fleet.scenario.scenario import Scenario
-
-
-class BenchError(FleetError):
-    """A run of the benchmark did not come to its end."""
-
-    status = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,22 +59,16 @@ def measure(sizes: Sequence[int], speeds: Sequence[float], seconds: float, say: 
                 "paper", [f"vehicles={n}", f"duration={seconds} s", "checks={}", "log.snapshot=0 s"]
             )
             say(f"N = {n}: lockstep")
-            same = _run(scenario, Options(Path(folder), quiet=True))
+            same = measured_run(scenario, Options(Path(folder), quiet=True), checked=False)
             for speed in speeds:
                 say(f"N = {n}: {speed:g} x real time")
-                rows.append(_row(n, speed, scenario, _run(scenario, _on_wall_clock(Path(folder), speed)), same))
+                timed = measured_run(scenario, _on_wall_clock(Path(folder), speed), checked=False)
+                rows.append(_row(n, speed, scenario, timed, same))
     return rows
 
 
 def _on_wall_clock(folder: Path, speed: float) -> Options:
     return Options(folder, quiet=True, realtime_speed=speed, most_missed=1.0)
-
-
-def _run(scenario: Scenario, options: Options) -> Result:
-    result = execute(scenario, options)
-    if result.status not in (Status.PASS, Status.CHECK_FAILED):
-        raise BenchError(f"the run with {scenario.vehicles} vehicles broke: {result.reason}")
-    return result
 
 
 def _row(n: int, speed: float, scenario: Scenario, found: Result, same: Result) -> Row:

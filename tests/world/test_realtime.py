@@ -15,6 +15,7 @@ from realtime import PERIOD_NS, SHORT
 from agents.agent import make_agent
 from agents.realtime_loop import RealtimeLoop
 from fleet.recorder.journal import Journal
+from fleet.recorder.log_file import LogFile
 from fleet.recorder.writer import LogWriter
 from fleet.run.clock import Clock
 from fleet.run.in_process import InProcess
@@ -47,8 +48,8 @@ class Virtual:
     ) -> None:
         self.scenario, self.absent, self.suspended = scenario, absent, suspended
         self.unanswered: list[Nav] = []
-        self.log = LogWriter(path, scenario)
-        self.journal = Journal(scenario, self.log)
+        self.log = LogFile(path)
+        self.journal = Journal(scenario, LogWriter(self.log, scenario))
         self.world = RealtimeRun(scenario.world_config, frame_every=frame_every(scenario))
         self.network = RealtimeRounds(scenario.netem_config)
         self.agents = {i: self._born(i, 0) for i in self.world.state.ids}
@@ -100,8 +101,8 @@ class Virtual:
 
 
 def lockstep(scenario: Scenario, path: Path) -> str:
-    log = LogWriter(path, scenario)
-    fleet = InProcess(scenario, Journal(scenario, log))
+    log = LogFile(path)
+    fleet = InProcess(scenario, Journal(scenario, LogWriter(log, scenario)))
     fleet.serve(Clock(scenario.ticks, scenario.tick_ns, scenario.round_ticks, frame_every(scenario)), lambda: None)
     log.close()
     return log.digest

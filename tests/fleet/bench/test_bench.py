@@ -2,14 +2,23 @@
 
 from __future__ import annotations
 
+import sys
 from io import StringIO
+from pathlib import Path
+from typing import Any
 
+import pytest
 from rich.console import Console as Terminal
 
+from fleet.__main__ import _command_line
+from fleet.bench import barriers, journal, measured_run
+from fleet.bench.errors import BenchError
 from fleet.bench.fleets import measure, netem_targets, step_targets, targets
 from fleet.bench.network_core import SHARE
 from fleet.bench.wall_clock import measure as measure_real
 from fleet.bench.wall_clock import table
+from fleet.run.execute import Result, Status
+from fleet.scenario.loading import load_scenario
 
 
 def test_quick_bench_reports_every_figure() -> None:
@@ -56,3 +65,51 @@ def test_a_fleet_that_is_asked_too_much_does_not_fit() -> None:
     rendered = Terminal(width=200, record=True, file=StringIO())
     rendered.print(table([row]))
     assert "degraded (fails)" in rendered.export_text()
+
+
+@pytest.mark.parametrize(
+    ("verb", "status", "reason", "exit_status", "line"),
+    [
+        ((), Status.BROKEN, "no agent came", 3, "broke: no agent came"),
+        ((), Status.INTERRUPTED, "interrupted", 130, "was ended: interrupted"),
+        ((), Status.CHECK_FAILED, "", 3, "did not pass its checks: "),
+        (("real",), Status.BROKEN, "no agent came", 3, "broke: no agent came"),
+        (("real",), Status.HUNG_UP, "terminal closed", 129, "was ended: terminal closed"),
+    ],
+)
+def test_a_run_that_does_not_end_is_one_line(
+    verb: tuple[str, ...],
+    status: Status,
+    reason: str,
+    exit_status: int,
+    line: str,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """Not a traceback, which `fleet bench` gave until then; Ctrl-C and SIGTERM come as an interrupted run."""
+
+    def execute(*_: Any) -> Result:
+        return Result(status, Path(), "", reason)
+
+    monkeypatch.setattr(measured_run, "execute", execute)
+    monkeypatch.setattr("fleet.bench.fleets.zenoh_barrier", lambda n, ticks: 1.0)
+    monkeypatch.setattr("fleet.bench.fleets.pipe_barrier", lambda n, ticks: 1.0)
+    monkeypatch.setattr(sys, "argv", ["fleet", "bench", *verb, "--agents", "2", "--quick"])
+    try:
+        found = _command_line()
+    except SystemExit as end:
+        found = int(end.code or 0)
+    assert found == exit_status
+    assert capsys.readouterr().err.splitlines()[-1] == f"fleet: the run with 2 vehicles {line}"
+
+
+def test_echo_agents_that_do_not_answer_end_the_benchmark(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(barriers, "READY_S", -1.0)
+    with pytest.raises(BenchError, match="echo agents did not answer within"):
+        barriers.zenoh_barrier(2, 1)
+
+
+def test_a_recorder_that_misses_messages_ends_the_benchmark(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(journal, "PATIENCE_S", -1.0)
+    with pytest.raises(BenchError, match="messages did not reach the recorder"):
+        journal.measure_recorder(load_scenario("paper", ["duration=500 ms"]), lambda text: None)

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import base64
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from html import escape
 from importlib.metadata import version
+from importlib.resources import files
 from io import BytesIO
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from matplotlib.figure import Figure
 
@@ -18,28 +18,16 @@ from fleet.errors import FleetError
 from fleet.logs.reader import Tell, digest
 from fleet.logs.result_file import ResultError, read_result
 from fleet.pictures.gallery import PER_RUN, WHAT, draw
-from fleet.pictures.report_tables import links_table, mark, number, side_by_side, table
+from fleet.pictures.report_tables import Mark, Table, links_table, number, side_by_side
 from fleet.pictures.runs import Look, Run
 from fleet.pictures.style import DPI
 from fleet.pictures.whole_file import whole_file
+from fleet.scenario.scenario import Scenario
 from netem.ages import Ages
 from netem.causes import Cause
 from netem.wire.messages import Fate
 
-_STYLE = """
-body { font: 15px/1.5 system-ui, sans-serif; color: #222; max-width: 66rem; margin: 2rem auto; padding: 0 1rem; }
-h1 { font-size: 1.6rem; } h2 { margin-top: 2.5rem; border-bottom: 1px solid #ccc; } h3 { margin-top: 1.8rem; }
-table { border-collapse: collapse; font-size: 0.87rem; font-variant-numeric: tabular-nums; }
-th, td { padding: 0.2rem 0.7rem; text-align: right; border-bottom: 1px solid #e4e4e4; vertical-align: top; }
-th { font-weight: 600; } th:first-child, td:first-child { text-align: left; white-space: nowrap; }
-table.words th, table.words td, table.last td:last-child, table.last th:last-child { text-align: left; }
-.scroll { overflow-x: auto; }
-.fail, .pass { font-weight: 600; white-space: nowrap; } .fail { color: #b23c00; } .pass { color: #00694c; }
-.warn { border-left: 4px solid #D55E00; padding: 0.4rem 0.8rem; background: #fdf3ec; }
-figure { display: inline-block; margin: 0.5rem 1rem 1rem 0; vertical-align: top; }
-figcaption { font-size: 0.87rem; max-width: 27rem; } img { width: 27rem; max-width: 100%; height: auto; }
-pre { background: #f6f6f6; padding: 0.7rem; overflow-x: auto; font-size: 0.82rem; } summary { cursor: pointer; }
-"""
+TEMPLATE = "report.html"
 
 
 class ReportError(FleetError):
@@ -47,12 +35,47 @@ class ReportError(FleetError):
 
 
 @dataclass(slots=True)
-class Verdict:
-    """What result.json says of a run, if it is there and of this log."""
+class RunResult:
+    """What result.json says of a run, if there is one and it is of this log."""
 
     values: dict[str, Any] | None
-    word: str  # why there is none
+    why_none: str
     digest: str
+
+
+class Picture(NamedTuple):
+    """One picture of the page; `png` in base 64."""
+
+    title: str
+    png: str
+
+
+class Pictures(NamedTuple):
+    """The pictures of a section, and what could not be drawn, with the reason."""
+
+    drawn: list[Picture]
+    missing: list[str]
+
+
+@dataclass(frozen=True, slots=True)
+class Section:
+    """What the page shows of one run."""
+
+    label: str
+    missing: str  # of the log; "" if it is whole
+    end: str  # of the log [s]
+    title: str
+    facts: Table
+    no_verdicts: str  # why there are none; "" if there are
+    status: Mark | None
+    reason: str
+    checks: Table
+    faults: Table
+    tables: list[tuple[str, Table]]  # with their headings
+    pictures: Pictures
+    place: Path  # of the log
+    metadata: Table
+    scenario_text: str
 
 
 def write(path: Path, runs: Sequence[Run], look: Look, share: Tell = lambda _: None) -> None:
@@ -71,123 +94,112 @@ def write(path: Path, runs: Sequence[Run], look: Look, share: Tell = lambda _: N
 
 
 def page(runs: Sequence[Run], look: Look, share: Tell = lambda _: None) -> str:
-    """The whole page."""
-    title = "uuv-fleet: " + ", ".join(run.label for run in runs)
-    parts = [
-        "<!DOCTYPE html>",
-        f'<html lang="en"><head><meta charset="utf-8"><title>{escape(title)}</title>',
-        '<meta name="viewport" content="width=device-width, initial-scale=1">',
-        f"<style>{_STYLE}</style></head><body>",
-        f"<h1>{escape(title)}</h1>",
-        f"<p>Made by <code>fleet report</code>, uuv-fleet {escape(version('uuv-fleet'))}. Times are simulated "
-        "time; positions are north, east, down.</p>",
-    ]
-    verdicts = [_verdict(run, share) for run in runs]
+    """The whole page as HTML."""
+    # Here, since every command that draws would pay for the import.
+    from jinja2 import Environment, StrictUndefined
+
+    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, keep_trailing_newline=True)
+    template = environment.from_string(files("fleet.pictures").joinpath(TEMPLATE).read_text("utf-8"))
+    results = [_result(run, share) for run in runs]
+    together = None
     if len(runs) > 1:
-        parts += [
-            "<h2>The runs together</h2>",
-            side_by_side(runs, [verdict.values for verdict in verdicts]),
-            *_pictures([k for k in WHAT if k not in PER_RUN], runs, look, share),
-        ]
-    for run, verdict in zip(runs, verdicts, strict=True):
-        kinds = list(WHAT) if len(runs) == 1 else sorted(PER_RUN)
-        parts += _run(run, verdict, kinds, look, share)
-    return "\n".join([*parts, "</body></html>", ""])
+        together = {
+            "table": side_by_side(runs, [result.values for result in results]),
+            "pictures": _pictures([k for k in WHAT if k not in PER_RUN], runs, look, share),
+        }
+    kinds = list(WHAT) if len(runs) == 1 else sorted(PER_RUN)
+    return template.render(
+        title="uuv-fleet: " + ", ".join(run.label for run in runs),
+        version=version("uuv-fleet"),
+        together=together,
+        runs=[_section(run, result, kinds, look, share) for run, result in zip(runs, results, strict=True)],
+    )
 
 
-def _run(run: Run, verdict: Verdict, kinds: Sequence[str], look: Look, share: Tell) -> Iterator[str]:
-    log = run.log
-    yield f"<h2>{escape(run.label)}</h2>"
-    if log.missing:
-        yield f'<p class="warn">The log is not whole: {escape(log.missing)}. It ends at {log.end:g} s.</p>'
-    scenario = run.scenario
+def _section(run: Run, result: RunResult, kinds: Sequence[str], look: Look, share: Tell) -> Section:
+    log, scenario, values = run.log, run.scenario, result.values or {}
+    facts: list[Sequence[Any]] = []
     if scenario is not None:
-        yield f"<p>{escape(scenario.title)}</p>" if scenario.title else ""
-        facts: list[Sequence[Any]] = [
+        facts = [
             ("vehicles", f"{scenario.vehicles}, {len(scenario.graph.links)} directed links"),
             ("duration", f"{scenario.duration_ns / 1e9:g} s in ticks of {scenario.tick_ns / 1e6:g} ms"),
-            ("network", _network(run)),
+            ("network", _network(scenario)),
             ("seed", scenario.seed),
         ]
-    else:
-        facts = []
-    facts += [("log", f"{log.path}, {log.path.stat().st_size / 1e6:.1f} MB"), ("digest", verdict.digest)]
-    yield table((), facts, "words")
-    yield from _verdicts(verdict)
-    if log.faults:
-        yield "<h3>Faults</h3>"
-        yield table(
-            ("fault", "from [s]", "to [s]", "what"),
-            ((f.id, f"{f.begin:g}", f"{f.end:g}", f.what) for f in log.faults),
-            "last",
-        )
-    yield from _tables(run, verdict)
-    yield from _pictures(kinds, [run], look, share)
-    yield from _again(run)
+    facts += [("log", f"{log.path}, {log.path.stat().st_size / 1e6:.1f} MB"), ("digest", result.digest)]
+    checks = [
+        (check["check"], Mark(check["passed"], "pass" if check["passed"] else "FAIL"), check["asked"], check["found"])
+        for check in values.get("checks", ())
+    ]
+    faults = [(fault.id, f"{fault.begin:g}", f"{fault.end:g}", fault.what) for fault in log.faults]
+    return Section(
+        label=run.label,
+        missing=log.missing,
+        end=f"{log.end:g}",
+        title=scenario.title if scenario is not None else "",
+        facts=Table((), facts),
+        no_verdicts=result.why_none,
+        status=Mark(values["status"] == "pass", values["status"].replace("_", " ")) if values else None,
+        reason=values.get("reason", ""),
+        checks=Table(("check", "verdict", "asked", "found"), checks),
+        faults=Table(("fault", "from [s]", "to [s]", "what"), faults),
+        tables=_tables(run, values),
+        pictures=_pictures(kinds, [run], look, share),
+        place=log.path.parent if log.path.name == "run.mcap" else log.path,
+        metadata=Table((), sorted(log.run.items())),
+        scenario_text=log.scenario_text,
+    )
 
 
-def _network(run: Run) -> str:
-    assert run.scenario is not None
-    if run.scenario.ideal:
+def _network(scenario: Scenario) -> str:
+    if scenario.ideal:
         return "ideal, without latency"
-    acoustic = run.scenario.acoustic is not None
-    period = run.scenario.round_ticks * run.scenario.tick_ns / 1e6
+    acoustic = scenario.acoustic is not None
+    period = scenario.round_ticks * scenario.tick_ns / 1e6
     return f"{'acoustic channel, ' if acoustic else ''}a round every {period:g} ms"
 
 
-def _verdict(run: Run, share: Tell) -> Verdict:
-    found = digest(run.log.path, share)
+def _result(run: Run, share: Tell) -> RunResult:
+    of_log = digest(run.log.path, share)
     try:
         values = read_result(run.log.path)
     except FileNotFoundError:
-        return Verdict(None, "There is no result.json beside this log, so there are no verdicts.", found)
+        return RunResult(None, "There is no result.json beside this log, so there are no verdicts.", of_log)
     except ResultError as error:
-        return Verdict(None, f"{error}; so there are no verdicts.", found)
-    if values["digest"] != found:
-        return Verdict(None, "The result.json beside this log is of another log, so its verdicts are left out.", found)
-    return Verdict(values, "", found)
+        return RunResult(None, f"{error}; so there are no verdicts.", of_log)
+    if values["digest"] != of_log:
+        why = "The result.json beside this log is of another log, so its verdicts are left out."
+        return RunResult(None, why, of_log)
+    return RunResult(values, "", of_log)
 
 
-def _verdicts(verdict: Verdict) -> Iterator[str]:
-    yield "<h3>Verdicts</h3>"
-    if verdict.values is None:
-        yield f'<p class="warn">{escape(verdict.word)}</p>'
-        return
-    values = verdict.values
-    status = values["status"]
-    yield f"<p>Status: {mark(status == 'pass', status.replace('_', ' '))} {escape(values['reason'])}</p>"
-    rows = [
-        (check["check"], mark(check["passed"], "pass" if check["passed"] else "FAIL"), check["asked"], check["found"])
-        for check in values["checks"]
-    ]
-    if rows:
-        yield table(("check", "verdict", "asked", "found"), rows, "words")
-    else:
-        yield "<p>No check was judged.</p>"
-
-
-def _tables(run: Run, verdict: Verdict) -> Iterator[str]:
-    values = verdict.values
+def _tables(run: Run, values: dict[str, Any]) -> list[tuple[str, Table]]:
+    """Tables of vehicles and of links, each with its heading; `values` as in result.json, empty without one."""
+    tables: list[tuple[str, Table]] = []
+    reported = [i for i in run.log.vehicles if f"uuv/{i}/error" in run.log]
     if values and values["vehicles"]:
-        yield "<h3>Vehicles</h3>"
         headings = {
             "settle_10pct_s": "settle to 10 % [s]", "settle_5cm_s": "settle to 5 cm [s]",
             "e_rms_m": "RMS e, last 10 s [m]", "formation_final_m": "final formation error [m]",
             "effort_Ns": "surge effort [N s]", "u_cmd_max_mps": "max u_cmd [m/s]", "qp_failures": "QP failures",
             "payloads_rejected": "payloads rejected",
         }  # fmt: skip
-        rows = ((i, *(number(key, row[key]) for key in headings)) for i, row in values["vehicles"].items())
-        yield table(("UUV", *headings.values()), rows)
-    elif any(f"uuv/{i}/error" in run.log for i in run.log.vehicles):
-        yield "<h3>Vehicles at the end of the log</h3>"
-        final = ((i, run.log[f"uuv/{i}/error"]) for i in run.log.vehicles if f"uuv/{i}/error" in run.log)
-        final = ((i, e) for i, e in final if not e.too_many)
-        rows_ = ((i, f"{e['e_norm'][-1]:.4f}", f"{e['formation_norm'][-1]:.4f}") for i, e in final if len(e))
-        yield table(("UUV", "consensus error [m]", "formation error [m]"), rows_)
-    ledger, ages, where = (values["ledger"], values["ages"], "") if values else (*_from_log(run), ", from the log")
+        measured = [(i, *(number(key, row[key]) for key in headings)) for i, row in values["vehicles"].items()]
+        tables.append(("Vehicles", Table(("UUV", *headings.values()), measured)))
+    elif reported:
+        errors = [(i, run.log[f"uuv/{i}/error"]) for i in reported]
+        final = [
+            (i, f"{e['e_norm'][-1]:.4f}", f"{e['formation_norm'][-1]:.4f}")
+            for i, e in errors
+            if not e.too_many and len(e)
+        ]
+        headings_ = ("UUV", "consensus error [m]", "formation error [m]")
+        tables.append(("Vehicles at the end of the log", Table(headings_, final)))
+    ledger, ages, source = (values["ledger"], values["ages"], "") if values else (*_from_log(run), ", from the log")
     if any(account["sent"] for account in ledger.values()):
-        yield f"<h3>Packets per directed link, and age of what was heard last{where}</h3>"
-        yield links_table(ledger, ages)
+        heading = f"Packets per directed link, and age of what was heard last{source}"
+        tables.append((heading, links_table(ledger, ages)))
+    return tables
 
 
 def _from_log(run: Run) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -224,37 +236,17 @@ def _from_log(run: Run) -> tuple[dict[str, Any], dict[str, Any]]:
     return ledger, ages.summary(round(tick_s * 1e9)) if tick_s else {}
 
 
-def _pictures(kinds: Sequence[str], runs: Sequence[Run], look: Look, share: Tell) -> Iterator[str]:
-    yield "<h3>Pictures</h3>"
-    missing = []
+def _pictures(kinds: Sequence[str], runs: Sequence[Run], look: Look, share: Tell) -> Pictures:
+    drawn, missing = [], []
     for name, title, figure in draw(kinds, runs, look, share):
         if isinstance(figure, str):
             missing.append(f"{name}: {figure}")
         else:
-            yield (
-                f'<figure><img alt="{escape(title)}" src="data:image/png;base64,{_png(figure)}">'
-                f"<figcaption>{escape(title)}</figcaption></figure>"
-            )
-    notes = [note for run in runs for note in run.notes]
-    if missing or notes:
-        yield "<p>Not drawn: " + escape("; ".join([*missing, *notes])) + "</p>"
+            drawn.append(Picture(title, _png(figure)))
+    return Pictures(drawn, missing + [note for run in runs for note in run.notes])
 
 
 def _png(figure: Figure) -> str:
     file = BytesIO()
     figure.savefig(file, format="png", dpi=DPI, metadata={"Software": None})
     return base64.b64encode(file.getvalue()).decode("ascii")
-
-
-def _again(run: Run) -> Iterator[str]:
-    yield "<h3>How to repeat it</h3>"
-    yield (
-        "<p>The log holds the merged scenario; with the faults that were injected while it ran it is what "
-        "<code>fleet script</code> prints. The same scenario and the same versions give the same digest.</p>"
-    )
-    place = run.log.path.parent if run.log.path.name == "run.mcap" else run.log.path
-    yield f"<pre>fleet script {escape(str(place))} &gt; again.yaml\nfleet run again.yaml</pre>"
-    yield table((), sorted(run.log.run.items()), "words")
-    text = run.log.scenario_text
-    if text:
-        yield f"<details><summary>scenario.yaml</summary><pre>{escape(text)}</pre></details>"

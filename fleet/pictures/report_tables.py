@@ -1,10 +1,9 @@
-"""The tables of a report, as HTML."""
+"""The tables of a report: headings and rows, which the page's template turns into HTML."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from html import escape
-from typing import Any
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
 
 from fleet.pictures.runs import Run
 from netem.causes import Cause
@@ -13,7 +12,21 @@ MOST_ROWS = 40  # of a table of links
 _ONLY_IF_ANY = ("duplicated", "in flight", "corrupted")  # columns that are left out where every link has a 0
 
 
-def side_by_side(runs: Sequence[Run], results: Sequence[Mapping[str, Any] | None]) -> str:
+class Mark(NamedTuple):
+    """A cell with a word in the colour of a pass or of a failure."""
+
+    good: bool
+    word: str
+
+
+class Table(NamedTuple):
+    """Rows under headings, or without any; a cell is a `Mark`, or is shown as text."""
+
+    headings: Sequence[str]
+    rows: Sequence[Sequence[Any]]
+
+
+def side_by_side(runs: Sequence[Run], results: Sequence[Mapping[str, Any] | None]) -> Table:
     """A row per run: what one looks for first when runs are compared; `results` as in result.json, None without one."""
     headings = (
         "run", "seed", "vehicles", "status", "checks passed", "slowest settle to 10 % [s]", "largest final error [m]",
@@ -27,7 +40,7 @@ def side_by_side(runs: Sequence[Run], results: Sequence[Mapping[str, Any] | None
             continue
         checks, status = values["checks"], values["status"]
         good = sum(check["passed"] for check in checks)
-        row += [mark(status == "pass", status.replace("_", " ")), f"{good} of {len(checks)}" if checks else "-"]
+        row += [Mark(status == "pass", status.replace("_", " ")), f"{good} of {len(checks)}" if checks else "-"]
         vehicles = list(values["vehicles"].values())
         settle = [vehicle["settle_10pct_s"] for vehicle in vehicles]
         row.append("-" if not settle else "not settled" if None in settle else f"{max(settle):.4g}")
@@ -39,19 +52,10 @@ def side_by_side(runs: Sequence[Run], results: Sequence[Mapping[str, Any] | None
         row.append(f"{sum(a['delivered'] for a in accounts) / entered:.1%}" if entered else "-")
         age = values["ages"].get("*")
         rows.append([*row, f"{age['max_s']:.4g}" if age else "-"])
-    return table(headings, rows)
+    return Table(headings, rows)
 
 
-class Html(str):
-    """Text that is HTML already."""
-
-
-def mark(good: bool, word: str) -> Html:
-    """A word in the colour of a pass or of a failure."""
-    return Html(f'<span class="{"pass" if good else "fail"}">{escape(word)}</span>')
-
-
-def links_table(ledger: Mapping[str, Any], ages: Mapping[str, Any]) -> str:
+def links_table(ledger: Mapping[str, Any], ages: Mapping[str, Any]) -> Table:
     """Packets and ages of all links, or of those that grew oldest; `ledger` and `ages` as in result.json."""
     # What a modem never sent, because there were news, was not lost on the way.
     causes = sorted(
@@ -75,7 +79,7 @@ def links_table(ledger: Mapping[str, Any], ages: Mapping[str, Any]) -> str:
     rows, headings = [tuple(row[k] for k in kept) for row in rows], tuple(headings[k] for k in kept)
     if len(ledger) > len(names):
         rows.append((f"{len(ledger) - len(names)} more, whose age stayed lower",))
-    return table(headings, rows)
+    return Table(headings, rows)
 
 
 def number(key: str, value: Any) -> str:
@@ -83,16 +87,3 @@ def number(key: str, value: Any) -> str:
     if value is None:
         return "not settled" if key.startswith("settle") else "-"
     return f"{value:.4g}" if isinstance(value, float) else str(value)
-
-
-def table(headings: Sequence[str], rows: Iterable[Sequence[Any]], kind: str = "") -> str:
-    """Rows under headings; `kind` is the class of the style sheet."""
-
-    def cell(value: Any) -> str:
-        return value if isinstance(value, Html) else escape(str(value))
-
-    lines = [f'<div class="scroll"><table class="{kind}">']
-    if headings:
-        lines.append("<tr>" + "".join(f"<th>{escape(heading)}</th>" for heading in headings) + "</tr>")
-    lines += ["<tr>" + "".join(f"<td>{cell(value)}</td>" for value in row) + "</tr>" for row in rows]
-    return "\n".join([*lines, "</table></div>"])

@@ -511,10 +511,10 @@ def test_a_report_that_finds_no_room_leaves_nothing(
 def test_tables_of_a_report() -> None:
     """Columns that hold nothing are left out, and what was replaced is not called lost."""
     account = {"sent": 9, "duplicated": 0, "delivered": 2, "in_flight": 0, "corrupted": 0}
-    page = Page(links_table({"1->2": account | {"lost": {"snr": 1, "replaced": 6}}}, {}))
-    words = [word for word in page.words if word.strip()]
+    table = links_table({"1->2": account | {"lost": {"snr": 1, "replaced": 6}}}, {})
     headings = ["link", "sent", "delivered", "replaced", "lost: snr", "mean age [s]", "95 % [s]", "max [s]"]
-    assert words[: words.index("all")] == headings
+    assert list(table.headings) == headings
+    assert [row[0] for row in table.rows] == ["all", "1->2"]
 
 
 @pytest.mark.parametrize(
@@ -560,3 +560,15 @@ def test_report_refuses_a_place_that_cannot_be_written(directories: dict[str, Pa
     result = CliRunner().invoke(cli, ["report", str(directories["one"]), "-o", "/dev/null/x.html"])
     assert result.exit_code == 2
     assert "cannot write /dev/null/x.html" in result.stderr
+
+
+@pytest.mark.usefixtures("few")
+def test_nothing_in_a_log_is_taken_for_markup(directories: dict[str, Path]) -> None:
+    """A label, a cell, a path or a note with markup in it is shown as it is written."""
+    (run,) = load([directories["one"]])
+    run.label = '<img src="http://x">'
+    run.notes.append("<script>1</script>")
+    text = page([run], Look())
+    found = Page(text)  # refuses a script
+    assert all(load.startswith("data:image/png;base64,") for load in found.loads)
+    assert run.label in found.words and "<script>" not in text

@@ -7,32 +7,19 @@ from collections.abc import Iterable, Sequence
 
 from fleet.errors import FleetError
 from netem.parsing import nearest
+from netem.wire.key_expressions import matching
 
 
 class SelectionError(FleetError):
     """A pattern, expression or renaming that cannot be used."""
 
 
-def pattern(text: str) -> re.Pattern[str]:
-    """A topic or a pattern of topics in the manner of zenoh's key expressions: `*` is one part, `**` any number.
-
-    https://github.com/eclipse-zenoh/roadmap/blob/main/rfcs/ALL/Key%20Expressions.md
-    """
-    parts = text.strip("/").split("/")
-    built = ""
-    for n, part in enumerate(parts):
-        last = n == len(parts) - 1
-        if part == "**":
-            built += "(?:.+)?" if last and n == 0 else "(?:/.+)?" if last else "(?:[^/]+/)*"
-        else:
-            piece = "[^/]+" if part == "*" else re.escape(part).replace(r"\$\*", "[^/]*")
-            after = "" if last or (parts[n + 1] == "**" and n + 1 == len(parts) - 1) else "/"
-            built += piece + after
-    return re.compile(built)
-
-
 def chosen(topics: Iterable[str], patterns: Sequence[str], expression: str | None) -> set[str]:
     """The topics that any of the patterns or the regular expression names; all of them without either.
+
+    Args:
+        patterns: key expressions of zenoh; slashes around them and around topics do not count.
+        expression: a regular expression, searched for in every topic.
 
     Raises:
         SelectionError: a pattern or the expression names none.
@@ -40,23 +27,24 @@ def chosen(topics: Iterable[str], patterns: Sequence[str], expression: str | Non
     known = sorted(set(topics))
     if not patterns and expression is None:
         return set(known)
-    found: set[str] = set()
+    names: set[str] = set()
     for text in patterns:
-        matching = {topic for topic in known if pattern(text).fullmatch(topic.strip("/"))}
-        if not matching:
+        included = matching(text.strip("/"))
+        some = {topic for topic in known if included(topic.strip("/"))}
+        if not some:
             hint = nearest(text, known) or f"there are {', '.join(known[:8])}{', ...' if len(known) > 8 else ''}"
             raise SelectionError(f'no topic of the log is called "{text}": {hint}')
-        found |= matching
+        names |= some
     if expression is not None:
         try:
             compiled = re.compile(expression)
         except re.error as error:
             raise SelectionError(f'"{expression}" is no regular expression: {error}') from None
-        matching = {topic for topic in known if compiled.search(topic)}
-        if not matching and not found:
+        some = {topic for topic in known if compiled.search(topic)}
+        if not some and not names:
             raise SelectionError(f'no topic of the log matches "{expression}"')
-        found |= matching
-    return found
+        names |= some
+    return names
 
 
 class Renaming:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from fleet.replay.selection import Renaming, SelectionError, chosen, pattern
+from fleet.replay.selection import Renaming, SelectionError, chosen
+from netem.wire.key_expressions import matching
 
 
 @pytest.mark.parametrize(
@@ -18,10 +19,14 @@ from fleet.replay.selection import Renaming, SelectionError, chosen, pattern
         ("**", ["a", "a/b"], []),
         ("link/1-$*", ["link/1-2"], ["link/2-1"]),
         ("a.c", ["a.c"], ["abc"]),
+        ("a/**/**", ["a", "a/b"], ["b"]),
+        ("a//b", ["a//b"], ["a/b", "a/x/b"]),
+        ("*", ["a"], ["a#", "@a"]),
+        ("a#", ["a#"], ["a"]),
     ],
 )  # fmt: skip
 def test_patterns(text: str, yes: list[str], no: list[str]) -> None:
-    assert [topic for topic in yes + no if pattern(text).fullmatch(topic)] == yes
+    assert [topic for topic in yes + no if matching(text)(topic)] == yes
 
 
 def test_choice_of_topics() -> None:

@@ -20,7 +20,7 @@ THIN = "log: {every: 10 ticks}"
 BY_ROUND = frozenset(OF_THE_NETWORK) - {"slow"}  # faults that act at round ticks only
 
 
-def doubts(scenario: Scenario) -> list[str]:
+def warnings(scenario: Scenario) -> list[str]:
     """A sentence per thing that is valid and still hardly what was meant."""
     return [*_never_judged(scenario), *_recoveries(scenario), *_too_near(scenario), *_too_old(scenario),
             *_idle_faults(scenario), *_correlated(scenario), *_large_log(scenario)]  # fmt: skip

@@ -14,12 +14,12 @@ NOTHING = "nothing in this scenario depends on the seed: every seed gives the sa
 HINT = "initial: {scatter: 1 m}, sensors.position_noise or a loss would make seeds differ"
 
 
-def chances(scenario: Scenario) -> list[str]:
+def seeded(scenario: Scenario) -> list[str]:
     """What is drawn from the seed, in words; empty where nothing is."""
-    return list(dict.fromkeys(_chances(scenario)))
+    return list(dict.fromkeys(_seeded(scenario)))
 
 
-def _chances(scenario: Scenario) -> Iterator[str]:
+def _seeded(scenario: Scenario) -> Iterator[str]:
     spec = scenario.spec
     if spec.initial.scatter is not None and spec.initial.scatter.scatter > 0.0:
         yield "initial scatter"

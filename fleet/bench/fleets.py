@@ -34,7 +34,7 @@ TARGETS = {"c/a": {4: 0.5}, "x real time": {4: 15.0, 100: 0.3}, "startup_s": {10
 
 
 @dataclass(slots=True)
-class Row:
+class FleetRow:
     """The figures of one fleet size; ticks per wall second."""
 
     vehicles: int
@@ -58,7 +58,7 @@ class Row:
         }
 
 
-def measure(sizes: list[int], *, quick: bool, say: Callable[[str], None]) -> dict[str, Any]:
+def measure_fleets(sizes: list[int], *, quick: bool, say: Callable[[str], None]) -> dict[str, Any]:
     """Run every benchmark; `say` hears what is being measured.
 
     Raises:
@@ -78,7 +78,7 @@ def measure(sizes: list[int], *, quick: bool, say: Callable[[str], None]) -> dic
         say(f"N = {n}: in-process")
         alone = _wall(scenario, in_process=True)
         rows.append(
-            Row(
+            FleetRow(
                 vehicles=n,
                 zenoh_barrier=zenoh,
                 pipe_barrier=pipes,

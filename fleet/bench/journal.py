@@ -21,7 +21,7 @@ from fleet.recorder.metrics import VehicleError
 from fleet.recorder.snapshot import Snapshot
 from fleet.recorder.writer import LogWriter
 from fleet.replay.capture import Limits, Recorder, TrafficWriter
-from fleet.replay.playback import Replay, Wishes
+from fleet.replay.playback import PlaybackOptions, Replay
 from fleet.run.clock import Clock
 from fleet.run.in_process import InProcess
 from fleet.scenario.scenario import Scenario
@@ -81,8 +81,8 @@ def measure_recorder(scenario: Scenario, say: Callable[[str], None]) -> dict[str
         tape = Tape(path)
         scan_s = time.perf_counter() - began
         say(f"N = {scenario.vehicles}: journal, played and recorded")
-        play_s = _play(tape, Wishes(rate=0.0), None)
-        record_s = _play(tape, Wishes(rate=0.0, wait=True), copy)
+        play_s = _play(tape, PlaybackOptions(rate=0.0), None)
+        record_s = _play(tape, PlaybackOptions(rate=0.0, wait=True), copy)
         minutes = scenario.duration_ns / 60e9
         return {
             "vehicles": scenario.vehicles,
@@ -97,9 +97,9 @@ def measure_recorder(scenario: Scenario, say: Callable[[str], None]) -> dict[str
         }
 
 
-def _play(tape: Tape, wishes: Wishes, copy: Path | None) -> float:
+def _play(tape: Tape, options: PlaybackOptions, copy: Path | None) -> float:
     """Wall seconds until everything is published, and in the file if there is one."""
-    replay, line = Replay(tape, wishes), StatusLine(Terminal(stderr=True), quiet=True)
+    replay, line = Replay(tape, options), StatusLine(Terminal(stderr=True), quiet=True)
     bus = OpenBus.listen(f"tcp/127.0.0.1:{free_port(None)}")
     other = None
     try:

@@ -30,7 +30,7 @@ _DEAD = (psutil.STATUS_ZOMBIE, psutil.STATUS_DEAD)
 
 
 @dataclass(frozen=True, slots=True)
-class Row:
+class SoakRow:
     """One run of the soak."""
 
     run: str
@@ -83,7 +83,7 @@ class Soak:
         self._process.wait()
         self._output.close()
 
-    def row(self) -> Row:
+    def row(self) -> SoakRow:
         """What it came to, once it has ended."""
         wall_s = time.monotonic() - self._began
         left = _of_session(self._process.pid)
@@ -93,7 +93,7 @@ class Soak:
         unbalanced = [c["found"] for c in values.get("checks", ()) if c["check"] == "ledger" and not c["passed"]]
         samples = self._samples or [0.0]
         late = sorted(samples[-max(1, len(samples) // 10) :])
-        return Row(
+        return SoakRow(
             self.name,
             float(values.get("sim_s", 0.0)),
             wall_s,
@@ -108,7 +108,7 @@ class Soak:
         )
 
 
-def measure(vehicles: int, seconds: float, distributed_s: float, say: Callable[[str], None]) -> list[Row]:
+def measure_soak(vehicles: int, seconds: float, distributed_s: float, say: Callable[[str], None]) -> list[SoakRow]:
     """The soak: `seconds` of simulated time twice in one process, `distributed_s` distributed and once in one."""
     with tempfile.TemporaryDirectory(prefix="uuv-fleet-soak-") as name:
         folder = Path(name)
@@ -120,7 +120,7 @@ def measure(vehicles: int, seconds: float, distributed_s: float, say: Callable[[
         return rows
 
 
-def verdicts(rows: list[Row]) -> list[str]:
+def soak_failures(rows: list[SoakRow]) -> list[str]:
     """What is wrong with the rows; nothing, if the soak passed."""
     wrong = []
     for row in rows:
@@ -137,7 +137,7 @@ def verdicts(rows: list[Row]) -> list[str]:
     return wrong
 
 
-def table(rows: list[Row]) -> Table:
+def soak_table(rows: list[SoakRow]) -> Table:
     """The rows for a terminal."""
     shown = Table(title="soak: a random fault every 5 s", title_justify="left", box=None, pad_edge=False)
     for heading in (
@@ -174,7 +174,7 @@ def _arguments(vehicles: int, seconds: float) -> list[str]:
 PICK = "[partition, down, deaf, pause, kill, kill, {link *: loss 60% delay 300ms}]"
 
 
-def _together(what: list[tuple[str, list[str]]], folder: Path, say: Callable[[str], None]) -> list[Row]:
+def _together(what: list[tuple[str, list[str]]], folder: Path, say: Callable[[str], None]) -> list[SoakRow]:
     soaks = [Soak(name, arguments, folder) for name, arguments in what]
     told = began = time.monotonic()
     try:

@@ -40,27 +40,27 @@ def _log_tick(ticks: int) -> float:
     """CPU time of recording alone: the same frames once more, into another log."""
     scenario = load_scenario("paper", [f"duration={max(100, ticks) * 10} ms"])
 
-    class Tape(Journal):
+    class JournalWithMemory(Journal):
         """A journal that keeps what it was given."""
 
         def frame(self, frame):  # type: ignore[no-untyped-def]
-            tape.append((Journal.frame, frame))
+            taken.append((Journal.frame, frame))
             super().frame(frame)
 
         def links(self, report):  # type: ignore[no-untyped-def]
-            tape.append((Journal.links, report))
+            taken.append((Journal.links, report))
             super().links(report)
 
-    tape: list[tuple[Callable[..., None], object]] = []
+    taken: list[tuple[Callable[..., None], object]] = []
     with tempfile.TemporaryDirectory(prefix="uuv-fleet-bench-") as folder:
         files = [LogFile(Path(folder) / name) for name in ("a.mcap", "b.mcap")]
         logs = [LogWriter(file, scenario) for file in files]
-        first = Tape(scenario, logs[0])
+        first = JournalWithMemory(scenario, logs[0])
         clock = Clock(scenario.ticks, scenario.tick_ns, scenario.round_ticks, 1)
         InProcess(scenario, first).serve(clock, lambda: None)
         second = Journal(scenario, logs[1])
         began = time.process_time()
-        for take, message in tape:
+        for take, message in taken:
             take(second, message)
         cost = (time.process_time() - began) / scenario.ticks * 1e6
         for file in files:

@@ -35,7 +35,7 @@ FLOODED = 3  # the vehicle whose agent goes mad
 
 
 @dataclass(frozen=True, slots=True)
-class Row:
+class StressRow:
     """One thing that was tried."""
 
     tried: str
@@ -49,7 +49,7 @@ class Row:
         return asdict(self)
 
 
-def measure(sizes: Sequence[int], suspend_s: float, say: Callable[[str], None]) -> list[Row]:
+def measure_stress(sizes: Sequence[int], suspend_s: float, say: Callable[[str], None]) -> list[StressRow]:
     """Try everything; fleets of these sizes first."""
     rows = []
     with tempfile.TemporaryDirectory(prefix="uuv-fleet-stress-") as name:
@@ -165,7 +165,7 @@ def _row(
     abuse: Callable[[Soak, Path], str] | None,
     alone_s: float = 0.0,
     more: Sequence[str] = (),
-) -> Row:
+) -> StressRow:
     here = [argument for argument in arguments if argument != "--publish"]
     same, _, _ = _run(folder, "same", [*here, "--in-process"], None)
     found, wall_s, seen = _run(folder, "abused", [*arguments, *more], abuse)
@@ -174,7 +174,7 @@ def _row(
         seen = f"ready in {wall.get('startup_s', 0):.1f} s, {100 * wall.get('x_real_time', 0):.0f} ticks/s"
     reason = f" {found['reason']}" if found.get("reason") else ""
     status = f"{found.get('status', 'no result')}{reason}"
-    return Row(tried, status, found.get("digest") == same.get("digest"), wall_s, alone_s, seen)
+    return StressRow(tried, status, found.get("digest") == same.get("digest"), wall_s, alone_s, seen)
 
 
 def _run(
@@ -220,13 +220,13 @@ def _sets(*overrides: str) -> list[str]:
     return [word for override in overrides for word in ("--set", override)]
 
 
-def verdicts(rows: Sequence[Row]) -> list[str]:
+def stress_failures(rows: Sequence[StressRow]) -> list[str]:
     """What is wrong with the rows; nothing, if all was withstood."""
     wrong = [f"{row.tried}: {row.status}" for row in rows if row.status != "pass"]
     return wrong + [f"{row.tried}: other bytes" for row in rows if row.status == "pass" and not row.same_bytes]
 
 
-def table(rows: Sequence[Row]) -> Table:
+def stress_table(rows: Sequence[StressRow]) -> Table:
     """The rows for a terminal."""
     shown = Table(title="load and abuse", title_justify="left", box=None, pad_edge=False)
     for heading in ("tried", "status", "same bytes", "run", "left alone", "seen"):

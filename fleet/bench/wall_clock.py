@@ -23,7 +23,7 @@ from fleet.scenario.scenario import Scenario
 
 
 @dataclass(frozen=True, slots=True)
-class Row:
+class WallClockRow:
     """One fleet at one rate."""
 
     vehicles: int
@@ -46,7 +46,9 @@ class Row:
         return asdict(self) | {"fit": self.fit}
 
 
-def measure(sizes: Sequence[int], speeds: Sequence[float], seconds: float, say: Callable[[str], None]) -> list[Row]:
+def measure_wall_clock(
+    sizes: Sequence[int], speeds: Sequence[float], seconds: float, say: Callable[[str], None]
+) -> list[WallClockRow]:
     """Run every fleet at every speed, `seconds` of simulated time each.
 
     Raises:
@@ -71,10 +73,10 @@ def _on_wall_clock(folder: Path, speed: float) -> Options:
     return Options(folder, quiet=True, realtime_speed=speed, most_missed=1.0)
 
 
-def _row(n: int, speed: float, scenario: Scenario, found: Result, same: Result) -> Row:
+def _row(n: int, speed: float, scenario: Scenario, found: Result, same: Result) -> WallClockRow:
     timing = found.values["timing"]
     vehicles, network = timing["vehicles"].values(), timing["netem"]
-    return Row(
+    return WallClockRow(
         n,
         speed,
         speed * 1e9 / scenario.tick_ns,
@@ -88,7 +90,7 @@ def _row(n: int, speed: float, scenario: Scenario, found: Result, same: Result) 
     )
 
 
-def table(rows: Sequence[Row]) -> Table:
+def wall_clock_table(rows: Sequence[WallClockRow]) -> Table:
     """The rows for a terminal."""
     shown = Table(title="on a wall clock (Ts = 10 ms)", title_justify="left", box=None, pad_edge=False)
     for heading in (

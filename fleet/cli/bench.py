@@ -54,10 +54,10 @@ def bench(context: click.Context, agents: list[int], json_path: Path | None, qui
     """
     if context.invoked_subcommand is not None:
         return
-    from fleet.bench.fleets import measure
+    from fleet.bench.fleets import measure_fleets
     from fleet.bench.tables import show
 
-    figures = measure(agents, quick=quick, say=_say)
+    figures = measure_fleets(agents, quick=quick, say=_say)
     show(figures, _terminal())
     _write(json_path, figures)
 
@@ -78,10 +78,10 @@ def real(agents: list[int], speeds: list[float], json_path: Path | None, quick: 
       fleet bench real
       fleet bench real --agents 4,100 --speed 0.5,1
     """
-    from fleet.bench.wall_clock import measure, table
+    from fleet.bench.wall_clock import measure_wall_clock, wall_clock_table
 
-    rows = measure(agents, speeds, seconds=1.0 if quick else 10.0, say=_say)
-    _terminal().print(table(rows))
+    rows = measure_wall_clock(agents, speeds, seconds=1.0 if quick else 10.0, say=_say)
+    _terminal().print(wall_clock_table(rows))
     _write(json_path, [row.to_values() for row in rows])
 
 
@@ -100,12 +100,12 @@ def stress(agents: list[int], suspend: float, json_path: Path | None) -> None:
       fleet bench stress
       fleet bench stress --agents 20 --suspend 1
     """
-    from fleet.bench.stress import measure, table, verdicts
+    from fleet.bench.stress import measure_stress, stress_failures, stress_table
 
-    rows = measure(agents, suspend, _say)
-    _terminal().print(table(rows))
+    rows = measure_stress(agents, suspend, _say)
+    _terminal().print(stress_table(rows))
     _write(json_path, [row.to_values() for row in rows])
-    _end(verdicts(rows))
+    _end(stress_failures(rows))
 
 
 @bench.command()
@@ -127,12 +127,12 @@ def soak(vehicles: int, duration: float, distributed: float, json_path: Path | N
       fleet bench soak
       fleet bench soak --vehicles 6 --duration 120 --distributed 60
     """
-    from fleet.bench.soak import measure, table, verdicts
+    from fleet.bench.soak import measure_soak, soak_failures, soak_table
 
-    rows = measure(vehicles, duration, distributed, _say)
-    _terminal().print(table(rows))
+    rows = measure_soak(vehicles, duration, distributed, _say)
+    _terminal().print(soak_table(rows))
     _write(json_path, [row.to_values() for row in rows])
-    _end(verdicts(rows))
+    _end(soak_failures(rows))
 
 
 def _end(wrong: list[str]) -> None:

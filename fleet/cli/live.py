@@ -84,7 +84,7 @@ def status(run: Path | None, out: Path, watch: bool) -> None:
       fleet status
       fleet status -w --run runs/paper-1-20261121-120000
     """
-    from fleet.recorder.metrics import Spread
+    from fleet.recorder.metrics import WorstAndMedian
     from fleet.run.connection import RemoteError, find, is_live
     from fleet.run.connection import ask as ask_run
 
@@ -101,7 +101,7 @@ def status(run: Path | None, out: Path, watch: bool) -> None:
         lines = [
             f"{values['scenario']}: t = {values['at_s']:.2f} of {values['end_s']:g} s, {values['clock']}"
             + (f", {values['waiting']}" if values["waiting"] not in ("", values["clock"]) else ""),
-            f"formation error {Spread(**values['formation'])}, packets {values['delivered']} delivered, "
+            f"formation error {WorstAndMedian(**values['formation'])}, packets {values['delivered']} delivered, "
             f"{values['lost']} lost",
         ]
         lines += [f"fault {f['id']}: {f['what']}, until {f['to_s']:g} s" for f in values["faults"]]

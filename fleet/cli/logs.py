@@ -72,16 +72,16 @@ def plot(
     """
     from fleet.logs.reader import log_path
     from fleet.pictures.gallery import write
-    from fleet.pictures.runs import Look, check_look, load
+    from fleet.pictures.runs import View, check_view, load
     from fleet.terminal.progress import showing
 
     said: list[str] = []
     with showing("reading") as tell:
         runs = load([log, *compare], tell)
-    look = Look(vehicles, log_scale, window)
-    check_look(runs, look)
+    view = View(vehicles, log_scale, window)
+    check_view(runs, view)
     with showing("drawing") as tell:
-        paths = write(what, runs, look, out or log_path(log).parent / "plots", formats, said.append, tell)
+        paths = write(what, runs, view, out or log_path(log).parent / "plots", formats, said.append, tell)
     for note in dict.fromkeys([*(f"{r.label}: {r.log.missing}" for r in runs if r.log.missing), *_notes(runs), *said]):
         click.echo(f"fleet: {note}", err=True)
     for path in paths:
@@ -166,15 +166,15 @@ def report(
       fleet report runs/a runs/b -o compared.html --log-scale
     """
     from fleet.pictures.report import write
-    from fleet.pictures.runs import Look, check_look, load
+    from fleet.pictures.runs import View, check_view, load
     from fleet.terminal.progress import showing
 
     with showing("reading") as tell:
         runs = load(logs, tell)
-    look = Look(vehicles, log_scale, window)
-    check_look(runs, look)
+    view = View(vehicles, log_scale, window)
+    check_view(runs, view)
     with showing("drawing and adding up") as tell:
-        write(out, runs, look, tell)
+        write(out, runs, view, tell)
     for run in runs:
         if run.log.missing:
             click.echo(f"fleet: {run.label}: {run.log.missing}", err=True)
@@ -192,12 +192,12 @@ def info(log: Path, as_json: bool) -> None:
       fleet info runs/latest
       fleet info runs/latest/run.mcap --json
     """
-    from fleet.logs.info import describe, read_info
+    from fleet.logs.info import info_text, read_info
     from fleet.terminal.progress import showing
 
     with showing(f"reading {log}") as tell:
         found = read_info(log, tell)
-    click.echo(json.dumps(found.to_values(), indent=2) if as_json else describe(found))
+    click.echo(json.dumps(found.to_values(), indent=2) if as_json else info_text(found))
 
 
 COMMANDS = (plot, export, report, info)

@@ -54,8 +54,8 @@ def check(scenario: str, overrides: tuple[str, ...], trust: Trust) -> None:
 
     refused: list[Problem] = []
     loaded = load_scenario(scenario, overrides, trust, refused=refused)
-    from fleet.analysis.preflight import doubts
-    from fleet.analysis.seed import HINT, NOTHING, chances
+    from fleet.analysis.preflight import warnings
+    from fleet.analysis.seed import HINT, NOTHING, seeded
     from fleet.analysis.stability import analyse, report
     from fleet.scenario.scenario import timeline
 
@@ -71,11 +71,11 @@ def check(scenario: str, overrides: tuple[str, ...], trust: Trust) -> None:
         click.echo(line)
     for name, begin_s, end_s, what in timeline(loaded):
         click.echo(f"fault {name}: {what}, {begin_s:g} to {end_s:g} s")
-    drawn = chances(loaded)
+    drawn = seeded(loaded)
     click.echo(f"seed {loaded.seed} draws: {', '.join(drawn)}" if drawn else f"{NOTHING}; {HINT}")
     if loaded.spec.expect == "fail":
         click.echo("the run is meant to fail a check, and exits with 0 when it does (expect: fail)")
-    for warning in [*(f"not checked: {problem}" for problem in refused), *found.warnings, *doubts(loaded)]:
+    for warning in [*(f"not checked: {problem}" for problem in refused), *found.warnings, *warnings(loaded)]:
         click.echo(f"warning: {warning}", err=True)
 
 

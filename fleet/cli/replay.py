@@ -100,7 +100,7 @@ def replay(
     """
     from fleet.logs.reader import log_path
     from fleet.logs.tape import Tape
-    from fleet.replay.playback import Replay, Wishes
+    from fleet.replay.playback import PlaybackOptions, Replay
     from fleet.terminal.keyboard import Keyboard
     from fleet.terminal.progress import showing
     from fleet.terminal.status_line import StatusLine
@@ -109,7 +109,7 @@ def replay(
         raise click.BadParameter(f"expected one part of a key, without / * $ ? #, got {run_id!r}", param_hint="--run")
     if start_paused and not Keyboard.possible():
         raise click.UsageError("--start-paused needs a terminal: nobody could go on")
-    wishes = Wishes(
+    options = PlaybackOptions(
         run=run_id, rate=rate, loop=loop, start_ns=start_offset, duration_ns=duration, until_ns=until,
         paused=start_paused, delay_ns=delay, topics=topics, regex=regex, remap=remap, clock_hz=clock,
         wait=wait_for_subscribers,
@@ -117,7 +117,7 @@ def replay(
     terminal = Terminal(stderr=True)
     with showing(f"reading {log}", quiet=quiet) as tell:
         tape = Tape(log_path(log), tell)
-    played = Replay(tape, wishes)
+    played = Replay(tape, options)
     with exit_status(3), _ending() as sessions, StatusLine(terminal, quiet=quiet) as line:
         if tape.missing:
             line.print(f"warning: {log}: {tape.missing}")
@@ -168,7 +168,7 @@ def record(
       fleet record --run runs/latest -o journal.mcap
     """
     from fleet.processes.interrupts import holding_interrupts
-    from fleet.replay.capture import Gone, Limits, Recorder, TrafficWriter
+    from fleet.replay.capture import Limits, PublisherGone, Recorder, TrafficWriter
     from fleet.terminal.status_line import StatusLine
 
     credentials = None
@@ -189,7 +189,7 @@ def record(
         line.print(f"recording {', '.join(keys)} at {bus.endpoint} to {path}")
         with exit_status(3), holding_interrupts() as interrupted:
             try:
-                limits, over = Limits(duration, max_size), None if run is None else Gone(lambda: bus.connected)
+                limits, over = Limits(duration, max_size), None if run is None else PublisherGone(lambda: bus.connected)
                 if recorder.record(writer, limits, line, interrupted, over):
                     line.print("the run is over: nobody publishes it any more")
             except BaseException:

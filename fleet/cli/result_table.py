@@ -10,7 +10,7 @@ from rich.table import Table
 
 from fleet.analysis.preflight import large_log_hint
 from fleet.analysis.punctuality import summary
-from fleet.recorder.metrics import Spread
+from fleet.recorder.metrics import WorstAndMedian
 from fleet.run.execute import Result, Status
 from netem.causes import Cause
 
@@ -23,7 +23,9 @@ def show(result: Result, terminal: Terminal) -> None:
     if values["vehicles"]:
         terminal.print(_vehicles(values["vehicles"]))
     if len(values["vehicles"]) > 1:
-        terminal.print(f"formation error at the end: {Spread(**values['formation'])}", highlight=False, soft_wrap=True)
+        terminal.print(
+            f"formation error at the end: {WorstAndMedian(**values['formation'])}", highlight=False, soft_wrap=True
+        )
     if any(account["sent"] for account in values["ledger"].values()):
         terminal.print(_links(values["ledger"], values["ages"]))
     for verdict in result.verdicts:

@@ -177,11 +177,11 @@ def _load(
     from fleet.scenario.loading import load_scenario
 
     if begin is not None:
-        from fleet.repeat.resume import parse_from, prepare
+        from fleet.repeat.resume import continuation, parse_from
         from fleet.terminal.progress import showing
 
         with showing(f"reading {begin}", quiet=quiet) as tell:
-            return prepare(*parse_from(begin), changes, scenario, trust, tell)
+            return continuation(*parse_from(begin), changes, scenario, trust, tell)
     if scenario is None:
         raise click.UsageError("run what? A scenario, or --from a log; see fleet list")
     # A scenario that is only shown may name laws that may not run.
@@ -190,12 +190,12 @@ def _load(
 
 def _warnings(scenario: Scenario, *, seed_given: bool) -> list[str]:
     """What can be said against the scenario before it runs."""
-    from fleet.analysis.preflight import doubts
-    from fleet.analysis.seed import HINT, NOTHING, chances
+    from fleet.analysis.preflight import warnings
+    from fleet.analysis.seed import HINT, NOTHING, seeded
     from fleet.analysis.stability import analyse
 
-    idle = [f"--seed: {NOTHING}; {HINT}"] if seed_given and not chances(scenario) else []
-    return [*analyse(scenario).warnings, *doubts(scenario), *idle]
+    idle = [f"--seed: {NOTHING}; {HINT}"] if seed_given and not seeded(scenario) else []
+    return [*analyse(scenario).warnings, *warnings(scenario), *idle]
 
 
 def _realtime_speed(speed: float | None, clock: str, one_process: str) -> float | None:

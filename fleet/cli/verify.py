@@ -30,7 +30,7 @@ def verify(log: Path, trust: Trust, quiet: bool) -> None:
     Examples:
       fleet verify runs/latest
     """
-    from fleet.repeat.verify import describe
+    from fleet.repeat.verify import verification_lines
     from fleet.repeat.verify import verify as check
     from fleet.terminal.progress import showing, showing_time
 
@@ -39,7 +39,7 @@ def verify(log: Path, trust: Trust, quiet: bool) -> None:
         showing_time("verified", quiet=quiet) as tell,
     ):
         found = check(log, tell, trust, reading)
-    click.echo("\n".join(describe(found)))
+    click.echo("\n".join(verification_lines(found)))
     sys.exit(0 if found.reproduced else 1)
 
 
@@ -58,7 +58,7 @@ def diff(a: Path, b: Path, tolerance: float, everything: bool, quiet: bool) -> N
       fleet diff runs/paper-1-20261121-120000 runs/latest
       fleet diff a.mcap b.mcap --tolerance 1e-9
     """
-    from fleet.logs.deviation import compare, table
+    from fleet.logs.deviation import compare, deviation_lines
     from fleet.logs.first_difference import besides_messages
     from fleet.logs.reader import LogReader, log_path
     from fleet.terminal.progress import showing
@@ -73,7 +73,7 @@ def diff(a: Path, b: Path, tolerance: float, everything: bool, quiet: bool) -> N
         click.echo(f"the same bit for bit ({found.same} messages)")
     else:
         click.echo(f"they part at {found.first}")
-        for line in table(found, None if everything else 20):
+        for line in deviation_lines(found, None if everything else 20):
             click.echo(line)
     for other in besides_messages(left, right):
         click.echo(f"besides, not the same: {other}")
@@ -95,13 +95,13 @@ def recover(log: Path, out: Path | None) -> None:
       fleet recover runs/latest
       fleet recover cut.mcap -o clean.mcap
     """
-    from fleet.logs.recover import describe
     from fleet.logs.recover import recover as write
+    from fleet.logs.recover import recovery_text
     from fleet.terminal.progress import showing
 
     with showing(f"recovering {log}") as tell:
         found = write(log, out, tell)
-    click.echo(describe(found), err=found.nothing)
+    click.echo(recovery_text(found), err=found.nothing)
     sys.exit(1 if found.nothing else 3 if found.lost else 0)
 
 

@@ -46,13 +46,13 @@ def command(
     from rich.console import Console
     from rich.status import Status
 
-    from fleet.repeat.what_if import whatif
+    from fleet.repeat.what_if import what_if
 
     changes = [*overrides, *([f"controller={controller}"] if controller is not None else [])]
     terminal = Console(stderr=True)
     with Status("reading the log", console=terminal) as status:
         tell = lambda share: status.update(f"agent {agent}: {100 * share:.0f} %")  # noqa: E731
-        found = whatif(log, agent, changes, tell, trust)
+        found = what_if(log, agent, changes, tell, trust)
     if plot is not None:
         from fleet.repeat.what_if_picture import draw
 
@@ -62,7 +62,7 @@ def command(
         return
     for note in found.notes:
         click.echo(f"note  {note}", err=True)
-    click.echo("\n".join([*describe(found), *([str(plot)] if plot is not None else [])]))
+    click.echo("\n".join([*what_if_lines(found), *([str(plot)] if plot is not None else [])]))
 
 
 def values(found: WhatIf) -> dict[str, Any]:
@@ -91,7 +91,7 @@ def values(found: WhatIf) -> dict[str, Any]:
     }
 
 
-def describe(found: WhatIf) -> list[str]:
+def what_if_lines(found: WhatIf) -> list[str]:
     """The comparison in words."""
     shown = values(found)
     if not len(found.t):

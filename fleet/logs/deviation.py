@@ -272,7 +272,7 @@ def _alike(counts: Counter[str]) -> list[tuple[str, int]]:
     return sorted(total.items())
 
 
-def table(found: Comparison, most: int | None) -> Iterator[str]:
+def deviation_lines(found: Comparison, most: int | None) -> Iterator[str]:
     """What is not the same, in words and as a table of signals."""
     yield f"{found.same} messages are the same, {found.paired} differ"
     for name, only in (("a", found.only_a), ("b", found.only_b)):

@@ -39,7 +39,7 @@ class ExportError(FleetError):
     """The tables cannot be written."""
 
 
-class Column(NamedTuple):
+class TableColumn(NamedTuple):
     """One column of a table."""
 
     name: str
@@ -52,23 +52,24 @@ class Column(NamedTuple):
         return f"{self.name} [{self.unit}]" if self.unit else self.name
 
 
-def columns(topic: Topic) -> list[Column]:
+def columns(topic: Topic) -> list[TableColumn]:
     """The table of a topic; the time comes first."""
     return _table(topic, topic.t, {name: topic[name] for name in topic.fields})
 
 
-def _table(topic: Topic, t: Array, fields: Columns) -> list[Column]:
-    found = [Column("t", "s", "when the message was logged, in simulated time", t)]
+def _table(topic: Topic, t: Array, fields: Columns) -> list[TableColumn]:
+    found = [TableColumn("t", "s", "when the message was logged, in simulated time", t)]
     for name, values in fields.items():
         unit, meaning = topic.told(name)
         if values.ndim == 1:
-            found.append(Column(name, unit, meaning, values))
+            found.append(TableColumn(name, unit, meaning, values))
             continue
         parts = [part.strip() for part in unit.split(",")]
         if len(parts) != values.shape[1]:
             parts = [unit] * values.shape[1]
         found += [
-            Column(f"{name}_{k}", unit, meaning, np.ascontiguousarray(values[:, k])) for k, unit in enumerate(parts)
+            TableColumn(f"{name}_{k}", unit, meaning, np.ascontiguousarray(values[:, k]))
+            for k, unit in enumerate(parts)
         ]
     return found
 
@@ -215,10 +216,10 @@ class Sheet:
             "topic": self.topic.name, "schema": self.topic.schema, "rows": self._rows, "columns": self._headings,
         }  # fmt: skip
 
-    def _begin(self, table: list[Column]) -> None:
+    def _begin(self, table: list[TableColumn]) -> None:
         raise NotImplementedError
 
-    def _write(self, table: list[Column]) -> None:
+    def _write(self, table: list[TableColumn]) -> None:
         raise NotImplementedError
 
     def close(self) -> None:
@@ -228,11 +229,11 @@ class Sheet:
 class CsvSheet(Sheet):
     """Text, opened anew for each part: there may be more tables than files may be open."""
 
-    def _begin(self, table: list[Column]) -> None:
+    def _begin(self, table: list[TableColumn]) -> None:
         with self.part.open("w", encoding="utf-8", newline="") as file:
             csv.writer(file, lineterminator="\n").writerow([column.heading for column in table])
 
-    def _write(self, table: list[Column]) -> None:
+    def _write(self, table: list[TableColumn]) -> None:
         with self.part.open("a", encoding="utf-8", newline="") as file:
             if any(map(_has_large, table)):
                 for row in zip(*(column.values.tolist() for column in table), strict=True):
@@ -247,7 +248,7 @@ class CsvSheet(Sheet):
 class ParquetSheet(Sheet):
     """Parquet, a group of rows for each part."""
 
-    def _begin(self, table: list[Column]) -> None:
+    def _begin(self, table: list[TableColumn]) -> None:
         import pyarrow
         import pyarrow.parquet
 
@@ -260,7 +261,7 @@ class ParquetSheet(Sheet):
         ])  # fmt: skip
         self._writer: Any = pyarrow.parquet.ParquetWriter(self.part, self._schema)
 
-    def _write(self, table: list[Column]) -> None:
+    def _write(self, table: list[TableColumn]) -> None:
         import pyarrow
 
         try:
@@ -288,7 +289,7 @@ def _file_name(topic: str) -> str:
     return "".join(c if c.isalnum() or c in "-_." else "-" for c in topic)
 
 
-def _has_large(column: Column) -> bool:
+def _has_large(column: TableColumn) -> bool:
     return column.values.dtype == object and any(isinstance(v, bytes) and len(v) > _LARGE for v in column.values)
 
 

@@ -66,7 +66,7 @@ def read_info(path: Path, tell: Tell = lambda _: None) -> Info:
     )
 
 
-def describe(info: Info) -> str:
+def info_text(info: Info) -> str:
     """The same in words, one fact a line."""
     times = f"sim time {info.start_s:g} to {info.end_s:g} s" if info.run else f"{info.end_s - info.start_s:g} s"
     lines = [f"{info.path}: {info.messages} messages, {info.bytes / 1e6:.2f} MB, {times}"]

@@ -176,7 +176,7 @@ class Copy:
         self._writer.start(**asdict(header))
 
 
-def describe(found: Recovered) -> str:
+def recovery_text(found: Recovered) -> str:
     """What came of it, in words."""
     if found.nothing:
         return f"{found.path}: nothing can be recovered{f': {found.lost}' if found.lost else ', it holds no message'}"

@@ -16,7 +16,7 @@ from matplotlib.lines import Line2D
 from fleet.logs.open_log import FaultInterval
 from fleet.logs.records import Array
 from fleet.palette import COLOURS
-from fleet.pictures.runs import Look, NothingToDraw, Run, first_words
+from fleet.pictures.runs import NothingToDraw, Run, View, first_words
 from fleet.pictures.style import COLUMN_IN, STYLES, panels
 from fleet.scenario.sections.timeline import is_fault
 
@@ -31,18 +31,18 @@ Get = Callable[[Run, int], tuple[Array, Array] | None]
 
 
 def over_time(
-    rows: int, runs: Sequence[Run], look: Look, height: float | None = None, ratios: Sequence[float] | None = None
+    rows: int, runs: Sequence[Run], view: View, height: float | None = None, ratios: Sequence[float] | None = None
 ) -> tuple[Figure, list[Axes]]:
     """Axes above each other that share the time axis, at column width."""
     figure, axes = panels(rows, 1, COLUMN_IN, height or 1.3 * rows + 0.8, ratios)
     end = max(run.log.end for run in runs)
-    axes[0].set_xlim(*(look.window or (0.0, end or 1.0)))
+    axes[0].set_xlim(*(view.window or (0.0, end or 1.0)))
     return figure, axes
 
 
-def finish(figure: Figure, axes: Sequence[Axes], runs: Sequence[Run], look: Look, notes: Sequence[str] = ()) -> None:
+def finish(figure: Figure, axes: Sequence[Axes], runs: Sequence[Run], view: View, notes: Sequence[str] = ()) -> None:
     """Shade the faults, name them above the first axis, label the time axis and put the words below it."""
-    _shade(axes, runs, look)
+    _shade(axes, runs, view)
     said = [*notes, *(_cut(run, len(runs)) for run in runs if run.log.missing)]
     axes[-1].set_xlabel("\n".join(["time [s]", *said]))
     figure.align_ylabels(list(axes))
@@ -60,7 +60,7 @@ def colours(number: int) -> list[Any]:
 
 
 def draw_lines(
-    figure: Figure, panel: Sequence[tuple[Axes, Get]], runs: Sequence[Run], look: Look, whose: str = ""
+    figure: Figure, panel: Sequence[tuple[Axes, Get]], runs: Sequence[Run], view: View, whose: str = ""
 ) -> list[str]:
     """One line per vehicle and panel, its colour the vehicle's; of several runs, the run's.
 
@@ -73,13 +73,13 @@ def draw_lines(
     Raises:
         NothingToDraw: nobody has.
     """
-    shown = sorted({i for run in runs for i in run.vehicles(look)})
+    shown = sorted({i for run in runs for i in run.vehicles(view)})
     by_run = len(runs) > 1
     palette = colours(len(runs) if by_run else len(shown))
     silent: dict[str, list[int]] = {}
     drawn: set[int] = set()
     for r, run in enumerate(runs):
-        for i in run.vehicles(look):
+        for i in run.vehicles(view):
             k = r if by_run else shown.index(i)
             found = False
             for ax, get in panel:
@@ -106,7 +106,7 @@ def draw_lines(
                 silent.setdefault(run.label, []).append(i)
     if not drawn:
         if not shown:
-            raise NothingToDraw("the log has no such vehicle" if look.vehicles else "the log has no vehicles")
+            raise NothingToDraw("the log has no such vehicle" if view.vehicles else "the log has no vehicles")
         raise NothingToDraw(f"no vehicle reports it{f': {whose}' if whose else ''}")
     if by_run:
         legend_of(figure, [(run.label, palette[r], STYLES[r % len(STYLES)]) for r, run in enumerate(runs)])
@@ -168,7 +168,7 @@ def bounds(ax: Axes, values: Sequence[tuple[float, float]], what: str, unit: str
     return f"outside: {what}, {far} {unit}" if far else ""
 
 
-def _shade(axes: Sequence[Axes], runs: Sequence[Run], look: Look) -> None:
+def _shade(axes: Sequence[Axes], runs: Sequence[Run], view: View) -> None:
     whose: dict[FaultInterval, list[str]] = {}
     for run in runs:
         for fault in run.log.faults:

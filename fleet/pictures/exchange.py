@@ -16,7 +16,7 @@ from matplotlib.lines import Line2D
 from fleet.logs.records import Array
 from fleet.palette import COLOURS
 from fleet.pictures.axes import SPAN_IN, finish, legend_of, marks_legend, over_time
-from fleet.pictures.runs import Look, NothingToDraw, Run
+from fleet.pictures.runs import NothingToDraw, Run, View
 from fleet.pictures.style import plain_decades
 from fleet.quantities import vehicle_numbers
 from netem.causes import Cause
@@ -52,9 +52,9 @@ _MOST_NAMED = 36  # rows
 _ROW_IN = 0.11  # height of a link's row among the ages, enough for its name
 
 
-def _links(run: Run, look: Look) -> list[Link]:
+def _links(run: Run, view: View) -> list[Link]:
     run.tick_s  # noqa: B018  (a log of somebody else's has no packets of ours)
-    found = [(a, b) for a, b in run.log.links if look.vehicles is None or (a in look.vehicles and b in look.vehicles)]
+    found = [(a, b) for a, b in run.log.links if view.vehicles is None or (a in view.vehicles and b in view.vehicles)]
     if not found:
         raise NothingToDraw("no links between these vehicles" if run.log.links else "the log has no links")
     return found
@@ -77,12 +77,12 @@ def _rank(fate: str) -> tuple[int, str]:
     return (list(FATES).index(fate) if fate in FATES else len(FATES)), fate
 
 
-def timeline(runs: Sequence[Run], look: Look) -> Figure:
+def timeline(runs: Sequence[Run], view: View) -> Figure:
     """A row per link, a mark per packet at its sending time."""
     (run,) = runs
-    links = _links(run, look)
+    links = _links(run, view)
     height = float(np.clip(0.16 * len(links), 1.0, 7.0))
-    figure, (ax,) = over_time(1, runs, look, height + 1.1)
+    figure, (ax,) = over_time(1, runs, view, height + 1.1)
     first, last = ax.get_xlim()
     tall = float(np.clip(72.0 * height / len(links) * 0.6, 1.6, 6.0))
     rows = {link: k for k, link in enumerate(links)}
@@ -120,7 +120,7 @@ def timeline(runs: Sequence[Run], look: Look) -> Figure:
     ax.set_ylabel("link")
     ax.grid(False)
     marks_legend(figure, handles)
-    finish(figure, [ax], runs, look)
+    finish(figure, [ax], runs, view)
     return figure
 
 
@@ -130,16 +130,16 @@ def _name_rows(ax: Axes, links: Sequence[Link], size: float = 6.0) -> None:
     ax.tick_params(axis="y", length=0, labelsize=size)
 
 
-def spacetime(runs: Sequence[Run], look: Look) -> Figure:
+def spacetime(runs: Sequence[Run], view: View) -> Figure:
     """Vehicles over time, a line from each sending to the arrival; a lost message ends on its way with its mark."""
     (run,) = runs
-    links = _links(run, look)
+    links = _links(run, view)
     packets = {link: _fates(run, link) for link in links}
-    look = look if look.window else Look(look.vehicles, look.log_scale, _moment(run, packets))
-    assert look.window is not None
-    first, last = look.window
+    view = view if view.window else View(view.vehicles, view.log_scale, _moment(run, packets))
+    assert view.window is not None
+    first, last = view.window
     vehicles = sorted({i for link in links for i in link})
-    figure, (ax,) = over_time(1, runs, look, float(np.clip(0.42 * len(vehicles), 1.2, 6.0)) + 1.2)
+    figure, (ax,) = over_time(1, runs, view, float(np.clip(0.42 * len(vehicles), 1.2, 6.0)) + 1.2)
     place = {i: k for k, i in enumerate(vehicles)}
     for i in vehicles:
         _life(ax, run, i, place[i])
@@ -177,7 +177,7 @@ def spacetime(runs: Sequence[Run], look: Look) -> Figure:
     ax.grid(axis="y", visible=False)
     ax.set_ylabel("vehicle")
     marks_legend(figure, handles)
-    finish(figure, [ax], runs, look)
+    finish(figure, [ax], runs, view)
     return figure
 
 
@@ -251,11 +251,11 @@ def peak_ages(run: Run, link: Link, edges: Array) -> Array:
     return found * run.tick_s
 
 
-def ages(runs: Sequence[Run], look: Look) -> Figure:
+def ages(runs: Sequence[Run], view: View) -> Figure:
     """The oldest and the median link over time, and a row per link coloured by its age; peaks of short intervals."""
-    tables = [(run, _links(run, look)) for run in runs]
+    tables = [(run, _links(run, view)) for run in runs]
     heights = [1.3, *(float(np.clip(_ROW_IN * len(links), 0.5, 4.0)) for _, links in tables)]
-    figure, axes = over_time(1 + len(runs), runs, look, sum(heights) + 1.2 + 0.2 * len(runs), heights)
+    figure, axes = over_time(1 + len(runs), runs, view, sum(heights) + 1.2 + 0.2 * len(runs), heights)
     first, last = axes[0].get_xlim()
     edges = np.linspace(first, last, _bins(tables, last - first) + 1)
     peaks = [np.array([peak_ages(run, link, edges) for link in links]) for run, links in tables]
@@ -282,7 +282,7 @@ def ages(runs: Sequence[Run], look: Look) -> Figure:
         ],
     )
     axes[0].set_ylabel("age [s]")
-    if look.log_scale and finite.max() > 0.0:  # without latency, every age is 0
+    if view.log_scale and finite.max() > 0.0:  # without latency, every age is 0
         axes[0].set_yscale("log", nonpositive="mask")
         plain_decades(axes[0].yaxis)
     else:
@@ -297,7 +297,7 @@ def ages(runs: Sequence[Run], look: Look) -> Figure:
     bar = figure.colorbar(mesh, ax=axes[1:], location="right", aspect=18, pad=0.02)
     bar.set_label("age [s]")
     plain_decades(bar.ax.yaxis)
-    finish(figure, axes, runs, look)
+    finish(figure, axes, runs, view)
     return figure
 
 

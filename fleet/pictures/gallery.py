@@ -11,10 +11,10 @@ from fleet.errors import FleetError
 from fleet.logs.reader import Tell
 from fleet.logs.topic import TooLargeError
 from fleet.pictures import exchange, signals, timing, track
-from fleet.pictures.runs import Look, NothingToDraw, Run
+from fleet.pictures.runs import NothingToDraw, Run, View
 from fleet.pictures.style import save
 
-Draw = Callable[[Sequence[Run], Look], Figure]
+Draw = Callable[[Sequence[Run], View], Figure]
 # What one can ask for -> the pictures that answer: (name of the file, what it shows, how).
 WHAT: dict[str, tuple[tuple[str, str, Draw], ...]] = {
     "track": (
@@ -38,7 +38,7 @@ PER_RUN = frozenset({"links", "messages", "timing"})  # those that show one run 
 
 
 def draw(
-    what: Sequence[str], runs: Sequence[Run], look: Look, share: Tell = lambda _: None
+    what: Sequence[str], runs: Sequence[Run], view: View, share: Tell = lambda _: None
 ) -> Iterator[tuple[str, str, Figure | str]]:
     """(file name, what it shows, the figure or why there is none) of everything that is asked for.
 
@@ -56,7 +56,7 @@ def draw(
                 called = name if len(each) == 1 else f"{name}-{some[0].slug}"
                 shown = title if len(each) == 1 else f"{title}: {some[0].label}"
                 try:
-                    yield called, shown, make(some, look)
+                    yield called, shown, make(some, view)
                 except (NothingToDraw, TooLargeError) as reason:
                     yield called, shown, str(reason)
 
@@ -64,7 +64,7 @@ def draw(
 def write(
     what: Sequence[str],
     runs: Sequence[Run],
-    look: Look,
+    view: View,
     folder: Path,
     formats: Sequence[str],
     tell: Callable[[str], None],
@@ -82,7 +82,7 @@ def write(
     paths: list[Path] = []
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        for name, _, figure in draw(what, runs, look, share):
+        for name, _, figure in draw(what, runs, view, share):
             if isinstance(figure, str):
                 tell(f"{name}: not drawn: {figure}")
             else:

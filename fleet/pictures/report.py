@@ -19,7 +19,7 @@ from fleet.logs.reader import Tell, digest
 from fleet.logs.result_file import ResultError, read_result
 from fleet.pictures.gallery import PER_RUN, WHAT, draw
 from fleet.pictures.report_tables import Mark, Table, links_table, number, side_by_side
-from fleet.pictures.runs import Look, Run
+from fleet.pictures.runs import Run, View
 from fleet.pictures.style import DPI
 from fleet.pictures.whole_file import whole_file
 from fleet.scenario.scenario import Scenario
@@ -78,7 +78,7 @@ class Section:
     scenario_text: str
 
 
-def write(path: Path, runs: Sequence[Run], look: Look, share: Tell = lambda _: None) -> None:
+def write(path: Path, runs: Sequence[Run], view: View, share: Tell = lambda _: None) -> None:
     """Write the page; `share` is told the share that is done of what is at hand: a log's digest, or pictures.
 
     Raises:
@@ -88,12 +88,12 @@ def write(path: Path, runs: Sequence[Run], look: Look, share: Tell = lambda _: N
     try:
         with whole_file(path) as part:
             part.open("a").close()  # before the pictures, which take a while
-            part.write_text(page(runs, look, share), "utf-8")
+            part.write_text(page(runs, view, share), "utf-8")
     except OSError as error:
         raise ReportError(f"cannot write {path}: {error.strerror}; choose another place with -o FILE") from error
 
 
-def page(runs: Sequence[Run], look: Look, share: Tell = lambda _: None) -> str:
+def page(runs: Sequence[Run], view: View, share: Tell = lambda _: None) -> str:
     """The whole page as HTML."""
     # Here, since every command that draws would pay for the import.
     from jinja2 import Environment, StrictUndefined
@@ -105,18 +105,18 @@ def page(runs: Sequence[Run], look: Look, share: Tell = lambda _: None) -> str:
     if len(runs) > 1:
         together = {
             "table": side_by_side(runs, [result.values for result in results]),
-            "pictures": _pictures([k for k in WHAT if k not in PER_RUN], runs, look, share),
+            "pictures": _pictures([k for k in WHAT if k not in PER_RUN], runs, view, share),
         }
     kinds = list(WHAT) if len(runs) == 1 else sorted(PER_RUN)
     return template.render(
         title="uuv-fleet: " + ", ".join(run.label for run in runs),
         version=version("uuv-fleet"),
         together=together,
-        runs=[_section(run, result, kinds, look, share) for run, result in zip(runs, results, strict=True)],
+        runs=[_section(run, result, kinds, view, share) for run, result in zip(runs, results, strict=True)],
     )
 
 
-def _section(run: Run, result: RunResult, kinds: Sequence[str], look: Look, share: Tell) -> Section:
+def _section(run: Run, result: RunResult, kinds: Sequence[str], view: View, share: Tell) -> Section:
     log, scenario, values = run.log, run.scenario, result.values or {}
     facts: list[Sequence[Any]] = []
     if scenario is not None:
@@ -144,7 +144,7 @@ def _section(run: Run, result: RunResult, kinds: Sequence[str], look: Look, shar
         checks=Table(("check", "verdict", "asked", "found"), checks),
         faults=Table(("fault", "from [s]", "to [s]", "what"), faults),
         tables=_tables(run, values),
-        pictures=_pictures(kinds, [run], look, share),
+        pictures=_pictures(kinds, [run], view, share),
         place=log.path.parent if log.path.name == "run.mcap" else log.path,
         metadata=Table((), sorted(log.run.items())),
         scenario_text=log.scenario_text,
@@ -236,9 +236,9 @@ def _from_log(run: Run) -> tuple[dict[str, Any], dict[str, Any]]:
     return ledger, ages.summary(round(tick_s * 1e9)) if tick_s else {}
 
 
-def _pictures(kinds: Sequence[str], runs: Sequence[Run], look: Look, share: Tell) -> Pictures:
+def _pictures(kinds: Sequence[str], runs: Sequence[Run], view: View, share: Tell) -> Pictures:
     drawn, missing = [], []
-    for name, title, figure in draw(kinds, runs, look, share):
+    for name, title, figure in draw(kinds, runs, view, share):
         if isinstance(figure, str):
             missing.append(f"{name}: {figure}")
         else:

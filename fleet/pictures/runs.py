@@ -26,7 +26,7 @@ class NothingToDraw(FleetError):
 
 
 @dataclass(frozen=True, slots=True)
-class Look:
+class View:
     """How to draw, as far as a user may choose."""
 
     vehicles: tuple[int, ...] | None = None  # None: all
@@ -34,20 +34,20 @@ class Look:
     window: tuple[float, float] | None = None  # s
 
 
-class LookError(FleetError):
+class ViewError(FleetError):
     """What was asked to be shown is in none of the logs."""
 
 
-def check_look(runs: Sequence[Run], look: Look) -> None:
-    """Raises LookError: there is no such vehicle, or the logs end before the window begins."""
+def check_view(runs: Sequence[Run], view: View) -> None:
+    """Raises ViewError: there is no such vehicle, or the logs end before the window begins."""
     known = sorted({i for run in runs for i in run.log.vehicles})
-    strangers = [i for i in look.vehicles or () if i not in known]
+    strangers = [i for i in view.vehicles or () if i not in known]
     if strangers:
         there = f"they are {first_words(known, 12)}" if known else "there are none in the log"
-        raise LookError(f"there is no vehicle {first_words(strangers)}: {there}")
+        raise ViewError(f"there is no vehicle {first_words(strangers)}: {there}")
     end = max(run.log.end for run in runs)
-    if look.window is not None and look.window[0] >= end:
-        raise LookError(f"there is nothing from {look.window[0]:g} s on: the log ends at {end:g} s")
+    if view.window is not None and view.window[0] >= end:
+        raise ViewError(f"there is nothing from {view.window[0]:g} s on: the log ends at {end:g} s")
 
 
 @dataclass
@@ -87,9 +87,9 @@ class Run:
         except (KeyError, ValueError, OverflowError):
             raise NothingToDraw(f"{self.label} is not a log of uuv-fleet: it says nothing of a run") from None
 
-    def vehicles(self, look: Look) -> list[int]:
+    def vehicles(self, view: View) -> list[int]:
         """The vehicles to show."""
-        return [i for i in self.log.vehicles if look.vehicles is None or i in look.vehicles]
+        return [i for i in self.log.vehicles if view.vehicles is None or i in view.vehicles]
 
     def series(self, i: int, group: str, name: str) -> tuple[Array, Array] | None:
         """Times [s] and values (samples, width) of a vehicle's signal, NaN in gaps; None if it is not reported."""

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from fleet.logs.records import Array
 from fleet.pictures.axes import Get, draw_lines, finish, over_time
 from fleet.pictures.axes import bounds as draw_bounds
-from fleet.pictures.runs import Look, Run
+from fleet.pictures.runs import Run, View
 from fleet.pictures.style import plain_decades
 from fleet.scenario.sections.per_vehicle import Control
 
@@ -32,25 +32,25 @@ def component(group: str, name: str, k: int = 0, change: Callable[[Array], Array
     return get
 
 
-def consensus(runs: Sequence[Run], look: Look) -> Figure:
+def consensus(runs: Sequence[Run], view: View) -> Figure:
     """|e_i| of each vehicle."""
-    return _norm(runs, look, "e_norm", "consensus error $|e|$ [m]")
+    return _norm(runs, view, "e_norm", "consensus error $|e|$ [m]")
 
 
-def formation(runs: Sequence[Run], look: Look) -> Figure:
+def formation(runs: Sequence[Run], view: View) -> Figure:
     """Distance of each vehicle from its desired position."""
-    return _norm(runs, look, "formation_norm", "formation error [m]")
+    return _norm(runs, view, "formation_norm", "formation error [m]")
 
 
-def _norm(runs: Sequence[Run], look: Look, name: str, label: str) -> Figure:
-    figure, (ax,) = over_time(1, runs, look, 2.3)
-    notes = draw_lines(figure, [(ax, component("error", name))], runs, look)
+def _norm(runs: Sequence[Run], view: View, name: str, label: str) -> Figure:
+    figure, (ax,) = over_time(1, runs, view, 2.3)
+    notes = draw_lines(figure, [(ax, component("error", name))], runs, view)
     ax.set_ylabel(label)
-    if look.log_scale:
+    if view.log_scale:
         _logarithmic(ax)
     else:
         ax.set_ylim(0.0, None)
-    finish(figure, [ax], runs, look, notes)
+    finish(figure, [ax], runs, view, notes)
     return figure
 
 
@@ -69,35 +69,35 @@ def _values(ax: Axes) -> list[Array]:
     return [np.asarray(line.get_ydata(), float) for line in ax.get_lines()]
 
 
-def velocity(runs: Sequence[Run], look: Look) -> Figure:
+def velocity(runs: Sequence[Run], view: View) -> Figure:
     """z_i = (speed, pitch rate, yaw rate) minus what is commanded."""
     rows = (
         ("u_err", "speed $z_u$", "m/s"),
         ("q_err", "pitch rate $z_q$", "rad/s"),
         ("r_err", "yaw rate $z_r$", "rad/s"),
     )
-    figure, axes = over_time(3, runs, look)
-    change: Callable[[Array], Array] = np.abs if look.log_scale else lambda v: v
+    figure, axes = over_time(3, runs, view)
+    change: Callable[[Array], Array] = np.abs if view.log_scale else lambda v: v
     panel = [(ax, component("control", name, change=change)) for ax, (name, _, _) in zip(axes, rows, strict=True)]
-    notes = draw_lines(figure, panel, runs, look, "u_err, q_err and r_err are signals of the tracking laws that ship")
+    notes = draw_lines(figure, panel, runs, view, "u_err, q_err and r_err are signals of the tracking laws that ship")
     for ax, (_, label, unit) in zip(axes, rows, strict=True):
-        ax.set_ylabel(f"{label} [{unit}]" if not look.log_scale else f"|{label}| [{unit}]")
-        if look.log_scale:
+        ax.set_ylabel(f"{label} [{unit}]" if not view.log_scale else f"|{label}| [{unit}]")
+        if view.log_scale:
             _logarithmic(ax)
-    finish(figure, axes, runs, look, notes)
+    finish(figure, axes, runs, view, notes)
     return figure
 
 
-def inputs(runs: Sequence[Run], look: Look) -> Figure:
+def inputs(runs: Sequence[Run], view: View) -> Figure:
     """Force and moments as applied; heavy where the commanded ones are at their limit."""
-    figure, axes = over_time(3, runs, look)
+    figure, axes = over_time(3, runs, view)
     panel = [(ax, component("command", "applied", k)) for k, ax in enumerate(axes)]
-    notes = draw_lines(figure, panel, runs, look)
+    notes = draw_lines(figure, panel, runs, view)
     saturated = False
     for k, ax in enumerate(axes):
         limits = []
         for run in runs:
-            for i, control in _controls(run, look):
+            for i, control in _controls(run, view):
                 limits.append((-control.tau_max[k], control.tau_max[k]))
                 saturated |= _heavy(ax, run, i, k, control.tau_max[k])
         name, unit = FORCES[k]
@@ -106,7 +106,7 @@ def inputs(runs: Sequence[Run], look: Look) -> Figure:
             notes.append(far)
     if saturated:
         notes.append("heavy: the command is at a limit")
-    finish(figure, axes, runs, look, notes)
+    finish(figure, axes, runs, view, notes)
     return figure
 
 
@@ -134,43 +134,43 @@ def _heavy(ax: Axes, run: Run, i: int, k: int, limit: float) -> bool:
     return True
 
 
-def commands(runs: Sequence[Run], look: Look) -> Figure:
+def commands(runs: Sequence[Run], view: View) -> Figure:
     """rho in north, east and down with its bounds, and the commanded speed."""
-    figure, axes = over_time(4, runs, look)
+    figure, axes = over_time(4, runs, view)
     panel = [(ax, component("guidance", "rho", k)) for k, ax in enumerate(axes[:3])]
     panel.append((axes[3], component("guidance", "u_cmd")))
-    notes = draw_lines(figure, panel, runs, look, "rho and u_cmd are signals of the guidance laws that ship")
+    notes = draw_lines(figure, panel, runs, view, "rho and u_cmd are signals of the guidance laws that ship")
     for k, ax in enumerate(axes[:3]):
-        limits = [(c.guidance.rho_lo[k], c.guidance.rho_hi[k]) for c in _optimal(runs, look)]
+        limits = [(c.guidance.rho_lo[k], c.guidance.rho_hi[k]) for c in _optimal(runs, view)]
         ax.set_ylabel(f"$\\rho$ {NED[k]} [m/s]")
         if far := draw_bounds(ax, limits, f"bounds of rho {NED[k]}", "m/s"):
             notes.append(far)
     axes[3].set_ylabel("speed $u_c$ [m/s]")
-    finish(figure, axes, runs, look, notes)
+    finish(figure, axes, runs, view, notes)
     return figure
 
 
-def gains(runs: Sequence[Run], look: Look) -> Figure:
+def gains(runs: Sequence[Run], view: View) -> Figure:
     """The diagonal of K and its bounds."""
-    figure, axes = over_time(3, runs, look)
+    figure, axes = over_time(3, runs, view)
     panel = [(ax, component("guidance", "K", k)) for k, ax in enumerate(axes)]
-    notes = draw_lines(figure, panel, runs, look, "K is a signal of the guidance laws that ship")
+    notes = draw_lines(figure, panel, runs, view, "K is a signal of the guidance laws that ship")
     for k, ax in enumerate(axes):
         ax.set_ylabel(f"$K$ {NED[k]} [1/s]")
-        limits = [(c.guidance.k_min, c.guidance.k_max) for c in _optimal(runs, look)]
+        limits = [(c.guidance.k_min, c.guidance.k_max) for c in _optimal(runs, view)]
         if far := draw_bounds(ax, limits, f"bounds of K {NED[k]}", "1/s"):
             notes.append(far)
-    finish(figure, axes, runs, look, notes)
+    finish(figure, axes, runs, view, notes)
     return figure
 
 
-def _controls(run: Run, look: Look) -> list[tuple[int, Control]]:
+def _controls(run: Run, view: View) -> list[tuple[int, Control]]:
     if run.scenario is None:
         return []
-    return [(i, run.scenario.controls[i - 1]) for i in run.vehicles(look) if i <= run.scenario.vehicles]
+    return [(i, run.scenario.controls[i - 1]) for i in run.vehicles(view) if i <= run.scenario.vehicles]
 
 
-def _optimal(runs: Sequence[Run], look: Look) -> list[Control]:
+def _optimal(runs: Sequence[Run], view: View) -> list[Control]:
     """Of the vehicles whose guidance keeps bounds."""
-    found = [control for run in runs for _, control in _controls(run, look)]
+    found = [control for run in runs for _, control in _controls(run, view)]
     return [control for control in found if control.cascade and control.guidance_law.name == "optimal"]

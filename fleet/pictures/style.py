@@ -1,4 +1,4 @@
-"""How our pictures look: sizes, colours that everybody can tell apart, units on every axis, files that repeat."""
+"""How our pictures view: sizes, colours that everybody can tell apart, units on every axis, files that repeat."""
 
 from __future__ import annotations
 

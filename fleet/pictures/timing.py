@@ -15,18 +15,18 @@ from fleet.logs.reader import CLOCK, REAL
 from fleet.logs.result_file import ResultError, read_timing
 from fleet.palette import COLOURS
 from fleet.pictures.axes import MOST_NAMED, legend_of
-from fleet.pictures.runs import Look, NothingToDraw, Run
+from fleet.pictures.runs import NothingToDraw, Run, View
 from fleet.pictures.style import COLUMN_IN, STYLES, panels
 
 GREY = "#999999"
 
 
-def punctuality(runs: Sequence[Run], look: Look) -> Figure:
+def punctuality(runs: Sequence[Run], view: View) -> Figure:
     """Above, what share of each agent's answers took longer than so long; below, of deliveries."""
     (run,) = runs
     timing = _timing(run)
     figure, (top, bottom) = panels(2, 1, COLUMN_IN, 3.9)
-    rows = {i: timing["vehicles"][str(i)] for i in run.vehicles(look)}
+    rows = {i: timing["vehicles"][str(i)] for i in run.vehicles(view)}
     worst = sorted(rows, key=lambda i: -float(rows[i]["response"]["p99_ms"]))[: MOST_NAMED - 1]
     for i, row in rows.items():
         k = sorted(worst).index(i) if i in worst else -1

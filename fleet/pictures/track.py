@@ -13,7 +13,7 @@ from matplotlib.ticker import MaxNLocator
 
 from fleet.logs.records import Array
 from fleet.pictures.axes import MOST_NAMED, colours, legend_of, vehicle_bar
-from fleet.pictures.runs import Look, NothingToDraw, Run
+from fleet.pictures.runs import NothingToDraw, Run, View
 from fleet.pictures.style import COLUMN_IN, STYLES
 
 SHAPES = 5  # moments at which the formation is drawn
@@ -21,18 +21,18 @@ _MOST_EDGES = 60  # of the graph that are drawn as the formation's shape
 _REFERENCE_POINTS = 400
 
 
-def top(runs: Sequence[Run], look: Look) -> Figure:
+def top(runs: Sequence[Run], view: View) -> Figure:
     """North over east, to scale."""
-    tracks = _tracks(runs, look)
+    tracks = _tracks(runs, view)
     everything = np.concatenate([p for track in tracks.values() for p in track.values()])[:, :2]
     north, east = np.ptp(everything, axis=0) + 1e-9
     figure = Figure(figsize=(COLUMN_IN, _height(north / east)), layout="constrained")
     FigureCanvasAgg(figure)
     ax = figure.add_subplot()
     for run in runs:
-        for a, b in _shapes(run, look):
+        for a, b in _shapes(run, view):
             ax.plot([a[1], b[1]], [a[0], b[0]], color="0.72", linewidth=0.5, zorder=1, gid="formation")
-        reference = _reference(run, look)
+        reference = _reference(run, view)
         if reference is not None:
             ax.plot(
                 reference[:, 1], reference[:, 0], color="0.4", linewidth=0.6, linestyle=":", zorder=1, gid="reference"
@@ -46,20 +46,20 @@ def top(runs: Sequence[Run], look: Look) -> Figure:
     ax.set_xlabel("east [m]")
     ax.set_ylabel("north [m]")
     _words(figure, runs)
-    _legend(figure, [ax], runs, look, tracks)
+    _legend(figure, [ax], runs, view, tracks)
     return figure
 
 
-def space(runs: Sequence[Run], look: Look) -> Figure:
+def space(runs: Sequence[Run], view: View) -> Figure:
     """East, north and depth; the three axes have scales of their own."""
-    tracks = _tracks(runs, look)
+    tracks = _tracks(runs, view)
     figure = Figure(figsize=(COLUMN_IN, 3.2), layout="constrained")
     FigureCanvasAgg(figure)
     ax: Any = figure.add_subplot(projection="3d")
     for run in runs:
-        for a, b in _shapes(run, look):
+        for a, b in _shapes(run, view):
             ax.plot([a[1], b[1]], [a[0], b[0]], [a[2], b[2]], color="0.72", linewidth=0.5, gid="formation")
-        reference = _reference(run, look)
+        reference = _reference(run, view)
         if reference is not None:
             ax.plot(*reference[:, [1, 0, 2]].T, color="0.4", linewidth=0.6, linestyle=":", gid="reference")
     for (label, i), colour, style in _styles(tracks):
@@ -80,20 +80,20 @@ def space(runs: Sequence[Run], look: Look) -> Figure:
     ax.view_init(elev=28, azim=-60)
     ax.set_box_aspect((1, 1.2, 0.7), zoom=0.9)
     _words(figure, runs)
-    _legend(figure, [ax], runs, look, tracks)
+    _legend(figure, [ax], runs, view, tracks)
     return figure
 
 
-def _tracks(runs: Sequence[Run], look: Look) -> dict[str, dict[int, Array]]:
+def _tracks(runs: Sequence[Run], view: View) -> dict[str, dict[int, Array]]:
     """Run -> vehicle -> positions (samples, 3) [m, NED], in the window."""
     found: dict[str, dict[int, Array]] = {}
     for run in runs:
-        for i in run.vehicles(look):
+        for i in run.vehicles(view):
             topic = f"uuv/{i}/state"
             if topic not in run.log or not len(run.log[topic]):
                 continue
             state = run.log[topic]
-            positions = np.column_stack([state["x"], state["y"], state["z"]])[_inside(state.t, look)]
+            positions = np.column_stack([state["x"], state["y"], state["z"]])[_inside(state.t, view)]
             if len(positions):
                 found.setdefault(run.label, {})[i] = positions
     if not found:
@@ -101,8 +101,8 @@ def _tracks(runs: Sequence[Run], look: Look) -> dict[str, dict[int, Array]]:
     return found
 
 
-def _inside(t: Array, look: Look) -> Array:
-    return np.full(len(t), True) if look.window is None else (t >= look.window[0]) & (t <= look.window[1])
+def _inside(t: Array, view: View) -> Array:
+    return np.full(len(t), True) if view.window is None else (t >= view.window[0]) & (t <= view.window[1])
 
 
 def _styles(tracks: dict[str, dict[int, Array]]) -> list[tuple[tuple[str, int], Any, Any]]:
@@ -117,10 +117,10 @@ def _styles(tracks: dict[str, dict[int, Array]]) -> list[tuple[tuple[str, int], 
     return found
 
 
-def _legend(figure: Figure, axes: list[Axes], runs: Sequence[Run], look: Look, tracks: dict[str, Any]) -> None:
+def _legend(figure: Figure, axes: list[Axes], runs: Sequence[Run], view: View, tracks: dict[str, Any]) -> None:
     shown = sorted({i for track in tracks.values() for i in track})
     more: list[tuple[str, Any, Any]] = []
-    if any(_reference(run, look) is not None for run in runs):
+    if any(_reference(run, view) is not None for run in runs):
         more = [("reference", "0.4", ":")]
     if len(tracks) > 1:
         palette = colours(len(tracks))
@@ -131,14 +131,14 @@ def _legend(figure: Figure, axes: list[Axes], runs: Sequence[Run], look: Look, t
         vehicle_bar(figure, axes, shown)
 
 
-def _shapes(run: Run, look: Look) -> list[tuple[Array, Array]]:
+def _shapes(run: Run, view: View) -> list[tuple[Array, Array]]:
     """Edges of the graph at a few moments: pairs of positions [m, NED]."""
-    shown = run.vehicles(look)
+    shown = run.vehicles(view)
     edges = sorted({(min(a, b), max(a, b)) for a, b in run.log.links if a in shown and b in shown})
     states = {i: run.log[f"uuv/{i}/state"] for i in shown if f"uuv/{i}/state" in run.log}
     if not edges or len(edges) > _MOST_EDGES or not all(len(states.get(i, ())) for edge in edges for i in edge):
         return []
-    first, last = look.window or (0.0, run.log.end)
+    first, last = view.window or (0.0, run.log.end)
     found = []
     for at in np.linspace(first, last, SHAPES):
         places = {}
@@ -149,11 +149,11 @@ def _shapes(run: Run, look: Look) -> list[tuple[Array, Array]]:
     return found
 
 
-def _reference(run: Run, look: Look) -> Array | None:
+def _reference(run: Run, view: View) -> Array | None:
     """Positions of the reference (points, 3) [m, NED]."""
     if run.scenario is None:
         return None
-    first, last = look.window or (0.0, run.log.end)
+    first, last = view.window or (0.0, run.log.end)
     return np.array([run.scenario.reference.at(t).position for t in np.linspace(first, last, _REFERENCE_POINTS)])
 
 

@@ -46,7 +46,7 @@ class VehicleError(NamedTuple):
     formation_norm: float
 
 
-class Spread(NamedTuple):
+class WorstAndMedian(NamedTuple):
     """The formation errors of a fleet at one time: the largest, whose it is, and the median vehicle's [m]."""
 
     worst_m: float = 0.0
@@ -115,13 +115,13 @@ class Metrics:
         return errors
 
     @property
-    def formation(self) -> Spread:
+    def formation(self) -> WorstAndMedian:
         """The formation errors of the newest frame."""
         off = {i: series.formation[-1] for i, series in self.series.items() if series.formation}
         if not off:
-            return Spread()
+            return WorstAndMedian()
         worst = max(off, key=off.__getitem__)
-        return Spread(off[worst], worst, median(off.values()), len(off))
+        return WorstAndMedian(off[worst], worst, median(off.values()), len(off))
 
     def _error(self, i: int, positions: dict[int, tuple[float, ...]], desired: dict[int, Vec3]) -> VehicleError:
         """e_i = sum_j a_ij ((x_i - d_i) - (x_j - d_j)) + b_i (x_i - d_i): Delta_ij is d_i - d_j."""

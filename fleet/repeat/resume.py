@@ -35,7 +35,7 @@ def parse_from(text: str) -> tuple[Path, int | None]:
         raise SnapshotError(f"--from {text}: {error}; write a log and a time, as in runs/latest@20s") from None
 
 
-def prepare(
+def continuation(
     path: Path,
     at_ns: int | None,
     overrides: Sequence[str] = (),
@@ -88,7 +88,7 @@ def prepare(
     )
 
 
-def begun(reader: LogReader) -> Start | None:
+def start_of(reader: LogReader) -> Start | None:
     """Where the run of a log that was read began, if it went on from another.
 
     Raises:

@@ -24,7 +24,7 @@ from fleet.recorder.snapshot import Start
 from fleet.recorder.writer import LogWriter, run_metadata
 from fleet.repeat.recorded_agent import NotRecordedError, recorded_agents
 from fleet.repeat.recorded_run import Recorded, recorded
-from fleet.repeat.resume import begun
+from fleet.repeat.resume import start_of
 from fleet.run.clock import Clock
 from fleet.run.external_agents import named
 from fleet.run.in_process import InProcess
@@ -91,7 +91,7 @@ def verify(
     source.insist_on_lockstep("it does not come out the same again")
     if last_ns < 0:
         raise NothingToVerify(f"{path} holds no message{f': {reader.missing}' if reader.missing else ''}")
-    start = begun(reader)
+    start = start_of(reader)
     policy = Policy(trust)
     scenario = source.script(policy=policy) if start is not None else _scenario(source, policy)
     verification = Verification(path, last_ns / 1e9, scenario.ticks * scenario.tick_ns / 1e9, missing=reader.missing)
@@ -272,7 +272,7 @@ def _run_again(
     comparison.finish()
 
 
-def describe(verification: Verification) -> list[str]:
+def verification_lines(verification: Verification) -> list[str]:
     """A verification in words."""
     lines = [f"{named([i])}: its commands and payloads were taken from the log" for i in verification.external]
     how_far = f"up to t = {verification.until_s:g} s"

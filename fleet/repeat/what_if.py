@@ -62,7 +62,7 @@ class WhatIf:
         return float(self.t[different[0]]) if len(different) else None
 
 
-def whatif(
+def what_if(
     path: Path,
     agent: int,
     overrides: Sequence[str] = (),

@@ -120,7 +120,7 @@ class TrafficWriter:
             raise RecordError(f"cannot write {self.path}: {error.strerror}") from None
 
 
-class Gone:
+class PublisherGone:
     """Asked now and then: whether a session has had nobody on the other side for a while."""
 
     def __init__(self, connected: Callable[[], bool]) -> None:

@@ -10,7 +10,7 @@ from fleet.logs.schemas import stamp_of
 from fleet.logs.tape import Tape, Track
 from fleet.replay.attachment import Stamp, pack
 from fleet.replay.capture_format import ATTACHMENT, DELETE, ENCODING, KIND, zenoh_encoding
-from fleet.replay.player import RATE_STEP, SEEK_NS, Metronome, Pace, Player
+from fleet.replay.player import RATE_STEP, SEEK_NS, MeasuredRate, Metronome, Player
 from fleet.replay.selection import Renaming, chosen
 from fleet.terminal.keyboard import Key, Keyboard
 from fleet.terminal.status_line import StatusLine
@@ -27,7 +27,7 @@ class ReplayError(FleetError):
 
 
 @dataclass(frozen=True, slots=True)
-class Wishes:
+class PlaybackOptions:
     """What to play of a log, and how; times in ns from the log's first message."""
 
     run: str = "replay"
@@ -48,20 +48,20 @@ class Wishes:
 class Replay:
     """One log, selected and bound to keys. Nothing is published before `play`."""
 
-    def __init__(self, tape: Tape, wishes: Wishes) -> None:
+    def __init__(self, tape: Tape, options: PlaybackOptions) -> None:
         """Choose what to play.
 
         Raises:
             SelectionError: a topic, expression or renaming names nothing.
             ReplayError: nothing is left.
         """
-        self._tape, self._wishes = tape, wishes
-        self.keys = Keys(wishes.run)
+        self._tape, self._wishes = tape, options
+        self.keys = Keys(options.run)
         self.ours = "uuv-fleet" in tape.metadata.get("run", {})  # a journal, with sim time and a prefix of its own
         kinds = {n: channel.metadata.get(KIND, "") for n, channel in tape.channels.items()}
         played = {n: c for n, c in tape.channels.items() if kinds[n] != ATTACHMENT}
-        names = chosen((c.topic for c in played.values()), wishes.topics, wishes.regex)
-        rename = Renaming(wishes.remap)
+        names = chosen((c.topic for c in played.values()), options.topics, options.regex)
+        rename = Renaming(options.remap)
         self.key_of = {n: self._key(rename(c.topic)) for n, c in played.items() if c.topic in names}
         rename.check()
         self.note = _merged({c.topic: self.key_of[n] for n, c in played.items() if n in self.key_of})
@@ -70,12 +70,12 @@ class Replay:
         self._track = track = Track(tape, self.key_of)
         # Simulated time begins at 0, whatever is logged first; any other time with the first message.
         self.zero_ns = 0 if self.ours else tape.due(0)
-        begin = self.zero_ns + wishes.start_ns
+        begin = self.zero_ns + options.start_ns
         end = track[len(track) - 1] if len(track) else begin
-        if wishes.duration_ns is not None:
-            end = min(end, begin + wishes.duration_ns)
-        if wishes.until_ns is not None:
-            end = min(end, self.zero_ns + wishes.until_ns)
+        if options.duration_ns is not None:
+            end = min(end, begin + options.duration_ns)
+        if options.until_ns is not None:
+            end = min(end, self.zero_ns + options.until_ns)
         first, stop = track.before(begin), track.before(end + 1)
         if first >= stop:
             last = (tape.end_ns - self.zero_ns) / 1e9
@@ -128,7 +128,7 @@ class Replay:
         self._wait(line)
         next(self._track.entries(range(self._first, self._first + 1)))  # decompressed before the clock starts
         self.player = player = self._player(time.monotonic_ns())
-        pace = Pace()
+        pace = MeasuredRate()
         if self.note:
             line.print(f"warning: {self.note}")
         hz = self._wishes.clock_hz
@@ -209,7 +209,7 @@ class Replay:
         stamp = stamp_of(log_ns)
         self._clock.put(stamp.SerializeToString(), None)
 
-    def _describe(self, now: int, pace: Pace) -> str:
+    def _describe(self, now: int, pace: MeasuredRate) -> str:
         player = self.player
         at = player.position(now)
         reached = pace.tell(now, at) if not player.paused else 0.0

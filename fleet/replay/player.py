@@ -193,7 +193,7 @@ class Metronome:
         return max(0, self._next - now)
 
 
-class Pace:
+class MeasuredRate:
     """Log time per wall time over about the last second."""
 
     WINDOW_NS = 1_000_000_000

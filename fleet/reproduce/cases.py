@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from agents.controllers import CONTROLLERS
-from fleet.reproduce.measures import measure
+from fleet.reproduce.measures import vehicle_measures
 from fleet.run.in_memory import Array, record
 from fleet.scenario.loading import load_scenario
 from fleet.scenario.scenario import Scenario
@@ -130,4 +130,4 @@ def run_case(name: str, progress: Any) -> Outcome:
     every = max(1, round(EVERY_S * 1e9 / scenario.tick_ns))
     kept = {key: recording[key][::every].astype(np.float32) for key in _PICTURED if key in recording.signals}
     inputs = {key: recording[key][:, 0].astype(np.float32) for key in ("demand", "tau")} | {"t": recording.t}
-    return Outcome(name, measure(recording), recording.t[::every], kept, inputs, recording.broken)
+    return Outcome(name, vehicle_measures(recording), recording.t[::every], kept, inputs, recording.broken)

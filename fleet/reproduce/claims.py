@@ -10,7 +10,7 @@ from collections.abc import Callable
 
 from fleet.reproduce.cases import NAMES, D, U
 from fleet.reproduce.measures import FIRST_S, PEAK_AFTER_S
-from fleet.reproduce.verdicts import Check, Claim, Outcomes, below, each, limited, show, unbeaten
+from fleet.reproduce.verdicts import Claim, ClaimCheck, Outcomes, below, each, limited, show, unbeaten
 
 PRINTED = "printed cost"
 CORRECTED = "corrected cost"
@@ -67,7 +67,7 @@ def _formation(o: Outcomes) -> Claim:
                 numbers = f"{outcome.failure}; {numbers}"
             asks = f"{name}: error below {FORMED_M * 1e3:g} mm late, no vehicle tumbled"
             holds = tuple(not outcome.failure and value < FORMED_M for value in late)
-            checks.append(Check(reading, asks, holds, numbers))
+            checks.append(ClaimCheck(reading, asks, holds, numbers))
     return Claim(
         "The formation tracking objective is perfectly achieved by all five controllers (undisturbed).",
         "first case",
@@ -176,7 +176,7 @@ def _bounded(o: Outcomes) -> Claim:
             for row in outcome.metrics
         )
         speeds = f"speed commands up to {show(each(outcome, 'u_cmd_max_mps'), '.2f')} m/s"
-        checks.append(Check(PRINTED, f"{name}: rho within its bounds", inside, speeds))
+        checks.append(ClaimCheck(PRINTED, f"{name}: rho within its bounds", inside, speeds))
         asks = f"largest commanded speed: {name} at most {HALF} of {_and(FIXED)}"
         checks.append(
             below(o, PRINTED, asks, f"{name}-{U}", _of(FIXED, U), "u_cmd_max_mps", factor=HALF, form=".2f", unit="m/s")
@@ -197,7 +197,7 @@ def _gains(sea: str, text: str, where: str, remark: str) -> Callable[[Outcomes],
             if sea == U:
                 moved = tuple(span >= ADJUSTED for span in spans)
                 asks = f"K_{name} is adjusted: moves by {ADJUSTED} 1/s or more in the run"
-                checks.append(Check(PRINTED, asks, moved, f"span {show(spans, '.3f')} 1/s"))
+                checks.append(ClaimCheck(PRINTED, asks, moved, f"span {show(spans, '.3f')} 1/s"))
             asks = f"K_{name} converges: moves by less than {AT_REST} 1/s late"
             numbers = f"mean {show(means, '.3f')} 1/s, span {show(late, '.3f')} 1/s"
             checks.append(limited(PRINTED, asks, late, AT_REST, numbers))

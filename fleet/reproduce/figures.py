@@ -27,10 +27,10 @@ SEEN = 250  # samples of the last two periods
 
 # How a line is drawn. Lines that lie on each other for most of the time differ in width: pale and wide below, thin
 # and dashed above, so that each can be seen.
-Look = dict[str, Any]
-WIDE: Look = {"linewidth": 3.4, "alpha": 0.4, "zorder": 2.0}
-PLAIN: Look = {"linewidth": 1.3, "zorder": 2.1}
-DASHED: Look = {"linewidth": 0.8, "linestyle": (0, (3, 2.5)), "zorder": 2.2}
+LineStyle = dict[str, Any]
+WIDE: LineStyle = {"linewidth": 3.4, "alpha": 0.4, "zorder": 2.0}
+PLAIN: LineStyle = {"linewidth": 1.3, "zorder": 2.1}
+DASHED: LineStyle = {"linewidth": 0.8, "linestyle": (0, (3, 2.5)), "zorder": 2.2}
 OF_CONTROLLERS = dict(zip(NAMES, (WIDE, DASHED, PLAIN, WIDE, DASHED), strict=True))  # NBC lies near BC and BSMC
 OF_VEHICLES = (WIDE, WIDE, DASHED, DASHED)  # 1 lies near 4, and 2 near 3
 
@@ -41,10 +41,10 @@ class Line(NamedTuple):
     case: str
     label: str
     colour: str
-    look: Look
+    style: LineStyle
 
     def draw(self, ax: Axes, t: Any, values: Any) -> None:
-        ax.plot(t, values, color=self.colour, label=self.label, **self.look)
+        ax.plot(t, values, color=self.colour, label=self.label, **self.style)
 
 
 def _controllers(sea: str) -> list[Line]:
@@ -172,8 +172,8 @@ def gains(o: Outcomes, sea: str) -> Figure:
     figure, axes = panels(3, 1)
     outcome = o[f"NBOC-{sea}"]
     for k, (ax, name) in enumerate(zip(axes, ("north", "east", "down"), strict=True)):
-        for i, look in enumerate(OF_VEHICLES):
-            Line(outcome.name, f"UUV {i + 1}", COLOURS[i], look).draw(ax, outcome.t, outcome.signals["K"][:, i, k])
+        for i, style in enumerate(OF_VEHICLES):
+            Line(outcome.name, f"UUV {i + 1}", COLOURS[i], style).draw(ax, outcome.t, outcome.signals["K"][:, i, k])
         ax.set_ylabel(f"K {name} [1/s]")
         ax.set_xlim(0.0, START_S if sea == U else MINUTE_S)
         ax.set_ylim(0.0, None)

@@ -18,7 +18,7 @@ FIRST_S = 2.0  # the initial effort is counted over so long
 PEAK_AFTER_S = 5.0  # what comes later is no part of the start any more
 
 
-def measure(recording: Recording) -> list[dict[str, Any]]:
+def vehicle_measures(recording: Recording) -> list[dict[str, Any]]:
     """The numbers of each vehicle; `late` is what `late_s` says."""
     t, tick = recording.t, recording.scenario.tick_ns / 1e9
     late = t >= t[-1] - late_s(recording) - 1e-9

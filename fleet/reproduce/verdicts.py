@@ -20,7 +20,7 @@ Outcomes = Mapping[str, Outcome]
 
 
 @dataclass(frozen=True, slots=True)
-class Check:
+class ClaimCheck:
     """One question with its answers."""
 
     reading: str
@@ -44,7 +44,7 @@ class Claim:
 
     text: str
     where: str
-    checks: tuple[Check, ...]
+    checks: tuple[ClaimCheck, ...]
     remark: str = ""
 
     @property
@@ -54,18 +54,18 @@ class Claim:
     @property
     def readings(self) -> str:
         """Under which reading it holds, and under which it does not."""
-        by_reading: dict[str, list[Check]] = {}
+        by_reading: dict[str, list[ClaimCheck]] = {}
         for check in self.checks:
             by_reading.setdefault(check.reading, []).append(check)
         return "; ".join(f"{reading}: {_summary(checks)}" for reading, checks in by_reading.items())
 
 
-def _together(checks: Sequence[Check]) -> str:
+def _together(checks: Sequence[ClaimCheck]) -> str:
     answers = {check.answer for check in checks}
     return answers.pop() if len(answers) == 1 else "partly"
 
 
-def _summary(checks: Sequence[Check]) -> str:
+def _summary(checks: Sequence[ClaimCheck]) -> str:
     answers = [check.answer for check in checks]
     if len(set(answers)) == 1:
         return answers[0]
@@ -85,7 +85,7 @@ def below(
     vehicles: slice = slice(None),
     form: str = ".4f",
     unit: str = "",
-) -> Check:
+) -> ClaimCheck:
     """Whether a number of each vehicle is less than `factor` of the same vehicle's with each other controller."""
     own = each(o[mine], key, channel)[vehicles]
     holds: list[bool] = []
@@ -95,22 +95,22 @@ def below(
         less = [x is not None and x < factor * (inf if y is None else y) for x, y in zip(own, theirs, strict=True)]
         texts.append(f"{pretty(other)} {show(theirs, form)} ({sum(less)} of {len(less)})")
         holds += less
-    return Check(reading, asks, tuple(holds), "; ".join(texts))
+    return ClaimCheck(reading, asks, tuple(holds), "; ".join(texts))
 
 
-def limited(reading: str, asks: str, values: Sequence[float], limit: float, numbers: str) -> Check:
+def limited(reading: str, asks: str, values: Sequence[float], limit: float, numbers: str) -> ClaimCheck:
     """Whether every one of some numbers is below a limit."""
-    return Check(reading, asks, tuple(value < limit for value in values), numbers)
+    return ClaimCheck(reading, asks, tuple(value < limit for value in values), numbers)
 
 
-def unbeaten(o: Outcomes, reading: str, what: str, mine: str, others: Iterable[str], sea: str, key: str) -> Check:
+def unbeaten(o: Outcomes, reading: str, what: str, mine: str, others: Iterable[str], sea: str, key: str) -> ClaimCheck:
     """Whether the mean of the fleet is nowhere better by more than 2 %; who has not settled is not the best."""
     own = mean(o[mine], key)
     theirs = {name: mean(o[f"{name}-{sea}"], key) for name in others}
     holds = tuple(isfinite(own) and own <= (1.0 + CLOSE) * value for value in theirs.values())
     form = ".2f" if key.endswith("_s") else ".3g"
     numbers = ", ".join(f"{pretty(name)} {_or_not(value, form)}" for name, value in {mine: own, **theirs}.items())
-    return Check(reading, f"{what}, mean of the fleet: nobody beats NBOC by more than {CLOSE:.0%}", holds, numbers)
+    return ClaimCheck(reading, f"{what}, mean of the fleet: nobody beats NBOC by more than {CLOSE:.0%}", holds, numbers)
 
 
 def each(outcome: Outcome, key: str, channel: int | None = None) -> list[Any]:

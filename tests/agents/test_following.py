@@ -16,9 +16,9 @@ from agents.config import AgentConfig
 from agents.following import followed
 from agents.offset import Change, Offset
 from agents.payload import StateMessage, encode
-from fleet.analysis.seed import chances
+from fleet.analysis.seed import seeded
 from fleet.errors import ScenarioError
-from fleet.repeat.resume import prepare
+from fleet.repeat.resume import continuation
 from fleet.run.execute import execute
 from fleet.run.options import Options
 from fleet.scenario.loading import load_scenario
@@ -152,7 +152,7 @@ def test_standby_step_state_restore_step() -> None:
 @pytest.mark.parametrize("name", ["follow-the-leader", "leader-lost-standby"])
 def test_a_run_goes_on_from_its_log(name: str, tmp_path: Path) -> None:
     whole = execute(load_scenario(name, SHORT), Options(tmp_path, in_process=True, quiet=True))
-    scenario, start = prepare(whole.directory, 1_500_000_000)
+    scenario, start = continuation(whole.directory, 1_500_000_000)
     rest = execute(scenario, Options(tmp_path, in_process=True, quiet=True, start=start))
     assert rest.values["vehicles"]["4"]["formation_final_m"] == whole.values["vehicles"]["4"]["formation_final_m"]
     assert start.notes[1:] == ()
@@ -179,7 +179,7 @@ def test_a_run_goes_on_from_its_log(name: str, tmp_path: Path) -> None:
 def test_what_the_seed_decides(name: str, overrides: list[str], drawn: list[str], tmp_path: Path) -> None:
     """And it is true: where nothing is drawn seeds give the same numbers, else some differ."""
     scenario = load_scenario(name, overrides)
-    assert chances(scenario) == drawn
+    assert seeded(scenario) == drawn
     if name == "paper":
         finals = []
         for seed in (1, 2, 3, 4) if drawn else (1, 2):

@@ -27,7 +27,7 @@ from fleet.hosts.certificates import _read as read_pem
 from fleet.hosts.rendezvous import HostsError, read_credentials
 from fleet.logs.result_file import ResultError, read_result, read_timing
 from fleet.pictures.report import page
-from fleet.pictures.runs import Look, Run, load
+from fleet.pictures.runs import Run, View, load
 from fleet.run.connection import live_runs
 from fleet.run.execute import execute
 from fleet.run.options import Options
@@ -259,10 +259,10 @@ def test_no_result_stops_a_report(seeds: range, run: Run, monkeypatch: pytest.Mo
     whole = path.read_text()
     used = told = 0
     try:
-        assert "result.json" not in page([run], Look())
+        assert "result.json" not in page([run], View())
         for seed in seeds:
             path.write_text(mutated(seed, whole), "utf-8", "surrogatepass")
-            text = page([run] if seed % 3 else [run, run], Look())
+            text = page([run] if seed % 3 else [run, run], View())
             assert "Packets per directed link" in text
             assert "<script>" not in text
             damaged = "result.json is damaged: " in text or "is of another log" in text

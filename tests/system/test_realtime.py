@@ -14,11 +14,11 @@ from hand import Hand
 from live import LiveRun
 
 from fleet.cli.main import cli
-from fleet.pictures.runs import Look, NothingToDraw, load
+from fleet.pictures.runs import NothingToDraw, View, load
 from fleet.pictures.timing import punctuality
 from fleet.repeat.recorded_run import ScriptError
 from fleet.repeat.verify import verify
-from fleet.repeat.what_if import whatif
+from fleet.repeat.what_if import what_if
 from fleet.run.connection import RemoteError
 from fleet.run.execute import Status, execute
 from fleet.run.options import Options
@@ -53,15 +53,15 @@ def test_a_real_run_is_on_time_and_lockstep_or_says_why_not(tmp_path: Path) -> N
     assert measured["netem"]["hop"]["count"] + measured["netem"]["unread"] == 120
     assert measured["netem"]["links"]["1->2"]["injected"]["p50_ms"] == 10.0
     (run,) = load([found.directory])
-    figure = punctuality([run], Look())
+    figure = punctuality([run], View())
     assert [text.get_text() for text in figure.legends[0].get_texts()] == ["UUV 1", "UUV 2", "UUV 3", "UUV 4"]
     shares = figure.axes[0].lines[0].get_ydata()
     assert shares[0] == 1.0
     assert all(a >= b > 0 for a, b in pairwise(shares))
     (run,) = load([same.directory])
     with pytest.raises(NothingToDraw, match="lockstep"):
-        punctuality([run], Look())
-    for refused in (verify, lambda log: whatif(log, 3)):
+        punctuality([run], View())
+    for refused in (verify, lambda log: what_if(log, 3)):
         with pytest.raises(ScriptError, match="--clock real"):
             refused(found.directory)
 

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from loops import NU0, PARAMS, TAU_MAX, world_config
 
 from fleet.logs.open_log import open_log
-from fleet.repeat.resume import prepare
+from fleet.repeat.resume import continuation
 from fleet.run import in_memory
 from fleet.run.execute import Result, Status, execute
 from fleet.run.options import Options
@@ -129,7 +129,7 @@ def test_a_run_that_goes_on_while_a_vehicle_is_tumbled_knows_it(tmp_path: Path) 
     spell = whole.values["tumbles"][0]
     at_ns = round((spell["from_s"] + 0.6) * 1e9)
     assert spell["to_s"] is None or spell["to_s"] * 1e9 > at_ns
-    scenario, start = prepare(whole.directory, at_ns)
+    scenario, start = continuation(whole.directory, at_ns)
     rest = execute(scenario, Options(tmp_path, in_process=True, quiet=True, start=start))
     assert [s["vehicle"] for s in rest.values["tumbles"]][:1] == [3]
     assert rest.values["tumbles"][0]["to_s"] == spell["to_s"]
@@ -140,7 +140,7 @@ def test_a_vehicle_that_an_older_version_gave_up_goes_on(tmp_path: Path) -> None
     """Snapshots of older logs say so with a plain yes."""
     short = ["duration=1 s", "log.snapshot=500 ms", CALM]
     whole = run(tmp_path, "paper", *short)
-    scenario, start = prepare(whole.directory, 500_000_000)
+    scenario, start = continuation(whole.directory, 500_000_000)
     start.snapshot.world["vehicles"][2][4] = True
     rest = execute(scenario, Options(tmp_path, in_process=True, quiet=True, start=start))
     assert rest.status is Status.PASS, rest.reason

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from small_scenario import small
 
-from fleet.analysis.preflight import LARGE_MB, doubts, log_mb
+from fleet.analysis.preflight import LARGE_MB, log_mb, warnings
 from fleet.run.execute import execute
 from fleet.run.options import Options
 from fleet.scenario.loading import list_scenarios, load_scenario
@@ -43,7 +43,7 @@ WATER = "network={period: 1 s, payload: compact, acoustic: {modem: mfsk-1066, ma
     ],
 )
 def test_doubts(overrides: list[str], words: str) -> None:
-    found = doubts(small("duration=4 s", *overrides))
+    found = warnings(small("duration=4 s", *overrides))
     assert (len(found) == 1 and words in found[0]) if words else found == [], found
 
 
@@ -65,20 +65,20 @@ RECOVERY = "checks={recovery_time: {fault: %s, below: 1 s, within: 1 m}}"
     ],
 )
 def test_doubts_about_recovery(asked: str, faults: str, words: str) -> None:
-    found = doubts(small("duration=4 s", f"faults={faults}", RECOVERY % asked))
+    found = warnings(small("duration=4 s", f"faults={faults}", RECOVERY % asked))
     assert (len(found) == 1 and words in found[0]) if words else found == [], found
 
 
 def test_doubts_about_a_recovery_that_cannot_show_in_time() -> None:
     """Between the waves of a periodic disturbance an error is small for a moment."""
     asked = ["faults=[{at: 1 s, for: 1 s, mute: 2}]", RECOVERY % "f1", "sea.disturbance=paper"]
-    (found,) = doubts(small("duration=4 s", *asked))
+    (found,) = warnings(small("duration=4 s", *asked))
     assert "fault f1 leaves 2 s to recover, and in this disturbance an error must stay within its limit" in found
-    assert doubts(small("duration=20 s", *asked)) == []
+    assert warnings(small("duration=20 s", *asked)) == []
 
 
 def test_nothing_is_doubted_of_what_ships() -> None:
-    assert {name: found for name, *_ in list_scenarios() if (found := doubts(load_scenario(name)))} == {}
+    assert {name: found for name, *_ in list_scenarios() if (found := warnings(load_scenario(name)))} == {}
 
 
 def test_the_size_of_a_log_is_foreseen(tmp_path: Path) -> None:

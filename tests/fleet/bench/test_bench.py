@@ -13,17 +13,17 @@ from rich.console import Console as Terminal
 from fleet.__main__ import _command_line
 from fleet.bench import barriers, journal, measured_run
 from fleet.bench.errors import BenchError
-from fleet.bench.fleets import measure, netem_targets, step_targets, targets
+from fleet.bench.fleets import measure_fleets, netem_targets, step_targets, targets
 from fleet.bench.network_core import SHARE
-from fleet.bench.wall_clock import measure as measure_real
-from fleet.bench.wall_clock import table
+from fleet.bench.wall_clock import measure_fleets as measure_real
+from fleet.bench.wall_clock import wall_clock_table
 from fleet.run.execute import Result, Status
 from fleet.scenario.loading import load_scenario
 
 
 def test_quick_bench_reports_every_figure() -> None:
     heard: list[str] = []
-    figures = measure([2], quick=True, say=heard.append)
+    figures = measure_fleets([2], quick=True, say=heard.append)
     (row,) = figures["fleets"]
     assert row["vehicles"] == 2
     speeds = ["zenoh_barrier", "pipe_barrier", "distributed", "in_process", "c/a", "c/d", "x_real_time", "startup_s"]
@@ -63,7 +63,7 @@ def test_a_fleet_that_is_asked_too_much_does_not_fit() -> None:
     assert (row.vehicles, row.label, row.fit, row.same_bytes) == (2, "degraded", False, False)
     assert row.lockstep_x > 0
     rendered = Terminal(width=200, record=True, file=StringIO())
-    rendered.print(table([row]))
+    rendered.print(wall_clock_table([row]))
     assert "degraded (fails)" in rendered.export_text()
 
 

@@ -26,7 +26,7 @@ from fleet.cli.main import cli
 from fleet.logs import columns, decoder, deviation, export, open_log, reader, records, tape, topic
 from fleet.logs.reader import LogReader, LogReadError
 from fleet.pictures.gallery import draw
-from fleet.pictures.runs import Look, load
+from fleet.pictures.runs import View, load
 from fleet.pictures.whole_file import whole_file
 from fleet.run.execute import execute
 from fleet.run.options import Options
@@ -231,7 +231,7 @@ def test_pictures_of_a_log_that_cannot_be_held(run: Path, monkeypatch: pytest.Mo
     assert (state.t[0], state.t[-1]) == (full.t[0], full.t[-1])
     assert "payload" not in thin.log["link/1-2"] and len(thin.log["link/1-2"]) == len(whole.log["link/1-2"])
     assert thin.log.faults == whole.log.faults
-    drawn = dict((name, figure) for name, _, figure in draw(["track", "error", "links", "ages"], [thin], Look()))  # noqa: C402
+    drawn = dict((name, figure) for name, _, figure in draw(["track", "error", "links", "ages"], [thin], View()))  # noqa: C402
     assert not [figure for figure in drawn.values() if isinstance(figure, str)]
     (line,) = [line for line in drawn["error"].axes[0].get_lines() if line.get_gid() == "paper-vehicle-1"]  # type: ignore[union-attr]
     assert not np.isnan(np.asarray(line.get_ydata(), float)).any()  # thinned is not silent
@@ -240,7 +240,7 @@ def test_pictures_of_a_log_that_cannot_be_held(run: Path, monkeypatch: pytest.Mo
 def test_links_that_cannot_be_held_are_no_picture(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(topic, "MOST_HELD", 2000)
     (thin,) = load([run])
-    found = {name: figure for name, _, figure in draw(["links", "ages"], [thin], Look())}
+    found = {name: figure for name, _, figure in draw(["links", "ages"], [thin], View())}
     assert found
     for figure in found.values():
         assert "messages of 0 MB, more than is held at once" in str(figure)

@@ -29,7 +29,7 @@ from fleet.pictures.gallery import PER_RUN, WHAT, draw
 from fleet.pictures.report import ReportError, _from_log, page
 from fleet.pictures.report import write as write_report
 from fleet.pictures.report_tables import links_table
-from fleet.pictures.runs import Look, NothingToDraw, Run, load, with_gaps
+from fleet.pictures.runs import NothingToDraw, Run, View, load, with_gaps
 from fleet.pictures.style import panels, plain_decades
 from fleet.run.execute import execute
 from fleet.run.options import Options
@@ -68,16 +68,16 @@ def runs(directories: dict[str, Path]) -> dict[str, Run]:
     return {name: load([path])[0] for name, path in directories.items()}
 
 
-ALL = Look()
+ALL = View()
 LAW = ROOT / "docs" / "examples" / "leader_follower.yaml"  # a controller of a user's, who reports what he likes
 
 
-def pictures(run: Run | list[Run], what: list[str], look: Look = ALL) -> dict[str, Figure | str]:
-    return {name: figure for name, _, figure in draw(what, run if isinstance(run, list) else [run], look)}
+def pictures(run: Run | list[Run], what: list[str], view: View = ALL) -> dict[str, Figure | str]:
+    return {name: figure for name, _, figure in draw(what, run if isinstance(run, list) else [run], view)}
 
 
-def figure_of(run: Run | list[Run], what: str, name: str, look: Look = ALL) -> Figure:
-    figure = pictures(run, [what], look)[name]
+def figure_of(run: Run | list[Run], what: str, name: str, view: View = ALL) -> Figure:
+    figure = pictures(run, [what], view)[name]
     assert isinstance(figure, Figure), figure
     return figure
 
@@ -113,7 +113,7 @@ def test_every_picture_of_every_run(name: str, runs: dict[str, Run]) -> None:
 
 @pytest.mark.parametrize("kind", [kind for kind in WHAT if kind not in ("track", "timing")])
 def test_faults_are_shaded_and_named_on_every_time_axis(kind: str, runs: dict[str, Run]) -> None:
-    for name, figure in pictures(runs["faulty"], [kind], Look(window=(0.0, 4.0))).items():
+    for name, figure in pictures(runs["faulty"], [kind], View(window=(0.0, 4.0))).items():
         assert isinstance(figure, Figure)
         timed = [ax for ax in figure.axes if ax.get_subplotspec() is not None and ax.get_label() != "<colorbar>"]
         for ax in timed:
@@ -161,9 +161,9 @@ def test_bounds_of_what_the_optimisation_keeps(runs: dict[str, Run]) -> None:
 
 def test_logarithmic_errors(runs: dict[str, Run]) -> None:
     assert figure_of(runs["faulty"], "error", "error").axes[0].get_yscale() == "linear"
-    figure = figure_of(runs["faulty"], "error", "error", Look(log_scale=True))
+    figure = figure_of(runs["faulty"], "error", "error", View(log_scale=True))
     assert figure.axes[0].get_yscale() == "log"
-    velocity = figure_of(runs["faulty"], "velocity", "velocity", Look(log_scale=True))
+    velocity = figure_of(runs["faulty"], "velocity", "velocity", View(log_scale=True))
     assert all(np.nanmin(line.get_ydata()) >= 0 for ax in velocity.axes for line in lines(ax, ".*vehicle.*"))
 
 
@@ -171,7 +171,7 @@ def test_twenty_vehicles_have_a_scale_of_colours(runs: dict[str, Run]) -> None:
     figure = figure_of(runs["twenty"], "error", "error")
     assert not figure.legends
     assert len({line.get_color() for line in lines(figure.axes[0], ".*vehicle.*")}) == 20
-    some = figure_of(runs["twenty"], "error", "error", Look(vehicles=(3, 7)))
+    some = figure_of(runs["twenty"], "error", "error", View(vehicles=(3, 7)))
     assert [text.get_text() for text in some.legends[0].get_texts()] == ["UUV 3", "UUV 7"]
 
 
@@ -191,11 +191,11 @@ def test_what_is_missing_is_said(runs: dict[str, Run]) -> None:
     """A controller that reports other signals, a log without links, one that was cut, one that is not ours."""
     figure = figure_of(runs["mixed"], "gains", "gains")
     assert "not reported by UUV 3" in figure.axes[-1].get_xlabel()
-    own = pictures(runs["mixed"], ["gains", "velocity", "commands", "inputs"], Look(vehicles=(3,)))
+    own = pictures(runs["mixed"], ["gains", "velocity", "commands", "inputs"], View(vehicles=(3,)))
     assert own["gains"] == "no vehicle reports it: K is a signal of the guidance laws that ship"
     assert "laws that ship" in str(own["velocity"]) and "laws that ship" in str(own["commands"])
     assert isinstance(own["inputs"], Figure)
-    assert pictures(runs["mixed"], ["error"], Look(vehicles=(9,)))["error"] == "the log has no such vehicle"
+    assert pictures(runs["mixed"], ["error"], View(vehicles=(9,)))["error"] == "the log has no such vehicle"
     assert pictures(runs["one"], ["links"])["links"] == "the log has no links"
     cut = figure_of(runs["cut"], "error", "error")
     assert f"the log is not whole, it ends at {runs['cut'].log.end:g} s" in cut.axes[0].get_xlabel()
@@ -250,7 +250,7 @@ def test_every_fate_has_a_mark_of_its_own() -> None:
 
 
 def test_messages_in_space_and_time(runs: dict[str, Run]) -> None:
-    (ax,) = figure_of(runs["faulty"], "messages", "messages", Look(window=(0.8, 1.4))).axes
+    (ax,) = figure_of(runs["faulty"], "messages", "messages", View(window=(0.8, 1.4))).axes
     assert ax.get_xlim() == (0.8, 1.4)
     assert [label.get_text() for label in ax.get_yticklabels()] == ["UUV 1", "UUV 2", "UUV 3", "UUV 4"]
     drawn = {collection.get_gid(): collection for collection in ax.collections}
@@ -258,7 +258,7 @@ def test_messages_in_space_and_time(runs: dict[str, Run]) -> None:
         assert abs(end[1] - begin[1]) == 1.0  # neighbours on the path
         assert end[0] - begin[0] >= 0.03 - 1e-9  # the delay
     assert lines(ax, "absent-2") and not lines(ax, "absent-1")
-    late = pictures(runs["faulty"], ["messages"], Look(window=(90.0, 91.0)))["messages"]
+    late = pictures(runs["faulty"], ["messages"], View(window=(90.0, 91.0)))["messages"]
     assert late == "no message was under way from 90 to 91 s"
 
 
@@ -483,7 +483,7 @@ def few(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.usefixtures("few")
 def test_report_says_what_is_missing(directories: dict[str, Path], tmp_path: Path) -> None:
-    words = " ".join(Page(page([*load([directories["cut"]])], Look())).words)
+    words = " ".join(Page(page([*load([directories["cut"]])], View())).words)
     assert "There is no result.json beside this log" in words
     assert "The log is not whole" in words
     assert "from the log" in words
@@ -491,9 +491,9 @@ def test_report_says_what_is_missing(directories: dict[str, Path], tmp_path: Pat
     other.mkdir()
     (other / "run.mcap").write_bytes((directories["mixed"] / "run.mcap").read_bytes())
     (other / "result.json").write_bytes((directories["faulty"] / "result.json").read_bytes())
-    assert "is of another log" in " ".join(Page(page(load([other]), Look())).words)
+    assert "is of another log" in " ".join(Page(page(load([other]), View())).words)
     (other / "result.json").write_text("{")
-    assert "result.json is damaged: not JSON" in " ".join(Page(page(load([other]), Look())).words)
+    assert "result.json is damaged: not JSON" in " ".join(Page(page(load([other]), View())).words)
 
 
 def test_a_report_that_finds_no_room_leaves_nothing(
@@ -504,7 +504,7 @@ def test_a_report_that_finds_no_room_leaves_nothing(
 
     monkeypatch.setattr("fleet.pictures.report.page", full)
     with pytest.raises(ReportError, match="No space left"):
-        write_report(tmp_path / "r.html", load([directories["one"]]), Look())
+        write_report(tmp_path / "r.html", load([directories["one"]]), View())
     assert list(tmp_path.iterdir()) == []
 
 
@@ -547,7 +547,7 @@ def test_report_of_two_runs_with_verdicts_and_names_that_are_html(tmp_path: Path
     ).directory
     second = logged(tmp_path, "ideal", "duration=300 ms")
     both = load([first, second])
-    text = page(both, Look(log_scale=True))
+    text = page(both, View(log_scale=True))
     found = Page(text)
     assert "&lt;b&gt;&amp;&lt;/b&gt;" in text
     assert "FAIL" in found.words and "check failed" in " ".join(found.words)
@@ -568,7 +568,7 @@ def test_nothing_in_a_log_is_taken_for_markup(directories: dict[str, Path]) -> N
     (run,) = load([directories["one"]])
     run.label = '<img src="http://x">'
     run.notes.append("<script>1</script>")
-    text = page([run], Look())
+    text = page([run], View())
     found = Page(text)  # refuses a script
     assert all(load.startswith("data:image/png;base64,") for load in found.loads)
     assert run.label in found.words and "<script>" not in text

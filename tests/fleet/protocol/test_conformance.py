@@ -23,7 +23,7 @@ from waiting import wait_for
 from fleet.cli.main import cli
 from fleet.protocol import conformance
 from fleet.protocol.conformance import CHECKS, Check, ConformanceError, Examination
-from fleet.repeat.verify import describe, verify
+from fleet.repeat.verify import verification_lines, verify
 from fleet.scenario.loading import load_scenario
 
 EXAMPLE = ROOT / "docs" / "examples" / "foreign_agent.py"
@@ -152,7 +152,7 @@ def test_the_example_completes_a_run(tmp_path: Path) -> None:
         assert (result["rejected"], result["notes"]) == ({}, [])
         assert result["vehicles"]["3"]["u_cmd_max_mps"] is None
         found = verify(run.log)
-        assert (found.reproduced, found.external) == (True, (3,)), describe(found)
+        assert (found.reproduced, found.external) == (True, (3,)), verification_lines(found)
 
 
 def test_the_example_takes_part_on_a_wall_clock_and_leaves_on_ctrl_c(tmp_path: Path) -> None:

@@ -22,7 +22,7 @@ from fleet.logs.decoder import _unit
 from fleet.logs.reader import LogReader
 from fleet.recorder.scene import CUTS, HISTORY, LINKS, LinkHistories, Scene, diameter, hull
 from fleet.recorder.transforms import quaternion
-from fleet.repeat.resume import prepare
+from fleet.repeat.resume import continuation
 from fleet.run.execute import Result, execute
 from fleet.run.options import Options
 from fleet.scenario.loading import load_scenario
@@ -248,7 +248,7 @@ def test_what_is_drawn_can_be_thinned_and_left_out(tmp_path: Path) -> None:
 def test_a_run_that_goes_on_draws_the_same(log: Path, tmp_path: Path) -> None:
     """Histories of links come from the snapshot, and who is silent from the first frame."""
     for at in (1_000_000_000, 3_000_000_000):
-        scenario, start = prepare(log, at)
+        scenario, start = continuation(log, at)
         again = execute(scenario, Options(tmp_path, in_process=True, quiet=True, start=start)).directory / "run.mcap"
         rest, before = ([r for r in LogReader(path) if r.log_ns >= at] for path in (again, log))
         assert rest == before

@@ -18,7 +18,7 @@ from agents.config import AgentConfig
 from fleet.cli.main import cli
 from fleet.logs.schemas import Column, DoublesEncoder
 from fleet.repeat.recorded_agent import NotRecordedError
-from fleet.repeat.verify import describe, verify
+from fleet.repeat.verify import verification_lines, verify
 from fleet.run.execute import Status, execute
 from fleet.run.options import Options
 from fleet.scenario.loading import load_scenario
@@ -58,7 +58,7 @@ def log(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.Monk
 def test_what_it_said_gives_the_same_log(log: Path) -> None:
     """Commands, telemetry, memories and payloads, lost and damaged ones included: every message, bit for bit."""
     found = verify(log)
-    said = describe(found)
+    said = verification_lines(found)
     assert found.reproduced, said
     assert found.until_s == found.end_s
     assert said[0] == "vehicle 3 is external: its commands and payloads were taken from the log"
@@ -72,9 +72,9 @@ def test_a_cut_log_is_verified_as_far_as_it_tells(log: Path, share: float) -> No
     data = log.read_bytes()
     log.write_bytes(data[: int(share * len(data))])
     found = verify(log)
-    assert found.reproduced, describe(found)
+    assert found.reproduced, verification_lines(found)
     assert found.messages > 0
-    assert "reproduced bit for bit" in describe(found)[1]
+    assert "reproduced bit for bit" in verification_lines(found)[1]
 
 
 @pytest.mark.parametrize("log", ["snapshots"], indirect=True)

@@ -17,8 +17,8 @@ from fleet.cli.main import cli
 from fleet.logs.reader import LogReader, Record
 from fleet.recorder.snapshot import Snapshot, SnapshotError, Start, find
 from fleet.repeat.recorded_run import script
-from fleet.repeat.resume import parse_from, prepare
-from fleet.repeat.verify import describe, verify
+from fleet.repeat.resume import continuation, parse_from
+from fleet.repeat.verify import verification_lines, verify
 from fleet.run.execute import Result, Status, execute
 from fleet.run.options import Options
 from fleet.scenario.loading import load_scenario
@@ -62,7 +62,7 @@ def test_the_rest_is_the_same_to_the_last_bit(name: str, overrides: list[str], t
     snapshots = [r.log_ns for r in LogReader(first.directory / "run.mcap") if r.topic == "snapshot"]
     assert snapshots
     for at in {snapshots[0], snapshots[len(snapshots) // 2], snapshots[-1]}:
-        scenario, start = prepare(first.directory, at)
+        scenario, start = continuation(first.directory, at)
         again = run(scenario, tmp_path, start)
         assert start.snapshot.tick * scenario.tick_ns == at
         assert since(again.directory, at) == since(first.directory, at)
@@ -70,10 +70,10 @@ def test_the_rest_is_the_same_to_the_last_bit(name: str, overrides: list[str], t
         # A log of the rest is a log like any other.
         assert script(again.directory) == scenario
         verified = verify(again.directory)
-        assert verified.reproduced, describe(verified)
+        assert verified.reproduced, verification_lines(verified)
         assert verified.messages == again.values["messages"]
         if at != snapshots[-1]:
-            later, further = prepare(again.directory, snapshots[-1])
+            later, further = continuation(again.directory, snapshots[-1])
             assert since(run(later, tmp_path, further).directory, snapshots[-1]) == since(
                 first.directory, snapshots[-1]
             )
@@ -81,7 +81,7 @@ def test_the_rest_is_the_same_to_the_last_bit(name: str, overrides: list[str], t
 
 def test_a_change_acts_from_there_on(tmp_path: Path) -> None:
     first = recorded(tmp_path, "paper", "duration=2 s", "log.snapshot=500 ms")
-    scenario, start = prepare(first.directory, 1_200_000_000, ["faults=[{at: 1.5 s, mute: 1}]", "duration=3 s"])
+    scenario, start = continuation(first.directory, 1_200_000_000, ["faults=[{at: 1.5 s, mute: 1}]", "duration=3 s"])
     assert start.notes[0].endswith("its last snapshot before 1.2 s")
     again = run(scenario, tmp_path, start)
     at, mute = 1_000_000_000, 1_500_000_000
@@ -93,7 +93,7 @@ def test_a_change_acts_from_there_on(tmp_path: Path) -> None:
 
 def test_an_agent_with_another_law_begins_without_memory(tmp_path: Path) -> None:
     first = recorded(tmp_path, "paper", "duration=1 s", "log.snapshot=500 ms")
-    scenario, start = prepare(first.directory, None, ["per_vehicle={'3': {controller: bsmc}}"])
+    scenario, start = continuation(first.directory, None, ["per_vehicle={'3': {controller: bsmc}}"])
     assert start.anew == (3,)
     assert "agents 3 begin without memory" in start.notes[1]
     again = run(scenario, tmp_path, start)

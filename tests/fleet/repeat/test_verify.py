@@ -25,7 +25,7 @@ from fleet.logs.reader import LogReader, open_file
 from fleet.logs.records import Block, Message
 from fleet.logs.recover import Copy, Recovered, recover
 from fleet.logs.salvage import Item, Salvage
-from fleet.repeat.verify import Verification, describe, verify
+from fleet.repeat.verify import Verification, verification_lines, verify
 from fleet.run.execute import Status, execute
 from fleet.run.options import Options
 from fleet.scenario.loading import load_scenario
@@ -158,7 +158,9 @@ def test_an_interrupt_in_the_middle_of_a_message(number: int, tmp_path: Path, mo
         signal.signal(signal.SIGTERM, before)
     assert result.status is Status.INTERRUPTED and next(messages) > 2000
     found = verify(result.directory)
-    assert found.reproduced and describe(found)[0].endswith("where the run was ended"), describe(found)
+    assert found.reproduced and verification_lines(found)[0].endswith("where the run was ended"), verification_lines(
+        found
+    )
 
 
 @pytest.mark.parametrize("then", ["die", "abort"])
@@ -178,7 +180,7 @@ def test_a_run_with_a_controller_that_failed(then: str, tmp_path: Path, monkeypa
     scenario = load_scenario("paper", ["duration=2 s", "checks={}", f"on_controller_error={then}"])
     result = execute(scenario, Options(tmp_path, in_process=True, quiet=True))
     found = verify(result.directory)
-    assert found.reproduced, describe(found)
+    assert found.reproduced, verification_lines(found)
     assert found.until_s == (pytest.approx(0.5, abs=0.1) if result.status is Status.BROKEN else 2.0)
 
 
@@ -214,7 +216,7 @@ def test_a_message_less_or_more(log: Path, tmp_path: Path) -> None:
         assert found.difference is not None
         assert (found.messages, found.difference.number) == (number, number)
     assert found.difference.left.record is None
-    assert "recorded: the log ends here" in "\n".join(describe(found))
+    assert "recorded: the log ends here" in "\n".join(verification_lines(found))
     twice = altered(log, tmp_path / "more", lambda n, item: item)
     last = list(LogReader(log))[-1]
 
@@ -223,7 +225,7 @@ def test_a_message_less_or_more(log: Path, tmp_path: Path) -> None:
 
     found = verify(altered(twice, tmp_path / "other", doubled))
     assert found.difference is not None
-    text = "\n".join(describe(found))
+    text = "\n".join(verification_lines(found))
     assert "  recorded: " in text and "  re-run: " in text
 
 
@@ -257,7 +259,7 @@ def test_other_versions_are_a_likely_reason(log: Path, tmp_path: Path) -> None:
 
     same = verify(altered(log, tmp_path / "same", lambda n, item: item if n >= 0 else change(n, item)))
     assert same.reproduced and len(same.versions) == 2
-    assert len(describe(same)) == 1
+    assert len(verification_lines(same)) == 1
     result = tool("verify", altered(log, tmp_path / "a", change))
     assert result.exit_code == 1
     assert "likely why: piqp: recorded with 0.5.0, here is 0." in result.stdout
@@ -272,10 +274,10 @@ def test_a_recovered_log_with_a_gap(log: Path, tmp_path: Path) -> None:
     (tmp_path / "damaged").write_bytes(data)
     assert recover(tmp_path / "damaged", tmp_path / "mended").lost
     found = verify(tmp_path / "mended")
-    assert found.reproduced, describe(found)
+    assert found.reproduced, verification_lines(found)
     total = sum(1 for _ in LogReader(log))
     assert found.skipped > 100 and found.messages + found.skipped == total
-    assert describe(found)[1] == f"{found.skipped} messages are missing in the file and were not compared"
+    assert verification_lines(found)[1] == f"{found.skipped} messages are missing in the file and were not compared"
     changed = altered(tmp_path / "mended", tmp_path / "changed", at(found.messages - 5, flipped))
     assert verify(changed).difference is not None
 
@@ -301,7 +303,7 @@ def test_verification_tells_where_it_is(log: Path) -> None:
 
 
 def test_verification_of_nothing_is_no_success() -> None:
-    assert describe(Verification(Path("x"), 0.0, 1.0)) == []
+    assert verification_lines(Verification(Path("x"), 0.0, 1.0)) == []
 
 
 # --- diff -------------------------------------------------------------------

@@ -14,7 +14,7 @@ from fault_histories import EVERYTHING
 
 from fleet.cli.main import cli
 from fleet.errors import ScenarioError
-from fleet.repeat.what_if import WhatIfError, whatif
+from fleet.repeat.what_if import WhatIfError, what_if
 from fleet.run.execute import Status, execute
 from fleet.run.options import Options
 from fleet.scenario.loading import load_scenario
@@ -43,7 +43,7 @@ def run(folder: Path, name: str, *overrides: str) -> Path:
 def test_with_nothing_changed_every_command_is_that_of_the_log(name: str, overrides: list[str], tmp_path: Path) -> None:
     directory = run(tmp_path, name, *overrides)
     for agent in (1, 2, 3, 4):
-        found = whatif(directory, agent)
+        found = what_if(directory, agent)
         assert found.identical, (agent, found.first_s)
         assert len(found.t) > 50
         assert found.heard > 0
@@ -51,9 +51,9 @@ def test_with_nothing_changed_every_command_is_that_of_the_log(name: str, overri
 
 def test_another_law_commands_something_else(tmp_path: Path) -> None:
     directory = run(tmp_path, "paper", "duration=2 s")
-    found = whatif(directory, 3, ["controller=bsmc"])
+    found = what_if(directory, 3, ["controller=bsmc"])
     assert (found.identical, found.first_s) == (False, 0.0)
-    later = whatif(directory, 3, ["neighbours.extrapolate=hold"])  # hears nobody before 0.01 s
+    later = what_if(directory, 3, ["neighbours.extrapolate=hold"])  # hears nobody before 0.01 s
     assert later.first_s is not None
     assert 0.0 < later.first_s < 0.5
     shown = json.loads(
@@ -65,10 +65,10 @@ def test_another_law_commands_something_else(tmp_path: Path) -> None:
 def test_a_law_of_the_users(module: Callable[[str], str], tmp_path: Path) -> None:
     directory = run(tmp_path, "paper", "duration=1 s")
     law = module(failing(50, "raise ValueError('enough')"))
-    assert not whatif(directory, 3, [f"controller={law}:Law"]).identical
+    assert not what_if(directory, 3, [f"controller={law}:Law"]).identical
     with pytest.raises(WhatIfError, match="agent 2, tick 50: Law raised ValueError: enough"):
-        whatif(directory, 2, [f"controller={law}:Law"])
-    coasting = whatif(directory, 2, [f"controller={law}:Law", "on_controller_error=coast"])
+        what_if(directory, 2, [f"controller={law}:Law"])
+    coasting = what_if(directory, 2, [f"controller={law}:Law", "on_controller_error=coast"])
     assert any("enough" in note for note in coasting.notes)
 
 
@@ -86,7 +86,7 @@ def test_what_cannot_be_asked_is_refused_in_words(tmp_path: Path) -> None:
         result = CliRunner().invoke(cli, ["whatif", *arguments])
         assert (result.exit_code, words in result.stderr) == (2, True), (arguments, result.stderr)
     with pytest.raises(ScenarioError):
-        whatif(directory, 1, ["nonsense=1"])
+        what_if(directory, 1, ["nonsense=1"])
 
 
 def test_the_picture(tmp_path: Path) -> None:

@@ -18,11 +18,11 @@ from live import LiveRun
 from traffic import LIMIT_S, Command, Ear, endpoint, len_of, session, times
 from waiting import wait_for
 
-from fleet.logs.info import describe, read_info
+from fleet.logs.info import info_text, read_info
 from fleet.logs.reader import LogReader
 from fleet.logs.tape import Tape
 from fleet.replay.attachment import Stamp, pack, unpack
-from fleet.replay.capture import Gone, TrafficWriter
+from fleet.replay.capture import PublisherGone, TrafficWriter
 from fleet.replay.capture_format import ATTACHMENT, KIND, message_encoding, zenoh_encoding
 from netem.wire.open_bus import OpenBus, ZenohSample
 
@@ -111,7 +111,7 @@ def test_other_traffic_comes_back_as_it_was(tmp_path: Path) -> None:
     # A router stamps what passes through it.
     assert all(before - 10**9 <= tape[n].publish_ns <= after + 10**9 for n in range(len(tape)))
     assert {c.metadata[KIND] for c in tape.channels.values()} == {"put", "delete", ATTACHMENT}
-    assert not tape.schemas and "robot/1/odom" in describe(read_info(path))
+    assert not tape.schemas and "robot/1/odom" in info_text(read_info(path))
     heard = heard_again(path, "robot/**")
     assert content(heard) == content(SAMPLES)
     heard = heard_again(path, "**", "--remap", "robot/1:=twin", "--topics", "robot/1/*")
@@ -203,7 +203,7 @@ def test_whether_the_other_side_is_gone(monkeypatch: pytest.MonkeyPatch) -> None
     now = [0.0]
     monkeypatch.setattr("fleet.replay.capture.time.monotonic", lambda: now[0])
     there = [True]
-    gone = Gone(lambda: there[0])
+    gone = PublisherGone(lambda: there[0])
     said = []
     for at, is_there in (
         (0.0, True),

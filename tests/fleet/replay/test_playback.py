@@ -25,7 +25,7 @@ from fleet.logs.tape import Tape
 from fleet.processes.interrupts import holding_interrupts
 from fleet.replay.attachment import Stamp, pack, unpack
 from fleet.replay.capture_format import ENCODING, zenoh_encoding
-from fleet.replay.playback import Replay, Wishes
+from fleet.replay.playback import PlaybackOptions, Replay
 from netem.wire.keys import Keys
 from netem.wire.open_bus import OpenBus
 
@@ -33,8 +33,8 @@ from netem.wire.open_bus import OpenBus
 def test_topics_that_a_renaming_puts_on_one_key(log: Path) -> None:
     """They are played, with a warning; two that change places are no such thing."""
     tape = Tape(log)
-    assert Replay(tape, Wishes(remap=("uuv/1:=uuv/2", "uuv/2:=uuv/1"))).note == ""
-    note = Replay(tape, Wishes(remap=("uuv/1:=uuv/2",))).note
+    assert Replay(tape, PlaybackOptions(remap=("uuv/1:=uuv/2", "uuv/2:=uuv/1"))).note == ""
+    note = Replay(tape, PlaybackOptions(remap=("uuv/1:=uuv/2",))).note
     assert note == "uuv/1/pose and uuv/2/pose are played on one key, fleet/replay/log/uuv/2/pose, and 6 more so"
 
 
@@ -96,7 +96,7 @@ def test_part_of_a_log_renamed_with_a_clock(log: Path, records: list[Record]) ->
 def test_whoever_listens_can_ask_for_schemas(log: Path) -> None:
     """The descriptor set under fleet/{run}/schema/{name} is the log's."""
     tape = Tape(log)
-    replay = Replay(tape, Wishes())
+    replay = Replay(tape, PlaybackOptions())
     with session(OpenBus.listen(where := endpoint())) as bus, session(OpenBus.connect(where)) as client:
         replay.open(bus)
         key = Keys("replay").schema("uuv_fleet.State")

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fleet.replay.player import LATE_NS, Metronome, Pace, Player
+from fleet.replay.player import LATE_NS, MeasuredRate, Metronome, Player
 from fleet.terminal.keyboard import Key, decode
 
 S = 1_000_000_000
@@ -213,7 +213,7 @@ def test_metronome_leaves_out_what_it_slept_through() -> None:
 
 
 def test_pace() -> None:
-    pace = Pace()
+    pace = MeasuredRate()
     values = [pace.tell(now, 2 * now) for now in range(0, 5 * S, S // 10)]
     assert values[0] == 0 and values[-1] == 2
     assert pace.tell(6 * S, 0) == 2  # a seek back is no pace

@@ -15,11 +15,11 @@ from fleet.cli.main import cli
 from fleet.reproduce.cases import CASES, NAMES, D, Outcome, U, run_case
 from fleet.reproduce.claims import CORRECTED, NO_K_MAX, PRINTED, judge
 from fleet.reproduce.figures import DASHED, FIGURES, OF_CONTROLLERS, OF_VEHICLES, TAU_MAX, consensus_errors, inputs
-from fleet.reproduce.measures import late_s, measure, tumbled
+from fleet.reproduce.measures import late_s, tumbled, vehicle_measures
 from fleet.reproduce.report import write
 from fleet.reproduce.table1 import HEADINGS, chosen, table_1
 from fleet.reproduce.topology import topology
-from fleet.reproduce.verdicts import Check, Claim
+from fleet.reproduce.verdicts import Claim, ClaimCheck
 from fleet.run.in_memory import record
 from fleet.scenario.loading import load_scenario
 
@@ -95,7 +95,7 @@ def test_recording_has_what_each_vehicle_reports() -> None:
     assert np.isnan(r["tau"][-1]).all()
     assert r.t == pytest.approx(np.arange(11) / 100)
     r.signals["z"] = np.abs(r["u_err"])
-    assert len(measure(r)) == 4
+    assert len(vehicle_measures(r)) == 4
 
 
 def test_late_is_whole_periods_of_the_disturbance() -> None:
@@ -103,7 +103,7 @@ def test_late_is_whole_periods_of_the_disturbance() -> None:
     r = record(load_scenario("ideal", ["duration=20 s", "sea.disturbance=paper", "controller=bc", "checks={}"]))
     assert late_s(r) == pytest.approx(2 * np.pi)
     r.signals["z"] = np.where(r.t < 5.0, 9.0, np.where(r.t < 12.0, 3.0, 1.0))[:, None, None] * np.ones((1, 4, 1))
-    (row, *_) = measure(r)
+    (row, *_) = vehicle_measures(r)
     assert (row["z_max_mps"], row["z_peak_mps"], row["z_rms_mps"]) == pytest.approx((9.0, 3.0, 1.0))
     assert late_s(record(load_scenario("ideal", ["duration=100 ms", "checks={}"]))) == 10.0
 
@@ -301,7 +301,11 @@ def test_claims_without_their_runs_are_left_out() -> None:
 
 
 def test_verdict_words() -> None:
-    yes, no, half = Check("a", "", (True,), ""), Check("b", "", (False, False), ""), Check("b", "", (True, False), "")
+    yes, no, half = (
+        ClaimCheck("a", "", (True,), ""),
+        ClaimCheck("b", "", (False, False), ""),
+        ClaimCheck("b", "", (True, False), ""),
+    )
     assert [check.told for check in (yes, no, half)] == ["yes", "no", "partly (1 of 2)"]
     assert Claim("", "", (half,)).verdict == "partly"
     assert Claim("", "", (yes, half, no)).readings == "a: yes; b: 1 partly, 1 no"

@@ -60,7 +60,7 @@ def columns(topic: Topic) -> list[TableColumn]:
 def _table(topic: Topic, t: Array, fields: Columns) -> list[TableColumn]:
     found = [TableColumn("t", "s", "when the message was logged, in simulated time", t)]
     for name, values in fields.items():
-        unit, meaning = topic.told(name)
+        unit, meaning = topic.declaration(name)
         if values.ndim == 1:
             found.append(TableColumn(name, unit, meaning, values))
             continue

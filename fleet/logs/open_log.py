@@ -33,25 +33,47 @@ BUCKETS = 4000  # spans of time that a picture tells apart, at most
 
 
 class FaultInterval(NamedTuple):
-    """A fault of the log: from when to when it lasted [s]; one that was cut off lasts to the log's end."""
+    """A fault of the log, and when it was active, in s of simulated time.
 
-    id: str
-    begin: float
-    end: float
-    what: str
+    A fault whose end is not in the log lasts to the end of the log.
+    """
+
+    id: str  # as in the scenario, or f1, f2, ...
+    begin: float  # [s]
+    end: float  # [s]
+    what: str  # kind and arguments, such as `kill 3`
 
 
 class Log:
-    """What `open_log` gives: topics by name, and what the log says of itself."""
+    """A log that `open_log` has read: a mapping of topic names to `Topic`, and what the log says of its run.
+
+    Example:
+        >>> log = open_log("runs/latest")
+        >>> log["uuv/1/state"].z.max()  # the greatest depth of vehicle 1 [m]
+        >>> [fault.id for fault in log.faults if fault.begin < 20.0]
+
+    Attributes:
+        path: the MCAP file.
+        run: metadata that determined the result, as text by name: scenario, seed, tick_ns, ticks, vehicles, graph,
+            and the versions of what computed it. Empty for a log of another program.
+        missing: why the log is not whole, in words; empty if it is whole.
+        scenario_text: the merged scenario as YAML; empty if the log holds none.
+    """
 
     def __init__(self, path: Path, topics: dict[str, Topic], reader: LogReader) -> None:
+        """Logs are made by `open_log`."""
         self.path = path
-        self.run = reader.metadata.get("run", {})  # what determined the result: scenario, seed, versions
-        self.missing = reader.missing  # why the log is not whole; "" if it is
+        self.run = reader.metadata.get("run", {})
+        self.missing = reader.missing
         self._topics = topics
-        self.scenario_text = reader.attachments.get("scenario.yaml", b"").decode("utf-8", "replace")  # "" if none
+        self.scenario_text = reader.attachments.get("scenario.yaml", b"").decode("utf-8", "replace")
 
     def __getitem__(self, topic: str) -> Topic:
+        """The topic of a name.
+
+        Raises:
+            LogKeyError: the log has no such topic; a `KeyError` as well.
+        """
         if topic not in self._topics:
             if not isinstance(topic, str):
                 raise LogKeyError(f"topics have names such as 'uuv/1/state', got {topic!r}")
@@ -74,37 +96,39 @@ class Log:
 
     @property
     def topics(self) -> list[str]:
-        """The names of all topics, also of those without a message."""
+        """The names of all topics in the order of the file, also of those without a message."""
         return list(self._topics)
 
     @property
     def messages(self) -> int:
-        """How many messages were read."""
+        """The number of messages of all topics that were read."""
         return sum(len(topic) for topic in self._topics.values())
 
     @cached_property
     def end(self) -> float:
-        """Time of the last message [s]."""
+        """The simulated time of the last message [s]; 0 for a log without messages."""
         return max((topic.last_ns for topic in self._topics.values() if len(topic)), default=0) / 1e9
 
     @property
     def vehicles(self) -> list[int]:
-        """The numbers of the vehicles that the log has topics of."""
+        """The numbers of the vehicles that the log has topics of, ascending from 1."""
         found = {int(match[1]) for topic in self if (match := re.match(r"uuv/(\d+)/", topic))}
         return sorted(found)
 
     @property
     def links(self) -> list[tuple[int, int]]:
-        """The directed links (source, destination) that the log has topics of."""
+        """The directed links (source, destination) that the log has topics of, ascending."""
         return sorted((int(m[1]), int(m[2])) for topic in self if (m := re.fullmatch(r"link/(\d+)-(\d+)", topic)))
 
     @cached_property
     def scenario(self) -> Scenario:
-        """The merged scenario that was run, without what was injected into the run. No law of it is imported.
+        """The merged scenario that was run, without the faults that were injected into the run.
+
+        No module that it names is imported.
 
         Raises:
-            LogReadError: the log holds none.
-            ScenarioError: another version wrote it, and it is none for this one.
+            LogReadError: the log holds no scenario.
+            ScenarioError: another version wrote the scenario, and this one does not accept it.
         """
         from fleet.scenario.loading import parse_scenario
 
@@ -114,7 +138,11 @@ class Log:
 
     @cached_property
     def faults(self) -> list[FaultInterval]:
-        """The faults in the order in which they began."""
+        """The faults in the order in which they began; empty for a log without the topic `faults`.
+
+        Raises:
+            LogReadError: the log holds more events of faults than are read.
+        """
         if "faults" not in self or not len(self["faults"]):
             return []
         topic = self["faults"]
@@ -141,22 +169,33 @@ def open_log(
     every: int = 1,
     share: Tell = lambda _: None,
 ) -> Log:
-    """Read a log, whole or cut, into numpy arrays.
+    """Read a log, whole or cut, as numpy arrays.
 
-    A log that is too large to be held is read again for each topic when that is first looked at; a topic that is too
-    large by itself is an error then, which says what to do.
+    The file is read once; the messages of a topic are decoded when one of its fields is first used. A log that is too
+    large for memory (320 MB of messages) is read again for each topic that is used. A topic that is too large by
+    itself raises `LogReadError` then, with the arguments that make it smaller.
+
+    Example:
+        >>> import fleet
+        >>> log = fleet.open_log("runs/latest", ["uuv/*/state", "faults"], start=10.0, end=30.0)
+        >>> log["uuv/2/state"].t.shape == log["uuv/2/state"].x.shape
+        True
 
     Args:
         path: an MCAP file, or a run directory.
-        topics: keep only the topics that match one of these patterns, such as `uuv/*/state`; None: all.
-        progress: told the simulated time [s] now and then.
-        start: keep only messages from this time on [s].
-        end: keep only messages up to this time [s].
-        every: keep only the first of so many messages of each topic.
-        share: told the share of the file that was read, now and then.
+        topics: keep only topics that match one of these patterns of `fnmatch`, such as `uuv/*/state`; None: all.
+        progress: called now and then with the simulated time that was reached [s].
+        start: keep only messages from this simulated time on [s].
+        end: keep only messages up to this simulated time [s], inclusive.
+        every: keep the first of every so many messages of each topic.
+        share: called now and then with the share of the file that was read, 0 to 1.
+
+    Returns:
+        the topics of the log, also of a log that is cut or damaged: then every message before the first damaged
+        place, and `Log.missing` says what is missing.
 
     Raises:
-        LogReadError: there is no log to read.
+        LogReadError: the file cannot be opened or is no MCAP file, or `start`, `end` or `every` exclude one another.
     """
     if every < 1:
         raise LogReadError(f"every={every}: it is the number of messages of which one is kept, 1 or more")
@@ -166,9 +205,16 @@ def open_log(
 
 
 def open_drawn(path: Path, topics: Iterable[str], share: Tell, fields: Mapping[str, frozenset[str]]) -> Log:
-    """Read a log for pictures. Of one that is too large to be held, as much of each signal as can be seen is kept: of
-    short spans of time the first and the last sample and the extremes. `fields` are all that is kept then of topics
-    that match a pattern.
+    """Read a log for pictures.
+
+    Of a log that is too large to be held, as much of each signal is kept as can be seen: of short spans of time the
+    first and the last sample and the extremes.
+
+    Args:
+        path: an MCAP file, or a run directory.
+        topics: patterns of the topics to keep.
+        share: called with the share of the file that was read.
+        fields: pattern of topics -> the fields that are kept of them if the log is too large.
 
     Raises:
         LogReadError: there is no log to read.
@@ -177,7 +223,7 @@ def open_drawn(path: Path, topics: Iterable[str], share: Tell, fields: Mapping[s
 
 
 def list_topics(path: Path, topics: Iterable[str] | None, share: Tell) -> Log:
-    """A log whose topics hold nothing yet: what there is, and how much; a topic is read when it is looked at.
+    """A log whose messages are counted and not held; a topic is read when one of its fields is used.
 
     Raises:
         LogReadError: there is no log to read.

@@ -1,4 +1,4 @@
-"""One topic of a log: its messages as they stand in the file, and as numpy columns when somebody looks at them."""
+"""One topic of a log: its messages as bytes of the file, and as numpy columns once a field is used."""
 
 from __future__ import annotations
 
@@ -30,28 +30,45 @@ class TooLargeError(LogReadError):
 
 
 class Topic:
-    """The messages of one topic in the order of the file: `.t` [s] and one array per field.
+    """The messages of one topic in the order of the file: the times `t` [s] and one array per field.
 
-    A field is an attribute (`topic.x`) and an item (`topic["x"]`, also where its name is one of these here): shape
-    (samples,), or (samples, width) for a vector; text and bytes are arrays of objects.
+    A field is an attribute (`topic.x`) and an item (`topic["x"]`, also where the class has an attribute of that name).
+    Numbers have the shape (samples,), or (samples, width) for a vector, and the unit that `units` states; text and
+    bytes are arrays of objects. `len(topic)` is the number of samples.
+
+    Example:
+        >>> state = log["uuv/1/state"]
+        >>> state.units["psi"]
+        'rad'
+        >>> numpy.interp(12.5, state.t, state.z)  # depth at t = 12.5 s [m]
+
+    Attributes:
+        name: such as `uuv/1/state`.
+        schema: name of the message type.
+        size: bytes of all its messages in the log.
+        last_ns: the latest log time of a message [ns]; -1 without any.
+        step_ns: time between the samples of a thinned topic [ns]; 0: all samples are there.
+
+    Raises:
+        LogReadError: from every access to data, if the messages cannot be decoded or are too many to be held.
     """
 
     def __init__(self, name: str, channel: Channel, schema: Schema | None) -> None:
         self.name = name
         self.schema = schema.name if schema is not None else ""
-        self.size = 0  # bytes of all its messages in the log
-        self.last_ns = -1  # the latest time of one
-        self.step_ns = 0  # a picture's samples are so far apart; 0: all are there
+        self.size = 0
+        self.last_ns = -1
+        self.step_ns = 0
         self._count = 0
         self._declared = schema if schema is not None and _is_protobuf(channel, schema) else None
-        self._told: dict[str, tuple[str, str]] = _units(channel.metadata)
+        self._declarations: dict[str, tuple[str, str]] = _units(channel.metadata)
         self.fetch: Callable[[Topic], None] | None = None  # reads what is not held
         self.fields_kept: frozenset[str] | None = None  # None: all
         self._columnizer: Columnizer | None = None
         self.drop()
 
     def drop(self) -> None:
-        """Hold nothing any more."""
+        """Hold no message any more."""
         self._held = False
         self._data = bytearray()
         self._lengths = array("I")
@@ -62,18 +79,18 @@ class Topic:
         self.__dict__.pop("t", None)
 
     def refuse(self) -> None:
-        """Hold nothing, and say so to whoever looks."""
+        """Hold no message; a later access raises `TooLargeError`."""
         self.drop()
         self.fetch = _refuse
 
     def count(self, block: Block) -> None:
-        """Take notice of more messages."""
+        """Count messages."""
         self._count += len(block)
         self.size += int((block.end - block.begin).sum())
         self.last_ns = max(self.last_ns, int(block.log_ns.max()))
 
     def add(self, block: Block) -> None:
-        """Hold more messages, before the first look at the fields."""
+        """Hold more messages as bytes; only before a field is used."""
         self._held = True
         self._log_ns.frombytes(block.log_ns.tobytes())
         self._publish_ns.frombytes(block.publish_ns.tobytes())
@@ -83,11 +100,11 @@ class Topic:
 
     @property
     def cost(self) -> int:
-        """Bytes that it takes now."""
+        """Bytes of memory that are used now."""
         return len(self._data) + 28 * len(self._numbers) + self._cost
 
     def compact(self, most: int = 0) -> None:
-        """Decode what is held as bytes if they are at least so many: the columns take less.
+        """Decode what is held as bytes, if that is at least `most` bytes: columns take less memory.
 
         Raises:
             LogReadError: they cannot be decoded.
@@ -112,7 +129,7 @@ class Topic:
         self._data, self._lengths = bytearray(), array("I")
 
     def thin(self, buckets: int) -> None:
-        """Keep the first, the last and each column's extremes of so many spans of time."""
+        """Keep of each of `buckets` spans of time the first and the last sample, and the extremes of each column."""
         self.compact()
         columns = joined(self._parts)
         log_ns = np.array(self._log_ns, np.int64)
@@ -133,11 +150,11 @@ class Topic:
 
     @property
     def doubles(self) -> bool:
-        """Whether all that is held are numbers."""
+        """Whether every field that is held is a number."""
         return bool(self._parts) and all(v.dtype == np.float64 for part in self._parts for v in part.values())
 
     def too_large(self) -> TooLargeError:
-        """What to say of more than can be held."""
+        """The error of a topic that is too large, with arguments of `open_log` that make it smaller."""
         every = max(2, -(-4 * self.size // MOST_HELD))
         return TooLargeError(
             f"{self.name} holds {self._count} messages of {self.size / 1e6:.0f} MB, more than is held at once: open "
@@ -154,6 +171,11 @@ class Topic:
         return f"<{self.name}: {len(self)} samples of {shown}>"
 
     def __getitem__(self, field: str) -> Array:
+        """The samples of a field, (samples,) or (samples, width).
+
+        Raises:
+            LogKeyError: the topic has no such field; a `KeyError` as well.
+        """
         columns = self._decoded
         if field not in columns:
             hint = nearest(field, list(columns))
@@ -183,22 +205,25 @@ class Topic:
 
     @cached_property
     def t(self) -> Array:
-        """When each message was logged, in s of simulated time; of a packet, when it arrived or was lost."""
+        """The log time of each message, (samples,), in s of simulated time.
+
+        Of a packet: when it arrived or was lost.
+        """
         return self.log_ns / 1e9
 
     @property
     def log_ns(self) -> Array:
-        """The same in ns, exactly."""
+        """The log time of each message, (samples,), in ns, exact."""
         return self._stored("_log_ns")
 
     @property
     def publish_ns(self) -> Array:
-        """When each message was sent, in ns."""
+        """The time at which each message was sent, (samples,), in ns of simulated time."""
         return self._stored("_publish_ns")
 
     @property
     def sequence(self) -> Array:
-        """The number of each message: the tick, or of a packet its number on the link."""
+        """The number of each message, (samples,): the tick, or of a packet its number on the link."""
         return self._stored("_numbers")
 
     def _stored(self, name: str) -> Array:
@@ -209,12 +234,12 @@ class Topic:
         if not self._held and self._count and self.fetch is not None:
             self.fetch(self)
 
-    def told(self, field: str) -> tuple[str, str]:
-        """Unit and meaning of a field, as the log states them; "" where it says nothing."""
-        return self._told.get(field, ("", ""))
+    def declaration(self, field: str) -> tuple[str, str]:
+        """(unit, meaning) of a field as the log states them; "" where it states none."""
+        return self._declarations.get(field, ("", ""))
 
     def columnizer(self) -> Columnizer:
-        """What decodes its messages.
+        """The decoder of its messages.
 
         Raises:
             LogReadError: the log's schema cannot be used.
@@ -224,16 +249,16 @@ class Topic:
     @property
     def units(self) -> dict[str, str]:
         """The unit of each field as the log states it; "" for text, and where the log says nothing."""
-        return {name: self.told(name)[0] for name in self.fields}
+        return {name: self.declaration(name)[0] for name in self.fields}
 
     @property
     def meanings(self) -> dict[str, str]:
         """What each field means, as the log states it."""
-        return {name: self.told(name)[1] for name in self.fields}
+        return {name: self.declaration(name)[1] for name in self.fields}
 
     @property
     def nested(self) -> bool:
-        """Whether a message holds lists of messages, which `fields` has as lists and no table has a place for."""
+        """Whether a message holds lists of messages, which are fields here and have no place in a table."""
         return self.columnizer().nested
 
     @property

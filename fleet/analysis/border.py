@@ -41,7 +41,7 @@ from fleet.scenario.scenario import Scenario
 from netem.condition import Condition
 from world.vectors import Vec3
 
-MOST_VEHICLES = 12  # beyond it the computation takes seconds, and only the rules of thumb are told
+MOST_VEHICLES = 12  # beyond it the computation takes seconds, and only the rules of thumb are printed
 LEAST_GAIN, MOST_GAIN = 1e-3, 50.0  # 1/s, between which a border is looked for
 MOST_DELAY_S = 10.0
 FINE = 0.002  # of a border, relative
@@ -285,7 +285,7 @@ class _Kind:
 
 
 class _Row(NamedTuple):
-    """What a vehicle hears."""
+    """The neighbours of a vehicle in the loop."""
 
     kind: _Kind
     links: list[tuple[int, float, int]]  # sender, weight, delay [ticks]

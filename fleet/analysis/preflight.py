@@ -1,4 +1,4 @@
-"""What can be told before a run: checks that cannot pass, faults that do nothing, a log that grows large."""
+"""Warnings before a run: checks that cannot pass, faults that do nothing, a log that grows large."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from fleet.scenario.schema.checks import EVERY
 from fleet.scenario.sections.timeline import OF_THE_NETWORK
 from netem.correlation import effective
 
-LARGE_MB = 50.0  # from which on a log is worth a word
+LARGE_MB = 50.0  # from which on a warning about the size is given
 MESSAGE_BYTES = 70  # in a log, compressed and indexed: 68 to 72 measured with 3, 4 and 12 vehicles
 THIN = "log: {every: 10 ticks}"
 BY_ROUND = frozenset(OF_THE_NETWORK) - {"slow"}  # faults that act at round ticks only
 
 
 def warnings(scenario: Scenario) -> list[str]:
-    """A sentence per thing that is valid and still hardly what was meant."""
+    """One sentence for each setting that is valid and hardly intended."""
     return [*_never_judged(scenario), *_recoveries(scenario), *_too_near(scenario), *_too_old(scenario),
             *_idle_faults(scenario), *_correlated(scenario), *_large_log(scenario)]  # fmt: skip
 

@@ -1,4 +1,4 @@
-"""What of a scenario depends on its seed. Where nothing does, every seed gives the same run."""
+"""Which parts of a scenario are drawn from its seed. If none are, every seed gives the same run."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ HINT = "initial: {scatter: 1 m}, sensors.position_noise or a loss would make see
 
 
 def seeded(scenario: Scenario) -> list[str]:
-    """What is drawn from the seed, in words; empty where nothing is."""
+    """The parts of a scenario that are drawn from the seed, in words; empty if there are none."""
     return list(dict.fromkeys(_seeded(scenario)))
 
 

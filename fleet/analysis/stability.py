@@ -181,7 +181,7 @@ def _mode(mode: Mode) -> str:
 
 
 def oldest_s(scenario: Scenario) -> float:
-    """How old what an agent hears can become without loss [s]: a round, and the longest delay, in whole ticks."""
+    """The largest age of a received message without loss [s]: a round plus the longest delay, in whole ticks."""
     if scenario.ideal or not scenario.graph.links:
         return 0.0
     tick = scenario.tick_ns

@@ -48,7 +48,7 @@ def agent_steps(ticks: int) -> dict[str, float]:
     """Median microseconds of CPU time: whole steps, controllers alone, and the stages of a step without QP."""
     config, tape = _tape(ticks)
     costs = _Costs()
-    # What the clock itself costs is in every figure; shown so that nobody wonders.
+    # The cost of the clock itself is part of every figure, therefore it is shown.
     for _ in range(1000):
         costs.time("(an empty call, clock included)", _nothing)
     agent = Agent(config)
@@ -71,7 +71,7 @@ def _kind(config: AgentConfig, tick: int) -> str:
 
 
 def _tape(ticks: int) -> tuple[AgentConfig, list[tuple[Nav, list[Delivery]]]]:
-    """What vehicle 2 of the disturbed paper run measures and hears, from 20 s on, when it is in formation."""
+    """What vehicle 2 of the disturbed paper run measures and receives, from 20 s on, when it is in formation."""
     start = 2000
     scenario = load_scenario("paper-disturbed", [f"duration={(start + ticks) * 10} ms", "checks={}"])
     recording = record(scenario)

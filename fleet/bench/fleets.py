@@ -59,7 +59,7 @@ class FleetRow:
 
 
 def measure_fleets(sizes: list[int], *, quick: bool, say: Callable[[str], None]) -> dict[str, Any]:
-    """Run every benchmark; `say` hears what is being measured.
+    """Run every benchmark; `say` is called with what is measured next.
 
     Raises:
         BenchError: a measurement did not come to its end.

@@ -1,7 +1,7 @@
 """`fleet bench soak`: a long run under random faults, watched from outside.
 
 A fault every five seconds, kills with restarts among them. The same run twice in one process, side by side, and once
-distributed: memory, ledger, digests, and who is left when it is over.
+distributed: memory, ledger, digests, and processes that are left at its end.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ class Soak:
         return self._process.pid
 
     def stop(self) -> None:
-        """End it and whoever is left of it."""
+        """Kill its processes that are left."""
         for pid in _of_session(self._process.pid):
             with suppress(ProcessLookupError):
                 os.kill(pid, 9)
@@ -84,7 +84,7 @@ class Soak:
         self._output.close()
 
     def row(self) -> SoakRow:
-        """What it came to, once it has ended."""
+        """Its figures, once it has ended."""
         wall_s = time.monotonic() - self._began
         left = _of_session(self._process.pid)
         self.stop()

@@ -1,4 +1,4 @@
-"""`fleet bench stress`: large fleets, and what somebody who is let in could do to a run.
+"""`fleet bench stress`: large fleets, and what a participant with a login could do to a run.
 
 Every run is compared with the same scenario in one process: whatever is done to it, the bytes are the same, or it did
 not pass.

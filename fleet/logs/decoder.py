@@ -15,7 +15,7 @@ from mcap.records import Channel, Schema
 from fleet.logs.reader import LogReader, Record
 
 MOST_DECODED = 8 << 20  # bytes of a message: decoded, it takes up to fifty times as much
-MOST_VALUES = 100_000  # of a message that is told field by field
+MOST_VALUES = 100_000  # of a message that is shown field by field
 
 
 class Value(NamedTuple):
@@ -74,7 +74,7 @@ def _class(schema: Schema | None) -> Any:
         return None
     try:
         return message_class(schema)
-    except (DecodeError, TypeError, KeyError):  # whatever somebody else put there
+    except (DecodeError, TypeError, KeyError):  # a foreign file may hold anything
         return None
 
 

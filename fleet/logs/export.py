@@ -3,8 +3,8 @@
 A table's first column is `t [s]`, the time at which the message was logged; every other one is a field of the log, a
 vector's components each with their index: `tau_0 [N]`. In CSV the units stand in the header, so that a table explains
 itself wherever it is copied to; in Parquet the names are bare, and unit and meaning are metadata of the column.
-`export.json` beside the tables says what each holds, where it came from and what was missing. A topic whose messages
-hold lists of messages (`transforms`, `scene`) is no table: it is left out, and `export.json` says so.
+`export.json` states for each table what it holds, where it came from and what was missing. A topic whose messages
+hold lists of messages (`transforms`, `scene`) is no table: it is left out, which `export.json` states as well.
 """
 
 from __future__ import annotations
@@ -87,7 +87,7 @@ def export(log: Log, folder: Path, form: str, *, force: bool = False, share: Tel
     Args:
         form: `csv` or `parquet`.
         force: replace files of the same names.
-        share: told the share of the log that is done, now and then.
+        share: called now and then with the share of the log that is done.
 
     Raises:
         ExportError: something is in the way, the place cannot be written, or pyarrow is not installed.

@@ -1,4 +1,4 @@
-"""Where two logs part: the first message that is not the same in both, told field by field."""
+"""Where two logs differ first: the first message that is not the same in both, field by field."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ _MOST_BYTES = 24  # of a payload, shown
 
 @dataclass(frozen=True, slots=True)
 class Side:
-    """What one side has at the place where they part."""
+    """What one of two logs has at the first difference."""
 
     name: str
-    record: Record | None  # None: nothing any more
+    record: Record | None  # None: the log has ended
     values: list[Value]
     tick_ns: int
-    why: str = ""  # there is nothing any more
+    why: str = ""  # the log has ended
 
     def __str__(self) -> str:
         if self.record is None:
@@ -119,7 +119,7 @@ def framing(a: Path, b: Path) -> str:
 
 
 def tick_length(reader: LogReader) -> int:
-    """Ts [ns] of a log as far as it was read; 0 if it does not say."""
+    """Ts [ns] of a log as far as it was read; 0 if it states none."""
     text = reader.metadata.get("run", {}).get("tick_ns", "0")
     return int(text) if text.isascii() and text.isdigit() else 0
 

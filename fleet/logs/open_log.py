@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from fleet.scenario.scenario import Scenario
 
 MOST_EVENTS = 200_000  # of faults
-BUCKETS = 4000  # spans of time that a picture tells apart, at most
+BUCKETS = 4000  # spans of time that a picture can show, at most
 
 
 class FaultInterval(NamedTuple):
@@ -45,7 +45,7 @@ class FaultInterval(NamedTuple):
 
 
 class Log:
-    """A log that `open_log` has read: a mapping of topic names to `Topic`, and what the log says of its run.
+    """A log that `open_log` has read: a mapping of topic names to `Topic`, and what the log states about its run.
 
     Example:
         >>> log = open_log("runs/latest")

@@ -25,7 +25,7 @@ GAPS = "gaps"  # in it: numbers of the messages before which something is gone
 MOST_KEPT = 256 << 20  # bytes of everything but messages: attachments, schemas, channels, metadata
 _ENTRY = 256  # bytes that an entry of metadata takes beside its text
 _TIMES = struct.Struct("<QQII").pack
-Tell = Callable[[float], None]  # hears now and then which share is done
+Tell = Callable[[float], None]  # called now and then with the share that is done, 0 to 1
 
 
 class LogReadError(FleetError):

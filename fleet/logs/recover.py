@@ -1,6 +1,6 @@
 """`fleet recover`: what is left of a cut or damaged log, as a clean file with an index.
 
-Chunk by chunk, so that a whole log comes out as the same bytes. What was missing is said in the metadata record
+Chunk by chunk, so that a whole log comes out as the same bytes. What was missing stands in the metadata record
 `recovery`; its `gaps` are the numbers of the messages, from 0, before which something is gone.
 """
 

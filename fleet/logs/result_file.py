@@ -100,7 +100,7 @@ class _Timing(msgspec.Struct):
 
 
 def read_result(log: Path) -> dict[str, Any]:
-    """What the result beside a log says of the run.
+    """The result beside a log.
 
     Raises:
         FileNotFoundError: there is none.

@@ -37,7 +37,7 @@ _FOOTER = HEAD.size + 20  # [bytes]
 _ZSTD = b"\x04\x00\x00\x00zstd"  # in a chunk, behind its lengths: what it is recognised by when the framing is lost
 _WINDOW = 1 << 20
 _LOOSE = 1 << 20  # bytes of messages outside chunks that make one block
-_TELL = 1 << 20  # bytes of the file between two words on how far it is
+_TELL = 1 << 20  # bytes of the file between two calls of `tell`
 _IN_DATA = frozenset({
     Opcode.HEADER, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.CHUNK, Opcode.MESSAGE_INDEX,
     Opcode.ATTACHMENT, Opcode.METADATA, Opcode.DATA_END,
@@ -58,7 +58,7 @@ class Damage:
     offset: int  # [byte]
     what: str
     span_ns: tuple[int, int] | None = None  # which sim time was there, if that can still be read
-    messages: int = 0  # lost there, as far as their index says
+    messages: int = 0  # lost there, as far as their index states
 
     def __str__(self) -> str:
         text = f"{self.what} at byte {self.offset}"
@@ -84,7 +84,7 @@ class Salvage:
     file: IO[bytes]
     beyond: bool = False
     at: int = len(MAGIC)  # where the record at hand begins [byte]
-    tell: Callable[[float], None] = lambda _: None  # hears now and then which share of the file was read
+    tell: Callable[[float], None] = lambda _: None  # called now and then with the share of the file that was read
     ended: bool = False  # the data section is there to its end
     indexed: bool = False  # and so is the summary behind it, undamaged
     cut: bool = False  # the file stops in the middle of a record or before its end was written

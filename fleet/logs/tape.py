@@ -1,8 +1,8 @@
-"""An MCAP file as a tape: every message by its number, without holding the file in memory.
+"""Random access to the messages of an MCAP file by their number, without holding the file in memory.
 
 One pass over the file checks it, and notes where each stretch of it (a chunk, or many small ones) lies, how many
 messages it holds of which channels, and when they are due. A stretch is unpacked again when one of its messages is
-wanted. What cannot be read ends the tape there, with a word on what is missing.
+wanted. The tape ends before the first place that cannot be read, and `missing` says what is missing.
 """
 
 from __future__ import annotations
@@ -125,7 +125,7 @@ class Tape:
 
     @property
     def profile(self) -> str:
-        """What kind of file it says it is."""
+        """The profile that the file states."""
         return self._reader.profile
 
     def due(self, number: int) -> int:

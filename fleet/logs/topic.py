@@ -26,7 +26,7 @@ class LogKeyError(LogReadError, KeyError):
 
 
 class TooLargeError(LogReadError):
-    """More than can be held; says what to do."""
+    """A topic is too large to be held; the text says what to do."""
 
 
 class Topic:

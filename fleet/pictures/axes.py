@@ -23,7 +23,7 @@ from fleet.scenario.sections.timeline import is_fault
 LABEL_PT = 6.0
 LABEL_ROWS = 6  # of names of faults; what does not fit there is shaded without its name
 SPAN_IN = 2.7  # width of a time axis, about
-MOST_NAMED = len(COLOURS)  # lines that a legend names; more are told apart by a colour bar
+MOST_NAMED = len(COLOURS)  # lines that a legend names; more are distinguished by a colour bar
 TUMBLE = "#c0392b"
 FEW = 60  # samples that are shown as points too
 
@@ -43,8 +43,8 @@ def over_time(
 def finish(figure: Figure, axes: Sequence[Axes], runs: Sequence[Run], view: View, notes: Sequence[str] = ()) -> None:
     """Shade the faults, name them above the first axis, label the time axis and put the words below it."""
     _shade(axes, runs, view)
-    said = [*notes, *(_cut(run, len(runs)) for run in runs if run.log.missing)]
-    axes[-1].set_xlabel("\n".join(["time [s]", *said]))
+    lines = [*notes, *(_cut(run, len(runs)) for run in runs if run.log.missing)]
+    axes[-1].set_xlabel("\n".join(["time [s]", *lines]))
     figure.align_ylabels(list(axes))
 
 
@@ -53,7 +53,7 @@ def _cut(run: Run, runs: int) -> str:
 
 
 def colours(number: int) -> list[Any]:
-    """So many colours that can be told apart: the palette's, or steps from dark to light."""
+    """So many colours that can be distinguished: the palette's, or steps from dark to light."""
     if number <= MOST_NAMED:
         return list(COLOURS[:number])
     return [colormaps["viridis"](k / (number - 1) * 0.92) for k in range(number)]
@@ -65,13 +65,13 @@ def draw_lines(
     """One line per vehicle and panel, its colour the vehicle's; of several runs, the run's.
 
     Args:
-        whose: who reports such a signal, for the case that nobody does.
+        whose: which laws report such a signal, for the message if no vehicle does.
 
     Returns:
         words on vehicles that have no such signal.
 
     Raises:
-        NothingToDraw: nobody has.
+        NothingToDraw: no vehicle has it.
     """
     shown = sorted({i for run in runs for i in run.vehicles(view)})
     by_run = len(runs) > 1

@@ -53,7 +53,7 @@ _ROW_IN = 0.11  # height of a link's row among the ages, enough for its name
 
 
 def _links(run: Run, view: View) -> list[Link]:
-    run.tick_s  # noqa: B018  (a log of somebody else's has no packets of ours)
+    run.tick_s  # noqa: B018  (a foreign log has no packets of ours)
     found = [(a, b) for a, b in run.log.links if view.vehicles is None or (a in view.vehicles and b in view.vehicles)]
     if not found:
         raise NothingToDraw("no links between these vehicles" if run.log.links else "the log has no links")

@@ -43,7 +43,7 @@ def draw(
     """(file name, what it shows, the figure or why there is none) of everything that is asked for.
 
     Args:
-        share: told before each how much is done.
+        share: called before each with the share that is done.
     """
     asked_for_all = set(what) == set(WHAT)
     for number, kind in enumerate(what):
@@ -73,8 +73,8 @@ def write(
     """Draw into a folder, which is made if need be; returns the files.
 
     Args:
-        tell: told in a sentence what could not be drawn.
-        share: told before each picture how much is done.
+        tell: called with a sentence about each picture that could not be drawn.
+        share: called before each picture with the share that is done.
 
     Raises:
         PictureError: the folder cannot be written.

@@ -36,7 +36,7 @@ class ReportError(FleetError):
 
 @dataclass(slots=True)
 class RunResult:
-    """What result.json says of a run, if there is one and it is of this log."""
+    """The result.json of a run, if there is one and it is of this log."""
 
     values: dict[str, Any] | None
     why_none: str
@@ -79,7 +79,7 @@ class Section:
 
 
 def write(path: Path, runs: Sequence[Run], view: View, share: Tell = lambda _: None) -> None:
-    """Write the page; `share` is told the share that is done of what is at hand: a log's digest, or pictures.
+    """Write the page; `share` is called with the share that is done of a digest or of the pictures.
 
     Raises:
         ReportError: the place cannot be written.

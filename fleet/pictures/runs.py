@@ -22,7 +22,7 @@ GAP = 1.5  # times the usual distance of two samples: more, and the line is brok
 
 
 class NothingToDraw(FleetError):
-    """The log does not hold what the picture shows; says what is missing."""
+    """The log does not hold what the picture shows; the text says what is missing."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,10 +101,10 @@ class Run:
 
 
 def load(paths: Sequence[Path], share: Callable[[float], None] = lambda _: None) -> list[Run]:
-    """Read logs; each is called after its scenario, or its directory where that would not tell them apart.
+    """Read logs; each is called after its scenario, or its directory where those are equal.
 
     Args:
-        share: told the share of each file that was read, now and then.
+        share: called now and then with the share of each file that was read.
 
     Raises:
         LogReadError: one of them cannot be read.

@@ -1,4 +1,4 @@
-"""How our pictures view: sizes, colours that everybody can tell apart, units on every axis, files that repeat."""
+"""The style of pictures: sizes, colours that every reader can distinguish, units on every axis, equal bytes."""
 
 from __future__ import annotations
 

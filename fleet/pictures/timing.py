@@ -1,4 +1,4 @@
-"""How punctual a run on a wall clock was: who answers how late, and what a packet's delay became."""
+"""How punctual a run on a wall clock was: how late each agent answered, and what a packet's delay became."""
 
 from __future__ import annotations
 
@@ -92,7 +92,7 @@ def _tail(ax: Axes, histogram: list[list[float]], below: int, colour: str, style
     edges, counts = (np.array(column, float) for column in zip(*histogram, strict=True))
     total = counts.sum() + below
     slower = 1.0 - (below + np.cumsum(counts)) / total
-    # The last one reaches nobody: the line ends where one in so many was.
+    # The last bin is reached by no sample: the line ends at the smallest share.
     t = np.concatenate(([edges[0] / 1.12], edges))
     share = np.concatenate(([1.0], np.maximum(slower, 0.5 / total)))
     ax.plot(t, share, color=colour, linestyle=style, drawstyle="steps-post")

@@ -10,7 +10,7 @@ from pathlib import Path
 @contextmanager
 def whole_file(path: Path) -> Iterator[Path]:
     """Where to write what shall become `path` at the end; an error or Ctrl-C on the way leaves nothing."""
-    if path.exists() and not path.is_file():  # a device or a pipe, which nobody can put in place of another
+    if path.exists() and not path.is_file():  # a device or a pipe, which cannot replace another file
         yield path
         return
     path = path.resolve()  # what a link points to is replaced, not the link

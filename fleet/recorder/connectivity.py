@@ -25,7 +25,7 @@ from netem.wire.messages import Fate
 
 
 class Outage(NamedTuple):
-    """Windows that end at ticks from `begin` to below `end`, and who was not reached in the first of them."""
+    """Windows that end at ticks from `begin` to below `end`, with the vehicles not reached in the first of them."""
 
     begin: int
     end: int
@@ -67,7 +67,7 @@ class Connectivity:
 
     @property
     def trivial(self) -> bool:
-        """Whether nobody needs to be reached."""
+        """Whether no vehicle needs to be reached."""
         return set(self._wanted) <= set(self._roots)
 
     @classmethod

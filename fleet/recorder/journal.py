@@ -52,7 +52,12 @@ class Journal:
     """Orders, judges and records what the world and netem report. In-process and distributed runs share it."""
 
     def __init__(self, scenario: Scenario, log: Sink, whole: AbstractContextManager[None] | None = None) -> None:
-        """`whole`: is entered around what must not be left half written."""
+        """Begin an empty journal.
+
+        Args:
+            log: receives everything in order.
+            whole: is entered around writes that must not be interrupted half way.
+        """
         self.log = log
         self._whole = nullcontext() if whole is None else whole
         self.metrics = Metrics(scenario)
@@ -67,10 +72,10 @@ class Journal:
         self.closed = False
         self._last = scenario.ticks
         self._events = deque(scenario.faults.events)
-        self._told_deaths = {(absence.vehicle, absence.begin) for absence in scenario.faults.absences}
+        self._planned_deaths = {(absence.vehicle, absence.begin) for absence in scenario.faults.absences}
         self.active: list[str] = []  # faults that last, in the order in which they began
         self._names = {event.fault for event in self._events}  # ids of faults that are taken
-        self.deaths: dict[int, Event] = {}  # vehicle -> a death that nobody planned, while it lasts
+        self.deaths: dict[int, Event] = {}  # vehicle -> a death that was not planned, while it lasts
         self.died: list[Event] = []  # all of them, and vehicles that diverged, in the order in which they came
         self.diverged: dict[int, Event] = {}  # vehicle -> that its motion left the finite numbers
         self.tumbled: dict[int, Event] = {}  # vehicle -> that it tumbled, while it lasts
@@ -183,7 +188,7 @@ class Journal:
         self._events.insert(place, event)
 
     def end_event(self, fault: str, tick: int) -> None:
-        """A fault ends earlier than was said; one that never acted is forgotten."""
+        """End a fault earlier than planned; one that has not begun is removed."""
         if any(e.fault == fault and e.action == "begins" and e.tick >= tick for e in self._events):
             self._events = deque(e for e in self._events if e.fault != fault)
             return
@@ -193,7 +198,7 @@ class Journal:
 
     def tell_deaths(self, absences: Iterable[Absence]) -> None:
         """These are faults that have an event already."""
-        self._told_deaths.update((absence.vehicle, absence.begin) for absence in absences)
+        self._planned_deaths.update((absence.vehicle, absence.begin) for absence in absences)
 
     def _write_events(self, frame: Frame) -> None:
         """What was to happen up to this tick, and what happened to agents without that."""
@@ -201,9 +206,9 @@ class Journal:
             i = life.vehicle
             if life.begins and i in self.deaths:
                 self.add_event(replace(self.deaths.pop(i), tick=life.tick, action="ends"))
-            elif not life.begins and life.tick < self._last and (i, life.tick) not in self._told_deaths:
+            elif not life.begins and life.tick < self._last and (i, life.tick) not in self._planned_deaths:
                 if life.diverged:
-                    # Whoever runs the scenario again sees it again: nobody did it.
+                    # It comes again when the scenario is run again: it was not injected.
                     self.add_event(self._diverges(i, life.tick))
                     continue
                 self.deaths[i] = Event(life.tick, self._name(f"death-{i}"), "begins", f"kill {i}")
@@ -243,7 +248,7 @@ class Journal:
         self.add_event(replace(self.tumbled.pop(i), tick=tick, action="ends"))
 
     def _name(self, wanted: str) -> str:
-        """An id for an event that nobody planned: as wanted, or with a number behind it if that is taken."""
+        """An id for an event that was not planned: `wanted`, or with a number behind it if that is taken."""
         names = (wanted if n == 1 else f"{wanted}-{n}" for n in count(1))
         return next(name for name in names if name not in self._names)
 

@@ -29,9 +29,9 @@ SETTLE_FRACTION = 0.1
 
 
 class Settled(NamedTuple):
-    """When an error settled within a span, and what is to be said if it did not."""
+    """When an error settled within a span of time, and what is reported if it did not."""
 
-    at_s: float | None  # None: not, or too late to tell
+    at_s: float | None  # None: it did not, or too late to be judged
     vehicle: int  # the last to settle, or of those that did not the farthest off; 0: the span has no frame
     off_m: float  # that vehicle's error in the last frame of the span
     least_s: float  # how long it had to stay
@@ -216,7 +216,7 @@ class Metrics:
 
 
 def _count(value: float, before: int) -> int:
-    # Telemetry is the agent's word; a stranger's agent may say anything that is a double.
+    # Telemetry comes from the agent; an external agent may send any double.
     return int(value) if isfinite(value) else before
 
 

@@ -44,7 +44,7 @@ WATER = 1025.0  # kg/m^3, sea water: a submerged vehicle weighs what it displace
 SLENDER = 7.0  # length over diameter, as of the small torpedo-shaped vehicles
 HISTORY = 10  # packets of a link that count
 UNHEARD_OF = 5  # lost in a row: nothing arrives any more
-UNHEARD_NS = 500_000_000  # for so long without a command: nobody is there
+UNHEARD_NS = 500_000_000  # after so long without a command an agent counts as absent
 CUTS = frozenset({Cause.DOWN, Cause.PARTITION, Cause.MUTE, Cause.DEAF, Cause.DEAD_RECEIVER, Cause.DEAD_SENDER})
 
 # No black, which vanishes in a viewer's dark theme; vehicles 1 to 4 have the colours of our plots.
@@ -89,10 +89,10 @@ class LinkHistories:
 
 
 class Scene:
-    """The scene of one run, told of packets and frames as the log is written."""
+    """The scene of one run; receives packets and frames as the log is written."""
 
     def __init__(self, scenario: Scenario, start: Snapshot | None = None) -> None:
-        """`start`: for a run that goes on from there."""
+        """`start`: the snapshot from which the run goes on."""
         self._scenario = scenario
         self._begin = 0 if start is None else start.tick
         self.links = LinkHistories(scenario.graph.links, () if start is None else start.drawn)
@@ -180,7 +180,7 @@ def hull(i: int, mass: float, silent: bool) -> SceneEntity:
 
     Args:
         mass: of the vehicle [kg], which gives the size.
-        silent: nobody commands it: the agent is dead or suspended.
+        silent: the vehicle gets no command, because its agent is dead or suspended.
     """
     d = diameter(mass)
     length = SLENDER * d

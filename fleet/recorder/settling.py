@@ -35,7 +35,7 @@ def below_from(values: Sequence[float], limit: float, begin: int, end: int) -> i
 def settling_time(
     times: Sequence[float], values: Sequence[float], limit: float, disturbance: Iterable[Harmonic]
 ) -> float | None:
-    """When [s] a value settled below a limit; None if it did not, or too late to tell."""
+    """When [s] a value settled below a limit; None if it did not, or too late to be judged."""
     first = below_from(values, limit, 0, len(values))
     if first == len(values) or not stayed(times, first, len(times), least_s(disturbance, times[-1] - times[0])):
         return None

@@ -229,7 +229,7 @@ class LogWriter:
         errors: Mapping[int, VehicleError],
         at_ns: int,
     ) -> list[tuple[int, bytes]]:
-        """(vehicle, message) of every vehicle that has something to say in this group."""
+        """(vehicle, message) of every vehicle that has a message in this group."""
         if group == "pose":
             stamp = stamp_of(at_ns).SerializeToString()
             return [(row.id, self._pose(stamp, row.eta[:3], quaternion(*row.eta[3:]))) for row in rows]
@@ -245,8 +245,8 @@ class LogWriter:
                 flat = [(row.id, errors[row.id]) for row in rows]
                 return [(i, encode[i]((*e.e, e.e_norm, *e.formation, e.formation_norm))) for i, e in flat]
             case _:
-                told = [(row.id, commands[row.id].telemetry) for row in rows if row.id in commands]
-                return [(i, encode[i](telemetry)) for i, telemetry in told if telemetry]
+                telemetries = [(row.id, commands[row.id].telemetry) for row in rows if row.id in commands]
+                return [(i, encode[i](telemetry)) for i, telemetry in telemetries if telemetry]
 
 
 def _both(sink: Sink, tap: Tap) -> Callable[[int, int, int, int, bytes], None]:

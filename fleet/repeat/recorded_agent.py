@@ -1,4 +1,4 @@
-"""An agent that says again what another one said in a log: in place of an external one, whose law is not here.
+"""An agent that sends again what an external agent sent in a log, whose law is not available here.
 
 Its commands, telemetry and memory are recorded; what it transmitted follows from the packets of its links, one of which
 at least has each payload as it was sent, or with a flipped bit that can be turned back.
@@ -26,12 +26,12 @@ from world.vectors import ZERO, Vec3
 
 
 class NotRecordedError(FleetError):
-    """The log does not hold what an external agent said."""
+    """The log does not hold all that an external agent sent."""
 
 
 @dataclass(slots=True)
 class RecordedAgent:
-    """What one agent said, by tick."""
+    """What one agent sent, by tick."""
 
     vehicle: int
     layout: Layout
@@ -49,7 +49,7 @@ class RecordedAgent:
 
 
 class _RecordedLoop(AgentLoop):
-    """An agent's place in the lockstep, with the memory as it was told then."""
+    """A recorded agent in the lockstep loop, with the memory that was recorded."""
 
     def __init__(self, agent: RecordedAgent, round_ticks: int, *, incarnation: int, begin: int) -> None:
         super().__init__(_RecordedCore(agent), round_ticks, incarnation=incarnation, begin=begin)
@@ -76,10 +76,10 @@ class _RecordedCore:
         return Step(tau, tuple(agent.telemetry.get(tick, ())), payloads)
 
     def transmit(self, nav: Nav, /) -> tuple[bytes, ...]:
-        raise AssertionError("nobody joins an ideal network")
+        raise AssertionError("an ideal network has no external agents")
 
     def decide(self, nav: Nav, deliveries: list[Delivery], /) -> Decision:
-        raise AssertionError("nobody joins an ideal network")
+        raise AssertionError("an ideal network has no external agents")
 
     def state(self) -> dict[str, Any]:
         return {}
@@ -92,7 +92,7 @@ class _RecordedCore:
 
 
 def recorded_agents(reader: LogReader, scenario: Scenario, last_ns: int, *, whole: bool) -> dict[int, RecordedAgent]:
-    """What the external agents of a scenario said in a log, by vehicle.
+    """What the external agents of a scenario sent in a log, by vehicle.
 
     Args:
         reader: of the log, not read yet.
@@ -131,8 +131,8 @@ def recorded_agents(reader: LogReader, scenario: Scenario, last_ns: int, *, whol
                 found[i].commands[tick] = tau1, tau2, tau3
             elif (i, group) in groups:
                 encoder, place = groups[i, group]
-                told = found[i].telemetry.setdefault(tick, [nan] * found[i].layout.size)
-                told[place] = encoder.decode(record.data)
+                telemetry = found[i].telemetry.setdefault(tick, [nan] * found[i].layout.size)
+                telemetry[place] = encoder.decode(record.data)
         elif head == "link":
             src, dst = map(int, rest.split("-"))
             if src in found and (src, record.sequence) not in sure:
@@ -154,7 +154,7 @@ def recorded_agents(reader: LogReader, scenario: Scenario, last_ns: int, *, whol
 
 
 def _transmitted(agent: RecordedAgent, packets: dict[int, tuple[int, bytes]], *, whole: bool) -> None:
-    """The payloads of each tick. Those whose fate a cut log does not tell have a place, and nothing in it."""
+    """The payloads of each tick. A payload whose fate is not in a cut log keeps its place and is empty."""
     tick = 0
     for seq in range(max(packets, default=-1) + 1):
         if seq in packets:

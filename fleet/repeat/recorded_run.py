@@ -29,7 +29,7 @@ class ScriptError(FleetError):
 
 @dataclass(frozen=True, slots=True)
 class Recorded:
-    """What a log says of its run: the scenario, what happened to it, and when it ended."""
+    """The run of a log: its scenario, the faults that happened, and when it ended."""
 
     path: Path
     reader: LogReader  # which has read all of it

@@ -56,7 +56,7 @@ class Verification:
     reason: str = ""  # why the re-run ended early, if it did
     contradictions: list[str] = field(default_factory=list)  # between the log's metadata and its scenario
     versions: list[str] = field(default_factory=list)  # that are not those of the recording
-    external: tuple[int, ...] = ()  # vehicles whose agents say what they said in the log
+    external: tuple[int, ...] = ()  # vehicles whose agents send again what the log holds
     unknown: str = ""  # why the comparison ended before the recording did
 
     @property
@@ -103,7 +103,7 @@ def verify(
 
 
 def _scenario(source: Recorded, policy: Policy) -> Scenario:
-    """What to run: the log's scenario if everything went as it says, else one of what happened."""
+    """What to run: the log's scenario if the faults happened as planned, else one with those that happened."""
     scenario = parse_scenario(source.text, str(source.path), policy=policy)
     happened = [(at_ns, e.fault, e.action, e.what) for at_ns, e in source.events]
     planned = [(e.tick * scenario.tick_ns, e.fault, e.action, e.what) for e in scenario.faults.events]

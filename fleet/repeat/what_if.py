@@ -73,7 +73,7 @@ def what_if(
 
     Args:
         overrides: `key=value`, as for `fleet run --set`; they concern this agent alone.
-        progress: told the share that is done, now and then; of the two readings of the log, and then of the agent.
+        progress: called with the share that is done: of the two readings of the log, and then of the agent.
         trust: which modules of this agent's laws may run besides those that are installed and those in `overrides`.
 
     Raises:
@@ -117,7 +117,7 @@ def what_if(
                 core, life = make_agent(scenario.agent_config(agent)), incarnation
             except AgentError as error:
                 raise WhatIfError(str(error)) from None
-            # What fell due before was for the agent before, or for nobody.
+            # What fell due before was for the life before, or for none.
             while begins[life] and waiting < len(deliveries) and deliveries[waiting].due_tick <= begins[life]:
                 waiting += 1
         due = []

@@ -7,7 +7,7 @@ A MessagePack array of four unsigned integers:
 | `log_ns` | ns of sim time | when it happened (MCAP `log_time`) |
 | `publish_ns` | ns of sim time | when it was sent (MCAP `publish_time`) |
 | `sequence` | 1 | the tick, or the number of the packet on its link (MCAP `sequence`) |
-| `number` | 1 | its place in the log, from 0: whoever listens to every topic sees by gaps what was lost |
+| `number` | 1 | its place in the log, from 0: gaps show a subscriber of all topics what was lost |
 """
 
 from __future__ import annotations

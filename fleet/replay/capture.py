@@ -1,6 +1,6 @@
 """`fleet record`: zenoh traffic of any kind into an MCAP file, as it comes.
 
-`fleet.replay.capture_format` says how it is laid out.
+`fleet.replay.capture_format` describes its layout.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from netem.wire.open_bus import OpenBus, ZenohSample, sample_of
 FLUSH_NS = 1_000_000_000  # a recorder that is killed loses so much at most
 POLL_S = 0.1
 GONE_S = 1.0  # a connection that was lost is back sooner, if it comes back
-MOST_QUEUED = 100_000  # samples; beyond that zenoh's thread waits, and with it whoever sends
+MOST_QUEUED = 100_000  # samples; beyond that zenoh's thread waits, and with it the sender
 MOST_CHANNELS = 65_535  # MCAP numbers them with 16 bits
 MOST_BATCH = 1000
 
@@ -121,7 +121,7 @@ class TrafficWriter:
 
 
 class PublisherGone:
-    """Asked now and then: whether a session has had nobody on the other side for a while."""
+    """Whether a session has had no connection for `GONE_S`; to be called repeatedly."""
 
     def __init__(self, connected: Callable[[], bool]) -> None:
         self._connected = connected
@@ -137,7 +137,7 @@ class PublisherGone:
 
 
 class Recorder:
-    """Takes what a session hears into a file, in the order in which it was received."""
+    """Writes what a session receives to a file, in the order of reception."""
 
     def __init__(self, bus: OpenBus, keys: Sequence[str]) -> None:
         """Begin to listen. Raises BusError: a key expression is none."""
@@ -171,7 +171,7 @@ class Recorder:
 
         Raises:
             RecordError: the file cannot be written any more.
-            KeyboardInterrupt: `interrupted` said so; between two messages.
+            KeyboardInterrupt: the one that `interrupted` returned; between two messages.
         """
         began = seen_ns = time.monotonic_ns()
         seen, rate = 0, 0.0

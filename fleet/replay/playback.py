@@ -120,11 +120,11 @@ class Replay:
             self._clock = bus.publication(key, CLOCK_ENCODING, drop=True)
 
     def unmatched(self) -> list[str]:
-        """The keys that nobody listens to, yet."""
+        """The keys without a subscriber so far."""
         return [self.key_of[n] for n, publication in self._publications.items() if not publication.matched]
 
     def play(self, keyboard: Keyboard, line: StatusLine) -> None:
-        """Publish to the end, as the keyboard says."""
+        """Publish to the end, controlled by the keyboard."""
         self._wait(line)
         next(self._track.entries(range(self._first, self._first + 1)))  # decompressed before the clock starts
         self.player = player = self._player(time.monotonic_ns())
@@ -140,7 +140,7 @@ class Replay:
             now = time.monotonic_ns()
             self._publish(player.due(now, MOST))
             if beat is not None and beat.beats(now):
-                self._tell_time(player.position(now))
+                self._publish_clock(player.position(now))
             if line.due():
                 line.show(self._describe(now, pace))
             now = time.monotonic_ns()
@@ -154,7 +154,7 @@ class Replay:
                 pace.restart()
                 line.show(self._describe(time.monotonic_ns(), pace))
         if beat is not None:
-            self._tell_time(player.position(time.monotonic_ns()))
+            self._publish_clock(player.position(time.monotonic_ns()))
 
     def _wait(self, line: StatusLine) -> None:
         while self._wishes.wait and (missing := self.unmatched()):
@@ -198,21 +198,21 @@ class Replay:
             self.published += 1
 
     def _attachment(self, number: int, sequence: int) -> bytes | None:
-        """What was attached to a sample of other traffic: the message before it says so."""
+        """What was attached to a sample of captured traffic: the message before it."""
         if not number or not self._attached:
             return None
         entry = self._tape[number - 1]
         attached = entry.channel.metadata.get(KIND) == ATTACHMENT and entry.sequence == sequence
         return entry.data if attached else None
 
-    def _tell_time(self, log_ns: int) -> None:
+    def _publish_clock(self, log_ns: int) -> None:
         stamp = stamp_of(log_ns)
         self._clock.put(stamp.SerializeToString(), None)
 
     def _describe(self, now: int, pace: MeasuredRate) -> str:
         player = self.player
         at = player.position(now)
-        reached = pace.tell(now, at) if not player.paused else 0.0
+        reached = pace.update(now, at) if not player.paused else 0.0
         state = "paused" if player.paused else f"{reached:.2f} x real time"
         wanted = f" of {player.rate:.3g}" if player.rate and not player.paused else ""
         lap = f"  lap {player.laps + 1}" if self._wishes.loop else ""
@@ -230,7 +230,7 @@ class Replay:
 
 
 def _merged(key_of: dict[str, str]) -> str:
-    """What to say of keys on which a renaming puts more than one topic; empty if there is none."""
+    """A sentence about keys on which a renaming puts more than one topic; empty if there is none."""
     topics: dict[str, list[str]] = {}
     for topic, key in key_of.items():
         topics.setdefault(key, []).append(topic)

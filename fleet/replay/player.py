@@ -1,4 +1,4 @@
-"""When what is played: a pure state machine over the due times of messages and a wall clock that is told to it.
+"""When each message is played: a state machine over the due times of messages and a wall clock that is passed in.
 
 Log time p and wall time t are related by p = p0 + rate (t - t0) while the player runs; every change (pause, rate,
 seek) sets (p0, t0) anew. Rate 0 means as fast as possible. All times are integer ns.
@@ -24,7 +24,7 @@ class Times(Protocol):
 
 
 class Player:
-    """Says which messages are due at a wall time; publishing them is somebody else's.
+    """Computes which messages are due at a wall time; the caller publishes them.
 
     `times` never decreases. Messages are named by their index in it; those from `begin_ns` to `end_ns`, both
     included, are played, each once a lap and in order.
@@ -42,7 +42,18 @@ class Player:
         now: int = 0,
         before: Callable[[int], int] | None = None,
     ) -> None:
-        """`before`: how many messages are due before a time, from who knows it without a search through all times."""
+        """Begin at `begin_ns`.
+
+        Args:
+            times: when each message is due [ns of log time].
+            begin_ns: of log time, as `end_ns`.
+            end_ns: the last message may be due then.
+            rate: log seconds per wall second; 0: as fast as possible.
+            loop: begin again at the end.
+            paused: begin paused.
+            now: wall time [ns].
+            before: how many messages are due before a time, if that is known without a search through all times.
+        """
         self._times = times
         self._before = before or (lambda ns: bisect_left(times, ns))
         self.begin_ns, self.end_ns = begin_ns, max(begin_ns, end_ns)
@@ -203,11 +214,11 @@ class MeasuredRate:
         self.value = 0.0
 
     def restart(self) -> None:
-        """The position has jumped, or stands: what was told before says nothing of what follows."""
+        """Forget earlier positions: the player has jumped, or stands still."""
         self._since = None
 
-    def tell(self, now: int, position: int) -> float:
-        """The pace, given where the player is."""
+    def update(self, now: int, position: int) -> float:
+        """The rate, given the player's position [ns] at a wall time [ns]."""
         if self._since is None or position < self._since[1]:
             self._since = now, position
         elif now - self._since[0] >= self.WINDOW_NS:

@@ -39,20 +39,26 @@ CLOSE_S = 2.0  # for what is then still on the way to subscribers
 
 
 class PublishError(FleetError):
-    """The publisher's process did not start, ended, or could not say where it listens."""
+    """The publisher's process did not start, ended, or did not report where it listens."""
 
     status = 3
 
 
 class LivePublisher:
-    """What the log writer tells of each message; see `fleet.recorder.writer.Tap`. `open` starts the process."""
+    """Publishes each message of a log writer; see `fleet.recorder.writer.Tap`. `open` starts the process."""
 
     def __init__(self, run: str, observe: Path, *, wait: bool = False) -> None:
-        """`observe`: the file that says, while the run lives, where and as whom to listen; `wait`: for `heard`."""
+        """Prepare; `open` starts the process.
+
+        Args:
+            run: id of the run.
+            observe: file that holds, while the run lives, where and as which user to subscribe.
+            wait: whether `heard` will be called.
+        """
         self.run = run
         self.wait = wait
         self.dropped = 0  # messages that the pipe had no room for
-        self.published = 0  # while anybody listened, as the process says when it ends
+        self.published = 0  # while there was a subscriber, as the process reports at its end
         self.endpoint = ""
         self._observe = observe
         self._channels: list[tuple[int, str, str]] = []
@@ -115,7 +121,7 @@ class LivePublisher:
             raise PublishError(f"cannot write {self._observe}: {error.strerror}") from error
 
     def heard(self) -> None:
-        """Wait until somebody subscribes to the journal, or to a part of it; for ever, if need be.
+        """Wait without limit until there is a subscriber to the journal or to a part of it.
 
         Raises:
             PublishError: the process ended meanwhile.

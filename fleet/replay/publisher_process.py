@@ -1,7 +1,7 @@
 """The process that publishes a live run's journal: from a pipe to zenoh, dropping what subscribers cannot take.
 
 Started by `fleet.replay.publisher`. Stdin: one line of JSON, then batches as that module packs them;
-stdout: one line of JSON when it listens, one when somebody subscribes if that is waited for, one when it ends.
+stdout: one line of JSON when it listens, one at the first subscriber if that is waited for, one when it ends.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from netem.wire.open_bus import OpenBus
 from netem.wire.session import quiet_zenoh
 
 POLL_S = 0.02
-SETTLE_S = 0.1  # whoever subscribes to several keys does so one after another
+SETTLE_S = 0.1  # a subscriber to several keys declares them one after another
 NICE = 5  # the run comes first where there are fewer cores than processes
 
 
@@ -43,7 +43,7 @@ def main() -> None:
         _publish()
         code = 0
     except BrokenPipeError:
-        code = 0  # the console was killed: nobody is left to tell
+        code = 0  # the console was killed: there is no reader any more
     except BaseException:
         traceback.print_exc()
     finally:

@@ -87,7 +87,7 @@ def _lines(outcomes: Outcomes, claims: Sequence[Claim], network: str, drawn: Seq
     ]
     for number, claim in enumerate(claims, start=1):
         lines += [f"### {number}. {claim.text}", "", f"**{claim.verdict}**. {claim.remark}".rstrip(), ""]
-        rows = ([c.reading, c.asks, c.told, c.numbers] for c in claim.checks)
+        rows = ([c.reading, c.asks, c.answer_text, c.numbers] for c in claim.checks)
         lines += [*_table(("reading", "asked", "answer", "numbers, UUV 1-4"), rows), ""]
     lines += ["## Table I: control parameters", "", "As the runs were given them.", ""]
     lines += [*_table(HEADINGS, table_1()), ""]

@@ -33,8 +33,8 @@ class ClaimCheck:
         return "yes" if all(self.holds) else "partly" if any(self.holds) else "no"
 
     @property
-    def told(self) -> str:
-        """The answer, and of a part how large it is."""
+    def answer_text(self) -> str:
+        """The answer, and for *partly* the count."""
         return f"partly ({sum(self.holds)} of {len(self.holds)})" if self.answer == "partly" else self.answer
 
 

@@ -214,7 +214,7 @@ def test_metronome_leaves_out_what_it_slept_through() -> None:
 
 def test_pace() -> None:
     pace = MeasuredRate()
-    values = [pace.tell(now, 2 * now) for now in range(0, 5 * S, S // 10)]
+    values = [pace.update(now, 2 * now) for now in range(0, 5 * S, S // 10)]
     assert values[0] == 0 and values[-1] == 2
     assert pace.tell(6 * S, 0) == 2  # a seek back is no pace
     pace.restart()

@@ -236,7 +236,7 @@ def test_faster_means_than_each_of_the_others() -> None:
     assert faster.verdict == "reproduced"
     assert faster.readings == "printed cost: yes; corrected cost: yes"
     faster = find(claims_of(NBC_undisturbed=slow, BC_undisturbed=slow), FASTER)
-    assert {check.told for check in faster.checks} == {"partly (6 of 9)"}
+    assert {check.answer_text for check in faster.checks} == {"partly (6 of 9)"}
     assert faster.readings == "printed cost: partly; corrected cost: partly"
 
 
@@ -249,7 +249,7 @@ def test_who_does_not_settle_either_is_not_slower() -> None:
     ]
     assert (check.answer, check.numbers.count("not settled")) == ("no", 2)
     (check,) = [c for c in claim.checks if c.reading == PRINTED and "NBOC within 5 cm" in c.asks]
-    assert check.told == "partly (3 of 9)"  # it settles, BC does not
+    assert check.answer_text == "partly (3 of 9)"  # it settles, BC does not
     best = find(claims_of(NBOC_disturbed=never, BC_disturbed=never), "performs best")
     assert [c.answer for c in best.checks if c.asks.startswith("settling time to 5 cm, disturbed")] == ["no", "yes"]
 
@@ -306,7 +306,7 @@ def test_verdict_words() -> None:
         ClaimCheck("b", "", (False, False), ""),
         ClaimCheck("b", "", (True, False), ""),
     )
-    assert [check.told for check in (yes, no, half)] == ["yes", "no", "partly (1 of 2)"]
+    assert [check.answer_text for check in (yes, no, half)] == ["yes", "no", "partly (1 of 2)"]
     assert Claim("", "", (half,)).verdict == "partly"
     assert Claim("", "", (yes, half, no)).readings == "a: yes; b: 1 partly, 1 no"
     assert Claim("", "", (yes, yes)).verdict == "reproduced"

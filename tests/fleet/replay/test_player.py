@@ -216,10 +216,10 @@ def test_pace() -> None:
     pace = MeasuredRate()
     values = [pace.update(now, 2 * now) for now in range(0, 5 * S, S // 10)]
     assert values[0] == 0 and values[-1] == 2
-    assert pace.tell(6 * S, 0) == 2  # a seek back is no pace
+    assert pace.update(6 * S, 0) == 2  # a seek back is no pace
     pace.restart()
-    assert pace.tell(7 * S, 50 * S) == 2  # nor one forward, if it is told
-    assert pace.tell(8 * S, 53 * S) == 3
+    assert pace.update(7 * S, 50 * S) == 2  # nor one forward, if it is told
+    assert pace.update(8 * S, 53 * S) == 3
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,7 @@ from fleet.bench import barriers, journal, measured_run
 from fleet.bench.errors import BenchError
 from fleet.bench.fleets import measure_fleets, netem_targets, step_targets, targets
 from fleet.bench.network_core import SHARE
-from fleet.bench.wall_clock import measure_fleets as measure_real
+from fleet.bench.wall_clock import measure_wall_clock as measure_real
 from fleet.bench.wall_clock import wall_clock_table
 from fleet.run.execute import Result, Status
 from fleet.scenario.loading import load_scenario

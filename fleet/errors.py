@@ -26,7 +26,6 @@ Exception
 │   ├── LogReadError
 │   │   ├── LogKeyError
 │   │   └── TooLargeError
-│   ├── LookError
 │   ├── NewFileError
 │   ├── NonsenseError
 │   ├── NotLinear
@@ -51,9 +50,12 @@ Exception
 │   ├── SnapshotError
 │   ├── StoppedError
 │   ├── UnknownValueError
+│   ├── ViewError
 │   └── WhatIfError
 ├── NetemError
 │   ├── BusError
+│   ├── DamagedFile
+│   ├── ExposedFile
 │   ├── MalformedMessage
 │   ├── OutOfPlace
 │   └── TextError

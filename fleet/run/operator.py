@@ -7,7 +7,7 @@ says which time that is. The fault is logged like a scripted one, so the run can
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from itertools import count
 from typing import Any
 
@@ -20,7 +20,7 @@ from fleet.run.fleet import Fleet
 from fleet.scenario.rules.faults import fault_problems
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.schema.faults import FaultEntry, FaultSection
-from fleet.scenario.sections.timeline import Event, Kill, Part, action, begin_and_end, parts, words
+from fleet.scenario.sections.timeline import Event, Kill, Part, action, begin_and_end, parts, with_end, words
 from netem.faults import NetFault
 from netem.lives import WHENEVER
 from world.faults import WorldFault
@@ -155,7 +155,7 @@ class Operator:
         if acts >= self.scenario.ticks:
             raise RefusedError("no round is left in which an agent could begin again")
         ends = {part: round_tick if isinstance(part, Kill) else tick for part in lasting if part.id in healed}
-        self._replace([replace(part, end=ends[part]) if part in ends else part for part in self.faults])
+        self._replace([with_end(part, ends[part]) if part in ends else part for part in self.faults])
         for i in restarted:
             self.fleet.restart_agent(i, WHENEVER, round_tick)
         for kill in kills:

@@ -31,7 +31,9 @@ def decode(data: bytes) -> Message:
         return _DECODER.decode(data)
     except (msgspec.MsgspecError, RecursionError, UnicodeDecodeError) as error:
         kind = _kind_of(data)
-        raise MalformedMessage(kind, _explain(kind, str(error) or type(error).__name__)[:LONGEST_REASON]) from None
+        raise MalformedMessage(
+            kind, _explain(kind, data, str(error) or type(error).__name__)[:LONGEST_REASON]
+        ) from None
 
 
 def _kind_of(data: bytes) -> str:
@@ -53,13 +55,25 @@ def _kind_of(data: bytes) -> str:
     return values[0]
 
 
-def _explain(kind: str, reason: str) -> str:
+def _explain(kind: str, data: bytes, reason: str) -> str:
     """The words of msgspec with the field's name: ``Expected `int` >= 0 - at `$[1]` `` of a nav is its incarnation."""
     reason = reason.replace("Expected `int` >= 0", "expected an unsigned integer")
-    reason = re.sub(r"Expected `float` [<>]= -?1\.79\S+", "expected a finite number", reason)
+    if not_finite := re.search(r"Expected `float` [<>]= -?1\.79\S+(?: - at `\$(.*)`)?", reason):
+        found = _value_at(data, not_finite[1] or "")
+        reason = re.sub(r"Expected `float` [<>]= -?1\.79\S+", f"expected a finite number{found}", reason)
     match = re.search(r"(.*) - at `\$\[(\d+)\](.*)`", reason)
     if match is None:
         return reason
     names = ["kind", *_CLASSES[kind].__struct_fields__]
     index = int(match[2])
     return f"{names[index] if index < len(names) else index}{match[3]}: {match[1]}"
+
+
+def _value_at(data: bytes, path: str) -> str:
+    """`, got VALUE` for the value at a path such as `[3][0]`; "" where the path leaves an index open."""
+    value = msgspec.msgpack.decode(data)
+    for index in re.findall(r"\[([^\]]*)\]", path):
+        if not index.isdecimal():
+            return ""
+        value = value[int(index)]
+    return f", got {value!r:.40}"

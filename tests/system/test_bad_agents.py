@@ -104,8 +104,8 @@ def test_nan_command_is_refused_by_the_world(tmp_path: Path) -> None:
         run.until_nobody_is_left()
         assert "waiting for agent 3" in run.said
         assert "rejected on " in run.said
-        assert "malformed cmd message: element 0 is nan, expected a finite number" in run.said
-        assert "element 0 is nan" in (run.directory / "log" / "world.log").read_text()
+        assert "malformed cmd message: tau[0]: expected a finite number, got nan" in run.said
+        assert "tau[0]: expected a finite number, got nan" in (run.directory / "log" / "world.log").read_text()
 
 
 def test_nan_command_in_process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

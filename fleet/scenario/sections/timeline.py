@@ -16,8 +16,10 @@ The named partitions are Jepsen's. What is drawn depends on (seed, id of the fau
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import get_args
+
+from msgspec import structs
 
 from fleet.quantities import vehicle_numbers
 from fleet.scenario.schema.faults import FaultAction, FaultSection
@@ -77,6 +79,11 @@ class Kill:
 
 
 Part = NetFault | WorldFault | Kill  # of a fault: what one core does
+
+
+def with_end(part: Part, end: int) -> Part:
+    """The same part of a fault, which ends before tick `end`."""
+    return structs.replace(part, end=end) if isinstance(part, NetFault) else replace(part, end=end)
 
 
 @dataclass(frozen=True, slots=True)

@@ -383,7 +383,7 @@ def test_quiet_is_quiet(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("where", "error", "words"),
     [
-        ("fleet.run.execute.LivePublisher.open", PublishError("no port is free"), "no port is free"),
+        ("fleet.run.publication.LivePublisher.open", PublishError("no port is free"), "no port is free"),
         (
             "fleet.run.execute.LogFile",
             LogError("cannot write the log: No space left on device"),

@@ -56,7 +56,7 @@ def _other_ca(directory: Path) -> None:
 DAMAGES: dict[str, tuple[Any, str]] = {
     "no CA": (lambda d: (d / "ca.pem").unlink(), r"ca\.pem is missing; make it: fleet certs"),
     "no key": (lambda d: (d / "server-key.pem").unlink(), r"server-key\.pem is missing"),
-    "key for all": (lambda d: (d / "server-key.pem").chmod(0o644), "others than you may read .*chmod 600"),
+    "key for all": (lambda d: (d / "server-key.pem").chmod(0o644), "can be read by others .*chmod 600"),
     "no PEM": (lambda d: (d / "server.pem").write_bytes(b"\xff\x00"), "is not PEM"),
     "no certificate": (lambda d: (d / "server.pem").write_text("x"), "holds no certificate in PEM"),
     "no private key": (lambda d: (d / "server-key.pem").write_text("x"), "holds no private key"),
@@ -112,7 +112,11 @@ def test_what_is_no_host_is_refused(text: str, tmp_path: Path) -> None:
 def test_agents_are_told_what_the_certificate_holds(made: Path) -> None:
     everywhere = listening("tls/0.0.0.0:7447", made)
     assert everywhere.reached == "tls/sea.example.org:7447,tls/192.0.2.7:7447,tls/[2001:db8::7]:7447"
-    assert everywhere.ca == (made / "ca.pem").read_text() and everywhere.door and everywhere.door.certified == set()
+    assert (
+        everywhere.ca == (made / "ca.pem").read_text()
+        and everywhere.listener
+        and everywhere.listener.certified == set()
+    )
     assert listening("tls/192.0.2.7:1", made).reached == "tls/192.0.2.7:1"
     assert listening("tls/0.0.0.0:1", made, ["SEA.example.org"]).reached == "tls/sea.example.org:1"
     with pytest.raises(HostsError, match=r"not for 192\.0\.2\.8.*fleet certs .* --host 192\.0\.2\.8 --force"):

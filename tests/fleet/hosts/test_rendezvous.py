@@ -74,7 +74,7 @@ def test_listening_for_nobody_is_warned_of(made: Path) -> None:
 
 def test_mutual_tls_takes_the_external_agents_certificates(made: Path) -> None:
     found = listening("tls/0.0.0.0:1", made, external=[2], mutual=True)
-    assert found.door and found.door.certified == {"agent-2"}
+    assert found.listener and found.listener.certified == {"agent-2"}
     assert found.certificates["agent-2"].certificate == (made / "agent-2.pem").read_text()
     with pytest.raises(CertsError, match=r"agent-3\.pem is missing; make it: fleet certs .* --agents 3"):
         listening("tls/0.0.0.0:1", made, external=[3], mutual=True)
@@ -155,7 +155,7 @@ def test_nothing_that_holds_secrets_shows_them() -> None:
     secret = Credentials("u", "swordfish", key="-----KEY-----")
     values = [
         secret,
-        Rendezvous(credentials={agent_role(1): secret}, door=Listener((), 1, key="-----KEY-----")),
+        Rendezvous(credentials={agent_role(1): secret}, listener=Listener((), 1, key="-----KEY-----")),
         [secret],
     ]
     assert "swordfish" not in f"{values}" and "-----KEY-----" not in f"{values}"

@@ -1,13 +1,14 @@
-"""Where a vehicle that does not know the trajectory should be, from its neighbours and its place among them.
+"""The desired motion of a vehicle that does not know the reference, computed from its neighbours' states.
 
 | symbol | meaning | unit | frame |
 |---|---|---|---|
 | a_ij | weight of neighbour j | 1 | - |
-| Delta_ij(t) | desired offset, p_i - p_j | m | NED |
-| pos_j, vel_j | neighbour j's position now, as extrapolated, and its velocity when it sent | m, m/s | NED |
+| Delta_ij(t), Delta_ij'(t) | desired offset p_i - p_j, and its rate of change | m, m/s | NED |
+| pos_j, vel_j | neighbour j's position, extrapolated to now, and its velocity when it sent | m, m/s | NED |
 
-The desired position is the weighted mean of pos_j + Delta_ij, the desired velocity that of vel_j + Delta_ij'. A vehicle
-that has heard no neighbour, or counts none any more, should stay where it is.
+The desired position is the weighted mean of pos_j + Delta_ij over the neighbours j. The desired velocity is the
+weighted mean of vel_j + Delta_ij'. If the sum of the weights is 0 (no neighbour heard yet, or all dropped), the desired
+position is the vehicle's own position and the desired velocity is 0.
 """
 
 from __future__ import annotations
@@ -21,13 +22,13 @@ from world.vectors import Vec3
 
 
 def followed(position: Vec3, heard: Iterable[NeighbourState], offsets: Mapping[int, Offset], t: float) -> Motion:
-    """The desired position and velocity of a vehicle, from those of the neighbours that it has heard.
+    """The desired position and velocity of a vehicle, from the states of the neighbours that it has heard.
 
     Args:
         position: its own position [m, NED].
-        heard: the neighbours heard so far.
-        offsets: Delta_ij(t) by neighbour j [m, NED].
-        t: time [s].
+        heard: the neighbours heard so far, without those whose last state is too old.
+        offsets: Delta_ij by the number j of the neighbour [m, NED]; one for each neighbour in `heard`.
+        t: simulated time [s].
 
     Returns:
         Position [m, NED] and velocity [m/s, NED].

@@ -1,4 +1,4 @@
-"""Named tunings of the controller. *Listed*: printed in the paper; *chosen*: the paper gives no value."""
+"""Named parameter sets of the controller. *Listed*: value from the paper; *chosen*: the paper gives no value."""
 
 from __future__ import annotations
 
@@ -12,42 +12,42 @@ _TRACKING = TrackingParams(
     k_u=10.0,  # listed: K2 = (10, 10, 10), read as (k_u, k_q, k_r)
     k_q=10.0,
     k_r=10.0,
-    k_theta=1.75,  # chosen: the middle of a scan of 1-4 in which every run works
+    k_theta=1.75,  # chosen: a middle value of a scan from 1 to 4, in which every run works
     k_psi=2.5,  # chosen, likewise
     a=10.0,  # listed
     b_up=30.0,  # listed
     b_down=30.0,  # listed, printed as "d"
-    tau_f=0.05,  # chosen: a pure difference kicks at every new gain, a slower one costs accuracy
-    u_floor=0.3,  # chosen: inactive without disturbance
-    rho_eps=0.05,  # chosen: never reached in the nominal runs
+    tau_f=0.05,  # chosen: without a filter the derivative jumps at every new gain; a slower filter is less accurate
+    u_floor=0.3,  # chosen: has no effect in runs without disturbance
+    rho_eps=0.05,  # chosen: in the nominal runs the speed never falls to it
     cos_eps=0.1,  # chosen
     u_eps=0.02,  # chosen
     phi=(
         1.0,
         1.0,
         1.0,
-    ),  # chosen; it decides how sliding mode compares: z is 0.044 m/s in the disturbance, 0.004 at 0.1
+    ),  # chosen; with disturbance, the tracking error z of sliding mode is 0.044 m/s at phi = 1, 0.004 at 0.1
     angles="printed",
 )
 
-# The printed cost and parameters. It holds down to 10 messages per second and up to half a second of delay.
+# The paper's cost and parameters. Stable with at least 10 messages per second and at most 0.5 s of delay.
 _PAPER = GuidanceParams(
     Q=(10.0, 10.0, 10.0),  # listed
     R1=(1.0, 1.0, 1.0),  # listed
     R2=(1.0, 1.0, 1.0),  # listed
     p=0.1,  # listed
     K0=(0.3, 0.3, 0.3),  # listed
-    k_min=0.3,  # chosen: below it the printed cost leaves a standing error
+    k_min=0.3,  # chosen: with a smaller one the paper's cost leaves a steady-state error
     k_max=2.0,  # chosen: the inner loop follows gains up to 2.46
-    rho_lo=(0.1, -1.0, -1.25),  # chosen: no turning back
-    rho_hi=(1.5, 1.0, 1.25),  # chosen: the largest that leave room for deceleration
+    rho_lo=(0.1, -1.0, -1.25),  # chosen: rho_x > 0, so the vehicle never turns back
+    rho_hi=(1.5, 1.0, 1.25),  # chosen: the largest bounds that leave a margin for deceleration
     qp_ticks=5,  # chosen: T_opt = 0.05 s at a control period of 10 ms
-    horizon_s=0.05,  # chosen: sets the stationary gain, Q s / (R1 + Q s^2)
+    horizon_s=0.05,  # chosen: sets the stationary gain Q s / (R1 + Q s^2), where s = c * horizon_s
     cost="printed",
 )
 
-# The cost corrected: neighbours and reference move during the prediction. The paper's claims about the
-# speed of convergence hold with it; it is a little less robust.
+# The corrected cost: neighbours and reference move during the prediction. With this cost the paper's claims about
+# the speed of convergence hold. It is slightly less robust than the paper's cost.
 _CONSISTENT = replace(
     _PAPER,
     cost="consistent",
@@ -55,7 +55,7 @@ _CONSISTENT = replace(
     rho_hi=(2.25, 1.0, 1.5),  # chosen
 )
 
-# For bad networks: small gains and bounds, and a virtual control that cannot jump when old data is replaced.
+# For bad networks: small gains and bounds; slew limits the jump of rho when new data replaces old data.
 _HARDENED = replace(
     _PAPER,
     k_min=0.2,  # chosen
@@ -65,7 +65,7 @@ _HARDENED = replace(
     slew=0.3,  # chosen, m/s^2
 )
 
-# What some laws have instead, in every profile, unless a scenario says otherwise.
+# Parameters that replace those of every profile for some laws; a scenario may replace them again.
 LAW_DEFAULTS: dict[str, dict[str, Any]] = {
     "fixed": {"K0": (0.6, 0.6, 0.6)},  # listed: K1 of NBC, BC, BSMC
     "sliding-mode": {"k_u": 20.0, "k_q": 15.0, "k_r": 15.0},  # listed: switching gains of the three surfaces
@@ -81,7 +81,12 @@ PROFILES: dict[str, tuple[GuidanceParams, TrackingParams]] = {
 def profile(
     name: str, guidance: str = "optimal", tracking: str = "neurodynamic"
 ) -> tuple[GuidanceParams, TrackingParams]:
-    """The guidance and tracking parameters of a named tuning, for laws of these names.
+    """The guidance and tracking parameters of a profile, with the defaults of the two laws applied.
+
+    Args:
+        name: a key of `PROFILES`.
+        guidance: name of the guidance law; a name without an entry in `LAW_DEFAULTS` changes nothing.
+        tracking: name of the tracking law, likewise.
 
     Raises:
         UnknownNameError: there is no such profile.

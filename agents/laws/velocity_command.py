@@ -1,4 +1,4 @@
-"""From the consensus error to a commanded speed and direction (eqs. 11, 12, 21).
+"""Compute the commanded speed and direction from the consensus error (eqs. 11, 12, 21).
 
 | symbol | meaning | unit | frame | paper |
 |---|---|---|---|---|
@@ -31,7 +31,7 @@ def virtual_control(e: Vec3, K: Vec3, v_d: Vec3) -> Vec3:
 
 
 def clip(vector: Vec3, low: Vec3, high: Vec3) -> Vec3:
-    """Each component of `vector` moved into [low, high] of its axis."""
+    """`vector` with each component limited to the range [low, high] of its axis; all in one unit."""
     x, y, z = vector
     lx, ly, lz = low
     hx, hy, hz = high
@@ -42,7 +42,7 @@ def clip(vector: Vec3, low: Vec3, high: Vec3) -> Vec3:
 
 
 def slew(rho: Vec3, previous: Vec3, step: float) -> Vec3:
-    """rho [m/s], but at most `step` [m/s] away from `previous` on each axis."""
+    """rho [m/s, NED], limited on each axis to `previous` [m/s, NED] plus or minus `step` [m/s]."""
     px, py, pz = previous
     return clip(rho, (px - step, py - step, pz - step), (px + step, py + step, pz + step))
 
@@ -50,17 +50,17 @@ def slew(rho: Vec3, previous: Vec3, step: float) -> Vec3:
 def direction_command(rho: Vec3, theta_held: float, psi_held: float, rho_eps: float) -> Vec3:
     """u_cmd = |rho|, theta_cmd = -atan2(rho_z, h), psi_cmd = atan2(rho_y, rho_x), h = hypot(rho_x, rho_y).
 
-    A velocity near zero has no direction: below rho_eps the angle keeps its held value. The paper prints the
-    course with arcsin, which is wrong where rho_x < 0.
+    A velocity near zero has no direction. If |rho| <= rho_eps, theta_cmd is theta_held; if h <= rho_eps, psi_cmd is
+    psi_held. The paper computes the course with arcsin, which is wrong for rho_x < 0.
 
     Args:
         rho: commanded velocity [m/s, NED].
-        theta_held: pitch commanded at the sample before [rad].
-        psi_held: course commanded at the sample before [rad].
-        rho_eps: speed from which a direction counts [m/s].
+        theta_held: commanded pitch of the previous sample [rad].
+        psi_held: commanded course of the previous sample [rad].
+        rho_eps: speed above which the direction is computed from rho [m/s].
 
     Returns:
-        u_cmd [m/s], theta_cmd and psi_cmd [rad].
+        u_cmd [m/s], theta_cmd [rad] and psi_cmd [rad], in this order.
     """
     x, y, z = rho
     h = hypot(x, y)
@@ -71,18 +71,18 @@ def direction_command(rho: Vec3, theta_held: float, psi_held: float, rho_eps: fl
 
 
 def floor_speed(u_cmd: float, v: float, w: float, u_floor: float) -> float:
-    """u_cmd [m/s], but enough for a forward component of u_floor at the present sway and heave.
+    """Raise u_cmd [m/s], if needed, so that its forward component is at least u_floor.
 
-    max(u_cmd, sqrt(v^2 + w^2 + u_floor^2)). The speed law divides by the cosine between the axis and the
-    velocity; a commanded speed below the sideways motion would drive that cosine to zero.
+    The result is max(u_cmd, sqrt(v^2 + w^2 + u_floor^2)). The speed law divides by the cosine of the angle between the
+    vehicle's longitudinal axis and its velocity. A commanded speed below sqrt(v^2 + w^2) would make it zero.
 
     Args:
         u_cmd: commanded speed [m/s].
         v: sway velocity [m/s, body].
         w: heave velocity [m/s, body].
-        u_floor: least forward component [m/s].
+        u_floor: minimum forward component [m/s].
 
     Returns:
-        The commanded speed to follow [m/s].
+        The commanded speed for the tracking law [m/s].
     """
     return max(u_cmd, sqrt(v * v + w * w + u_floor * u_floor))

@@ -1,4 +1,4 @@
-"""Reading a log, whole or cut: in file order, every complete chunk, and a word on what is missing."""
+"""Read a log, complete or truncated: all complete chunks in file order, and a text that says what is missing."""
 
 from __future__ import annotations
 
@@ -18,22 +18,22 @@ from fleet.errors import FleetError
 from fleet.logs.records import MAGIC, Block
 from fleet.logs.salvage import Damage, Item, Salvage
 
-CLOCK, REAL = "clock", "real"  # metadata of a run without lockstep: it would not come out the same again
-RECOVERY = "recovery"  # metadata of a file that `fleet recover` wrote
-LOST = "lost"  # in it: what is gone, in words
-GAPS = "gaps"  # in it: numbers of the messages before which something is gone
-MOST_KEPT = 256 << 20  # bytes of everything but messages: attachments, schemas, channels, metadata
-_ENTRY = 256  # bytes that an entry of metadata takes beside its text
+CLOCK, REAL = "clock", "real"  # key and value in metadata `run`: no lockstep, so not repeatable
+RECOVERY = "recovery"  # name of the metadata record in a file that `fleet recover` wrote
+LOST = "lost"  # key in this record: text that says what is lost
+GAPS = "gaps"  # key in this record: numbers (from 0) of the messages before which data is lost
+MOST_KEPT = 256 << 20  # limit [bytes] for attachments, schemas, channels and metadata together
+_ENTRY = 256  # estimated memory [bytes] of one entry of metadata, in addition to its text
 _TIMES = struct.Struct("<QQII").pack
-Tell = Callable[[float], None]  # called now and then with the share that is done, 0 to 1
+Tell = Callable[[float], None]  # progress callback: gets the fraction of the file that was read, 0 to 1
 
 
 class LogReadError(FleetError):
-    """There is no log to read."""
+    """The file is no log that can be read, or what is asked of it is not in it."""
 
 
 class Record(NamedTuple):
-    """One message of a log, times in ns of sim time."""
+    """One message of a log; times in ns of simulated time."""
 
     topic: str
     log_ns: int
@@ -44,10 +44,10 @@ class Record(NamedTuple):
 
 @dataclass(slots=True)
 class LogReader:
-    """Iterates the messages of a log once; what else it holds is there when the iteration is over.
+    """Iterates over the messages of a log, once. The fields below are complete when the iteration is over.
 
-    It stops at the first damaged place, so that what it yields is how the run began, without a gap;
-    `fleet.logs.recover` goes on behind.
+    The iteration stops at the first damaged place, so the messages are the beginning of the run without a gap.
+    `fleet.logs.recover` also reads what follows the damage.
     """
 
     path: Path
@@ -57,24 +57,24 @@ class LogReader:
     channels: dict[int, Channel] = field(default_factory=dict)
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)
     attachments: dict[str, bytes] = field(default_factory=dict)
-    last_ns: int = -1  # the latest time of a message so far; -1 without any
-    missing: str = ""  # why the file is not whole; "" if it is
-    cut: bool = False  # the file has no end: what follows its last complete chunk was never written
+    last_ns: int = -1  # latest log time of a message so far [ns]; -1: no message
+    missing: str = ""  # why the file is not complete; "" if it is complete
+    cut: bool = False  # the file is truncated: it stops within a record, or before its end was written
     damage: list[Damage] = field(default_factory=list)
-    _kept: dict[tuple[type, int | str], int] = field(default_factory=dict, init=False)  # bytes that each takes
-    _total: int = field(default=0, init=False)  # and all of them
+    _kept: dict[tuple[type, int | str], int] = field(default_factory=dict, init=False)  # size of each [bytes]
+    _total: int = field(default=0, init=False)  # sum of these sizes [bytes]
 
     def __iter__(self) -> Iterator[Record]:
         """Every message of every complete chunk, in file order.
 
         Raises:
-            LogReadError: the file cannot be opened, is no MCAP file, or declares more than is kept.
+            LogReadError: the file cannot be opened, is no MCAP file, or declares more than MOST_KEPT bytes.
         """
         for block in self.blocks():
             yield from self._records(block)
 
     def of(self, topics: Collection[str]) -> Iterator[Record]:
-        """The messages of some topics alone; the others are passed over, fast. Raises as iteration does."""
+        """Only the messages of these topics; the others are skipped quickly. Raises the same errors as iteration."""
         for block in self.blocks():
             some = [number for number in np.unique(block.channel).tolist() if self.channels[number].topic in topics]
             if some:
@@ -89,7 +89,7 @@ class LogReader:
             yield Record(topic, log_ns, publish_ns, sequence, data)
 
     def blocks(self) -> Iterator[Block]:
-        """The same, many at a time; their channels are those declared by then. Raises as iteration does."""
+        """The same messages as iteration, in blocks; the channel of each is declared. Raises the same errors."""
         with open_file(self.path) as file:
             salvage = Salvage(file, tell=self.tell)
             for item in salvage:
@@ -143,7 +143,7 @@ def _size(entries: Mapping[str, str]) -> int:
 
 
 def missing(salvage: Salvage) -> str:
-    """What a file lacks, in words; "" if it is whole."""
+    """A text that says what is missing in a file; "" if it is complete. The iteration of `salvage` must be over."""
     if salvage.damage:
         return f"{salvage.damage[0]}; reading stopped before it" if not salvage.beyond else lost(salvage)
     if salvage.cut:
@@ -154,7 +154,7 @@ def missing(salvage: Salvage) -> str:
 
 
 def lost(salvage: Salvage) -> str:
-    """What is gone of a file that was read beyond its damage; "" if no message is."""
+    """A text that says what is lost in a file that was read beyond its damage; "" if no message is lost."""
     places = [str(damage) for damage in salvage.damage]
     if salvage.cut or not salvage.ended:
         places.append("the end: the file is cut")
@@ -165,12 +165,14 @@ def lost(salvage: Salvage) -> str:
 
 
 def digest_part(topic: bytes, log_ns: int, publish_ns: int, sequence: int, data: bytes) -> bytes:
-    """What one message adds to a log's digest."""
+    """The bytes that one message adds to a log's digest: `topic` in UTF-8, both times in ns of simulated time."""
     return topic + _TIMES(log_ns, publish_ns, sequence, len(data)) + data
 
 
 def digest(path: Path, tell: Tell = lambda _: None) -> str:
-    """SHA-256 over the ordered messages (topic, times, sequence, data), as `fleet run` prints it.
+    """SHA-256 over the ordered messages (topic, times, sequence, data), in hexadecimal, as `fleet run` prints it.
+
+    If the file is damaged, only the messages before the first damaged place count.
 
     Raises:
         LogReadError: see `LogReader`.
@@ -182,15 +184,15 @@ def digest(path: Path, tell: Tell = lambda _: None) -> str:
 
 
 def log_path(path: Path) -> Path:
-    """A log file, given itself or its run directory."""
+    """The path of a log file; `path` is the file itself or the directory of its run."""
     return path / "run.mcap" if path.is_dir() else path
 
 
 def open_file(path: Path) -> IO[bytes]:
-    """A log file, for reading.
+    """Open a log file for reading, in binary mode; the caller closes it.
 
     Raises:
-        LogReadError: it cannot be opened or does not begin as an MCAP file does.
+        LogReadError: it cannot be opened, or does not begin with the magic bytes of MCAP.
     """
     file = open_any(path)
     start = file.read(len(MAGIC))
@@ -203,13 +205,13 @@ def open_file(path: Path) -> IO[bytes]:
 
 
 def open_any(path: Path) -> IO[bytes]:
-    """Any file, for reading.
+    """Open any regular file for reading, in binary mode; the caller closes it.
 
     Raises:
-        LogReadError: it cannot be opened.
+        LogReadError: it cannot be opened, or is no regular file.
     """
     try:
-        if not stat.S_ISREG(path.stat().st_mode):  # a pipe would be waited for
+        if not stat.S_ISREG(path.stat().st_mode):  # opening a pipe would block
             raise LogReadError(f"cannot read {path}: it is no file")
         return path.open("rb")
     except OSError as error:

@@ -18,15 +18,16 @@ SECOND_NS = 1_000_000_000
 
 
 class LogError(FleetError):
-    """The log cannot be written: the disk is full, or the place is not writable."""
+    """The log cannot be written: for example the disk is full, or the directory is not writable."""
 
     status = 3
 
 
 class LogFile:
-    """What `LogWriter` encodes, written to a new MCAP file.
+    """A new MCAP file, to which `LogWriter` writes its encoded messages.
 
-    `close` finishes the file; without it the file is cut but readable.
+    `close` writes the end of the file; without it the file is truncated but readable. Every method that writes raises
+    LogError when the operating system reports an error.
     """
 
     def __init__(self, path: Path) -> None:
@@ -43,18 +44,18 @@ class LogFile:
         self._schemas: dict[str, int] = {}
         with self._refused():
             self._file: IO[bytes] = path.open("xb")
-            # Without `library` the mcap version would stand in the file, and bytes would differ between versions.
+            # By default `library` holds the version of mcap; then the bytes of the file would depend on that version.
             self._writer = Writer(self._file, compression=CompressionType.ZSTD)
             self._writer.start(profile="", library="uuv-fleet")
 
     @property
     def digest(self) -> str:
-        """SHA-256 over (topic, log_time, publish_time, sequence, data) of every message so far."""
+        """SHA-256 over (topic, log_time, publish_time, sequence, data) of every message so far, in hexadecimal."""
         return self._digest.hexdigest()
 
     @property
     def size(self) -> int:
-        """Bytes of the file as it is now; 0 if it was removed."""
+        """The present size of the file [bytes]; 0 if it cannot be found."""
         try:
             return self.path.stat().st_size
         except OSError:
@@ -66,16 +67,16 @@ class LogFile:
             self._writer.add_attachment(0, 0, name, media_type, data)
 
     def metadata(self, name: str, values: Mapping[str, str]) -> None:
-        """Write metadata, and hand it to the operating system with everything before it.
+        """Write metadata, and pass all that was written so far to the operating system.
 
-        A run that is killed within its first second thus leaves its scenario at least.
+        So the file of a run that is killed within its first second holds at least the scenario.
         """
         with self._refused():
             self._writer.add_metadata(name, dict(values))
             self._file.flush()
 
     def channel(self, topic: str, schema: Schema) -> int:
-        """Declare a topic; returns the number of its channel."""
+        """Declare a topic, and return the number of its channel, which `message` needs."""
         with self._refused():
             if schema.name not in self._schemas:
                 self._schemas[schema.name] = self._writer.register_schema(
@@ -88,8 +89,8 @@ class LogFile:
         return number
 
     def message(self, channel: int, log_ns: int, publish_ns: int, sequence: int, data: bytes) -> None:
-        """Write a message; both times in ns of simulated time."""
-        try:  # not `_refused`, which costs more than the message's digest
+        """Write a message to a channel that `channel` declared; both times in ns of simulated time."""
+        try:  # not `_refused`: it takes more time than the digest of the message
             self._writer.add_message(channel, log_ns, data, publish_ns, sequence)
         except OSError as error:
             raise self._error(error) from error
@@ -97,7 +98,10 @@ class LogFile:
         self.messages += 1
 
     def flush(self, at_ns: int) -> None:
-        """End a chunk for every second of simulated time: chunk borders are part of the file's bytes."""
+        """End the chunk if a new second of simulated time has begun at `at_ns` [ns].
+
+        The borders of the chunks change the bytes of the file, so they depend on simulated time only.
+        """
         second = at_ns // SECOND_NS
         if second > self._flushed_s:
             self._flushed_s = second
@@ -108,18 +112,18 @@ class LogFile:
         """Write the index and close the file.
 
         Raises:
-            LogError: the rest cannot be written.
+            LogError: the rest of the file cannot be written.
         """
         with self._refused():
             self._writer.finish()  # type: ignore[no-untyped-call]
             self._file.close()
 
     def abandon(self) -> None:
-        """Close the file after a write failed; what was flushed before stays readable."""
+        """Close the file after a write failed; chunks that were written before stay readable. Raises nothing."""
         try:
             self._file.close()
         except OSError:
-            # The buffer could not be written either: the error is already on its way to the user.
+            # The rest of the buffer cannot be written either; the first error is already reported.
             return
 
     @contextmanager

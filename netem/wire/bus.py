@@ -1,6 +1,6 @@
-"""Zenoh as the processes of a run use it: sessions, puts, subscriptions, queries, tokens.
+"""The functions of zenoh that the processes of a run use: sessions, puts, subscriptions, queries, tokens.
 
-`netem.wire.settings` has the settings and the reasons for them.
+`netem.wire.settings` documents the settings. Keys are zenoh key expressions. Handlers run on a thread of zenoh.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ QueryHandler = Callable[[str, bytes, Respond], None]
 
 
 class Bus:
-    """One open zenoh session. Use `connect` or `host`; close it when done."""
+    """One open zenoh session. Create it with `connect` or `host`, and call `close` at the end."""
 
     def __init__(self, session: zenoh.Session, endpoint: str) -> None:
         self._session = session
@@ -40,10 +40,12 @@ class Bus:
         """A client session to a run's router.
 
         Args:
-            endpoint: several, with commas between them, are tried in turn.
+            endpoint: address of the router; of several addresses, separated by commas, each is tried in turn.
+            credentials: user, password and, for TLS, the certificates.
+            timeout_ms: how long to try [ms].
 
         Raises:
-            BusError: there is no router, or it refuses the credentials.
+            BusError: no router answers in time, or it refuses the credentials or the certificate.
         """
         settings = {
             **client_settings(endpoint.split(","), credentials, timeout_ms),
@@ -69,15 +71,18 @@ class Bus:
         private: Path,
         listener: Listener | None = None,
     ) -> Bus:
-        """The run's router: listens on `endpoint`, checks the users and enforces the access-control list.
+        """Open the router of a run: it listens on `endpoint`, checks users and enforces the access-control list.
 
         Args:
+            vehicles: the vehicle numbers.
+            credentials: by role; these users may log in.
             private: a directory of mode 0700; zenoh reads the users from a file there, which is removed
                 as soon as the session is open.
-            listener: where it listens for others than the run's own processes, too.
+            listener: additional endpoints, for processes that do not belong to the run.
 
         Raises:
-            BusError: the endpoint is taken or not ours to listen on.
+            BusError: an endpoint is already in use, or this process may not listen on it.
+            OSError: the file of users cannot be written.
         """
         users = users_file(private, credentials.values())
         endpoints = [endpoint, *(listener.endpoints if listener else ())]
@@ -101,20 +106,20 @@ class Bus:
         return bus
 
     def on_lost(self, handler: Callable[[], None]) -> None:
-        """Call `handler()` on a zenoh thread when the link to the router, or to a client of this router, has ended.
+        """Call `handler()` on a zenoh thread when a link has ended: to the router, or to a client of this router.
 
-        A client's session makes another link by itself; messages on the way are lost without an error.
+        The session of a client connects again by itself; messages that were in transit are lost without an error.
         """
 
         self.watch_ends(lambda _: handler())
 
     def tokens(self, key: str, *, timeout_s: float = 2.0) -> list[str]:
-        """The liveliness tokens there are now."""
+        """The keys of all liveliness tokens that exist now and match `key`, sorted."""
         replies = self._session.liveliness().get(key, timeout=timeout_s)
         return sorted(str(reply.ok.key_expr) for reply in replies if reply.ok is not None)
 
     def publisher(self, key: str) -> Callable[[bytes], None]:
-        """A function that puts bytes on `key`, reliably and in order.
+        """Return a function that puts bytes on `key`, reliably and in order. It blocks while the link is congested.
 
         The function raises BusError for more than MAX_BYTES bytes, or when the link to the router has ended.
         """
@@ -137,7 +142,7 @@ class Bus:
         return put
 
     def subscribe(self, key: str, handler: Handler) -> None:
-        """Call `handler(key, bytes)` on a zenoh thread for every put; hand over to a queue there."""
+        """Call `handler(key, bytes)` on a zenoh thread for every put; it must be short: only put them into a queue."""
 
         def receive(sample: zenoh.Sample) -> None:
             handler(str(sample.key_expr), sample.payload.to_bytes())
@@ -147,16 +152,17 @@ class Bus:
     def channel(self, key: str, capacity: int = 4096) -> Channel:
         """A queue of every put on `key`, filled by zenoh without a Python callback.
 
-        A callback needs the interpreter lock, and so interrupts the main thread; for the
-        hot path of world and agents this costs a fifth of their CPU time. When the channel is full, the
-        senders' links wait, and so does everything else that comes in on the session: who takes from one channel only
-        must not let another one fill. Where other programs may put, the capacity should be small: each put that waits
-        may hold half a megabyte (measured: zenoh keeps the buffer that it came in).
+        A callback needs the interpreter lock and so interrupts the main thread; in the main loops of world and agents
+        it would take a fifth of the CPU time. When the channel is full, the senders block, and nothing else is received
+        on this session. So a thread that waits on one channel must not leave another one full.
+
+        `capacity` is the number of puts. It should be small where foreign programs can put: each put in the queue may
+        hold 0.5 MB (measured: zenoh keeps the whole buffer in which it was received).
         """
         return Channel(self._session.declare_subscriber(key, zenoh.handlers.FifoChannel(capacity)))
 
     def stamped(self, key: str) -> Stamped:
-        """A queue of every put on `key` with the time at which it came in, at the cost of a Python callback each."""
+        """A queue of every put on `key` with its time of arrival [ns, CLOCK_MONOTONIC]; each put costs a callback."""
         stamped = Stamped()
         self.subscribe(key, stamped.put)
         return stamped
@@ -164,7 +170,7 @@ class Bus:
     def answer(self, key: str, handler: QueryHandler) -> None:
         """Call `handler(key, request, respond)` on a zenoh thread for every query on `key`.
 
-        `respond` may be called later and from another thread, once.
+        Call `respond(answer)` exactly once; later and from another thread is allowed.
         """
 
         def receive(query: zenoh.Query) -> None:
@@ -172,7 +178,7 @@ class Bus:
             request = b"" if query.payload is None else query.payload.to_bytes()
 
             def respond(answer: bytes) -> None:
-                # The transport carries no long message: what is long goes in several replies.
+                # The transport cannot carry a long message: a long answer is sent in several replies.
                 for piece in pieces(answer, PART_BYTES) or [b""]:
                     query.reply(key_expr, piece)
                 query.drop()  # type: ignore[no-untyped-call]
@@ -182,9 +188,9 @@ class Bus:
         self._held.append(self._session.declare_queryable(key, receive))
 
     def ask(self, key: str, request: bytes = b"", *, timeout_s: float = 2.0) -> bytes | None:
-        """The answer to a query on `key`, its replies joined; None when no answer, or only a part, came in time."""
+        """The answer to a query on `key`, all replies joined; None: no complete answer within `timeout_s` [s]."""
         parts = []
-        every = zenoh.ConsolidationMode.NONE  # otherwise replies on one key replace each other
+        every = zenoh.ConsolidationMode.NONE  # in other modes zenoh keeps only one reply of each key
         for reply in self._session.get(key, payload=request, timeout=timeout_s, consolidation=every):
             if reply.ok is None:
                 return None
@@ -192,11 +198,11 @@ class Bus:
         return b"".join(parts) if parts else None
 
     def token(self, key: str) -> None:
-        """Hold a liveliness token until the session closes."""
+        """Declare a liveliness token on `key`: it exists until the session closes."""
         self._held.append(self._session.liveliness().declare_token(key))
 
     def watch_tokens(self, key: str, handler: Callable[[str, bool], None]) -> None:
-        """Call `handler(key, alive)` when a token appears or disappears."""
+        """Call `handler(key, alive)` on a zenoh thread when a token appears or disappears, and for each that exists."""
 
         def receive(sample: zenoh.Sample) -> None:
             handler(str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT)
@@ -204,11 +210,11 @@ class Bus:
         self._held.append(self._session.liveliness().declare_subscriber(key, receive, history=True))
 
     def watch_ends(self, handler: Callable[[str], None]) -> None:
-        """Call `handler(zenoh id)` when a session of another process has ended."""
+        """Call `handler(zenoh id)` on a zenoh thread when the link to another session has ended."""
         self._watch(zenoh.SampleKind.DELETE, handler)
 
     def _watch(self, kind: zenoh.SampleKind, handler: Callable[[str], None]) -> None:
-        """Call `handler(zenoh id)` when a session of another process has begun (PUT) or ended (DELETE)."""
+        """Call `handler(zenoh id)` on a zenoh thread when a link to another session begins (PUT) or ends (DELETE)."""
 
         def receive(event: zenoh.TransportEvent) -> None:
             if event.kind == kind:
@@ -218,9 +224,9 @@ class Bus:
         self._held.append(self._session.info.declare_transport_events_listener(receive, history=False))
 
     def close(self) -> None:
-        """Close the session; everything declared through it is gone."""
+        """Close the session with all its publishers, subscribers and tokens. Waits for at most CLOSE_S = 3 s."""
         self._held.clear()
-        # A session that still receives into a full channel would never close.
+        # With a full channel, closing would block forever; so it has its own thread, and we stop waiting.
         closing = Thread(target=self._session.close, daemon=True)
         closing.start()
         closing.join(CLOSE_S)

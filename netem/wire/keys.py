@@ -1,4 +1,4 @@
-"""Key expressions of one run. One run is one prefix; nothing of ours lives outside it."""
+"""Zenoh key expressions of one run: all of them begin with the prefix of the run."""
 
 from __future__ import annotations
 
@@ -7,7 +7,10 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class Keys:
-    """The keys below `fleet/{run}`; `i` is a vehicle number."""
+    """The keys below `fleet/{run}`.
+
+    `i` is a vehicle number, `role` the name of a process, such as `world` or `agent-3`; "*" stands for all of them.
+    """
 
     run: str
 
@@ -16,82 +19,85 @@ class Keys:
         return f"fleet/{self.run}"
 
     def nav(self, i: int | str) -> str:
-        """World to agent i."""
+        """World to agent i: the measured pose and velocity of its vehicle."""
         return f"fleet/{self.run}/nav/{i}"
 
     def cmd(self, i: int | str) -> str:
-        """Agent i to world."""
+        """Agent i to world: the command for its vehicle."""
         return f"fleet/{self.run}/cmd/{i}"
 
     def tx(self, i: int | str) -> str:
-        """Agent i to netem."""
+        """Agent i to netem: the payloads that it sends to its neighbours."""
         return f"fleet/{self.run}/tx/{i}"
 
     def rx(self, i: int | str) -> str:
-        """Netem to agent i."""
+        """Netem to agent i: the payloads that will be delivered to it."""
         return f"fleet/{self.run}/rx/{i}"
 
     def cfg(self, i: int | str) -> str:
-        """Agent i asks the console for its slice of the scenario (query)."""
+        """Query of agent i to the console: its own part of the scenario."""
         return f"fleet/{self.run}/cfg/{i}"
 
     def note(self, role: str) -> str:
-        """Any process to console: a line for the operator."""
+        """Any process to console: a line of text for the operator."""
         return f"fleet/{self.run}/note/{role}"
 
     def alive(self, role: str) -> str:
-        """Liveliness token of a process."""
+        """The liveliness token that a process holds while it runs."""
         return f"fleet/{self.run}/alive/{role}"
 
     def ctl(self, role: str) -> str:
-        """Console to world or netem (query: acknowledged)."""
+        """Query of the console to world or netem: a control request; the reply acknowledges it."""
         return f"fleet/{self.run}/ctl/{role}"
 
     @property
     def grant(self) -> str:
-        """Console to world; below `cmd`, so that one channel of the world holds all that moves it."""
+        """Console to world: up to which tick it may run, changes of agents and faults.
+
+        It is below `cmd`, so that the world receives grants and the agents' commands in one channel.
+        """
         return f"fleet/{self.run}/cmd/grant"
 
     @property
     def round(self) -> str:
-        """World to netem."""
+        """World to netem: a round begins, with the vehicles alive and their positions."""
         return f"fleet/{self.run}/round"
 
     @property
     def frame(self) -> str:
-        """World to console."""
+        """World to console: the state of all vehicles at each tick."""
         return f"fleet/{self.run}/frame"
 
     @property
     def links(self) -> str:
-        """Netem to console."""
+        """Netem to console: the final fates of the packets."""
         return f"fleet/{self.run}/links"
 
     @property
     def op(self) -> str:
-        """Operator tools to console (query)."""
+        """Prefix of the queries of operator tools to the console: `op/{operation}`."""
         return f"fleet/{self.run}/op"
 
     def log(self, topic: str) -> str:
-        """The journal, topic for topic what the log holds."""
+        """The messages of one topic, the same as in the log, published during a run or a replay."""
         return f"fleet/{self.run}/log/{topic}"
 
     def schema(self, name: str) -> str:
-        """The protobuf descriptor set of a log message (query)."""
+        """Query: the protobuf descriptor set of the messages with this schema name."""
         return f"fleet/{self.run}/schema/{name}"
 
     @property
     def clock(self) -> str:
-        """The time of a replay, as a source of time for others."""
+        """The present time of a replay, for programs that use it as their clock."""
         return f"fleet/{self.run}/clock"
 
 
 def tail(key: str) -> str:
-    """The key without the run: `tx/3`."""
+    """The last two parts of a key: `tx/3` of `fleet/{run}/tx/3`, but `{run}/round` of `fleet/{run}/round`."""
     return "/".join(key.rsplit("/", 2)[-2:])
 
 
 def vehicle_of(key: str) -> int:
-    """The vehicle number at the end of a key; 0 when there is none."""
+    """The vehicle number that is the last part of a key; 0 if the last part is no number."""
     last = key.rsplit("/", 1)[-1]
     return int(last) if last.isdigit() else 0

@@ -1,15 +1,16 @@
-"""The acoustic part of a scenario: the configuration of the channel, and how often vehicles can send on it.
+"""The acoustic section of a scenario: the configuration of the channel, and how often each vehicle can send.
 
 | symbol | meaning | unit |
 |---|---|---|
-| T | airtime of a payload: preamble + 8 bytes / bit rate | s |
-| n | vehicles | 1 |
+| T | airtime of a payload: preamble + 8 * (size in bytes) / (bit rate) | s |
+| n | number of vehicles | 1 |
 | B | largest back-off of `aloha` | s |
-| G | load: transmissions that begin during an airtime | 1 |
+| G | load: mean number of transmissions that begin during one airtime | 1 |
 
-Pure ALOHA carries most, 1/(2e) of the time, at G = 1/2 (N. Abramson, "The ALOHA system", AFIPS 1970). A vehicle that
-always has a state to send sends every T + B/2 on average, so G = n T / (T + B/2), and B = 2 T (2 n - 1) is the default.
-That holds for many vehicles; `aloha` computes it for few vehicles, and for states that do not always wait.
+The throughput of pure ALOHA is highest at G = 1/2, where it is 1/(2e) (N. Abramson, "The ALOHA system", AFIPS 1970).
+A vehicle that always has a state to send starts a transmission every T + B/2 on average: G = n T / (T + B/2). G = 1/2
+gives B = 2 T (2 n - 1), the default. This formula holds for many vehicles. The module `aloha` computes how often they
+send for any number of vehicles, and also if a vehicle sometimes has no state to send.
 """
 
 from __future__ import annotations
@@ -31,7 +32,13 @@ SIZES: dict[Codec, int] = {"full": payload.SIZE, "compact": compact.SIZE}
 
 
 def modem_numbers(section: AcousticSection, folder: Path | None) -> dict[str, float]:
-    """The numbers of a section's modem: those of its file, changed as the section says. Raises DataFileError."""
+    """The numbers of a section's modem: those of its file, unless the section gives another value.
+
+    Units as in `netem.modem.Modem`; `folder` is that of the scenario.
+
+    Raises:
+        DataFileError: the modem file is missing or wrong.
+    """
     base = load_modem(section.modem, folder).modem
     return {key: _given(section, key, getattr(base, key)) for key in NUMBERS}
 
@@ -42,7 +49,7 @@ def _given(section: AcousticSection, key: str, otherwise: float) -> float:
 
 
 def inlined_modem(section: AcousticSection, folder: Path | None) -> AcousticSection:
-    """The same channel with every number of the modem written out, so that it no longer needs the modem's file."""
+    """The same section with all numbers of the modem in it: it does not need the modem file. Raises DataFileError."""
     values = modem_numbers(section, folder)
     written = {key: round(value * 1e9) if key == "preamble" else value for key, value in values.items()}
     return section.model_copy(update={"modem": DEFAULT_MODEM, **written})
@@ -51,11 +58,12 @@ def inlined_modem(section: AcousticSection, folder: Path | None) -> AcousticSect
 def compile_acoustic(
     section: AcousticSection, modem: Modem, codec: Codec, vehicles: int, tick_ns: int
 ) -> AcousticConfig:
-    """The configuration of the channel of a valid section.
+    """The configuration of the channel that a valid section describes.
 
     Args:
-        codec: of the agents' payloads.
-        vehicles: how many share the channel.
+        codec: the encoding of the agents' payloads.
+        vehicles: number of vehicles on the channel.
+        tick_ns: control period [ns]; the back-off is rounded up to ticks, the slot down.
     """
     backoff = backoff_ns(section, modem, codec, vehicles) if section.mac == "aloha" else 0
     return AcousticConfig(
@@ -73,19 +81,19 @@ def compile_acoustic(
 
 
 def backoff_ns(section: AcousticSection, modem: Modem, codec: Codec, vehicles: int) -> int:
-    """The largest back-off [ns]: the one given, or that of ALOHA's best load with the payloads of our agents."""
+    """The largest back-off [ns]: from the section, or by default 2 T (2 n - 1) for payloads of the built-in agents."""
     if section.backoff is not None:
         return section.backoff
     return 2 * modem.airtime_ns(SIZES[codec]) * (2 * vehicles - 1)
 
 
 def guard_ns(section: AcousticSection) -> int:
-    """The silent part of a slot [ns]."""
+    """The silent part at the end of a slot [ns]: from the section, or the default."""
     return DEFAULT_GUARD_NS if section.guard is None else section.guard
 
 
 def speed_of_sound(section: AcousticSection) -> float:
-    """The speed of sound [m/s]: given, or that of the water, or 1500."""
+    """The speed of sound [m/s]: from the water's properties, or as given, or by default 1500."""
     water = section.water
     if water is not None:
         return sound_speed(water.temperature, water.salinity, water.depth)
@@ -93,7 +101,10 @@ def speed_of_sound(section: AcousticSection) -> float:
 
 
 def extent_m(plans: tuple[Offset, ...]) -> float:
-    """The diagonal of the box that holds the formation whenever it is complete [m]: no two are farther apart."""
+    """The largest distance [m] that two vehicles in formation can have: the diagonal of the formation's bounding box.
+
+    It is the maximum over the start and the end of each change; `plans` has one offset for each vehicle.
+    """
     longest = 0.0
     stages = [[plan.start for plan in plans]]
     stages += [[plan.changes[n].offset for plan in plans] for n in range(len(plans[0].changes) if plans else 0)]
@@ -104,7 +115,7 @@ def extent_m(plans: tuple[Offset, ...]) -> float:
 
 
 def turn_s(network: NetworkSection, acoustic: AcousticConfig, vehicles: int, tick_ns: int) -> tuple[float, float]:
-    """The time from one transmission of a vehicle to its next: on average, and the longest [s]."""
+    """The mean and the longest time [s] from the start of one transmission of a vehicle to the start of its next."""
     period = network.period / 1e9
     if acoustic.mac == "tdma":
         turn = vehicles * acoustic.slot_ticks * tick_ns / 1e9
@@ -120,9 +131,10 @@ def _talking(network: NetworkSection, acoustic: AcousticConfig, vehicles: int, t
 
 
 def greatest_age_s(network: NetworkSection, acoustic: AcousticConfig, plans: tuple[Offset, ...], tick_ns: int) -> float:
-    """The greatest age that a neighbour's state can have when it is used, if none is lost [s].
+    """The greatest age [s] that a neighbour's state can have when it is used, if no payload is lost.
 
-    A state waits for at most a round before it is sent, and is used until the next one of the same sender arrives.
+    It is the sum of: one round, the longest time between two transmissions (see `turn_s`), airtime and propagation. A
+    state waits at most one round until it is sent. It is used until the next state of the same sender arrives.
     """
     airtime = acoustic.modem.airtime_ns(SIZES[network.payload]) / 1e9
     flight = extent_m(plans) / acoustic.sound_speed
@@ -131,7 +143,7 @@ def greatest_age_s(network: NetworkSection, acoustic: AcousticConfig, plans: tup
 
 
 def describe_turns(network: NetworkSection, acoustic: AcousticConfig, vehicles: int, tick_ns: int) -> str:
-    """A line of text on the airtime and on how often each vehicle sends."""
+    """One line of text: the airtime, and how often each vehicle sends."""
     assert network.acoustic is not None
     size = SIZES[network.payload]
     airtime = acoustic.modem.airtime_ns(size) / 1e9
@@ -146,7 +158,7 @@ def describe_turns(network: NetworkSection, acoustic: AcousticConfig, vehicles: 
 
 
 def describe_noise(network: NetworkSection, acoustic: AcousticConfig, plans: tuple[Offset, ...]) -> str:
-    """A line of text on whether noise loses packets, and from which range on."""
+    """One line of text: whether packets are lost in noise, and beyond which range."""
     modem, size = acoustic.modem, SIZES[network.payload]
     snr = acoustic.snr(modem.max_range)
     if acoustic.packet_error_rate(modem.max_range, size) == 0.0:
@@ -164,7 +176,7 @@ def describe_noise(network: NetworkSection, acoustic: AcousticConfig, plans: tup
 
 
 def _range_of(acoustic: AcousticConfig, size: int, share: float) -> float:
-    """The range [m] within the modem's beyond which noise loses more than a share of the packets."""
+    """The range [m] beyond which more than `share` of the packets are lost in noise; at most the modem's max_range."""
     near, far = 0.0, acoustic.modem.max_range
     for _ in range(60):
         middle = (near + far) / 2.0

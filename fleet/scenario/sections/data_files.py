@@ -1,4 +1,4 @@
-"""TOML files of numbers, each with its unit and its source: those that ship with a package, and a user's own."""
+"""TOML files of numbers with unit and source (where each comes from): shipped with a package, or the user's."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _MAX_BYTES = 100_000
 
 
 class DataFileError(FleetError):
-    """A file of numbers that is not there or not right; `problems` holds one line per mistake."""
+    """A file of numbers is missing or has errors; `problems` has one line of text for each."""
 
     def __init__(self, kind: str, name: str, problems: list[str]) -> None:
         super().__init__(f"{kind} {name}: " + "; ".join(problems))
@@ -24,16 +24,24 @@ class DataFileError(FleetError):
 
 
 def shipped(package: str) -> list[str]:
-    """The names of the files that come with a package."""
+    """The names, without `.toml`, of the TOML files in a package, sorted."""
     entries = resources.files(package).iterdir()
     return sorted(entry.name.removesuffix(".toml") for entry in entries if entry.name.endswith(".toml"))
 
 
 def find(kind: str, name: str, package: str, folder: Path | None) -> tuple[bytes, str]:
-    """Content and path of a shipped file by its name, or of a file in `folder` or in the current directory.
+    """Content and path of a file. For a shipped file, `name` has no `.toml`, and the second result is `name`.
+
+    Any other file is searched in `folder`, then in the current directory.
+
+    Args:
+        kind: what the file describes, such as `modem`; for the texts of errors.
+        name: of a shipped file, or the path of another file, which ends in `.toml`.
+        package: the Python package with the shipped files.
+        folder: the first place to search; None: only the current directory.
 
     Raises:
-        DataFileError: there is none, or it cannot be read.
+        DataFileError: there is no such file, it cannot be read, or it is larger than 100 kB.
     """
     known = shipped(package)
     if name in known:
@@ -47,17 +55,17 @@ def find(kind: str, name: str, package: str, folder: Path | None) -> tuple[bytes
             return read_file(path, _MAX_BYTES), str(path)
         except FileNotFoundError:
             continue
-        except (OSError, ValueError) as error:  # ValueError: no name of a file
+        except (OSError, ValueError) as error:  # ValueError: the name has a null byte
             raise DataFileError(kind, name, [getattr(error, "strerror", None) or str(error)]) from None
     looked = ", ".join(str(p.parent) for p in places) or "."
     raise DataFileError(kind, name, [f"there is no such file (looked in {looked})"])
 
 
 def read(kind: str, data: bytes, name: str) -> dict[str, Any]:
-    """The values in the bytes of a file.
+    """Parse the bytes of a TOML file; `kind` and `name` are for the texts of errors.
 
     Raises:
-        DataFileError: they are no TOML.
+        DataFileError: the bytes are not TOML.
     """
     try:
         return tomllib.loads(data.decode("utf-8"))
@@ -66,7 +74,14 @@ def read(kind: str, data: bytes, name: str) -> dict[str, Any]:
 
 
 def table(values: dict[str, Any], section: str, known: dict[str, q.Dimension], problems: list[str]) -> dict[str, float]:
-    """The numbers of a section in SI units; a line for each mistake is appended to `problems`."""
+    """The numbers of a section, in SI units. A number with a mistake is left out.
+
+    Args:
+        values: the content of the file, from `read`.
+        section: name of the TOML table.
+        known: the dimension of each number; all of them must be in the table.
+        problems: one line of text is appended for each mistake.
+    """
     entries = values.get(section)
     if not isinstance(entries, dict):
         problems.append(f"there is no [{section}]")

@@ -557,7 +557,9 @@ def test_a_law_that_cannot_be_made(module: Callable[[str], str], tmp_path: Path)
 # --- the other kinds -------------------------------------------------------
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(
+    "kind", [pytest.param(kind, marks=[] if kind in ("controller", "agent") else [pytest.mark.slow]) for kind in KINDS]
+)
 def test_templates_run(kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """What `fleet new` writes runs as it is, does what its check asks, and is resumable."""
     monkeypatch.chdir(tmp_path)

@@ -19,11 +19,14 @@ GALLERY = {
     "leader-lost": 70, "leader-lost-standby": 70, "acoustic-noise": 25,
 }  # fmt: skip
 PAGE = ROOT / "docs" / "guide" / "scenarios.md"
-LONG = 20  # [s]; a distributed run of more is one of the slow tests
+LONG = 10  # [s]; a distributed run of more is one of the slow tests
 
 
-# The longest, of which another one of their kind is here: the same with standby, the same channel with less noise.
-LONGEST = ("leader-lost", "acoustic-noise", "acoustic-80bps")
+# Slow, since a quick one shows the same kind of thing: another fleet with a leader, another disturbance, the same channel ...
+LONGEST = (
+    *("leader-lost", "leader-lost-standby", "follow-the-leader", "nemesis", "gauss-markov-current"),
+    *("acoustic-noise", "acoustic-80bps", "acoustic-s2c"),
+)
 
 
 @pytest.mark.parametrize(

@@ -18,6 +18,7 @@ from fleet.cli.main import cli
 TEXTS = ["README.md", "CONTRIBUTING.md"]
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(importlib.util.find_spec("sphinx") is None, reason="the extra [docs] is not installed")
 def test_the_site_builds_without_a_warning_and_needs_nothing_from_outside(tmp_path: Path) -> None:
     """A link that leads nowhere is a warning, and `-W` makes it an error. Nothing is fetched when a page is viewed."""

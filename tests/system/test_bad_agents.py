@@ -71,6 +71,7 @@ NAN_COMMAND = """
 """
 
 
+@pytest.mark.slow
 def test_controller_that_computes_nan(tmp_path: Path) -> None:
     """The agent stops at the sample in which its numbers stop making sense, and what it printed is shown."""
     with LiveRun(tmp_path / "runs", "paper", *LONG, environment=sabotage(tmp_path / "s", NAN_IN_THE_CORE)) as run:
@@ -95,6 +96,7 @@ def test_controller_that_computes_nan_in_process(tmp_path: Path, monkeypatch: py
     assert result.reason == "agent 3, tick 57: control.demand is (nan, nan, nan)"
 
 
+@pytest.mark.slow
 def test_nan_command_is_refused_by_the_world(tmp_path: Path) -> None:
     """An agent that does not check itself: the command is malformed, so the vehicle is waited for in vain, and the
     end of the run says both."""
@@ -259,6 +261,7 @@ LONG_PAYLOADS = """
 """
 
 
+@pytest.mark.slow
 def test_long_payloads_travel_in_parts(tmp_path: Path) -> None:
     """Two neighbours' payloads of 30 kB do not fit into one message; the agents refuse them, and nobody dies."""
     environment = sabotage(tmp_path / "site", LONG_PAYLOADS)

@@ -148,6 +148,7 @@ def test_ctrl_c_while_starting(moment: str, tmp_path: Path) -> None:
         assert "Traceback" not in run.said
 
 
+@pytest.mark.slow
 def test_ctrl_c_again_and_again(tmp_path: Path) -> None:
     """An impatient user: further ones while the run is being ended leave neither processes nor a traceback."""
     with LiveRun(tmp_path / "runs", "paper", *LONG) as run:
@@ -168,6 +169,7 @@ def test_ctrl_c_again_and_again(tmp_path: Path) -> None:
         assert "Traceback" not in run.said
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("suspended", ["agent 2", "world", "netem"])
 def test_suspended_process_is_a_stall_that_names_it(suspended: str, tmp_path: Path) -> None:
     """A forgotten SIGSTOP kills nobody: after `stall_timeout` the run says for whom it waited, and why."""
@@ -185,6 +187,7 @@ def test_suspended_process_is_a_stall_that_names_it(suspended: str, tmp_path: Pa
         assert_readable(run)
 
 
+@pytest.mark.slow
 def test_suspension_shorter_than_the_timeout_changes_nothing(tmp_path: Path, alone: Alone) -> None:
     """Sim time does not know of the pause: the log is that of a run without it, byte for byte."""
     arguments = ["--duration", "4 s", "--set", CHECKS]
@@ -262,6 +265,7 @@ def small_disk(tmp_path: Path) -> Iterator[Path]:
     yield from mount(tmp_path / "disk", "size=400k")
 
 
+@pytest.mark.slow
 def test_full_disk(small_disk: Path) -> None:
     """The log stops where the disk ends: status 3, one sentence, and what was written before can be read."""
     with LiveRun(small_disk / "runs", "paper", "--duration", "60 s") as run:

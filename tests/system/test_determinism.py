@@ -81,6 +81,7 @@ def test_distributed_is_in_process(case: str, order: str, tmp_path: Path, alone:
     assert_same_bytes(once(alone, case), run(tmp_path, case, start_order=ORDERS[order]))
 
 
+@pytest.mark.slow
 def test_hash_seed_and_shuffled_starts_change_nothing(tmp_path: Path, alone: Alone) -> None:
     """Other processes with other PYTHONHASHSEEDs: no order of a set or of a dict by hash reaches a result.
 

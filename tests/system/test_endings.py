@@ -44,6 +44,7 @@ def test_a_suspended_fork_server_does_not_keep_a_run_from_ending(number: signal.
         assert LogReader(run.log).missing == ""
 
 
+@pytest.mark.slow
 def test_a_suspended_fork_server_at_the_end(tmp_path: Path) -> None:
     arguments = ["--duration", "4 s", "--speed", "2", "--set", "checks={ledger: balanced}"]
     with LiveRun(tmp_path / "runs", "paper", *arguments) as run:
@@ -53,6 +54,7 @@ def test_a_suspended_fork_server_at_the_end(tmp_path: Path) -> None:
         assert LogReader(run.log).missing == ""
 
 
+@pytest.mark.slow
 def test_a_death_that_a_suspended_fork_server_does_not_tell(tmp_path: Path) -> None:
     """The stall names both."""
     with LiveRun(tmp_path / "runs", "paper", *LONG, "--set", "stall_timeout=1 s") as run:
@@ -66,6 +68,7 @@ def test_a_death_that_a_suspended_fork_server_does_not_tell(tmp_path: Path) -> N
         assert why in run.said
 
 
+@pytest.mark.slow
 def test_nothing_starts_behind_a_suspended_fork_server(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The wait is bounded, and the next run of this process gets a fork server that works."""
     ours = Children(lambda _: None)
@@ -127,6 +130,7 @@ def test_a_terminal_that_is_gone(tmp_path: Path) -> None:
     assert json.loads((log.parent / "result.json").read_text())["status"] == "hung_up"
 
 
+@pytest.mark.slow
 def test_a_run_without_a_hang_up_outlives_its_terminal(tmp_path: Path) -> None:
     """`nohup` has it ignored: what can be told to nobody is not told, and the run goes on to its end."""
     command = ["nohup", *FLEET, *SHORT, "--out", str(tmp_path)]
@@ -190,6 +194,7 @@ def test_a_run_that_cannot_show_its_result(redirection: str, why: str, tmp_path:
     assert json.loads((directory / "result.json").read_text())["status"] == "pass"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("redirection", ["2>&-", "2>/dev/full", "2>&- <&-"])
 def test_talk_that_nobody_hears_changes_nothing(redirection: str, tmp_path: Path) -> None:
     """Nor does the log get what a library would print: nothing of it has the number of stderr."""
@@ -199,6 +204,7 @@ def test_talk_that_nobody_hears_changes_nothing(redirection: str, tmp_path: Path
     assert LogReader(tmp_path / "latest" / "run.mcap").missing == ""
 
 
+@pytest.mark.slow
 def test_processes_of_a_run_without_any_stream(tmp_path: Path) -> None:
     """Pipes and sockets do not take the numbers of the streams that are closed."""
     arguments = [word for word in SHORT if word != "--in-process"]
@@ -208,6 +214,7 @@ def test_processes_of_a_run_without_any_stream(tmp_path: Path) -> None:
     assert (result["status"], result["notes"]) == ("pass", [])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("command", ["list", "run paper --show-config", "--help"])
 def test_output_of_other_commands(command: str) -> None:
     """A reader that has seen enough needs no word; a full disk does."""

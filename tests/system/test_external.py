@@ -116,6 +116,7 @@ def test_who_joins_is_the_agent_that_would_have_been_started(tmp_path: Path) -> 
         assert (code, "nobody listens at" in said) == (2, True), said
 
 
+@pytest.mark.slow
 def test_a_killed_one_is_sent_away_and_another_life_joins(tmp_path: Path) -> None:
     """A scripted kill with an end: two lives of agent 3, started by hand, give the log of two of our own."""
     faults = "faults=[{at: 1 s, for: 1 s, kill: 3}]"
@@ -129,6 +130,7 @@ def test_a_killed_one_is_sent_away_and_another_life_joins(tmp_path: Path) -> Non
         assert digest(run.log) == expected
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("policy", ["continue", "restart", "abort"])
 def test_one_that_leaves(policy: str, tmp_path: Path) -> None:
     """Ctrl-C at `fleet agent`: its token goes, and `on_death` says what follows."""

@@ -47,6 +47,7 @@ def test_what_is_healed_at_the_tick_at_which_it_began_never_was(tmp_path: Path) 
         runs_again(run, tmp_path)
 
 
+@pytest.mark.slow
 def test_the_end_of_a_kill_moves_while_it_lasts(tmp_path: Path) -> None:
     """The process that takes over is told its first tick, so it must not be there before that is certain."""
     with LiveRun(tmp_path, "paper", *CALM).until_running() as run:
@@ -59,6 +60,7 @@ def test_the_end_of_a_kill_moves_while_it_lasts(tmp_path: Path) -> None:
         runs_again(run, tmp_path)
 
 
+@pytest.mark.slow
 def test_a_tumbled_vehicle_is_not_healed(tmp_path: Path) -> None:
     # A moment that its restoring moment of 1 kN m holds at 17 degrees, with its actuators off.
     wrench = '[{at: 500 ms, for: 5 s, wrench: {vehicles: "2", pitch_moment: 300 N m}}, {at: 500 ms, off: "2"}]'
@@ -72,6 +74,7 @@ def test_a_tumbled_vehicle_is_not_healed(tmp_path: Path) -> None:
         runs_again(run, tmp_path)
 
 
+@pytest.mark.slow
 def test_live_faults_beside_those_of_a_script(tmp_path: Path) -> None:
     """A kill that began at zero is healed alone, ids of the script are not given again, no speed breaks the console."""
     faults = (

@@ -91,6 +91,7 @@ def router(config: Path) -> Iterator[None]:
             process.kill()
 
 
+@pytest.mark.slow
 def test_a_run_through_a_router_has_the_digest_of_one_without(made: Path, tmp_path: Path) -> None:
     """Everyone is a client there, the world too, with certificates of both sides; the log does not show it."""
     port, out = free_port(), tmp_path / "acl"
@@ -146,6 +147,7 @@ def test_a_router_asks_each_role_for_its_certificate(made: Path, tmp_path: Path)
     assert asked == {"agent-1": b"the slice", certificates.OWN: b"the slice", "agent-2": None}
 
 
+@pytest.mark.slow
 def test_a_router_serves_one_run_of_an_id_at_a_time(tmp_path: Path) -> None:
     """The second would mix its messages with the first's."""
     endpoint = f"tcp/127.0.0.1:{free_port()}"
@@ -179,6 +181,7 @@ def test_connections_are_closed_without_waiting() -> None:
 
 
 # What a cut link leaves behind
+@pytest.mark.slow
 def test_who_comes_back_after_his_death_is_sent_away(tmp_path: Path) -> None:
     """A session of zenoh links again by itself, with its token: it must not hold the place of the next agent."""
     arguments = [

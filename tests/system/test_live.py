@@ -155,6 +155,7 @@ def test_what_cannot_be_injected_is_refused_in_words(tmp_path: Path) -> None:
     assert (done.returncode, "no live run under" in done.stderr) == (3, True)
 
 
+@pytest.mark.slow
 def test_two_runs_do_not_disturb_each_other(tmp_path: Path) -> None:
     """Started in the same second, side by side: a fault in one is none in the other."""
     out = tmp_path / "runs"

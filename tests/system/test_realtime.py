@@ -66,6 +66,7 @@ def test_a_real_run_is_on_time_and_lockstep_or_says_why_not(tmp_path: Path) -> N
             refused(found.directory)
 
 
+@pytest.mark.slow
 def test_an_agent_too_slow_for_its_ticks_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "sleeper.py").write_text(dedent(SLEEPER))
     monkeypatch.syspath_prepend(str(tmp_path))
@@ -96,6 +97,7 @@ def test_what_makes_no_sense_on_a_wall_clock_is_refused(arguments: list[str], sa
     assert (result.exit_code, said in result.output) == (2, True)
 
 
+@pytest.mark.slow
 def test_a_suspended_agent_does_not_hold_the_others(tmp_path: Path) -> None:
     """It is named, nobody waits for it, and it is among them again when it goes on."""
     arguments = ["--clock", "real", "--speed", "2", "--duration", "8 s", "--max-missed", "1"]
@@ -114,6 +116,7 @@ def test_a_suspended_agent_does_not_hold_the_others(tmp_path: Path) -> None:
     assert ["its agent answers again" in note for note in notes[1:]] == [True], notes
 
 
+@pytest.mark.slow
 def test_a_run_that_is_ended_early_says_how_everyone_kept_up(tmp_path: Path) -> None:
     with LiveRun(tmp_path, "paper", "--clock", "real", "--duration", "60 s", "--set", "checks={}") as run:
         run.until_running().send(signal.SIGINT, group=True)

@@ -54,6 +54,7 @@ def test_too_few_open_files_are_said_before_anything_starts(tmp_path: Path) -> N
     assert "Traceback" not in found.stderr
 
 
+@pytest.mark.slow
 def test_a_low_soft_limit_of_open_files_is_raised(tmp_path: Path) -> None:
     found = fleet_run(tmp_path, 20, 4096)
     assert (found.returncode, found.stderr) == (0, "")

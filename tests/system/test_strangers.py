@@ -138,6 +138,7 @@ def test_nobody_else_gets_at_the_socket() -> None:
             assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == expected
 
 
+@pytest.mark.slow
 def test_half_open_connections_keep_nobody_out(tmp_path: Path) -> None:
     """Where a run has a port, somebody without a login holds 300 connections to it. An agent that is killed is followed
     by another one all the same."""
@@ -186,6 +187,7 @@ def test_a_place_that_the_socket_cannot_have(place: str, monkeypatch: pytest.Mon
 # --- the environment -------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_zenohs_variables_in_the_environment_do_nothing(tmp_path: Path) -> None:
     """Zenoh panics on a malformed ZENOH_RUNTIME."""
     environment = {"ZENOH_RUNTIME": "garbage", "ZENOH_CONFIG": "/nowhere", "RUST_LOG": "=garbage["}

@@ -96,7 +96,7 @@ def test_equal_vehicles_have_multiple_zeros() -> None:
         ("gain", Case("path", 10, 1.0)),
         pytest.param("gain", Case("star", 200, 1.0), marks=pytest.mark.slow),
         pytest.param("gain", Case("ring", 100, 1.0, 0, "reference"), marks=pytest.mark.slow),
-        ("delay", Case("ring", 100, 0.9)),
+        pytest.param("delay", Case("ring", 100, 0.9), marks=pytest.mark.slow),
     ],
 )
 def test_the_simulation_decays_below_the_limit_and_grows_above(what: str, case: Case) -> None:

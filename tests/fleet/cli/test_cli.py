@@ -200,7 +200,12 @@ def test_list_names_every_scenario() -> None:
     assert re.findall(r"^(\S+) ", result.stdout, re.MULTILINE) == ["scenario", *SHIPPED]
 
 
-@pytest.mark.parametrize("name", SHIPPED)
+CHECKED = ("paper", "rough-sea", "breakdown", "acoustic-80bps", "nemesis")  # one of each kind; the others are slow
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[] if name in CHECKED else [pytest.mark.slow]) for name in SHIPPED]
+)
 def test_check_accepts_what_ships(name: str) -> None:
     result = invoke("check", name)
     assert result.exit_code == 0

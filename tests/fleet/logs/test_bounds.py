@@ -288,6 +288,7 @@ def test_nothing_is_left_of_a_file_that_could_not_be_written(tmp_path: Path) -> 
 # --- two logs ----------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_few_bytes_wait_for_their_other_half(long: Path, run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Two logs that have nothing to do with one another: all that is held is bounded, and all of it is counted."""
     most = 0

@@ -442,7 +442,7 @@ def test_a_recorder_killed_at_random_moments_loses_a_second_at_most(tmp_path: Pa
     assert len({death["taken_s"] for death in killed}) > 20  # at many different moments
 
 
-@pytest.mark.parametrize("victim", ["console", "group"])
+@pytest.mark.parametrize("victim", ["console", pytest.param("group", marks=pytest.mark.slow)])
 def test_a_fleet_killed_leaves_a_log_that_verifies(victim: str, tmp_path: Path) -> None:
     """kill -9 of the console, or of everybody at once: what is left is reproduced to its last complete chunk."""
     with LiveRun(tmp_path / "runs", "rough-sea", "--duration", "60 s", "--speed", "5") as run:

@@ -155,6 +155,7 @@ def test_the_example_completes_a_run(tmp_path: Path) -> None:
         assert (found.reproduced, found.external) == (True, (3,)), verification_lines(found)
 
 
+@pytest.mark.slow
 def test_the_example_takes_part_on_a_wall_clock_and_leaves_on_ctrl_c(tmp_path: Path) -> None:
     arguments = ["--set", "per_vehicle={3: {external: true}}", "--duration", "8 s", "--max-missed", "1"]
     checks = "checks={tumbled: waived, deaths: {at_most: 1}}"  # its own

@@ -135,6 +135,7 @@ def test_writer_keeps_timestamps(tmp_path: Path) -> None:
     assert stamped[1].channel.message_encoding == "json"
 
 
+@pytest.mark.slow
 def test_killed_recorder_loses_a_second(tmp_path: Path) -> None:
     """kill -9: what is older than a second is in the file, and the file plays."""
     path, where = tmp_path / "x.mcap", endpoint()

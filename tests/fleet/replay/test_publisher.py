@@ -76,6 +76,7 @@ def test_live_publishing_equals_the_log(where: str, log: Path, records: list[Rec
     assert {s.payload for s in overheard.samples} <= {b"forged"}
 
 
+@pytest.mark.slow
 def test_a_subscriber_that_sleeps_does_not_hold_the_run(tmp_path: Path) -> None:
     """It is suspended from the first second on; the run goes on at its pace, ends well, and its log is the same."""
     arguments = ["paper", "--duration", "10 s", "--set", "checks={}"]
@@ -96,6 +97,7 @@ def test_a_subscriber_that_sleeps_does_not_hold_the_run(tmp_path: Path) -> None:
         assert (plain.directory / "run.mcap").read_bytes() == published.read_bytes()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGKILL, 137)])
 def test_the_publisher_ends_with_the_run(number: signal.Signals, status: int, tmp_path: Path) -> None:
     """On Ctrl-C and on kill -9."""

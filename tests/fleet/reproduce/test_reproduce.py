@@ -46,7 +46,9 @@ PUBLISHED = {
 }
 
 
-@pytest.mark.parametrize("name", PUBLISHED)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[] if name.startswith("NBOC") else [pytest.mark.slow]) for name in PUBLISHED]
+)
 def test_numbers_of_a_case(name: str) -> None:
     told: list[float] = []
     outcome = run_case(name, told.append)

@@ -422,6 +422,7 @@ def test_a_mixed_fleet_runs_the_same_way_everywhere(tmp_path: Path) -> None:
     assert [schema[f"uuv/{i}/guidance"] for i in range(1, 7)] == [f"uuv_fleet.{law}Guidance" for law in guidance]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["helix", "survey"])
 def test_shipped_courses_are_followed(name: str, tmp_path: Path) -> None:
     """Their own checks, in the first minute; the change of the survey's formation is brought forward."""

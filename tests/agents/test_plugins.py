@@ -417,6 +417,7 @@ def test_failures_abort_a_distributed_run(kind: str, module: Callable[[str], str
     assert json.loads((result.directory / "result.json").read_text("utf-8"))["exit"] == 3
 
 
+@pytest.mark.slow
 def test_coasting_is_the_same_in_processes(module: Callable[[str], str], tmp_path: Path) -> None:
     """Every kind of failure at once, one per vehicle, at different ticks: the run goes on, each vehicle without
     thrust from there on, and the log has the same bytes distributed as in one process."""

@@ -292,6 +292,7 @@ def test_an_author_is_not_bothered(folder: str, tmp_path: Path, monkeypatch: pyt
     assert invoke("run", "paper", "--in-process", "-q", *typed).exit_code == 0
 
 
+@pytest.mark.slow
 def test_agents_get_what_was_allowed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """As processes of their own they find the same modules; from a stranger's folder with --trust, too."""
     monkeypatch.chdir(tmp_path)

@@ -50,6 +50,7 @@ def pipe(tmp_path: Path) -> Path:
     return tmp_path / "pipe.toml"
 
 
+@pytest.mark.slow
 def test_a_pipe_is_no_input(pipe: Path) -> None:
     """Each reader says so at once; in a process of its own, because a wrong one hangs."""
     code = (
@@ -104,6 +105,7 @@ def test_a_file_that_is_too_large(tmp_path: Path) -> None:
         read_file(tmp_path / "huge.yaml", 1_000_000)
 
 
+@pytest.mark.slow
 def test_a_scenario_from_a_command() -> None:
     """What is open already is read: stdin, and what a shell makes of <(command)."""
     for script in (

@@ -72,12 +72,12 @@ def compare(log: Path, name: str) -> None:
         assert worst <= tolerance, f"{name}: {signal} differs by {worst:.3g}, allowed {tolerance:g}"
 
 
-# What `test_golden` shows among its quick tests, for the cores alone; the others are quick here.
-IN_A_BARE_LOOP = ("NBOC_undisturbed", "NBOC_H_undisturbed", "NBOC_C_undisturbed", "net_1tick_hold")
+# The quick one has a network; tests/golden/test_golden.py compares the same trajectories in a bare loop.
+QUICK = "net_10Hz_dr"
 
 
 @pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=[pytest.mark.slow] if name in IN_A_BARE_LOOP else []) for name in CASES]
+    "name", [pytest.param(name, marks=[] if name == QUICK else [pytest.mark.slow]) for name in CASES]
 )
 def test_in_process_run_follows_the_reference_trajectory(name: str, tmp_path: Path) -> None:
     scenario, overrides = CASES[name]

@@ -22,9 +22,10 @@ PAGE = ROOT / "docs" / "guide" / "scenarios.md"
 LONG = 10  # [s]; a distributed run of more is one of the slow tests
 
 
-# Slow, since a quick one shows the same kind of thing: another fleet with a leader, another disturbance, the same channel ...
+# Slow, since there is a quick one of the same kind: another leader, another disturbance, another channel.
 LONGEST = (
     *("leader-lost", "leader-lost-standby", "follow-the-leader", "nemesis", "gauss-markov-current"),
+    *("partition-heal", "rough-sea"),
     *("acoustic-noise", "acoustic-80bps", "acoustic-s2c"),
 )
 

@@ -83,8 +83,8 @@ def true_error(tick: int, states: Any) -> Any:
     return e
 
 
-# What `test_fleet_golden` shows among its quick tests, with the same tolerances; the others are quick here.
-IN_WHOLE_RUNS = ("NBOC_disturbed", "net_10Hz_dr", "net_10Hz_dr_disturbed", "NBOC_H_comms_10Hz_0p5s_hold")
+# Its quick test is the whole run in test_fleet_golden.py.
+IN_WHOLE_RUNS = ("net_10Hz_dr",)
 
 
 @pytest.mark.parametrize(

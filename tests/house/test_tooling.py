@@ -26,7 +26,9 @@ CHECKS = {
 
 
 @pytest.mark.timeout(400)  # mypy without its cache, on a machine that is busy
-@pytest.mark.parametrize("name", CHECKS)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[pytest.mark.slow] if name == "mypy" else []) for name in CHECKS]
+)
 def test_tool_is_content(name: str) -> None:
     done = subprocess.run(CHECKS[name], cwd=ROOT, capture_output=True, text=True, timeout=300, check=False)
     assert done.returncode == 0, done.stdout + done.stderr

@@ -130,6 +130,7 @@ def test_deaths_and_restarts_are_the_same_everywhere(every: int, tmp_path: Path)
     ]  # fmt: skip
 
 
+@pytest.mark.slow
 def test_an_agent_that_is_killed_from_outside_may_be_restarted(tmp_path: Path) -> None:
     """It takes over at a round, is explained, and the script runs to the same digest."""
     checks = "checks={ledger: balanced, middleware_loss: {at_most: 0}, tumbled: waived, deaths: {at_most: 1}}"

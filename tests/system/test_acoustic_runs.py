@@ -62,6 +62,7 @@ def final_error_m(result: Result) -> float:
     return float(check.found.removeprefix("at most ").split()[0])
 
 
+@pytest.mark.slow
 def test_the_compact_payload_costs_less_than_its_step(tmp_path: Path) -> None:
     """The paper's fleet at the end of its minute: without error in full, within half a step of 5 cm in compact."""
     errors = {

@@ -74,6 +74,7 @@ def test_death_of_a_process_ends_the_run_and_is_explained(victim: str, tmp_path:
         assert not (run.directory / "connection.json").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stopped", [None, "agent 2", "world", FORKSERVER])
 def test_death_of_the_console_leaves_no_orphan(stopped: str | None, tmp_path: Path) -> None:
     """The kernel's parent-death signal reaches everybody, also a process that is stopped and so cannot act itself,
@@ -99,6 +100,7 @@ def appeared(run: LiveRun, role: str) -> psutil.Process | None:
         return None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("victim", ["agent 4", "world", "netem", FORKSERVER])
 def test_death_before_everyone_is_ready(victim: str, tmp_path: Path) -> None:
     """A process that dies while the others are still starting is explained as well, and not waited for."""
@@ -137,6 +139,7 @@ def test_ctrl_c(tmp_path: Path) -> None:
         assert (result["exit"], result["status"]) == (130, "interrupted")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("moment", [FORKSERVER, "world", "agent 4"])
 def test_ctrl_c_while_starting(moment: str, tmp_path: Path) -> None:
     """As soon as a process appears, others are being started: none of them is forgotten."""
@@ -222,6 +225,7 @@ def test_taken_port(tmp_path: Path) -> None:
             assert "Traceback" not in run.said
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["a file as parent", "a file", "proc", "read-only"])
 def test_impossible_output_directory(kind: str, tmp_path: Path, read_only: Path) -> None:
     """Status 2 before anything is started, with the place and what to do about it."""

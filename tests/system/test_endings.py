@@ -110,6 +110,7 @@ def test_a_hang_up_ends_a_run_as_ctrl_c_does(group: bool, tmp_path: Path) -> Non
         assert (result["exit"], result["status"]) == (129, "hung_up")
 
 
+@pytest.mark.slow
 def test_a_terminal_that_is_gone(tmp_path: Path) -> None:
     """The kernel sends SIGHUP to the foreground, and every write fails from then on."""
     runs = tmp_path / "runs"
@@ -179,6 +180,7 @@ def _shell(arguments: list[str], redirection: str) -> subprocess.CompletedProces
 FULL = "No space left on device"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("redirection", "why"),
     [(">&-", "it is closed"), (">/dev/full", FULL), ("| true", "its reader is gone"), ("<&- >&-", "it is closed")],

@@ -33,6 +33,7 @@ def runs_again(run: LiveRun, out: Path) -> None:
     assert digest(run.log) == again.digest
 
 
+@pytest.mark.slow
 def test_what_is_healed_at_the_tick_at_which_it_began_never_was(tmp_path: Path) -> None:
     with LiveRun(tmp_path, "paper", *CALM).until_running() as run:
         hand = Hand(tmp_path)

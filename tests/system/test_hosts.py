@@ -307,6 +307,7 @@ def test_over_tls_an_eavesdropper_sees_nothing_and_over_tcp_no_password(made: Pa
         ]
 
 
+@pytest.mark.slow
 def test_over_tls_only_who_has_the_certificates_is_let_in(made: Path, tmp_path: Path) -> None:
     certificates.make(tmp_path / "other", agents=2)
     ca = (made / "ca.pem").read_text()

@@ -47,6 +47,7 @@ def fleet_run(folder: Path, soft: int, hard: int) -> subprocess.CompletedProcess
     )
 
 
+@pytest.mark.slow
 def test_too_few_open_files_are_said_before_anything_starts(tmp_path: Path) -> None:
     found = fleet_run(tmp_path, 40, 40)
     assert (found.returncode, found.stdout) == (3, "")

@@ -70,6 +70,7 @@ def assert_unharmed(result: Result, tmp_path: Path) -> None:
     assert result.digest == alone.digest
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("session", [Bus, OpenBus], ids=["in one piece", "in pieces"])
 def test_a_huge_message(session: type[Bus | OpenBus], monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """On the keys that its login lets it use: the world grows by nothing, the others go on, and the author is named."""
@@ -92,6 +93,7 @@ def test_a_huge_message(session: type[Bus | OpenBus], monkeypatch: pytest.Monkey
     assert [what for what in told if what.startswith(f"agent-3: {cut if session is Bus else pieces}")], told
 
 
+@pytest.mark.slow
 def test_a_burst_of_refusals_with_long_keys(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """Each is a line of 20 kB in zenoh's log, which is read while world and netem get ready."""
 

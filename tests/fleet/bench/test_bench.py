@@ -21,6 +21,7 @@ from fleet.run.execute import Result, Status
 from fleet.scenario.loading import load_scenario
 
 
+@pytest.mark.slow
 def test_quick_bench_reports_every_figure() -> None:
     heard: list[str] = []
     figures = measure_fleets([2], quick=True, say=heard.append)

@@ -317,6 +317,7 @@ def test_equal_logs_are_compared_in_blocks(long: Path, monkeypatch: pytest.Monke
 # --- progress and Ctrl-C -----------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("command", ["info", "script", "diff", "recover", "export", "plot", "report"])
 def test_progress_is_told_on_stderr(command: str, run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(progress, "FIRST_S", 0.0)

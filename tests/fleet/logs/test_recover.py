@@ -184,6 +184,7 @@ def assert_outcome(path: Path, data: bytes, whole: list[Record]) -> None:
             assert {k for k in range(len(messages)) if places[k + 1] != places[k] + 1} <= set(gaps)
 
 
+@pytest.mark.slow
 def test_one_flipped_bit_anywhere(log: Path, tmp_path: Path) -> None:
     """Each a single bit of another byte, all over the file; and of the framing of each record every bit."""
     data = log.read_bytes()

@@ -376,6 +376,7 @@ def test_parquet_reads_back(directories: dict[str, Path], tmp_path: Path) -> Non
 # --- the command -----------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_plot_command(directories: dict[str, Path], tmp_path: Path) -> None:
     what = ["--what", "error,links", "--format", "png,svg,pdf"]
     arguments = ["plot", str(directories["faulty"]), "-o", str(tmp_path), *what]

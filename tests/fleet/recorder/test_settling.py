@@ -70,6 +70,7 @@ def test_how_long_is_long_enough() -> None:
     assert least_s((Harmonic(1.0, 100.0), Harmonic(1.0, 0.0)), 60.0) == 6.0
 
 
+@pytest.mark.slow
 def test_a_run_that_ends_just_below_the_limit_is_not_settled(tmp_path: Path) -> None:
     """BOC in the paper's disturbance crosses 5 cm in every period, the last time 3 s before the end of a minute."""
     overrides = ["controller=boc", "sea.disturbance=paper", "checks={}", "log.every=10 ticks"]

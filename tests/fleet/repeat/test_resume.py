@@ -50,9 +50,12 @@ def since(directory: Path, ns: int) -> list[Record]:
     [
         ("paper", ["duration=2.4 s", LINKS, EVERYTHING]),
         ("ideal", ["duration=1.5 s"]),
-        ("acoustic-s2c", ["duration=20 s", "log.snapshot=10 s", "faults=[{at: 8 s, for: 6 s, kill: 2}]"]),
+        pytest.param(
+            *("acoustic-s2c", ["duration=20 s", "log.snapshot=10 s", "faults=[{at: 8 s, for: 6 s, kill: 2}]"]),
+            marks=pytest.mark.slow,
+        ),
         ("nemesis", ["duration=4 s", NEMESIS, "sea.current={sigma: 5 5 0 cm/s, time_constant: 2 s}"]),
-        ("helix", ["duration=2 s", "sensors.position_noise=5 cm"]),
+        pytest.param("helix", ["duration=2 s", "sensors.position_noise=5 cm"], marks=pytest.mark.slow),
         ("rough-sea", ["duration=2 s", "per_vehicle={'2': {controller: bsmc}}", "network.payload=compact"]),
     ],
     ids=lambda value: value if isinstance(value, str) else "",

@@ -116,6 +116,7 @@ def test_a_log_is_reproduced(case: str, tmp_path: Path) -> None:
     assert result.stdout == f"reproduced bit for bit ({count} messages), up to t = {end_s:g} s\n"
 
 
+@pytest.mark.slow
 def test_everything_that_happened_to_a_live_run(tmp_path: Path) -> None:
     """Injected, healed, killed from outside, and ended with Ctrl-C: a distributed run comes again as far as it went."""
     with LiveRun(tmp_path / "runs", "rough-sea", "--duration", "600 s", "--speed", "4") as run:

@@ -35,7 +35,10 @@ def run(folder: Path, name: str, *overrides: str) -> Path:
     [
         ("paper", ["duration=3 s", LINKS, EVERYTHING]),
         ("ideal", ["duration=1 s"]),
-        ("acoustic-80bps", ["duration=20 s", "log.every=1 tick", "faults=[{at: 8 s, for: 6 s, kill: 2}]"]),
+        pytest.param(
+            *("acoustic-80bps", ["duration=20 s", "log.every=1 tick", "faults=[{at: 8 s, for: 6 s, kill: 2}]"]),
+            marks=pytest.mark.slow,
+        ),
         ("paper", ["duration=1 s", "on_death=continue", "sensors.position_noise=5 cm", "neighbours.drop_after=200 ms"]),
     ],
     ids=["full of faults", "ideal", "acoustic", "noise"],

@@ -347,6 +347,7 @@ def test_a_run_full_of_faults_is_the_same_everywhere(tmp_path: Path) -> None:
     assert results[1].values["deaths"] == {}  # nobody died who was not meant to
 
 
+@pytest.mark.slow
 def test_a_check_of_some_vehicles(tmp_path: Path) -> None:
     """The dead one is far away, which does not count against the others; nobody else's number is accepted."""
     everyone = ["checks.formation_error={below: 0.1 m, after: 45 s}", "log.every=50 ticks"]
@@ -356,6 +357,7 @@ def test_a_check_of_some_vehicles(tmp_path: Path) -> None:
     assert "there is no vehicle 4" in only_problem("checks.formation_error={below: 1 m, vehicles: 1-9}")
 
 
+@pytest.mark.slow
 def test_a_killed_agent_does_not_end_the_run(tmp_path: Path) -> None:
     """kill -9 from outside: explained, recorded, the vehicle drifts, the others go on, nothing is lost on the way."""
     arguments = [

@@ -30,7 +30,8 @@ SHORT = ["run", "paper", "--in-process", "--duration", "500 ms", "--set", "check
 # --- a suspended fork server --------------------------------------------------
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, pytest.param(signal.SIGINT, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 def test_a_suspended_fork_server_does_not_keep_a_run_from_ending(number: signal.Signals, tmp_path: Path) -> None:
     """It reaps nobody and tells of nobody: the children are ended by number, and so is it."""
     with LiveRun(tmp_path / "runs", "paper", *LONG) as run:

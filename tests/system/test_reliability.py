@@ -61,9 +61,8 @@ def test_a_low_soft_limit_of_open_files_is_raised(tmp_path: Path) -> None:
     assert (found.returncode, found.stderr) == (0, "")
 
 
-@pytest.mark.parametrize(
-    "whole", [pytest.param(False, id="console"), pytest.param(True, id="whole-group", marks=pytest.mark.slow)]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("whole", [pytest.param(False, id="console"), pytest.param(True, id="whole-group")])
 def test_a_suspended_console_only_takes_longer(tmp_path: Path, whole: bool) -> None:
     with LiveRun(tmp_path, "paper", "--duration", "4 s", "--speed", "4", "--set", CHECKS) as run:
         run.until_running(1.0)

@@ -71,7 +71,7 @@ def child(*arguments: object) -> tuple[int, str, float]:
     return done.returncode, said, float(peak)
 
 
-@pytest.mark.parametrize("says", [512 * MIB, 60 * MIB])
+@pytest.mark.parametrize("says", [512 * MIB, pytest.param(60 * MIB, marks=pytest.mark.slow)])
 def test_a_bomb_takes_no_memory(tmp_path: Path, says: int) -> None:
     """Half a gigabyte in a few kB, told honestly or not: refused, with the place, in a fraction of that."""
     path = bomb(tmp_path / "bomb.mcap", 512 * MIB, says=says)

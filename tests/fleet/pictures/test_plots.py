@@ -93,7 +93,9 @@ def labels(figure: Figure) -> list[str]:
 RUNS = ("faulty", "one", "ideal", "acoustic", "twenty", "mixed", "cut")
 
 
-@pytest.mark.parametrize("name", RUNS)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[pytest.mark.slow] if name == "twenty" else []) for name in RUNS]
+)
 def test_every_picture_of_every_run(name: str, runs: dict[str, Run]) -> None:
     """Drawn, or a sentence; every axis has a unit; a text is never cut off by the picture's edge."""
     for picture, figure in pictures(runs[name], list(WHAT)).items():

@@ -46,9 +46,8 @@ PUBLISHED = {
 }
 
 
-@pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=[] if name.startswith("NBOC") else [pytest.mark.slow]) for name in PUBLISHED]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("name", PUBLISHED)
 def test_numbers_of_a_case(name: str) -> None:
     told: list[float] = []
     outcome = run_case(name, told.append)

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import importlib.util
 import keyword
 import re
-import shlex
-from importlib import resources
 from pathlib import Path
 
 import click
@@ -61,6 +58,8 @@ def controller(name: str, kind: str, folder: Path) -> None:
       fleet new controller swarm --kind guidance --dir laws
     """
     law, scenario = write_law(kind, name, folder)
+    import shlex
+
     below = folder.resolve().is_relative_to(Path().resolve())  # a law outside of the current directory needs --trust
     there, file = ("", scenario) if below else (f"cd {shlex.quote(str(folder))} && ", scenario.name)
     click.echo(f"wrote {law} and {scenario}; now: {there}fleet run {shlex.quote(str(file))}")
@@ -84,6 +83,8 @@ def write_law(kind: str, name: str, folder: Path) -> tuple[Path, Path]:
         )
     class_name = "".join(part[:1].upper() + part[1:] for part in name.split("_") if part) or "Law"
     class_name += "Law" * (keyword.iskeyword(class_name) or class_name in _IMPORTED)
+    from importlib import resources
+
     templates = resources.files("fleet.templates")
     choice = f"{kind}: {name}:{class_name}"
     other = {"guidance": "tracking: neurodynamic", "tracking": "guidance: optimal"}.get(kind)
@@ -104,6 +105,8 @@ def write_law(kind: str, name: str, folder: Path) -> tuple[Path, Path]:
 
 def _taken(name: str) -> str | None:
     """Where `import name` would find a module now; None if it would not."""
+    import importlib.util
+
     try:
         found = importlib.util.find_spec(name)
     except ValueError:  # a module that is loaded, of unknown origin

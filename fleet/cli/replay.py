@@ -229,15 +229,16 @@ class _Observed(msgspec.Struct):
 
 def _observer(directory: Path) -> tuple[str, Any, str]:
     """Endpoint, credentials and key prefix of a run that was started with --publish."""
+    from netem.private_file import DamagedFile, parse_json
     from netem.whole_file import read_file
     from netem.wire.access import Credentials
     from netem.wire.keys import Keys
 
     path = directory / "observe.json"
     try:
-        found = msgspec.json.decode(read_file(path, MOST_BYTES), type=_Observed)
+        found = parse_json(read_file(path, MOST_BYTES), _Observed)
         return found.endpoint, Credentials(found.user, found.password), Keys(found.run).prefix
-    except (OSError, RecursionError, ValueError, msgspec.MsgspecError):
+    except (OSError, DamagedFile):
         raise click.BadParameter(
             f"{directory} is no live run that is published: there is no usable {path.name}", param_hint="--run"
         ) from None

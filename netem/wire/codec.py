@@ -12,6 +12,7 @@ from netem.wire.messages import Message
 
 LONGEST_REASON = 150  # characters, so that a sender cannot fill the logs
 _CLASSES: dict[str, type[msgspec.Struct]] = {cls.__struct_config__.tag: cls for cls in get_args(Message)}
+_NOT_FINITE = re.compile(r"Expected `float` [<>]= -?1\.79\S+(?= - at `\$(.*)`)")  # every field has a place
 _ENCODER = msgspec.msgpack.Encoder()
 _DECODER: msgspec.msgpack.Decoder[Message] = msgspec.msgpack.Decoder(Message)
 
@@ -58,9 +59,7 @@ def _kind_of(data: bytes) -> str:
 def _explain(kind: str, data: bytes, reason: str) -> str:
     """The words of msgspec with the field's name: ``Expected `int` >= 0 - at `$[1]` `` of a nav is its incarnation."""
     reason = reason.replace("Expected `int` >= 0", "expected an unsigned integer")
-    if not_finite := re.search(r"Expected `float` [<>]= -?1\.79\S+(?: - at `\$(.*)`)?", reason):
-        found = _value_at(data, not_finite[1] or "")
-        reason = re.sub(r"Expected `float` [<>]= -?1\.79\S+", f"expected a finite number{found}", reason)
+    reason = _NOT_FINITE.sub(lambda bound: f"expected a finite number{_value_at(data, bound[1])}", reason)
     match = re.search(r"(.*) - at `\$\[(\d+)\](.*)`", reason)
     if match is None:
         return reason

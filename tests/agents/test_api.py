@@ -7,11 +7,11 @@ import re
 from pathlib import Path
 
 import pytest
+from repository import ROOT
 
 import agents.api
 from agents.plugins.checks import METHODS
 
-ROOT = Path(__file__).resolve().parents[2]
 USERS = sorted([*(ROOT / "fleet/templates").glob("*.py"), *(ROOT / "docs/examples").glob("*.py")])
 OURS = ("agents", "netem", "world", "fleet")
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import ast
 import builtins
-from pathlib import Path
+
+from repository import ROOT
 
 import fleet.errors
 
-ROOT = Path(__file__).parents[2]
 PACKAGES = ("netem", "world", "agents", "fleet")
 
 

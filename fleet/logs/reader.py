@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import hashlib
 import io
 import stat
-import struct
 from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,6 +13,7 @@ import numpy as np
 from mcap.records import Attachment, Channel, Header, Metadata, Schema
 
 from fleet.errors import FleetError
+from fleet.logs.digest import Digest
 from fleet.logs.records import MAGIC, Block
 from fleet.logs.salvage import Damage, Item, Salvage
 
@@ -24,7 +23,6 @@ LOST = "lost"  # key in this record: text that says what is lost
 GAPS = "gaps"  # key in this record: numbers (from 0) of the messages before which data is lost
 MOST_KEPT = 256 << 20  # limit [bytes] for attachments, schemas, channels and metadata together
 _ENTRY = 256  # estimated memory [bytes] of one entry of metadata, in addition to its text
-_TIMES = struct.Struct("<QQII").pack
 Tell = Callable[[float], None]  # progress callback: gets the fraction of the file that was read, 0 to 1
 
 
@@ -164,11 +162,6 @@ def lost(salvage: Salvage) -> str:
     return "; ".join(places)
 
 
-def digest_part(topic: bytes, log_ns: int, publish_ns: int, sequence: int, data: bytes) -> bytes:
-    """The bytes that one message adds to a log's digest: `topic` in UTF-8, both times in ns of simulated time."""
-    return topic + _TIMES(log_ns, publish_ns, sequence, len(data)) + data
-
-
 def digest(path: Path, tell: Tell = lambda _: None) -> str:
     """SHA-256 over the ordered messages (topic, times, sequence, data), in hexadecimal, as `fleet run` prints it.
 
@@ -177,9 +170,9 @@ def digest(path: Path, tell: Tell = lambda _: None) -> str:
     Raises:
         LogReadError: see `LogReader`.
     """
-    total = hashlib.sha256()
+    total = Digest()
     for r in LogReader(path, tell):
-        total.update(digest_part(r.topic.encode(), r.log_ns, r.publish_ns, r.sequence, r.data))
+        total.add(r.topic.encode(), r.log_ns, r.publish_ns, r.sequence, r.data)
     return total.hexdigest()
 
 

@@ -6,14 +6,14 @@ Chunk by chunk, so that a whole log comes out as the same bytes. What was missin
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO
 
 from mcap.records import Attachment, Channel, Header, Metadata, Schema
-from mcap.writer import CompressionType, Writer
 
 from fleet.errors import FleetError
+from fleet.logs.mcap_writer import McapWriter
 from fleet.logs.reader import GAPS, LOST, RECOVERY, Tell, log_path, lost, open_any
 from fleet.logs.records import MAGIC, Block, Message
 from fleet.logs.salvage import ChunkEnd, Item, Salvage, declarations
@@ -116,8 +116,8 @@ class Copy:
     """Writes items as they come."""
 
     def __init__(self, target: IO[bytes], found: Recovered) -> None:
-        self._writer = Writer(target, compression=CompressionType.ZSTD)
-        self._started = False
+        self._target = target
+        self._writer: McapWriter | None = None
         self._found = found
         self._schemas: dict[int, int] = {0: 0}
         self._channels: dict[int, int] = {}
@@ -125,33 +125,31 @@ class Copy:
 
     def take(self, item: Item) -> None:
         """Write one item; what refers to something that is gone is counted."""
-        if isinstance(item, Header) or not self._started:
-            self._start(item)
+        writer = self._started(item)
         match item:
             case ChunkEnd():
-                self._writer.flush()  # type: ignore[no-untyped-call]
+                writer.flush()
             case Schema() if item.id not in self._schemas:
-                self._schemas[item.id] = self._writer.register_schema(item.name, item.encoding, item.data)
+                self._schemas[item.id] = writer.schema(item.name, item.encoding, item.data)
             case Channel() if item.id not in self._channels and item.schema_id in self._schemas:
-                self._channels[item.id] = self._writer.register_channel(
-                    item.topic, item.message_encoding, self._schemas[item.schema_id], dict(item.metadata)
+                self._channels[item.id] = writer.channel(
+                    item.topic, item.message_encoding, self._schemas[item.schema_id], item.metadata
                 )
             case Attachment():
-                self._writer.add_attachment(item.create_time, item.log_time, item.name, item.media_type, item.data)
+                writer.attachment(item)
             case Metadata():
-                self._writer.add_metadata(item.name, dict(item.metadata))
+                writer.metadata(item.name, item.metadata)
             case _:
                 pass
 
     def message(self, message: Message) -> None:
         """Write a message, or count it if nothing is known of its channel."""
-        if not self._started:
-            self._start(Header("", "uuv-fleet"))
+        writer = self._started()
         channel = self._channels.get(message.channel)
         if channel is None:
             self._found.undeclared += 1
             return
-        self._writer.add_message(channel, message.log_ns, message.data, message.publish_ns, message.sequence)
+        writer.message(channel, message.log_ns, message.publish_ns, message.sequence, message.data)
         self._found.messages += 1
         self.last_ns = max(self.last_ns, message.log_ns)
         self._found.until_s = self.last_ns / 1e9
@@ -162,18 +160,18 @@ class Copy:
 
     def finish(self, recovery: dict[str, str]) -> None:
         """Write the index."""
-        if not self._started:
+        if self._writer is None:
             return
         if recovery:
-            self._writer.add_metadata(RECOVERY, recovery)
-        self._writer.finish()  # type: ignore[no-untyped-call]
+            self._writer.metadata(RECOVERY, recovery)
+        self._writer.finish()
 
-    def _start(self, item: Item) -> None:
-        if self._started:
-            return
-        self._started = True
-        header = item if isinstance(item, Header) else Header("", "uuv-fleet")
-        self._writer.start(**asdict(header))
+    def _started(self, item: Item | None = None) -> McapWriter:
+        """The writer; the first item begins the file, with its own header if it is one."""
+        if self._writer is None:
+            header = item if isinstance(item, Header) else Header("", "uuv-fleet")
+            self._writer = McapWriter(self._target, header.profile, header.library)
+        return self._writer
 
 
 def recovery_text(found: Recovered) -> str:

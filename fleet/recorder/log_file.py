@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import IO
 
-from mcap.writer import CompressionType, Writer
+from mcap.records import Attachment
 
 from fleet.errors import FleetError
-from fleet.logs.reader import digest_part
+from fleet.logs.digest import Digest
+from fleet.logs.mcap_writer import McapWriter
 from fleet.logs.schemas import Schema
 
 SECOND_NS = 1_000_000_000
@@ -38,15 +38,13 @@ class LogFile:
         """
         self.path = path
         self.messages = 0
-        self._digest = hashlib.sha256()
+        self._digest = Digest()
         self._flushed_s = 0
         self._topics: dict[int, bytes] = {}
         self._schemas: dict[str, int] = {}
         with self._refused():
             self._file: IO[bytes] = path.open("xb")
-            # By default `library` holds the version of mcap; then the bytes of the file would depend on that version.
-            self._writer = Writer(self._file, compression=CompressionType.ZSTD)
-            self._writer.start(profile="", library="uuv-fleet")
+            self._writer = McapWriter(self._file)
 
     @property
     def digest(self) -> str:
@@ -64,7 +62,7 @@ class LogFile:
     def attachment(self, name: str, media_type: str, data: bytes) -> None:
         """Write an attachment."""
         with self._refused():
-            self._writer.add_attachment(0, 0, name, media_type, data)
+            self._writer.attachment(Attachment(0, 0, name, media_type, data))
 
     def metadata(self, name: str, values: Mapping[str, str]) -> None:
         """Write metadata, and pass all that was written so far to the operating system.
@@ -72,29 +70,25 @@ class LogFile:
         So the file of a run that is killed within its first second holds at least the scenario.
         """
         with self._refused():
-            self._writer.add_metadata(name, dict(values))
+            self._writer.metadata(name, values)
             self._file.flush()
 
     def channel(self, topic: str, schema: Schema) -> int:
         """Declare a topic, and return the number of its channel, which `message` needs."""
         with self._refused():
             if schema.name not in self._schemas:
-                self._schemas[schema.name] = self._writer.register_schema(
-                    schema.name, "protobuf", schema.descriptor_set
-                )
-            number = self._writer.register_channel(
-                topic, "protobuf", self._schemas[schema.name], {"units": schema.units}
-            )
+                self._schemas[schema.name] = self._writer.schema(schema.name, "protobuf", schema.descriptor_set)
+            number = self._writer.channel(topic, "protobuf", self._schemas[schema.name], {"units": schema.units})
         self._topics[number] = topic.encode()
         return number
 
     def message(self, channel: int, log_ns: int, publish_ns: int, sequence: int, data: bytes) -> None:
         """Write a message to a channel that `channel` declared; both times in ns of simulated time."""
         try:  # not `_refused`: it takes more time than the digest of the message
-            self._writer.add_message(channel, log_ns, data, publish_ns, sequence)
+            self._writer.message(channel, log_ns, publish_ns, sequence, data)
         except OSError as error:
             raise self._error(error) from error
-        self._digest.update(digest_part(self._topics[channel], log_ns, publish_ns, sequence, data))
+        self._digest.add(self._topics[channel], log_ns, publish_ns, sequence, data)
         self.messages += 1
 
     def flush(self, at_ns: int) -> None:
@@ -106,7 +100,7 @@ class LogFile:
         if second > self._flushed_s:
             self._flushed_s = second
             with self._refused():
-                self._writer.flush()  # type: ignore[no-untyped-call]
+                self._writer.flush()
 
     def close(self) -> None:
         """Write the index and close the file.
@@ -115,7 +109,7 @@ class LogFile:
             LogError: the rest of the file cannot be written.
         """
         with self._refused():
-            self._writer.finish()  # type: ignore[no-untyped-call]
+            self._writer.finish()
             self._file.close()
 
     def abandon(self) -> None:

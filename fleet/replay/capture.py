@@ -12,9 +12,8 @@ from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import IO, Any
 
-from mcap.writer import CompressionType, Writer
-
 from fleet.errors import FleetError
+from fleet.logs.mcap_writer import McapWriter
 from fleet.replay.capture_format import ATTACHMENT, DELETE, ENCODING, KIND, PROFILE, PUT, message_encoding
 from fleet.terminal.status_line import StatusLine
 from netem.wire.open_bus import OpenBus, ZenohSample, sample_of
@@ -50,13 +49,12 @@ class TrafficWriter:
         self._flushed_ns = 0
         try:
             self._file: IO[bytes] = path.open("xb")
+            self._writer = McapWriter(self._file, PROFILE)
+            self._writer.metadata("zenoh", {"keys": " ".join(keys)})
         except FileExistsError:
             raise RecordError(f"{path} exists already; choose another name with -o") from None
         except OSError as error:
             raise RecordError(f"cannot write {path}: {error.strerror}") from None
-        self._writer = Writer(self._file, compression=CompressionType.ZSTD)
-        self._guard(lambda: self._writer.start(profile=PROFILE, library="uuv-fleet"))
-        self._guard(lambda: self._writer.add_metadata("zenoh", {"keys": " ".join(keys)}))
 
     @property
     def size(self) -> int:
@@ -103,13 +101,13 @@ class TrafficWriter:
             if len(self._channels) >= MOST_CHANNELS:
                 raise RecordError(f"more than {MOST_CHANNELS} keys and encodings: one file holds no more of them")
             metadata = {KIND: kind} | ({ENCODING: encoding} if kind != ATTACHMENT else {})
-            found = self._writer.register_channel(key, message_encoding(encoding), 0, metadata)
+            found = self._writer.channel(key, message_encoding(encoding), 0, metadata)
             self._channels[key, encoding, kind] = found
         return found
 
     def _put(self, channel: int, at_ns: int, data: bytes, publish_ns: int, number: int) -> None:
         try:
-            self._writer.add_message(channel, at_ns, data, publish_ns, number)
+            self._writer.message(channel, at_ns, publish_ns, number, data)
         except OSError as error:
             raise RecordError(f"cannot write {self.path}: {error.strerror}") from None
 

@@ -142,16 +142,16 @@ def test_everything_that_happened_to_a_live_run(tmp_path: Path) -> None:
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_an_interrupt_in_the_middle_of_a_message(number: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """It waits for the end of what is written just then: the log is whole, up to a whole tick."""
-    from mcap.writer import ChunkBuilder
+    from fleet.logs.mcap_writer import McapWriter
 
-    add, messages = ChunkBuilder.add_message, count()
+    add, messages = McapWriter.message, count()
 
-    def interrupted(self: ChunkBuilder, message: Any) -> None:
+    def interrupted(self: McapWriter, *message: Any) -> None:
         if next(messages) == 2000:
             signal.raise_signal(number)
-        add(self, message)
+        add(self, *message)
 
-    monkeypatch.setattr(ChunkBuilder, "add_message", interrupted)
+    monkeypatch.setattr(McapWriter, "message", interrupted)
     before = signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         result = execute(load_scenario("paper", ["checks={}"]), Options(tmp_path, in_process=True, quiet=True))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import signal
 import sys
 from types import FrameType
@@ -9,11 +10,15 @@ from types import FrameType
 from fleet.processes.interrupts import ENDING, ending, ending_status
 from fleet.terminal.output import OutputError, give_up_output, open_streams
 
+# Net new objects between two collections. Most of what a command makes at first, modules and classes, stays: Python's
+# own 700 let the collector walk through it again and again, for a sixth of the time of a short run.
+COLLECT_EVERY = 200_000
 READER_GONE = 128 + signal.SIGPIPE  # what a shell shows for `seq 99999 | head -1`
 
 
 def main() -> None:
     """The console script: the command line, with Ctrl-C, SIGTERM and SIGHUP as a clean end at any moment."""
+    gc.set_threshold(COLLECT_EVERY)
     open_streams()
     for number in ENDING:
         if number != signal.SIGHUP or signal.getsignal(number) != signal.SIG_IGN:  # as `nohup` leaves it
@@ -30,6 +35,7 @@ def main() -> None:
         if not error.reader_gone:
             sys.stderr.write(f"fleet: {error}\n")
         give_up_output()
+    gc.freeze()  # or Python's end, which collects again, would walk through everything for a tenth of a second
     sys.exit(status)
 
 

@@ -7,12 +7,14 @@ import os
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
-from rich.console import Console as Terminal
 
 from fleet.cli.types import Numbers
+
+if TYPE_CHECKING:
+    from rich.console import Console as Terminal
 
 _F = TypeVar("_F", bound=Callable[..., Any])
 SIZES = Numbers(1, 1000, "4,20,100", whole=True)
@@ -146,6 +148,8 @@ def _say(text: str) -> None:
 
 
 def _terminal() -> Terminal:
+    from rich.console import Console as Terminal
+
     return Terminal(width=None if sys.stdout.isatty() else 140)
 
 

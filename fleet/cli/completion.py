@@ -43,7 +43,7 @@ def _for_the_shell(word: str) -> str:
 
 def scenarios(context: click.Context, parameter: click.Parameter, typed: str) -> list[CompletionItem]:
     """Complete shipped scenarios; without one, files. (bash takes one kind at a time.)"""
-    from fleet.scenario.loading import shipped_scenarios
+    from fleet.scenario.catalogue import shipped_scenarios
 
     found = [CompletionItem(name) for name in shipped_scenarios() if name.startswith(typed)]
     return found or [CompletionItem(typed, type="file")]

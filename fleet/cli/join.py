@@ -5,14 +5,16 @@ from __future__ import annotations
 import os
 import sys
 from pathlib import Path
-from typing import NoReturn
+from typing import TYPE_CHECKING, NoReturn
 
 import click
 
-from agents.plugins.trust import Trust
 from fleet.cli.group import report
 from fleet.cli.trust import TrustingCommand, trust_option
 from fleet.processes.interrupts import ending_status
+
+if TYPE_CHECKING:
+    from agents.plugins.trust import Trust
 
 _AGENT = (
     "Exit status: 0 the run is over; 2 it cannot join; 3 it had joined and its life ended before the run: a fault "

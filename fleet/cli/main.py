@@ -6,17 +6,19 @@ Data go to stdout, everything else to stderr.
 from __future__ import annotations
 
 import sys
+from typing import TYPE_CHECKING
 
 import click
-from rich.console import Console as Terminal
 
-from agents.plugins.trust import Trust
 from fleet.cli import bench, hosts, join, live, logs, new, protocol, replay, reproduce, run, verify, what_if
 from fleet.cli.completion import scenarios
 from fleet.cli.group import EPILOG, FleetGroup
 from fleet.cli.trust import TrustingCommand, trust_option
 from fleet.cli.types import OVERRIDES
-from fleet.errors import Problem
+
+if TYPE_CHECKING:
+    from agents.plugins.trust import Trust
+    from fleet.errors import Problem
 
 
 @click.group(
@@ -82,9 +84,10 @@ def check(scenario: str, overrides: tuple[str, ...], trust: Trust) -> None:
 @cli.command(name="list")
 def list_() -> None:
     """List the scenarios that ship with the package."""
+    from rich.console import Console as Terminal
     from rich.table import Table
 
-    from fleet.scenario.loading import list_scenarios
+    from fleet.scenario.catalogue import list_scenarios
 
     table = Table(box=None, pad_edge=False)
     for heading in ("scenario", "vehicles", "duration", "meant to", "what one learns"):

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
-from agents.plugins.trust import Trust
 from fleet.cli.completion import scenarios
 from fleet.cli.trust import TrustingCommand, trust_option
 from fleet.cli.types import Duration
+
+if TYPE_CHECKING:
+    from agents.plugins.trust import Trust
 
 _CHECK = "Exit status: 0 every check passed, 1 one did not, 2 usage, or nobody came, 129 terminal closed, 130 Ctrl-C."
 

@@ -10,11 +10,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import click
-import msgspec
-from rich.console import Console as Terminal
 
 from fleet.cli.group import exit_status, report
 from fleet.cli.types import Duration, Endpoint, FileSize
@@ -22,7 +20,6 @@ from fleet.errors import FleetError
 from fleet.processes.interrupts import ending_status
 from netem.errors import NetemError
 
-MOST_BYTES = 100_000  # of observe.json
 CLOSE_S = 2.0  # time to close a session, in which its last messages are sent
 EPILOG = "Exit status: 0 done, 2 usage or a bad file, 3 no connection or a full disk, 129 terminal closed, 130 Ctrl-C."
 
@@ -98,6 +95,8 @@ def replay(
       fleet replay runs/latest -r 0 --wait-for-subscribers --topics 'uuv/*/pose'
       fleet replay robot.mcap --loop --remap robot:=twin --connect tcp/127.0.0.1:7447
     """
+    from rich.console import Console as Terminal
+
     from fleet.logs.reader import log_path
     from fleet.logs.tape import Tape
     from fleet.replay.playback import PlaybackOptions, Replay
@@ -167,6 +166,8 @@ def record(
       fleet record --key 'robot/**' --key 'base/*/status' --listen tcp/0.0.0.0:7447 --duration '10 min'
       fleet record --run runs/latest -o journal.mcap
     """
+    from rich.console import Console as Terminal
+
     from fleet.processes.interrupts import holding_interrupts
     from fleet.replay.capture import Limits, PublisherGone, Recorder, TrafficWriter
     from fleet.terminal.status_line import StatusLine
@@ -218,25 +219,16 @@ def _session(connect: str | None, listen: str | None, credentials: Any) -> Any:
         return OpenBus.listen(listen or f"tcp/127.0.0.1:{free_port(None)}")
 
 
-class _Observed(msgspec.Struct):
-    """The content of observe.json, which a run with --publish writes."""
-
-    endpoint: str
-    user: str
-    password: str
-    run: Annotated[str, msgspec.Meta(pattern=r"^[\w-]+$")]
-
-
 def _observer(directory: Path) -> tuple[str, Any, str]:
     """Endpoint, credentials and key prefix of a run that was started with --publish."""
-    from netem.private_file import DamagedFile, parse_json
-    from netem.whole_file import read_file
+    from fleet.replay.observed import read_observed
+    from netem.private_file import DamagedFile
     from netem.wire.access import Credentials
     from netem.wire.keys import Keys
 
     path = directory / "observe.json"
     try:
-        found = parse_json(read_file(path, MOST_BYTES), _Observed)
+        found = read_observed(path)
         return found.endpoint, Credentials(found.user, found.password), Keys(found.run).prefix
     except (OSError, DamagedFile):
         raise click.BadParameter(

@@ -7,7 +7,6 @@ import sys
 from pathlib import Path
 
 import click
-from rich.console import Console as Terminal
 
 from fleet.cli.group import exit_status
 
@@ -43,6 +42,7 @@ def reproduce(out: Path, jobs: int | None, cases: tuple[str, ...], formats: tupl
       fleet reproduce --out /tmp/paper --jobs 4 --format png --format pdf
       fleet reproduce --case nboc --case nbc-disturbed
     """
+    from rich.console import Console as Terminal
     from rich.table import Table
 
     from fleet.reproduce.cases import CASES

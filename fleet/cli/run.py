@@ -7,9 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
-from rich.console import Console as Terminal
 
-from agents.plugins.trust import Trust
 from fleet.cli import hosts as cli_hosts
 from fleet.cli.completion import scenarios
 from fleet.cli.group import EPILOG
@@ -18,6 +16,7 @@ from fleet.cli.types import OVERRIDES, Duration, Share, Speed
 from fleet.terminal.output import OutputError, give_up_output
 
 if TYPE_CHECKING:
+    from agents.plugins.trust import Trust
     from fleet.recorder.snapshot import Start
     from fleet.run.execute import Result
     from fleet.scenario.scenario import Scenario
@@ -121,7 +120,8 @@ def run(
     if show_config:
         click.echo(loaded.to_yaml(), nl=False)
         return
-    from fleet.cli.result_table import show
+    from rich.console import Console as Terminal
+
     from fleet.run.execute import Status, execute
     from fleet.run.options import Options
 
@@ -160,6 +160,8 @@ def run(
     if quiet:
         _print_failure(result)
     else:
+        from fleet.cli.result_table import show
+
         try:
             show(result, Terminal(width=None if sys.stdout.isatty() else 120, soft_wrap=False))
             sys.stdout.flush()

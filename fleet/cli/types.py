@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from fractions import Fraction
 from typing import Any
 
 import click
-
-from fleet.quantities import Dimension, QuantityError, parse, time_ns
 
 OVERRIDES = click.option(
     "--set",
@@ -28,6 +25,8 @@ class Duration(click.ParamType[int]):
         self._least_s, self._most_s = least_s, most_s
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> int:
+        from fleet.quantities import QuantityError, time_ns
+
         try:
             ns = value if isinstance(value, int) else time_ns(value)
         except QuantityError as error:
@@ -124,18 +123,12 @@ class Vehicles(click.ParamType[tuple[int, ...]]):
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[int, ...]:
         if isinstance(value, tuple):
             return value
-        from fleet.quantities import vehicle_numbers
+        from fleet.quantities import QuantityError, vehicle_numbers
 
         try:
             return tuple(vehicle_numbers(str(value)))
         except QuantityError as error:
             self.fail(str(error), param, ctx)
-
-
-FILE_SIZE = Dimension("a size", "100 MB", {
-    "MB": Fraction(10**6), "GB": Fraction(10**9), "kB": Fraction(1000), "B": Fraction(1),
-    "MiB": Fraction(2**20), "GiB": Fraction(2**30), "kiB": Fraction(1024),
-})  # fmt: skip
 
 
 class FileSize(click.ParamType[int]):
@@ -144,6 +137,8 @@ class FileSize(click.ParamType[int]):
     name = "size"
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> int:
+        from fleet.quantities import FILE_SIZE, QuantityError, parse
+
         try:
             size = value if isinstance(value, int) else int(parse(value, FILE_SIZE)[0])
         except QuantityError as error:

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from agents.plugins.trust import Trust
 from fleet.cli.trust import TrustingCommand, trust_option
 
 if TYPE_CHECKING:
+    from agents.plugins.trust import Trust
     from fleet.repeat.what_if import WhatIf
 
 

@@ -23,7 +23,7 @@ from typing import Any
 
 import setproctitle
 
-from fleet.processes.preload import CONSOLE_PID_VARIABLE
+from fleet.processes.parent_death import CONSOLE_PID_VARIABLE
 from netem.errors import BusError
 
 GRACE_S = 1.0

@@ -11,6 +11,8 @@ import ctypes
 import os
 import signal
 
+CONSOLE_PID_VARIABLE = "UUV_FLEET_CONSOLE_PID"  # tells the fork server its parent
+
 _PR_SET_PDEATHSIG = 1
 
 

@@ -6,9 +6,7 @@ import gc
 import importlib
 import os
 
-from fleet.processes.parent_death import die_with_parent
-
-CONSOLE_PID_VARIABLE = "UUV_FLEET_CONSOLE_PID"
+from fleet.processes.parent_death import CONSOLE_PID_VARIABLE, die_with_parent
 
 if CONSOLE_PID_VARIABLE in os.environ:
     die_with_parent(int(os.environ.pop(CONSOLE_PID_VARIABLE)))  # or processes that a law starts would see it

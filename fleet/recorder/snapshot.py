@@ -14,13 +14,11 @@ from typing import TYPE_CHECKING, Any
 import msgpack
 
 from fleet.errors import FleetError
-from fleet.logs.decoder import Decoder
-from fleet.logs.reader import LogReader, Tell, log_path
 from fleet.quantities import show_time
 from world.run_memory import vehicle_memories
 
 if TYPE_CHECKING:
-    pass
+    from fleet.logs.reader import LogReader, Tell
 
 TOPIC = "snapshot"
 START = "start.msgpack"  # the attachment of a log that holds where its run began
@@ -73,6 +71,9 @@ def find(path: Path, at_ns: int | None = None, tell: Tell = lambda _: None) -> S
         LogReadError: there is no log to read.
         SnapshotError: it has no such snapshot.
     """
+    from fleet.logs.decoder import Decoder  # a run writes snapshots and reads none
+    from fleet.logs.reader import LogReader, log_path
+
     path = log_path(path)
     reader = LogReader(path, tell)
     decode = Decoder(reader)

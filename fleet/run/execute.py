@@ -23,7 +23,6 @@ from fleet.recorder.log_file import LogError, LogFile
 from fleet.recorder.writer import LogWriter
 from fleet.replay.publisher import PublishError
 from fleet.run.clock import WINDOW_NS, Clock
-from fleet.run.console import Console
 from fleet.run.directory import RunDirectory
 from fleet.run.external_agents import ExternalError, refuse
 from fleet.run.in_process import InProcess
@@ -130,6 +129,8 @@ def _prepare(scenario: Scenario, options: Options, terminal: Terminal, interrupt
     if in_process:
         runner = InProcess(scenario, journal, options.start)
     else:
+        from fleet.run.console import Console  # and with it zenoh and multiprocessing
+
         runner = Console(scenario, directory, journal, options, number, line.print)
     result = Result(Status.PASS, directory.path, "")
     return _Run(scenario, options, directory, publication, log, journal, runner, line, result, in_process)

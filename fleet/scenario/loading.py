@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from importlib import resources
 from pathlib import Path
 
 from agents.plugins.trust import NOTHING, Trust
 from fleet.errors import Problem, ScenarioError
+from fleet.scenario.catalogue import shipped_scenarios, shipped_text
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.text.overrides import apply, override_name
 from fleet.scenario.text.yaml_reader import Mapping, Scalar, Source, read
@@ -84,24 +84,11 @@ def _order(problem: Problem, source: Source, overrides: Sequence[str]) -> tuple[
     return rank, problem.line, problem.column
 
 
-def list_scenarios() -> list[tuple[str, str, int, float, str]]:
-    """(name, title, vehicles, duration [s], expected verdict: pass or fail) of every shipped scenario, by name."""
-    scenarios = [load_scenario(name) for name in shipped_scenarios()]
-    return [(s.name, s.title, s.vehicles, s.duration_ns / 1e9, s.spec.expect) for s in scenarios]
-
-
-def shipped_scenarios() -> list[str]:
-    """The names of the scenarios that come with the package."""
-    folder = resources.files("fleet.scenario.shipped")
-    return sorted(entry.name.removesuffix(".yaml") for entry in folder.iterdir() if entry.name.endswith(".yaml"))
-
-
 def _text(name_or_path: str) -> tuple[str, str, Path | None]:
     """Name of the source for problems, its text and its folder. An unknown name with a suffix or a slash is a path."""
     try:
         if name_or_path in shipped_scenarios():
-            entry = resources.files("fleet.scenario.shipped") / f"{name_or_path}.yaml"
-            return f"{name_or_path}.yaml", entry.read_text("utf-8"), None
+            return f"{name_or_path}.yaml", shipped_text(name_or_path), None
         path = Path(name_or_path)
         if path.suffix or "/" in name_or_path or path.exists():
             return name_or_path, _content(path).decode("utf-8-sig"), path.parent

@@ -43,7 +43,8 @@ from fleet.run.clock import Clock, LiveClock
 from fleet.run.execute import execute
 from fleet.run.operator import Operator
 from fleet.run.options import Options
-from fleet.scenario.loading import load_scenario, parse_scenario, shipped_scenarios
+from fleet.scenario.catalogue import shipped_scenarios
+from fleet.scenario.loading import load_scenario, parse_scenario
 from fleet.scenario.trust import Policy
 from netem.errors import MalformedMessage
 from netem.faults import NetFault, fault_values, read_faults

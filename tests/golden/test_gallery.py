@@ -9,7 +9,8 @@ from repository import ROOT
 
 from fleet.run.execute import Status, execute
 from fleet.run.options import Options
-from fleet.scenario.loading import list_scenarios, load_scenario
+from fleet.scenario.catalogue import list_scenarios
+from fleet.scenario.loading import load_scenario
 
 # name: how long the distributed run is [s]; what happens to a fleet there has happened by then
 # (deaths, restarts, partitions and draws of other kinds: tests/system/test_determinism.py and test_acoustic_runs.py)

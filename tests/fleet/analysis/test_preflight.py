@@ -10,7 +10,8 @@ from small_scenario import small
 from fleet.analysis.preflight import LARGE_MB, log_mb, warnings
 from fleet.run.execute import execute
 from fleet.run.options import Options
-from fleet.scenario.loading import list_scenarios, load_scenario
+from fleet.scenario.catalogue import list_scenarios
+from fleet.scenario.loading import load_scenario
 
 WATER = "network={period: 1 s, payload: compact, acoustic: {modem: mfsk-1066, mac: tdma, slot: 1500 ms, guard: 200 ms}}"
 

@@ -23,7 +23,8 @@ from fleet.cli.main import cli
 from fleet.logs.reader import digest
 from fleet.recorder.log_file import LogError
 from fleet.replay.publisher import PublishError
-from fleet.scenario.loading import list_scenarios, load_scenario
+from fleet.scenario.catalogue import list_scenarios
+from fleet.scenario.loading import load_scenario
 
 SHIPPED = [name for name, *_ in list_scenarios()]
 

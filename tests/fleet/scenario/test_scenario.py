@@ -20,7 +20,8 @@ from agents.offset import Offset
 from agents.profiles import PROFILES, profile
 from agents.trajectory import Line
 from fleet.errors import FleetError, ScenarioError
-from fleet.scenario.loading import list_scenarios, load_scenario, parse_scenario
+from fleet.scenario.catalogue import list_scenarios
+from fleet.scenario.loading import load_scenario, parse_scenario
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.schema.control import GuidanceSection, TrackingSection
 from fleet.scenario.schema.section import Section

@@ -1,0 +1,55 @@
+"""The scenarios that ship with the package: their names, their texts, and what `fleet list` says about them.
+
+The list is read from the top level of the YAML alone, without the schema, because it is asked for often and by people
+who wait. A test compares it with the loaded scenarios.
+"""
+
+from __future__ import annotations
+
+from importlib import resources
+from typing import TYPE_CHECKING, NamedTuple
+
+from fleet.quantities import time_ns
+from fleet.scenario.text.yaml_reader import Mapping, Scalar, Source, read
+
+if TYPE_CHECKING:
+    from importlib.resources.abc import Traversable
+
+
+class Listed(NamedTuple):
+    """One row of the list."""
+
+    name: str
+    title: str
+    vehicles: int
+    duration_s: float
+    expect: str  # the verdict that it is meant to have: pass or fail
+
+
+def shipped_scenarios() -> list[str]:
+    """The names of the scenarios that come with the package."""
+    return sorted(entry.name.removesuffix(".yaml") for entry in _folder().iterdir() if entry.name.endswith(".yaml"))
+
+
+def shipped_text(name: str) -> str:
+    """The text of a shipped scenario, with its comments."""
+    return (_folder() / f"{name}.yaml").read_text("utf-8")
+
+
+def list_scenarios() -> list[Listed]:
+    """Every shipped scenario, by name."""
+    return [_listed(name) for name in shipped_scenarios()]
+
+
+def _listed(name: str) -> Listed:
+    root, _ = read(Source(name, shipped_text(name)))
+    assert isinstance(root, Mapping), name
+    top = {key: node.value for key, node in root.entries.items() if isinstance(node, Scalar)}
+    vehicles = top["vehicles"]
+    assert isinstance(vehicles, int), name
+    duration_s = time_ns(top["duration"]) / 1e9
+    return Listed(str(top.get("name", name)), str(top["title"]), vehicles, duration_s, str(top.get("expect", "pass")))
+
+
+def _folder() -> Traversable:
+    return resources.files("fleet.scenario.shipped")

@@ -14,11 +14,11 @@ from agents.loop import AgentLoop, Answer
 from netem.errors import BusError, MalformedMessage, OutOfPlace
 from netem.wire.access import agent_role
 from netem.wire.bus import Bus
-from netem.wire.codec import encode
+from netem.wire.codec import encode, expect
 from netem.wire.keys import Keys
 from netem.wire.messages import PROTOCOL_VERSION, End, Hello, Inbox, Message, Nav, Receipt, Transmission
 from netem.wire.queues import Channel, Stamped
-from netem.wire.shell import Shell, expect
+from netem.wire.shell import Shell
 
 log = logging.getLogger(__name__)
 

@@ -6,10 +6,10 @@ from agents.process import AgentProcess
 from agents.realtime_loop import RealtimeLoop
 from netem.errors import MalformedMessage, OutOfPlace
 from netem.wire.bus import Bus
+from netem.wire.codec import expect
 from netem.wire.keys import Keys
 from netem.wire.messages import End, Hello, Inbox, Nav
 from netem.wire.queues import Stamped
-from netem.wire.shell import expect
 
 
 class RealtimeAgentProcess(AgentProcess):

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from decimal import Decimal
 from fractions import Fraction
@@ -65,9 +66,7 @@ BIT_RATE = Dimension("a bit rate", "80 bit/s", {"bit/s": Fraction(1), "kbit/s": 
 FREQUENCY = Dimension("a frequency", "25 kHz", _units(kHz=1000, Hz=1))
 LEVEL = Dimension("a level", "190 dB", _units(dB=1))
 SIZE = Dimension("a size", "32 bytes", _units(bytes=1, byte=1))
-FILE_SIZE = Dimension(
-    "a size", "100 MB", _units(MB=10**6, GB=10**9, kB=1000, B=1, MiB=2**20, GiB=2**30, kiB=1024)
-)
+FILE_SIZE = Dimension("a size", "100 MB", _units(MB=10**6, GB=10**9, kB=1000, B=1, MiB=2**20, GiB=2**30, kiB=1024))
 TEMPERATURE = Dimension("a temperature", "10 degC", _units(degC=1))
 NUMBER = Dimension("a number", "0.8", {"": Fraction(1)})
 
@@ -250,3 +249,10 @@ def vehicle_numbers(text: str) -> list[int]:
     if not numbers:
         raise QuantityError(f"names no vehicle: {describe_value(text)}")
     return numbers
+
+
+def vehicle_names(vehicles: Sequence[int]) -> str:
+    """`vehicle 3`, or `vehicles 3, 4 and 5 more`."""
+    shown = ", ".join(map(str, vehicles[:8]))
+    more = f" and {len(vehicles) - 8} more" if len(vehicles) > 8 else ""
+    return f"vehicle{'s' if len(vehicles) > 1 else ''} {shown}{more}"

@@ -18,7 +18,7 @@ from netem.realtime_rounds import RealtimeRounds
 from netem.rounds import Rounds
 from netem.wire.access import NETEM
 from netem.wire.bus import Bus, Respond
-from netem.wire.codec import encode
+from netem.wire.codec import encode, expect
 from netem.wire.control import read_map
 from netem.wire.keys import Keys, vehicle_of
 from netem.wire.messages import (
@@ -35,7 +35,7 @@ from netem.wire.messages import (
     Transmission,
 )
 from netem.wire.parts import PART_BYTES, pieces, split
-from netem.wire.shell import Item, Probes, Shell, expect
+from netem.wire.shell import Item, Probes, Shell
 
 log = logging.getLogger(__name__)
 

@@ -14,7 +14,7 @@ from netem.wire.access import WORLD as WORLD
 from netem.wire.access import agent_role
 from netem.wire.audit import Refusals
 from netem.wire.bus import Bus, Respond
-from netem.wire.codec import encode
+from netem.wire.codec import encode, expect
 from netem.wire.control import read_map
 from netem.wire.keys import Keys, vehicle_of
 from netem.wire.messages import (
@@ -34,7 +34,7 @@ from netem.wire.messages import (
     WorldFaults,
 )
 from netem.wire.parts import PART_BYTES, pieces, split
-from netem.wire.shell import Probes, Shell, expect
+from netem.wire.shell import Probes, Shell
 from world.faults import WorldFault
 from world.lockstep import Lockstep, NavTo, Out
 from world.realtime import RealtimeRun

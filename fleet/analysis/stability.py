@@ -27,6 +27,7 @@ import numpy as np
 
 from fleet.analysis.border import MOST_DELAY_S, LinearFleet, Mode, linear_fleet
 from fleet.analysis.linear import NotLinear
+from fleet.quantities import vehicle_names
 from fleet.recorder.connectivity import Connectivity
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.sections.acoustic import describe_noise, describe_turns, greatest_age_s
@@ -106,12 +107,13 @@ def report(scenario: Scenario, found: Analysis) -> list[str]:
     who = (
         "every vehicle follows"
         if len(followers) == n
-        else f"{names(followers)} follow{one}"
+        else f"{vehicle_names(followers)} follow{one}"
         if followers
         else "nobody follows"
     )
     parts = len(found.components)
-    connected = "connected" if parts == 1 else f"in {parts} parts: " + "; ".join(map(names, found.components))
+    components = "; ".join(map(vehicle_names, found.components))
+    connected = "connected" if parts == 1 else f"in {parts} parts: {components}"
     reach = "" if found.unreached else "; a vehicle that follows it reaches all" if len(followers) < n else ""
     low, high = found.eigenvalues[0], found.eigenvalues[-1]
     lines = [
@@ -249,7 +251,8 @@ def _graph_warnings(found: Analysis) -> list[str]:
     if not found.unreached:
         return []
     return [
-        f"no chain of links leads from a vehicle that follows the reference (b_i > 0) to {names(found.unreached)}: "
+        "no chain of links leads from a vehicle that follows the reference (b_i > 0) to "
+        f"{vehicle_names(found.unreached)}: "
         "L+B is singular, and their place in the formation is not defined"
     ]
 
@@ -302,8 +305,8 @@ def _vehicle_warnings(scenario: Scenario) -> list[str]:
             unstable.append(i)
     if unstable:
         warnings.append(
-            f"{names(unstable)}: the surge inertia m1 is not below m2 and m3, so the attack and sideslip angles are "
-            "unstable under the paper's tracking laws (docs/background/paper.md, G28)"
+            f"{vehicle_names(unstable)}: the surge inertia m1 is not below m2 and m3, so the attack and sideslip angles "
+            "are unstable under the paper's tracking laws (docs/background/paper.md, G28)"
         )
     return warnings
 
@@ -343,13 +346,6 @@ def _unreached(scenario: Scenario) -> list[int]:
         reached.update(new)
         front += new
     return [i for i in range(1, scenario.vehicles + 1) if i not in reached]
-
-
-def names(vehicles: Sequence[int]) -> str:
-    """`vehicle 3`, or `vehicles 3, 4 and 5 more`."""
-    shown = ", ".join(map(str, vehicles[:8]))
-    more = f" and {len(vehicles) - 8} more" if len(vehicles) > 8 else ""
-    return f"vehicle{'s' if len(vehicles) > 1 else ''} {shown}{more}"
 
 
 def _number(value: complex) -> str:

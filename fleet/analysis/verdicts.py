@@ -6,8 +6,7 @@ from dataclasses import asdict, dataclass
 from math import inf, isfinite
 from typing import Any
 
-from fleet.analysis.stability import names
-from fleet.quantities import vehicle_numbers
+from fleet.quantities import vehicle_names, vehicle_numbers
 from fleet.recorder.journal import Journal
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.schema.checks import (
@@ -191,7 +190,7 @@ def _connected(check: Connected, scenario: Scenario, journal: Journal) -> Verdic
         return Verdict("connected", True, asked, f"in all {found.windows} windows", 0, 0, "windows")
     tick_s = scenario.tick_ns / 1e9
     begin, end, unreached = found.first
-    missed = f"{names(unreached)} not reached in the window that ends at {begin * tick_s:g} s, some until "
+    missed = f"{vehicle_names(unreached)} not reached in the window that ends at {begin * tick_s:g} s, some until "
     missed += f"{(end - 1) * tick_s:g} s; {found.ticks} of {found.windows} windows"
     missed += f", {found.outages} stretches" if found.outages > 1 else ""
     return Verdict("connected", False, asked, missed, found.ticks, 0, "windows")
@@ -213,9 +212,9 @@ def _tumbled(check: Tumbled, scenario: Scenario, journal: Journal) -> Verdict:
     if spells:
         vehicles = sorted({spell.vehicle for spell in spells})
         first = spells[0]
-        found = f"{len(spells)}, {names(vehicles)}, first vehicle {first.vehicle} at {first.begin * tick_s:g} s"
+        found = f"{len(spells)}, {vehicle_names(vehicles)}, first vehicle {first.vehicle} at {first.begin * tick_s:g} s"
         if lasting := sorted({spell.vehicle for spell in spells if spell.end is None}):
-            found += f", to the end {names(lasting)}"
+            found += f", to the end {vehicle_names(lasting)}"
     asked = f"at most {check.at_most}{_of(check.vehicles)}"
     return Verdict("tumbled", len(spells) <= check.at_most, asked, found, len(spells), check.at_most, "times")
 

@@ -17,7 +17,6 @@ from fleet.logs.digest import Digest
 from fleet.logs.records import MAGIC, Block
 from fleet.logs.salvage import Damage, Item, Salvage
 
-CLOCK, REAL = "clock", "real"  # key and value in metadata `run`: no lockstep, so not repeatable
 RECOVERY = "recovery"  # name of the metadata record in a file that `fleet recover` wrote
 LOST = "lost"  # key in this record: text that says what is lost
 GAPS = "gaps"  # key in this record: numbers (from 0) of the messages before which data is lost

@@ -21,6 +21,7 @@ from google.protobuf.timestamp_pb2 import Timestamp
 from agents.signals import Signal
 
 PACKAGE = "uuv_fleet"
+CLOCK, REAL = "clock", "real"  # key and value in metadata `run`: no lockstep, so not repeatable
 DOUBLE = descriptor_pb2.FieldDescriptorProto.TYPE_DOUBLE
 UINT32 = descriptor_pb2.FieldDescriptorProto.TYPE_UINT32
 STRING = descriptor_pb2.FieldDescriptorProto.TYPE_STRING

@@ -11,8 +11,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from fleet.logs.reader import CLOCK, REAL
 from fleet.logs.result_file import ResultError, read_timing
+from fleet.logs.schemas import CLOCK, REAL
 from fleet.palette import COLOURS
 from fleet.pictures.axes import MOST_NAMED, legend_of
 from fleet.pictures.runs import NothingToDraw, Run, View

@@ -22,12 +22,13 @@ from agents.config import AgentConfig
 from agents.controllers import law_class, laws
 from agents.plugins.loading import fingerprint
 from agents.signals import Layout
-from fleet.logs.reader import CLOCK, REAL
 from fleet.logs.schemas import (
+    CLOCK,
     COMMAND,
     ERROR,
     FAULT,
     PACKET,
+    REAL,
     SNAPSHOT,
     STATE,
     Column,

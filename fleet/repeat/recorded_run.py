@@ -10,7 +10,8 @@ from typing import Any
 
 from fleet.errors import FleetError
 from fleet.logs.decoder import Decoder
-from fleet.logs.reader import CLOCK, REAL, LogReader, Record, Tell, log_path
+from fleet.logs.reader import LogReader, Record, Tell, log_path
+from fleet.logs.schemas import CLOCK, REAL
 from fleet.quantities import show_time
 from fleet.recorder.snapshot import START
 from fleet.scenario.loading import parse_scenario

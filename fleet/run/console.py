@@ -37,6 +37,7 @@ from netem.faults import NetFault, fault_values
 from netem.lives import Absence
 from netem.wire.access import CONSOLE, NETEM, WORLD, agent_role
 from netem.wire.bus import Bus, Respond
+from netem.wire.codec import expect
 from netem.wire.control import read_map
 from netem.wire.keys import Keys
 from netem.wire.messages import (
@@ -51,7 +52,6 @@ from netem.wire.messages import (
     Restart,
     WorldFaults,
 )
-from netem.wire.shell import expect
 from world.faults import WorldFault
 
 READY_S = 20.0

@@ -7,10 +7,10 @@ from collections import Counter
 from fleet.errors import printable
 from netem.errors import MalformedMessage
 from netem.wire.access import WORLD
+from netem.wire.codec import expect
 from netem.wire.keys import vehicle_of
 from netem.wire.messages import Note
 from netem.wire.queues import Quota
-from netem.wire.shell import expect
 
 MOST_NOTES = 1000
 

@@ -5,10 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from fleet.analysis.punctuality import MOST_MISSED
-from fleet.hosts.rendezvous import Rendezvous
-from fleet.recorder.snapshot import Start
+
+if TYPE_CHECKING:
+    from fleet.hosts.rendezvous import Rendezvous
+    from fleet.recorder.snapshot import Start
 
 JOIN_TIMEOUT_S = 300.0  # for agents that somebody else starts
 

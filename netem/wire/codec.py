@@ -37,6 +37,20 @@ def decode(data: bytes) -> Message:
         ) from None
 
 
+def expect(data: bytes, *kinds: type) -> Message:
+    """Decode a message that must be of one of the given kinds.
+
+    Raises:
+        MalformedMessage: it is not.
+    """
+    message = decode(data)
+    if not isinstance(message, kinds):
+        raise MalformedMessage(
+            type(message).__name__.lower(), f"expected {' or '.join(k.__name__ for k in kinds)} on this key"
+        )
+    return message
+
+
 def _kind_of(data: bytes) -> str:
     """The kind of a message that cannot be decoded.
 

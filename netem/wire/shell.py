@@ -16,9 +16,9 @@ from typing import NamedTuple
 
 from netem.errors import MalformedMessage, OutOfPlace
 from netem.wire.bus import Bus, Respond
-from netem.wire.codec import decode, encode
+from netem.wire.codec import encode
 from netem.wire.keys import tail, vehicle_of
-from netem.wire.messages import Message, Note
+from netem.wire.messages import Note
 from netem.wire.queues import Quota
 
 log = logging.getLogger(__name__)
@@ -122,17 +122,3 @@ class Probes:
         self._left[i] = max(0.0, left - 1.0), now
         if left < 1.0:
             raise OutOfPlace("hello", f"at most {self.PER_S:g} probes a second", "more")
-
-
-def expect(data: bytes, *kinds: type) -> Message:
-    """Decode a message that must be of one of the given kinds.
-
-    Raises:
-        MalformedMessage: it is not.
-    """
-    message = decode(data)
-    if not isinstance(message, kinds):
-        raise MalformedMessage(
-            type(message).__name__.lower(), f"expected {' or '.join(k.__name__ for k in kinds)} on this key"
-        )
-    return message

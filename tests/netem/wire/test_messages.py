@@ -17,10 +17,9 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from netem.errors import MalformedMessage
-from netem.wire.codec import decode, encode
+from netem.wire.codec import decode, encode, expect
 from netem.wire.control import read_map
 from netem.wire.messages import Command, Grant, Hello, Message, Nav
-from netem.wire.shell import expect
 from netem.wire.wire_types import declared, fields_of, records, texts
 
 

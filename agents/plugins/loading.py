@@ -9,15 +9,17 @@ import sys
 from collections.abc import Callable
 from contextlib import redirect_stdout
 from functools import cache
-from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from agents.config import Law
 from agents.errors import PluginError
 from agents.plugins.checks import check_law
 from agents.plugins.places import place_of, shown_path, words_of
 from agents.plugins.trust import ONLY_INSTALLED, Permission, permit
+
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint
 
 GROUP = "uuv_fleet.controllers"
 
@@ -133,6 +135,8 @@ def _loaded(load_it: Callable[[], Any]) -> Any:
 @cache
 def installed_laws() -> dict[str, EntryPoint]:
     """The entry points of laws by name, read once per process: reading them opens a file of every installed package."""
+    from importlib.metadata import entry_points  # half of email comes with it
+
     return {point.name: point for point in entry_points(group=GROUP)}
 
 

@@ -305,8 +305,8 @@ def _vehicle_warnings(scenario: Scenario) -> list[str]:
             unstable.append(i)
     if unstable:
         warnings.append(
-            f"{vehicle_names(unstable)}: the surge inertia m1 is not below m2 and m3, so the attack and sideslip angles "
-            "are unstable under the paper's tracking laws (docs/background/paper.md, G28)"
+            f"{vehicle_names(unstable)}: the surge inertia m1 is not below m2 and m3, so the attack and sideslip "
+            "angles are unstable under the paper's tracking laws (docs/background/paper.md, G28)"
         )
     return warnings
 

@@ -22,6 +22,7 @@ from fleet.bench.journal import measure_recorder
 from fleet.bench.measured_run import measured_run
 from fleet.bench.memory import sampled_pss
 from fleet.bench.network_core import SHARE, SHARE_GOAL, netem_figures
+from fleet.bench.start_up import measure_start_up
 from fleet.bench.steps import steps
 from fleet.run.options import Options
 from fleet.scenario.loading import load_scenario
@@ -29,6 +30,7 @@ from fleet.scenario.scenario import Scenario
 
 TICK_S = 0.01
 REPEATS = 3
+START_UPS = 10
 # (ratio or value of the issue that asked for it, by N); None where nothing was asked.
 TARGETS = {"c/a": {4: 0.5}, "x real time": {4: 15.0, 100: 0.3}, "startup_s": {100: 2.0}, "pss_mb": {100: 12.0}}
 
@@ -91,6 +93,8 @@ def measure_fleets(sizes: list[int], *, quick: bool, say: Callable[[str], None])
     journals = [measure_recorder(_scenario(n, quick), say) for n in sizes]
     say("the network core")
     network = netem_figures(quick=quick)
+    say("start-up")
+    start_up = measure_start_up(1 if quick else START_UPS)
     say("single steps")
     return {
         "machine": {"cpus": os.cpu_count(), "system": platform.platform(), "python": platform.python_version()},
@@ -98,6 +102,7 @@ def measure_fleets(sizes: list[int], *, quick: bool, say: Callable[[str], None])
         "fleets": [row.to_values() for row in rows],
         "journals": journals,
         "netem": network,
+        "start_up": start_up,
         "steps_us": steps(50 if quick else 2000),
     }
 

@@ -9,6 +9,7 @@ from rich.table import Table
 
 from fleet.bench.fleets import netem_targets, step_targets, targets
 from fleet.bench.journal import show_rows
+from fleet.bench.start_up import start_up_table
 
 
 def show(figures: dict[str, Any], terminal: Terminal) -> None:
@@ -37,5 +38,6 @@ def show(figures: dict[str, Any], terminal: Terminal) -> None:
         network.add_row(name, f"{value:.3f}" if value < 1 else f"{value:.0f}")
     terminal.print(network)
     terminal.print(show_rows(figures["journals"]))
+    terminal.print(start_up_table(figures["start_up"]))
     for line in [*targets(figures["fleets"]), *step_targets(figures["steps_us"]), *netem_targets(figures["netem"])]:
         terminal.print(line, highlight=False)

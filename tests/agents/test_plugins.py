@@ -121,7 +121,7 @@ def test_entry_points_are_read_once_for_all_vehicles(
 ) -> None:
     """Reading them opens a file of every installed package."""
     point, read = EntryPoint("my-law", f"{module(GOOD)}:Law", loading.GROUP), []
-    monkeypatch.setattr(loading, "entry_points", lambda group: read.append(group) or [point])
+    monkeypatch.setattr("importlib.metadata.entry_points", lambda group: read.append(group) or [point])
     fleet = scenario("controller=my-law")
     for i in range(1, fleet.vehicles + 1):
         make_agent(fleet.agent_config(i))
@@ -132,7 +132,7 @@ def test_import_path_and_entry_point(module: Callable[[str], str], monkeypatch: 
     name = module(GOOD)
     by_path = loading.load("controller", Law(f"{name}:Law"))
     point = EntryPoint("my-law", f"{name}:Law", loading.GROUP)
-    monkeypatch.setattr(loading, "entry_points", lambda group: [point] if group == loading.GROUP else [])
+    monkeypatch.setattr("importlib.metadata.entry_points", lambda group: [point] if group == loading.GROUP else [])
     assert loading.load("controller", Law("my-law")) is by_path
     assert scenario("controller=my-law").agent_config(1).controller == Law("my-law")
     with pytest.raises(PluginError, match="installed: my-law"):
@@ -269,7 +269,7 @@ def test_an_entry_point_that_cannot_be_used(
     """It exists: to say that there is no such controller would send its author the wrong way."""
     value = f"{module(code)}:{attribute}"
     point = EntryPoint("my-law", value, loading.GROUP)
-    monkeypatch.setattr(loading, "entry_points", lambda group: [point])
+    monkeypatch.setattr("importlib.metadata.entry_points", lambda group: [point])
     with pytest.raises(ScenarioError) as refused:
         scenario("controller=my-law")
     assert f"controller.law: my-law: its entry point {value} {problem}" in str(refused.value)

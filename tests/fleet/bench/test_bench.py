@@ -38,6 +38,7 @@ def test_quick_bench_reports_every_figure() -> None:
     network = figures["netem"]
     assert network["full grammar, packets/s"] > 0 and network["perfect, packets/s"] > 0
     assert network[SHARE] > 0
+    assert all(row["cpu_s"] > 0 for row in figures["start_up"])
     assert heard[-1] == "single steps"
 
 

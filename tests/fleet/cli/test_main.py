@@ -1,0 +1,56 @@
+"""What starting a command imports: the reason why the light ones answer at once. Their times are in `fleet bench`."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+READING = {"numpy", "pydantic", "zenoh", "matplotlib", "google.protobuf", "mcap", "piqp", "jinja2", "multiprocessing"}
+LIGHT = READING | {"rich", "yaml", "msgspec", "fractions", "asyncio"}
+
+
+def imported(*arguments: str, **environment: str) -> set[str]:
+    """All modules that a command imports, in a process of its own."""
+    code = (
+        "import atexit, sys; sys.argv[0] = 'fleet'; from fleet.__main__ import main; "
+        "atexit.register(lambda: print(*sys.modules, file=sys.stderr)); main()"
+    )
+    ended = subprocess.run(
+        [sys.executable, "-c", code, *arguments],
+        env=os.environ | environment, capture_output=True, text=True, timeout=60,
+    )  # fmt: skip
+    assert ended.returncode == 0, ended.stderr
+    assert ended.stdout
+    return set(ended.stderr.splitlines()[-1].split())
+
+
+@pytest.mark.parametrize(
+    ("arguments", "heavy"),
+    [
+        (("--version",), LIGHT),
+        (("--help",), LIGHT),
+        (("run", "--help"), LIGHT - {"fractions"}),  # for the defaults, which are times
+        (("completion", "bash"), LIGHT),
+        (("list",), READING | {"fleet.scenario.schema.spec", "fleet.scenario.loading"}),
+    ],
+)
+def test_light_commands_import_nothing_heavy(arguments: tuple[str, ...], heavy: set[str]) -> None:
+    assert imported(*arguments) & heavy == set()
+
+
+def test_completing_a_scenario_imports_nothing_heavy() -> None:
+    words = {"_FLEET_COMPLETE": "bash_complete", "COMP_WORDS": "fleet run pap", "COMP_CWORD": "2"}
+    assert imported(**words) & READING == set()
+
+
+def test_a_run_in_one_process_imports_no_middleware_and_draws_nothing(tmp_path: Path) -> None:
+    """The fork server's module above all, which would import the processes of a distributed run."""
+    without = ("--set", "checks={tumbled: waived}", "--duration", "100 ms", "--out", str(tmp_path))
+    found = imported("run", "paper", "--in-process", *without)
+    heavy = {"zenoh", "multiprocessing.forkserver", "matplotlib", "jinja2", "fleet.processes.preload", "fleet.run.console"}
+    assert "numpy" in found
+    assert found & heavy == set()

@@ -1,13 +1,15 @@
-"""The command `fleet new`: a law of your own as a template that runs, with a scenario that uses it."""
+"""The command `fleet new`: a law of your own with a scenario that uses it, or a scenario, as templates that run."""
 
 from __future__ import annotations
 
 import keyword
 import re
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 import click
 
+from fleet.cli.completion import scenarios
 from fleet.errors import FleetError
 
 KINDS = ("controller", "guidance", "tracking", "agent")
@@ -21,6 +23,16 @@ _IMPORTED = {
     "Sample",
     "Signal",
 }  # imported by the templates
+
+
+_folder = click.option(
+    "--dir",
+    "folder",
+    metavar="DIR",
+    type=click.Path(path_type=Path, file_okay=False),
+    default=Path(),
+    help="Where to write; by default here.",
+)
 
 
 class NewFileError(FleetError):
@@ -41,14 +53,7 @@ def new() -> None:
     show_default=True,
     help="What it replaces: guidance and tracking, one of them, or the whole agent.",
 )
-@click.option(
-    "--dir",
-    "folder",
-    metavar="DIR",
-    type=click.Path(path_type=Path, file_okay=False),
-    default=Path(),
-    help="Where to write; by default here.",
-)
+@_folder
 def controller(name: str, kind: str, folder: Path) -> None:
     """Write NAME.py, a control law that runs as it is, and NAME.yaml, a scenario that uses it.
 
@@ -65,6 +70,58 @@ def controller(name: str, kind: str, folder: Path) -> None:
     click.echo(f"wrote {law} and {scenario}; now: {there}fleet run {shlex.quote(str(file))}")
 
 
+@new.command()
+@click.argument("name")
+@click.option("--from", "shipped", metavar="SHIPPED", shell_complete=scenarios,
+              help="Begin with a scenario that ships with the package; see fleet list.")  # fmt: skip
+@_folder
+def scenario(name: str, shipped: str | None, folder: Path) -> None:
+    """Write NAME.yaml, a commented scenario that runs and passes as it is.
+
+    \b
+    Examples:
+      fleet new scenario harbour
+      fleet new scenario river --from rough-sea --dir scenarios
+    """
+    import shlex
+
+    written = write_scenario(name, shipped, folder)
+    file = shlex.quote(str(written))
+    click.echo(f"wrote {written}; now: fleet check {file} && fleet run {file}")
+
+
+def write_scenario(name: str, shipped: str | None, folder: Path) -> Path:
+    """Write `name`.yaml into `folder`.
+
+    Args:
+        shipped: the name of the shipped scenario that is copied; None: the template.
+
+    Raises:
+        NewFileError: the name is none for a scenario, there is no such shipped one, or a file is in the way.
+    """
+    from importlib import resources
+
+    from fleet.scenario.catalogue import shipped_scenarios, shipped_text
+    from fleet.scenario.text.yaml_reader import resolve
+    from netem.parsing import nearest
+
+    if not re.fullmatch(r"[a-z0-9][a-z0-9_-]{0,63}", name):
+        raise NewFileError(
+            f"{name!r} cannot name a scenario: lower-case letters, digits, - and _, a letter or a digit first"
+        )
+    if shipped is None:
+        text = (resources.files("fleet.templates") / "scenario.yaml").read_text("utf-8")
+    elif shipped in (known := shipped_scenarios()):
+        text = shipped_text(shipped)
+    else:
+        hint = nearest(shipped, known) or f"there are {', '.join(known)}"
+        raise NewFileError(f"--from {shipped}: there is no such shipped scenario; {hint}")
+    as_text = name if resolve(name) == name else f'"{name}"'  # a scenario may be called 007
+    path = folder / f"{name}.yaml"
+    _write(folder, {path: re.sub(r"(?m)^name: \S+", f"name: {as_text}", text)})
+    return path
+
+
 def write_law(kind: str, name: str, folder: Path) -> tuple[Path, Path]:
     """Write `name`.py and `name`.yaml into `folder`.
 
@@ -74,9 +131,7 @@ def write_law(kind: str, name: str, folder: Path) -> tuple[Path, Path]:
     if not name.isascii() or not name.isidentifier() or keyword.iskeyword(name):
         raise NewFileError(f"{name!r} cannot name a Python module: letters, digits and _, not a digit first")
     written = (folder / f"{name}.py", folder / f"{name}.yaml")
-    for path in written:
-        if path.exists():
-            raise NewFileError(f"{path} is there already; choose another name or --dir")
+    _refuse_existing(written)
     if (place := _taken(name)) is not None:
         raise NewFileError(
             f"Python has a module {name!r} already ({place}) and would find that one; choose another name"
@@ -91,16 +146,30 @@ def write_law(kind: str, name: str, folder: Path) -> tuple[Path, Path]:
     if other is not None:
         choice += f"\n{other}  # the other half is the paper's, with gentle gains\nprofile: hardened"
     values = {"THE_CHOICE": choice, "the_law": name, "TheLaw": class_name}
+    texts = {}
+    for path, template in zip(written, (f"{kind}.py", "law.yaml"), strict=True):
+        text = (templates / template).read_text("utf-8")
+        texts[path] = re.sub("|".join(values), lambda match: values[match[0]], text)
+    _write(folder, texts)
+    return written
+
+
+def _refuse_existing(paths: Iterable[Path]) -> None:
+    for path in paths:
+        if path.exists():
+            raise NewFileError(f"{path} is there already; choose another name or --dir")
+
+
+def _write(folder: Path, texts: Mapping[Path, str]) -> None:
+    """Write new files into a folder, which is made if it is not there."""
+    _refuse_existing(texts)
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        for path, template in zip(written, (f"{kind}.py", "scenario.yaml"), strict=True):
-            text = (templates / template).read_text("utf-8")
-            text = re.sub("|".join(values), lambda match: values[match[0]], text)
+        for path, text in texts.items():
             with path.open("x", encoding="utf-8") as file:
                 file.write(text)
     except OSError as error:
         raise NewFileError(f"cannot write into {folder}: {error.strerror or error}") from None
-    return written
 
 
 def _taken(name: str) -> str | None:

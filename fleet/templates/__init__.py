@@ -1,1 +1,1 @@
-"""What `fleet new` writes: files that run as they are, in which TheLaw and the_law stand for the names asked for."""
+"""What `fleet new` writes: files that run as they are, in which TheLaw, the_law and the_scenario stand for names."""

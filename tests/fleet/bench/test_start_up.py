@@ -1,4 +1,4 @@
-"""The table of start-up costs; that nothing heavy is imported, which they follow from, is tests/fleet/test_main.py's."""
+"""The table of start-up costs. Which modules light commands may not import is in tests/fleet/cli/test_main.py."""
 
 from __future__ import annotations
 
@@ -26,6 +26,8 @@ def test_each_command_is_measured_and_compared_with_python() -> None:
 
 
 def test_a_command_that_fails_ends_the_measurement(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(start_up.COMMANDS, "fleet list", [sys.executable, "-c", "import sys; sys.exit('no such thing')"])
+    monkeypatch.setitem(
+        start_up.COMMANDS, "fleet list", [sys.executable, "-c", "import sys; sys.exit('no such thing')"]
+    )
     with pytest.raises(BenchError, match="fleet list exited with status 1: no such thing"):
         measure_start_up(1)

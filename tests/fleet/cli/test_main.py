@@ -51,6 +51,13 @@ def test_a_run_in_one_process_imports_no_middleware_and_draws_nothing(tmp_path: 
     """The fork server's module above all, which would import the processes of a distributed run."""
     without = ("--set", "checks={tumbled: waived}", "--duration", "100 ms", "--out", str(tmp_path))
     found = imported("run", "paper", "--in-process", *without)
-    heavy = {"zenoh", "multiprocessing.forkserver", "matplotlib", "jinja2", "fleet.processes.preload", "fleet.run.console"}
+    heavy = {
+        "zenoh",
+        "multiprocessing.forkserver",
+        "matplotlib",
+        "jinja2",
+        "fleet.processes.preload",
+        "fleet.run.console",
+    }
     assert "numpy" in found
     assert found & heavy == set()

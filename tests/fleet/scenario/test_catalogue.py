@@ -11,9 +11,7 @@ from fleet.scenario.loading import load_scenario, parse_scenario
 
 def test_the_list_agrees_with_the_loaded_scenarios() -> None:
     loaded = [load_scenario(name) for name in shipped_scenarios()]
-    assert list_scenarios() == [
-        Listed(s.name, s.title, s.vehicles, s.duration_ns / 1e9, s.spec.expect) for s in loaded
-    ]
+    assert list_scenarios() == [Listed(s.name, s.title, s.vehicles, s.duration_ns / 1e9, s.spec.expect) for s in loaded]
     assert {row.expect for row in list_scenarios()} == {"pass", "fail"}
 
 

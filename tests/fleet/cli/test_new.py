@@ -1,0 +1,97 @@
+"""`fleet new scenario`; the templates of laws are tested with the plug-ins, in tests/agents/test_plugins.py."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner, Result
+
+from fleet.cli.main import cli
+from fleet.cli.new import write_scenario
+from fleet.run.execute import Status, execute
+from fleet.run.options import Options
+from fleet.scenario.catalogue import shipped_scenarios
+from fleet.scenario.loading import load_scenario, parse_scenario
+
+SWITCHED_OFF = re.compile(r"^ *#(?=[^ #\n])", re.M)  # a key that may be switched on; prose has a space behind its #
+
+
+def new(*arguments: str) -> Result:
+    return CliRunner().invoke(cli, ["new", "scenario", *arguments])
+
+
+def test_it_is_checked_runs_and_passes_as_it_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    written = new("harbour", "--dir", "some where")
+    assert written.exit_code == 0, written.output
+    check, run = written.stdout.partition("now: ")[2].split(" && ")  # what it says to type
+    checked = CliRunner().invoke(cli, shlex.split(check)[1:])
+    assert (checked.exit_code, checked.stderr) == (0, "")
+    assert checked.stdout.startswith("harbour: valid. 4 vehicles")
+    assert shlex.split(run)[:2] == ["fleet", "run"]
+    scenario = load_scenario(shlex.split(run)[2], ["log.every=100 ticks"])
+    result = execute(scenario, Options(tmp_path, in_process=True, quiet=True))
+    assert result.status is Status.PASS, result.verdicts
+
+
+def test_every_key_that_it_leaves_switched_off_is_valid(tmp_path: Path) -> None:
+    text = write_scenario("harbour", None, tmp_path).read_text("utf-8")
+    plain = parse_scenario(text, "harbour.yaml")
+    places = list(SWITCHED_OFF.finditer(text))
+    assert len(places) >= 10
+    for place in places:
+        switched_on = text[: place.end() - 1] + text[place.end() :]
+        assert parse_scenario(switched_on, "harbour.yaml").to_yaml() != plain.to_yaml(), place
+    everything = SWITCHED_OFF.sub(lambda found: found[0][:-1], text)
+    assert parse_scenario(everything, "harbour.yaml").spec.expect == "fail"
+
+
+def test_all_common_sections_are_in_it(tmp_path: Path) -> None:
+    text = write_scenario("harbour", None, tmp_path).read_text("utf-8")
+    sections = {line.split(":")[0].lstrip("#") for line in text.splitlines() if re.match(r"#?[a-z]", line)}
+    assert sections >= {
+        "name", "title", "vehicles", "duration", "tick", "seed", "reference", "formation", "graph", "initial",
+        "controller", "profile", "neighbours", "sea", "sensors", "network", "faults", "checks", "log", "expect",
+    }  # fmt: skip
+    assert all(len(line) <= 120 for line in text.splitlines())
+
+
+def test_a_shipped_scenario_is_copied_with_its_comments(tmp_path: Path) -> None:
+    for name in shipped_scenarios():
+        path = write_scenario(f"my-{name}", name, tmp_path)
+        copy, shipped = load_scenario(path), load_scenario(name)
+        assert copy.name == f"my-{name}"
+        assert copy.to_yaml() == shipped.to_yaml().replace(f"name: {name}\n", f"name: my-{name}\n", 1)
+        assert path.read_text("utf-8").startswith("# ")
+
+
+@pytest.mark.parametrize("name", ["007", "1e3", "null", "true", "paper", "a" * 64])
+def test_a_name_that_yaml_has_another_use_for(name: str, tmp_path: Path) -> None:
+    assert load_scenario(write_scenario(name, None, tmp_path)).name == name
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["Harbour"], "'Harbour' cannot name a scenario: lower-case letters"),
+        (["a/b"], "cannot name a scenario"),
+        ([""], "cannot name a scenario"),
+        (["a" * 65], "cannot name a scenario"),
+        (
+            ["x", "--from", "rough-see"],
+            '--from rough-see: there is no such shipped scenario; did you mean "rough-sea"?',
+        ),
+        (["x", "--from", "qqqq"], "there are acoustic-80bps, "),
+        (["there"], "there.yaml is there already; choose another name or --dir"),
+    ],
+)
+def test_what_is_refused(arguments: list[str], words: str, tmp_path: Path) -> None:
+    (tmp_path / "there.yaml").write_text("mine")
+    refused = new(*arguments, "--dir", str(tmp_path))
+    assert refused.exit_code == 2
+    assert words in refused.stderr
+    assert [path.name for path in tmp_path.iterdir()] == ["there.yaml"]
+    assert (tmp_path / "there.yaml").read_text() == "mine"

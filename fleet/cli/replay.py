@@ -16,7 +16,9 @@ import click
 import msgspec
 from rich.console import Console as Terminal
 
+from fleet.cli import completion
 from fleet.cli.group import exit_status, report
+from fleet.cli.runs import log_argument
 from fleet.cli.types import Duration, Endpoint, FileSize
 from fleet.errors import FleetError
 from fleet.processes.interrupts import ending_status
@@ -44,7 +46,7 @@ _listen = click.option(
 
 
 @click.command(epilog=EPILOG)
-@click.argument("log", type=click.Path(path_type=Path))
+@log_argument
 @click.option("-r", "--rate", metavar="X", type=float, default=1.0, show_default=True, callback=_rate,
               help="Times the log's own pace; 0: as fast as possible.")  # fmt: skip
 @click.option("-l", "--loop", is_flag=True, help="Begin again at the end, until Ctrl-C.")
@@ -94,8 +96,8 @@ def replay(
 
     \b
     Examples:
-      fleet replay runs/latest --listen tcp/127.0.0.1:7447
-      fleet replay runs/latest -r 0 --wait-for-subscribers --topics 'uuv/*/pose'
+      fleet replay --listen tcp/127.0.0.1:7447
+      fleet replay -r 0 --wait-for-subscribers --topics 'uuv/*/pose'
       fleet replay robot.mcap --loop --remap robot:=twin --connect tcp/127.0.0.1:7447
     """
     from fleet.logs.reader import log_path
@@ -143,8 +145,9 @@ def replay(
 @click.option("--max-size", metavar="SIZE", type=FileSize(), help="Stop when the file is so large, e.g. '100 MB'.")
 @_connect
 @_listen
-@click.option("--run", metavar="DIR", type=click.Path(path_type=Path),
-              help="Record the journal of this live run, started with --publish, until it ends.")  # fmt: skip
+@click.option("--run", metavar="NAME", shell_complete=completion.published_runs,
+              help="Record the journal of this live run, started with --publish, until it ends: its name or the "
+              "beginning of it, its scenario, or its directory.")  # fmt: skip
 @click.option("-q", "--quiet", is_flag=True, help="No progress and no summary.")
 def record(
     keys: tuple[str, ...],
@@ -153,7 +156,7 @@ def record(
     max_size: int | None,
     connect: str | None,
     listen: str | None,
-    run: Path | None,
+    run: str | None,
     quiet: bool,
 ) -> None:
     """Record zenoh traffic of any kind to an MCAP file, until Ctrl-C.
@@ -165,7 +168,7 @@ def record(
     Examples:
       fleet record --key 'robot/**' -o robot.mcap --connect tcp/127.0.0.1:7447
       fleet record --key 'robot/**' --key 'base/*/status' --listen tcp/0.0.0.0:7447 --duration '10 min'
-      fleet record --run runs/latest -o journal.mcap
+      fleet record --run paper -o journal.mcap
     """
     from fleet.processes.interrupts import holding_interrupts
     from fleet.replay.capture import Limits, PublisherGone, Recorder, TrafficWriter
@@ -227,21 +230,22 @@ class _Observed(msgspec.Struct):
     run: Annotated[str, msgspec.Meta(pattern=r"^[\w-]+$")]
 
 
-def _observer(directory: Path) -> tuple[str, Any, str]:
-    """Endpoint, credentials and key prefix of a run that was started with --publish."""
+def _observer(run: str) -> tuple[str, Any, str]:
+    """Endpoint, credentials and key prefix of a live run that was started with --publish."""
+    from fleet.run.connection import RemoteError, choose
+    from fleet.run.directory import OBSERVE
     from netem.private_file import DamagedFile, parse_json
     from netem.whole_file import read_file
     from netem.wire.access import Credentials
     from netem.wire.keys import Keys
 
-    path = directory / "observe.json"
     try:
+        path = choose(run, OBSERVE) / OBSERVE
         found = parse_json(read_file(path, MOST_BYTES), _Observed)
         return found.endpoint, Credentials(found.user, found.password), Keys(found.run).prefix
-    except (OSError, DamagedFile):
-        raise click.BadParameter(
-            f"{directory} is no live run that is published: there is no usable {path.name}", param_hint="--run"
-        ) from None
+    except (OSError, DamagedFile, RemoteError) as error:
+        why = str(error) if isinstance(error, RemoteError) else f"there is no usable {OBSERVE}"
+        raise click.BadParameter(f"{run} is no live run that is published: {why}", param_hint="--run") from None
 
 
 @contextmanager

@@ -132,6 +132,27 @@ class Vehicles(click.ParamType[tuple[int, ...]]):
             self.fail(str(error), param, ctx)
 
 
+AGE = Dimension("an age", "7 days", {
+    "days": Fraction(86_400), "day": Fraction(86_400), "d": Fraction(86_400), "weeks": Fraction(604_800),
+    "week": Fraction(604_800), "h": Fraction(3600), "min": Fraction(60), "s": Fraction(1),
+})  # fmt: skip
+
+
+class Age(click.ParamType[float]):
+    """An age with a unit, in s."""
+
+    name = "age"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        try:
+            age = value if isinstance(value, float) else float(parse(value, AGE)[0])
+        except (QuantityError, OverflowError) as error:
+            self.fail(str(error), param, ctx)
+        if age < 0:
+            self.fail(f"an age that is not negative is needed, got {value!r}", param, ctx)
+        return age
+
+
 FILE_SIZE = Dimension("a size", "100 MB", {
     "MB": Fraction(10**6), "GB": Fraction(10**9), "kB": Fraction(1000), "B": Fraction(1),
     "MiB": Fraction(2**20), "GiB": Fraction(2**30), "kiB": Fraction(1024),

@@ -16,6 +16,7 @@ from typing import Any
 
 import pytest
 from live import Stopwatch
+from live_directory import live_directory
 from repository import ROOT
 
 from agents.join_file import JoinError, JoinFile
@@ -121,9 +122,10 @@ def test_a_scenario_from_a_command() -> None:
 
 
 def test_a_connection_file_that_is_a_pipe(tmp_path: Path) -> None:
-    (tmp_path / "one").mkdir()
-    os.mkfifo(tmp_path / "one" / "connection.json")
-    assert live_runs(tmp_path) == []
+    with live_directory(tmp_path) as run:
+        (run / "connection.json").unlink()
+        os.mkfifo(run / "connection.json")
+        assert live_runs() == []
 
 
 # --- too many faults, too many mistakes -----------------------------------------

@@ -243,9 +243,12 @@ def _observer(run: str) -> tuple[str, Any, str]:
         path = choose(run, OBSERVE) / OBSERVE
         found = parse_json(read_file(path, MOST_BYTES), _Observed)
         return found.endpoint, Credentials(found.user, found.password), Keys(found.run).prefix
-    except (OSError, DamagedFile, RemoteError) as error:
-        why = str(error) if isinstance(error, RemoteError) else f"there is no usable {OBSERVE}"
-        raise click.BadParameter(f"{run} is no live run that is published: {why}", param_hint="--run") from None
+    except RemoteError as error:
+        raise click.BadParameter(f"{error}; it has to be one with --publish", param_hint="--run") from None
+    except (OSError, DamagedFile):
+        raise click.BadParameter(
+            f"{run} is no live run that is published: there is no usable {OBSERVE}", param_hint="--run"
+        ) from None
 
 
 @contextmanager

@@ -315,10 +315,11 @@ def test_timing_of_a_result(run: Run, tmp_path: Path) -> None:
 def test_no_observe_file_crashes_a_recorder(text: str, tmp_path: Path) -> None:
     from click.testing import CliRunner
 
-    if text == "PIPE":
-        os.mkfifo(tmp_path / "observe.json")
-    else:
-        (tmp_path / "observe.json").write_text(text)
-    done = CliRunner().invoke(cli, ["record", "--run", str(tmp_path), "-o", str(tmp_path / "x.mcap")])
+    with live_directory(tmp_path) as run:
+        if text == "PIPE":
+            os.mkfifo(run / "observe.json")
+        else:
+            (run / "observe.json").write_text(text)
+        done = CliRunner().invoke(cli, ["record", "--run", str(run), "-o", str(tmp_path / "x.mcap")])
     assert done.exit_code == 2
     assert "is no live run that is published: there is no usable observe.json" in " ".join(done.output.split())

@@ -59,7 +59,8 @@ class RunDirectory:
         except OSError as error:
             raise RunDirectoryError(f"cannot make a run directory in {out}", error) from error
         link_latest(out, self.path.name)
-        self._locked: IO[bytes] | None = None
+        self._scenario: IO[bytes] | None = None  # open while the run goes on
+        self.locked = False  # whether others can see that it does; not every file system has locks
 
     @property
     def log(self) -> Path:
@@ -87,16 +88,17 @@ class RunDirectory:
         path = self.path / SCENARIO
         try:
             path.write_text(text, "utf-8")
-            self._locked = path.open("ab")
+            self._scenario = path.open("ab")
         except OSError as error:
             raise RunDirectoryError(f"cannot write {path}", error) from error
-        with suppress(OSError):  # a file system without locks: then the run is not found while it lives
-            fcntl.flock(self._locked, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        with suppress(OSError):
+            fcntl.flock(self._scenario, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            self.locked = True
 
     def close(self) -> None:
         """Release the lock: the run is over."""
-        if self._locked is not None:
-            self._locked.close()
+        if self._scenario is not None:
+            self._scenario.close()
 
     def write_result(self, values: dict[str, Any]) -> None:
         (self.path / RESULT).write_text(json.dumps(values, indent=2) + "\n", "utf-8")
@@ -125,14 +127,18 @@ def link_latest(out: Path, name: str) -> None:
 
 
 def in_use(directory: Path) -> bool:
-    """Whether a run goes on in a directory. One that was killed is over at once, whoever has its number now."""
+    """Whether a run goes on in a directory. One that was killed is over at once, whoever has its number now.
+
+    Where that cannot be seen (a file system without locks), one without a result may go on.
+    """
     try:
         with open_file(directory / SCENARIO) as file:
             fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
     except BlockingIOError:
         return True
-    except OSError:  # there is none, or it cannot be locked by anybody
-        return False
+    except OSError as error:
+        there_is_none = error.errno in (errno.ENOENT, errno.ENOTDIR, errno.ELOOP)
+        return not there_is_none and not os.path.exists(directory / RESULT)
     return False
 
 

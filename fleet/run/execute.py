@@ -122,7 +122,7 @@ def _prepare(
     directory = while_it_lives.enter_context(closing(RunDirectory(options.out, scenario.name, scenario.seed)))
     directory.write_scenario(scenario.to_yaml())
     try:
-        while_it_lives.callback(register(directory.path).unlink, missing_ok=True)
+        while_it_lives.callback(register(directory).unlink, missing_ok=True)
     except RegistryError as error:
         if not in_process:  # which answers nobody
             line.print(f"the run is not registered: {error}; commands find it with --run {directory.path}")

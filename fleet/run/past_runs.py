@@ -64,8 +64,7 @@ def newest_run(out: Path) -> Path | None:
         path = out / (out / LATEST).readlink()
         if path.is_dir():
             return path
-    found = max(((began, path) for path, began in _ours(out)), default=None)
-    return None if found is None else found[1]
+    return _began_last(out)
 
 
 def to_prune(
@@ -84,7 +83,7 @@ def to_prune(
 
 
 def remove(out: Path, runs: Sequence[PastRun]) -> Iterator[PastRun]:
-    """Remove run directories one by one, those below them but nothing that a link leads to; `latest` is mended.
+    """Remove run directories with all that is in them, but nothing that a link leads to; `latest` is mended.
 
     Yields:
         Each run that was removed. One that goes on meanwhile stays.
@@ -110,11 +109,15 @@ def _mend_latest(out: Path) -> None:
     link = out / LATEST
     if not link.is_symlink() or link.exists():
         return
-    newest = max(((began, path) for path, began in _ours(out)), default=None)
+    newest = _began_last(out)
     if newest is None:
         link.unlink(missing_ok=True)
     else:
-        link_latest(out, newest[1].name)
+        link_latest(out, newest.name)
+
+
+def _began_last(out: Path) -> Path | None:
+    return max(_ours(out), key=lambda pair: (pair[1], pair[0]), default=(None,))[0]
 
 
 def _ours(out: Path) -> Iterator[tuple[Path, datetime]]:
@@ -123,7 +126,7 @@ def _ours(out: Path) -> Iterator[tuple[Path, datetime]]:
     A directory is ours if it has a name that `fleet run` gives, a scenario and a folder of logs. So one that somebody
     gave a name of its own is never removed.
     """
-    with suppress(FileNotFoundError):
+    with suppress(FileNotFoundError, NotADirectoryError):
         for entry in os.scandir(out):
             name = RUN_NAME.fullmatch(entry.name)
             if name is None or not entry.is_dir(follow_symlinks=False):

@@ -13,7 +13,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from fleet.errors import FleetError
-from fleet.run.directory import in_use, remove_secrets
+from fleet.run.directory import RunDirectory, in_use, remove_secrets
 
 NAME = "uuv-fleet"
 FALLBACK = Path("/tmp")
@@ -34,23 +34,23 @@ def folder() -> Path:
     return FALLBACK / f"{NAME}-{os.getuid()}"
 
 
-def register(directory: Path) -> Path:
-    """Add a run that holds the lock of its directory.
+def register(run: RunDirectory) -> Path:
+    """Add a run that lives.
 
     Returns:
         Its link, to be removed when the run is over.
 
     Raises:
-        RegistryError: the folder cannot be made, written or trusted, or nothing can be locked in the directory.
+        RegistryError: the folder cannot be made, written or trusted, or the run could not be told from a dead one.
     """
-    if not in_use(directory):
-        raise RegistryError(f"the file system of {directory} has no locks")
+    if not run.locked:
+        raise RegistryError(f"the file system of {run.path} has no locks")
     place = folder()
     link = place / secrets.token_hex(8)
     try:
         place.mkdir(mode=0o700, exist_ok=True)
         _check(place)
-        link.symlink_to(directory.absolute())
+        link.symlink_to(run.path.absolute())
     except OSError as error:
         raise RegistryError(f"cannot write to {place}: {error.strerror}") from None
     return link

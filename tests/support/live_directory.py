@@ -25,7 +25,7 @@ def live_directory(out: Path, scenario: str = "paper", *, text: str = "", **more
     directory = RunDirectory(out, scenario, 1)
     directory.write_scenario(text)
     directory.write_connection(CONNECTION | {"scenario": scenario, "pid": os.getpid()} | more)
-    link = register(directory.path)
+    link = register(directory)
     try:
         yield directory.path
     finally:

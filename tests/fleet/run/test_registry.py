@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 from collections.abc import Callable
 from pathlib import Path
@@ -70,7 +71,7 @@ def test_a_folder_that_others_can_enter_is_refused(words: str, place: Path, tmp_
     directory = RunDirectory(tmp_path / "runs", "paper", 1)
     directory.write_scenario("")
     with pytest.raises(RegistryError, match=words):
-        register(directory.path)
+        register(directory)
     with pytest.raises(RegistryError):
         registered()
     directory.close()
@@ -126,12 +127,24 @@ def test_links_of_runs_that_are_over_are_removed_with_their_passwords(place: Pat
         assert (alive / "connection.json").exists()
 
 
-def test_what_cannot_be_locked_is_not_registered(place: Path, tmp_path: Path) -> None:
-    """A run that nobody can tell from a dead one would lose its connection file to whoever looks."""
+def test_without_locks_a_run_is_not_registered_and_not_taken_for_dead(
+    place: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As on some network file systems: whoever looks must not take its connection file away, nor prune it."""
+
+    def refuse(*_: object) -> None:
+        raise OSError(errno.ENOLCK, "No locks available")
+
+    monkeypatch.setattr("fcntl.flock", refuse)
     directory = RunDirectory(tmp_path / "runs", "paper", 1)
+    directory.write_scenario("")
     with pytest.raises(RegistryError, match="has no locks"):
-        register(directory.path)
+        register(directory)
     assert not place.exists()
+    assert in_use(directory.path)
+    directory.write_result({})
+    assert not in_use(directory.path)
+    directory.close()
 
 
 def test_no_ghost_is_left_by_kill_9(place: Path, tmp_path: Path) -> None:

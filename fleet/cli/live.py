@@ -11,7 +11,7 @@ from click.shell_completion import get_completion_class
 
 from fleet.cli import completion
 from fleet.cli.documents.output import json_option, print_document
-from fleet.cli.runs import log_argument
+from fleet.cli.log_argument import log_argument
 
 F = TypeVar("F", bound=Callable[..., Any])
 # Faults that take KEY=VALUE pairs, with an example of each. A current may be written without.

@@ -10,7 +10,7 @@ from typing import Any
 
 import click
 
-from fleet.cli.runs import log_argument, newest_log
+from fleet.cli.log_argument import log_argument, newest_log
 from fleet.cli.types import Vehicles, Window, Words
 
 KINDS = ("track", "error", "velocity", "inputs", "commands", "gains", "links", "messages", "ages", "timing")

@@ -18,7 +18,7 @@ from rich.console import Console as Terminal
 
 from fleet.cli import completion
 from fleet.cli.group import exit_status, report
-from fleet.cli.runs import log_argument
+from fleet.cli.log_argument import log_argument
 from fleet.cli.types import Duration, Endpoint, FileSize
 from fleet.errors import FleetError
 from fleet.processes.interrupts import ending_status

@@ -1,12 +1,11 @@
-"""The commands for the runs below a directory: ls and prune; and the argument LOG, which may be left out."""
+"""The commands for the runs below a directory: ls and prune."""
 
 from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
-from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING
 
 import click
 
@@ -14,54 +13,18 @@ from fleet.cli.documents.output import json_option, print_document
 from fleet.cli.types import Age, Words
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
     from datetime import datetime
 
     from rich.table import Table
 
     from fleet.run.past_runs import PastRun
 
-    F = TypeVar("F", bound=Callable[..., Any])
-
-RUNS = Path("runs")  # where `fleet run` puts them
 WIDE = 100  # columns from which on there is room for what the name says already
 VERDICTS = ("pass", "fail", "broke", "stopped")
 _out = click.option(
-    "--out", metavar="DIR", type=click.Path(path_type=Path), default=RUNS, show_default=True,
+    "--out", metavar="DIR", type=click.Path(path_type=Path), default=Path("runs"), show_default=True,
     help="Where run directories are.",
 )  # fmt: skip
-
-
-def log_argument(command: F) -> F:
-    """Add the argument LOG; without it the newest run below `runs` is meant, which is named on stderr."""
-
-    @wraps(command)
-    def with_log(*arguments: Any, log: Path | None, **options: Any) -> Any:
-        return command(*arguments, log=newest_log() if log is None else log, **options)
-
-    argument = click.argument(
-        "log", type=click.Path(path_type=Path), required=False,
-        help="An MCAP file or a run directory; by default the newest run below runs.",
-    )  # fmt: skip
-    return argument(with_log)  # type: ignore[return-value]
-
-
-def newest_log() -> Path:
-    """The directory of the newest run below `runs`, named on stderr.
-
-    Raises:
-        click.UsageError: there is none.
-    """
-    from fleet.run.past_runs import newest_run
-
-    found = newest_run(RUNS)
-    if found is None:
-        raise click.UsageError(
-            f"no log is given, and there is no run below {RUNS.absolute()}: name a log or a run directory, or go to "
-            "the folder in which fleet run was called"
-        )
-    click.echo(f"fleet: the newest run: {found}", err=True)
-    return found
 
 
 @click.command()

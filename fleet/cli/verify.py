@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 
 from agents.plugins.trust import Trust
-from fleet.cli.runs import log_argument, newest_log
+from fleet.cli.log_argument import log_argument, newest_log
 from fleet.cli.trust import TrustingCommand, trust_option
 
 _VERIFY = "Exit status: 0 reproduced, 1 not, 2 no log of ours or it cannot be run here, 3 no message is left in it."

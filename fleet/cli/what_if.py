@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from agents.plugins.trust import Trust
-from fleet.cli.runs import log_argument
+from fleet.cli.log_argument import log_argument
 from fleet.cli.trust import TrustingCommand, trust_option
 
 if TYPE_CHECKING:

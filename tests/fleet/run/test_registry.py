@@ -8,10 +8,12 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from click.testing import CliRunner
 from live import LiveRun
 from live_directory import live_directory
 from small_scenario import SMALL
 
+from fleet.cli.main import cli
 from fleet.run import registry
 from fleet.run.connection import find
 from fleet.run.directory import RunDirectory, in_use
@@ -147,13 +149,20 @@ def test_without_locks_a_run_is_not_registered_and_not_taken_for_dead(
     directory.close()
 
 
-def test_no_ghost_is_left_by_kill_9(place: Path, tmp_path: Path) -> None:
-    """The real thing: the console is killed, and nothing says any more that there is a run."""
+def test_a_run_is_found_from_any_folder_and_kill_9_leaves_no_ghost(
+    place: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The real thing: a run is asked from elsewhere; its console is killed, and nothing says any more that it lives."""
+    monkeypatch.chdir("/")
     with LiveRun(tmp_path / "runs", "paper", "--speed", "1").until_running(0.2) as run:
-        assert registered() == [run.directory]
+        said = CliRunner().invoke(cli, ["inject", "mute", "3", "--for", "1 s"])
+        assert said.stdout.startswith(f"{run.directory.name}: live-1: mute 3, from t = "), said.output
+        refused = CliRunner().invoke(cli, ["inject", "kill", "9", "--run", "pap"])
+        assert (refused.exit_code, "there is no vehicle 9" in refused.stderr) == (2, True)
         run.send(9)
         run.until_nobody_is_left()
-        assert in_use(run.directory) is False
-        assert registered() == []
+        assert not in_use(run.directory)
+        assert CliRunner().invoke(cli, ["ps"]).stderr == "no live run\n"
+        assert CliRunner().invoke(cli, ["status"]).exit_code == 3
         assert list(place.iterdir()) == []
         assert not (run.directory / "connection.json").exists()

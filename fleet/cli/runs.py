@@ -31,10 +31,10 @@ _out = click.option(
 @_out
 @json_option
 def ls(out: Path, as_json: bool) -> None:
-    """List the runs below a directory, the newest first: what they came to, how long, how large and how old.
+    """List the runs below a directory, the newest first.
 
-    The verdict is pass, FAIL, stopped, live, or broke, also of a run that left no result. A directory that you gave a
-    name of its own is not listed.
+    With what they came to, the simulated time, and how large and how old they are. The verdict is pass, FAIL, stopped,
+    live, or broke, also of a run that left no result. A directory that you gave a name of its own is not listed.
 
     \b
     Examples:
@@ -74,10 +74,10 @@ def ls(out: Path, as_json: bool) -> None:
 )
 @click.option("--yes", is_flag=True, help="Remove them. Without it they are only listed.")
 def prune(out: Path, keep: int | None, older_than: float | None, verdicts: tuple[str, ...] | None, yes: bool) -> None:
-    """Remove runs that are over, with all that is in their directories: those for which every given option holds.
+    """Remove runs that are over, with all that is in their directories.
 
-    Without --yes it says what would go. A live run stays, and so does every directory that has not the name that fleet
-    run gave it: rename a run to keep it.
+    Those go for which every given option holds. Without --yes it only says which these are. A live run stays, and so
+    does every directory that has not the name that fleet run gave it: rename a run to keep it.
 
     \b
     Examples:

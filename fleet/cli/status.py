@@ -29,7 +29,10 @@ MOST_FAULTS = 5
 @click.option("--all", "every", is_flag=True, help="All vehicles and links, not only the worst.")
 @json_option
 def status(run: str | None, watch: bool, every: bool, as_json: bool) -> None:
-    """Say how a live run is doing: time, faults, who is waited for, the worst vehicles and links.
+    """Say how a live run is doing.
+
+    Time, who is waited for, active faults, and the worst vehicles and links. "oldest news" is the greatest age of what
+    a vehicle heard last of a neighbour; e is the consensus error.
 
     \b
     Examples:
@@ -48,7 +51,7 @@ def status(run: str | None, watch: bool, every: bool, as_json: bool) -> None:
         return
     terminal = Console(width=None if sys.stdout.isatty() else PLAIN_WIDTH, highlight=False)
     if watch:
-        _watch(found, every, terminal)
+        watch_run(found, every, terminal)
     else:
         terminal.print(screen(_status(found, every), every))
 
@@ -63,7 +66,7 @@ def _status(found: LiveRun, every: bool) -> Status:
     return msgspec.convert({"run": found.name, "directory": str(found.directory), **values}, Status)
 
 
-def _watch(found: LiveRun, every: bool, terminal: Console) -> None:
+def watch_run(found: LiveRun, every: bool, terminal: Console) -> None:
     """Show it again and again: on a terminal in place, on a screen of its own; elsewhere one block after the other."""
     from contextlib import nullcontext
 

@@ -144,7 +144,7 @@ def _scenario(directory: Path) -> str:
 
 def _nothing(run: str | None, known: list[Path]) -> str:
     if run is None:
-        return "no live run (of those that fleet run starts as processes; fleet ls lists all)"
+        return "no live run; fleet ls lists the runs below runs, also those in one process, which answer nobody"
     return f"no live run is called {run!r}" + (f"; there are:{_choices(known)}" if known else "; there is none at all")
 
 

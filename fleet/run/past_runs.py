@@ -13,7 +13,7 @@ from pathlib import Path
 import msgspec
 
 from fleet.errors import FleetError
-from fleet.run.directory import LATEST, RESULT, RUN_NAME, SCENARIO, in_use, link_latest
+from fleet.run.directory import LATEST, RESULT, RUN_NAME, SCENARIO, RunDirectoryError, in_use, link_latest
 from netem.private_file import DamagedFile, parse_json
 from netem.whole_file import read_file
 
@@ -53,13 +53,21 @@ class _Result(msgspec.Struct):
 
 
 def past_runs(out: Path) -> list[PastRun]:
-    """The runs below a directory, the newest first. What is no run directory of ours, or a link, is none."""
+    """The runs below a directory, the newest first. What is no run directory of ours, or a link, is none.
+
+    Raises:
+        RunDirectoryError: the directory cannot be read.
+    """
     found = [_read(path, began) for path, began in _ours(out)]
     return sorted(found, key=lambda run: (run.began, run.name), reverse=True)
 
 
 def newest_run(out: Path) -> Path | None:
-    """The directory of the newest run: that to which `latest` leads, or else the one that began last."""
+    """The directory of the newest run: that to which `latest` leads, or else the one that began last.
+
+    Raises:
+        RunDirectoryError: the directory cannot be read.
+    """
     with suppress(OSError):
         path = out / (out / LATEST).readlink()
         if path.is_dir():
@@ -126,15 +134,20 @@ def _ours(out: Path) -> Iterator[tuple[Path, datetime]]:
     A directory is ours if it has a name that `fleet run` gives, a scenario and a folder of logs. So one that somebody
     gave a name of its own is never removed.
     """
-    with suppress(FileNotFoundError, NotADirectoryError):
-        for entry in os.scandir(out):
-            name = RUN_NAME.fullmatch(entry.name)
-            if name is None or not entry.is_dir(follow_symlinks=False):
-                continue
-            path = Path(entry.path)
-            if os.path.isfile(path / SCENARIO) and os.path.isdir(path / "log"):
-                with suppress(ValueError):  # no day has this number
-                    yield path, datetime.strptime(name["began"], "%Y%m%d-%H%M%S").replace(tzinfo=UTC)
+    try:
+        entries = list(os.scandir(out))
+    except FileNotFoundError:
+        return
+    except OSError as error:
+        raise RunDirectoryError(f"cannot read {out}", error) from None
+    for entry in entries:
+        name = RUN_NAME.fullmatch(entry.name)
+        if name is None or not entry.is_dir(follow_symlinks=False):
+            continue
+        path = Path(entry.path)
+        if os.path.isfile(path / SCENARIO) and os.path.isdir(path / "log"):
+            with suppress(ValueError):  # no day has this number
+                yield path, datetime.strptime(name["began"], "%Y%m%d-%H%M%S").replace(tzinfo=UTC)
 
 
 def _read(path: Path, began: datetime) -> PastRun:

@@ -16,8 +16,8 @@ from rich.console import Console
 
 from fleet.cli.documents.live import Status
 from fleet.cli.main import cli
-from fleet.cli.status import screen
-from fleet.run.connection import RemoteError
+from fleet.cli.status import screen, watch_run
+from fleet.run.connection import RemoteError, find
 
 
 def answer(vehicles: int = 4, links: int = 5, faults: int = 1, **more: Any) -> dict[str, Any]:
@@ -157,6 +157,30 @@ def test_watching_ends_with_the_run(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     assert result.stdout.count(f"{run.name}: t = 12.40 of 60 s") == 3
     assert result.stdout.splitlines()[-1] == f"{run.name}: the run is over; its results are in {run}"
     assert "\x1b" not in result.stdout
+
+
+def test_a_terminal_is_left_as_it_was(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Ctrl-C ends a screen of its own; the cursor is there again, and what was shown last stays."""
+
+    def ask(run: Any, op: str, **fields: Any) -> dict[str, Any]:
+        if asked:
+            raise KeyboardInterrupt
+        asked.append(op)
+        return answer(100, 9)
+
+    asked: list[str] = []
+    monkeypatch.setattr("fleet.run.connection.ask", ask)
+    monkeypatch.setattr("fleet.cli.status.EVERY_S", 0.0)
+    monkeypatch.setenv("TERM", "xterm")
+    terminal = Console(file=io.StringIO(), force_terminal=True, width=80, height=24, highlight=False)
+    with live_directory(tmp_path), pytest.raises(KeyboardInterrupt):
+        watch_run(find(), False, terminal)
+    assert isinstance(terminal.file, io.StringIO)
+    before, begun, after = terminal.file.getvalue().partition("\x1b[?1049h")
+    within, ended, left = after.partition("\x1b[?1049l")
+    assert begun and ended and not before
+    assert within.count("\x1b[?25l") == 1 and after.count("\x1b[?25h") == 1
+    assert within.count("t = 12.40 of 60 s") == 1 and left.count("t = 12.40 of 60 s") == 1
 
 
 def test_watching_a_run_that_only_does_not_answer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -12,6 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from live_directory import live_directory
 
+from fleet.run.directory import RunDirectoryError
 from fleet.run.past_runs import (
     BROKE,
     FAIL,
@@ -133,6 +134,13 @@ def test_what_cannot_be_removed_is_an_error(tmp_path: Path, monkeypatch: pytest.
     monkeypatch.setattr("shutil.rmtree", refuse)
     with pytest.raises(PruneError, match="paper-1-20261120-120000: Permission denied"):
         list(remove(tmp_path, past_runs(tmp_path)))
+
+
+def test_a_directory_that_cannot_be_read(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    for look in (past_runs, newest_run):
+        with pytest.raises(RunDirectoryError, match="Not a directory; choose another place with --out"):
+            look(tmp_path / "file")
 
 
 def test_the_newest_run(tmp_path: Path) -> None:

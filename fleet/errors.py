@@ -33,10 +33,12 @@ Exception
 │   ├── NothingToDraw
 │   ├── NothingToVerify
 │   ├── PictureError
+│   ├── PruneError
 │   ├── PublishError
 │   ├── RecordError
 │   ├── RecoverError
 │   ├── RefusedError
+│   ├── RegistryError
 │   ├── RemoteError
 │   ├── ReplayError
 │   ├── ReportError

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterable
-from pathlib import Path
 from typing import Any
 
 import click
@@ -51,10 +50,19 @@ def scenarios(context: click.Context, parameter: click.Parameter, typed: str) ->
 
 @_words
 def runs(context: click.Context) -> Iterable[str]:
-    """Directories of live runs."""
+    """Names of live runs."""
     from fleet.run.connection import live_runs
 
-    return [str(found.directory) for found in live_runs(_out(context))]
+    return [found.name for found in live_runs()]
+
+
+@_words
+def published_runs(context: click.Context) -> Iterable[str]:
+    """Names of live runs that are published."""
+    from fleet.run.connection import published
+    from fleet.run.directory import OBSERVE
+
+    return [directory.name for directory in published(OBSERVE)]
 
 
 @_words
@@ -105,9 +113,4 @@ def _targets(context: click.Context) -> tuple[int, tuple[tuple[int, int], ...]]:
 def _run(context: click.Context) -> Any:
     from fleet.run.connection import find
 
-    run = context.params.get("run")
-    return find(None if run is None else Path(run), _out(context))
-
-
-def _out(context: click.Context) -> Path:
-    return Path(context.params.get("out") or "runs")
+    return find(context.params.get("run"))

@@ -1,9 +1,7 @@
-"""The commands for a live run: ps, status, inject, faults, heal, clock, stop; and script, which reads its log."""
+"""The commands for a live run: ps, inject, faults, heal, clock, stop; and script, which reads its log."""
 
 from __future__ import annotations
 
-import sys
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar
@@ -12,6 +10,8 @@ import click
 from click.shell_completion import get_completion_class
 
 from fleet.cli import completion
+from fleet.cli.documents.output import json_option, print_document
+from fleet.cli.log_argument import log_argument
 
 F = TypeVar("F", bound=Callable[..., Any])
 # Faults that take KEY=VALUE pairs, with an example of each. A current may be written without.
@@ -29,93 +29,53 @@ _EXAMPLES = {
 
 
 def which(command: F) -> F:
-    """Add the options that choose a run."""
-    command = click.option(
+    """Add the option that chooses a run."""
+    return click.option(
         "--run",
         "run",
-        metavar="DIR",
-        type=click.Path(path_type=Path),
+        metavar="NAME",
         shell_complete=completion.runs,
-        help="The run's directory; by default the newest live run.",
-    )(command)
-    return click.option(
-        "--out",
-        metavar="DIR",
-        type=click.Path(path_type=Path),
-        default=Path("runs"),
-        show_default=True,
-        help="Where run directories are.",
+        help="The run: its name or the beginning of it, its scenario, or its directory; needed when several live.",
     )(command)
 
 
-def _ask(run: Path | None, out: Path, op: str, **fields: Any) -> dict[str, Any]:
+def _ask(run: str | None, op: str, **fields: Any) -> tuple[str, dict[str, Any]]:
+    """The run's name, and its answer."""
     from fleet.run.connection import ask, find
 
-    return ask(find(run, out), op, **fields)
+    found = find(run)
+    return found.name, ask(found, op, **fields)
 
 
 @click.command()
-@click.option("--out", metavar="DIR", type=click.Path(path_type=Path), default=Path("runs"), show_default=True,
-              help="Where run directories are.")  # fmt: skip
-def ps(out: Path) -> None:
-    """List the live runs: directory, scenario, process, endpoint and simulated time."""
-    from fleet.run.connection import RemoteError, ask, live_runs
-
-    runs = live_runs(out)
-    if not runs:
-        click.echo(f"no live run under {out}", err=True)
-    for found in runs:
-        try:
-            values = ask(found, "status")
-            where = f"t = {values['at_s']:.1f} of {values['end_s']:g} s, {values['clock']}"
-        except RemoteError as error:
-            where = str(error)
-        click.echo(f"{found.directory}  {found.scenario}  pid {found.pid}  {found.endpoint}  {where}")
-
-
-@click.command()
-@which
-@click.option("-w", "--watch", is_flag=True, help="Again every second, until the run is over or Ctrl-C.")
-def status(run: Path | None, out: Path, watch: bool) -> None:
-    """Say how a live run is doing.
+@json_option
+def ps(as_json: bool) -> None:
+    """List the live runs of this user, wherever they were started.
 
     \b
     Examples:
-      fleet status
-      fleet status -w --run runs/paper-1-20261121-120000
+      fleet ps
     """
-    from fleet.recorder.metrics import WorstAndMedian
-    from fleet.run.connection import RemoteError, find, is_live
-    from fleet.run.connection import ask as ask_run
+    from fleet.cli.documents.live import LiveRunRow, LiveRuns
+    from fleet.run.connection import RemoteError, ask, live_runs
 
-    shown = 0
-    found = find(run, out)
-    while True:
+    rows = []
+    for found in live_runs():
+        row = LiveRunRow(found.name, str(found.directory), found.scenario, found.pid, found.endpoint)
         try:
-            values = ask_run(found, "status")
-        except RemoteError:
-            if shown and not is_live(found):
-                click.echo(f"the run is over: {found.directory}")
-                return
-            raise
-        lines = [
-            f"{values['scenario']}: t = {values['at_s']:.2f} of {values['end_s']:g} s, {values['clock']}"
-            + (f", {values['waiting']}" if values["waiting"] not in ("", values["clock"]) else ""),
-            f"formation error {WorstAndMedian(**values['formation'])}, packets {values['delivered']} delivered, "
-            f"{values['lost']} lost",
-        ]
-        lines += [f"fault {f['id']}: {f['what']}, until {f['to_s']:g} s" for f in values["faults"]]
-        if values["tumbled"]:
-            lines.append(f"tumbled: {', '.join(map(str, values['tumbled']))}")
-        if values["dead"]:
-            lines.append(f"without an agent: {', '.join(map(str, values['dead']))}")
-        if shown and sys.stdout.isatty():
-            click.echo(f"\x1b[{shown}A\x1b[J", nl=False)  # overwrite the lines printed before
-        click.echo("\n".join(lines))
-        shown = len(lines)
-        if not watch:
-            return
-        time.sleep(1.0)
+            values = ask(found, "status")
+            row.at_s, row.end_s, row.clock = values["at_s"], values["end_s"], values["clock"]
+        except RemoteError as error:
+            row.error = str(error)
+        rows.append(row)
+    if as_json:
+        print_document(LiveRuns(rows))
+        return
+    if not rows:
+        click.echo("no live run", err=True)
+    for row in rows:
+        click.echo(row.error or f"{row.run}: t = {row.at_s:.1f} of {row.end_s:g} s, {row.clock}")
+        click.echo(f"  {row.directory}, pid {row.pid}")
 
 
 @click.command()
@@ -123,7 +83,8 @@ def status(run: Path | None, out: Path, watch: bool) -> None:
 @which
 @click.option("--for", "lasts", metavar="TIME", help="How long; by default to the end of the run, or until healed.")
 @click.option("--id", "name", metavar="ID", help="What to call it; by default live-1, live-2, ...")
-def inject(what: tuple[str, ...], run: Path | None, out: Path, lasts: str | None, name: str | None) -> None:
+@json_option
+def inject(what: tuple[str, ...], run: str | None, lasts: str | None, name: str | None, as_json: bool) -> None:
     """Inject a fault into a live run; it acts within half a second of simulated time, which is told.
 
     \b
@@ -166,34 +127,71 @@ def inject(what: tuple[str, ...], run: Path | None, out: Path, lasts: str | None
         fault["for"] = lasts
     if name is not None:
         fault["id"] = name
-    values = _ask(run, out, "inject", fault=fault)
-    click.echo(f"{values['id']}: {values['what']}, from t = {values['at_s']:.2f} s")
+    from fleet.cli.documents.live import Injected
+
+    found, values = _ask(run, "inject", fault=fault)
+    if as_json:
+        print_document(Injected(found, **values))
+        return
+    until = f"until {values['to_s']:.2f} s"
+    if values["until_healed"]:
+        until = f"until healed, at the latest the end at {values['to_s']:g} s"
+    click.echo(f"{found}: {values['id']}: {values['what']}, from t = {values['from_s']:.2f} s {until}")
 
 
 @click.command()
 @which
-def faults(run: Path | None, out: Path) -> None:
-    """List the faults of a live run, with their ids."""
-    for fault in _ask(run, out, "faults")["faults"]:
-        times = f"{fault['from_s']:.2f} to {fault['to_s']:.2f} s"
-        click.echo(f"{fault['id']:10}  {times:20}  {fault['state']:7}  {fault['what']}")
+@json_option
+def faults(run: str | None, as_json: bool) -> None:
+    """List the faults of a live run, with their ids.
+
+    \b
+    Examples:
+      fleet faults
+    """
+    import msgspec
+
+    from fleet.cli.documents.live import Faults
+
+    name, values = _ask(run, "faults")
+    document = msgspec.convert({"run": name, **values}, Faults)
+    if as_json:
+        print_document(document)
+        return
+    click.echo(f"{name}: {len(document.faults) or 'no'} fault{'' if len(document.faults) == 1 else 's'}")
+    for fault in document.faults:
+        until = "until healed" if fault.until_healed else f"to {fault.to_s:.2f} s"
+        times = f"{fault.from_s:.2f} s {until}"
+        click.echo(f"{fault.id:10}  {times:22}  {fault.state:7}  {fault.what}")
 
 
 @click.command()
 @click.argument("name", metavar="[ID]", required=False, shell_complete=completion.faults)
 @which
-def heal(name: str | None, run: Path | None, out: Path) -> None:
-    """End a fault of a live run, or all of them."""
-    values = _ask(run, out, "heal", id=name)
-    healed = ", ".join(values["healed"]) or "nothing"
-    click.echo(f"healed {healed} at t = {values['at_s']:.2f} s")
+@json_option
+def heal(name: str | None, run: str | None, as_json: bool) -> None:
+    """End a fault of a live run, or all of them.
+
+    \b
+    Examples:
+      fleet heal live-1
+      fleet heal
+    """
+    from fleet.cli.documents.live import Healed
+
+    found, values = _ask(run, "heal", id=name)
+    if as_json:
+        print_document(Healed(found, **values))
+        return
+    click.echo(f"{found}: healed {', '.join(values['healed']) or 'nothing'} at t = {values['at_s']:.2f} s")
 
 
 @click.command()
 @click.argument("do", type=click.Choice(["pause", "resume", "step", "speed"]))
 @click.argument("value", required=False)
 @which
-def clock(do: str, value: str | None, run: Path | None, out: Path) -> None:
+@json_option
+def clock(do: str, value: str | None, run: str | None, as_json: bool) -> None:
     """Hold, step or pace a live run.
 
     \b
@@ -215,26 +213,42 @@ def clock(do: str, value: str | None, run: Path | None, out: Path) -> None:
             raise ValueError
     except ValueError:
         raise click.BadParameter(f"expected a number above 0, got {value!r}", param_hint="VALUE") from None
-    values = _ask(run, out, "clock", do=do, value=number)
-    click.echo(f"{values['clock']}, t = {values['at_s']:.2f} s")
+    from fleet.cli.documents.live import ClockSet
+
+    found, values = _ask(run, "clock", do=do, value=number)
+    if as_json:
+        print_document(ClockSet(found, **values))
+        return
+    click.echo(f"{found}: {values['clock']}, t = {values['at_s']:.2f} s")
 
 
 @click.command()
 @which
-def stop(run: Path | None, out: Path) -> None:
-    """Stop a live run; what it has recorded stays."""
-    values = _ask(run, out, "stop")
-    click.echo(f"stopping at t = {values['at_s']:.2f} s")
+@json_option
+def stop(run: str | None, as_json: bool) -> None:
+    """Stop a live run; what it has recorded stays.
+
+    \b
+    Examples:
+      fleet stop --run paper
+    """
+    from fleet.cli.documents.live import Stopping
+
+    found, values = _ask(run, "stop")
+    if as_json:
+        print_document(Stopping(found, **values))
+        return
+    click.echo(f"{found}: stopping at t = {values['at_s']:.2f} s")
 
 
 @click.command()
-@click.argument("log", type=click.Path(path_type=Path))
+@log_argument
 def script(log: Path) -> None:
     """Print the scenario that runs LOG again, with everything that was injected while it was made.
 
     \b
     Examples:
-      fleet script runs/latest > again.yaml && fleet run again.yaml
+      fleet script > again.yaml && fleet run again.yaml
     """
     from fleet.repeat.recorded_run import script as make
     from fleet.terminal.progress import showing
@@ -260,4 +274,4 @@ def completion_command(shell: str) -> None:
     click.echo(cls(click.get_current_context().find_root().command, {}, "fleet", "_FLEET_COMPLETE").source())
 
 
-COMMANDS = (ps, status, inject, faults, heal, clock, stop, script, completion_command)
+COMMANDS = (ps, inject, faults, heal, clock, stop, script, completion_command)

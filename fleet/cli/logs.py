@@ -10,13 +10,13 @@ from typing import Any
 
 import click
 
+from fleet.cli.log_argument import log_argument, newest_log
 from fleet.cli.types import Vehicles, Window, Words
 
 KINDS = ("track", "error", "velocity", "inputs", "commands", "gains", "links", "messages", "ages", "timing")
 FORMATS = ("png", "svg", "pdf")
 
 
-_log = click.argument("log", type=click.Path(path_type=Path))
 _vehicles = click.option("--vehicles", metavar="LIST", type=Vehicles(), help="Only these, e.g. 1,3-5.")
 _log_scale = click.option("--log-scale", is_flag=True, help="Errors and ages on a logarithmic axis.")
 _window = click.option(
@@ -28,7 +28,7 @@ _window = click.option(
 
 
 @click.command()
-@_log
+@log_argument
 @click.option(
     "-o", "--out", metavar="DIR", type=click.Path(path_type=Path, file_okay=False),
     help="Where the pictures go; by default `plots` beside the log.",
@@ -65,9 +65,9 @@ def plot(
 
     \b
     Examples:
-      fleet plot runs/latest
-      fleet plot runs/latest --what error,inputs --format svg,pdf --log-scale
-      fleet plot runs/latest --what messages --window 20s..22s
+      fleet plot
+      fleet plot --what error,inputs --format svg,pdf --log-scale
+      fleet plot --what messages --window 20s..22s
       fleet plot runs/a --compare runs/b --what error -o compared
     """
     from fleet.logs.reader import log_path
@@ -96,7 +96,7 @@ def _notes(runs: Sequence[Any]) -> Iterator[str]:
 
 
 @click.command()
-@_log
+@log_argument
 @click.option("--csv", "csv", metavar="DIR", type=click.Path(path_type=Path, file_okay=False), help="Write CSV here.")
 @click.option(
     "--parquet", metavar="DIR", type=click.Path(path_type=Path, file_okay=False),
@@ -113,8 +113,8 @@ def export(log: Path, csv: Path | None, parquet: Path | None, topics: tuple[str,
 
     \b
     Examples:
-      fleet export runs/latest --csv tables
-      fleet export runs/latest --parquet tables --topics 'uuv/*/error' --topics 'link/*'
+      fleet export --csv tables
+      fleet export --parquet tables --topics 'uuv/*/error' --topics 'link/*'
     """
     from fleet.logs.export import export as write
     from fleet.logs.export import fits
@@ -140,7 +140,10 @@ def export(log: Path, csv: Path | None, parquet: Path | None, topics: tuple[str,
 
 
 @click.command()
-@click.argument("logs", metavar="LOG...", type=click.Path(path_type=Path), nargs=-1, required=True)
+@click.argument(
+    "logs", metavar="[LOG]...", type=click.Path(path_type=Path), nargs=-1,
+    help="MCAP files or run directories; by default the newest run below runs.",
+)  # fmt: skip
 @click.option(
     "-o", "--out", metavar="FILE", type=click.Path(path_type=Path, dir_okay=False), default=Path("report.html"),
     show_default=True, help="The page.",
@@ -162,15 +165,16 @@ def report(
 
     \b
     Examples:
-      fleet report runs/latest
+      fleet report
       fleet report runs/a runs/b -o compared.html --log-scale
     """
     from fleet.pictures.report import write
     from fleet.pictures.runs import View, check_view, load
     from fleet.terminal.progress import showing
 
+    chosen = logs or (newest_log(),)
     with showing("reading") as tell:
-        runs = load(logs, tell)
+        runs = load(chosen, tell)
     view = View(vehicles, log_scale, window)
     check_view(runs, view)
     with showing("drawing and adding up") as tell:
@@ -182,14 +186,14 @@ def report(
 
 
 @click.command()
-@click.argument("log", type=click.Path(path_type=Path))
+@log_argument
 @click.option("--json", "as_json", is_flag=True, help="Print as JSON.")
 def info(log: Path, as_json: bool) -> None:
     """Say what LOG (an MCAP file, or a run directory) holds, also when it was cut short.
 
     \b
     Examples:
-      fleet info runs/latest
+      fleet info
       fleet info runs/latest/run.mcap --json
     """
     from fleet.logs.info import info_text, read_info

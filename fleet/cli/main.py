@@ -10,7 +10,22 @@ from typing import TYPE_CHECKING
 
 import click
 
-from fleet.cli import bench, hosts, join, live, logs, new, protocol, replay, reproduce, run, verify, what_if
+from fleet.cli import (
+    bench,
+    hosts,
+    join,
+    live,
+    logs,
+    new,
+    protocol,
+    replay,
+    reproduce,
+    run,
+    runs,
+    status,
+    verify,
+    what_if,
+)
 from fleet.cli.completion import scenarios
 from fleet.cli.group import EPILOG, FleetGroup
 from fleet.cli.trust import TrustingCommand, trust_option
@@ -33,7 +48,7 @@ def cli() -> None:
       fleet list                           the scenarios that ship with the package
       fleet run paper                      run one: processes over zenoh, an MCAP log, a verdict
       fleet run my.yaml --seed 7 --speed 1 your own file, another seed, in real time
-      fleet info runs/latest/run.mcap      what a log holds
+      fleet info                           what the log of the newest run holds
     """
 
 
@@ -97,6 +112,6 @@ def list_() -> None:
     Terminal(width=None if sys.stdout.isatty() else 120).print(table)
 
 
-for _module in (bench, hosts, join, live, logs, new, protocol, replay, reproduce, run, verify, what_if):
+for _module in (bench, hosts, join, live, logs, new, protocol, replay, reproduce, run, runs, status, verify, what_if):
     for _command in _module.COMMANDS:
         cli.add_command(_command)

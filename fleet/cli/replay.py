@@ -14,7 +14,9 @@ from typing import Any
 
 import click
 
+from fleet.cli import completion
 from fleet.cli.group import exit_status, report
+from fleet.cli.log_argument import log_argument
 from fleet.cli.types import Duration, Endpoint, FileSize
 from fleet.errors import FleetError
 from fleet.processes.interrupts import ending_status
@@ -41,7 +43,7 @@ _listen = click.option(
 
 
 @click.command(epilog=EPILOG)
-@click.argument("log", type=click.Path(path_type=Path))
+@log_argument
 @click.option("-r", "--rate", metavar="X", type=float, default=1.0, show_default=True, callback=_rate,
               help="Times the log's own pace; 0: as fast as possible.")  # fmt: skip
 @click.option("-l", "--loop", is_flag=True, help="Begin again at the end, until Ctrl-C.")
@@ -91,8 +93,8 @@ def replay(
 
     \b
     Examples:
-      fleet replay runs/latest --listen tcp/127.0.0.1:7447
-      fleet replay runs/latest -r 0 --wait-for-subscribers --topics 'uuv/*/pose'
+      fleet replay --listen tcp/127.0.0.1:7447
+      fleet replay -r 0 --wait-for-subscribers --topics 'uuv/*/pose'
       fleet replay robot.mcap --loop --remap robot:=twin --connect tcp/127.0.0.1:7447
     """
     from rich.console import Console as Terminal
@@ -142,8 +144,9 @@ def replay(
 @click.option("--max-size", metavar="SIZE", type=FileSize(), help="Stop when the file is so large, e.g. '100 MB'.")
 @_connect
 @_listen
-@click.option("--run", metavar="DIR", type=click.Path(path_type=Path),
-              help="Record the journal of this live run, started with --publish, until it ends.")  # fmt: skip
+@click.option("--run", metavar="NAME", shell_complete=completion.published_runs,
+              help="Record the journal of this live run, started with --publish, until it ends: its name or the "
+              "beginning of it, its scenario, or its directory.")  # fmt: skip
 @click.option("-q", "--quiet", is_flag=True, help="No progress and no summary.")
 def record(
     keys: tuple[str, ...],
@@ -152,7 +155,7 @@ def record(
     max_size: int | None,
     connect: str | None,
     listen: str | None,
-    run: Path | None,
+    run: str | None,
     quiet: bool,
 ) -> None:
     """Record zenoh traffic of any kind to an MCAP file, until Ctrl-C.
@@ -164,7 +167,7 @@ def record(
     Examples:
       fleet record --key 'robot/**' -o robot.mcap --connect tcp/127.0.0.1:7447
       fleet record --key 'robot/**' --key 'base/*/status' --listen tcp/0.0.0.0:7447 --duration '10 min'
-      fleet record --run runs/latest -o journal.mcap
+      fleet record --run paper -o journal.mcap
     """
     from rich.console import Console as Terminal
 
@@ -219,20 +222,24 @@ def _session(connect: str | None, listen: str | None, credentials: Any) -> Any:
         return OpenBus.listen(listen or f"tcp/127.0.0.1:{free_port(None)}")
 
 
-def _observer(directory: Path) -> tuple[str, Any, str]:
-    """Endpoint, credentials and key prefix of a run that was started with --publish."""
+def _observer(run: str) -> tuple[str, Any, str]:
+    """Endpoint, credentials and key prefix of a live run that was started with --publish."""
     from fleet.replay.observed import read_observed
+    from fleet.run.connection import RemoteError, choose
+    from fleet.run.directory import OBSERVE
     from netem.private_file import DamagedFile
     from netem.wire.access import Credentials
     from netem.wire.keys import Keys
 
-    path = directory / "observe.json"
     try:
+        path = choose(run, OBSERVE) / OBSERVE
         found = read_observed(path)
         return found.endpoint, Credentials(found.user, found.password), Keys(found.run).prefix
+    except RemoteError as error:
+        raise click.BadParameter(f"{error}; it has to be one with --publish", param_hint="--run") from None
     except (OSError, DamagedFile):
         raise click.BadParameter(
-            f"{directory} is no live run that is published: there is no usable {path.name}", param_hint="--run"
+            f"{run} is no live run that is published: there is no usable {OBSERVE}", param_hint="--run"
         ) from None
 
 

@@ -131,6 +131,23 @@ class Vehicles(click.ParamType[tuple[int, ...]]):
             self.fail(str(error), param, ctx)
 
 
+class Age(click.ParamType[float]):
+    """An age with a unit, in s."""
+
+    name = "age"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        from fleet.quantities import AGE, QuantityError, parse
+
+        try:
+            age = value if isinstance(value, float) else float(parse(value, AGE)[0])
+        except (QuantityError, OverflowError) as error:
+            self.fail(str(error), param, ctx)
+        if age < 0:
+            self.fail(f"an age that is not negative is needed, got {value!r}", param, ctx)
+        return age
+
+
 class FileSize(click.ParamType[int]):
     """A file size with a unit, in whole bytes."""
 

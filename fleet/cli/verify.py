@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from fleet.cli.log_argument import log_argument, newest_log
 from fleet.cli.trust import TrustingCommand, trust_option
 
 if TYPE_CHECKING:
@@ -20,7 +21,7 @@ _log = click.Path(path_type=Path)
 
 
 @click.command(cls=TrustingCommand, epilog=_VERIFY)
-@click.argument("log", type=_log)
+@log_argument
 @trust_option
 @click.option("-q", "--quiet", is_flag=True, help="No progress.")
 def verify(log: Path, trust: Trust, quiet: bool) -> None:
@@ -31,7 +32,7 @@ def verify(log: Path, trust: Trust, quiet: bool) -> None:
 
     \b
     Examples:
-      fleet verify runs/latest
+      fleet verify
     """
     from fleet.repeat.verify import verification_lines
     from fleet.repeat.verify import verify as check
@@ -47,18 +48,18 @@ def verify(log: Path, trust: Trust, quiet: bool) -> None:
 
 
 @click.command(epilog=_DIFF)
-@click.argument("a", type=_log)
-@click.argument("b", type=_log)
+@click.argument("a", type=_log, help="An MCAP file or a run directory.")
+@click.argument("b", type=_log, required=False, help="By default the newest run below runs.")
 @click.option("--tolerance", metavar="X", type=click.FloatRange(min=0.0), default=0.0, show_default=True,
               help="The most that two numbers may be apart, each in its own unit.")  # fmt: skip
 @click.option("--all", "everything", is_flag=True, help="Every signal that differs, not only the first twenty.")
 @click.option("-q", "--quiet", is_flag=True, help="No progress.")
-def diff(a: Path, b: Path, tolerance: float, everything: bool, quiet: bool) -> None:
+def diff(a: Path, b: Path | None, tolerance: float, everything: bool, quiet: bool) -> None:
     """Say whether logs A and B hold the same messages, where they part, and how far apart each signal gets.
 
     \b
     Examples:
-      fleet diff runs/paper-1-20261121-120000 runs/latest
+      fleet diff runs/paper-1-20261121-120000
       fleet diff a.mcap b.mcap --tolerance 1e-9
     """
     from fleet.logs.deviation import compare, deviation_lines
@@ -66,8 +67,11 @@ def diff(a: Path, b: Path, tolerance: float, everything: bool, quiet: bool) -> N
     from fleet.logs.reader import LogReader, log_path
     from fleet.terminal.progress import showing
 
-    with showing(f"comparing {a} and {b}", quiet=quiet) as tell:
-        left, right = LogReader(log_path(a), tell), LogReader(log_path(b))
+    second = newest_log() if b is None else b
+    if b is None and log_path(a).exists() and log_path(a).samefile(log_path(second)):
+        raise click.UsageError("A is the newest run itself: name the log to compare it with")
+    with showing(f"comparing {a} and {second}", quiet=quiet) as tell:
+        left, right = LogReader(log_path(a), tell), LogReader(log_path(second))
         found = compare(left, right)
     for name, reader in (("a", left), ("b", right)):
         if reader.missing:
@@ -86,7 +90,7 @@ def diff(a: Path, b: Path, tolerance: float, everything: bool, quiet: bool) -> N
 
 
 @click.command(epilog=_RECOVER)
-@click.argument("log", type=_log)
+@log_argument
 @click.option("-o", "--out", metavar="OUT", type=_log, help="Where to write; by default LOG.recovered.mcap beside it.")
 def recover(log: Path, out: Path | None) -> None:
     """Write what is left of a cut or damaged LOG as a clean file with an index.
@@ -95,7 +99,7 @@ def recover(log: Path, out: Path | None) -> None:
 
     \b
     Examples:
-      fleet recover runs/latest
+      fleet recover
       fleet recover cut.mcap -o clean.mcap
     """
     from fleet.logs.recover import recover as write

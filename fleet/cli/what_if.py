@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from fleet.cli.log_argument import log_argument
 from fleet.cli.trust import TrustingCommand, trust_option
 
 if TYPE_CHECKING:
@@ -16,7 +17,7 @@ if TYPE_CHECKING:
 
 
 @click.command(cls=TrustingCommand, name="whatif")
-@click.argument("log", type=click.Path(path_type=Path))
+@log_argument
 @click.option("--agent", type=click.IntRange(min=1), required=True, help="The number of the vehicle.")
 @click.option("--controller", metavar="LAW", help="Short for --set controller=LAW: a name, or package.module:Class.")
 @click.option("--set", "overrides", metavar="KEY=VALUE", multiple=True, help="Change one scenario key.")
@@ -38,10 +39,10 @@ def command(
 
     \b
     Examples:
-      fleet whatif runs/latest --agent 3
-      fleet whatif runs/latest --agent 3 --controller bsmc --plot 3.png
-      fleet whatif runs/latest --agent 1 --set tracking.k_u=2 --set profile=hardened
-      fleet whatif runs/latest --agent 2 --controller my_module:MyController
+      fleet whatif --agent 3
+      fleet whatif --agent 3 --controller bsmc --plot 3.png
+      fleet whatif --agent 1 --set tracking.k_u=2 --set profile=hardened
+      fleet whatif --agent 2 --controller my_module:MyController
     """
     from rich.console import Console
     from rich.status import Status

@@ -1,9 +1,8 @@
-"""A live run, seen from another terminal: find it by its connection file, and ask its console."""
+"""A live run, seen from another terminal: find it by its name, from any folder, and ask its console."""
 
 from __future__ import annotations
 
-import contextlib
-import os
+import os.path
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -11,6 +10,8 @@ from typing import Annotated, Any
 import msgspec
 
 from fleet.errors import FleetError
+from fleet.run.directory import CONNECTION, RUN_NAME, in_use
+from fleet.run.registry import registered
 from netem.errors import BusError
 from netem.private_file import DamagedFile, parse_json
 from netem.whole_file import read_file
@@ -24,9 +25,11 @@ MOST_BYTES = 100_000  # of a connection file, with certificates
 
 
 class RemoteError(FleetError):
-    """There is no such run, it does not answer, or it refuses."""
+    """There is no such run, it does not answer (`status` 3), or something else should have been asked for (2)."""
 
-    status = 3
+    def __init__(self, text: str, status: int = 3) -> None:
+        super().__init__(text)
+        self.status = status
 
 
 class ConnectionFile(msgspec.Struct):
@@ -63,51 +66,97 @@ class LiveRun:
     run: str
     credentials: Credentials
 
+    @property
+    def name(self) -> str:
+        """What answers call it, and users: the name of its directory."""
+        return self.directory.name
+
     def __repr__(self) -> str:
         return f"LiveRun({self.directory}, pid {self.pid})"
 
 
-def live_runs(out: Path) -> list[LiveRun]:
-    """The runs under a directory whose console lives, the newest first. Files that a killed run left are removed."""
-    runs: list[tuple[float, LiveRun]] = []
-    for path in out.glob("*/connection.json"):
-        if path.parent.is_symlink():
-            continue
-        one = _read(path)
-        if one is None:
-            _remove_stale(path)
-        else:
-            runs.append((path.stat().st_mtime, one))
-    return [one for _, one in sorted(runs, key=lambda pair: -pair[0])]
-
-
-def find(run: Path | None, out: Path) -> LiveRun:
-    """Find a live run.
-
-    Args:
-        run: its directory, also relative to `out`; None: the newest live run under `out`.
+def live_runs() -> list[LiveRun]:
+    """The runs of this user that can be asked, wherever they are, by name. A run in one process answers nobody.
 
     Raises:
-        RemoteError: there is none.
+        RegistryError: it is not known which runs there are.
     """
-    if run is None:
-        runs = live_runs(out)
-        if not runs:
-            raise RemoteError(f"no live run under {out}; name one with --run DIR, or where runs are with --out DIR")
-        return runs[0]
-    directory = run if run.is_dir() else out / run
-    path = directory / "connection.json"
-    if not path.exists():
-        raise RemoteError(f"{directory} is no live run: there is no connection file")
-    one = _read(path)
+    found = [_read(directory) for directory in published(CONNECTION)]
+    return sorted((one for one in found if one is not None), key=lambda one: (one.name, one.directory))
+
+
+def find(run: str | None = None) -> LiveRun:
+    """Find a live run that can be asked. Arguments and errors as `choose`."""
+    directory = choose(run, CONNECTION)
+    one = _read(directory)
     if one is None:
-        raise RemoteError(f"the run in {directory} is over: its console is gone")
+        raise RemoteError(f"{directory} is no live run: there is no usable {CONNECTION}")
     return one
 
 
+def published(file: str) -> list[Path]:
+    """The directories of the live runs that have such a file. Raises RegistryError: it is not known which."""
+    return [directory for directory in registered() if os.path.exists(directory / file)]
+
+
+def choose(run: str | None, file: str) -> Path:
+    """The directory of the one live run that is meant, of those that have such a file.
+
+    Args:
+        run: its directory; or of the registered ones a name, a scenario or the beginning of a name that only one has;
+            None: the only one.
+
+    Raises:
+        RemoteError: there is none, or there are several.
+        RegistryError: it is not known which runs there are.
+    """
+    if run is not None and os.path.exists(Path(run) / file):  # unlike Path.exists it never raises
+        directory = Path(run).resolve()  # `latest` is no name
+        if not in_use(directory):
+            raise RemoteError(f"the run in {directory} is over: its console is gone")
+        return directory
+    if run is not None and "/" in run:
+        raise RemoteError(f"{run} is no live run: there is no {file}")
+    known = published(file)
+    found = known if run is None else _named(run, known)
+    if not found:
+        raise RemoteError(_nothing(run, known))
+    if len(found) > 1:
+        asked = "" if run is None else f" that {run!r} may mean"
+        raise RemoteError(f"{len(found)} live runs{asked}; say which:{_choices(found)}", 2)
+    return found[0]
+
+
+def _named(run: str, known: list[Path]) -> list[Path]:
+    """Those of the runs whose name, or else whose scenario, or else the beginning of whose name this is."""
+    return (
+        [directory for directory in known if directory.name == run]
+        or [directory for directory in known if _scenario(directory) == run]
+        or [directory for directory in known if directory.name.startswith(run)]
+    )
+
+
+def _scenario(directory: Path) -> str:
+    """The scenario of a run: its directory is called <scenario>-<seed>-<day>-<time>, perhaps with a number behind."""
+    found = RUN_NAME.fullmatch(directory.name)
+    return found["scenario"] if found else ""
+
+
+def _nothing(run: str | None, known: list[Path]) -> str:
+    if run is None:
+        return "no live run; fleet ls lists the runs below runs, also those in one process, which answer nobody"
+    return f"no live run is called {run!r}" + (f"; there are:{_choices(known)}" if known else "; there is none at all")
+
+
+def _choices(found: list[Path]) -> str:
+    """A line for each, with what to type: the whole directory where a name is not unique."""
+    names = [directory.name for directory in found]
+    return "".join(f"\n  --run {d if names.count(d.name) > 1 else d.name}" for d in found)
+
+
 def is_live(run: LiveRun) -> bool:
-    """Whether the console of a run lives and has not finished."""
-    return _read(run.directory / "connection.json") is not None
+    """Whether a run has not ended."""
+    return in_use(run.directory) and os.path.exists(run.directory / CONNECTION)
 
 
 def ask(run: LiveRun, op: str, **fields: Any) -> dict[str, Any]:
@@ -125,36 +174,22 @@ def ask(run: LiveRun, op: str, **fields: Any) -> dict[str, Any]:
     try:
         bus = Bus.connect(run.endpoint, run.credentials, timeout_ms=2000)
     except BusError as error:
-        raise RemoteError(f"the run in {run.directory} cannot be reached: {error}") from None
+        raise RemoteError(f"{run.name} cannot be reached: {error}") from None
     try:
         answer = bus.ask(f"{Keys(run.run).op}/{op}", request(op, **fields), timeout_s=ASK_S)
     finally:
         bus.close()
     if answer is None:
-        raise RemoteError(f"the run in {run.directory} did not answer within {ASK_S:g} s; is it over?")
+        raise RemoteError(f"{run.name} did not answer within {ASK_S:g} s; is it over?")
     values = read_map(answer)
     if "error" in values:
-        raise RemoteError(f"refused: {values['error']}")
+        raise RemoteError(f"{run.name}: refused: {values['error']}", 2 if values.get("status") == 2 else 3)
     return values
 
 
-def _remove_stale(path: Path) -> None:
-    """Remove the file of a console that was killed: it holds a password that is of no use any more."""
-    values = ConnectionFile.read(path)
-    import psutil  # only when a run was killed
-
-    if values is not None and not psutil.pid_exists(values.pid):
-        with contextlib.suppress(OSError):
-            path.unlink()
-
-
-def _read(path: Path) -> LiveRun | None:
-    values = ConnectionFile.read(path)
+def _read(directory: Path) -> LiveRun | None:
+    values = ConnectionFile.read(directory / CONNECTION)
     if values is None:
         return None
-    try:
-        os.kill(values.pid, 0)  # raises when there is no such process
-    except OSError:
-        return None
     credentials = Credentials.from_values(msgspec.structs.asdict(values))
-    return LiveRun(path.parent, values.scenario, values.pid, values.endpoint, values.run, credentials)
+    return LiveRun(directory, values.scenario, values.pid, values.endpoint, values.run, credentials)

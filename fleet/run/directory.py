@@ -1,19 +1,28 @@
-"""The directory of a run: its log, its result and the logs of its processes; and a `latest` link beside it."""
+"""The directory of a run: its log, its result and the logs of its processes; and a `latest` link beside it.
+
+While the run goes on, its console holds a lock on the file with the scenario. The system takes the lock away when the
+process ends, however it ends, so it says which runs live.
+"""
 
 from __future__ import annotations
 
 import errno
+import fcntl
 import json
 import os
+import re
 import secrets
 import time
+from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 from fleet.errors import FleetError
-from netem.whole_file import write_whole
+from netem.whole_file import open_file, write_whole
 
 LATEST = "latest"
+SCENARIO, RESULT, CONNECTION, OBSERVE = "scenario.yaml", "result.json", "connection.json", "observe.json"
+RUN_NAME = re.compile(r"(?P<scenario>.+)-(?P<seed>\d+)-(?P<began>\d{8}-\d{6})(-\d+)?", re.ASCII)
 
 
 class RunDirectoryError(FleetError):
@@ -49,7 +58,9 @@ class RunDirectory:
             (self.path / "log").mkdir()
         except OSError as error:
             raise RunDirectoryError(f"cannot make a run directory in {out}", error) from error
-        self._link_latest(out)
+        link_latest(out, self.path.name)
+        self._scenario: IO[bytes] | None = None  # open while the run goes on
+        self.locked = False  # whether others can see that it does; not every file system has locks
 
     @property
     def log(self) -> Path:
@@ -58,12 +69,12 @@ class RunDirectory:
     @property
     def connection(self) -> Path:
         """How to reach the run; mode 0600; it exists only while the run lives."""
-        return self.path / "connection.json"
+        return self.path / CONNECTION
 
     @property
     def observe(self) -> Path:
         """Where and as whom to subscribe to a published run; mode 0600; it exists only while the run lives."""
-        return self.path / "observe.json"
+        return self.path / OBSERVE
 
     def join(self, i: int) -> Path:
         """What the external agent i needs to join; mode 0600; it exists only while the run lives."""
@@ -73,19 +84,28 @@ class RunDirectory:
         return self.path / "log" / f"{role}.log"
 
     def write_scenario(self, text: str) -> None:
-        """Write the merged scenario. Raises RunDirectoryError: there is no room."""
-        path = self.path / "scenario.yaml"
+        """Write the merged scenario, and lock it until `close`. Raises RunDirectoryError: there is no room."""
+        path = self.path / SCENARIO
         try:
             path.write_text(text, "utf-8")
+            self._scenario = path.open("ab")
         except OSError as error:
             raise RunDirectoryError(f"cannot write {path}", error) from error
+        with suppress(OSError):
+            fcntl.flock(self._scenario, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            self.locked = True
+
+    def close(self) -> None:
+        """Release the lock: the run is over."""
+        if self._scenario is not None:
+            self._scenario.close()
 
     def write_result(self, values: dict[str, Any]) -> None:
-        (self.path / "result.json").write_text(json.dumps(values, indent=2) + "\n", "utf-8")
+        (self.path / RESULT).write_text(json.dumps(values, indent=2) + "\n", "utf-8")
 
     def remove_result(self) -> None:
         """Remove the result: half of one is worse than none."""
-        (self.path / "result.json").unlink(missing_ok=True)
+        (self.path / RESULT).unlink(missing_ok=True)
 
     def write_connection(self, values: dict[str, Any]) -> None:
         """Write the connection file. Raises RunDirectoryError: there is no room."""
@@ -94,14 +114,39 @@ class RunDirectory:
         except OSError as error:
             raise RunDirectoryError(f"cannot write {self.connection}", error) from error
 
-    def _link_latest(self, out: Path) -> None:
-        temporary = out / f".{LATEST}-{secrets.token_hex(4)}"
-        try:
-            temporary.symlink_to(self.path.name)
-            os.replace(temporary, out / LATEST)
-        except OSError:
-            # A convenience only: the file system has no links, or `latest` is a directory.
-            temporary.unlink(missing_ok=True)
+
+def link_latest(out: Path, name: str) -> None:
+    """Let the link `latest` lead to a run in the same directory, if that is possible: it is a convenience only."""
+    temporary = out / f".{LATEST}-{secrets.token_hex(4)}"
+    try:
+        temporary.symlink_to(name)
+        os.replace(temporary, out / LATEST)
+    except OSError:
+        # The file system has no links, or `latest` is a directory.
+        temporary.unlink(missing_ok=True)
+
+
+def in_use(directory: Path) -> bool:
+    """Whether a run goes on in a directory. One that was killed is over at once, whoever has its number now.
+
+    Where that cannot be seen (a file system without locks), one without a result may go on.
+    """
+    try:
+        with open_file(directory / SCENARIO) as file:
+            fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    except OSError as error:
+        there_is_none = error.errno in (errno.ENOENT, errno.ENOTDIR, errno.ELOOP)
+        return not there_is_none and not os.path.exists(directory / RESULT)
+    return False
+
+
+def remove_secrets(directory: Path) -> None:
+    """Remove what a killed run left: files with passwords that are of no use any more."""
+    with suppress(OSError):
+        for path in (directory / CONNECTION, directory / OBSERVE, *directory.glob("join-*.json")):
+            path.unlink(missing_ok=True)
 
 
 def _make_unique(out: Path, base: str) -> Path:

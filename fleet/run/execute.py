@@ -5,6 +5,7 @@ from __future__ import annotations
 import secrets
 import sys
 import time
+from contextlib import ExitStack, closing
 from dataclasses import dataclass, field
 from enum import IntEnum
 from pathlib import Path
@@ -29,6 +30,7 @@ from fleet.run.in_process import InProcess
 from fleet.run.options import Options
 from fleet.run.progress import ProgressLine
 from fleet.run.publication import NoPublication, Publication
+from fleet.run.registry import RegistryError, register
 from fleet.run.runner import Runner
 from fleet.scenario.scenario import Scenario
 from fleet.terminal.status_line import StatusLine
@@ -95,8 +97,8 @@ def execute(scenario: Scenario, options: Options, terminal: Terminal | None = No
         ExternalError: somebody else is to start an agent, and the run is to be one process.
     """
     interrupts = DeferInterrupts()
-    with interrupts.handling():
-        run = _prepare(scenario, options, terminal or Terminal(stderr=True), interrupts)
+    with interrupts.handling(), ExitStack() as while_it_lives:
+        run = _prepare(scenario, options, terminal or Terminal(stderr=True), interrupts, while_it_lives)
         _serve(run)
         with interrupts:  # what there is gets written, whatever comes meanwhile
             _settle(run)
@@ -105,7 +107,9 @@ def execute(scenario: Scenario, options: Options, terminal: Terminal | None = No
     return run.result
 
 
-def _prepare(scenario: Scenario, options: Options, terminal: Terminal, interrupts: DeferInterrupts) -> _Run:
+def _prepare(
+    scenario: Scenario, options: Options, terminal: Terminal, interrupts: DeferInterrupts, while_it_lives: ExitStack
+) -> _Run:
     """Make the run directory, the log and the journal; start the publisher, if there is one, and nothing else."""
     in_process = options.in_process or scenario.ideal or options.start is not None
     if in_process:
@@ -114,8 +118,13 @@ def _prepare(scenario: Scenario, options: Options, terminal: Terminal, interrupt
         free_port(options.port)  # before anything is made
 
     line = StatusLine(terminal, quiet=options.quiet)
-    directory = RunDirectory(options.out, scenario.name, scenario.seed)
+    directory = while_it_lives.enter_context(closing(RunDirectory(options.out, scenario.name, scenario.seed)))
     directory.write_scenario(scenario.to_yaml())
+    try:
+        while_it_lives.callback(register(directory).unlink, missing_ok=True)
+    except RegistryError as error:
+        if not in_process:  # which answers nobody
+            line.print(f"the run is not registered: {error}; commands find it with --run {directory.path}")
     number = (options.rendezvous and options.rendezvous.run) or secrets.token_hex(4)
     publication: Publication | NoPublication = NoPublication()
     if options.publish:

@@ -17,6 +17,7 @@ from fleet.errors import FleetError
 from fleet.recorder.journal import Journal
 from fleet.run.clock import LiveClock
 from fleet.run.fleet import Fleet
+from fleet.run.live_status import link_rows, vehicle_rows
 from fleet.scenario.rules.faults import fault_problems
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.schema.faults import FaultEntry, FaultSection
@@ -25,12 +26,20 @@ from netem.faults import NetFault
 from netem.lives import WHENEVER
 from world.faults import WorldFault
 
+BROKEN = 3  # the status of a refusal for which the asker can do nothing
 MOST_SPEED = 1e6  # times real time; more than any machine makes, and finite
 _ENTRY: TypeAdapter[FaultSection] = TypeAdapter(FaultEntry)
 
 
 class RefusedError(FleetError):
-    """A request that cannot be carried out; the text says why."""
+    """A request that cannot be carried out; the text says why.
+
+    Its `status` is 2 when something else should have been asked for, 3 when the run cannot do it now.
+    """
+
+    def __init__(self, text: str, status: int = 2) -> None:
+        super().__init__(text)
+        self.status = status
 
 
 @dataclass
@@ -54,7 +63,7 @@ class Operator:
         try:
             match request.get("op"):
                 case "status":
-                    return self._status()
+                    return self._status(every=request.get("all") is True)
                 case "inject":
                     return self._inject(request.get("fault"))
                 case "faults":
@@ -69,29 +78,31 @@ class Operator:
                 case other:
                     raise RefusedError(f"there is no operation {other!r:.40}")
         except RefusedError as error:
-            return {"error": str(error)}
+            return {"error": str(error), "status": error.status}
 
-    def _status(self) -> dict[str, Any]:
+    def _status(self, *, every: bool) -> dict[str, Any]:
         total = self.journal.ledger.total()
+        dead = self.fleet.without_agent()
         return {
             "scenario": self.scenario.name,
-            "vehicles": self.scenario.vehicles,
             "at_s": self._seconds(max(0, self.journal.framed)),
             "end_s": self._seconds(self.scenario.ticks),
             "clock": self.clock.describe(),
             "formation": self.journal.metrics.formation._asdict(),
-            "tumbled": sorted(self.journal.tumbled),
             "delivered": total.delivered,
             "lost": sum(total.lost.values()) - total.replaced,
             "faults": [fault for fault in self._listed() if fault["active"]],
-            "dead": self.fleet.without_agent(),
             "waiting": self.fleet.waiting,
+            "vehicles_total": self.scenario.vehicles,
+            "vehicles": vehicle_rows(self.scenario, self.journal, dead, every=every),
+            "links_total": len(self.journal.ledger.accounts),
+            "links": link_rows(self.scenario, self.journal, every=every),
         }
 
     def _inject(self, entry: Any) -> dict[str, Any]:
         tick = self.fleet.granted
         if tick >= self.scenario.ticks:
-            raise RefusedError("the run is about to end")
+            raise RefusedError("the run is about to end", BROKEN)
         if not isinstance(entry, dict) or "at" in entry:
             raise RefusedError("expected a fault without a time: it acts now")
         try:
@@ -109,10 +120,12 @@ class Operator:
         name = section.id or next(n for n in map("live-{}".format, count(1)) if n not in self._words)
         if name in self._words:
             raise RefusedError(f"there is a fault {name} already")
-        self._add(section, name)
-        return {"id": name, "at_s": self._seconds(tick), "what": words(section)}
+        end = self._add(section, name)
+        times = {"from_s": self._seconds(tick), "to_s": self._seconds(end), "until_healed": section.for_ is None}
+        return {"id": name, "what": words(section), **times}
 
-    def _add(self, section: FaultSection, name: str) -> None:
+    def _add(self, section: FaultSection, name: str) -> int:
+        """Add a fault; returns the tick at which it ends unless it is healed."""
         scenario = self.scenario
         found = parts(section, name, scenario.spec, scenario.graph.links)
         if not any(not isinstance(part, NetFault) or part.links or part.vehicles for part in found):
@@ -123,8 +136,10 @@ class Operator:
                 self.journal.tell_deaths(part.absences)
                 self.fleet.end_agents(part)
         self._words[name] = words(section)
-        for event in begin_and_end(found, section, scenario.ticks):
-            self.journal.add_event(event)
+        begin, end = begin_and_end(found, section, scenario.ticks)
+        self.journal.add_event(begin)
+        self.journal.add_event(end)
+        return end.tick
 
     def _heal(self, name: Any) -> dict[str, Any]:
         tick = self.fleet.granted
@@ -153,7 +168,7 @@ class Operator:
                 raise RefusedError(f"agent {min(both)} was killed by {part.id}, too: heal that one first")
         acts = round_tick if kills or restarted else tick
         if acts >= self.scenario.ticks:
-            raise RefusedError("no round is left in which an agent could begin again")
+            raise RefusedError("no round is left in which an agent could begin again", BROKEN)
         ends = {part: round_tick if isinstance(part, Kill) else tick for part in lasting if part.id in healed}
         self._replace([with_end(part, ends[part]) if part in ends else part for part in self.faults])
         for i in restarted:
@@ -168,7 +183,7 @@ class Operator:
     def _replace(self, faults: Sequence[Part]) -> None:
         ordered = sorted(faults, key=lambda fault: fault.begin)
         if not self.fleet.set_network_faults(tuple(fault for fault in ordered if isinstance(fault, NetFault))):
-            raise RefusedError("netem did not answer; nothing was changed")
+            raise RefusedError("netem did not answer; nothing was changed", BROKEN)
         self.fleet.set_world_faults(tuple(fault for fault in ordered if isinstance(fault, WorldFault)))
         self.faults = ordered
 
@@ -191,21 +206,25 @@ class Operator:
 
     def _listed(self) -> list[dict[str, Any]]:
         """Every fault that is, was or will be active, with its state at the first tick that is not granted."""
-        now, last = min(self.fleet.granted, self.scenario.ticks - 1), self.scenario.ticks
+        now = min(self.fleet.granted, self.scenario.ticks - 1)
         found: dict[str, dict[str, Any]] = {}
         for fault in self.faults:
             state = "active" if fault.active(now) else "over" if fault.begin < now else "to come"
-            found[fault.id] = self._row(fault.id, self._words[fault.id], fault.begin, fault.end or last, state)
-        for event in (*self.journal.deaths.values(), *self._states()):
-            found[event.fault] = self._row(event.fault, event.what, event.tick, last, "active")
+            found[fault.id] = self._row(fault.id, self._words[fault.id], fault.begin, fault.end, state)
+        for event in self.journal.deaths.values():
+            found[event.fault] = self._row(event.fault, event.what, event.tick, None, "active")
+        for event in self._states():
+            found[event.fault] = self._row(event.fault, event.what, event.tick, self.scenario.ticks, "active")
         return list(found.values())
 
     def _states(self) -> list[Event]:
         """Lasting states of vehicles: those that tumbled, and those whose motion left the finite numbers."""
         return [*self.journal.tumbled.values(), *self.journal.diverged.values()]
 
-    def _row(self, name: str, what: str, begin: int, end: int, state: str) -> dict[str, Any]:
-        times = {"from_s": self._seconds(begin), "to_s": self._seconds(min(end, self.scenario.ticks))}
+    def _row(self, name: str, what: str, begin: int, end: int | None, state: str) -> dict[str, Any]:
+        last = self.scenario.ticks
+        to_s = self._seconds(last if end is None else min(end, last))
+        times = {"from_s": self._seconds(begin), "to_s": to_s, "until_healed": end is None}
         return {"id": name, "what": what, **times, "state": state, "active": state == "active"}
 
     def _seconds(self, tick: int) -> float:

@@ -24,6 +24,7 @@ from any_message import ANY_MESSAGE, messages
 from click.testing import CliRunner
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from live_directory import live_directory
 from msgspec.structs import astuple
 from nowhere import Nowhere, serve
 
@@ -642,14 +643,13 @@ CONNECTIONS = st.one_of(
 @fuzz
 def test_no_connection_file_crashes_the_tools(tmp_path_factory: pytest.TempPathFactory, text: str) -> None:
     """`fleet ps` and `fleet status` say in a line what they make of any connection.json, without a traceback."""
-    run = tmp_path_factory.getbasetemp() / "fuzzed-runs" / "paper-1-20261121-000000"
-    run.mkdir(parents=True, exist_ok=True)
-    (run / "connection.json").write_bytes(text.encode("utf-8", "surrogateescape"))
-    for arguments in (["ps", "--out", str(run.parent)], ["status", "--run", str(run)]):
-        result = CliRunner().invoke(cli, arguments)
-        assert result.exception is None or isinstance(result.exception, SystemExit), repr(result.exception)
-        assert result.exit_code in (0, 3), (result.exit_code, result.output)
-        assert "Traceback" not in result.output
+    with live_directory(tmp_path_factory.getbasetemp() / "fuzzed-runs") as run:
+        (run / "connection.json").write_bytes(text.encode("utf-8", "surrogateescape"))
+        for arguments in (["ps"], ["ps", "--json"], ["status"], ["status", "--run", str(run)]):
+            result = CliRunner().invoke(cli, arguments)
+            assert result.exception is None or isinstance(result.exception, SystemExit), repr(result.exception)
+            assert result.exit_code in (0, 3), (result.exit_code, result.output)
+            assert "Traceback" not in result.output
 
 
 JOIN_FILES = st.one_of(

@@ -16,6 +16,7 @@ from typing import Any
 
 import pytest
 from live import Stopwatch
+from live_directory import live_directory
 from repository import ROOT
 
 from agents.join_file import JoinError, JoinFile
@@ -121,9 +122,10 @@ def test_a_scenario_from_a_command() -> None:
 
 
 def test_a_connection_file_that_is_a_pipe(tmp_path: Path) -> None:
-    (tmp_path / "one").mkdir()
-    os.mkfifo(tmp_path / "one" / "connection.json")
-    assert live_runs(tmp_path) == []
+    with live_directory(tmp_path) as run:
+        (run / "connection.json").unlink()
+        os.mkfifo(run / "connection.json")
+        assert live_runs() == []
 
 
 # --- too many faults, too many mistakes -----------------------------------------
@@ -313,10 +315,11 @@ def test_timing_of_a_result(run: Run, tmp_path: Path) -> None:
 def test_no_observe_file_crashes_a_recorder(text: str, tmp_path: Path) -> None:
     from click.testing import CliRunner
 
-    if text == "PIPE":
-        os.mkfifo(tmp_path / "observe.json")
-    else:
-        (tmp_path / "observe.json").write_text(text)
-    done = CliRunner().invoke(cli, ["record", "--run", str(tmp_path), "-o", str(tmp_path / "x.mcap")])
+    with live_directory(tmp_path) as run:
+        if text == "PIPE":
+            os.mkfifo(run / "observe.json")
+        else:
+            (run / "observe.json").write_text(text)
+        done = CliRunner().invoke(cli, ["record", "--run", str(run), "-o", str(tmp_path / "x.mcap")])
     assert done.exit_code == 2
     assert "is no live run that is published: there is no usable observe.json" in " ".join(done.output.split())

@@ -11,10 +11,10 @@ from fleet.run.connection import ask, find
 
 
 class Hand:
-    """Does to the run under a directory what `fleet inject`, `heal`, `clock` and `status` do."""
+    """Does to the newest run under a directory what `fleet inject`, `heal`, `clock` and `status` do."""
 
     def __init__(self, out: Path) -> None:
-        self.run = find(None, out)
+        self.run = find(str(out / "latest"))
 
     def inject(self, **fault: Any) -> dict[str, Any]:
         return ask(self.run, "inject", fault=fault)

@@ -11,7 +11,7 @@ from fleet.cli.main import cli
 
 
 def tool(out: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
-    """A command as from another terminal: over zenoh to the run, but without starting Python each time."""
-    result = CliRunner().invoke(cli, [*arguments, "--out", str(out)])
+    """A command for the newest run below a directory, as from another terminal, but without starting Python."""
+    result = CliRunner().invoke(cli, [*arguments, "--run", str(out / "latest")])
     assert result.exception is None or isinstance(result.exception, SystemExit), result.exception
     return subprocess.CompletedProcess(arguments, result.exit_code, result.stdout, result.stderr)

@@ -204,7 +204,7 @@ def test_who_comes_back_after_his_death_is_sent_away(tmp_path: Path) -> None:
         run.until_running(1.0)
         agent.send_signal(signal.SIGKILL)
         agent.wait(LIMIT_S)
-        found = find(run.directory, tmp_path)
+        found = find(str(run.directory))
         wait_for(lambda: "death-1" in str(ask(found, "faults")), LIMIT_S, "its death")
         heard: list[bytes] = []
         ghost = Bus.connect(joining.endpoint, joining.credentials)

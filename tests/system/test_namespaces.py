@@ -190,7 +190,9 @@ def test_a_link_that_stays_silent_is_the_death_of_its_agents(hosts: Hosts, pki: 
             said = agents[i].communicate(timeout=LIMIT_S)[0]
             assert "the link to the run has ended" in said or "its link had ended, and its life with it" in said
             assert agents[i].returncode == 3
-        assert hosts.fleet("heal", "--run", str(run.directory)).startswith("healed death-3, death-4")
+        assert hosts.fleet("heal", "--run", str(run.directory)).startswith(
+            f"{run.directory.name}: healed death-3, death-4"
+        )
         # Slow until here, so that agents can take over before it ends, however busy this machine is.
         hosts.fleet("clock", "speed", "max", "--run", str(run.directory))
         files = [run.directory / f"join-{i}.json" for i in (3, 4)]

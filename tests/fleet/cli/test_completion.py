@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import json
-import os
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
+from live_directory import live_directory
 
 from fleet.cli.main import cli
 from fleet.scenario.loading import load_scenario
@@ -23,15 +23,10 @@ def offered(monkeypatch: pytest.MonkeyPatch, *words: str, shell: str = "zsh") ->
 
 
 @pytest.fixture
-def live(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
-    """A run directory as a live run of ours has it; nobody answers there."""
-    directory = tmp_path / "runs" / "paper-1"
-    directory.mkdir(parents=True)
-    (directory / "scenario.yaml").write_text(load_scenario("paper", ["vehicles=3"]).to_yaml())
-    values = {"endpoint": "tcp/127.0.0.1:1", "run": "a", "scenario": "paper", "user": "u", "password": "p"}
-    (directory / "connection.json").write_text(json.dumps(values | {"pid": os.getpid()}))
-    monkeypatch.chdir(tmp_path)
-    return "runs/paper-1"
+def live(tmp_path: Path) -> Iterator[str]:
+    """The name of a live run of ours; nobody answers there."""
+    with live_directory(tmp_path, text=load_scenario("paper", ["vehicles=3"]).to_yaml()) as directory:
+        yield directory.name
 
 
 def test_words_that_need_no_run(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -42,7 +37,7 @@ def test_words_that_need_no_run(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_targets_are_those_of_the_run(live: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert offered(monkeypatch, "status", "--run", "r") == [live]
+    assert offered(monkeypatch, "status", "--run", "p") == [live]
     assert offered(monkeypatch, "inject", "kill", "") == ["1", "2", "3"]
     assert offered(monkeypatch, "inject", "down", "2") == ["2->1", "2->3", "2<->3"]
     assert offered(monkeypatch, "inject", "link", "1->2", "del") == ["delay"]

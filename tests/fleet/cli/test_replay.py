@@ -70,7 +70,7 @@ def test_bad_options_of_replay(arguments: list[str], words: str, log: Path) -> N
         (["--key", "a//b"], "no key expression"),
         (["--key", "x", "--max-size", "10"], "without a unit"),
         (["--key", "x", "--max-size", "10 furlongs"], "MB"),
-        (["--run", "/nowhere"], "no live run that is published"),
+        (["--run", "/nowhere"], "is no live run: there is no observe.json; it has to be one with --publish"),
         (["--key", "x", "-o", "/nowhere/x.mcap"], "No such file"),
         (["--key", "x", "-o", __file__], "exists already"),
     ],

@@ -1,0 +1,173 @@
+"""The runs below a directory: which there are, what they came to, how large they are, and which may go."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Collection, Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+
+import msgspec
+
+from fleet.errors import FleetError
+from fleet.run.directory import LATEST, RESULT, RUN_NAME, SCENARIO, RunDirectoryError, in_use, link_latest
+from netem.private_file import DamagedFile, parse_json
+from netem.whole_file import read_file
+
+PASS, FAIL, BROKE, STOPPED, LIVE = VERDICTS = ("pass", "FAIL", "broke", "stopped", "live")
+FINISHED = VERDICTS[:-1]
+_OF_STATUS = {"pass": PASS, "check_failed": FAIL, "interrupted": STOPPED, "hung_up": STOPPED}
+_MOST_BYTES = 20_000_000  # of a result
+
+
+class PruneError(FleetError):
+    """A run cannot be removed."""
+
+    status = 3
+
+
+@dataclass(frozen=True, slots=True)
+class PastRun:
+    """One run directory, of a run that goes on or is over."""
+
+    path: Path
+    scenario: str
+    verdict: str  # one of VERDICTS; a run without a result broke
+    sim_s: float | None  # None: there is no result
+    size: int  # of all its files [bytes]
+    began: datetime
+
+    @property
+    def name(self) -> str:
+        return self.path.name
+
+
+class _Result(msgspec.Struct):
+    """What is read of a result; whoever wrote it, it must be this."""
+
+    status: str
+    sim_s: float
+
+
+def past_runs(out: Path) -> list[PastRun]:
+    """The runs below a directory, the newest first. What is no run directory of ours, or a link, is none.
+
+    Raises:
+        RunDirectoryError: the directory cannot be read.
+    """
+    found = [_read(path, began) for path, began in _ours(out)]
+    return sorted(found, key=lambda run: (run.began, run.name), reverse=True)
+
+
+def newest_run(out: Path) -> Path | None:
+    """The directory of the newest run: that to which `latest` leads, or else the one that began last.
+
+    Raises:
+        RunDirectoryError: the directory cannot be read.
+    """
+    with suppress(OSError):
+        path = out / (out / LATEST).readlink()
+        if path.is_dir():
+            return path
+    return _began_last(out)
+
+
+def to_prune(
+    runs: Sequence[PastRun], *, keep: int, older_than_s: float, verdicts: Collection[str], now: datetime
+) -> list[PastRun]:
+    """The runs that go, of those that are over.
+
+    Args:
+        runs: the newest first.
+        keep: how many of the newest stay in any case.
+        older_than_s: those stay that began less than so long ago.
+        verdicts: those with another one stay.
+    """
+    over = [run for run in runs if run.verdict != LIVE]
+    return [run for run in over[keep:] if run.verdict in verdicts and (now - run.began).total_seconds() >= older_than_s]
+
+
+def remove(out: Path, runs: Sequence[PastRun]) -> Iterator[PastRun]:
+    """Remove run directories with all that is in them, but nothing that a link leads to; `latest` is mended.
+
+    Yields:
+        Each run that was removed. One that goes on meanwhile stays.
+
+    Raises:
+        PruneError: one cannot be removed.
+    """
+    try:
+        for run in runs:
+            if in_use(run.path):
+                continue
+            try:
+                shutil.rmtree(run.path)
+            except OSError as error:
+                raise PruneError(f"cannot remove {run.path}: {error.strerror}") from None
+            yield run
+    finally:
+        _mend_latest(out)
+
+
+def _mend_latest(out: Path) -> None:
+    """Let `latest` lead to the newest run that is left, if it leads nowhere."""
+    link = out / LATEST
+    if not link.is_symlink() or link.exists():
+        return
+    newest = _began_last(out)
+    if newest is None:
+        link.unlink(missing_ok=True)
+    else:
+        link_latest(out, newest.name)
+
+
+def _began_last(out: Path) -> Path | None:
+    return max(_ours(out), key=lambda pair: (pair[1], pair[0]), default=(None,))[0]
+
+
+def _ours(out: Path) -> Iterator[tuple[Path, datetime]]:
+    """The run directories below a directory, and when they began.
+
+    A directory is ours if it has a name that `fleet run` gives, a scenario and a folder of logs. So one that somebody
+    gave a name of its own is never removed.
+    """
+    try:
+        entries = list(os.scandir(out))
+    except FileNotFoundError:
+        return
+    except OSError as error:
+        raise RunDirectoryError(f"cannot read {out}", error) from None
+    for entry in entries:
+        name = RUN_NAME.fullmatch(entry.name)
+        if name is None or not entry.is_dir(follow_symlinks=False):
+            continue
+        path = Path(entry.path)
+        if os.path.isfile(path / SCENARIO) and os.path.isdir(path / "log"):
+            with suppress(ValueError):  # no day has this number
+                yield path, datetime.strptime(name["began"], "%Y%m%d-%H%M%S").replace(tzinfo=UTC)
+
+
+def _read(path: Path, began: datetime) -> PastRun:
+    name = RUN_NAME.fullmatch(path.name)
+    assert name is not None  # it is one of ours
+    verdict, sim_s = BROKE, None
+    if in_use(path):
+        verdict = LIVE
+    else:
+        with suppress(OSError, DamagedFile):
+            result = parse_json(read_file(path / RESULT, _MOST_BYTES), _Result)
+            verdict, sim_s = _OF_STATUS.get(result.status, BROKE), result.sim_s
+    return PastRun(path, name["scenario"], verdict, sim_s, _size(path), began)
+
+
+def _size(path: Path) -> int:
+    """The sizes of all files below a directory [bytes]; nothing that a link leads to counts."""
+    total = 0
+    for folder, _, files in os.walk(path):
+        for file in files:
+            with suppress(OSError):
+                total += os.lstat(os.path.join(folder, file)).st_size
+    return total

@@ -1,0 +1,134 @@
+"""The commands for live runs, with answers that were written here: what they print, where, and with which status."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+from click.testing import CliRunner, Result
+from live_directory import live_directory
+
+from fleet.cli.documents.live import ClockSet, Faults, Healed, Injected, LiveRuns, Stopping
+from fleet.cli.main import cli
+from fleet.run.connection import RemoteError
+
+
+def invoke(*arguments: str) -> Result:
+    result = CliRunner().invoke(cli, arguments, prog_name="fleet")
+    assert result.exception is None or isinstance(result.exception, SystemExit), result.exception
+    return result
+
+
+FAULT = {"id": "live-1", "what": "mute 3", "from_s": 12.4, "to_s": 22.4, "until_healed": False}
+ANSWERS: dict[str, dict[str, Any]] = {
+    "status": {"at_s": 1.5, "end_s": 60.0, "clock": "paused"},
+    "inject": FAULT,
+    "faults": {"faults": [FAULT | {"state": "active", "active": True}]},
+    "heal": {"healed": ["live-1"], "at_s": 13.0},
+    "clock": {"clock": "paused", "at_s": 2.0},
+    "stop": {"at_s": 3.0},
+}
+
+
+@pytest.fixture
+def answers(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
+    """What each operation is answered with; an exception is raised."""
+    given: dict[str, Any] = dict(ANSWERS)
+
+    def ask(run: Any, op: str, **fields: Any) -> dict[str, Any]:
+        if isinstance(given[op], Exception):
+            raise given[op]
+        return dict(given[op])
+
+    monkeypatch.setattr("fleet.run.connection.ask", ask)
+    return given
+
+
+CASES: list[tuple[list[str], type[msgspec.Struct], str]] = [
+    (["inject", "mute", "3"], Injected, "live-1: mute 3, from t = 12.40 s until 22.40 s"),
+    (["faults"], Faults, "1 fault\nlive-1      12.40 s to 22.40 s      active   mute 3"),
+    (["heal"], Healed, "healed live-1 at t = 13.00 s"),
+    (["clock", "pause"], ClockSet, "paused, t = 2.00 s"),
+    (["stop"], Stopping, "stopping at t = 3.00 s"),
+]
+
+
+@pytest.mark.parametrize(("arguments", "kind", "said"), CASES)
+def test_every_answer_begins_with_the_name_of_the_run(
+    arguments: list[str], kind: type[msgspec.Struct], said: str, answers: dict[str, Any], tmp_path: Path
+) -> None:
+    """As text, and as one JSON document of the declared kind."""
+    with live_directory(tmp_path) as run:
+        result = invoke(*arguments)
+        assert (result.exit_code, result.stdout, result.stderr) == (0, f"{run.name}: {said}\n", "")
+        document = invoke(*arguments, "--json")
+        values = json.loads(document.stdout)
+        assert (document.exit_code, document.stderr, values["run"]) == (0, "", run.name)
+        assert json.loads(msgspec.json.encode(msgspec.json.decode(document.stdout, type=kind))) == values
+
+
+def test_a_fault_without_an_end_lasts_until_it_is_healed(answers: dict[str, Any], tmp_path: Path) -> None:
+    answers["inject"] = FAULT | {"to_s": 60.0, "until_healed": True}
+    with live_directory(tmp_path):
+        said = invoke("inject", "mute", "3").stdout
+        assert said.endswith("from t = 12.40 s until healed, at the latest the end at 60 s\n")
+        answers["faults"] = {"faults": [FAULT | {"until_healed": True, "state": "active", "active": True}]}
+        assert "12.40 s until healed" in invoke("faults").stdout
+        answers["faults"] = {"faults": []}
+        assert invoke("faults").stdout.endswith(": no faults\n")
+
+
+def test_several_live_runs_need_a_name(answers: dict[str, Any], tmp_path: Path) -> None:
+    with live_directory(tmp_path, "paper") as paper, live_directory(tmp_path, "rough-sea") as rough:
+        for command in ("status", "faults", "heal", "stop"):
+            result = invoke(command)
+            assert (result.exit_code, result.stdout) == (2, "")
+            assert f"2 live runs; say which:\n  --run {paper.name}\n  --run {rough.name}\n" in result.stderr
+        assert invoke("stop", "--run", "rough").stdout.startswith(f"{rough.name}: stopping")
+        listed = invoke("ps").stdout.splitlines()
+        assert listed[0] == f"{paper.name}: t = 1.5 of 60 s, paused"
+        assert listed[1].startswith(f"  {paper}, pid ")
+        found = msgspec.json.decode(invoke("ps", "--json").stdout, type=LiveRuns)
+        assert [(row.run, row.at_s, row.error) for row in found.runs] == [(paper.name, 1.5, ""), (rough.name, 1.5, "")]
+
+
+def test_no_live_run(answers: dict[str, Any]) -> None:
+    for command in ("status", "faults", "stop"):
+        result = invoke(command)
+        assert (result.exit_code, result.stdout) == (3, "") and "fleet: no live run" in result.stderr
+    assert (invoke("ps").exit_code, invoke("ps").stderr) == (0, "no live run\n")
+    assert json.loads(invoke("ps", "--json").stdout) == {"runs": []}
+
+
+def test_a_run_that_does_not_answer(answers: dict[str, Any], tmp_path: Path) -> None:
+    """It is listed, with what is wrong; a command for it ends with 3."""
+    answers["status"] = answers["heal"] = RemoteError("paper-1 did not answer within 5 s; is it over?")
+    with live_directory(tmp_path):
+        assert invoke("ps").stdout.startswith("paper-1 did not answer within 5 s; is it over?\n  ")
+        row = json.loads(invoke("ps", "--json").stdout)["runs"][0]
+        assert (row["at_s"], row["error"]) == (None, "paper-1 did not answer within 5 s; is it over?")
+        assert invoke("heal").exit_code == 3
+
+
+@pytest.mark.parametrize(
+    ("values", "status"),
+    [({"error": "no", "status": 2}, 2), ({"error": "no", "status": 3}, 3), ({"error": "no"}, 3)],
+)
+def test_the_kind_of_a_refusal_is_its_status(
+    values: dict[str, Any], status: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import msgpack
+
+    class FakeBus:
+        ask: Callable[..., bytes] = staticmethod(lambda *_, **__: msgpack.packb(values))
+
+        def close(self) -> None: ...
+
+    monkeypatch.setattr("netem.wire.bus.Bus.connect", lambda *_, **__: FakeBus())
+    with live_directory(tmp_path) as run:
+        result = invoke("heal", "nosuch")
+        assert (result.exit_code, result.stderr) == (status, f"fleet: {run.name}: refused: no\n")

@@ -1,0 +1,200 @@
+"""`fleet status`: what fits on a screen of 80 columns, and how it is shown again and again."""
+
+from __future__ import annotations
+
+import io
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+from click.testing import CliRunner
+from live_directory import live_directory
+from rich.console import Console
+
+from fleet.cli.documents.live import Status
+from fleet.cli.main import cli
+from fleet.cli.status import screen, watch_run
+from fleet.run.connection import RemoteError, find
+
+
+def answer(vehicles: int = 4, links: int = 5, faults: int = 1, **more: Any) -> dict[str, Any]:
+    """What the console of a run says; of vehicle i the formation error is i metres."""
+    return {
+        "scenario": "paper",
+        "at_s": 12.4,
+        "end_s": 60.0,
+        "clock": "1 x real time",
+        "waiting": "",
+        "formation": {"worst_m": float(vehicles), "vehicle": vehicles, "median_m": 1.0, "vehicles": vehicles},
+        "delivered": 10_000_000,
+        "lost": 3_000_000,
+        "faults": [
+            {
+                "id": f"live-{k}",
+                "what": "partition 1,2,3,4,5,6,7,8,9,10 / 11,12,13,14,15,16,17,18,19,20",
+                "from_s": 10.0,
+                "to_s": 22.4,
+                "until_healed": False,
+                "state": "active",
+            }
+            for k in range(1, faults + 1)
+        ],
+        "vehicles_total": vehicles,
+        "vehicles": [
+            {
+                "vehicle": i,
+                "state": "tumbled, no agent",
+                "formation_m": float(i),
+                "e_m": 12345.678,
+                "settled": False,
+                "oldest_s": 1234.5,
+                "oldest_of": 20,
+            }
+            for i in range(1, vehicles + 1)
+        ],
+        "links_total": links + 1,
+        "links": [
+            {"src": i, "dst": i + 1, "delivered": 1_000_000, "lost": 1_000_000, "lost_share": 0.5, "age_s": 1234.5}
+            for i in range(1, links + 1)
+        ],
+    } | more
+
+
+def shown(values: dict[str, Any], height: int | None = None, *, every: bool = False) -> list[str]:
+    """The lines on a terminal of 80 columns."""
+    status = msgspec.convert({"run": "paper-disturbed-1-20261122-120000", "directory": "/x", **values}, Status)
+    terminal = Console(width=80, record=True, highlight=False, file=io.StringIO())
+    terminal.print(screen(status, every, height))
+    return terminal.export_text().splitlines()
+
+
+def test_a_status_in_80_columns() -> None:
+    lines = shown(answer())
+    assert [line.rstrip() for line in lines] == [
+        "paper-disturbed-1-20261122-120000: t = 12.40 of 60 s, 1 x real time",
+        "formation error 4.000 m (UUV 4), median 1.000 m",
+        "packets 10000000 delivered, 3000000 lost",
+        "fault live-1: 10.0 s left: partition 1,2,3,4,5,6,7,8,9,10 /",
+        "11,12,13,14,15,16,17,18,19,20",
+        "UUV  state              formation error            e  settled       oldest news",
+        *(f"{i}    tumbled, no agent          {i}.000 m  12345.678 m       no  1234.50 s, of 20" for i in range(1, 5)),
+        "link  delivered     lost   share        age",
+        *(f"{i}->{i + 1}    1000000  1000000  50.0 %  1234.50 s" for i in range(1, 6)),
+        "and 1 more link: --all",
+    ]
+
+
+@pytest.mark.parametrize("height", [10, 16, 24, 40, 100])
+@pytest.mark.parametrize("vehicles", [1, 4, 10, 500])
+@pytest.mark.parametrize("links", [1, 5, 500])
+def test_it_fits_any_screen(height: int, vehicles: int, links: int) -> None:
+    """The time, who is waited for and at least the worst vehicle and the worst link stay."""
+    lines = shown(answer(vehicles, links, waiting="waiting for agent 3, 4 s"), height)
+    assert len(lines) <= height
+    assert max(len(line) for line in lines) <= 80
+    text = "\n".join(lines)
+    assert "t = 12.40 of 60 s" in lines[0] and "waiting for agent 3, 4 s" in text
+    assert re.search(rf"^{vehicles} +tumbled", text, re.MULTILINE) and re.search(r"^1->2 ", text, re.MULTILINE)
+    rows = len(re.findall(r"tumbled", text)), len(re.findall(r"->", text))
+    assert (f"{vehicles - rows[0]} more vehicle" in text) == (rows[0] < vehicles)
+    assert f"{links + 1 - rows[1]} more link" in text
+
+
+def test_many_faults_are_counted() -> None:
+    assert "and 35 more faults: fleet faults" in shown(answer(faults=40), 24)
+
+
+@pytest.mark.parametrize(
+    ("until_healed", "to_s", "words"),
+    [
+        (True, 60.0, "until healed"),
+        (False, 60.0, "to the end"),
+        (False, 20.0, "7.6 s left"),
+        (False, 1.0, "0.0 s left"),
+    ],
+)
+def test_how_long_a_fault_lasts(until_healed: bool, to_s: float, words: str) -> None:
+    fault = {"id": "f", "what": "mute 3", "from_s": 1.0, "to_s": to_s, "until_healed": until_healed, "state": "active"}
+    assert f"fault f: {words}: mute 3" in [line.rstrip() for line in shown(answer(faults=0) | {"faults": [fault]})]
+
+
+def test_numbers_that_are_not_finite() -> None:
+    """What diverged has no size."""
+    values = answer(1)
+    values["vehicles"][0] |= {"formation_m": float("nan"), "e_m": float("inf"), "oldest_s": None, "oldest_of": None}
+    values["formation"] |= {"worst_m": float("inf")}
+    assert any(re.match(r"1 .* nan m +inf m +no +-$", line.rstrip()) for line in shown(values, 24))
+    document = msgspec.convert({"run": "a", "directory": "/x", **values}, Status)
+    assert json.loads(msgspec.json.encode(document))["formation"]["worst_m"] is None
+
+
+class Ends:
+    """A console that answers some times, and is gone then."""
+
+    def __init__(self, times: int) -> None:
+        self.times = times
+        self.asked: list[dict[str, Any]] = []
+
+    def __call__(self, run: Any, op: str, **fields: Any) -> dict[str, Any]:
+        self.asked.append(fields)
+        if len(self.asked) > self.times:
+            raise RemoteError("gone")
+        return answer()
+
+
+def test_watching_ends_with_the_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without a terminal: one block after the other, and no control character."""
+    monkeypatch.setattr("fleet.run.connection.ask", ask := Ends(3))
+    monkeypatch.setattr("fleet.run.connection.is_live", lambda run: False)
+    monkeypatch.setattr("fleet.cli.status.EVERY_S", 0.0)
+    with live_directory(tmp_path) as run:
+        result = CliRunner().invoke(cli, ["status", "-w", "--all"])
+    assert result.exit_code == 0
+    assert ask.asked == [{"all": True}] * 4
+    assert result.stdout.count(f"{run.name}: t = 12.40 of 60 s") == 3
+    assert result.stdout.splitlines()[-1] == f"{run.name}: the run is over; its results are in {run}"
+    assert "\x1b" not in result.stdout
+
+
+def test_a_terminal_is_left_as_it_was(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Ctrl-C ends a screen of its own; the cursor is there again, and what was shown last stays."""
+
+    def ask(run: Any, op: str, **fields: Any) -> dict[str, Any]:
+        if asked:
+            raise KeyboardInterrupt
+        asked.append(op)
+        return answer(100, 9)
+
+    asked: list[str] = []
+    monkeypatch.setattr("fleet.run.connection.ask", ask)
+    monkeypatch.setattr("fleet.cli.status.EVERY_S", 0.0)
+    monkeypatch.setenv("TERM", "xterm")
+    terminal = Console(file=io.StringIO(), force_terminal=True, width=80, height=24, highlight=False)
+    with live_directory(tmp_path), pytest.raises(KeyboardInterrupt):
+        watch_run(find(), False, terminal)
+    assert isinstance(terminal.file, io.StringIO)
+    before, begun, after = terminal.file.getvalue().partition("\x1b[?1049h")
+    within, ended, left = after.partition("\x1b[?1049l")
+    assert begun and ended and not before
+    assert within.count("\x1b[?25l") == 1 and after.count("\x1b[?25h") == 1
+    assert within.count("t = 12.40 of 60 s") == 1 and left.count("t = 12.40 of 60 s") == 1
+
+
+def test_watching_a_run_that_only_does_not_answer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("fleet.run.connection.ask", Ends(1))
+    monkeypatch.setattr("fleet.cli.status.EVERY_S", 0.0)
+    with live_directory(tmp_path):
+        result = CliRunner().invoke(cli, ["status", "-w"])
+    assert (result.exit_code, result.stderr) == (3, "fleet: gone\n")
+
+
+def test_a_status_as_a_document(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("fleet.run.connection.ask", Ends(9))
+    with live_directory(tmp_path) as run:
+        found = msgspec.json.decode(CliRunner().invoke(cli, ["status", "--json"]).stdout, type=Status)
+        assert (found.run, found.directory, len(found.vehicles)) == (run.name, str(run), 4)
+        both = CliRunner().invoke(cli, ["status", "--json", "--watch"])
+        assert both.exit_code == 2 and "one document" in both.stderr

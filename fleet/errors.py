@@ -21,6 +21,7 @@ Exception
 │   │   └── VehicleFileError
 │   ├── ExportError
 │   ├── ExternalError
+│   ├── FaultWordsError
 │   ├── HostsError
 │   ├── LogError
 │   ├── LogReadError

@@ -77,9 +77,9 @@ def faults(context: click.Context) -> Iterable[str]:
 def injection(context: click.Context) -> Iterable[str]:
     """What may come next in `fleet inject`."""
     from fleet.scenario.schema.faults import FaultSection
+    from fleet.scenario.schema.section import section_of
     from fleet.scenario.sections.partitions import NAMED_PARTITIONS
     from fleet.scenario.sections.timeline import ACTIONS
-    from fleet.scenario.validation import section_of
 
     given = context.params.get("what") or ()
     if not given:

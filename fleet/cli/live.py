@@ -14,18 +14,6 @@ from fleet.cli.documents.output import json_option, print_document
 from fleet.cli.log_argument import log_argument
 
 F = TypeVar("F", bound=Callable[..., Any])
-# Faults that take KEY=VALUE pairs, with an example of each. A current may be written without.
-_EXAMPLES = {
-    "noise": "noise vehicles=2 position_noise='10 cm'",
-    "bias": "bias vehicles=2 position='1 0 0 m'",
-    "dropout": "dropout vehicles=2 probability='30 %'",
-    "slow": "slow vehicles=2 by='5 ticks'",
-    "gust": "gust velocity='0 0.5 0 m/s' over=10s",
-    "current": "current mean='0.2 0 0 m/s' sigma='5 5 0 cm/s' time_constant=20s",
-    "efficiency": "efficiency vehicles=2 surge='50 %'",
-    "saturate": "saturate vehicles=2 yaw_moment='2 N m'",
-    "wrench": "wrench vehicles=2 force='1 0 0 N'",
-}
 
 
 def which(command: F) -> F:
@@ -102,27 +90,9 @@ def inject(what: tuple[str, ...], run: str | None, lasts: str | None, name: str 
       fleet inject gust velocity='0 0.5 0 m/s' over=10s
       fleet inject efficiency vehicles=2 surge='50 %' --for 20s
     """
-    from fleet.scenario.sections.timeline import ACTIONS
-    from netem.parsing import nearest
+    from fleet.scenario.text.fault_words import read_fault
 
-    kind, rest = what[0], what[1:]
-    if kind not in ACTIONS:
-        hint = nearest(kind, ACTIONS) or f"there are {', '.join(ACTIONS)}"
-        raise click.UsageError(f'no fault is called "{kind}": {hint}')
-    fault: dict[str, Any]
-    if kind == "link":
-        if len(rest) < 2:
-            raise click.UsageError("a link fault is: link SELECTOR CONDITION, as in link '1->2' 'loss 30%'")
-        fault = {"link": {rest[0]: " ".join(rest[1:])}}
-    elif (kind in _EXAMPLES and kind != "current") or (rest and "=" in rest[0]):
-        pairs = [word.partition("=") for word in rest]
-        if not pairs or not all(equals for _, equals, _ in pairs):
-            raise click.UsageError(f"a {kind} fault is: {kind} KEY=VALUE ..., as in {_EXAMPLES[kind]}")
-        fault = {kind: {key: value for key, _, value in pairs}}
-    elif len(rest) < 1:
-        raise click.UsageError(f"{kind} of what? See --help")
-    else:
-        fault = {kind: " ".join(rest)}
+    fault = read_fault(" ".join(what))
     if lasts is not None:
         fault["for"] = lasts
     if name is not None:

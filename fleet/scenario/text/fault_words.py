@@ -1,0 +1,188 @@
+"""Faults and link conditions in words, as `fleet inject` and the options `--fault` and `--net` take them.
+
+    FAULT  := { at TIME | for TIME | id NAME } KIND TARGET       in any order: TIME and NAME may also stand at the end
+    TARGET := SELECTOR CONDITION [, SELECTOR CONDITION ...]      of a link; `netem.grammar` has both
+            | KEY=VALUE ...                                      of noise, slow, gust and others with several values
+            | what a scenario has behind the kind                of the others, as in kill 3 or partition 1,2 / 3,4
+
+A unit may stand apart from its number. Quotation marks and braces are not needed, and mean nothing; `:` may stand for
+`=` and behind a selector. So the text by which a log names a fault, as in `noise {vehicles: 2, position_noise: 0.1 m}`,
+is read as the same fault.
+"""
+
+from __future__ import annotations
+
+import re
+from collections import deque
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+from fleet.errors import FleetError, Problem
+from fleet.quantities import TIME
+from fleet.scenario.schema.faults import FaultAction
+from fleet.scenario.schema.section import section_of
+from fleet.scenario.sections.timeline import ACTIONS
+from fleet.scenario.text.yaml_reader import Mapping, Node, Place, Scalar, Source, plain
+from netem.parsing import exact_number, nearest
+
+_EXAMPLES = {
+    "link": "link 1<->2 delay 500ms loss 20%",
+    "down": "down 2->3",
+    "up": "up 2->3",
+    "partition": "partition 1,2 / 3,4",
+    "noise": "noise vehicles=2 position_noise=10cm",
+    "bias": "bias vehicles=2 position=1 0 0 m",
+    "dropout": "dropout vehicles=2 probability=30%",
+    "slow": "slow vehicles=2 by=5 ticks",
+    "gust": "gust velocity=0 0.5 0 m/s over=10s",
+    "current": "current 0.2 0 0 m/s",
+    "efficiency": "efficiency vehicles=2 surge=50%",
+    "saturate": "saturate vehicles=2 yaw_moment=2 N m",
+    "wrench": "wrench vehicles=2 force=1 0 0 N",
+}  # the other kinds take vehicles alone
+_WORD = re.compile(r"[^\s'\"{}]+")
+_KEY = re.compile(r"([a-z_]+)[=:]")
+
+
+class FaultWordsError(FleetError):
+    """Words that are no fault, or no condition of links."""
+
+    def __init__(self, problem: Problem) -> None:
+        super().__init__(f"{problem.message}; {problem.hint}" if problem.hint else problem.message)
+        self.problem = problem  # with the place of the words at fault
+
+
+def read_fault(text: str) -> dict[str, Any]:
+    """A fault as an entry of a scenario's `faults`, its values as text; whether they are right is not checked.
+
+    Raises:
+        FaultWordsError: the text has no kind of fault, or nothing that it acts on.
+    """
+    found: dict[str, Any] = plain(fault_entry(Source("fault", text)))
+    return found
+
+
+def fault_entry(source: Source) -> Mapping:
+    """The same as a tree, in which every key and value has its place in the source. Raises as `read_fault`."""
+    return _Reader(source).fault()
+
+
+def link_entries(source: Source) -> Mapping:
+    """Selectors and conditions in words such as `1->2 delay 100ms, 2->1 down`, as entries of `network.links`.
+
+    Raises:
+        FaultWordsError: a selector has no condition.
+    """
+    return _Reader(source).links()
+
+
+def example(kind: str) -> str:
+    """A fault of this kind in words."""
+    return _EXAMPLES.get(kind, f"{kind} 3")
+
+
+class _Word(NamedTuple):
+    text: str
+    column: int  # from 0
+
+
+@dataclass
+class _Reader:
+    """The words of a text that are not read yet."""
+
+    source: Source
+
+    def __post_init__(self) -> None:
+        self.words = deque(_Word(match.group(), match.start()) for match in _WORD.finditer(self.source.text))
+
+    def fault(self) -> Mapping:
+        fault = self._times_and_name()
+        if not self.words:
+            raise self._wrong(None, "expected a fault, got nothing", f"as in {example('partition')}")
+        kind = self.words.popleft()
+        if kind.text not in ACTIONS:
+            hint = nearest(kind.text, ACTIONS) or f"there are {', '.join(ACTIONS)}"
+            raise self._wrong(kind, f'no fault is called "{kind.text[:40]}"', hint)
+        return self._with_new(fault, kind.text, kind, self._target(kind))
+
+    def _times_and_name(self) -> Mapping:
+        """Take `at`, `for` and `id` with their values out of the words."""
+        found, rest = self._nothing(), deque[_Word]()
+        while self.words:
+            word = self.words.popleft()
+            if word.text not in ("at", "for", "id"):
+                rest.append(word)
+                continue
+            value = [self.words.popleft()] if self.words else []
+            if value and exact_number(value[0].text) is not None and self.words and self.words[0].text in TIME.units:
+                value.append(self.words.popleft())
+            what = "a name" if word.text == "id" else "a time"
+            found = self._with_new(found, word.text, word, self._value(word, value, what))
+        self.words = rest
+        return found
+
+    def _target(self, kind: _Word) -> Node:
+        if kind.text == "link":
+            return self.links(kind)
+        keyed = section_of(FaultAction.model_fields[kind.text].annotation) is not None
+        if keyed and (kind.text != "current" or any(_KEY.match(word.text) for word in self.words)):
+            return self._pairs(kind)
+        if not self.words:
+            raise self._wrong(kind, f"{kind.text} of what?", f"as in {example(kind.text)}")
+        return self._scalar(list(self.words))
+
+    def links(self, kind: _Word | None = None) -> Mapping:
+        """Conditions by selectors; `kind` is the word before them."""
+        found = self._nothing()
+        while self.words or not found.entries:
+            selector, condition = list[_Word](), list[_Word]()
+            while self.words and not (selector and self.words[0].text[0].isalpha()):
+                selector.append(self.words.popleft())
+            while self.words and not (condition and condition[-1].text.endswith(",")):
+                condition.append(self.words.popleft())
+            if not condition:
+                form = "a link fault is: link SELECTOR CONDITION" if kind else "expected SELECTOR CONDITION"
+                hint = f"as in {example('link') if kind else '1->2 loss 30%'}"
+                raise self._wrong(selector[0] if selector else kind, form, hint)
+            name = " ".join(word.text for word in selector).removesuffix(":")
+            found = self._with_new(found, name, selector[0], self._scalar(condition))
+        return found
+
+    def _pairs(self, kind: _Word) -> Mapping:
+        """Values by keys."""
+        found = self._nothing()
+        while self.words or not found.entries:
+            word = self.words.popleft() if self.words else kind
+            key = _KEY.match(word.text)
+            if word is kind or key is None:
+                form = f"a {kind.text} fault is: {kind.text} KEY=VALUE ..."
+                raise self._wrong(word, form, f"as in {example(kind.text)}")
+            value = [_Word(word.text[key.end() :], word.column + key.end())] if key.end() < len(word.text) else []
+            while self.words and not _KEY.match(self.words[0].text):
+                value.append(self.words.popleft())
+            found = self._with_new(found, key[1], word, self._value(word, value, "a value"))
+        return found
+
+    def _value(self, word: _Word, value: list[_Word], what: str) -> Scalar:
+        """The words behind a word as one value."""
+        if not value:
+            raise self._wrong(word, f'expected {what} behind "{word.text[:40]}", got nothing')
+        return self._scalar(value)
+
+    def _scalar(self, words: list[_Word]) -> Scalar:
+        text, place = " ".join(word.text for word in words).removesuffix(","), self._place(words[0])
+        return Scalar(text, place, place if self.source.text.startswith(text, words[0].column) else None)
+
+    def _with_new(self, found: Mapping, key: str, word: _Word, value: Node) -> Mapping:
+        if key in found.entries:
+            raise self._wrong(word, f'"{key[:40]}" is given twice')
+        return found.with_entry(key, self._place(word), value)
+
+    def _nothing(self) -> Mapping:
+        return Mapping({}, {}, self._place(None))
+
+    def _place(self, word: _Word | None) -> Place:
+        return Place(self.source, 1, 1 if word is None else word.column + 1)
+
+    def _wrong(self, word: _Word | None, message: str, hint: str = "") -> FaultWordsError:
+        return FaultWordsError(self._place(word).problem(message, hint))

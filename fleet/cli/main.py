@@ -29,11 +29,12 @@ from fleet.cli import (
 from fleet.cli.completion import scenarios
 from fleet.cli.group import EPILOG, FleetGroup
 from fleet.cli.trust import TrustingCommand, trust_option
-from fleet.cli.types import OVERRIDES
+from fleet.cli.types import OVERRIDES, disturbances
 
 if TYPE_CHECKING:
     from agents.plugins.trust import Trust
     from fleet.errors import Problem
+    from fleet.scenario.text.overrides import Override
 
 
 @click.group(
@@ -55,8 +56,15 @@ def cli() -> None:
 @cli.command(cls=TrustingCommand)
 @click.argument("scenario", shell_complete=scenarios)
 @OVERRIDES
+@disturbances
 @trust_option
-def check(scenario: str, overrides: tuple[str, ...], trust: Trust) -> None:
+def check(
+    scenario: str,
+    overrides: tuple[str, ...],
+    fault: tuple[Override, ...],
+    net: tuple[Override, ...],
+    trust: Trust,
+) -> None:
     """Check SCENARIO without running it; every mistake is reported in one pass.
 
     Says what theory expects of it: whether the graph is connected and everyone reached, the eigenvalues of L+B, and
@@ -66,11 +74,12 @@ def check(scenario: str, overrides: tuple[str, ...], trust: Trust) -> None:
     Examples:
       fleet check my.yaml
       fleet check paper --set vehicles=20
+      fleet check paper --net '* delay 200ms' --fault 'at 20s kill 3'
     """
     from fleet.scenario.loading import load_scenario
 
     refused: list[Problem] = []
-    loaded = load_scenario(scenario, overrides, trust, refused=refused)
+    loaded = load_scenario(scenario, [*overrides, *net, *fault], trust, refused=refused)
     from fleet.analysis.preflight import warnings
     from fleet.analysis.seed import HINT, NOTHING, seeded
     from fleet.analysis.stability import analyse, report

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,7 +13,7 @@ from fleet.cli import hosts as cli_hosts
 from fleet.cli.completion import scenarios
 from fleet.cli.group import EPILOG
 from fleet.cli.trust import TrustingCommand, trust_option
-from fleet.cli.types import OVERRIDES, Duration, Share, Speed
+from fleet.cli.types import OVERRIDES, Duration, Share, Speed, disturbances
 from fleet.terminal.output import OutputError, give_up_output
 
 if TYPE_CHECKING:
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
     from fleet.recorder.snapshot import Start
     from fleet.run.execute import Result
     from fleet.scenario.scenario import Scenario
+    from fleet.scenario.text.overrides import Override
 
 
 @click.command(cls=TrustingCommand, epilog=EPILOG)
@@ -59,6 +61,7 @@ if TYPE_CHECKING:
 )
 @click.option("--in-process", is_flag=True, help="One process, no zenoh; the same log, byte for byte.")
 @OVERRIDES
+@disturbances
 @trust_option
 @click.option("--show-config", is_flag=True, help="Print the merged scenario and stop.")
 @click.option(
@@ -87,6 +90,8 @@ def run(
     max_missed: float,
     in_process: bool,
     overrides: tuple[str, ...],
+    fault: tuple[Override, ...],
+    net: tuple[Override, ...],
     trust: Trust,
     show_config: bool,
     port: int | None,
@@ -104,14 +109,15 @@ def run(
     Examples:
       fleet run paper
       fleet run rough-sea --seed 3 --duration '30 s'
-      fleet run paper --set vehicles=20 --set "network.links={'*': 'delay 200ms 50ms loss 30%'}"
+      fleet run paper --set vehicles=20 --net '* delay 200ms 50ms loss 30%'
+      fleet run paper --fault 'at 20s for 10s partition halves' --fault 'at 40s kill 3'
       fleet run paper --in-process --out /tmp/runs --quiet
       fleet run paper --clock real --speed 2
       fleet run --from runs/latest@20s --set controller=bsmc
     """
     if wait_for_subscribers and not publish:
         raise click.UsageError("--wait-for-subscribers needs --publish: nobody could subscribe")
-    changes = list(overrides)
+    changes: list[str | Override] = [*overrides, *net, *fault]
     if seed is not None:
         changes.append(f"seed={seed}")
     if duration is not None:
@@ -173,7 +179,13 @@ def run(
 
 
 def _load(
-    scenario: str | None, begin: str | None, changes: list[str], trust: Trust, *, quiet: bool, only_shown: bool
+    scenario: str | None,
+    begin: str | None,
+    changes: list[str | Override],
+    trust: Trust,
+    *,
+    quiet: bool,
+    only_shown: bool,
 ) -> tuple[Scenario, Start | None]:
     """The scenario to run, and where in a log it begins (`begin`: what --from says)."""
     from fleet.scenario.loading import load_scenario

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Callable, Sequence
+from typing import Any, TypeVar
 
 import click
 
+F = TypeVar("F", bound=Callable[..., Any])
 OVERRIDES = click.option(
     "--set",
     "overrides",
@@ -14,6 +15,33 @@ OVERRIDES = click.option(
     multiple=True,
     help="Override one scenario key, e.g. network.period='200 ms'.",
 )
+
+
+def _override(context: click.Context, option: click.Parameter, values: tuple[str, ...]) -> tuple[Any, ...]:
+    """The overrides that an option asks for; nothing is imported without any."""
+    if not values:
+        return ()
+    from fleet.scenario.text.overrides import Override
+
+    return tuple(Override(option.opts[0], value) for value in values)
+
+
+def disturbances(command: F) -> F:
+    """Add --fault and --net, which change a scenario in the words of `fleet inject`."""
+    command = click.option(
+        "--net",
+        metavar="'LINKS CONDITION'",
+        multiple=True,
+        callback=_override,
+        help="Impair links from the start, e.g. '1->2 loss 30%'; repeatable, the last one that names a link wins.",
+    )(command)
+    return click.option(
+        "--fault",
+        metavar="'at TIME ...'",
+        multiple=True,
+        callback=_override,
+        help="Add a fault in the words of fleet inject, e.g. 'at 20s for 10s partition halves'; repeatable.",
+    )(command)
 
 
 class Duration(click.ParamType[int]):

@@ -18,6 +18,8 @@ from fleet.scenario.loading import parse_scenario
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.schema.checks import EVERY
 from fleet.scenario.sections.timeline import is_fault
+from fleet.scenario.text.fault_words import FaultWordsError, read_fault
+from fleet.scenario.text.overrides import Override
 from fleet.scenario.trust import READING, Policy
 
 MOST_EVENTS = 200_000  # of faults: one begins and one ends every second for a day
@@ -50,7 +52,7 @@ class Recorded:
                 f"{what}; the same scenario in lockstep can be repeated: fleet script {self.path} > again.yaml"
             )
 
-    def script(self, overrides: Sequence[str] = (), policy: Policy = READING) -> Scenario:
+    def script(self, overrides: Sequence[str | Override] = (), policy: Policy = READING) -> Scenario:
         """The scenario, its faults taken from what happened, with overrides as for `fleet run --set`.
 
         Args:
@@ -58,6 +60,7 @@ class Recorded:
 
         Raises:
             ScenarioError: it is none for this version, or an override is wrong.
+            ScriptError: a fault that happened is none for this version.
         """
         if START in self.reader.attachments:
             # Gone on from another run, in one process: nothing was injected, and what was before is not in this log.
@@ -115,17 +118,21 @@ def rerun(
     text: str,
     happened: list[tuple[int, Any]],
     last_ns: int,
-    overrides: Sequence[str] = (),
+    overrides: Sequence[str | Override] = (),
     policy: Policy = READING,
 ) -> Scenario:
     """The scenario that gives what happened up to a time; `text` is what the log calls its scenario.
 
     Raises:
         ScenarioError: it is no scenario, or none for this version; or an override is wrong.
+        ScriptError: a fault that happened is none for this version.
     """
     planned = parse_scenario(text, str(path))
     end_ns = planned.ticks * planned.tick_ns
-    faults = _entries(happened, end_ns)
+    try:
+        faults = _entries(happened, end_ns)
+    except FaultWordsError as error:
+        raise ScriptError(f"{path} tells of a fault that is none: {error}") from None
     if last_ns < end_ns:
         faults = _with_plans(faults, planned)
     ended = {str(entry["id"]) for entry in faults if "for" in entry}
@@ -148,7 +155,7 @@ def _entries(events: list[tuple[int, Any]], end_ns: int) -> list[dict[str, Any]]
         if not is_fault(event.what) or event.what.startswith("lost "):
             continue  # it happens again; older logs know vehicles that were lost
         if event.action == "begins":
-            entries[event.fault] = {"id": event.fault, "at": show_time(at_ns), **_action(event.what), "_at": at_ns}
+            entries[event.fault] = {"id": event.fault, "at": show_time(at_ns), **read_fault(event.what), "_at": at_ns}
         elif event.fault in entries and at_ns < end_ns:
             entries[event.fault]["for"] = show_time(at_ns - entries[event.fault]["_at"])
     return [{key: value for key, value in entry.items() if key != "_at"} for entry in entries.values()]
@@ -168,15 +175,6 @@ def _with_plans(faults: list[dict[str, Any]], scenario: Scenario) -> list[dict[s
     ]
     begun = {entry["id"] for entry in faults}
     return found + [{**plan, "id": name} for name, plan in planned.items() if name not in begun]
-
-
-def _action(what: str) -> dict[str, Any]:
-    kind, _, rest = what.partition(" ")
-    if rest.startswith("{"):
-        return {kind: dict(part.split(": ", 1) for part in rest[1:-1].split(", ") if part)}
-    if kind != "link":
-        return {kind: rest}
-    return {"link": dict(part.split(": ", 1) for part in rest.split(", "))}
 
 
 def _faults_yaml(faults: list[dict[str, Any]]) -> str:

@@ -17,6 +17,8 @@ from fleet.recorder.snapshot import START, Snapshot, SnapshotError, Start, find
 from fleet.repeat.recorded_run import recorded as read
 from fleet.scenario.loading import load_scenario
 from fleet.scenario.scenario import Scenario
+from fleet.scenario.text.fault_words import read_fault
+from fleet.scenario.text.overrides import FAULT, Override
 from fleet.scenario.trust import Policy
 
 
@@ -38,7 +40,7 @@ def parse_from(text: str) -> tuple[Path, int | None]:
 def continuation(
     path: Path,
     at_ns: int | None,
-    overrides: Sequence[str] = (),
+    overrides: Sequence[str | Override] = (),
     name: str | None = None,
     trust: Trust = NOTHING,
     tell: Tell = lambda _: None,
@@ -74,6 +76,9 @@ def continuation(
     ):
         if ours != theirs:
             raise SnapshotError(f"{what} cannot change in a run that goes on from t = {at}")
+    for override in map(Override.of, overrides):
+        if override.option == FAULT and time_ns(read_fault(override.text)["at"]) < snapshot.tick * recorded.tick_ns:
+            raise SnapshotError(f"{override.name}: it begins before t = {at}, from which the run goes on")
     if scenario.ticks <= snapshot.tick:
         raise SnapshotError(f"the run would be over before t = {at}, from which it goes on")
     notes = [f"goes on from t = {at} of {log_path(path)}"]

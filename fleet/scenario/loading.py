@@ -10,7 +10,7 @@ from agents.plugins.trust import NOTHING, Trust
 from fleet.errors import Problem, ScenarioError
 from fleet.scenario.catalogue import shipped_scenarios, shipped_text
 from fleet.scenario.scenario import Scenario
-from fleet.scenario.text.overrides import apply, override_name
+from fleet.scenario.text.overrides import Override, apply
 from fleet.scenario.text.yaml_reader import Mapping, Scalar, Source, read
 from fleet.scenario.trust import READING, Policy, stranger
 from fleet.scenario.validation import validate
@@ -22,13 +22,13 @@ _MAX_BYTES = 4_000_000  # as many as the characters that yaml_reader takes can h
 
 def load_scenario(
     name_or_path: str | Path,
-    overrides: Sequence[str] = (),
+    overrides: Sequence[str | Override] = (),
     trust: Trust = NOTHING,
     *,
     imports: bool = True,
     refused: list[Problem] | None = None,
 ) -> Scenario:
-    """The scenario of a shipped name or of a file, with `key.path=value` overrides applied.
+    """The scenario of a shipped name or of a file, with overrides applied.
 
     Args:
         trust: which modules may run that are neither installed nor the user's own; see `fleet.scenario.trust`.
@@ -46,7 +46,7 @@ def load_scenario(
 def parse_scenario(
     text: str,
     source_name: str,
-    overrides: Sequence[str] = (),
+    overrides: Sequence[str | Override] = (),
     folder: Path | None = None,
     policy: Policy = READING,
 ) -> Scenario:
@@ -54,7 +54,7 @@ def parse_scenario(
 
     Args:
         source_name: the name of the text in problems.
-        overrides: `key.path=value`, applied in order.
+        overrides: what options change; a text alone is `key.path=value`, as for `--set`.
         folder: where files of vehicles, and modules of laws that are not installed, are looked for besides the
             current directory.
         policy: which of these modules may run; by default none.
@@ -79,8 +79,8 @@ def parse_scenario(
     return Scenario.compile(parts, source_name)
 
 
-def _order(problem: Problem, source: Source, overrides: Sequence[str]) -> tuple[int, int, int]:
-    rank = 0 if problem.file == source.name else 1 + [override_name(o) for o in overrides].index(problem.file)
+def _order(problem: Problem, source: Source, overrides: Sequence[str | Override]) -> tuple[int, int, int]:
+    rank = 0 if problem.file == source.name else 1 + [Override.of(o).name for o in overrides].index(problem.file)
     return rank, problem.line, problem.column
 
 

@@ -1,37 +1,67 @@
-"""`--set key.path=value`: changes to a scenario, made on the tree before it is validated.
+"""What options change in a scenario, made on the tree before it is validated.
 
-So an override obeys the rules of the file, and a mistake in one is reported with those of the file. Steps
-into a list count from 1, as vehicles do: `initial.2.surge=0.3 m/s`.
+So an override obeys the rules of the file, and a mistake in one is reported with those of the file.
 
-`vehicles=N` scales the scenario (see `scaling`), before the other overrides apply. `--show-config` shows the result.
+| option | what it changes |
+|---|---|
+| `--set vehicles=N` | scales the scenario (see `scaling`), before the other overrides apply |
+| `--set KEY=VALUE` | one key, such as `network.period`; steps into a list count from 1: `initial.2.surge=0.3 m/s` |
+| `--net "SELECTOR CONDITION"` | `network.links`: in place of the same selector, behind all others, so that it wins |
+| `--fault "at TIME ..."` | one fault more, in the words of `fault_words` |
+
+`--show-config` shows the result.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 from fleet.errors import Problem
 from fleet.quantities import describe_value
+from fleet.scenario.text.fault_words import FaultWordsError, fault_entry, link_entries
 from fleet.scenario.text.scaling import scale
 from fleet.scenario.text.yaml_reader import Items, Mapping, Node, Place, Scalar, Source, read
+from netem.parsing import GrammarError
+from netem.selectors import parse_selector
 
+SET, NET, FAULT = "--set", "--net", "--fault"
 _MAX_STEPS = 10
 
 Step = tuple[str, Place]
 
 
-def override_name(override: str) -> str:
-    """The name of an override in problems."""
-    return f"--set {override}"
+class Override(NamedTuple):
+    """An option that changes a scenario, and its text."""
+
+    option: str
+    text: str
+
+    @property
+    def name(self) -> str:
+        """The override in problems."""
+        return f"{self.option} {self.text}"
+
+    @classmethod
+    def of(cls, text: str | Override) -> Override:
+        """A text alone is one of `--set`."""
+        return text if isinstance(text, Override) else cls(SET, text)
 
 
-def apply(root: Mapping, overrides: Sequence[str]) -> tuple[Mapping, list[Problem]]:
-    """The tree with the overrides applied in order, the later ones over the earlier, and their mistakes."""
+def apply(root: Mapping, overrides: Sequence[str | Override]) -> tuple[Mapping, list[Problem]]:
+    """The tree with the overrides applied, and their mistakes.
+
+    Those of `--set` are applied first; of each kind the later ones over the earlier.
+    """
     problems: list[Problem] = []
     changes: list[tuple[list[Step], Node]] = []
-    for rank, override in enumerate(overrides, start=1):
-        source = Source(override_name(override), override, rank)
-        path, equals, _ = override.partition("=")
+    words: list[tuple[str, Source]] = []
+    for rank, override in enumerate(map(Override.of, overrides), start=1):
+        source = Source(override.name, override.text, rank)
+        if override.option != SET:
+            words.append((override.option, source))
+            continue
+        path, equals, _ = override.text.partition("=")
         if not equals or not all(path.split(".")) or path.count(".") > _MAX_STEPS:
             hint = "write key.path=value, such as network.period=50ms"
             problems.append(Place(source, 1, 1).problem("not an override", hint))
@@ -47,16 +77,21 @@ def apply(root: Mapping, overrides: Sequence[str]) -> tuple[Mapping, list[Proble
     for steps, value in changes:
         try:
             changed = _set(root, steps, value)
-        except _UnreachableError as error:
+        except _MistakeError as error:
             problems.append(error.problem)
             continue
         assert isinstance(changed, Mapping)
         root = changed
+    for option, source in words:
+        try:
+            root = _with_links(root, source) if option == NET else _with_fault(root, source)
+        except (FaultWordsError, _MistakeError) as error:
+            problems.append(error.problem)
     return root, problems
 
 
-class _UnreachableError(Exception):
-    """A path that leads through a value that is neither a mapping nor a list."""
+class _MistakeError(Exception):
+    """An override that cannot be applied."""
 
     def __init__(self, problem: Problem) -> None:
         super().__init__(problem.message)
@@ -84,10 +119,57 @@ def _set(node: Node | None, steps: list[Step], value: Node) -> Node:
         index = int(key) if key.isascii() and key.isdigit() and len(key) < 6 else 0
         if not 1 <= index <= len(node.items):
             message = f'expected an entry of the list, from 1 to {len(node.items)}, got "{key}"'
-            raise _UnreachableError(place.problem(message))
+            raise _MistakeError(place.problem(message))
         items = list(node.items)
         items[index - 1] = _set(items[index - 1], rest, value)
         return Items(tuple(items), node.place)
-    raise _UnreachableError(
+    raise _MistakeError(
         place.problem(f'there is no "{key}" here: the scenario has {describe_value(node.value)}, not a mapping')
     )
+
+
+def _with_links(root: Mapping, source: Source) -> Mapping:
+    """The tree with more conditions of links; a section that is wrong stays, and is reported when it is read."""
+    entries, start = link_entries(source), Place(source, 1, 1)
+    network = root.entries.get("network")
+    if isinstance(network, Scalar) and network.value == "ideal":
+        hint = "give it a period first, as in --set 'network={period: 100 ms}'"
+        raise _MistakeError(start.problem("the network of this scenario is ideal and has no links", hint))
+    if isinstance(network, Scalar) and network.value == "acoustic":
+        network = Mapping({"acoustic": Mapping({}, {}, network.place)}, {"acoustic": network.place}, network.place)
+    network = _mapping(network, start)
+    if network is None or (links := _mapping(network.entries.get("links"), start)) is None:
+        return root
+    for selector, condition in entries.entries.items():
+        for same in [text for text in links.entries if _links_of(text) == _links_of(selector)]:
+            links = links.without(same)
+        links = links.with_entry(selector, entries.keys[selector], condition)
+    network = network.with_entry("links", network.keys.get("links", start), links)
+    return root.with_entry("network", root.keys.get("network", start), network)
+
+
+def _mapping(node: Node | None, place: Place) -> Mapping | None:
+    """A section that may be left out or empty; None if it is something else."""
+    if node is None or (isinstance(node, Scalar) and node.value is None):
+        return Mapping({}, {}, place)
+    return node if isinstance(node, Mapping) else None
+
+
+def _links_of(selector: str) -> str:
+    """What a selector means, however it is written; a text that is none means itself."""
+    try:
+        return str(parse_selector(selector))
+    except GrammarError:
+        return selector
+
+
+def _with_fault(root: Mapping, source: Source) -> Mapping:
+    """The tree with one fault more; faults that are no list stay, and are reported when they are read."""
+    fault, start = fault_entry(source), Place(source, 1, 1)
+    if "at" not in fault.entries:
+        raise _MistakeError(start.problem("when does it begin?", "write at and a time in front, as in at 20s"))
+    faults = root.entries.get("faults")
+    if isinstance(faults, Mapping) or (isinstance(faults, Scalar) and faults.value is not None):
+        return root
+    before = faults.items if isinstance(faults, Items) else ()
+    return root.with_entry("faults", root.keys.get("faults", start), Items((*before, fault), start))

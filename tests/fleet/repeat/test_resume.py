@@ -23,6 +23,7 @@ from fleet.run.execute import Result, Status, execute
 from fleet.run.options import Options
 from fleet.scenario.loading import load_scenario
 from fleet.scenario.scenario import Scenario
+from fleet.scenario.text.overrides import FAULT, NET, Override
 
 LINKS = 'network.links={"*": delay 60ms 30ms 20% loss gemodel 10% 30% duplicate 20% corrupt 20% rate 20kbit}'
 NEMESIS = (
@@ -92,6 +93,19 @@ def test_a_change_acts_from_there_on(tmp_path: Path) -> None:
     assert before == [r for r in since(first.directory, at) if r.log_ns < mute]
     assert again.values["ledger"]["1->2"]["lost"] == {"mute": 15}
     assert again.values["sim_s"] == 3.0
+
+
+def test_a_fault_and_links_in_words_act_from_there_on(tmp_path: Path) -> None:
+    first = recorded(tmp_path, "paper", "duration=1 s", "log.snapshot=500 ms")
+    mute, down = Override(FAULT, "at 700 ms for 100 ms mute 1"), Override(NET, "3->4 down")
+    scenario, start = continuation(first.directory, None, [mute, down])
+    again = run(scenario, tmp_path, start)
+    assert again.values["ledger"]["1->2"]["lost"] == {"mute": 1}
+    assert again.values["ledger"]["3->4"]["lost"]["down"] == 5
+    assert verify(again.directory).reproduced
+    early = Override(FAULT, "at 100 ms for 900 ms mute 1")
+    with pytest.raises(SnapshotError, match="--fault at 100 ms for 900 ms mute 1: it begins before t = 500 ms"):
+        continuation(first.directory, None, [early])
 
 
 def test_an_agent_with_another_law_begins_without_memory(tmp_path: Path) -> None:

@@ -94,17 +94,17 @@ def _explain(root: Mapping, error: ErrorDetails) -> Problem:
         case "missing":
             section = dotted(path[:-1])
             where = f' in "{section}"' if section else ""
-            return locate(root, path[:-1], key=True).problem(f'"{path[-1]}" is missing{where}')
+            return locate(root, path[:-1], key=True).problem(f'"{path[-1]}" is missing{where}', key=name)
         case "extra_forbidden":
             place = locate(root, path, key=True)
-            return place.problem(f'unknown key "{_short(name)}"', _nearest_key(loc))
+            return place.problem(f'unknown key "{_short(name)}"', _nearest_key(loc), name)
         case "mistake":
             if path[-1] == "[key]":
                 path = path[:-1]
                 place, name = locate(root, path, key=True).shifted(context["column"]), dotted(path[:-1])
             else:
                 place = text_place(root, path, context["column"])
-            return place.problem(f"{_short(name)}: {context['message']}", context["hint"])
+            return place.problem(f"{_short(name)}: {context['message']}", context["hint"], name)
         case "literal_error":
             words = re.findall(r"'([^']*)'", context["expected"])
             hint = nearest(value, words) if isinstance(value, str) else ""
@@ -128,7 +128,7 @@ def _explain(root: Mapping, error: ErrorDetails) -> Problem:
             hint = "it names the run's directory"
         case _:
             message, hint = f"{error['msg']}, got {describe_value(value)}", ""
-    return locate(root, path).problem(f"{_short(name)}: {message}", hint)
+    return locate(root, path).problem(f"{_short(name)}: {message}", hint, name)
 
 
 def _in_file(root: Mapping, loc: Loc) -> Loc:

@@ -34,7 +34,8 @@ class Report:
     def add(self, path: tuple[str | int, ...], message: str, hint: str = "", *, key: bool = False) -> None:
         """Report a mistake, once, at the value (or the key) at `path`, or at its nearest ancestor that is there."""
         path = self._written(path)
-        problem = locate(self.root, path, key=key).problem(f"{dotted(path)}: {message}", hint)
+        name = dotted(path)
+        problem = locate(self.root, path, key=key).problem(f"{name}: {message}", hint, name)
         if problem not in self._added:
             self._added.add(problem)
             self.problems.append(problem)
@@ -44,8 +45,8 @@ class Report:
         if self.policy.refused is None:
             self.add(path, message, hint)
         else:
-            place = locate(self.root, self._written(path))
-            self.policy.refused.append(place.problem(f"{dotted(path)}: {message}", hint))
+            place, name = locate(self.root, self._written(path)), dotted(path)
+            self.policy.refused.append(place.problem(f"{name}: {message}", hint, name))
 
     def typed(self, path: tuple[str | int, ...]) -> bool:
         """Whether the value at `path` was given on the command line."""
@@ -58,7 +59,8 @@ class Report:
     def add_missing(self, path: tuple[str | int, ...], key: str, why: str) -> None:
         """Report a key that a section should have."""
         place = locate(self.root, path, key=True)
-        self.problems.append(place.problem(f'"{key}" is missing in "{dotted(path)}"{why}'))
+        missing = place.problem(f'"{key}" is missing in "{dotted(path)}"{why}', key=dotted((*path, key)))
+        self.problems.append(missing)
 
     def has(self, path: tuple[str, ...]) -> bool:
         """Whether the tree has a value at `path`."""

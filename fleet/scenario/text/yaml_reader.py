@@ -61,8 +61,8 @@ class Place:
     line: int
     column: int
 
-    def problem(self, message: str, hint: str = "") -> Problem:
-        return Problem(self.source.name, self.line, self.column, message, hint, self.source.line(self.line))
+    def problem(self, message: str, hint: str = "", key: str = "") -> Problem:
+        return Problem(self.source.name, self.line, self.column, message, hint, self.source.line(self.line), key)
 
     def shifted(self, columns: int) -> Place:
         return Place(self.source, self.line, self.column + columns)

@@ -8,6 +8,7 @@ from typing import Any
 
 import click
 
+from fleet.cli.documents.output import json_is_asked, print_document
 from fleet.errors import FleetError
 from netem.errors import NetemError
 
@@ -21,17 +22,33 @@ class FleetGroup(click.Group):
     """A group whose commands do not catch errors to print them: the group does."""
 
     def invoke(self, ctx: click.Context) -> Any:
-        """Run a command; an error of this package becomes a line on stderr and an exit status."""
+        """Run a command; an error of this package becomes a line on stderr and an exit status.
+
+        With `--json` an error is also the document that the command prints.
+        """
         try:
             return super().invoke(ctx)
         except (FleetError, NetemError) as error:
-            ctx.exit(report(error))
+            status = report(error)
+            if json_is_asked(ctx):
+                _print_failure(error, str(error), status)
+            ctx.exit(status)
+        except click.ClickException as error:
+            if json_is_asked(ctx):
+                _print_failure(error, error.format_message(), error.exit_code)
+            raise
 
 
 def report(error: Exception) -> int:
     """Print an error on stderr, and return the exit status that belongs to it."""
     click.echo(f"fleet: {error}", err=True)
     return int(getattr(error, "status", BROKEN))
+
+
+def _print_failure(error: Exception, message: str, status: int) -> None:
+    from fleet.cli.documents.failure import failure
+
+    print_document(failure(error, message, status))
 
 
 @contextmanager

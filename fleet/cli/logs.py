@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -10,6 +9,7 @@ from typing import Any
 
 import click
 
+from fleet.cli.documents.output import json_option, print_document
 from fleet.cli.log_argument import log_argument, newest_log
 from fleet.cli.types import Vehicles, Window, Words
 
@@ -187,7 +187,7 @@ def report(
 
 @click.command()
 @log_argument
-@click.option("--json", "as_json", is_flag=True, help="Print as JSON.")
+@json_option
 def info(log: Path, as_json: bool) -> None:
     """Say what LOG (an MCAP file, or a run directory) holds, also when it was cut short.
 
@@ -201,7 +201,12 @@ def info(log: Path, as_json: bool) -> None:
 
     with showing(f"reading {log}") as tell:
         found = read_info(log, tell)
-    click.echo(json.dumps(found.to_values(), indent=2) if as_json else info_text(found))
+    if as_json:
+        from fleet.cli.documents.logs import contents
+
+        print_document(contents(found))
+    else:
+        click.echo(info_text(found))
 
 
 COMMANDS = (plot, export, report, info)

@@ -22,18 +22,22 @@ from fleet.cli import (
     reproduce,
     run,
     runs,
+    schema,
     status,
     verify,
     what_if,
 )
 from fleet.cli.completion import scenarios
+from fleet.cli.documents.output import json_option, print_document
 from fleet.cli.group import EPILOG, FleetGroup
 from fleet.cli.trust import TrustingCommand, trust_option
 from fleet.cli.types import OVERRIDES, disturbances
 
 if TYPE_CHECKING:
     from agents.plugins.trust import Trust
+    from fleet.analysis.stability import Analysis
     from fleet.errors import Problem
+    from fleet.scenario.scenario import Scenario
     from fleet.scenario.text.overrides import Override
 
 
@@ -58,12 +62,14 @@ def cli() -> None:
 @OVERRIDES
 @disturbances
 @trust_option
+@json_option
 def check(
     scenario: str,
     overrides: tuple[str, ...],
     fault: tuple[Override, ...],
     net: tuple[Override, ...],
     trust: Trust,
+    as_json: bool,
 ) -> None:
     """Check SCENARIO without running it; every mistake is reported in one pass.
 
@@ -81,8 +87,24 @@ def check(
     refused: list[Problem] = []
     loaded = load_scenario(scenario, [*overrides, *net, *fault], trust, refused=refused)
     from fleet.analysis.preflight import warnings
+    from fleet.analysis.stability import analyse
+
+    found = analyse(loaded)
+    told = [*found.warnings, *warnings(loaded)]
+    if as_json:
+        from fleet.cli.documents.scenarios import checked
+
+        print_document(checked(loaded, found, told, refused))
+    else:
+        _say_what_is_expected(loaded, found, refused)
+    for warning in [*(f"not checked: {problem}" for problem in refused), *told]:
+        click.echo(f"warning: {warning}", err=True)
+
+
+def _say_what_is_expected(loaded: Scenario, found: Analysis, refused: list[Problem]) -> None:
+    """A valid scenario in words, and what theory expects of it."""
     from fleet.analysis.seed import HINT, NOTHING, seeded
-    from fleet.analysis.stability import analyse, report
+    from fleet.analysis.stability import report
     from fleet.scenario.scenario import timeline
 
     links = loaded.graph.links
@@ -92,7 +114,6 @@ def check(
         f"{loaded.duration_ns / 1e9:g} s in {loaded.ticks} ticks of {loaded.tick_ns / 1e6:g} ms, "
         + ("ideal network" if loaded.ideal else f"a round every {loaded.round_ticks} ticks")
     )
-    found = analyse(loaded)
     for line in report(loaded, found):
         click.echo(line)
     for name, begin_s, end_s, what in timeline(loaded):
@@ -101,17 +122,21 @@ def check(
     click.echo(f"seed {loaded.seed} draws: {', '.join(drawn)}" if drawn else f"{NOTHING}; {HINT}")
     if loaded.spec.expect == "fail":
         click.echo("the run is meant to fail a check, and exits with 0 when it does (expect: fail)")
-    for warning in [*(f"not checked: {problem}" for problem in refused), *found.warnings, *warnings(loaded)]:
-        click.echo(f"warning: {warning}", err=True)
 
 
 @cli.command(name="list")
-def list_() -> None:
+@json_option
+def list_(as_json: bool) -> None:
     """List the scenarios that ship with the package."""
+    from fleet.scenario.catalogue import list_scenarios
+
+    if as_json:
+        from fleet.cli.documents.scenarios import ScenarioRow, Scenarios
+
+        print_document(Scenarios([ScenarioRow(*row) for row in list_scenarios()]))
+        return
     from rich.console import Console as Terminal
     from rich.table import Table
-
-    from fleet.scenario.catalogue import list_scenarios
 
     table = Table(box=None, pad_edge=False)
     for heading in ("scenario", "vehicles", "duration", "meant to", "what one learns"):
@@ -121,6 +146,9 @@ def list_() -> None:
     Terminal(width=None if sys.stdout.isatty() else 120).print(table)
 
 
-for _module in (bench, hosts, join, live, logs, new, protocol, replay, reproduce, run, runs, status, verify, what_if):
+_MODULES = (
+    bench, hosts, join, live, logs, new, protocol, replay, reproduce, run, runs, schema, status, verify, what_if,
+)  # fmt: skip
+for _module in _MODULES:
     for _command in _module.COMMANDS:
         cli.add_command(_command)

@@ -10,6 +10,7 @@ import click
 
 from fleet.cli import hosts as cli_hosts
 from fleet.cli.completion import scenarios
+from fleet.cli.documents.output import json_option, print_document
 from fleet.cli.group import EPILOG
 from fleet.cli.trust import TrustingCommand, trust_option
 from fleet.cli.types import OVERRIDES, Duration, Share, Speed, disturbances
@@ -77,7 +78,8 @@ if TYPE_CHECKING:
 @click.option("--join-timeout", type=Duration(), default="300 s", show_default=True,
               help="How long to wait for each agent that somebody else starts.")  # fmt: skip
 @click.option("--start-order", metavar="SEED", type=int, hidden=True)
-@click.option("-q", "--quiet", is_flag=True, help="No progress and no tables.")
+@json_option
+@click.option("-q", "--quiet", is_flag=True, help="Print nothing but the run's directory, and failures on stderr.")
 def run(
     scenario: str | None,
     begin: str | None,
@@ -99,6 +101,7 @@ def run(
     wait_for_subscribers: bool,
     join_timeout: int,
     start_order: int | None,
+    as_json: bool,
     quiet: bool,
     **hosts: Any,
 ) -> None:
@@ -110,12 +113,15 @@ def run(
       fleet run rough-sea --seed 3 --duration '30 s'
       fleet run paper --set vehicles=20 --net '* delay 200ms 50ms loss 30%'
       fleet run paper --fault 'at 20s for 10s partition halves' --fault 'at 40s kill 3'
-      fleet run paper --in-process --out /tmp/runs --quiet
+      D=$(fleet run paper --in-process --quiet) && fleet plot $D
+      fleet run paper --json > result.json
       fleet run paper --clock real --speed 2
       fleet run --from runs/latest@20s --set controller=bsmc
     """
     if wait_for_subscribers and not publish:
         raise click.UsageError("--wait-for-subscribers needs --publish: nobody could subscribe")
+    if as_json and show_config:
+        raise click.UsageError("--show-config prints YAML: not together with --json")
     changes: list[str | Override] = [*overrides, *net, *fault]
     if seed is not None:
         changes.append(f"seed={seed}")
@@ -162,18 +168,24 @@ def run(
     if loaded.ideal and not in_process and not quiet:
         terminal.print("network: ideal has no latency and so runs in one process", highlight=False)
     result = execute(loaded, options, terminal)
-    if quiet:
-        _print_failure(result)
-    else:
-        from fleet.cli.result_table import show
+    try:
+        if as_json or quiet:
+            _print_failure(result)
+        if as_json:
+            from fleet.cli.documents.result import ran
 
-        try:
+            print_document(ran(result))
+        elif quiet:
+            click.echo(result.directory)
+        else:
+            from fleet.cli.result_table import show
+
             show(result, Terminal(width=None if sys.stdout.isatty() else 120, soft_wrap=False))
-            sys.stdout.flush()
-        except OutputError as error:
-            give_up_output()
-            click.echo(f"fleet: {error}; the results are in {result.directory}", err=True)
-            sys.exit(max(Status.BROKEN, result.status))
+        sys.stdout.flush()
+    except OutputError as error:
+        give_up_output()
+        click.echo(f"fleet: {error}; the results are in {result.directory}", err=True)
+        sys.exit(max(Status.BROKEN, result.status))
     sys.exit(int(result.status))
 
 
@@ -235,11 +247,11 @@ def _is_given(name: str) -> bool:
 
 
 def _print_failure(result: Result) -> None:
-    """With --quiet only a failure is printed; one that the scenario expects is none."""
+    """Print a failure on stderr, where stdout has no tables; one that the scenario expects is none."""
     failed = [f"FAIL  {v.check}: {v.asked}; found {v.found}" for v in result.verdicts if not v.passed]
     if result.reason or (failed and result.status):
         lines = [f"fleet: {result.reason}", *result.lines] if result.reason else failed
-        click.echo("\n".join([*lines, str(result.directory)]), err=True)
+        click.echo("\n".join(lines), err=True)
 
 
 def _shuffle(seed: int | None) -> Any:

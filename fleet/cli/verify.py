@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from fleet.cli.documents.output import json_option, print_document
 from fleet.cli.log_argument import log_argument, newest_log
 from fleet.cli.trust import TrustingCommand, trust_option
 
@@ -23,8 +24,9 @@ _log = click.Path(path_type=Path)
 @click.command(cls=TrustingCommand, epilog=_VERIFY)
 @log_argument
 @trust_option
+@json_option
 @click.option("-q", "--quiet", is_flag=True, help="No progress.")
-def verify(log: Path, trust: Trust, quiet: bool) -> None:
+def verify(log: Path, trust: Trust, as_json: bool, quiet: bool) -> None:
     """Run LOG again and compare: every message, bit for bit.
 
     Its scenario and seed, and what was injected and who died while it was recorded, in this process, up to where
@@ -43,7 +45,12 @@ def verify(log: Path, trust: Trust, quiet: bool) -> None:
         showing_time("verified", quiet=quiet) as tell,
     ):
         found = check(log, tell, trust, reading)
-    click.echo("\n".join(verification_lines(found)))
+    if as_json:
+        from fleet.cli.documents.logs import verified
+
+        print_document(verified(found))
+    else:
+        click.echo("\n".join(verification_lines(found)))
     sys.exit(0 if found.reproduced else 1)
 
 
@@ -53,8 +60,9 @@ def verify(log: Path, trust: Trust, quiet: bool) -> None:
 @click.option("--tolerance", metavar="X", type=click.FloatRange(min=0.0), default=0.0, show_default=True,
               help="The most that two numbers may be apart, each in its own unit.")  # fmt: skip
 @click.option("--all", "everything", is_flag=True, help="Every signal that differs, not only the first twenty.")
+@json_option
 @click.option("-q", "--quiet", is_flag=True, help="No progress.")
-def diff(a: Path, b: Path | None, tolerance: float, everything: bool, quiet: bool) -> None:
+def diff(a: Path, b: Path | None, tolerance: float, everything: bool, as_json: bool, quiet: bool) -> None:
     """Say whether logs A and B hold the same messages, where they part, and how far apart each signal gets.
 
     \b
@@ -73,6 +81,12 @@ def diff(a: Path, b: Path | None, tolerance: float, everything: bool, quiet: boo
     with showing(f"comparing {a} and {second}", quiet=quiet) as tell:
         left, right = LogReader(log_path(a), tell), LogReader(log_path(second))
         found = compare(left, right)
+    if as_json:
+        from fleet.cli.documents.logs import compared
+
+        missing, besides = (left.missing, right.missing), besides_messages(left, right)
+        print_document(compared((left.path, right.path), missing, found, tolerance, besides))
+        sys.exit(0 if found.first is None or (tolerance and found.within(tolerance)) else 1)
     for name, reader in (("a", left), ("b", right)):
         if reader.missing:
             click.echo(f"{name} is NOT WHOLE: {reader.missing}")

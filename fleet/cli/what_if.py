@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
+from fleet.cli.documents.output import json_option, print_document
 from fleet.cli.log_argument import log_argument
 from fleet.cli.trust import TrustingCommand, trust_option
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 @click.option("--set", "overrides", metavar="KEY=VALUE", multiple=True, help="Change one scenario key.")
 @trust_option
 @click.option("--plot", type=click.Path(path_type=Path), help="Draw both commands into this file (png, svg, pdf).")
-@click.option("--json", "as_json", is_flag=True, help="Plain values instead of words.")
+@json_option
 def command(
     log: Path,
     agent: int,
@@ -59,54 +59,32 @@ def command(
 
         draw(found, plot)
     if as_json:
-        click.echo(json.dumps(values(found), indent=2))
+        from fleet.cli.documents.what_if import other_commands
+
+        print_document(other_commands(found))
         return
     for note in found.notes:
         click.echo(f"note  {note}", err=True)
     click.echo("\n".join([*what_if_lines(found), *([str(plot)] if plot is not None else [])]))
 
 
-def values(found: WhatIf) -> dict[str, Any]:
-    """The comparison as plain values, SI units."""
-    from fleet.repeat.what_if import COMPONENTS
-
-    away = abs(found.found - found.recorded)
-    return {
-        "agent": found.agent,
-        "samples": len(found.t),
-        "messages": found.heard,
-        "identical": found.identical,
-        "first_s": found.first_s,
-        "components": {
-            name: {
-                "unit": unit,
-                "max": float(away[:, k].max()),
-                "at_s": float(found.t[away[:, k].argmax()]),
-                "rms": float((away[:, k] ** 2).mean() ** 0.5),
-            }
-            for k, (name, unit) in enumerate(COMPONENTS)
-        }
-        if len(found.t)
-        else {},
-        "notes": found.notes,
-    }
-
-
 def what_if_lines(found: WhatIf) -> list[str]:
     """The comparison in words."""
-    shown = values(found)
+    from fleet.cli.documents.what_if import other_commands
+
+    shown = other_commands(found)
     if not len(found.t):
         return [f"agent {found.agent} commanded nothing in this log"]
     lines = [
-        f"agent {found.agent}: {shown['samples']} samples from t = {found.t[0]:g} to {found.t[-1]:g} s, "
+        f"agent {found.agent}: {shown.samples} samples from t = {found.t[0]:g} to {found.t[-1]:g} s, "
         f"{found.heard} messages heard, {found.lives} {'life' if found.lives == 1 else 'lives'}"
     ]
     if found.identical:
         return [*lines, "identical: every command is that of the log, to the last bit"]
     lines.append(f"the commands differ from t = {found.first_s:g} s on")
     lines += [
-        f"  {name:<13} at most {c['max']:.4g} {c['unit']} away (t = {c['at_s']:g} s), RMS {c['rms']:.4g} {c['unit']}"
-        for name, c in shown["components"].items()
+        f"  {name:<13} at most {c.max:.4g} {c.unit} away (t = {c.at_s:g} s), RMS {c.rms:.4g} {c.unit}"
+        for name, c in shown.components.items()
     ]
     return lines
 

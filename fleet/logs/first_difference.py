@@ -50,15 +50,15 @@ class Difference:
         if a.record is None or b.record is None or a.record[:4] != b.record[:4]:
             return "\n".join([f"message {self.number}", *self._apart(a), *self._apart(b)])
         lines: list[tuple[str, ...]] = [("field", a.name, b.name, "|a - b|", "unit")]
-        same = 0
+        alike = 0
         for one, other in zip_longest(a.values, b.values):
-            if one is not None and other is not None and _same(one.value, other.value):
-                same += 1
+            if same(one, other):
+                alike += 1
                 continue
             path, _, unit = one or other
             lines.append((path, _shown(one), _shown(other), _gap(one, other), unit))
         head = f"message {self.number}: {a}"
-        tail = [f"  ({same} other field{'s' * (same != 1)} the same)"] if same else []
+        tail = [f"  ({alike} other field{'s' * (alike != 1)} the same)"] if alike else []
         if len(lines) == 1:  # the same values, written in another way
             return f"{head}\n  {a.name}: {_bytes(a.record.data)}\n  {b.name}: {_bytes(b.record.data)}"
         return "\n".join([head, *_table(lines), *tail])
@@ -133,8 +133,11 @@ def _declared(reader: LogReader) -> dict[str, tuple[Any, ...]]:
     return found
 
 
-def _same(a: Any, b: Any) -> bool:
-    return bool(a == b or (a != a and b != b))
+def same(a: Value | None, b: Value | None) -> bool:
+    """Whether a field is there in both messages with the same value; what is no number is the same as another one."""
+    if a is None or b is None:
+        return False
+    return bool(a.value == b.value or (a.value != a.value and b.value != b.value))
 
 
 def _shown(value: Value | None) -> str:

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -24,9 +23,6 @@ class Info:
     run: dict[str, str]
     topics: dict[str, tuple[str, int]]  # topic -> (schema, messages)
     missing: str
-
-    def to_values(self) -> dict[str, Any]:
-        return asdict(self)
 
 
 def read_info(path: Path, tell: Tell = lambda _: None) -> Info:

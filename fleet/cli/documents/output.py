@@ -9,11 +9,32 @@ import click
 if TYPE_CHECKING:
     import msgspec
 
-json_option = click.option("--json", "as_json", is_flag=True, help="Print one JSON document on stdout.")
+_ASKED = "fleet.json"  # in the meta of a context, which all contexts of one call share
+
+
+def _remember(context: click.Context, option: click.Parameter, value: bool) -> bool:
+    context.meta[_ASKED] = value
+    return value
+
+
+# Read before the other options: a mistake in one of them is printed as JSON, too.
+json_option = click.option("--json", "as_json", is_flag=True, is_eager=True, callback=_remember,
+                           help="Print one JSON document on stdout.")  # fmt: skip
+
+
+def json_is_asked(context: click.Context) -> bool:
+    """Whether the command that was called has `--json`, and was given it."""
+    return bool(context.meta.get(_ASKED))
 
 
 def print_document(document: msgspec.Struct) -> None:
     """Print a document as JSON: a number that is not finite becomes null, since JSON has none."""
     import msgspec
 
-    click.echo(msgspec.json.format(msgspec.json.encode(document), indent=2).decode())
+    try:
+        click.echo(msgspec.json.format(msgspec.json.encode(document), indent=2).decode())
+    except UnicodeEncodeError:  # the name of a file that is no text; json writes it with escapes
+        import json
+
+        values = json.loads(json.dumps(msgspec.to_builtins(document)), parse_constant=lambda _: None)
+        click.echo(json.dumps(values, indent=2))

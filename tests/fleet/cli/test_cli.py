@@ -161,7 +161,8 @@ def test_exit_status(arguments: list[str], status: int, said: str, tmp_path: Pat
     assert said in stderr
     assert bool(said) == bool(stderr)
     assert "Traceback" not in stderr
-    assert stdout == "" or arguments[0] == "check"
+    ran = arguments[0] == "run" and list(tmp_path.glob("*/result.json"))
+    assert stdout == (f"{(tmp_path / 'latest').resolve()}\n" if ran else "") or arguments[0] == "check"
 
 
 @pytest.mark.parametrize("content", [None, b"", b"no log", b"\x89MCAP0\r\n", b"\x89MCAP0\r\n" + b"\xff" * 100])
@@ -237,8 +238,9 @@ def test_shown_configuration_loads_again(name: str, tmp_path: Path) -> None:
 def run(out: Path, *arguments: str | Path) -> Path:
     """A quiet run that passes; its directory."""
     result = invoke("run", *arguments, "--out", out, "--quiet")
-    assert (result.exit_code, result.output) == (0, ""), result.output
-    return (out / "latest").resolve()
+    directory = (out / "latest").resolve()
+    assert (result.exit_code, result.output) == (0, f"{directory}\n"), result.output
+    return directory
 
 
 def files(directory: Path) -> set[str]:
@@ -376,14 +378,20 @@ def test_ideal_network_says_that_it_runs_in_one_process(tmp_path: Path) -> None:
 def test_quiet_says_nothing_of_a_failure_that_is_meant(tmp_path: Path) -> None:
     short = ["--duration", "500 ms", "--out", tmp_path, "--quiet", "--set", "checks={formation_error: {below: 1 mm}}"]
     done = shell("run", "ideal", *short, "--set", "expect=fail")
-    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+    assert (done.returncode, done.stderr) == (0, "")
     done = shell("run", "ideal", *short)
     assert (done.returncode, "FAIL  formation_error" in done.stderr) == (1, True)
 
 
-def test_quiet_is_quiet(tmp_path: Path) -> None:
-    done = shell("run", "ideal", "--duration", "500 ms", "--out", tmp_path, *NO_CHECKS, "--quiet")
-    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+def test_quiet_prints_the_directory_alone(tmp_path: Path) -> None:
+    """So that D=$(fleet run ideal -q) holds it; also when a check fails, which stderr says."""
+    quiet = ["--duration", "500 ms", "--out", tmp_path, "--quiet"]
+    done = shell("run", "ideal", *quiet, *NO_CHECKS)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout == f"{(tmp_path / 'latest').resolve()}\n"
+    failed = invoke("run", "ideal", *quiet)
+    assert (failed.exit_code, failed.stdout) == (1, f"{(tmp_path / 'latest').resolve()}\n")
+    assert failed.stderr.startswith("FAIL  formation_error: ")
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,40 @@
+"""What every command prints with `--json` when it fails before it has anything to say."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Annotated
+
+from msgspec import Meta, Struct
+
+from fleet.errors import MOST_SHOWN, Problem, ScenarioError
+
+
+class ProblemRow(Struct):
+    """One mistake in a scenario."""
+
+    file: Annotated[str, Meta(description="Where it is: a path, or an option with its text, as in `--set seed=x`.")]
+    line: Annotated[int, Meta(description="Line, from 1; 0: no line is to blame.")]
+    column: Annotated[int, Meta(description="Column, from 1; 0: no line is to blame.")]
+    key: Annotated[str, Meta(description="Key of the scenario, as `--set` writes it; empty: of no key.")]
+    message: Annotated[str, Meta(description="What is wrong: expected against got.")]
+    hint: Annotated[str, Meta(description="What to do next; may be empty.")]
+
+
+class Failure(Struct):
+    """What a command with `--json` prints in place of its document when it fails; stderr says the same in words."""
+
+    error: Annotated[str, Meta(description="What went wrong, as on stderr.")]
+    exit: Annotated[int, Meta(description="Exit status of the command.")]
+    problems: Annotated[list[ProblemRow], Meta(description="Mistakes in the scenario, the first 200 of them.")]
+
+
+def failure(error: Exception, message: str, status: int) -> Failure:
+    """The document of an error."""
+    problems = error.problems[:MOST_SHOWN] if isinstance(error, ScenarioError) else ()
+    return Failure(message, status, problem_rows(problems))
+
+
+def problem_rows(problems: Sequence[Problem]) -> list[ProblemRow]:
+    """Mistakes in a scenario as they are printed."""
+    return [ProblemRow(p.file, p.line, p.column, p.key, p.message, p.hint) for p in problems]

@@ -1,0 +1,32 @@
+"""The command `fleet schema`: what `--json` prints."""
+
+from __future__ import annotations
+
+import click
+
+
+@click.command()
+@click.argument("command", required=False)
+def schema(command: str | None) -> None:
+    """Print the JSON Schema of what COMMAND prints with --json; without COMMAND, a page about all of them (Markdown).
+
+    \b
+    Examples:
+      fleet schema run > run.schema.json
+      fleet schema | less
+    """
+    from fleet.cli.documents.index import DOCUMENTS
+    from fleet.cli.documents.page import page
+    from fleet.cli.documents.page import schema as schema_of
+
+    if command is None:
+        click.echo(page(), nl=False)
+        return
+    if command not in DOCUMENTS:
+        raise click.UsageError(f"{command} has no --json; there are {', '.join(sorted(DOCUMENTS))}")
+    import json
+
+    click.echo(json.dumps(schema_of(command), indent=2))
+
+
+COMMANDS = (schema,)

@@ -28,6 +28,8 @@ def warnings(scenario: Scenario) -> list[str]:
 
 def log_mb(scenario: Scenario) -> float:
     """About how large the log of a whole run becomes [MB]."""
+    if scenario.spec.log.none:
+        return 0.0
     rows = sum(scenario.vehicles * (scenario.ticks // every + 1) for every in scenario.log_every.values() if every)
     packets = len(scenario.graph.links) * (scenario.ticks // scenario.round_ticks)
     return (rows + packets) * MESSAGE_BYTES / 1e6

@@ -40,15 +40,15 @@ def show(result: Result, terminal: Terminal) -> None:
         terminal.print(f"note  ... and {len(notes) - MOST_ROWS} more in result.json", highlight=False)
     if "timing" in values:
         terminal.print(summary(values["timing"], values["timing"]["speed"]), highlight=False, soft_wrap=True)
-    wall = values["wall"]
+    wall, size = values["wall"], values["log_bytes"]
     how = "in-process" if wall["in_process"] else f"distributed, ready in {wall['startup_s']:.2f} s"
     terminal.print(
         f"{values['sim_s']:g} s simulated in {wall['run_s']:.2f} s ({wall['x_real_time']:.1f} x real time, {how}); "
-        f"{values['messages']} messages, {values['log_bytes'] / 1e6:.1f} MB, digest {result.digest[:16]}",
+        f"{values['messages']} messages, {f'{size / 1e6:.1f} MB' if size else 'no log'}, digest {result.digest[:16]}",
         highlight=False,
         soft_wrap=True,
     )
-    if hint := large_log_hint(values["log_bytes"] / 1e6):
+    if hint := large_log_hint(size / 1e6):
         terminal.print(f"note  the log is large: {hint}", markup=False, highlight=False, soft_wrap=True)
     if result.status in (Status.BROKEN, Status.INTERRUPTED, Status.HUNG_UP):
         terminal.print(f"[red]{'run broke' if result.status is Status.BROKEN else 'stopped'}[/]: ", end="")

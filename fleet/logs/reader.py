@@ -16,11 +16,13 @@ from fleet.errors import FleetError
 from fleet.logs.digest import Digest
 from fleet.logs.records import MAGIC, Block
 from fleet.logs.salvage import Damage, Item, Salvage
+from netem.whole_file import read_file
 
 RECOVERY = "recovery"  # name of the metadata record in a file that `fleet recover` wrote
 LOST = "lost"  # key in this record: text that says what is lost
 GAPS = "gaps"  # key in this record: numbers (from 0) of the messages before which data is lost
 MOST_KEPT = 256 << 20  # limit [bytes] for attachments, schemas, channels and metadata together
+MOST_SCENARIO = 4_000_000  # bytes
 _ENTRY = 256  # estimated memory [bytes] of one entry of metadata, in addition to its text
 Tell = Callable[[float], None]  # progress callback: gets the fraction of the file that was read, 0 to 1
 
@@ -206,5 +208,22 @@ def open_any(path: Path) -> IO[bytes]:
         if not stat.S_ISREG(path.stat().st_mode):  # opening a pipe would block
             raise LogReadError(f"cannot read {path}: it is no file")
         return path.open("rb")
+    except FileNotFoundError as error:
+        raise LogReadError(_none(path) or f"cannot read {path}: {error.strerror}") from error
     except OSError as error:
         raise LogReadError(f"cannot read {path}: {error.strerror}") from error
+
+
+def _none(path: Path) -> str:
+    """What to say of a log that is not there because its run was to write none; "" if it was not."""
+    scenario = path.with_name("scenario.yaml")
+    try:
+        lines = read_file(scenario, MOST_SCENARIO).splitlines()
+    except (OSError, ValueError):
+        return ""
+    if b"log: none" not in lines:
+        return ""
+    return (
+        f"{path.parent} has no log, as its scenario says log: none; result.json has its numbers. "
+        f"To run it again with a log: fleet run {scenario} --set log={{}}"
+    )

@@ -21,6 +21,7 @@ from fleet.processes.interrupts import DeferInterrupts, HungUp
 from fleet.processes.ports import free_port
 from fleet.recorder.journal import Journal, Spell
 from fleet.recorder.log_file import LogError, LogFile
+from fleet.recorder.no_log import NoLog
 from fleet.recorder.writer import LogWriter
 from fleet.replay.publisher import PublishError
 from fleet.run.clock import WINDOW_NS, Clock
@@ -70,7 +71,7 @@ class _Run:
     options: Options
     directory: RunDirectory
     publication: Publication | NoPublication
-    log: LogFile
+    log: LogFile | NoLog
     journal: Journal
     runner: Runner
     line: StatusLine
@@ -130,7 +131,7 @@ def _prepare(
     if options.publish:
         publication = Publication(number, directory.observe, line.print, wait=options.wait)
     lockstep = options.realtime_speed is None
-    log = LogFile(directory.log)
+    log = NoLog() if scenario.spec.log.none else LogFile(directory.log)
     writer = LogWriter(log, scenario, options.start, publication.publisher, lockstep=lockstep)
     publication.open()
     journal = Journal(scenario, writer, interrupts)
@@ -230,7 +231,7 @@ def _clock(scenario: Scenario, options: Options) -> Clock:
     return Clock.of(scenario, options.realtime_speed, lead_ns=WINDOW_NS)
 
 
-def _close_log(file: LogFile, result: Result) -> None:
+def _close_log(file: LogFile | NoLog, result: Result) -> None:
     try:
         file.close()
     except LogError as error:
@@ -239,7 +240,7 @@ def _close_log(file: LogFile, result: Result) -> None:
             result.status, result.reason = Status.BROKEN, str(error)
 
 
-def _values(scenario: Scenario, journal: Journal, file: LogFile, result: Result, lost: int) -> dict[str, Any]:
+def _values(scenario: Scenario, journal: Journal, file: LogFile | NoLog, result: Result, lost: int) -> dict[str, Any]:
     return {
         "scenario": scenario.name,
         "seed": scenario.seed,

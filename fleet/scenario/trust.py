@@ -46,6 +46,7 @@ class Policy:
 
 
 READING = Policy(imports=False)
+RECORDS = ("run.mcap", "result.json")  # in the directory of a run; one of them may not be there
 
 
 def stranger(file: Path) -> str:
@@ -53,6 +54,6 @@ def stranger(file: Path) -> str:
     folder = file.parent.resolve()
     if not folder.is_relative_to(Path().resolve()):
         return "the scenario that names it lies outside of the current directory"
-    if file.name == "scenario.yaml" and (folder / "run.mcap").exists():
+    if file.name == "scenario.yaml" and any((folder / name).exists() for name in RECORDS):
         return "the scenario that names it is the record of a run"
     return ""

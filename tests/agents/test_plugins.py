@@ -450,8 +450,7 @@ def test_a_failure_on_the_command_line(module: Callable[[str], str], tmp_path: P
     name = module(failing(20, "1 / 0"))
     choice = ["--set", f"controller={name}:Law", "--set", "checks={}", "--duration", "500 ms"]
     result = CliRunner().invoke(cli, ["run", "paper", *choice, "--in-process", "--quiet", "--out", str(tmp_path)])
-    assert result.exit_code == 3
-    assert result.stdout == ""
+    assert (result.exit_code, result.stdout) == (3, f"{(tmp_path / 'latest').resolve()}\n")
     assert result.stderr.startswith("fleet: agent 2, tick 20: Law raised ZeroDivisionError: division by zero (")
 
 

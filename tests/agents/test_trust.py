@@ -351,10 +351,12 @@ def test_the_scenario_of_a_run_is_a_record(
     log, name = recorded
     shutil.copytree(log.parent, tmp_path / "run")
     write_laws(tmp_path / "run", name)
-    for folder, file in ((tmp_path, "run/scenario.yaml"), (tmp_path / "run", "scenario.yaml")):
-        monkeypatch.chdir(folder)
-        refused = invoke("run", file, "-q")
-        assert refused.exit_code == 2 and "is the record of a run" in refused.stderr
+    for gone in ("nothing", "run.mcap"):  # with log: none there is only the result
+        (tmp_path / "run" / gone).unlink(missing_ok=True)
+        for folder, file in ((tmp_path, "run/scenario.yaml"), (tmp_path / "run", "scenario.yaml")):
+            monkeypatch.chdir(folder)
+            refused = invoke("run", file, "-q")
+            assert refused.exit_code == 2 and "is the record of a run" in refused.stderr
     assert not (tmp_path / "run" / f"{name}.mark").exists()
 
 

@@ -50,7 +50,7 @@ def fleet_run(folder: Path, soft: int, hard: int) -> subprocess.CompletedProcess
 @pytest.mark.slow
 def test_too_few_open_files_are_said_before_anything_starts(tmp_path: Path) -> None:
     found = fleet_run(tmp_path, 40, 40)
-    assert (found.returncode, found.stdout) == (3, "")
+    assert (found.returncode, found.stdout) == (3, f"{(tmp_path / 'latest').resolve()}\n")
     assert "4 vehicles need 56 open files per process, and the limit here is 40" in found.stderr
     assert "Traceback" not in found.stderr
 

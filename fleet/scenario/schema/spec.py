@@ -11,6 +11,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BeforeValidator, Field, PlainSerializer
 
 from agents.config import OnError
+from fleet.quantities import describe_value
 from fleet.scenario.schema.checks import ChecksSection
 from fleet.scenario.schema.control import (
     GuidanceChoice,
@@ -37,12 +38,14 @@ from fleet.scenario.schema.sea import SeaSection, SensorsSection
 from fleet.scenario.schema.section import Section
 from fleet.scenario.schema.value_types import Period, Ticks, TicksOrNever, Time, VehicleNumbers, mistake
 from fleet.scenario.schema.vehicle import ModelErrorSection, VehicleSection
+from netem.parsing import nearest
 from world.config import DEFAULT_SUBSTEPS
 
 
 class LogSection(Section):
-    """How often each group of topics is logged; every packet of every link always is."""
+    """How often each group of topics is logged; every packet of every link always is. `log: none` is `none` here."""
 
+    none: bool = False
     every: Ticks = 1
     pose: Ticks | None = None
     state: Ticks | None = None
@@ -54,6 +57,25 @@ class LogSection(Section):
     transforms: TicksOrNever | None = None  # of all vehicles, about 10 Hz; 0 ticks: never
     scene: TicksOrNever | None = None  # hulls, links, places for 3D viewers, about 2 Hz; 0 ticks: never
     snapshot: Time | None = None  # of all that determines the rest of the run; about 10 s; 0 s: none
+
+
+def _read_log(value: Any) -> Any:
+    """The model's form of the section, which may be one word in the file."""
+    if value == "none":
+        return {"none": True}
+    if isinstance(value, dict) and "none" in value:
+        raise mistake('write "log: none" for a run without a log, which then is nothing else')
+    if isinstance(value, str):
+        raise mistake(
+            f'expected a mapping of rates, or "none", got {describe_value(value)}', hint=nearest(value, ["none"])
+        )
+    return value
+
+
+def _show_log(log: LogSection) -> Any:
+    """The file's form of the section."""
+    values = log.model_dump(exclude_none=True)
+    return "none" if values.pop("none") else values
 
 
 def _title(value: Any) -> Any:
@@ -100,7 +122,7 @@ class ScenarioSpec(Section):
     per_vehicle: dict[VehicleNumbers, VehicleOverrides] = {}  # "3" or "2-4, 7"; later ones over earlier ones
     network: Annotated[NetworkSection, BeforeValidator(read_network), PlainSerializer(show_network)]
     physics: PhysicsSection = PhysicsSection()
-    log: LogSection = LogSection()
+    log: Annotated[LogSection, BeforeValidator(_read_log), PlainSerializer(_show_log)] = LogSection()
     faults: list[FaultEntry] = []
     nemesis: NemesisSection | None = None  # becomes explicit faults when the scenario is read
     checks: ChecksSection = ChecksSection()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import re
 from pathlib import Path
 
 from click.testing import CliRunner, Result
@@ -33,3 +35,49 @@ def test_check_takes_the_same_words() -> None:
     assert wrong.exit_code == 2
     assert '\n--fault at 5s kil 3: no fault is called "kil"' in wrong.stderr
     assert "fleet: --net 1->9 down: network.links.1->9: the graph has no such link" in wrong.stderr
+
+
+# --- log: none ------------------------------------------------------------------
+
+NO_LOG = ["--set", "log=none"]
+
+
+def test_a_run_without_a_log_has_its_result_and_the_same_digest(tmp_path: Path) -> None:
+    logged = Path(invoke("run", "paper", *QUICK, *WORDS, "--out", tmp_path).stdout.strip())
+    without = Path(invoke("run", "paper", *QUICK, *WORDS, *NO_LOG, "--out", tmp_path).stdout.strip())
+    assert {path.name for path in without.iterdir()} == {"log", "result.json", "scenario.yaml"}
+    a, b = (json.loads((directory / "result.json").read_text()) for directory in (logged, without))
+    assert (a.pop("log_bytes") > 0, b.pop("log_bytes")) == (True, 0)
+    del a["wall"], b["wall"]
+    assert a == b
+    assert "log: none" in (without / "scenario.yaml").read_text().splitlines()
+    again = Path(invoke("run", without / "scenario.yaml", *QUICK, "--set", "log={}", "--out", tmp_path).stdout.strip())
+    assert (again / "run.mcap").read_bytes() == (logged / "run.mcap").read_bytes()
+
+
+def test_a_run_without_a_log_says_so(tmp_path: Path) -> None:
+    result = invoke("run", "paper", *QUICK[:-1], *NO_LOG, "--out", tmp_path)
+    assert re.search(r" messages, no log, digest [0-9a-f]{16}$", result.stdout, re.MULTILINE)
+
+
+def test_what_needs_a_log_says_that_there_is_none(tmp_path: Path) -> None:
+    run = Path(invoke("run", "paper", *QUICK, *NO_LOG, "--out", tmp_path).stdout.strip())
+    for command in (
+        ["info", run], ["verify", run], ["plot", run], ["export", run, "--csv", tmp_path / "csv"], ["recover", run],
+        ["script", run], ["whatif", run, "--agent", "1"], ["run", "--from", run], ["diff", run, run],
+        ["report", run, "-o", tmp_path / "r.html"], ["replay", run], ["info", run / "run.mcap"],
+    ):  # fmt: skip
+        result = invoke(*command)
+        assert result.exit_code == 2, command
+        assert f"fleet: {run} has no log, as its scenario says log: none; " in result.stderr, command
+        assert f"fleet run {run}/scenario.yaml --set log={{}}" in result.stderr
+    (run / "scenario.yaml").unlink()
+    assert "cannot read" in invoke("info", run).stderr
+
+
+def test_a_published_run_without_a_log(tmp_path: Path) -> None:
+    """What is published does not depend on the log."""
+    result = invoke("run", "paper", *QUICK, *NO_LOG, "--publish", "--out", tmp_path)
+    assert result.exit_code == 0, result.stderr
+    values = json.loads((tmp_path / "latest" / "result.json").read_text())
+    assert (values["log_bytes"], values["published"]["dropped"]) == (0, 0)

@@ -476,7 +476,7 @@ def test_a_file_that_may_not_grow(tmp_path: Path) -> None:
         check=False,
         preexec_fn=limit,
     )
-    assert (done.returncode, done.stdout) == (3, "")
+    assert (done.returncode, done.stdout) == (3, f"{(tmp_path / 'latest').resolve()}\n")
     assert "cannot write the log" in done.stderr and "File too large" in done.stderr
     assert "Traceback" not in done.stderr
     result = tool("verify", tmp_path / "latest")

@@ -153,6 +153,18 @@ def test_log_groups() -> None:
     assert every["error"] == 5
 
 
+def test_no_log() -> None:
+    """One word, which prints as it was written; the rates are the defaults, by which the digest is made."""
+    none = small("log=none")
+    assert none.spec.log.none
+    assert none.log_every == small("log={}").log_every
+    assert "\nlog: none\n" in none.to_yaml()
+    assert parse_scenario(none.to_yaml(), "again.yaml") == none
+    assert "none" not in small("log={}").to_yaml().split("\nlog:")[1].split("\nchecks:")[0]
+    assert 'did you mean "none"?' in only_problem("log=nne")
+    assert 'write "log: none"' in only_problem("log={none: true}")
+
+
 @pytest.mark.parametrize("vehicles", [1, 2, 3, 4, 5, 9, 10, 100])
 def test_grid_neighbours_are_adjacent(vehicles: int) -> None:
     cells = grid(vehicles, 10.0)

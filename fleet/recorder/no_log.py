@@ -1,0 +1,50 @@
+"""What stands in for the log of a run with `log: none`: the digest, and nothing is written."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+
+from fleet.logs.reader import digest_part
+from fleet.logs.schemas import Schema
+
+
+class NoLog:
+    """Takes the messages of a log as `LogFile` does, and counts and digests them. Its memory does not grow."""
+
+    size = 0  # bytes
+
+    def __init__(self) -> None:
+        self.messages = 0
+        self._digest = hashlib.sha256()
+        self._topics: list[bytes] = []
+
+    @property
+    def digest(self) -> str:
+        """The digest that a log would have: see `LogFile`."""
+        return self._digest.hexdigest()
+
+    def attachment(self, name: str, media_type: str, data: bytes) -> None:
+        """Nothing to do: the digest is of messages."""
+
+    def metadata(self, name: str, values: Mapping[str, str]) -> None:
+        """Nothing to do: the digest is of messages."""
+
+    def channel(self, topic: str, schema: Schema) -> int:
+        """Number a topic."""
+        self._topics.append(topic.encode())
+        return len(self._topics) - 1
+
+    def message(self, channel: int, log_ns: int, publish_ns: int, sequence: int, data: bytes) -> None:
+        """Count and digest a message; both times in ns of simulated time."""
+        self._digest.update(digest_part(self._topics[channel], log_ns, publish_ns, sequence, data))
+        self.messages += 1
+
+    def flush(self, at_ns: int) -> None:
+        """Nothing to do."""
+
+    def close(self) -> None:
+        """Nothing to do."""
+
+    def abandon(self) -> None:
+        """Nothing to do."""

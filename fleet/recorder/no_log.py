@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Mapping
 
-from fleet.logs.reader import digest_part
+from fleet.logs.digest import Digest
 from fleet.logs.schemas import Schema
 
 
@@ -16,7 +15,7 @@ class NoLog:
 
     def __init__(self) -> None:
         self.messages = 0
-        self._digest = hashlib.sha256()
+        self._digest = Digest()
         self._topics: list[bytes] = []
 
     @property
@@ -37,7 +36,7 @@ class NoLog:
 
     def message(self, channel: int, log_ns: int, publish_ns: int, sequence: int, data: bytes) -> None:
         """Count and digest a message; both times in ns of simulated time."""
-        self._digest.update(digest_part(self._topics[channel], log_ns, publish_ns, sequence, data))
+        self._digest.add(self._topics[channel], log_ns, publish_ns, sequence, data)
         self.messages += 1
 
     def flush(self, at_ns: int) -> None:

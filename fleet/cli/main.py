@@ -92,7 +92,7 @@ def check(
     found = analyse(loaded)
     told = [*found.warnings, *warnings(loaded)]
     if as_json:
-        from fleet.cli.documents.scenarios import checked
+        from fleet.cli.documents.check import checked
 
         print_document(checked(loaded, found, told, refused))
     else:
@@ -131,7 +131,7 @@ def list_(as_json: bool) -> None:
     from fleet.scenario.catalogue import list_scenarios
 
     if as_json:
-        from fleet.cli.documents.scenarios import ScenarioRow, Scenarios
+        from fleet.cli.documents.listing import ScenarioRow, Scenarios
 
         print_document(Scenarios([ScenarioRow(*row) for row in list_scenarios()]))
         return

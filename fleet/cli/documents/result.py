@@ -6,6 +6,7 @@ from typing import Annotated
 
 from msgspec import Meta, Struct, convert
 
+from fleet.cli.documents.live import Formation
 from fleet.run.execute import Result
 
 Metres = float | None  # null: the motion left the finite numbers
@@ -37,15 +38,6 @@ class VehicleResult(Struct):
     u_cmd_max_mps: Annotated[float | None, Meta(description="Greatest commanded speed [m/s]; null: not reported.")]
     qp_failures: Annotated[int, Meta(description="How often the optimisation of the gain failed.")]
     payloads_rejected: Annotated[int, Meta(description="Damaged payloads that the agent refused.")]
-
-
-class FormationError(Struct):
-    """The formation errors of the fleet at the end."""
-
-    worst_m: Annotated[Metres, Meta(description="The largest [m].")]
-    vehicle: Annotated[int, Meta(description="Whose it is; 0: no frame was recorded.")]
-    median_m: Annotated[Metres, Meta(description="Of the median vehicle [m].")]
-    vehicles: Annotated[int, Meta(description="Number of vehicles.")]
 
 
 class TumbleSpell(Struct):
@@ -183,7 +175,7 @@ class Ran(Struct):
     sim_s: Annotated[float, Meta(description="Simulated time that was recorded [s].")]
     checks: Annotated[list[CheckResult], Meta(description="The verdicts; none if the run did not come to its end.")]
     vehicles: Annotated[dict[str, VehicleResult], Meta(description="By vehicle.")]
-    formation: Annotated[FormationError, Meta(description="Formation errors at the end.")]
+    formation: Annotated[Formation, Meta(description="Formation errors at the end.")]
     tumbles: Annotated[list[TumbleSpell], Meta(description="In the order in which they began.")]
     ledger: Annotated[dict[str, LinkAccount], Meta(description="By link, as `1->2`.")]
     ages: Annotated[dict[str, LinkAge], Meta(description="By link, and of all links as `*`.")]

@@ -16,13 +16,14 @@ from failing_laws import module as module
 from repository import ROOT
 from small_scenario import SMALL
 
+from fleet.cli.documents.check import Checked
 from fleet.cli.documents.failure import Failure
 from fleet.cli.documents.index import DOCUMENTS
+from fleet.cli.documents.listing import Scenarios
 from fleet.cli.documents.logs import Compared, LogContents, Verified
 from fleet.cli.documents.output import print_document
 from fleet.cli.documents.page import page, schema
 from fleet.cli.documents.result import Ran
-from fleet.cli.documents.scenarios import Checked, Scenarios
 from fleet.cli.documents.what_if import OtherCommands
 from fleet.cli.main import cli
 from fleet.logs.reader import digest

@@ -1,4 +1,4 @@
-"""What `fleet list` and `fleet check` print with `--json`."""
+"""What `fleet check` prints with `--json`."""
 
 from __future__ import annotations
 
@@ -11,30 +11,9 @@ from fleet.analysis.border import LinearFleet
 from fleet.analysis.seed import seeded
 from fleet.analysis.stability import Analysis, oldest_s
 from fleet.cli.documents.failure import ProblemRow, problem_rows
+from fleet.cli.documents.listing import Duration, Expect, Name, Title, Vehicles
 from fleet.errors import Problem
 from fleet.scenario.scenario import Scenario, timeline
-
-Name = Annotated[str, Meta(description="Name of the scenario.")]
-Title = Annotated[str, Meta(description="What one learns from it.")]
-Vehicles = Annotated[int, Meta(description="Number of vehicles.")]
-Duration = Annotated[float, Meta(description="Simulated time of a run [s].")]
-Expect = Annotated[str, Meta(description="pass, or fail: it is meant to fail a check.")]
-
-
-class ScenarioRow(Struct):
-    """One scenario that ships with the package."""
-
-    name: Name
-    title: Title
-    vehicles: Vehicles
-    duration_s: Duration
-    expect: Expect
-
-
-class Scenarios(Struct):
-    """`fleet list --json`: the scenarios that ship with the package."""
-
-    scenarios: Annotated[list[ScenarioRow], Meta(description="By name.")]
 
 
 class Eigenvalue(Struct):

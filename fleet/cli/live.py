@@ -102,7 +102,7 @@ def inject(what: tuple[str, ...], run: str | None, lasts: str | None, name: str 
       fleet inject gust velocity='0 0.5 0 m/s' over=10s
       fleet inject efficiency vehicles=2 surge='50 %' --for 20s
     """
-    from fleet.scenario.sections.timeline import ACTIONS
+    from fleet.scenario.schema.faults import ACTIONS
     from netem.parsing import nearest
 
     kind, rest = what[0], what[1:]

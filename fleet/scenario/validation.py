@@ -16,7 +16,7 @@ from fleet.quantities import describe_value
 from fleet.scenario.parts import Parts, UnknownValueError
 from fleet.scenario.rules.apply import check
 from fleet.scenario.rules.report import Report, dotted
-from fleet.scenario.schema.section import Section
+from fleet.scenario.schema.section import Section, section_of
 from fleet.scenario.schema.spec import ScenarioSpec
 from fleet.scenario.text.yaml_reader import Items, Mapping, Node, locate, plain, text_place
 from fleet.scenario.trust import READING, Policy
@@ -183,17 +183,6 @@ def _paths(section: type[Section], prefix: str) -> Iterator[str]:
 
 def _holds_many(annotation: Any) -> bool:
     return get_origin(annotation) in (list, dict) or any(_holds_many(argument) for argument in get_args(annotation))
-
-
-def section_of(annotation: Any) -> type[Section] | None:
-    """The section inside an annotation such as `Below | None` or `list[InitialState]`."""
-    if isinstance(annotation, type) and issubclass(annotation, Section):
-        return annotation
-    for argument in get_args(annotation):
-        section = section_of(argument)
-        if section is not None:
-            return section
-    return None
 
 
 def _short(name: str) -> str:

@@ -76,10 +76,8 @@ def faults(context: click.Context) -> Iterable[str]:
 @_words
 def injection(context: click.Context) -> Iterable[str]:
     """What may come next in `fleet inject`."""
-    from fleet.scenario.schema.faults import FaultSection
+    from fleet.scenario.schema.faults import ACTIONS, FaultSection
     from fleet.scenario.schema.section import section_of
-    from fleet.scenario.sections.partitions import NAMED_PARTITIONS
-    from fleet.scenario.sections.timeline import ACTIONS
 
     given = context.params.get("what") or ()
     if not given:
@@ -96,6 +94,8 @@ def injection(context: click.Context) -> Iterable[str]:
             both = [f"{a}<->{b}" for a, b in links if a < b and (b, a) in links]
             return ["*", *(f"{a}->{b}" for a, b in links), *both]
         case "partition":
+            from fleet.scenario.sections.partitions import NAMED_PARTITIONS
+
             isolated = [f"isolate:{i}" for i in range(1, vehicles + 1)]
             return [*NAMED_PARTITIONS[:-1], *isolated]
         case "current" | "gust":

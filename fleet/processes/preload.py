@@ -11,6 +11,7 @@ from fleet.processes.parent_death import CONSOLE_PID_VARIABLE, die_with_parent
 if CONSOLE_PID_VARIABLE in os.environ:
     die_with_parent(int(os.environ.pop(CONSOLE_PID_VARIABLE)))  # or processes that a law starts would see it
 
+gc.disable()  # what is imported stays: one collection at the end is enough
 # After the tie to the parent, because it takes a while.
 for name in ("agents.main", "netem.main", "world.main"):
     importlib.import_module(name)
@@ -20,3 +21,4 @@ FORKSERVER_PID = os.getpid()
 # Objects made so far live as long as the process: keep the collector from touching, and so copying, their pages.
 gc.collect()
 gc.freeze()
+gc.enable()

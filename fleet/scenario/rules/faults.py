@@ -8,11 +8,11 @@ from typing import NamedTuple
 from fleet.quantities import show_time
 from fleet.scenario.parts import Parts
 from fleet.scenario.rules.report import Report, known_links, no_whole_ticks, whole_multiple
-from fleet.scenario.schema.faults import FaultAction, FaultSection
+from fleet.scenario.schema.faults import ACTIONS, FaultAction, FaultSection
 from fleet.scenario.schema.spec import ScenarioSpec
 from fleet.scenario.sections.nemesis import fault_count
 from fleet.scenario.sections.partitions import PartitionError, is_drawn, partition
-from fleet.scenario.sections.timeline import ACTIONS, OF_THE_WORLD, does_nothing, vehicles_of
+from fleet.scenario.sections.timeline import OF_THE_WORLD, does_nothing, vehicles_of
 from netem.condition import Link
 from netem.selectors import parse_selector, select
 

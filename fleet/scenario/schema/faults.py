@@ -127,6 +127,9 @@ class FaultAction(Section):
     wrench: Wrench | None = None
 
 
+ACTIONS = tuple(FaultAction.model_fields)
+
+
 class FaultSection(FaultAction, FaultTimes):
     """One fault."""
 

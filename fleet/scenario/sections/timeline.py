@@ -22,7 +22,7 @@ from typing import get_args
 from msgspec import structs
 
 from fleet.quantities import vehicle_numbers
-from fleet.scenario.schema.faults import FaultAction, FaultSection
+from fleet.scenario.schema.faults import ACTIONS, FaultAction, FaultSection
 from fleet.scenario.schema.spec import ScenarioSpec
 from fleet.scenario.sections.partitions import partition
 from netem.condition import Link
@@ -32,7 +32,6 @@ from netem.lives import Absence
 from netem.selectors import parse_selector, select
 from world.faults import WorldFault, WorldFaultKind
 
-ACTIONS = tuple(FaultAction.model_fields)
 OF_THE_NETWORK: tuple[str, ...] = get_args(FaultKind)
 OF_THE_WORLD: tuple[str, ...] = tuple(kind for kind in get_args(WorldFaultKind) if kind not in ("pause", "slow"))
 TUMBLED, DIVERGED = "tumbled", "diverged"  # in the log: what happened to a vehicle, which no scenario asks for

@@ -19,9 +19,8 @@ from typing import Any, NamedTuple
 
 from fleet.errors import FleetError, Problem
 from fleet.quantities import TIME
-from fleet.scenario.schema.faults import FaultAction
+from fleet.scenario.schema.faults import ACTIONS, FaultAction
 from fleet.scenario.schema.section import section_of
-from fleet.scenario.sections.timeline import ACTIONS
 from fleet.scenario.text.yaml_reader import Mapping, Node, Place, Scalar, Source, plain
 from netem.parsing import exact_number, nearest
 

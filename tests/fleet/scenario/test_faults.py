@@ -22,9 +22,8 @@ from fleet.errors import ScenarioError
 from fleet.run.execute import Result, Status, execute
 from fleet.run.options import Options
 from fleet.scenario.loading import load_scenario, parse_scenario
-from fleet.scenario.schema.faults import DrawnKind
+from fleet.scenario.schema.faults import ACTIONS, DrawnKind
 from fleet.scenario.sections.partitions import PartitionError, partition
-from fleet.scenario.sections.timeline import ACTIONS
 from netem.condition import Condition
 from netem.config import NetemConfig
 from netem.faults import NO_FAULTS, FaultKind, NetFault, active_faults

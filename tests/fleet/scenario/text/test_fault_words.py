@@ -12,9 +12,10 @@ from hypothesis import strategies as st
 from pydantic import TypeAdapter
 
 from fleet.quantities import show_time
-from fleet.scenario.loading import load_scenario, shipped_scenarios
-from fleet.scenario.schema.faults import FaultEntry, FaultSection
-from fleet.scenario.sections.timeline import ACTIONS, does_nothing, words
+from fleet.scenario.catalogue import shipped_scenarios
+from fleet.scenario.loading import load_scenario
+from fleet.scenario.schema.faults import ACTIONS, FaultEntry, FaultSection
+from fleet.scenario.sections.timeline import does_nothing, words
 from fleet.scenario.text.fault_words import FaultWordsError, example, read_fault
 from netem.grammar import print_condition
 

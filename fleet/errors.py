@@ -54,6 +54,7 @@ Exception
 │   ├── UnknownValueError
 │   ├── ViewError
 │   └── WhatIfError
+│       └── LawFailedError
 ├── NetemError
 │   ├── BusError
 │   ├── DamagedFile

@@ -60,7 +60,8 @@ def check(scenario: str, overrides: tuple[str, ...], trust: Trust) -> None:
     """Check SCENARIO without running it; every mistake is reported in one pass.
 
     Says what theory expects of it: whether the graph is connected and everyone reached, the eigenvalues of L+B, and
-    whether the gains stay within the limits of the control loops.
+    whether the gains stay within the limits of the control loops. A law of your own is made once and given a first
+    sample, as in a run.
 
     \b
     Examples:
@@ -71,6 +72,9 @@ def check(scenario: str, overrides: tuple[str, ...], trust: Trust) -> None:
 
     refused: list[Problem] = []
     loaded = load_scenario(scenario, overrides, trust, refused=refused)
+    from fleet.analysis.first_sample import try_laws
+
+    try_laws(loaded)
     from fleet.analysis.preflight import warnings
     from fleet.analysis.seed import HINT, NOTHING, seeded
     from fleet.analysis.stability import analyse, report

@@ -36,6 +36,10 @@ def main() -> None:
             sys.stderr.write(f"fleet: {error}\n")
         give_up_output()
     gc.freeze()  # or Python's end, which collects again, would walk through everything for a tenth of a second
+    # From here on Python would print what a handler raises.
+    for number in ENDING:
+        if signal.getsignal(number) is _interrupt:
+            signal.signal(number, signal.SIG_DFL)
     sys.exit(status)
 
 

@@ -26,6 +26,14 @@ class FleetGroup(click.Group):
             return super().invoke(ctx)
         except (FleetError, NetemError) as error:
             ctx.exit(report(error))
+        except OSError as error:  # of a place that no command words by itself, as with a name that is too long
+            where = "" if error.filename is None else f"{error.filename}: "
+            click.echo(f"fleet: {where}{error.strerror or error}", err=True)
+            # One that names a file is about what was asked for; a disk that is full or fails names none.
+            ctx.exit(BROKEN if error.filename is None else 2)
+        except UnicodeEncodeError as error:  # of an argument with bytes that are no text
+            click.echo(f"fleet: {error.object[:80]!r} is not UTF-8 text", err=True)
+            ctx.exit(2)
 
 
 def report(error: Exception) -> int:

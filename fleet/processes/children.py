@@ -271,7 +271,10 @@ def _child(title: str, log_path: str, target: Callable[..., None], args: tuple[A
     setproctitle.setproctitle(title)
     # Python's own handler would run only between two bytecodes; the default action ends even a hung process.
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
-    descriptor = os.open(log_path, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
+    try:
+        descriptor = os.open(log_path, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
+    except FileNotFoundError:  # its directory was removed: the run was ended before this process had begun
+        os._exit(1)
     os.dup2(descriptor, 1)
     os.dup2(descriptor, 2)
     os.close(descriptor)

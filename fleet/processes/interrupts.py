@@ -109,6 +109,6 @@ def _handling(handler: Callable[[int, FrameType | None], Any]) -> Iterator[None]
         yield
     finally:
         for number in before:
-            # `fleet` ignores all signals after the first one; then its handler stays.
+            # Another handler may have been installed meanwhile; then that one stays.
             if signal.getsignal(number) is handler:
                 signal.signal(number, before[number])

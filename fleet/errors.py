@@ -7,6 +7,7 @@ Exception
 ├── AgentError
 │   ├── ControllerError
 │   ├── JoinError
+│   │   └── NotYetError
 │   ├── OutOfRange
 │   ├── PathError
 │   ├── PayloadError

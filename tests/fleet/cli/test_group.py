@@ -17,7 +17,6 @@ LONG = "x" * 300  # longer than any file system takes
     "arguments",
     [
         ["info", LONG], ["script", LONG], ["recover", LONG], ["certs", LONG], ["new", "controller", LONG],
-        ["ps", "--out", LONG], ["status", "--run", LONG],
     ],
     ids=lambda arguments: arguments[0],
 )  # fmt: skip
@@ -33,7 +32,7 @@ def test_a_disk_that_fails_is_not_the_users_mistake(monkeypatch: pytest.MonkeyPa
     def fail(*_: object) -> None:
         raise OSError(5, os.strerror(5))
 
-    monkeypatch.setattr("fleet.scenario.loading.list_scenarios", fail)
+    monkeypatch.setattr("fleet.scenario.catalogue.list_scenarios", fail)
     result = CliRunner().invoke(cli, ["list"])
     assert (result.exit_code, result.stderr) == (3, "fleet: Input/output error\n")
 

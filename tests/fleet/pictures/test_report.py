@@ -74,3 +74,7 @@ def test_a_report_is_not_overwritten_without_force(tmp_path: Path) -> None:
     )
     assert CliRunner().invoke(cli, [*arguments, "--force"]).exit_code == 0
     assert "<!DOCTYPE html>" in out.read_text()
+    out = tmp_path / "loop"
+    out.symlink_to("loop")  # a traceback in Python 3.11 and 3.12
+    assert CliRunner().invoke(cli, ["report", str(log), "-o", str(out)]).exit_code == 0
+    assert out.is_file() and not list(tmp_path.glob("*.part"))

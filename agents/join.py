@@ -16,7 +16,7 @@ from threading import Event, Thread
 from agents.config import AgentConfig
 from agents.controllers import BUILT_IN, laws
 from agents.errors import PluginError
-from agents.join_file import ENDPOINT, JoinError, JoinFile
+from agents.join_file import ENDPOINT, JoinError, JoinFile, NotYetError
 from agents.main import begin_life, is_realtime
 from agents.plugins.loading import admit
 from agents.plugins.trust import NOTHING, Permission, Trust
@@ -43,7 +43,8 @@ def serve(joining: JoinFile, notify: Callable[[str], None], trust: Trust = NOTHI
         The world's last message to this agent.
 
     Raises:
-        JoinError: the run cannot be joined, expects no such agent, asks for a law that may not run, or went away.
+        NotYetError: the run is over, or expects no such agent now.
+        JoinError: the run asks for a law that may not run, or went away.
         SystemExit: the law failed; a note about it has been sent to the console by then.
         KeyboardInterrupt: Ctrl-C; the session is closed.
     """
@@ -111,9 +112,9 @@ def _connect(joining: JoinFile) -> Bus:
             return Bus.connect(endpoint, joining.credentials, timeout_ms=CONNECT_MS)
     if not reached:
         where = " or ".join(endpoints)
-        raise JoinError(f"nobody listens at {where}: run {joining.run} is over, or cannot be reached from here")
+        raise NotYetError(f"nobody listens at {where}: run {joining.run} is over, or cannot be reached from here")
     tls = "its certificate is not the one to expect, or it asks for another; " if "tls/" in joining.endpoint else ""
-    raise JoinError(
+    raise NotYetError(
         f"the router at {' or '.join(reached)} does not let {joining.user} in: {tls}the password is wrong, or of "
         "another run than the one that listens there now"
     )
@@ -140,14 +141,14 @@ def _ask(bus: Bus, keys: Keys, vehicle: int) -> tuple[AgentConfig, int, int, boo
     """The agent's own slice, which life of it this is, the tick of its first nav, and whether a wall clock is used."""
     answer = bus.ask(keys.cfg(vehicle), timeout_s=ASK_S)
     if answer is None:
-        raise JoinError(
+        raise NotYetError(
             f"nobody answered on {keys.cfg(vehicle)}: this login, or the certificate with it, is not that of agent "
             f"{vehicle}, or run {keys.run} is not going on there"
         )
     try:
         values = read_map(answer)
         if "error" in values:
-            raise JoinError(str(values["error"]))
+            raise NotYetError(str(values["error"]))
         incarnation, begin = int(values["incarnation"]), int(values["begin"])
         return AgentConfig.from_values(values["agent"]), incarnation, begin, is_realtime(values)
     except (MalformedMessage, KeyError, TypeError, ValueError) as error:

@@ -28,6 +28,10 @@ class JoinError(AgentError):
     """A run that cannot be joined, or that ended without notice; the text says why, and what to do."""
 
 
+class NotYetError(JoinError):
+    """A run that cannot be joined now, perhaps later: its join file is not there, not whole, or of a run before."""
+
+
 class _Version(msgspec.Struct):
     """What a join file of every version says."""
 
@@ -73,7 +77,8 @@ class JoinFile(msgspec.Struct, frozen=True):
         """Read what `write` wrote.
 
         Raises:
-            JoinError: the file is missing, others can read it, it is no join file, or of another protocol version.
+            NotYetError: the file is missing, others can read it, or it is no join file.
+            JoinError: it cannot be read, or is of another protocol version.
         """
         try:
             data = read_private(path, MAX_BYTES)
@@ -85,15 +90,15 @@ class JoinFile(msgspec.Struct, frozen=True):
                 )
             content = parse_json(data, cls)
         except FileNotFoundError:
-            raise JoinError(
+            raise NotYetError(
                 f"there is no {path}: a run writes it for each vehicle that is external, and removes it when it ends"
             ) from None
         except OSError as error:
             raise JoinError(f"{path} cannot be read: {error.strerror}") from None
         except ExposedFile as error:
-            raise JoinError(str(error)) from None
+            raise NotYetError(str(error)) from None
         except DamagedFile as error:
-            raise JoinError(f"{path} is no join file: {error}") from None
+            raise NotYetError(f"{path} is no join file: {error}") from None
         for endpoint in content.endpoint.split(","):
             if not ENDPOINT.fullmatch(endpoint):
                 known = "tcp/HOST:PORT, tls/HOST:PORT or unixsock-stream/PATH"

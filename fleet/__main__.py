@@ -5,21 +5,24 @@ from __future__ import annotations
 import gc
 import signal
 import sys
+import threading
 from types import FrameType
 
-from fleet.processes.interrupts import ENDING, ending, ending_status
+from fleet.processes.interrupts import ENDING, HungUp, ending, ending_status
 from fleet.terminal.output import OutputError, give_up_output, open_streams
 
 # Net new objects between two collections. Most of what a command makes at first, modules and classes, stays: Python's
 # own 700 let the collector walk through it again and again, for a sixth of the time of a short run.
 COLLECT_EVERY = 200_000
 READER_GONE = 128 + signal.SIGPIPE  # what a shell shows for `seq 99999 | head -1`
+_AGAIN_S = 0.01
 
 
 def main() -> None:
     """The console script: the command line, with Ctrl-C, SIGTERM and SIGHUP as a clean end at any moment."""
     gc.set_threshold(COLLECT_EVERY)
     open_streams()
+    sys.unraisablehook = _raise_again
     for number in ENDING:
         if number != signal.SIGHUP or signal.getsignal(number) != signal.SIG_IGN:  # as `nohup` leaves it
             signal.signal(number, _interrupt)
@@ -36,6 +39,10 @@ def main() -> None:
             sys.stderr.write(f"fleet: {error}\n")
         give_up_output()
     gc.freeze()  # or Python's end, which collects again, would walk through everything for a tenth of a second
+    # From here on Python would print what a handler raises.
+    for number in ENDING:
+        if signal.getsignal(number) is _interrupt:
+            signal.signal(number, signal.SIG_IGN if _interrupted else signal.SIG_DFL)
     sys.exit(status)
 
 
@@ -59,11 +66,29 @@ def _command_line() -> int:
     return status if isinstance(status, int) else 0
 
 
+_interrupted = False
+
+
 def _interrupt(number: int, _: FrameType | None) -> None:
-    # Once is enough: ending the processes takes a moment, and a second one would cut that short.
-    for other in ENDING:
-        signal.signal(other, signal.SIG_IGN)
-    raise ending(number)
+    global _interrupted
+    if not _interrupted:  # once is enough: ending the processes takes a moment, and a second one would cut that short
+        _interrupted = True
+        raise ending(number)
+
+
+def _raise_again(lost: sys.UnraisableHookArgs) -> None:
+    """Let an interrupt come once more that Python could not raise, as in a destructor or between two imports."""
+    global _interrupted
+    if not isinstance(lost.exc_value, KeyboardInterrupt):
+        sys.__unraisablehook__(lost)
+        return
+    _interrupted = False
+    number = signal.SIGHUP if isinstance(lost.exc_value, HungUp) else signal.SIGTERM
+    main_thread = threading.main_thread().ident
+    assert main_thread is not None
+    again = threading.Timer(_AGAIN_S, signal.pthread_kill, (main_thread, number))
+    again.daemon = True
+    again.start()
 
 
 if __name__ == "__main__":

@@ -7,6 +7,7 @@ Exception
 ├── AgentError
 │   ├── ControllerError
 │   ├── JoinError
+│   │   └── NotYetError
 │   ├── OutOfRange
 │   ├── PathError
 │   ├── PayloadError
@@ -55,6 +56,7 @@ Exception
 │   ├── UnknownValueError
 │   ├── ViewError
 │   └── WhatIfError
+│       └── LawFailedError
 ├── NetemError
 │   ├── BusError
 │   ├── DamagedFile

@@ -26,6 +26,7 @@ from fleet.bench.memory import pss_mb
 SAMPLE_S = 0.5
 WARM = 0.25  # share of the run after which memory is compared with the end
 TELL_S = 30.0
+END_S = 5.0  # for a run that is to end before its time
 _DEAD = (psutil.STATUS_ZOMBIE, psutil.STATUS_DEAD)
 
 
@@ -75,7 +76,10 @@ class Soak:
         return self._process.pid
 
     def stop(self) -> None:
-        """Kill its processes that are left."""
+        """End it, so that it removes what it made outside of its directory; kill its processes that are left."""
+        self._process.terminate()
+        with suppress(subprocess.TimeoutExpired):
+            self._process.wait(END_S)
         for pid in _of_session(self._process.pid):
             with suppress(ProcessLookupError):
                 os.kill(pid, 9)

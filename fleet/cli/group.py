@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from os import PathLike
 from typing import Any
 
 import click
@@ -15,6 +16,7 @@ from netem.errors import NetemError
 EPILOG = (
     "Exit status: 0 pass, 1 a check failed, 2 usage or bad scenario, 3 the run broke, 129 terminal closed, 130 Ctrl-C."
 )
+USAGE = 2
 BROKEN = 3  # the exit status of an error that has none of its own: those of the network
 
 
@@ -28,27 +30,41 @@ class FleetGroup(click.Group):
         """
         try:
             return super().invoke(ctx)
-        except (FleetError, NetemError) as error:
-            status = report(error)
-            if json_is_asked(ctx):
-                _print_failure(error, str(error), status)
-            ctx.exit(status)
-        except click.ClickException as error:
-            if json_is_asked(ctx):
-                _print_failure(error, error.format_message(), error.exit_code)
+        except click.ClickException as error:  # click prints it
+            _document(ctx, error, error.format_message(), error.exit_code)
             raise
+        except (FleetError, NetemError, OSError, UnicodeEncodeError) as error:
+            status = report(error)
+            _document(ctx, error, _words(error), status)
+            ctx.exit(status)
 
 
 def report(error: Exception) -> int:
     """Print an error on stderr, and return the exit status that belongs to it."""
-    click.echo(f"fleet: {error}", err=True)
-    return int(getattr(error, "status", BROKEN))
+    click.echo(f"fleet: {_words(error)}", err=True)
+    match error:
+        case OSError(filename=str() | bytes() | PathLike()) | UnicodeEncodeError():
+            return USAGE  # about what was asked for; a disk that is full or fails names no file
+        case _:
+            return int(getattr(error, "status", BROKEN))
 
 
-def _print_failure(error: Exception, message: str, status: int) -> None:
-    from fleet.cli.documents.failure import failure
+def _words(error: Exception) -> str:
+    match error:
+        case OSError():  # of a place that no command words by itself, as with a name that is too long
+            return f"{'' if error.filename is None else f'{error.filename}: '}{error.strerror or error}"
+        case UnicodeEncodeError():  # of an argument with bytes that are no text
+            return f"{error.object[:80]!r} is not UTF-8 text"
+        case _:
+            return str(error)
 
-    print_document(failure(error, message, status))
+
+def _document(ctx: click.Context, error: Exception, message: str, status: int) -> None:
+    """Print an error as the document of a command with `--json`."""
+    if json_is_asked(ctx):
+        from fleet.cli.documents.failure import failure
+
+        print_document(failure(error, message, status))
 
 
 @contextmanager

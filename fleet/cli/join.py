@@ -4,17 +4,24 @@ from __future__ import annotations
 
 import os
 import sys
+import time
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, NoReturn
+from typing import TYPE_CHECKING, NoReturn, TypeVar
 
 import click
 
 from fleet.cli.group import report
 from fleet.cli.trust import TrustingCommand, trust_option
+from fleet.cli.types import Duration
 from fleet.processes.interrupts import ending_status
 
 if TYPE_CHECKING:
     from agents.plugins.trust import Trust
+    from fleet.terminal.status_line import StatusLine
+
+T = TypeVar("T")
+_POLL_S = 0.5
 
 _AGENT = (
     "Exit status: 0 the run is over; 2 it cannot join; 3 it had joined and its life ended before the run: a fault "
@@ -31,9 +38,17 @@ _AGENT = (
     type=click.Path(path_type=Path, dir_okay=False),
     help="The join-<i>.json that fleet run wrote for an external vehicle.",
 )
+@click.option(
+    "--wait",
+    metavar="[TIME]",
+    type=Duration(1, 86_400),
+    is_flag=False,
+    flag_value="300 s",
+    help="Wait for the file, and for a run that takes this agent, at most so long; 300 s if no time is given.",
+)
 @trust_option
 @click.option("-q", "--quiet", is_flag=True, help="Say nothing but errors.")
-def agent(path: Path, trust: Trust, quiet: bool) -> None:
+def agent(path: Path, wait: int | None, trust: Trust, quiet: bool) -> None:
     """Run the agent of an external vehicle here, in this terminal, until the run is over.
 
     It is the agent that fleet run would have started: the scenario says which laws it runs, and the log is the same.
@@ -42,18 +57,19 @@ def agent(path: Path, trust: Trust, quiet: bool) -> None:
     Examples:
       fleet run paper --set "per_vehicle={3: {external: true}}"     in one terminal; in another:
       fleet agent --join runs/latest/join-3.json
+      fleet agent --join runs/latest/join-3.json --wait       also before the run is started
     """
     import setproctitle
+    from rich.console import Console as Terminal
 
     from agents.join import serve
     from agents.join_file import JoinError, JoinFile
-    from netem.wire.messages import RUN_OVER
+    from fleet.terminal.status_line import StatusLine
+    from netem.wire.messages import RUN_OVER, End
     from netem.wire.session import quiet_zenoh
 
-    def tell(text: str) -> None:
-        if not quiet:
-            click.echo(text, err=True)
-
+    line = StatusLine(Terminal(stderr=True), quiet=quiet)
+    tell = line.print
     joined = False
 
     def begun(text: str) -> None:
@@ -61,24 +77,59 @@ def agent(path: Path, trust: Trust, quiet: bool) -> None:
         joined = True
         tell(f"{text}; Ctrl-C leaves it")
 
-    try:
+    def join() -> tuple[int, End]:
         joining = JoinFile.read(path)
         setproctitle.setproctitle(f"fleet agent {joining.vehicle} [{joining.scenario}]")
         quiet_zenoh()
-        end = serve(joining, begun, trust)
+        return joining.vehicle, serve(joining, begun, trust)
+
+    try:
+        with line:
+            vehicle, end = join() if wait is None else patiently(join, wait / 1e9, path, line)
     except JoinError as error:
         report(error)
         _leave(3 if joined else 2)
     except KeyboardInterrupt as error:
-        tell("left the run")
+        tell("left the run" if joined else f"not waiting for {path} any longer" if wait else "no run was joined")
         _leave(ending_status(error))
     except SystemExit:
         _leave(3)  # the law failed, and what it raised has been printed
     except Exception as error:
         click.echo(f"fleet: the law failed: {type(error).__name__}: {error}", err=True)
         _leave(3)
-    tell(f"agent {joining.vehicle}: {end.reason}")
+    tell(f"agent {vehicle}: {end.reason}")
     _leave(0 if end.reason == RUN_OVER else 3)
+
+
+def patiently(join: Callable[[], T], wait_s: float, path: Path, line: StatusLine) -> T:
+    """Try to join until it is possible, and tell each new reason why it is not.
+
+    A file of a run that is over is no reason to end: the next run may write another one there.
+
+    Args:
+        join: joins, serves, and returns what came of it.
+        wait_s: how long.
+        path: of the join file.
+
+    Raises:
+        NotYetError: it was not possible in that time.
+        JoinError: it is no use to wait.
+    """
+    from agents.join_file import NotYetError
+
+    began, told = time.monotonic(), ""
+    while True:
+        try:
+            return join()
+        except NotYetError as error:
+            waited = time.monotonic() - began
+            if waited >= wait_s:
+                raise NotYetError(f"waited {wait_s:g} s: {error}") from None
+            if str(error) != told:
+                told = str(error)
+                line.print(f"waiting, at most {wait_s:g} s: {told}")
+        line.show(f"waiting for {path} and its run, {waited:.0f} of {wait_s:g} s; Ctrl-C ends it")
+        time.sleep(_POLL_S)
 
 
 def _leave(status: int) -> NoReturn:

@@ -148,30 +148,33 @@ def export(log: Path, csv: Path | None, parquet: Path | None, topics: tuple[str,
     "-o", "--out", metavar="FILE", type=click.Path(path_type=Path, dir_okay=False), default=Path("report.html"),
     show_default=True, help="The page.",
 )  # fmt: skip
+@click.option("--force", is_flag=True, help="Replace what is there.")
 @_vehicles
 @_log_scale
 @_window
 def report(
     logs: tuple[Path, ...],
     out: Path,
+    force: bool,
     vehicles: tuple[int, ...] | None,
     log_scale: bool,
     window: tuple[float, float] | None,
 ) -> None:
     """Write one self-contained HTML page about each LOG and, of several, what they have in common.
 
-    Scenario, verdicts, vehicles, ledger and ages from result.json beside the log, pictures, and how to repeat the run.
-    The page needs no network and no other file.
+    Scenario, conditions of the links, faults; verdicts, vehicles, ledger and ages from result.json beside the log;
+    pictures, and how to repeat the run. The page needs no network and no other file.
 
     \b
     Examples:
       fleet report
       fleet report runs/a runs/b -o compared.html --log-scale
     """
-    from fleet.pictures.report import write
+    from fleet.pictures.report import check_place, write
     from fleet.pictures.runs import View, check_view, load
     from fleet.terminal.progress import showing
 
+    check_place(out, force=force)
     chosen = logs or (newest_log(),)
     with showing("reading") as tell:
         runs = load(chosen, tell)

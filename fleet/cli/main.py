@@ -74,7 +74,8 @@ def check(
     """Check SCENARIO without running it; every mistake is reported in one pass.
 
     Says what theory expects of it: whether the graph is connected and everyone reached, the eigenvalues of L+B, and
-    whether the gains stay within the limits of the control loops.
+    whether the gains stay within the limits of the control loops. A law of your own is made once and given a first
+    sample, as in a run.
 
     \b
     Examples:
@@ -82,13 +83,14 @@ def check(
       fleet check paper --set vehicles=20
       fleet check paper --net '* delay 200ms' --fault 'at 20s kill 3'
     """
+    from fleet.analysis.first_sample import try_laws
+    from fleet.analysis.preflight import warnings
+    from fleet.analysis.stability import analyse
     from fleet.scenario.loading import load_scenario
 
     refused: list[Problem] = []
     loaded = load_scenario(scenario, [*overrides, *net, *fault], trust, refused=refused)
-    from fleet.analysis.preflight import warnings
-    from fleet.analysis.stability import analyse
-
+    try_laws(loaded)
     found = analyse(loaded)
     told = [*found.warnings, *warnings(loaded)]
     if as_json:

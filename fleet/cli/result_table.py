@@ -61,7 +61,7 @@ def show(result: Result, terminal: Terminal) -> None:
 def _vehicles(rows: dict[str, dict[str, float | None]]) -> Table:
     table = Table(title="vehicles", title_justify="left", box=None, pad_edge=False)
     for heading in (
-        "UUV", "settle 10 % [s]", "settle 5 cm [s]", "RMS e, last 10 s [m]", "final error [m]",
+        "UUV", "settle 10 % [s]", "settle 5 cm [s]", "RMS e, last 10 s [m]", "final formation error [m]",
         "surge effort [N s]", "max u_cmd [m/s]",
     ):  # fmt: skip
         table.add_column(escape(heading), justify="right")

@@ -67,7 +67,7 @@ class Duration(click.ParamType[int]):
 
 
 class Speed(click.ParamType[float | None]):
-    """A positive factor of real time, or max."""
+    """A factor of real time from a millionth to a million, or max."""
 
     name = "x|max"
 
@@ -78,8 +78,9 @@ class Speed(click.ParamType[float | None]):
             speed = float(str(value).removesuffix("x"))
         except ValueError:
             speed = 0.0
-        if not 0.0 < speed < float("inf"):
-            self.fail(f"expected a positive factor of real time such as 1 or 2.5, or max, got {value!r}", param, ctx)
+        if not 1e-6 <= speed <= 1e6:
+            expected = "expected a factor of real time such as 1 or 2.5, from 1e-6 to 1e6, or max"
+            self.fail(f"{expected}, got {value!r}", param, ctx)
         return speed
 
 

@@ -189,7 +189,11 @@ def open_file(path: Path) -> IO[bytes]:
         LogReadError: it cannot be opened, or does not begin with the magic bytes of MCAP.
     """
     file = open_any(path)
-    start = file.read(len(MAGIC))
+    try:
+        start = file.read(len(MAGIC))
+    except OSError as error:
+        file.close()
+        raise LogReadError(f"cannot read {path}: {error.strerror}") from error
     if start != MAGIC:
         file.close()
         what = "it is empty" if not start else "it does not begin with MCAP's magic bytes"

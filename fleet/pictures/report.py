@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import shlex
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -17,12 +18,13 @@ from matplotlib.figure import Figure
 from fleet.errors import FleetError
 from fleet.logs.reader import Tell, digest
 from fleet.logs.result_file import ResultError, read_result
+from fleet.logs.run_name import begun_at, run_name
 from fleet.pictures.gallery import PER_RUN, WHAT, draw
+from fleet.pictures.report_scenario import conditions_note, conditions_table, network_facts, scenario_facts
 from fleet.pictures.report_tables import Mark, Table, links_table, number, side_by_side
 from fleet.pictures.runs import Run, View
 from fleet.pictures.style import DPI
 from fleet.pictures.whole_file import whole_file
-from fleet.scenario.scenario import Scenario
 from netem.ages import Ages
 from netem.causes import Cause
 from netem.wire.messages import Fate
@@ -61,11 +63,15 @@ class Pictures(NamedTuple):
 class Section:
     """What the page shows of one run."""
 
-    label: str
+    anchor: str
+    name: str
     missing: str  # of the log; "" if it is whole
     end: str  # of the log [s]
     title: str
     facts: Table
+    network: Table
+    conditions: Table
+    conditions_note: str
     no_verdicts: str  # why there are none; "" if there are
     status: Mark | None
     reason: str
@@ -73,9 +79,22 @@ class Section:
     faults: Table
     tables: list[tuple[str, Table]]  # with their headings
     pictures: Pictures
-    place: Path  # of the log
+    place: str  # of the log, as a shell reads it
     metadata: Table
     scenario_text: str
+
+
+def check_place(path: Path, *, force: bool) -> None:
+    """Refuse a place that holds a file already.
+
+    Args:
+        force: whether it shall be replaced.
+
+    Raises:
+        ReportError: there is a file.
+    """
+    if path.is_file() and not force:
+        raise ReportError(f"{path} already exists; choose another place with -o FILE, or replace it with --force")
 
 
 def write(path: Path, runs: Sequence[Run], view: View, share: Tell = lambda _: None) -> None:
@@ -88,7 +107,7 @@ def write(path: Path, runs: Sequence[Run], view: View, share: Tell = lambda _: N
     try:
         with whole_file(path) as part:
             part.open("a").close()  # before the pictures, which take a while
-            part.write_text(page(runs, view, share), "utf-8")
+            part.write_text(page(runs, view, share), "utf-8", errors="replace")  # of a name that is no text
     except OSError as error:
         raise ReportError(f"cannot write {path}: {error.strerror}; choose another place with -o FILE") from error
 
@@ -108,36 +127,44 @@ def page(runs: Sequence[Run], view: View, share: Tell = lambda _: None) -> str:
             "pictures": _pictures([k for k in WHAT if k not in PER_RUN], runs, view, share),
         }
     kinds = list(WHAT) if len(runs) == 1 else sorted(PER_RUN)
+    numbered = enumerate(zip(runs, results, strict=True), start=1 if len(runs) > 1 else 0)
     return template.render(
-        title="uuv-fleet: " + ", ".join(run.label for run in runs),
+        title="uuv-fleet: " + ", ".join(run_name(run.log.path) for run in runs),
         version=version("uuv-fleet"),
         together=together,
-        runs=[_section(run, result, kinds, view, share) for run, result in zip(runs, results, strict=True)],
+        runs=[_section(n, run, result, kinds, view, share) for n, (run, result) in numbered],
     )
 
 
-def _section(run: Run, result: RunResult, kinds: Sequence[str], view: View, share: Tell) -> Section:
+def _section(number: int, run: Run, result: RunResult, kinds: Sequence[str], view: View, share: Tell) -> Section:
+    """The section of a run: `number` counts from 1; 0 for the only one."""
     log, scenario, values = run.log, run.scenario, result.values or {}
-    facts: list[Sequence[Any]] = []
-    if scenario is not None:
-        facts = [
-            ("vehicles", f"{scenario.vehicles}, {len(scenario.graph.links)} directed links"),
-            ("duration", f"{scenario.duration_ns / 1e9:g} s in ticks of {scenario.tick_ns / 1e6:g} ms"),
-            ("network", _network(scenario)),
-            ("seed", scenario.seed),
-        ]
-    facts += [("log", f"{log.path}, {log.path.stat().st_size / 1e6:.1f} MB"), ("digest", result.digest)]
+    name, path = run_name(log.path), log.path.resolve()
+    facts = scenario_facts(scenario) if scenario is not None else []
+    # The log holds simulated time only, so that it is the same each time.
+    begun = begun_at(name)
+    facts += [
+        ("begun", f"{begun:%Y-%m-%d %H:%M:%S} UTC" if begun else "unknown: the name of the run does not say when"),
+        ("log", f"{path}, {path.stat().st_size / 1e6:.1f} MB"),
+        ("digest", result.digest),
+    ]
+    if number and run.label != name:
+        facts.append(("in tables and pictures of several runs", run.label))
     checks = [
         (check["check"], Mark(check["passed"], "pass" if check["passed"] else "FAIL"), check["asked"], check["found"])
         for check in values.get("checks", ())
     ]
     faults = [(fault.id, f"{fault.begin:g}", f"{fault.end:g}", fault.what) for fault in log.faults]
     return Section(
-        label=run.label,
+        anchor=f"run-{number}",
+        name=name,
         missing=log.missing,
         end=f"{log.end:g}",
         title=scenario.title if scenario is not None else "",
         facts=Table((), facts),
+        network=Table((), network_facts(scenario) if scenario is not None else ()),
+        conditions=conditions_table(scenario) if scenario is not None else Table((), ()),
+        conditions_note=conditions_note(scenario) if scenario is not None else "",
         no_verdicts=result.why_none,
         status=Mark(values["status"] == "pass", values["status"].replace("_", " ")) if values else None,
         reason=values.get("reason", ""),
@@ -145,18 +172,10 @@ def _section(run: Run, result: RunResult, kinds: Sequence[str], view: View, shar
         faults=Table(("fault", "from [s]", "to [s]", "what"), faults),
         tables=_tables(run, values),
         pictures=_pictures(kinds, [run], view, share),
-        place=log.path.parent if log.path.name == "run.mcap" else log.path,
+        place=shlex.quote(str(path.parent if path.name == "run.mcap" else path)),
         metadata=Table((), sorted(log.run.items())),
         scenario_text=log.scenario_text,
     )
-
-
-def _network(scenario: Scenario) -> str:
-    if scenario.ideal:
-        return "ideal, without latency"
-    acoustic = scenario.acoustic is not None
-    period = scenario.round_ticks * scenario.tick_ns / 1e6
-    return f"{'acoustic channel, ' if acoustic else ''}a round every {period:g} ms"
 
 
 def _result(run: Run, share: Tell) -> RunResult:
@@ -180,7 +199,8 @@ def _tables(run: Run, values: dict[str, Any]) -> list[tuple[str, Table]]:
     if values and values["vehicles"]:
         headings = {
             "settle_10pct_s": "settle to 10 % [s]", "settle_5cm_s": "settle to 5 cm [s]",
-            "e_rms_m": "RMS e, last 10 s [m]", "formation_final_m": "final formation error [m]",
+            "e_rms_m": "RMS consensus error, last 10 s [m]",
+            "formation_final_m": "final formation error [m]",
             "effort_Ns": "surge effort [N s]", "u_cmd_max_mps": "max u_cmd [m/s]", "qp_failures": "QP failures",
             "payloads_rejected": "payloads rejected",
         }  # fmt: skip

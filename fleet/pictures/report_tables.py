@@ -29,8 +29,8 @@ class Table(NamedTuple):
 def side_by_side(runs: Sequence[Run], results: Sequence[Mapping[str, Any] | None]) -> Table:
     """A row per run: what one looks for first when runs are compared; `results` as in result.json, None without one."""
     headings = (
-        "run", "seed", "vehicles", "status", "checks passed", "slowest settle to 10 % [s]", "largest final error [m]",
-        "surge effort, all [N s]", "delivered", "oldest heard [s]",
+        "run", "seed", "vehicles", "status", "checks passed", "slowest settle to 10 % [s]",
+        "largest final formation error [m]", "surge effort, all [N s]", "delivered", "oldest heard [s]",
     )  # fmt: skip
     rows = []
     for run, values in zip(runs, results, strict=True):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -13,7 +14,7 @@ def whole_file(path: Path) -> Iterator[Path]:
     if path.exists() and not path.is_file():  # a device or a pipe, which cannot replace another file
         yield path
         return
-    path = path.resolve()  # what a link points to is replaced, not the link
+    path = Path(os.path.realpath(path))  # what a link points to is replaced, not the link
     part = path.with_name(f"{path.name}.part")
     try:
         yield part

@@ -23,6 +23,7 @@ from typing import Any
 
 import setproctitle
 
+from fleet.processes.interrupts import blocked
 from fleet.processes.parent_death import CONSOLE_PID_VARIABLE
 from netem.errors import BusError
 
@@ -93,9 +94,9 @@ class Children:
             target=_child, args=(title, str(log_path), target, args), name=role, daemon=True
         )
         # The forkserver starts this one first, which lifts the block of SIGINT set below.
-        with _blocked(signal.SIGHUP):
+        with blocked(signal.SIGHUP):
             resource_tracker.ensure_running()
-        with _without_main(), _blocked(signal.SIGINT, signal.SIGHUP), _bounded_wait(), _named_console():
+        with _without_main(), blocked(signal.SIGINT, signal.SIGHUP), _bounded_wait(), _named_console():
             process.start()
         self.by_role[role] = Child(role, process, log_path)
 
@@ -262,17 +263,6 @@ def _without_main() -> Iterator[None]:
         sys.modules["__main__"] = main
 
 
-@contextlib.contextmanager
-def _blocked(*signals: signal.Signals) -> Iterator[None]:
-    # A child inherits the mask: Ctrl-C, and the end of a terminal, reach the whole group, and the console alone decides
-    # what they mean, also while the forkserver is still importing.
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, signals)
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
-
-
 def _child(title: str, log_path: str, target: Callable[..., None], args: tuple[Any, ...]) -> None:
     from fleet.processes.parent_death import die_with_parent
     from fleet.processes.preload import FORKSERVER_PID
@@ -281,7 +271,10 @@ def _child(title: str, log_path: str, target: Callable[..., None], args: tuple[A
     setproctitle.setproctitle(title)
     # Python's own handler would run only between two bytecodes; the default action ends even a hung process.
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
-    descriptor = os.open(log_path, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
+    try:
+        descriptor = os.open(log_path, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
+    except FileNotFoundError:  # its directory was removed: the run was ended before this process had begun
+        os._exit(1)
     os.dup2(descriptor, 1)
     os.dup2(descriptor, 2)
     os.close(descriptor)

@@ -42,6 +42,20 @@ def holding_interrupts() -> Iterator[Callable[[], KeyboardInterrupt | None]]:
         yield lambda: ending(received[0]) if received else None
 
 
+@contextmanager
+def blocked(*signals: signal.Signals) -> Iterator[None]:
+    """Start processes that signals to the whole group do not reach, because they inherit the mask of this thread.
+
+    Ctrl-C, and the end of a terminal, reach the whole group; the one that started the others alone decides what they
+    mean, also while those are still importing.
+    """
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, signals)
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
 class DeferInterrupts:
     """Within `with` blocks of this object the signals are deferred to the end of the block; blocks should be short.
 
@@ -95,6 +109,6 @@ def _handling(handler: Callable[[int, FrameType | None], Any]) -> Iterator[None]
         yield
     finally:
         for number in before:
-            # `fleet` ignores all signals after the first one; then its handler stays.
+            # Another handler may have been installed meanwhile; then that one stays.
             if signal.getsignal(number) is handler:
                 signal.signal(number, before[number])

@@ -34,7 +34,13 @@ COMPONENTS = (("surge force", "N"), ("pitch moment", "N m"), ("yaw moment", "N m
 
 
 class WhatIfError(FleetError):
-    """The log does not hold what an agent would need."""
+    """The log does not hold what an agent would need, or its law may not run."""
+
+
+class LawFailedError(WhatIfError):
+    """The agent's law raised, or returned what cannot be used; the text names vehicle, tick, file and line."""
+
+    status = 3  # as of a run
 
 
 @dataclass(slots=True)
@@ -79,7 +85,8 @@ def what_if(
     Raises:
         LogReadError, ScriptError: there is no log of ours.
         ScenarioError: an override is wrong.
-        WhatIfError: the agent is not there, its navigation was thinned, or its law may not run, or failed.
+        WhatIfError: the agent is not there, its navigation was thinned, or its law may not run.
+        LawFailedError: its law failed.
     """
     path = log_path(path)
     source = read(path, progress)
@@ -116,7 +123,7 @@ def what_if(
             try:
                 core, life = make_agent(scenario.agent_config(agent)), incarnation
             except AgentError as error:
-                raise WhatIfError(str(error)) from None
+                raise LawFailedError(str(error)) from None
             # What fell due before was for the life before, or for none.
             while begins[life] and waiting < len(deliveries) and deliveries[waiting].due_tick <= begins[life]:
                 waiting += 1
@@ -127,7 +134,7 @@ def what_if(
         try:
             step = core.step(Nav(life, tick, measured[:5], measured[5:]), due)
         except AgentError as error:
-            raise WhatIfError(str(error)) from None
+            raise LawFailedError(str(error)) from None
         result.notes += [f"t = {at * scenario.tick_ns / 1e9:.2f} s: {text}" for at, text in core.take_notes()]
         if tick in commands:
             result.ticks.append(tick)

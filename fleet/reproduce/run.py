@@ -10,18 +10,22 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from fleet.errors import FleetError
+from fleet.processes.interrupts import HungUp, blocked
 from fleet.processes.parent_death import die_with_parent
 from fleet.reproduce.cases import CASES, Outcome, U, run_case
 from fleet.reproduce.claims import judge
 from fleet.reproduce.figures import FIGURES, draw
 from fleet.reproduce.report import write
 from fleet.reproduce.verdicts import Claim
+
+if TYPE_CHECKING:
+    from fleet.run.execute import Result
 
 CHECK_S = 3  # simulated time of the distributed run that is compared with the in-process one
 
@@ -80,11 +84,14 @@ def _pool(jobs: int, context: Any, times: Any) -> Iterator[ProcessPoolExecutor]:
     pool.shutdown()
 
 
+def _ours_alone() -> AbstractContextManager[None]:
+    """Leave Ctrl-C and the end of the terminal to this process: workers start with the first tasks."""
+    return blocked(signal.SIGINT, signal.SIGHUP)
+
+
 def _begin(parent: int, times: Any) -> None:
     global _shared
     die_with_parent(parent)
-    for number in (signal.SIGINT, signal.SIGHUP):
-        signal.signal(number, signal.SIG_IGN)
     _shared = times
 
 
@@ -96,7 +103,9 @@ def _case(name: str, index: int) -> Outcome:
 
 
 def _run_all(pool: ProcessPoolExecutor, names: Sequence[str], times: Any, tell: Tell) -> dict[str, Outcome]:
-    running: dict[Future[Outcome], str] = {pool.submit(_case, name, index): name for index, name in enumerate(names)}
+    running: dict[Future[Outcome], str]
+    with _ours_alone():
+        running = {pool.submit(_case, name, index): name for index, name in enumerate(names)}
     lengths = [CASES[name].scenario().duration_ns / 1e9 for name in names]
     found: dict[str, Outcome] = {}
     pending = set(running)
@@ -136,7 +145,8 @@ def _draw_all(
     formats: tuple[str, ...],
     tell: Tell,
 ) -> list[str]:
-    futures = {name: pool.submit(draw, name, _pictured(name, outcomes), folder, formats) for name in figures}
+    with _ours_alone():
+        futures = {name: pool.submit(draw, name, _pictured(name, outcomes), folder, formats) for name in figures}
     drawn = []
     for number, (name, future) in enumerate(futures.items(), start=1):
         try:
@@ -146,6 +156,16 @@ def _draw_all(
             raise ReproduceError(f"cannot write {name} into {folder}: {error.strerror}") from None
         tell(f"{number} of {len(figures)} pictures", 0.85 + 0.15 * number / max(1, len(figures)))
     return drawn
+
+
+def _go_on(result: Result) -> None:
+    """End everything if a signal ended a run. Raises KeyboardInterrupt, or the HungUp among them."""
+    from fleet.run.execute import Status
+
+    if result.status is Status.HUNG_UP:
+        raise HungUp
+    if result.status is Status.INTERRUPTED:
+        raise KeyboardInterrupt
 
 
 def _network_check(tell: Tell) -> str:
@@ -162,7 +182,9 @@ def _network_check(tell: Tell) -> str:
         began = time.monotonic()
         over_zenoh = run(Options(Path(place), quiet=True))
         seconds = time.monotonic() - began
+        _go_on(over_zenoh)
         plain = run(Options(Path(place), in_process=True, quiet=True))
+        _go_on(plain)
     if over_zenoh.status is not Status.PASS:
         return f"The distributed run broke: {over_zenoh.reason}. The numbers below are from one process."
     same = over_zenoh.digest == plain.digest

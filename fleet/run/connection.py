@@ -10,7 +10,8 @@ from typing import Annotated, Any
 import msgspec
 
 from fleet.errors import FleetError
-from fleet.run.directory import CONNECTION, RUN_NAME, in_use
+from fleet.logs.run_name import RUN_NAME
+from fleet.run.directory import CONNECTION, in_use
 from fleet.run.registry import registered
 from netem.errors import BusError
 from netem.private_file import DamagedFile, parse_json

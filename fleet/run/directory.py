@@ -10,7 +10,6 @@ import errno
 import fcntl
 import json
 import os
-import re
 import secrets
 import time
 from contextlib import suppress
@@ -18,11 +17,11 @@ from pathlib import Path
 from typing import IO, Any
 
 from fleet.errors import FleetError
+from fleet.logs.run_name import STAMP
 from netem.whole_file import open_file, write_whole
 
 LATEST = "latest"
 SCENARIO, RESULT, CONNECTION, OBSERVE = "scenario.yaml", "result.json", "connection.json", "observe.json"
-RUN_NAME = re.compile(r"(?P<scenario>.+)-(?P<seed>\d+)-(?P<began>\d{8}-\d{6})(-\d+)?", re.ASCII)
 
 
 class RunDirectoryError(FleetError):
@@ -50,7 +49,7 @@ class RunDirectory:
         Raises:
             RunDirectoryError: no directory can be made there.
         """
-        stamp = time.strftime("%Y%m%d-%H%M%S", time.gmtime())
+        stamp = time.strftime(STAMP, time.gmtime())
         base = f"{scenario}-{seed}-{stamp}"
         try:
             out.mkdir(parents=True, exist_ok=True)

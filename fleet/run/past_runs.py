@@ -7,13 +7,14 @@ import shutil
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from datetime import UTC, datetime
+from datetime import datetime
 from pathlib import Path
 
 import msgspec
 
 from fleet.errors import FleetError
-from fleet.run.directory import LATEST, RESULT, RUN_NAME, SCENARIO, RunDirectoryError, in_use, link_latest
+from fleet.logs.run_name import RUN_NAME, begun_at
+from fleet.run.directory import LATEST, RESULT, SCENARIO, RunDirectoryError, in_use, link_latest
 from netem.private_file import DamagedFile, parse_json
 from netem.whole_file import read_file
 
@@ -141,13 +142,12 @@ def _ours(out: Path) -> Iterator[tuple[Path, datetime]]:
     except OSError as error:
         raise RunDirectoryError(f"cannot read {out}", error) from None
     for entry in entries:
-        name = RUN_NAME.fullmatch(entry.name)
-        if name is None or not entry.is_dir(follow_symlinks=False):
+        began = begun_at(entry.name)
+        if began is None or not entry.is_dir(follow_symlinks=False):
             continue
         path = Path(entry.path)
         if os.path.isfile(path / SCENARIO) and os.path.isdir(path / "log"):
-            with suppress(ValueError):  # no day has this number
-                yield path, datetime.strptime(name["began"], "%Y%m%d-%H%M%S").replace(tzinfo=UTC)
+            yield path, began
 
 
 def _read(path: Path, began: datetime) -> PastRun:

@@ -243,3 +243,26 @@ def _status(pid: int) -> int:
         killer.start()
         stack.callback(killer.cancel)
         return os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
+
+
+# --- a run that ends while its processes begin --------------------------------
+
+BEGUN_TOO_LATE = """\
+import sys
+from pathlib import Path
+from fleet.processes.children import Children
+
+children = Children(lambda _: None)
+children.start("late", "late", Path(sys.argv[1]) / "late.log", print, "begun")
+process = children.by_role["late"].process
+process.join(20)
+children.stop()
+print(process.exitcode)
+"""
+
+
+def test_a_process_whose_run_is_over_before_it_begins_says_nothing(tmp_path: Path) -> None:
+    """A signal in the first moments of a run of `fleet bench`: its directory is gone when the process opens its log."""
+    arguments = [sys.executable, "-c", BEGUN_TOO_LATE, str(tmp_path / "gone")]
+    done = subprocess.run(arguments, capture_output=True, text=True, timeout=30, check=False)
+    assert (done.stdout, done.stderr) == ("1\n", "")

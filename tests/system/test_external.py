@@ -39,10 +39,10 @@ def sets(*overrides: str) -> list[str]:
     return [part for override in overrides for part in ("--set", override)]
 
 
-def agent(file: Path) -> subprocess.Popen[str]:
+def agent(file: Path, *more: str) -> subprocess.Popen[str]:
     """`fleet agent --join FILE`, as in another terminal."""
     process = subprocess.Popen(
-        [sys.executable, "-m", "fleet", "agent", "--join", str(file)],
+        [sys.executable, "-m", "fleet", "agent", "--join", str(file), *more],
         stdin=subprocess.DEVNULL,
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
@@ -114,6 +114,34 @@ def test_who_joins_is_the_agent_that_would_have_been_started(tmp_path: Path) -> 
         assert digest(run.log) == expected
         code, said = ended(agent(kept))
         assert (code, "nobody listens at" in said) == (2, True), said
+
+
+@pytest.mark.slow
+def test_one_that_waits_is_started_before_its_run(tmp_path: Path) -> None:
+    """The file is then that of a run that is over; the next run's is another one in the same place."""
+    expected, latest = reference(tmp_path, *SHORT), tmp_path / "runs" / "latest"
+    (tmp_path / "runs" / "old").mkdir(parents=True)
+    latest.symlink_to("old")
+    JoinFile(f"unixsock-stream/{tmp_path}/gone", "old", 3, "agent-3", "guess").write(latest / "join-3.json")
+    waiting = agent(latest / "join-3.json", "--wait")
+    assert waiting.stdout is not None
+    assert "waiting, at most 300 s: nobody listens at" in waiting.stdout.readline()
+    with LiveRun(tmp_path / "runs", "paper", *sets(*SHORT, EXTERNAL)) as run:
+        code, said = ended(waiting)
+        assert (code, said.splitlines()[-1]) == (0, "agent 3: the run is over")
+        assert run.status() == 0, run.printed
+        assert digest(run.log) == expected
+
+
+@pytest.mark.slow
+def test_who_waits_can_be_told_to_stop(tmp_path: Path) -> None:
+    file = tmp_path / "join-3.json"
+    waiting = agent(file, "--wait", "1 h")
+    assert waiting.stdout is not None
+    assert f"waiting, at most 3600 s: there is no {file}" in waiting.stdout.readline()
+    waiting.send_signal(signal.SIGINT)
+    code, said = ended(waiting)
+    assert (code, said.splitlines()[-1]) == (130, f"not waiting for {file} any longer")
 
 
 @pytest.mark.slow

@@ -8,15 +8,19 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from click.testing import CliRunner
 from rich.console import Console as Terminal
+from waiting import wait_for
 
 from fleet.__main__ import _command_line
 from fleet.bench import barriers, journal, measured_run
 from fleet.bench.errors import BenchError
 from fleet.bench.fleets import measure_fleets, netem_targets, step_targets, targets
 from fleet.bench.network_core import SHARE
+from fleet.bench.soak import Soak
 from fleet.bench.wall_clock import measure_wall_clock as measure_real
 from fleet.bench.wall_clock import wall_clock_table
+from fleet.cli.main import cli
 from fleet.run.execute import Result, Status
 from fleet.scenario.loading import load_scenario
 
@@ -103,6 +107,26 @@ def test_a_run_that_does_not_end_is_one_line(
         found = int(end.code or 0)
     assert found == exit_status
     assert capsys.readouterr().err.splitlines()[-1] == f"fleet: the run with 2 vehicles {line}"
+
+
+def test_a_directory_is_no_file_for_figures() -> None:
+    result = CliRunner().invoke(cli, ["bench", "--quick", "--json", ""])
+    assert result.exit_code == 2 and "cannot be written: it is a directory" in result.stderr
+
+
+@pytest.mark.slow
+def test_a_soak_that_is_ended_leaves_nothing_behind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A run that is killed leaves the folder of its router; so it is asked to end first."""
+    monkeypatch.setenv("TMPDIR", str(tmp_path / "t"))
+    (tmp_path / "t").mkdir()
+    soak = Soak("one", ["paper", "--speed", "1"], tmp_path)
+    try:
+        wait_for(lambda: list(tmp_path.glob("one/*/connection.json")) or not soak.running, 30.0, "the run")
+        assert soak.running
+    finally:
+        soak.stop()
+    assert list((tmp_path / "t").iterdir()) == []
+    assert "interrupted" in (tmp_path / "one.txt").read_text()
 
 
 def test_echo_agents_that_do_not_answer_end_the_benchmark(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -23,6 +23,7 @@ from fleet.cli.logs import KINDS
 from fleet.cli.main import cli
 from fleet.logs.export import ExportError, columns, export
 from fleet.logs.open_log import FaultInterval
+from fleet.logs.run_name import run_name
 from fleet.pictures import exchange, signals
 from fleet.pictures.axes import shade
 from fleet.pictures.gallery import PER_RUN, WHAT, draw
@@ -555,6 +556,10 @@ def test_report_of_two_runs_with_verdicts_and_names_that_are_html(tmp_path: Path
     assert "&lt;b&gt;&amp;&lt;/b&gt;" in text
     assert "FAIL" in found.words and "check failed" in " ".join(found.words)
     assert "The runs together" in found.words
+    names = [run_name(run.log.path) for run in both]
+    for n, name in enumerate(names, start=1):
+        assert f'<li><a href="#run-{n}">{name}</a>' in text and f'<h2 id="run-{n}">{name}</h2>' in text
+    assert "largest final formation error [m]" in found.words
     assert [w for w in found.words if w in ("checks passed", "3 of 4", "never")][:2] == ["checks passed", "3 of 4"]
     assert len({run.label for run in both}) == 2
 
@@ -569,9 +574,10 @@ def test_report_refuses_a_place_that_cannot_be_written(directories: dict[str, Pa
 def test_nothing_in_a_log_is_taken_for_markup(directories: dict[str, Path]) -> None:
     """A label, a cell, a path or a note with markup in it is shown as it is written."""
     (run,) = load([directories["one"]])
+    (other,) = load([directories["one"]])
     run.label = '<img src="http://x">'
     run.notes.append("<script>1</script>")
-    text = page([run], View())
+    text = page([run, other], View())
     found = Page(text)  # refuses a script
-    assert all(load.startswith("data:image/png;base64,") for load in found.loads)
+    assert all(load.startswith(("data:image/png;base64,", "#")) for load in found.loads)
     assert run.label in found.words and "<script>" not in text

@@ -65,12 +65,16 @@ def test_another_law_commands_something_else(tmp_path: Path) -> None:
     assert shown["components"]["surge force"]["max"] == abs(found.found - found.recorded)[:, 0].max()
 
 
-def test_a_law_of_the_users(module: Callable[[str], str], tmp_path: Path) -> None:
+def test_a_law_of_the_users(module: Callable[[str], str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     directory = run(tmp_path, "paper", "duration=1 s")
     law = module(failing(50, "raise ValueError('enough')"))
     assert not what_if(directory, 3, [f"controller={law}:Law"]).identical
     with pytest.raises(WhatIfError, match="agent 2, tick 50: Law raised ValueError: enough"):
         what_if(directory, 2, [f"controller={law}:Law"])
+    monkeypatch.chdir(tmp_path)
+    asked = CliRunner().invoke(cli, ["whatif", str(directory), "--agent", "2", "--controller", f"{law}:Law"])
+    line = f"fleet: agent 2, tick 50: Law raised ValueError: enough ({law}.py:10)\n"
+    assert (asked.exit_code, asked.stderr.endswith(line)) == (3, True), asked.stderr  # as of a run
     coasting = what_if(directory, 2, [f"controller={law}:Law", "on_controller_error=coast"])
     assert any("enough" in note for note in coasting.notes)
 

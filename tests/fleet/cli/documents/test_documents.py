@@ -27,7 +27,7 @@ from fleet.cli.documents.result import Ran
 from fleet.cli.documents.what_if import OtherCommands
 from fleet.cli.main import cli
 from fleet.logs.reader import digest
-from fleet.scenario.loading import shipped_scenarios
+from fleet.scenario.catalogue import shipped_scenarios
 
 S = TypeVar("S", bound=msgspec.Struct)
 QUICK = ["paper", "--in-process", "--duration", "300 ms"]

@@ -1,0 +1,47 @@
+"""The laws of the user tried before a run: each is made once, as an agent makes it, and answers one sample."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from agents.agent import make_agent
+from agents.config import AgentConfig, Law
+from agents.controllers import BUILT_IN, laws
+from agents.errors import ControllerError, PluginError
+from fleet.errors import Problem, ScenarioError
+from fleet.scenario.scenario import Scenario
+from netem.wire.messages import Nav
+
+
+def try_laws(scenario: Scenario) -> None:
+    """Make each law that is not built in for the first vehicle that runs it, and give it the first sample of a run.
+
+    The sample is the initial state as it is, without noise, and nothing that was heard. On an ideal network, where an
+    agent hears at once, the law is only made. Laws that may not run, and those of external agents, are left out.
+
+    Raises:
+        ScenarioError: laws raised, or returned what cannot be used; every one of them is in it.
+    """
+    tried: list[dict[str, Law]] = []
+    problems = []
+    for i, control in enumerate(scenario.controls, start=1):
+        own = {kind: law for kind, law in laws(control).items() if law.name not in BUILT_IN[kind]}
+        if not own or own in tried or control.external:
+            continue
+        tried.append(own)
+        try:
+            _first_sample(scenario, i)
+        except PluginError:  # one that may not run; one that cannot be used was found when the scenario was read
+            continue
+        except ControllerError as error:
+            which = ", ".join(f"{kind} {law.name}" for kind, law in own.items())
+            problems.append(Problem(scenario.source, 0, 0, f"{which}: {error}"))
+    if problems:
+        raise ScenarioError(problems)
+
+
+def _first_sample(scenario: Scenario, i: int) -> None:
+    config: AgentConfig = replace(scenario.agent_config(i), on_error="abort")
+    agent = make_agent(config)
+    if not scenario.ideal:
+        agent.step(Nav(0, 0, *scenario.initial[i - 1]), ())

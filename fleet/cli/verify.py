@@ -81,12 +81,13 @@ def diff(a: Path, b: Path | None, tolerance: float, everything: bool, as_json: b
     with showing(f"comparing {a} and {second}", quiet=quiet) as tell:
         left, right = LogReader(log_path(a), tell), LogReader(log_path(second))
         found = compare(left, right)
+    status = 0 if found.first is None or (tolerance and found.within(tolerance)) else 1
     if as_json:
         from fleet.cli.documents.logs import compared
 
         missing, besides = (left.missing, right.missing), besides_messages(left, right)
         print_document(compared((left.path, right.path), missing, found, tolerance, besides))
-        sys.exit(0 if found.first is None or (tolerance and found.within(tolerance)) else 1)
+        sys.exit(status)
     for name, reader in (("a", left), ("b", right)):
         if reader.missing:
             click.echo(f"{name} is NOT WHOLE: {reader.missing}")
@@ -100,7 +101,7 @@ def diff(a: Path, b: Path | None, tolerance: float, everything: bool, as_json: b
         click.echo(f"besides, not the same: {other}")
     if found.first is not None and tolerance:
         click.echo(f"{'within' if found.within(tolerance) else 'NOT within'} the tolerance of {tolerance:g}")
-    sys.exit(0 if found.first is None or (tolerance and found.within(tolerance)) else 1)
+    sys.exit(status)
 
 
 @click.command(epilog=_RECOVER)

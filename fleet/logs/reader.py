@@ -22,7 +22,7 @@ RECOVERY = "recovery"  # name of the metadata record in a file that `fleet recov
 LOST = "lost"  # key in this record: text that says what is lost
 GAPS = "gaps"  # key in this record: numbers (from 0) of the messages before which data is lost
 MOST_KEPT = 256 << 20  # limit [bytes] for attachments, schemas, channels and metadata together
-MOST_SCENARIO = 4_000_000  # bytes
+_MOST_SCENARIO = 4_000_000  # bytes
 _ENTRY = 256  # estimated memory [bytes] of one entry of metadata, in addition to its text
 Tell = Callable[[float], None]  # progress callback: gets the fraction of the file that was read, 0 to 1
 
@@ -213,16 +213,16 @@ def open_any(path: Path) -> IO[bytes]:
             raise LogReadError(f"cannot read {path}: it is no file")
         return path.open("rb")
     except FileNotFoundError as error:
-        raise LogReadError(_none(path) or f"cannot read {path}: {error.strerror}") from error
+        raise LogReadError(_without_log(path) or f"cannot read {path}: {error.strerror}") from error
     except OSError as error:
         raise LogReadError(f"cannot read {path}: {error.strerror}") from error
 
 
-def _none(path: Path) -> str:
+def _without_log(path: Path) -> str:
     """What to say of a log that is not there because its run was to write none; "" if it was not."""
     scenario = path.with_name("scenario.yaml")
     try:
-        lines = read_file(scenario, MOST_SCENARIO).splitlines()
+        lines = read_file(scenario, _MOST_SCENARIO).splitlines()
     except (OSError, ValueError):
         return ""
     if b"log: none" not in lines:

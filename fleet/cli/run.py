@@ -112,7 +112,7 @@ def run(
       fleet run paper
       fleet run rough-sea --seed 3 --duration '30 s'
       fleet run paper --set vehicles=20 --net '* delay 200ms 50ms loss 30%'
-      fleet run paper --fault 'at 20s for 10s partition halves' --fault 'at 40s kill 3'
+      fleet run paper --fault 'at 20s for 10s partition halves'
       D=$(fleet run paper --in-process --quiet) && fleet plot $D
       fleet run paper --json > result.json
       fleet run paper --clock real --speed 2

@@ -79,7 +79,7 @@ def inject(what: tuple[str, ...], run: str | None, lasts: str | None, name: str 
     Examples:
       fleet inject link '1<->2' 'delay 500ms loss 20%' --for 10s
       fleet inject partition '1,2 / 3,4'
-      fleet inject partition halves for 5s      as in fleet run --fault, without at
+      fleet inject partition halves for 5s      the words of run --fault
       fleet inject down '2->3'
       fleet inject mute 3
       fleet inject kill 3                       for good, or until healed

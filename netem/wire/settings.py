@@ -5,7 +5,8 @@
   silently and reconnects as if nothing had happened. Deaths show as process exits and closed sockets. Between hosts a
   cable may be pulled, which closes no socket: there the lease is short, and `Bus.on_lost` reports that it has run out.
 * congestion control BLOCK and reliable: DROP loses messages silently. Grants bound what is in flight.
-* scouting and the admin space are off: a run is a closed box.
+* scouting and the admin space are off: a run is a closed box. `scouting/delay` too: even so a router would wait half a
+  second for others before its session is open.
 * shared memory is off: our messages are far below its threshold, and it starts threads.
 * `transport/link/rx/max_message_size`: zenoh's default is 1 GiB, which anybody who is let in could make the world hold.
   Our messages fit into one piece. Longer ones of who sends them in several are dropped; who announces a longer piece
@@ -34,6 +35,7 @@ _TLS = "transport/link/tls"
 BASE: dict[str, Any] = {
     "scouting/multicast/enabled": False,
     "scouting/gossip/enabled": False,
+    "scouting/delay": 0,
     "transport/unicast/lowlatency": True,
     "transport/unicast/qos/enabled": False,
     "transport/link/tx/lease": LEASE_MS,

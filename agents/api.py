@@ -16,10 +16,12 @@ parameters that the scenario gives it. It has
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterable, Mapping, Sequence
 from random import Random
 from typing import ClassVar, NamedTuple, Protocol
 
+import agents
 from agents.config import AgentConfig
 from agents.laws.filters import wrap
 from agents.laws.kinematics import earth_velocity
@@ -47,6 +49,13 @@ __all__ = [
     "earth_velocity",
     "wrap",
 ]
+
+if sys.flags.optimize < 2 and not (agents.__doc__ or "").startswith("Agents: "):
+    # Another distribution has overwritten files of this package; what is left of it may seem to work.
+    raise ImportError(
+        f"the package agents in {agents.__path__[0]} is not that of uuv-fleet, or mixed with it; install uuv-fleet "
+        "into an environment of its own: uv tool install, or pipx install"
+    )
 
 Telemetry = Mapping[str, float | Sequence[float]]
 

@@ -8,12 +8,14 @@ import sys
 import threading
 from types import FrameType
 
+from fleet.packages import damaged, foreign
 from fleet.processes.interrupts import ENDING, HungUp, ending, ending_status
 from fleet.terminal.output import OutputError, give_up_output, open_streams
 
 # Net new objects between two collections. Most of what a command makes at first, modules and classes, stays: Python's
 # own 700 let the collector walk through it again and again, for a sixth of the time of a short run.
 COLLECT_EVERY = 200_000
+NOT_OURS = 3  # the exit status when packages of ours were replaced
 READER_GONE = 128 + signal.SIGPIPE  # what a shell shows for `seq 99999 | head -1`
 _AGAIN_S = 0.01
 
@@ -48,12 +50,18 @@ def main() -> None:
 
 def _command_line() -> int:
     """The exit status of what was asked for."""
+    if text := foreign():
+        return _not_ours(text)
     import click
 
-    from fleet.cli.main import cli
-
     try:
+        from fleet.cli.main import cli
+
         status = cli(standalone_mode=False)
+    except ImportError as error:
+        if text := damaged(error):
+            return _not_ours(text)
+        raise
     except click.Abort as abort:
         return ending_status(abort.__cause__)
     except click.ClickException as error:
@@ -64,6 +72,11 @@ def _command_line() -> int:
             raise
         return end.code or 0
     return status if isinstance(status, int) else 0
+
+
+def _not_ours(text: str) -> int:
+    sys.stderr.write(f"fleet: {text}\n")
+    return NOT_OURS
 
 
 _interrupted = False

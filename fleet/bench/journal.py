@@ -9,7 +9,6 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from rich.console import Console as Terminal
-from rich.table import Table
 
 from fleet.bench.errors import BenchError
 from fleet.logs.reader import LogReader
@@ -28,6 +27,8 @@ from fleet.scenario.scenario import Scenario
 from fleet.scenario.sections.timeline import Event
 from fleet.terminal.keyboard import Keyboard
 from fleet.terminal.status_line import StatusLine
+from fleet.terminal.table import columns
+from fleet.terminal.table import show as show_table
 from netem.wire.messages import Command, Fate, Frame
 from netem.wire.open_bus import OpenBus
 
@@ -130,16 +131,13 @@ def _play(tape: Tape, options: PlaybackOptions, copy: Path | None) -> float:
         bus.close()
 
 
-def show_rows(rows: list[dict[str, float]]) -> Table:
-    """The figures as a table."""
-    table = Table(title="the journal, messages per second", title_justify="left", box=None, pad_edge=False)
+def show_journals(rows: list[dict[str, float]], terminal: Terminal) -> None:
+    """Print the figures as a table."""
     names = {
-        "vehicles": "N", "messages": "messages", "written": "written", "read": "read", "scanned": "opened to play",
-        "replayed": "played, rate 0", "record": "played and recorded", "mb_per_minute": "MB/min",
-        "mb_per_vehicle_minute": "MB/vehicle-min",
+        "vehicles": "N", "messages": "messages", "written": "written", "read": "read", "scanned": "opened\nto play",
+        "replayed": "played,\nrate 0", "record": "played and\nrecorded", "mb_per_minute": "MB/min",
+        "mb_per_vehicle_minute": "MB/min of\na vehicle",
     }  # fmt: skip
-    for heading in names.values():
-        table.add_column(heading, justify="right")
-    for row in rows:
-        table.add_row(*(f"{row[key]:.2f}" if key.startswith("mb") else f"{row[key]:.0f}" for key in names))
-    return table
+    ranks = {name: int(key.startswith("mb")) for key, name in names.items()}
+    cells = [[f"{row[key]:.2f}" if key.startswith("mb") else f"{row[key]:.0f}" for key in names] for row in rows]
+    show_table(columns(ranks, cells), "the journal, messages per second", terminal, "--json FILE")

@@ -19,9 +19,10 @@ from pathlib import Path
 from typing import Any
 
 import psutil
-from rich.table import Table
+from rich.console import Console as Terminal
 
 from fleet.bench.memory import pss_mb
+from fleet.terminal.table import columns, show
 
 SAMPLE_S = 0.5
 WARM = 0.25  # share of the run after which memory is compared with the end
@@ -141,15 +142,14 @@ def soak_failures(rows: list[SoakRow]) -> list[str]:
     return wrong
 
 
-def soak_table(rows: list[SoakRow]) -> Table:
-    """The rows for a terminal."""
-    shown = Table(title="soak: a random fault every 5 s", title_justify="left", box=None, pad_edge=False)
-    for heading in (
-        "run", "simulated", "wall", "status", "restarts", "ledger", "MB after 1/4", "MB at end", "orphans", "digest",
-    ):  # fmt: skip
-        shown.add_column(heading, justify="right")
-    for row in rows:
-        shown.add_row(
+def show_soak(rows: list[SoakRow], terminal: Terminal) -> None:
+    """Print the rows as a table."""
+    headings = {
+        "run": 0, "simulated": 1, "wall": 3, "status": 0, "restarts": 2, "ledger": 0, "MB after\n1/4": 0,
+        "MB at\nend": 0, "orphans": 0, "digest": 4,
+    }  # fmt: skip
+    cells = [
+        (
             row.run,
             f"{row.simulated_s:g} s",
             f"{row.wall_s:.0f} s",
@@ -161,7 +161,9 @@ def soak_table(rows: list[SoakRow]) -> Table:
             str(row.orphans),
             row.digest[:16],
         )
-    return shown
+        for row in rows
+    ]
+    show(columns(headings, cells), "soak: a random fault every 5 s", terminal, "--json FILE")
 
 
 def _arguments(vehicles: int, seconds: float) -> list[str]:

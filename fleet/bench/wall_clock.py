@@ -12,7 +12,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from rich.table import Table
+from rich.console import Console as Terminal
 
 from fleet.analysis.punctuality import MOST_MISSED, missed_share, moved_share
 from fleet.bench.measured_run import measured_run
@@ -20,6 +20,7 @@ from fleet.run.execute import Result
 from fleet.run.options import Options
 from fleet.scenario.loading import load_scenario
 from fleet.scenario.scenario import Scenario
+from fleet.terminal.table import columns, show
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,16 +91,14 @@ def _row(n: int, speed: float, scenario: Scenario, found: Result, same: Result) 
     )
 
 
-def wall_clock_table(rows: Sequence[WallClockRow]) -> Table:
-    """The rows for a terminal."""
-    shown = Table(title="on a wall clock (Ts = 10 ms)", title_justify="left", box=None, pad_edge=False)
-    for heading in (
-        "N", "x real", "ticks/s", "label", "ticks missed", "clock moved", "answer p99 ms", "overdue", "same bytes",
-        "lockstep x real",
-    ):  # fmt: skip
-        shown.add_column(heading, justify="right")
-    for row in rows:
-        shown.add_row(
+def show_wall_clock(rows: Sequence[WallClockRow], terminal: Terminal) -> None:
+    """Print the rows as a table."""
+    headings = {
+        "N": 0, "x real": 0, "ticks/s": 0, "label": 0, "ticks\nmissed": 0, "clock\nmoved": 1, "answer\np99 [ms]": 0,
+        "overdue": 2, "same\nbytes": 4, "lockstep\nx real": 3,
+    }  # fmt: skip
+    cells = [
+        (
             str(row.vehicles),
             f"{row.speed:g}",
             f"{row.ticks_per_s:g}",
@@ -111,4 +110,6 @@ def wall_clock_table(rows: Sequence[WallClockRow]) -> Table:
             "yes" if row.same_bytes else "no",
             f"{row.lockstep_x:.1f}",
         )
-    return shown
+        for row in rows
+    ]
+    show(columns(headings, cells), "on a wall clock (Ts = 10 ms)", terminal, "--json FILE")

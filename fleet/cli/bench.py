@@ -7,14 +7,12 @@ import os
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 import click
 
 from fleet.cli.types import Numbers
-
-if TYPE_CHECKING:
-    from rich.console import Console as Terminal
+from fleet.terminal.folding import stdout
 
 _F = TypeVar("_F", bound=Callable[..., Any])
 SIZES = Numbers(1, 1000, "4,20,100", whole=True)
@@ -60,7 +58,7 @@ def bench(context: click.Context, agents: list[int], json_path: Path | None, qui
     from fleet.bench.tables import show
 
     figures = measure_fleets(agents, quick=quick, say=_say)
-    show(figures, _terminal())
+    show(figures, stdout())
     _write(json_path, figures)
 
 
@@ -80,10 +78,10 @@ def real(agents: list[int], speeds: list[float], json_path: Path | None, quick: 
       fleet bench real
       fleet bench real --agents 4,100 --speed 0.5,1
     """
-    from fleet.bench.wall_clock import measure_wall_clock, wall_clock_table
+    from fleet.bench.wall_clock import measure_wall_clock, show_wall_clock
 
     rows = measure_wall_clock(agents, speeds, seconds=1.0 if quick else 10.0, say=_say)
-    _terminal().print(wall_clock_table(rows))
+    show_wall_clock(rows, stdout())
     _write(json_path, [row.to_values() for row in rows])
 
 
@@ -105,7 +103,7 @@ def stress(agents: list[int], suspend: float, json_path: Path | None) -> None:
     from fleet.bench.stress import measure_stress, stress_failures, stress_table
 
     rows = measure_stress(agents, suspend, _say)
-    _terminal().print(stress_table(rows))
+    stdout().print(stress_table(rows))
     _write(json_path, [row.to_values() for row in rows])
     _end(stress_failures(rows))
 
@@ -129,10 +127,10 @@ def soak(vehicles: int, duration: float, distributed: float, json_path: Path | N
       fleet bench soak
       fleet bench soak --vehicles 6 --duration 120 --distributed 60
     """
-    from fleet.bench.soak import measure_soak, soak_failures, soak_table
+    from fleet.bench.soak import measure_soak, show_soak, soak_failures
 
     rows = measure_soak(vehicles, duration, distributed, _say)
-    _terminal().print(soak_table(rows))
+    show_soak(rows, stdout())
     _write(json_path, [row.to_values() for row in rows])
     _end(soak_failures(rows))
 
@@ -145,12 +143,6 @@ def _end(wrong: list[str]) -> None:
 
 def _say(text: str) -> None:
     click.echo(text, err=True)
-
-
-def _terminal() -> Terminal:
-    from rich.console import Console as Terminal
-
-    return Terminal(width=None if sys.stdout.isatty() else 140)
 
 
 def _write(path: Path | None, figures: Any) -> None:

@@ -11,6 +11,7 @@ import click
 
 from fleet.cli.documents.output import json_is_asked, print_document
 from fleet.errors import FleetError
+from fleet.terminal.folding import say
 from netem.errors import NetemError
 
 EPILOG = (
@@ -41,7 +42,7 @@ class FleetGroup(click.Group):
 
 def report(error: Exception) -> int:
     """Print an error on stderr, and return the exit status that belongs to it."""
-    click.echo(f"fleet: {_words(error)}", err=True)
+    say(f"fleet: {_words(error)}", err=True)
     match error:
         case OSError(filename=str() | bytes() | PathLike()) | UnicodeEncodeError():
             return USAGE  # about what was asked for; a disk that is full or fails names no file

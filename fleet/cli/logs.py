@@ -12,8 +12,10 @@ import click
 from fleet.cli.documents.output import json_option, print_document
 from fleet.cli.log_argument import log_argument, newest_log
 from fleet.cli.types import Vehicles, Window, Words
+from fleet.terminal.folding import say
 
 KINDS = ("track", "error", "velocity", "inputs", "commands", "gains", "links", "messages", "ages", "timing")
+PARTS = ("track-3d", "formation")  # single pictures of track and error
 FORMATS = ("png", "svg", "pdf")
 
 
@@ -34,8 +36,8 @@ _window = click.option(
     help="Where the pictures go; by default `plots` beside the log.",
 )  # fmt: skip
 @click.option(
-    "--what", metavar="LIST", type=Words(KINDS, "all"), default="all", show_default=True,
-    help=f"Some of {', '.join(KINDS)}; or all.",
+    "--what", metavar="LIST", type=Words(KINDS, "all", PARTS), default="all", show_default=True,
+    help=f"Some of {', '.join(KINDS)}; or all; track-3d, formation: that part of track, of error.",
 )  # fmt: skip
 @click.option(
     "--format", "formats", metavar="LIST", type=Words(FORMATS), default="png", show_default=True,
@@ -83,7 +85,7 @@ def plot(
     with showing("drawing") as tell:
         paths = write(what, runs, view, out or log_path(log).parent / "plots", formats, said.append, tell)
     for note in dict.fromkeys([*(f"{r.label}: {r.log.missing}" for r in runs if r.log.missing), *_notes(runs), *said]):
-        click.echo(f"fleet: {note}", err=True)
+        say(f"fleet: {note}", err=True)
     for path in paths:
         click.echo(path)
     if not paths:
@@ -128,9 +130,9 @@ def export(log: Path, csv: Path | None, parquet: Path | None, topics: tuple[str,
     if topics and not len(found):
         raise click.BadParameter(f"no topic of {log} is like {', '.join(topics)}", param_hint="--topics")
     if found.missing:
-        click.echo(f"fleet: {found.path}: {found.missing}", err=True)
+        say(f"fleet: {found.path}: {found.missing}", err=True)
     if left := [name for name in found if len(found[name]) and not fits(found[name])]:
-        click.echo(f"fleet: left out, being lists of messages and no tables: {', '.join(left)}", err=True)
+        say(f"fleet: left out, being lists of messages and no tables: {', '.join(left)}", err=True)
     for form, folder in (("csv", csv), ("parquet", parquet)):
         if folder is not None:
             with showing(f"writing {folder}") as tell:
@@ -184,7 +186,7 @@ def report(
         write(out, runs, view, tell)
     for run in runs:
         if run.log.missing:
-            click.echo(f"fleet: {run.label}: {run.log.missing}", err=True)
+            say(f"fleet: {run.label}: {run.log.missing}", err=True)
     click.echo(out)
 
 
@@ -209,7 +211,7 @@ def info(log: Path, as_json: bool) -> None:
 
         print_document(contents(found))
     else:
-        click.echo(info_text(found))
+        say(info_text(found))
 
 
 COMMANDS = (plot, export, report, info)

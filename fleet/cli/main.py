@@ -5,7 +5,6 @@ Data go to stdout, everything else to stderr.
 
 from __future__ import annotations
 
-import sys
 from typing import TYPE_CHECKING
 
 import click
@@ -32,6 +31,7 @@ from fleet.cli.documents.output import json_option, print_document
 from fleet.cli.group import EPILOG, FleetGroup
 from fleet.cli.trust import TrustingCommand, trust_option
 from fleet.cli.types import OVERRIDES, disturbances
+from fleet.terminal.folding import say, stdout
 
 if TYPE_CHECKING:
     from agents.plugins.trust import Trust
@@ -100,30 +100,30 @@ def check(
     else:
         _say_what_is_expected(loaded, found, refused)
     for warning in [*(f"not checked: {problem}" for problem in refused), *told]:
-        click.echo(f"warning: {warning}", err=True)
+        say(f"warning: {warning}", err=True)
 
 
 def _say_what_is_expected(loaded: Scenario, found: Analysis, refused: list[Problem]) -> None:
     """A valid scenario in words, and what theory expects of it."""
     from fleet.analysis.seed import HINT, NOTHING, seeded
     from fleet.analysis.stability import report
-    from fleet.scenario.scenario import timeline
+    from fleet.scenario.scenario import timeline_lines
 
     links = loaded.graph.links
     word = "valid as far as it was checked" if refused else "valid"
-    click.echo(
+    say(
         f"{loaded.name}: {word}. {loaded.vehicles} vehicles, {len(links)} directed links, "
         f"{loaded.duration_ns / 1e9:g} s in {loaded.ticks} ticks of {loaded.tick_ns / 1e6:g} ms, "
         + ("ideal network" if loaded.ideal else f"a round every {loaded.round_ticks} ticks")
     )
     for line in report(loaded, found):
-        click.echo(line)
-    for name, begin_s, end_s, what in timeline(loaded):
-        click.echo(f"fault {name}: {what}, {begin_s:g} to {end_s:g} s")
+        say(line)
+    for line in timeline_lines(loaded):
+        say(line)
     drawn = seeded(loaded)
-    click.echo(f"seed {loaded.seed} draws: {', '.join(drawn)}" if drawn else f"{NOTHING}; {HINT}")
+    say(f"seed {loaded.seed} draws: {', '.join(drawn)}" if drawn else f"{NOTHING}; {HINT}")
     if loaded.spec.expect == "fail":
-        click.echo("the run is meant to fail a check, and exits with 0 when it does (expect: fail)")
+        say("the run is meant to fail a check, and exits with 0 when it does (expect: fail)")
 
 
 @cli.command(name="list")
@@ -137,15 +137,14 @@ def list_(as_json: bool) -> None:
 
         print_document(Scenarios([ScenarioRow(*row) for row in list_scenarios()]))
         return
-    from rich.console import Console as Terminal
     from rich.table import Table
 
     table = Table(box=None, pad_edge=False)
-    for heading in ("scenario", "vehicles", "duration", "meant to", "what one learns"):
+    for heading in ("scenario", "UUVs", "time", "expect", "what one learns"):
         table.add_column(heading, no_wrap=heading != "what one learns")
     for name, title, vehicles, duration_s, expect in list_scenarios():
         table.add_row(name, str(vehicles), f"{duration_s:g} s", expect, title)
-    Terminal(width=None if sys.stdout.isatty() else 120).print(table)
+    stdout().print(table)
 
 
 _MODULES = (

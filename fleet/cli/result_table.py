@@ -2,115 +2,154 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from rich.console import Console as Terminal
-from rich.markup import escape
-from rich.table import Table
+from rich.text import Text
 
 from fleet.analysis.preflight import large_log_hint
 from fleet.analysis.punctuality import summary
 from fleet.recorder.metrics import WorstAndMedian
 from fleet.run.execute import Result, Status
+from fleet.terminal import table
+from fleet.terminal.folding import INDENT, fold
+from fleet.terminal.table import Column, width
 from netem.causes import Cause
 
+Say = Callable[..., None]
 MOST_ROWS = 20
+_NOT_SETTLED = "not settled"
+_P95 = 7  # the rank of the column that goes first
 
 
 def show(result: Result, terminal: Terminal) -> None:
     """Print vehicles, links, verdicts and where everything is."""
     values = result.values
+    most = terminal.width if terminal.is_terminal else None
+
+    def say(text: str, style: str = "", mark: str = "") -> None:
+        """A line, folded on a terminal, with a styled mark before it."""
+        mark += "  " if mark else ""
+        line = Text(fold(mark + text, most, " " * len(mark) or INDENT))
+        line.stylize(style, 0, len(mark))
+        terminal.print(line, soft_wrap=True)
+
     if values["vehicles"]:
-        terminal.print(_vehicles(values["vehicles"]))
+        _show_vehicles(values["vehicles"], values["from_s"], terminal, say)
     if len(values["vehicles"]) > 1:
-        terminal.print(
-            f"formation error at the end: {WorstAndMedian(**values['formation'])}", highlight=False, soft_wrap=True
-        )
+        say(f"formation error at the end: {WorstAndMedian(**values['formation'])}")
     if any(account["sent"] for account in values["ledger"].values()):
-        terminal.print(_links(values["ledger"], values["ages"]))
+        _show_links(values["ledger"], values["ages"], terminal, say)
     for verdict in result.verdicts:
-        mark = "[green]pass[/]" if verdict.passed else "[red]FAIL[/]"
-        terminal.print(
-            f"{mark}  {verdict.check}: {verdict.asked}; found {verdict.found}", highlight=False, soft_wrap=True
-        )
+        style, mark = ("green", "pass") if verdict.passed else ("red", "FAIL")
+        say(f"{verdict.check}: {verdict.asked}; found {verdict.found}", style, mark)
     notes = values["notes"]
     for note in notes[:MOST_ROWS]:
-        terminal.print(f"note  {note}", markup=False, highlight=False, soft_wrap=True)
+        say(note, mark="note")
     if len(notes) > MOST_ROWS:
-        terminal.print(f"note  ... and {len(notes) - MOST_ROWS} more in result.json", highlight=False)
+        say(f"... and {len(notes) - MOST_ROWS} more in result.json", mark="note")
     if "timing" in values:
-        terminal.print(summary(values["timing"], values["timing"]["speed"]), highlight=False, soft_wrap=True)
+        say(summary(values["timing"], values["timing"]["speed"]))
     wall, size = values["wall"], values["log_bytes"]
     how = "in-process" if wall["in_process"] else f"distributed, ready in {wall['startup_s']:.2f} s"
-    terminal.print(
-        f"{values['sim_s']:g} s simulated in {wall['run_s']:.2f} s ({wall['x_real_time']:.1f} x real time, {how}); "
-        f"{values['messages']} messages, {f'{size / 1e6:.1f} MB' if size else 'no log'}, digest {result.digest[:16]}",
-        highlight=False,
-        soft_wrap=True,
+    where = f", t = {values['from_s']:g} to {values['sim_s']:g} s," if values["from_s"] else ""
+    say(
+        f"{values['sim_s'] - values['from_s']:g} s simulated{where} in {wall['run_s']:.2f} s "
+        f"({wall['x_real_time']:.1f} x real time, {how}); "
+        f"{values['messages']} messages, {f'{size / 1e6:.1f} MB' if size else 'no log'}, digest {result.digest[:16]}"
     )
     if hint := large_log_hint(size / 1e6):
-        terminal.print(f"note  the log is large: {hint}", markup=False, highlight=False, soft_wrap=True)
+        say(f"the log is large: {hint}", mark="note")
     if result.status in (Status.BROKEN, Status.INTERRUPTED, Status.HUNG_UP):
-        terminal.print(f"[red]{'run broke' if result.status is Status.BROKEN else 'stopped'}[/]: ", end="")
-        terminal.print(result.reason, markup=False, highlight=False, soft_wrap=True)
+        say(result.reason, "red", "run broke:" if result.status is Status.BROKEN else "stopped:")
         for line in result.lines:
-            terminal.print(line, markup=False, highlight=False, soft_wrap=True)
-    terminal.print(str(result.directory), markup=False, highlight=False, soft_wrap=True)
+            say(line)
+    say(str(result.directory))
 
 
-def _vehicles(rows: dict[str, dict[str, float | None]]) -> Table:
-    table = Table(title="vehicles", title_justify="left", box=None, pad_edge=False)
-    for heading in (
-        "UUV", "settle 10 % [s]", "settle 5 cm [s]", "RMS e, last 10 s [m]", "final formation error [m]",
-        "surge effort [N s]", "max u_cmd [m/s]",
-    ):  # fmt: skip
-        table.add_column(escape(heading), justify="right")
-    for i, row in list(rows.items())[:MOST_ROWS]:
-        table.add_row(
-            i,
-            _number(row["settle_10pct_s"], ".2f"),
-            _number(row["settle_5cm_s"], ".2f"),
-            _number(row["e_rms_m"], ".4f"),
-            _number(row["formation_final_m"], ".4f"),
-            _number(row["effort_Ns"], ".1f"),
-            "-" if row["u_cmd_max_mps"] is None else format(row["u_cmd_max_mps"], ".2f"),
-        )
-    if len(rows) > MOST_ROWS:
-        table.add_row("...", f"{len(rows) - MOST_ROWS} more")
-    return table
+def _show_vehicles(rows: dict[str, dict[str, float | None]], from_s: float, terminal: Terminal, say: Say) -> None:
+    """The vehicles: all, or those with the largest formation error at the end."""
+    shown = _worst(rows, {i: row["formation_final_m"] for i, row in rows.items()})
+
+    def cells(key: str, form: str, none: str) -> list[str]:
+        return [none if (value := rows[i][key]) is None else format(value, form) for i in shown]
+
+    columns = [
+        Column("UUV", shown),
+        Column("settle\n10 % [s]", cells("settle_10pct_s", ".2f", _NOT_SETTLED), 1),
+        Column("settle\n5 cm [s]", cells("settle_5cm_s", ".2f", _NOT_SETTLED), 2),
+        Column("RMS e, last\n10 s [m]", cells("e_rms_m", ".4f", "-"), 3),
+        Column("final\nformation\nerror [m]", cells("formation_final_m", ".4f", "-")),
+        Column("surge\neffort [N s]", cells("effort_Ns", ".1f", "-"), 5),
+        Column("max u_cmd\n[m/s]", cells("u_cmd_max_mps", ".2f", "-"), 4),
+    ]
+    title = f"vehicles; settling times count from the start at t = {from_s:g} s" if from_s else "vehicles"
+    table.show(columns, title, terminal, "see result.json")
+    _tell_more(len(rows) - len(shown), say)
 
 
-def _links(rows: dict[str, dict[str, Any]], ages: dict[str, dict[str, float]]) -> Table:
-    """Packets and ages of the links: of all, or of those with the oldest information; columns of zeros are left out."""
-    lost = sorted({cause for row in rows.values() for cause in row["lost"]} - {Cause.REPLACED})
-    numbers = {
-        name: {
-            "sent": row["sent"],
-            "duplicated": row["duplicated"],
-            "replaced": row["lost"].get(Cause.REPLACED, 0),  # by newer data before it was sent: not lost on the way
-            "delivered": row["delivered"],
-            **{f"lost: {cause}": row["lost"].get(cause, 0) for cause in lost},
-            "in flight": row["in_flight"],
-            "corrupted": row["corrupted"],
-        }
-        for name, row in rows.items()
-    }
-    total = {key: sum(row[key] for row in numbers.values()) for key in next(iter(numbers.values()))}
-    headings = [key for key in total if total[key] or key in ("sent", "delivered")]
-    shown = list(rows)
-    if len(rows) > MOST_ROWS:
-        shown = sorted(rows, key=lambda name: -ages[name]["max_s"] if name in ages else 0.0)[:MOST_ROWS]
+def _show_links(rows: dict[str, Any], ages: dict[str, dict[str, float]], terminal: Terminal, say: Say) -> None:
+    """Packets and ages of the links: of all, or of those with the oldest information; columns of zeros are left out.
+
+    Where there is no room for every cause of a loss, one column has their sum.
+    """
+    causes = sorted({cause for row in rows.values() for cause in row["lost"]} - {Cause.REPLACED})
+    shown = _worst(rows, {name: age["max_s"] for name, age in ages.items()})
+
+    def counts(heading: str, count: Callable[[dict[str, Any]], int], rank: int = 0) -> list[Column]:
+        total = sum(map(count, rows.values()))
+        cells = [str(total), *(str(count(rows[name])) for name in shown)]
+        return [Column(heading, cells, rank)] if total or not rank else []
+
+    def times(heading: str, key: str, rank: int) -> Column:
+        return Column(heading, [f"{ages[name][key]:.3f}" if name in ages else "-" for name in ("*", *shown)], rank)
+
+    def columns(lost: list[Column]) -> list[Column]:
+        return [
+            Column("link", ["all", *shown]),
+            *counts("sent", lambda row: row["sent"]),
+            *counts("duplicated", lambda row: row["duplicated"], 5),
+            # Replaced by newer data before it was sent: not lost on the way.
+            *counts("replaced", lambda row: row["lost"].get(Cause.REPLACED, 0), 2),
+            *counts("delivered", lambda row: row["delivered"]),
+            *lost,
+            *counts("in\nflight", lambda row: row["in_flight"], 4),
+            *counts("corrupted", lambda row: row["corrupted"], 3),
+            times("mean\nage [s]", "mean_s", 6),
+            times("p95\n[s]", "p95_s", _P95),
+            times("max\n[s]", "max_s", 1),
+        ]
+
+    wanted = columns([column for cause in causes for column in counts(_heading(cause), _losses(cause))])
+    merged = len(causes) > 1 and width([column for column in wanted if column.rank != _P95]) > terminal.width
+    if merged:
+        wanted = columns(counts("lost", _losses(*causes)))
     title = "packets per directed link, age of what was heard last"
-    table = Table(title=title, title_justify="left", box=None, pad_edge=False)
-    for heading in ("link", *headings, "mean age [s]", "p95 [s]", "max [s]"):
-        table.add_column(escape(heading), justify="right")
-    for name, row, age in [("all", total, ages.get("*")), *((name, numbers[name], ages.get(name)) for name in shown)]:
-        times = ["-"] * 3 if age is None else [f"{age[key]:.3f}" for key in ("mean_s", "p95_s", "max_s")]
-        table.add_row(name, *(str(row[heading]) for heading in headings), *times)
-    if len(rows) > MOST_ROWS:
-        table.add_row("...", f"{len(rows) - MOST_ROWS} more")
-    return table
+    table.show(wanted, title, terminal, "see result.json")
+    _tell_more(len(rows) - len(shown), say)
+    if merged:
+        totals = {cause: sum(map(_losses(cause), rows.values())) for cause in causes}
+        say("lost: " + ", ".join(f"{totals[cause]} {cause}" for cause in sorted(causes, key=lambda c: -totals[c])))
 
 
-def _number(value: float | None, form: str) -> str:
-    return "not settled" if value is None else format(value, form)
+def _tell_more(rows: int, say: Say) -> None:
+    if rows:
+        say(f"... and {rows} more in result.json")
+
+
+def _worst(rows: Mapping[str, Any], how_bad: Mapping[str, float | None]) -> list[str]:
+    """The names of all rows, or of the worst if they are many."""
+    if len(rows) <= MOST_ROWS:
+        return list(rows)
+    bad = {name: value for name, value in how_bad.items() if value is not None}
+    return sorted(rows, key=lambda name: -bad.get(name, 0.0))[:MOST_ROWS]
+
+
+def _losses(*causes: str) -> Callable[[dict[str, Any]], int]:
+    """How many packets of a link, given its row of the ledger, were lost by these causes."""
+    return lambda row: sum(row["lost"].get(cause, 0) for cause in causes)
+
+
+def _heading(cause: str) -> str:
+    return "\n".join(["lost:", *cause.split()])

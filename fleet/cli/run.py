@@ -14,6 +14,7 @@ from fleet.cli.documents.output import json_option, print_document
 from fleet.cli.group import EPILOG
 from fleet.cli.trust import TrustingCommand, trust_option
 from fleet.cli.types import OVERRIDES, Duration, Share, Speed, disturbances
+from fleet.terminal.folding import say, stdout
 from fleet.terminal.output import OutputError, give_up_output
 
 if TYPE_CHECKING:
@@ -22,6 +23,8 @@ if TYPE_CHECKING:
     from fleet.run.execute import Result
     from fleet.scenario.scenario import Scenario
     from fleet.scenario.text.overrides import Override
+
+MOST_FAULTS = 20  # of the scenario, said before it runs
 
 
 @click.command(cls=TrustingCommand, epilog=EPILOG)
@@ -135,11 +138,12 @@ def run(
 
     from fleet.run.execute import Status, execute
     from fleet.run.options import Options
+    from fleet.scenario.scenario import timeline_lines
 
     terminal = Terminal(stderr=True)
     if not quiet:
         for warning in _warnings(loaded, seed_given=seed is not None):
-            terminal.print(f"warning: {warning}", highlight=False, markup=False, soft_wrap=True)
+            say(f"warning: {warning}", err=True)
     one_process = "--in-process" if in_process else "--from" if start else "network: ideal" if loaded.ideal else ""
     meeting = cli_hosts.meeting(loaded, hosts, in_process=bool(one_process))
     for warning in meeting.warnings if meeting else ():
@@ -163,10 +167,11 @@ def run(
         rendezvous=meeting,
         audit=audit,
     )
-    if start is not None and not quiet:
-        terminal.print("\n".join(start.notes), highlight=False, markup=False, soft_wrap=True)
-    if loaded.ideal and not in_process and not quiet:
-        terminal.print("network: ideal has no latency and so runs in one process", highlight=False)
+    if not quiet:
+        for line in [*(start.notes if start else ()), *timeline_lines(loaded, MOST_FAULTS)]:
+            say(line, err=True)
+        if loaded.ideal and not in_process:
+            say("network: ideal has no latency and so runs in one process", err=True)
     result = execute(loaded, options, terminal)
     try:
         if as_json or quiet:
@@ -180,7 +185,7 @@ def run(
         else:
             from fleet.cli.result_table import show
 
-            show(result, Terminal(width=None if sys.stdout.isatty() else 120, soft_wrap=False))
+            show(result, stdout())
         sys.stdout.flush()
     except OutputError as error:
         give_up_output()
@@ -251,7 +256,7 @@ def _print_failure(result: Result) -> None:
     failed = [f"FAIL  {v.check}: {v.asked}; found {v.found}" for v in result.verdicts if not v.passed]
     if result.reason or (failed and result.status):
         lines = [f"fleet: {result.reason}", *result.lines] if result.reason else failed
-        click.echo("\n".join(lines), err=True)
+        say("\n".join(lines), err=True)
 
 
 def _shuffle(seed: int | None) -> Any:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -11,6 +10,7 @@ import click
 
 from fleet.cli.documents.output import json_option, print_document
 from fleet.cli.types import Age, Words
+from fleet.terminal.folding import stdout
 
 if TYPE_CHECKING:
     from datetime import datetime
@@ -41,8 +41,6 @@ def ls(out: Path, as_json: bool) -> None:
       fleet ls
       fleet ls --out /data/runs --json
     """
-    from rich.console import Console
-
     from fleet.cli.documents.runs import RunRow, Runs
     from fleet.run.past_runs import LIVE, past_runs
 
@@ -59,7 +57,7 @@ def ls(out: Path, as_json: bool) -> None:
     if not found:
         click.echo(f"no run below {out}", err=True)
         return
-    terminal = Console(width=None if sys.stdout.isatty() else 120, highlight=False)
+    terminal = stdout()
     terminal.print(_table(found, now, wide=terminal.width >= WIDE))
     live = sum(run.verdict == LIVE for run in found)
     click.echo(f"{_runs(len(found))}, {_size(size)}{f', {live} live' if live else ''}")
@@ -84,8 +82,6 @@ def prune(out: Path, keep: int | None, older_than: float | None, verdicts: tuple
       fleet prune --keep 20
       fleet prune --older-than '7 days' --verdict fail,broke --yes
     """
-    from rich.console import Console
-
     from fleet.run.past_runs import FINISHED, past_runs, remove, to_prune
 
     if keep is None and older_than is None and verdicts is None:
@@ -100,7 +96,7 @@ def prune(out: Path, keep: int | None, older_than: float | None, verdicts: tuple
         gone = list(remove(out, going))
         click.echo(f"removed {_runs(len(gone))}, {_size(sum(run.size for run in gone))}")
         return
-    terminal = Console(width=None if sys.stdout.isatty() else 120, highlight=False)
+    terminal = stdout()
     terminal.print(_table(going, now, wide=terminal.width >= WIDE))
     click.echo(f"would remove {_runs(len(going))}, {_size(sum(run.size for run in going))}; --yes does it")
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 import time
 from typing import TYPE_CHECKING
 
@@ -10,6 +9,7 @@ import click
 
 from fleet.cli.documents.output import json_option, print_document
 from fleet.cli.live import which
+from fleet.terminal.folding import stdout
 
 if TYPE_CHECKING:
     from rich.console import Console, Group
@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from fleet.run.connection import LiveRun
 
 EVERY_S = 1.0
-PLAIN_WIDTH = 100  # of output that no terminal shows
 MOST_FAULTS = 5
 
 
@@ -41,15 +40,13 @@ def status(run: str | None, watch: bool, every: bool, as_json: bool) -> None:
     """
     if watch and as_json:
         raise click.UsageError("--json prints one document, and --watch many: give one of them")
-    from rich.console import Console
-
     from fleet.run.connection import find
 
     found = find(run)
     if as_json:
         print_document(_status(found, every))
         return
-    terminal = Console(width=None if sys.stdout.isatty() else PLAIN_WIDTH, highlight=False)
+    terminal = stdout()
     if watch:
         watch_run(found, every, terminal)
     else:

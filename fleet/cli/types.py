@@ -101,12 +101,16 @@ class Share(click.ParamType[float]):
 
 
 class Words(click.ParamType[tuple[str, ...]]):
-    """Some of the given words, with commas between them; `all`, where it is allowed, means every one."""
+    """Some of the given words, with commas between them; `all`, where it is allowed, means every one.
+
+    Args:
+        parts: words for parts of what others mean, which `all` does not name again.
+    """
 
     name = "list"
 
-    def __init__(self, words: Sequence[str], everything: str = "") -> None:
-        self._words, self._everything = tuple(words), everything
+    def __init__(self, words: Sequence[str], everything: str = "", parts: Sequence[str] = ()) -> None:
+        self._words, self._everything, self._parts = tuple(words), everything, tuple(parts)
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[str, ...]:
         if isinstance(value, tuple):
@@ -115,10 +119,10 @@ class Words(click.ParamType[tuple[str, ...]]):
         if self._everything and self._everything in asked:
             return self._words
         for word in asked:
-            if word not in self._words:
+            if word not in self._words and word not in self._parts:
                 from netem.parsing import nearest
 
-                known = [*self._words, *filter(None, [self._everything])]
+                known = [*self._words, *self._parts, *filter(None, [self._everything])]
                 hint = nearest(word, known) or f"there are {', '.join(known)}"
                 self.fail(f"{word!r} is none of them; {hint}", param, ctx)
         return tuple(dict.fromkeys(asked))

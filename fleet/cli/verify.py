@@ -11,6 +11,7 @@ import click
 from fleet.cli.documents.output import json_option, print_document
 from fleet.cli.log_argument import log_argument, newest_log
 from fleet.cli.trust import TrustingCommand, trust_option
+from fleet.terminal.folding import say
 
 if TYPE_CHECKING:
     from agents.plugins.trust import Trust
@@ -50,7 +51,7 @@ def verify(log: Path, trust: Trust, as_json: bool, quiet: bool) -> None:
 
         print_document(verified(found))
     else:
-        click.echo("\n".join(verification_lines(found)))
+        say("\n".join(verification_lines(found)))
     sys.exit(0 if found.reproduced else 1)
 
 
@@ -65,14 +66,17 @@ def verify(log: Path, trust: Trust, as_json: bool, quiet: bool) -> None:
 def diff(a: Path, b: Path | None, tolerance: float, everything: bool, as_json: bool, quiet: bool) -> None:
     """Say whether logs A and B hold the same messages, where they part, and how far apart each signal gets.
 
+    If one of the runs goes on from another (fleet run --from), they are compared from where it begins.
+
     \b
     Examples:
       fleet diff runs/paper-1-20261121-120000
       fleet diff a.mcap b.mcap --tolerance 1e-9
     """
     from fleet.logs.deviation import compare, deviation_lines
-    from fleet.logs.first_difference import besides_messages
+    from fleet.logs.first_difference import begin_ns, besides_messages
     from fleet.logs.reader import LogReader, log_path
+    from fleet.logs.schemas import FROM
     from fleet.terminal.progress import showing
 
     second = newest_log() if b is None else b
@@ -90,17 +94,20 @@ def diff(a: Path, b: Path | None, tolerance: float, everything: bool, as_json: b
         sys.exit(status)
     for name, reader in (("a", left), ("b", right)):
         if reader.missing:
-            click.echo(f"{name} is NOT WHOLE: {reader.missing}")
+            say(f"{name} is NOT WHOLE: {reader.missing}")
+    if found.begin_ns:
+        name, reader = max(("a", left), ("b", right), key=lambda side: begin_ns(side[1]))
+        source = reader.metadata.get("run", {}).get(FROM, "another log")
+        say(f"compared from t = {found.begin_ns / 1e9:g} s on, where {name} begins: it goes on from {source}")
     if found.first is None:
-        click.echo(f"the same bit for bit ({found.same} messages)")
+        say(f"the same bit for bit ({found.same} messages)")
     else:
-        click.echo(f"they part at {found.first}")
-        for line in deviation_lines(found, None if everything else 20):
-            click.echo(line)
+        say(f"they part at {found.first}")
+        say("\n".join(deviation_lines(found, None if everything else 20)))
     for other in besides_messages(left, right):
-        click.echo(f"besides, not the same: {other}")
+        say(f"besides, not the same: {other}")
     if found.first is not None and tolerance:
-        click.echo(f"{'within' if found.within(tolerance) else 'NOT within'} the tolerance of {tolerance:g}")
+        say(f"{'within' if found.within(tolerance) else 'NOT within'} the tolerance of {tolerance:g}")
     sys.exit(status)
 
 
@@ -123,7 +130,7 @@ def recover(log: Path, out: Path | None) -> None:
 
     with showing(f"recovering {log}") as tell:
         found = write(log, out, tell)
-    click.echo(recovery_text(found), err=found.nothing)
+    say(recovery_text(found), err=found.nothing)
     sys.exit(1 if found.nothing else 3 if found.lost else 0)
 
 

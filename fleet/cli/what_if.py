@@ -10,6 +10,7 @@ import click
 from fleet.cli.documents.output import json_option, print_document
 from fleet.cli.log_argument import log_argument
 from fleet.cli.trust import TrustingCommand, trust_option
+from fleet.terminal.folding import say
 
 if TYPE_CHECKING:
     from agents.plugins.trust import Trust
@@ -64,8 +65,8 @@ def command(
         print_document(other_commands(found))
         return
     for note in found.notes:
-        click.echo(f"note  {note}", err=True)
-    click.echo("\n".join([*what_if_lines(found), *([str(plot)] if plot is not None else [])]))
+        say(f"note  {note}", err=True)
+    say("\n".join([*what_if_lines(found), *([str(plot)] if plot is not None else [])]))
 
 
 def what_if_lines(found: WhatIf) -> list[str]:

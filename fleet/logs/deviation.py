@@ -11,14 +11,14 @@ import re
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from itertools import islice
+from itertools import chain, islice
 from math import inf, isnan
 from typing import Any
 
 import numpy as np
 
 from fleet.logs.decoder import Decoder, Value
-from fleet.logs.first_difference import Difference, side
+from fleet.logs.first_difference import Difference, begin_ns, side
 from fleet.logs.reader import LogReader, Record
 from fleet.logs.records import Block, Message
 
@@ -43,6 +43,7 @@ class Deviation:
 class Comparison:
     """What two logs have in common and what not."""
 
+    begin_ns: int = 0  # what was before is not compared: one of the runs goes on from another and begins here
     first: Difference | None = None
     same: int = 0  # messages, bit for bit
     paired: int = 0  # that are there in both, but differ
@@ -60,7 +61,7 @@ class Comparison:
 
 
 def compare(a: LogReader, b: LogReader, names: tuple[str, str] = ("a", "b")) -> Comparison:
-    """Compare two logs to their ends.
+    """Compare two logs to their ends; where one of the runs begins later, from there on.
 
     Raises:
         LogReadError: one of them is no log.
@@ -69,6 +70,11 @@ def compare(a: LogReader, b: LogReader, names: tuple[str, str] = ("a", "b")) -> 
     readers = a, b
     decoders = Decoder(a), Decoder(b)
     streams = _Stream(a), _Stream(b)
+    begins = [begin_ns(reader) for reader in readers]
+    if begins[0] != begins[1]:
+        found.begin_ns = max(begins)
+        for stream in streams:
+            stream.begin(found.begin_ns)
     waiting = _Waiting(), _Waiting()
     number = 0
     while True:
@@ -106,11 +112,17 @@ class _Stream:
     def __init__(self, reader: LogReader) -> None:
         self._reader = reader
         self._blocks = reader.blocks()
-        self._block: Block | None = next(self._blocks, None)
+        self._block: Block | None = next(self._blocks, None)  # with it, what stands before the messages was read
         self._at = 0
         self._slow = 0  # messages that are still to be compared one by one
         self._records: list[Record] = []  # of those, the next ones, in reverse
         self._topics: dict[int, str] = {}
+
+    def begin(self, at_ns: int) -> None:
+        """Skip the messages of times before this; to be called before all else."""
+        blocks = self._blocks if self._block is None else chain([self._block], self._blocks)
+        self._blocks = (kept for block in blocks if len(kept := block.take(block.log_ns >= at_ns)))
+        self._block = next(self._blocks, None)
 
     def head(self) -> Record | None:
         """The next message; None at the end."""

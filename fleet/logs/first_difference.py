@@ -11,6 +11,7 @@ from typing import Any
 
 from fleet.logs.decoder import Decoder, Value
 from fleet.logs.reader import LogReader, Record
+from fleet.logs.schemas import ANEW, FROM, FROM_TICK, START
 
 _MOST_BYTES = 24  # of a payload, shown
 
@@ -91,12 +92,16 @@ def side(name: str, reader: LogReader, record: Record | None) -> Side:
 
 
 def besides_messages(a: LogReader, b: LogReader) -> list[str]:
-    """What else two logs do not have in common: attachments, metadata and how topics are declared."""
-    names = sorted(a.attachments.keys() | b.attachments.keys())
+    """What else two logs do not have in common: attachments, metadata and how topics are declared.
+
+    Where only one of the runs goes on from another, that it does so is no difference.
+    """
+    start: set[str] = {START, FROM, FROM_TICK, ANEW} if begin_ns(a) != begin_ns(b) else set()
+    names = sorted((a.attachments.keys() | b.attachments.keys()) - start)
     found = [f"attachment {name}" for name in names if a.attachments.get(name) != b.attachments.get(name)]
     for name in sorted(a.metadata.keys() | b.metadata.keys()):
         left, right = a.metadata.get(name, {}), b.metadata.get(name, {})
-        keys = [key for key in sorted(left.keys() | right.keys()) if left.get(key) != right.get(key)]
+        keys = [key for key in sorted((left.keys() | right.keys()) - start) if left.get(key) != right.get(key)]
         found += [f"metadata {name}: {key} {left.get(key)} and {right.get(key)}" for key in keys]
     topics = {topic for topic, _ in _declared(a).items() ^ _declared(b).items()}
     return [*found, *(f"the declaration of {topic}" for topic in sorted(topics))]
@@ -120,8 +125,18 @@ def framing(a: Path, b: Path) -> str:
 
 def tick_length(reader: LogReader) -> int:
     """Ts [ns] of a log as far as it was read; 0 if it states none."""
-    text = reader.metadata.get("run", {}).get("tick_ns", "0")
-    return int(text) if text.isascii() and text.isdigit() else 0
+    return _stated(reader, "tick_ns")
+
+
+def begin_ns(reader: LogReader) -> int:
+    """The time at which the run of a log begins, as far as it was read: later than 0 if it goes on from another."""
+    return min(_stated(reader, FROM_TICK) * tick_length(reader), 2**63 - 1)
+
+
+def _stated(reader: LogReader, key: str) -> int:
+    """A number that the log states of its run; 0 if it does not."""
+    text = reader.metadata.get("run", {}).get(key, "0")
+    return int(text) if text.isascii() and text.isdigit() and len(text) < 20 else 0
 
 
 def _declared(reader: LogReader) -> dict[str, tuple[Any, ...]]:

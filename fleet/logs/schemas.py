@@ -22,6 +22,8 @@ from agents.signals import Signal
 
 PACKAGE = "uuv_fleet"
 CLOCK, REAL = "clock", "real"  # key and value in metadata `run`: no lockstep, so not repeatable
+START = "start.msgpack"  # the attachment of a log that holds where its run began, if that went on from another
+FROM, FROM_TICK, ANEW = "from", "from tick", "without memory"  # what the metadata of such a run say of it
 DOUBLE = descriptor_pb2.FieldDescriptorProto.TYPE_DOUBLE
 UINT32 = descriptor_pb2.FieldDescriptorProto.TYPE_UINT32
 STRING = descriptor_pb2.FieldDescriptorProto.TYPE_STRING

@@ -15,7 +15,8 @@ from fleet.pictures.runs import NothingToDraw, Run, View
 from fleet.pictures.style import save
 
 Draw = Callable[[Sequence[Run], View], Figure]
-# What one can ask for -> the pictures that answer: (name of the file, what it shows, how).
+# What one can ask for -> the pictures that answer: (name of the file, what it shows, how). By the name of its file one
+# can ask for a single picture, too.
 WHAT: dict[str, tuple[tuple[str, str, Draw], ...]] = {
     "track": (
         ("track", "The vehicles' ways from above, in north and east", track.top),
@@ -46,11 +47,16 @@ def draw(
         share: called before each with the share that is done.
     """
     asked_for_all = set(what) == set(WHAT)
+    begun: set[str] = set()
+    single = {picture[0]: (picture,) for pictures in WHAT.values() for picture in pictures}
     for number, kind in enumerate(what):
         share(number / len(what))
         if kind == "timing" and asked_for_all and not any(map(timing.on_wall_clock, runs)):
             continue
-        for name, title, make in WHAT[kind]:
+        for name, title, make in WHAT.get(kind) or single[kind]:
+            if name in begun:
+                continue
+            begun.add(name)
             each = [[run] for run in runs] if kind in PER_RUN else [list(runs)]
             for some in each:
                 called = name if len(each) == 1 else f"{name}-{some[0].slug}"

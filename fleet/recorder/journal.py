@@ -66,6 +66,7 @@ class Journal:
         self.separation = Separation.asked(scenario)
         self.connectivity = Connectivity.asked(scenario)
         self.happened: list[Event] = []  # those of the events that are written
+        self.begin = 0  # the tick at which the run begins; another one if it goes on from a snapshot
         self.written = -1  # complete in the log up to this tick
         self.framed = -1
         self.reported = -1
@@ -92,7 +93,7 @@ class Journal:
 
     def resume(self, snapshot: Snapshot) -> None:
         """Begin at the moment of a snapshot: what was before counts in the ledger, and in nothing else."""
-        tick = snapshot.tick
+        tick = self.begin = snapshot.tick
         self.written, self.framed, self.reported = tick - 1, tick - self._frame_every, tick - self._round_ticks
         for src, dst, values in snapshot.network["ledger"]:
             self.ledger.restore((src, dst), values | {"sent": 0, "duplicated": 0})  # they come at the end

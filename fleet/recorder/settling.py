@@ -35,11 +35,11 @@ def below_from(values: Sequence[float], limit: float, begin: int, end: int) -> i
 def settling_time(
     times: Sequence[float], values: Sequence[float], limit: float, disturbance: Iterable[Harmonic]
 ) -> float | None:
-    """When [s] a value settled below a limit; None if it did not, or too late to be judged."""
+    """How long [s] after the first of the times a value settled below a limit; None if it did not, or too late."""
     first = below_from(values, limit, 0, len(values))
     if first == len(values) or not stayed(times, first, len(times), least_s(disturbance, times[-1] - times[0])):
         return None
-    return float(times[first])
+    return float(times[first] - times[0])
 
 
 def stayed(times: Sequence[float], first: int, end: int, least: float) -> bool:

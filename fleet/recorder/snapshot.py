@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from fleet.logs.reader import LogReader, Tell
 
 TOPIC = "snapshot"
-START = "start.msgpack"  # the attachment of a log that holds where its run began
 _FORMAT = 1
 
 

@@ -23,13 +23,17 @@ from agents.controllers import law_class, laws
 from agents.plugins.loading import fingerprint
 from agents.signals import Layout
 from fleet.logs.schemas import (
+    ANEW,
     CLOCK,
     COMMAND,
     ERROR,
     FAULT,
+    FROM,
+    FROM_TICK,
     PACKET,
     REAL,
     SNAPSHOT,
+    START,
     STATE,
     Column,
     DoublesEncoder,
@@ -44,7 +48,7 @@ from fleet.logs.schemas import (
 from fleet.recorder.log_file import SECOND_NS
 from fleet.recorder.metrics import VehicleError
 from fleet.recorder.scene import SCENE_UNITS, Scene
-from fleet.recorder.snapshot import START, TOPIC, Snapshot, Start
+from fleet.recorder.snapshot import TOPIC, Snapshot, Start
 from fleet.recorder.transforms import NED, TRANSFORMS_UNITS, quaternion, transforms
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.sections.log_rates import without_snapshots
@@ -277,7 +281,7 @@ def run_metadata(scenario: Scenario, start: Start | None = None) -> dict[str, st
 
 def _start_metadata(start: Start) -> dict[str, str]:
     anew = " ".join(map(str, start.anew))
-    return {"from tick": str(start.snapshot.tick), "from": start.source, "without memory": anew}
+    return {FROM_TICK: str(start.snapshot.tick), FROM: start.source, ANEW: anew}
 
 
 def _plugin_metadata(scenario: Scenario) -> dict[str, str]:

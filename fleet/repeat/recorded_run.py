@@ -11,9 +11,8 @@ from typing import Any
 from fleet.errors import FleetError
 from fleet.logs.decoder import Decoder
 from fleet.logs.reader import LogReader, Record, Tell, log_path
-from fleet.logs.schemas import CLOCK, REAL
+from fleet.logs.schemas import CLOCK, REAL, START
 from fleet.quantities import show_time
-from fleet.recorder.snapshot import START
 from fleet.scenario.loading import parse_scenario
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.schema.checks import EVERY

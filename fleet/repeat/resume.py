@@ -12,8 +12,9 @@ from pathlib import Path
 from agents.controllers import laws
 from agents.plugins.trust import NOTHING, Trust
 from fleet.logs.reader import LogReader, Tell, digest, log_path
+from fleet.logs.schemas import ANEW, FROM, START
 from fleet.quantities import QuantityError, show_time, time_ns
-from fleet.recorder.snapshot import START, Snapshot, SnapshotError, Start, find
+from fleet.recorder.snapshot import Snapshot, SnapshotError, Start, find
 from fleet.repeat.recorded_run import recorded as read
 from fleet.scenario.loading import load_scenario
 from fleet.scenario.scenario import Scenario
@@ -103,5 +104,5 @@ def start_of(reader: LogReader) -> Start | None:
     if data is None:
         return None
     run = reader.metadata.get("run", {})
-    anew = tuple(int(i) for i in run.get("without memory", "").split() if i.isdecimal())
-    return Start(Snapshot.from_bytes(data), run.get("from", ""), anew)
+    anew = tuple(int(i) for i in run.get(ANEW, "").split() if i.isdecimal())
+    return Start(Snapshot.from_bytes(data), run.get(FROM, ""), anew)

@@ -12,6 +12,7 @@ from fleet.replay.attachment import Stamp, pack
 from fleet.replay.capture_format import ATTACHMENT, DELETE, ENCODING, KIND, zenoh_encoding
 from fleet.replay.player import RATE_STEP, SEEK_NS, MeasuredRate, Metronome, Player
 from fleet.replay.selection import Renaming, chosen
+from fleet.terminal.fitting import Piece
 from fleet.terminal.keyboard import Key, Keyboard
 from fleet.terminal.status_line import StatusLine
 from netem.wire.keys import Keys
@@ -209,17 +210,19 @@ class Replay:
         stamp = stamp_of(log_ns)
         self._clock.put(stamp.SerializeToString(), None)
 
-    def _describe(self, now: int, pace: MeasuredRate) -> str:
+    def _describe(self, now: int, pace: MeasuredRate) -> list[Piece]:
         player = self.player
         at = player.position(now)
         reached = pace.update(now, at) if not player.paused else 0.0
         state = "paused" if player.paused else f"{reached:.2f} x real time"
         wanted = f" of {player.rate:.3g}" if player.rate and not player.paused else ""
-        lap = f"  lap {player.laps + 1}" if self._wishes.loop else ""
-        return (
-            f"t = {(at - self.zero_ns) / 1e9:.2f} / {(self._end - self.zero_ns) / 1e9:.2f} s  {state}{wanted}  "
-            f"{self.published} messages, {player.missed} late{lap}"
-        )
+        late = f"{player.missed} late"
+        return [
+            Piece(0, [f"t = {(at - self.zero_ns) / 1e9:.2f} / {(self._end - self.zero_ns) / 1e9:.2f} s"]),
+            Piece(1, [f"{state}{wanted}", state]),
+            Piece(2, [f"{self.published} messages, {late}", late, ""]),
+            Piece(3, [f"lap {player.laps + 1}", ""] if self._wishes.loop else [""]),
+        ]
 
     def summary(self, wall_s: float) -> str:
         """What was played, in words."""

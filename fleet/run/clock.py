@@ -23,12 +23,13 @@ class Clock:
     frame_every: int
     speed_limit: float | None = None  # sim seconds per wall second; None: as fast as it goes
     lead_ns: int = 0  # sim time by which grants go ahead of that limit: in real time the world itself keeps the speed
+    begin: int = 0  # the tick at which the run begins, from which the speed counts
 
     @classmethod
-    def of(cls, scenario: Scenario, speed_limit: float | None = None, *, lead_ns: int = 0) -> Clock:
+    def of(cls, scenario: Scenario, speed_limit: float | None = None, *, lead_ns: int = 0, begin: int = 0) -> Clock:
         """The clock of a scenario."""
         m = scenario.round_ticks
-        return cls(scenario.ticks, scenario.tick_ns, m, frame_every(scenario), speed_limit, lead_ns)
+        return cls(scenario.ticks, scenario.tick_ns, m, frame_every(scenario), speed_limit, lead_ns, begin)
 
     @property
     def window(self) -> int:
@@ -42,7 +43,8 @@ class Clock:
         limit = min(written + 1 + self.window, self.ticks)
         if self.speed_limit is None:
             return limit
-        return min(limit, (int(wall_s * self.speed_limit * 1e9) + self.lead_ns) // self.tick_ns + 1)
+        passed_ns = int(wall_s * self.speed_limit * 1e9) + self.lead_ns
+        return min(limit, self.begin + passed_ns // self.tick_ns + 1)
 
 
 class LiveClock:

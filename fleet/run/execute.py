@@ -202,13 +202,12 @@ def _report(run: _Run) -> None:
     """Write result.json."""
     runner, result, closing = run.runner, run.result, run.runner.closing
     run_s = run.wall_s - runner.started_s
-    sim_s = max(0, run.journal.written) * run.scenario.tick_ns / 1e9
     result.values = _values(run.scenario, run.journal, run.log, result, runner.middleware_lost)
     result.values["wall"] = {
         "in_process": run.in_process,
         "startup_s": runner.started_s,
         "run_s": run_s,
-        "x_real_time": sim_s / max(1e-9, run_s),
+        "x_real_time": (result.values["sim_s"] - result.values["from_s"]) / max(1e-9, run_s),
     }
     result.values |= run.publication.summary()
     if run.realtime and closing.timing:
@@ -227,7 +226,8 @@ def _report(run: _Run) -> None:
 
 def _clock(scenario: Scenario, options: Options) -> Clock:
     if options.realtime_speed is None:
-        return Clock.of(scenario, options.speed_limit)
+        begin = 0 if options.start is None else options.start.snapshot.tick
+        return Clock.of(scenario, options.speed_limit, begin=begin)
     return Clock.of(scenario, options.realtime_speed, lead_ns=WINDOW_NS)
 
 
@@ -248,6 +248,7 @@ def _values(scenario: Scenario, journal: Journal, file: LogFile | NoLog, result:
         "exit": int(result.status),
         "reason": result.reason,
         "lines": result.lines,
+        "from_s": journal.begin * scenario.tick_ns / 1e9,
         "sim_s": max(0, journal.written) * scenario.tick_ns / 1e9,
         "checks": [verdict.to_values() for verdict in result.verdicts],
         "vehicles": journal.metrics.summary(),

@@ -7,7 +7,8 @@ from collections.abc import Callable
 
 from fleet.recorder.journal import Journal
 from fleet.scenario.scenario import Scenario
-from fleet.terminal.status_line import StatusLine, bar
+from fleet.terminal.fitting import Piece, shortened
+from fleet.terminal.status_line import BAR, StatusLine, bar
 
 STILL_S = 60.0  # between plain lines when nothing moves
 MOST_FAULTS = 4  # shown by name
@@ -24,6 +25,7 @@ class ProgressLine:
         """
         self._journal, self._waiting, self._line = journal, waiting, line
         self._tick_s = scenario.tick_ns / 1e9
+        self._ticks = scenario.ticks
         self._end_s = scenario.ticks * self._tick_s
         self._began_s: float | None = None
         self._shown, self._still_until_s = (-1, ""), 0.0  # what the last plain line was about
@@ -40,21 +42,44 @@ class ProgressLine:
         if not self._line.live and about == self._shown and now < self._still_until_s:
             return
         self._shown, self._still_until_s = about, now + STILL_S
-        sim_s = max(0, self._journal.written) * self._tick_s
-        drawn = f" {bar(sim_s / self._end_s)} " if self._line.live else "  "
-        text = f"{sim_s / max(1e-9, now - self._began_s):.1f} x real time  {self._state()}"
-        if faults := self._journal.active:
-            more = f" and {len(faults) - MOST_FAULTS} more" if len(faults) > MOST_FAULTS else ""
-            text += f"  faults {', '.join(faults[:MOST_FAULTS])}{more}"
-        if waiting:
-            text += f"  {waiting}"
-        self._line.show(f"t = {sim_s:.1f} / {self._end_s:g} s{drawn}{text}")
+        self._line.show(self._pieces(now - self._began_s, waiting))
 
-    def _state(self) -> str:
+    def _pieces(self, passed_s: float, waiting: str) -> list[Piece]:
+        """What there is to show, `passed_s` of wall time after the start."""
+        tick, begin = max(0, self._journal.written), self._journal.begin
+        at_s = tick * self._tick_s
+        speed = f"{(tick - begin) * self._tick_s / passed_s:.1f} x" if passed_s else ""
+        share = (tick - begin) / max(1, self._ticks - begin)
+        off = self._journal.metrics.formation
+        of_fleet = off.vehicles > 1
+        whose = [f" (UUV {off.vehicle})", ""] if of_fleet else [""]
+        errors = [f"error {off.worst_m:.3f} m{of}" for of in whose]
+        waits = waiting.replace("waiting for", "waits for")
+        return [
+            Piece(0, [f"t = {at_s:.1f} / {self._end_s:g} s", f"{at_s:.1f}/{self._end_s:g} s"]),
+            Piece(6, [bar(share), bar(share, BAR // 2), ""] if self._line.live else [""]),
+            Piece(4, [f"{speed} real time", speed, ""] if speed else [""]),
+            Piece(2, [f"formation {errors[0]}", *errors, f"error {off.worst_m:.2f} m"]),
+            Piece(7, [f"median {off.median_m:.3f} m", ""] if of_fleet else [""]),
+            Piece(5, [*self._packets(), ""]),
+            Piece(1, self._faults()),
+            Piece(3, [waiting, *shortened(waiting, 40, 30), *shortened(waits, 22)]),
+        ]
+
+    def _packets(self) -> list[str]:
         total = self._journal.ledger.total()
         lost = sum(total.lost.values()) - total.replaced
         never_sent = f", {total.replaced} replaced" if total.replaced else ""
-        return (
-            f"formation error {self._journal.metrics.formation}  "
-            f"packets {total.delivered} delivered, {lost} lost{never_sent}"
-        )
+        short = f"{total.delivered} delivered, {lost} lost"
+        return [f"packets {short}{never_sent}", short]
+
+    def _faults(self) -> list[str]:
+        """The active faults: some by name, or how many."""
+        names = self._journal.active
+        if not names:
+            return [""]
+        forms = []
+        for most in range(MOST_FAULTS, 0, -1):
+            more = f" and {len(names) - most} more" if len(names) > most else ""
+            forms.append(f"faults {', '.join(names[:most])}{more}")
+        return [*dict.fromkeys(forms), f"{len(names)} fault{'s' * (len(names) > 1)}"]

@@ -296,6 +296,13 @@ def timeline(scenario: Scenario) -> list[tuple[str, float, float, str]]:
     return [(e.fault, e.tick * tick_s, ends[e.fault] * tick_s, e.what) for e in begun]
 
 
+def timeline_lines(scenario: Scenario, most: int | None = None) -> list[str]:
+    """The same in words, a line each; with `most`, only so many and a line that says how many more there are."""
+    found = timeline(scenario)
+    lines = [f"fault {name}: {what}, {begin_s:g} to {end_s:g} s" for name, begin_s, end_s, what in found[:most]]
+    return lines if len(lines) == len(found) else [*lines, f"... and {len(found) - len(lines)} more faults"]
+
+
 def frame_every(scenario: Scenario) -> int:
     """Ticks between the frames that the log needs: the greatest common divisor of its rates."""
     return gcd(*scenario.log_every.values())

@@ -9,7 +9,8 @@ from datetime import timedelta
 
 from rich.console import Console as Terminal
 
-from fleet.terminal.status_line import PLAIN_S, REFRESH_S, StatusLine, bar
+from fleet.terminal.fitting import Piece, shortened
+from fleet.terminal.status_line import BAR, PLAIN_S, REFRESH_S, StatusLine, bar
 
 FIRST_S = 2.0  # work that is done by then shows nothing
 
@@ -21,7 +22,7 @@ def showing(doing: str, *, quiet: bool = False) -> Iterator[Callable[[float], No
 
         def report(share: float) -> None:
             if line.due():
-                line.show(f"{doing}: {100 * share:.0f} %")
+                line.show([Piece(1, [doing, *shortened(doing, 40, 20)]), Piece(0, [f"{100 * share:.0f} %"])])
 
         yield report
 
@@ -48,6 +49,8 @@ def showing_jobs(terminal: Terminal) -> Iterator[Callable[[str, float], None]]:
         def report(doing: str, share: float) -> None:
             if line.due():
                 elapsed = timedelta(seconds=int(time.monotonic() - began))
-                line.show(f"{elapsed} {bar(share)} {doing}" if line.live else f"{share:4.0%}  {doing}")
+                drawn = Piece(2, [bar(share), bar(share, BAR // 2), f"{share:.0%}"])
+                parts = [Piece(0, [str(elapsed)]), drawn, Piece(1, [doing, *shortened(doing, 40, 30, 20)])]
+                line.show(parts if line.live else f"{share:4.0%}  {doing}")
 
         yield report

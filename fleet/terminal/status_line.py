@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from types import TracebackType
 
 from rich.console import Console as Terminal
+
+from fleet.terminal.fitting import Piece, fit
 
 REFRESH_S = 0.1
 PLAIN_S = 5.0
@@ -39,14 +42,16 @@ class StatusLine:
         """Whether it is time to show something."""
         return not self._quiet and time.monotonic() >= self._next
 
-    def show(self, text: str) -> None:
-        """Show a text, on a terminal in place of what was shown before."""
+    def show(self, what: str | Sequence[Piece]) -> None:
+        """Show a text, or as much of some pieces as fits, on a terminal in place of what was shown before."""
         at = time.monotonic()
         if self._quiet:
             return
+        width = self._terminal.width - 1 if self.live else None
+        text = what if isinstance(what, str) else fit(what, width)
         if self.live:
             self._next = at + REFRESH_S
-            self._terminal.file.write(f"\r{text[: self._terminal.width - 1]}\x1b[K")
+            self._terminal.file.write(f"\r{text[:width]}\x1b[K")
             self._terminal.file.flush()
             self._shown = True
         elif at >= self._next:
@@ -66,7 +71,7 @@ class StatusLine:
             self._shown = False
 
 
-def bar(share: float) -> str:
-    """A bar of which a share in 0..1 is drawn heavily."""
-    done = round(BAR * min(1.0, max(0.0, share)))
-    return "\u2501" * done + "\u2500" * (BAR - done)
+def bar(share: float, length: int = BAR) -> str:
+    """A bar of so many characters, of which a share in 0..1 is drawn heavily."""
+    done = round(length * min(1.0, max(0.0, share)))
+    return "\u2501" * done + "\u2500" * (length - done)

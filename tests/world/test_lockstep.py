@@ -173,6 +173,8 @@ def test_the_clock_paces_by_wall_time() -> None:
     assert clock.until(5999, 0.0) == 1
     assert clock.until(5999, 1.0) == 201
     assert Clock(6000, 10_000_000, 10, 1).until(-1, 0.0) == 50
+    later = Clock(6000, 10_000_000, 10, 1, speed_limit=2.0, begin=2000)  # what goes on from there paces from there
+    assert (later.until(5999, 0.0), later.until(5999, 1.0)) == (2001, 2201)
 
 
 def test_the_journal_notices_what_is_missing(tmp_path: Path) -> None:

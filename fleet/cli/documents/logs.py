@@ -80,6 +80,7 @@ class Compared(Struct):
     a: Annotated[str, Meta(description="Path of the first log.")]
     b: Annotated[str, Meta(description="Path of the second log.")]
     same: Annotated[bool, Meta(description="Whether all messages are the same, bit for bit.")]
+    from_s: Annotated[float, Meta(description="Compared from then on: where a run goes on from another [s]; else 0.")]
     tolerance: Annotated[float, Meta(description="The most that two numbers may be apart.")]
     within: Annotated[bool, Meta(description="Whether all messages are there in both and within the tolerance.")]
     missing_a: Missing
@@ -137,6 +138,7 @@ def compared(
         a=str(paths[0]),
         b=str(paths[1]),
         same=found.first is None,
+        from_s=found.begin_ns / 1e9,
         tolerance=tolerance,
         within=found.within(tolerance),
         missing_a=missing[0],

@@ -28,7 +28,8 @@ class VehicleResult(Struct):
     """What one vehicle came to."""
 
     settle_10pct_s: Annotated[
-        float | None, Meta(description="From when on e stays below 10 % of its first value [s]; null: not settled.")
+        float | None,
+        Meta(description="How long after its start e stays below 10 % of its first value [s]; null: not settled."),
     ]
     settle_5cm_s: Annotated[float | None, Meta(description="From when on e stays below 5 cm [s]; null: not settled.")]
     e_rms_m: Annotated[Metres, Meta(description="Root mean square of e over the last 10 s [m].")]
@@ -172,7 +173,8 @@ class Ran(Struct):
     exit: Annotated[int, Meta(description="Exit status of the command.")]
     reason: Annotated[str, Meta(description="Why it broke or was ended; empty: it came to its end.")]
     lines: Annotated[list[str], Meta(description="What explains the reason.")]
-    sim_s: Annotated[float, Meta(description="Simulated time that was recorded [s].")]
+    from_s: Annotated[float, Meta(description="Time at which it began [s]; 0, or where it goes on from another.")]
+    sim_s: Annotated[float, Meta(description="Time up to which it was recorded [s].")]
     checks: Annotated[list[CheckResult], Meta(description="The verdicts; none if the run did not come to its end.")]
     vehicles: Annotated[dict[str, VehicleResult], Meta(description="By vehicle.")]
     formation: Annotated[Formation, Meta(description="Formation errors at the end.")]

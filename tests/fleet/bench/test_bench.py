@@ -19,7 +19,7 @@ from fleet.bench.fleets import measure_fleets, netem_targets, step_targets, targ
 from fleet.bench.network_core import SHARE
 from fleet.bench.soak import Soak
 from fleet.bench.wall_clock import measure_wall_clock as measure_real
-from fleet.bench.wall_clock import wall_clock_table
+from fleet.bench.wall_clock import show_wall_clock
 from fleet.cli.main import cli
 from fleet.run.execute import Result, Status
 from fleet.scenario.loading import load_scenario
@@ -69,7 +69,7 @@ def test_a_fleet_that_is_asked_too_much_does_not_fit() -> None:
     assert (row.vehicles, row.label, row.fit, row.same_bytes) == (2, "degraded", False, False)
     assert row.lockstep_x > 0
     rendered = Terminal(width=200, record=True, file=StringIO())
-    rendered.print(wall_clock_table([row]))
+    show_wall_clock([row], rendered)
     assert "degraded (fails)" in rendered.export_text()
 
 

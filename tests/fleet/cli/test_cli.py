@@ -9,6 +9,7 @@ import re
 import subprocess
 import sys
 from collections import Counter
+from io import StringIO
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,8 @@ from click.testing import CliRunner, Result
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 from repository import EXPECTED, ROOT
+from rich.console import Console as Terminal
+from screens import assert_screen
 
 from fleet.cli.main import cli
 from fleet.logs.reader import digest
@@ -282,11 +285,11 @@ def test_result_file(tmp_path: Path) -> None:
     directory = run(tmp_path, "rough-sea", "--duration", "2 s", "--set", "checks={ledger: balanced}")
     values = json.loads((directory / "result.json").read_text())
     assert list(values) == [
-        "scenario", "seed", "status", "exit", "reason", "lines", "sim_s", "checks", "vehicles", "formation", "tumbles",
-        "ledger", "ages", "middleware_lost", "faults", "messages", "log_bytes", "digest", "python",
+        "scenario", "seed", "status", "exit", "reason", "lines", "from_s", "sim_s", "checks", "vehicles", "formation",
+        "tumbles", "ledger", "ages", "middleware_lost", "faults", "messages", "log_bytes", "digest", "python",
         "wall", "rejected", "deaths", "notes",
     ]  # fmt: skip
-    assert (values["scenario"], values["seed"], values["sim_s"]) == ("rough-sea", 1, 2.0)
+    assert (values["scenario"], values["seed"], values["from_s"], values["sim_s"]) == ("rough-sea", 1, 0.0, 2.0)
     assert (values["status"], values["exit"], values["reason"], values["lines"]) == ("pass", 0, "", [])
     assert [check["check"] for check in values["checks"]] == ["tumbled", "deaths", "qp_infeasible", "ledger"]
     assert values["checks"][-1] == {
@@ -437,3 +440,24 @@ def test_a_run_is_no_scenario(tmp_path: Path) -> None:
     ):
         result = invoke("check", tmp_path / path)
         assert result.exit_code == 2 and words in result.stderr
+
+
+def test_list_fits_a_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
+    out = StringIO()
+    monkeypatch.setattr(
+        "fleet.cli.main.stdout", lambda: Terminal(file=out, width=80, force_terminal=True, no_color=True)
+    )
+    invoke("list")
+    text = re.sub(r"\x1b\[\d*m", "", out.getvalue())
+    assert_screen("list-80", "".join(f"{line.rstrip()}\n" for line in text.splitlines()))
+
+
+def test_run_prints_the_faults_of_its_scenario(tmp_path: Path) -> None:
+    """As fleet check does, also those that a nemesis draws; of very many, the first."""
+    changes = [*NO_CHECKS, "--set", "nemesis={every: 20 ms, for: 10 ms, pick: [mute]}"]
+    checked = invoke("check", "paper", *changes, "--set", "duration=500 ms").stdout.splitlines()
+    faults = [line for line in checked if line.startswith("fault nemesis-")]
+    shown = invoke("run", "paper", *QUICK, *changes, "--out", tmp_path).stderr.splitlines()
+    assert len(faults) == 24
+    assert [line for line in shown if line.startswith(("fault ", "... "))] == [*faults[:20], "... and 4 more faults"]
+    assert invoke("run", "paper", *QUICK, *changes, "--out", tmp_path, "-q").stderr == ""

@@ -19,7 +19,7 @@ from matplotlib.figure import Figure
 from repository import ROOT
 
 import fleet
-from fleet.cli.logs import KINDS
+from fleet.cli.logs import KINDS, PARTS
 from fleet.cli.main import cli
 from fleet.logs.export import ExportError, columns, export
 from fleet.logs.open_log import FaultInterval
@@ -291,8 +291,15 @@ def test_ledger_from_the_log_is_that_of_the_result(runs: dict[str, Run], directo
 
 def test_what_can_be_asked_for_is_what_there_is() -> None:
     assert tuple(WHAT) == KINDS
+    assert set(PARTS) == {name for pictures in WHAT.values() for name, _, _ in pictures} - set(WHAT)
     assert set(WHAT) >= PER_RUN
     assert NothingToDraw and signals.FORCES
+
+
+def test_a_single_picture_can_be_asked_for_and_none_is_drawn_twice(runs: dict[str, Run]) -> None:
+    assert list(pictures(runs["one"], ["track-3d"])) == ["track-3d"]
+    drawn = [name for name, _, _ in draw(["formation", "error", "error"], [runs["one"]], ALL)]
+    assert drawn == ["formation", "error"]
 
 
 # --- tables ----------------------------------------------------------------

@@ -14,12 +14,13 @@ from fault_histories import EVERYTHING
 from small_scenario import only_problem, small
 
 from fleet.cli.main import cli
+from fleet.logs.open_log import open_log
 from fleet.logs.reader import LogReader, Record
 from fleet.recorder.snapshot import Snapshot, SnapshotError, Start, find
 from fleet.repeat.recorded_run import script
 from fleet.repeat.resume import continuation, parse_from
 from fleet.repeat.verify import verification_lines, verify
-from fleet.run.execute import Result, Status, execute
+from fleet.run.execute import Result, Status, _clock, execute
 from fleet.run.options import Options
 from fleet.scenario.loading import load_scenario
 from fleet.scenario.scenario import Scenario
@@ -175,4 +176,19 @@ def test_on_the_command_line(tmp_path: Path) -> None:
     result = CliRunner().invoke(cli, arguments)
     assert result.exit_code == 0, result.output
     assert "goes on from t = 500 ms of " in result.stderr
-    assert result.stdout.splitlines()[-2].split()[:2] == ["1", "s"]
+    assert "0.5 s simulated, t = 0.5 to 1 s, in " in result.stdout.splitlines()[-2]
+    assert result.stdout.startswith("vehicles; settling times count from the start at t = 0.5 s")
+
+
+def test_times_and_speed_count_from_its_start(tmp_path: Path) -> None:
+    first = recorded(tmp_path, "paper", "duration=12 s", "log.snapshot=1 s")
+    scenario, start = continuation(first.directory, 2_000_000_000)
+    again = run(scenario, tmp_path, start)
+    assert (first.values["from_s"], again.values["from_s"], again.values["sim_s"]) == (0.0, 2.0, 12.0)
+    assert _clock(scenario, Options(tmp_path, start=start, speed_limit=2.0)).begin == 200
+    wall = again.values["wall"]
+    assert wall["x_real_time"] == pytest.approx(10.0 / wall["run_s"])
+    for i, row in again.values["vehicles"].items():
+        e = open_log(again.directory)[f"uuv/{i}/error"]
+        below = int((e["e_norm"] >= 0.1 * e["e_norm"][0]).nonzero()[0][-1]) + 1
+        assert row["settle_10pct_s"] == pytest.approx(e.t[below] - 2.0)

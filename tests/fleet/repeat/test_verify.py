@@ -25,6 +25,7 @@ from fleet.logs.reader import LogReader, open_file
 from fleet.logs.records import Block, Message
 from fleet.logs.recover import Copy, Recovered, recover
 from fleet.logs.salvage import Item, Salvage
+from fleet.repeat.resume import continuation
 from fleet.repeat.verify import Verification, verification_lines, verify
 from fleet.run.execute import Status, execute
 from fleet.run.options import Options
@@ -345,6 +346,26 @@ def test_a_packet_that_is_later_is_the_same_packet(tmp_path: Path) -> None:
     assert not found.only_a and not found.only_b
     assert found.signals["link/1-2.delay"].value == pytest.approx(0.03)
     assert found.signals["link/1-2.log_time"].value == pytest.approx(0.03)
+
+
+def test_a_run_and_its_continuation_are_compared_from_where_it_begins(tmp_path: Path) -> None:
+    whole = run(tmp_path, "paper", "duration=2 s", "log.snapshot=500 ms")
+    for changes, status, words in (
+        ([], 0, "the same bit for bit ("),
+        (["controller=bsmc"], 1, "they part at message "),
+    ):
+        scenario, start = continuation(whole, 1_000_000_000, changes)
+        rest = execute(scenario, Options(tmp_path, in_process=True, quiet=True, start=start)).directory
+        for logs, name in (((whole, rest), "b"), ((rest, whole), "a")):
+            result = tool("diff", *logs, "-q")
+            lines = result.stdout.splitlines()
+            assert result.exit_code == status, result.stdout
+            assert lines[0].startswith(f"compared from t = 1 s on, where {name} begins: it goes on from {whole}")
+            assert lines[1].startswith(words)
+            if changes:
+                assert ", tick 100, t = 1 s" in lines[1]
+            assert not any("start.msgpack" in line or "metadata" in line or "only in" in line for line in lines)
+        assert tool("diff", rest, rest, "-q").stdout.startswith("the same bit for bit (")
 
 
 def test_missing_messages_and_topics_are_counted(log: Path, tmp_path: Path) -> None:

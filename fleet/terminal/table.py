@@ -1,0 +1,76 @@
+"""Tables that fit a width: the least important columns are left out, and no heading and no cell is cut."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
+
+from fleet.terminal.folding import fold
+
+if TYPE_CHECKING:
+    from rich.console import Console as Terminal
+
+_GAP = 2  # spaces between columns
+
+
+@dataclass(frozen=True, slots=True)
+class Column:
+    """One column of a table.
+
+    Args:
+        heading: of one or several lines.
+        rank: 0: always there; of the others those with the highest rank are left out first.
+    """
+
+    heading: str
+    cells: Sequence[str]
+    rank: int = 0
+    justify: Literal["left", "right"] = "right"
+
+    @property
+    def width(self) -> int:
+        """Characters of the longest line."""
+        return max(len(line) for text in (self.heading, *self.cells) for line in text.split("\n"))
+
+
+def width(columns: Sequence[Column]) -> int:
+    """How wide these are as a table."""
+    return sum(column.width for column in columns) + _GAP * (len(columns) - 1)
+
+
+def fitting(columns: Sequence[Column], most: int) -> list[Column]:
+    """The columns that have room in so many characters; those of rank 0 in any case."""
+    kept = list(columns)
+    for column in sorted(columns, key=lambda column: -column.rank):
+        if column.rank and width(kept) > most:
+            kept.remove(column)
+    return kept
+
+
+def columns(headings: Mapping[str, int], rows: Iterable[Sequence[str]]) -> list[Column]:
+    """Columns of these headings and ranks; of each row a cell per heading."""
+    cells = list(zip(*rows, strict=True)) or [()] * len(headings)
+    return [Column(heading, of, rank) for (heading, rank), of in zip(headings.items(), cells, strict=True)]
+
+
+def show(wanted: Sequence[Column], title: str, terminal: Terminal, elsewhere: str) -> None:
+    """Print the columns that have room, and where the others are.
+
+    Args:
+        elsewhere: what has all figures, in words.
+    """
+    from rich.markup import escape
+    from rich.table import Table
+
+    kept = fitting(wanted, terminal.width)
+    made = Table(title=title, title_justify="left", box=None, pad_edge=False)
+    for column in kept:
+        made.add_column(escape(column.heading), justify=column.justify, vertical="bottom", overflow="fold")
+    for row in zip(*(column.cells for column in kept), strict=True):
+        made.add_row(*map(escape, row))
+    terminal.print(made)
+    if left := [column.heading.replace("\n", " ") for column in wanted if column not in kept]:
+        text = f"no room here for {', '.join(left)}: {elsewhere}"
+        most = terminal.width if terminal.is_terminal else None
+        terminal.print(fold(text, most), markup=False, highlight=False, soft_wrap=True)

@@ -1,0 +1,67 @@
+"""A table fits its width by leaving out columns, and cuts nothing."""
+
+from __future__ import annotations
+
+import io
+
+from hypothesis import given
+from hypothesis import strategies as st
+from rich.console import Console as Terminal
+
+from fleet.terminal.table import Column, columns, fitting, show, width
+
+COLUMNS = [
+    Column("link", ["1->2", "2->1"], justify="left"),
+    Column("delivered", ["12", "9"]),
+    Column("mean\nage [s]", ["0.1", "0.25"], 2),
+    Column("p95\n[s]", ["0.1", "0.25"], 3),
+    Column("max\n[s]", ["1.1", "2.25"], 1),
+]
+
+
+def printed(wanted: list[Column], most: int) -> list[str]:
+    out = io.StringIO()
+    show(wanted, "", Terminal(file=out, width=most), "see result.json")
+    return [line.rstrip() for line in out.getvalue().splitlines() if line.strip()]
+
+
+def test_columns_are_left_out_by_rank() -> None:
+    assert printed(COLUMNS, 80) == [
+        "                    mean   p95   max",
+        "link  delivered  age [s]   [s]   [s]",
+        "1->2         12      0.1   0.1   1.1",
+        "2->1          9     0.25  0.25  2.25",
+    ]
+    assert printed(COLUMNS, 24) == [
+        "                  max",
+        "link  delivered   [s]",
+        "1->2         12   1.1",
+        "2->1          9  2.25",
+        "no room here for mean age [s], p95 [s]: see result.json",
+    ]
+    kept = [[column.heading.split("\n")[0] for column in fitting(COLUMNS, most)] for most in (36, 35, 29, 20, 3)]
+    assert kept[0] == ["link", "delivered", "mean", "p95", "max"]
+    assert kept[1] == ["link", "delivered", "mean", "max"]
+    assert kept[2] == ["link", "delivered", "max"]
+    assert kept[3] == kept[4] == ["link", "delivered"]
+
+
+def test_brackets_are_no_markup() -> None:
+    assert printed([Column("[red]x", ["[/] y"])], 40) == ["[red]x", " [/] y"]
+
+
+@given(st.integers(1, 60))
+def test_what_is_kept_is_whole(most: int) -> None:
+    kept = fitting(COLUMNS, most)
+    if width(kept) <= most:
+        lines = printed(kept, most)
+        assert max(map(len, lines)) <= most
+        text = "\n".join(lines)
+        assert all(word in text for column in kept for word in (*column.heading.split("\n"), *column.cells))
+    else:
+        assert all(not column.rank for column in kept)
+
+
+def test_columns_of_rows() -> None:
+    assert columns({"a": 0, "b": 1}, [("1", "2"), ("3", "4")]) == [Column("a", ("1", "3")), Column("b", ("2", "4"), 1)]
+    assert columns({"a": 0, "b": 1}, []) == [Column("a", ()), Column("b", (), 1)]

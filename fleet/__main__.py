@@ -6,6 +6,7 @@ import gc
 import signal
 import sys
 import threading
+import time
 from types import FrameType
 
 from fleet.packages import damaged, foreign
@@ -82,11 +83,16 @@ def _not_ours(text: str) -> int:
 _interrupted = False
 
 
-def _interrupt(number: int, _: FrameType | None) -> None:
+def _interrupt(number: int, frame: FrameType | None) -> None:
     global _interrupted
-    if not _interrupted:  # once is enough: ending the processes takes a moment, and a second one would cut that short
-        _interrupted = True
-        raise ending(number)
+    if _interrupted:  # once is enough: ending the processes takes a moment, and a second one would cut that short
+        return
+    while frame is not None:
+        if frame.f_code is _raise_again.__code__:  # what is raised in there is lost; the thread sends it again
+            return
+        frame = frame.f_back
+    _interrupted = True
+    raise ending(number)
 
 
 def _raise_again(lost: sys.UnraisableHookArgs) -> None:
@@ -97,11 +103,15 @@ def _raise_again(lost: sys.UnraisableHookArgs) -> None:
         return
     _interrupted = False
     number = signal.SIGHUP if isinstance(lost.exc_value, HungUp) else signal.SIGTERM
+    threading.Thread(target=_send_until_raised, args=(number,), daemon=True).start()
+
+
+def _send_until_raised(number: int) -> None:
     main_thread = threading.main_thread().ident
     assert main_thread is not None
-    again = threading.Timer(_AGAIN_S, signal.pthread_kill, (main_thread, number))
-    again.daemon = True
-    again.start()
+    while not _interrupted:
+        time.sleep(_AGAIN_S)
+        signal.pthread_kill(main_thread, number)
 
 
 if __name__ == "__main__":

@@ -40,3 +40,24 @@ def test_a_signal_within_a_destructor_ends_the_command(name: str, status: int) -
     )
     assert done.returncode == status
     assert "Traceback" not in done.stderr and "Exception ignored" not in done.stderr
+
+
+SLOW_TO_START = """
+import threading
+
+start = threading.Thread.start
+
+def slowly(self):
+    start(self)
+    time.sleep(0.1)  # so much later the thread has sent the signal, and Python is still in its hook
+
+threading.Thread.start = slowly
+"""
+
+
+def test_a_signal_that_comes_again_too_early_comes_once_more() -> None:
+    """On a busy machine it came while the hook that asked for it was not done, and was lost for good."""
+    program = PROGRAM.format(signal="SIGTERM").replace('sys.argv = ["fleet"', f'{SLOW_TO_START}\nsys.argv = ["fleet"')
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=15, check=False)
+    assert done.returncode == 130
+    assert "Traceback" not in done.stderr and "Exception ignored" not in done.stderr

@@ -20,7 +20,11 @@ FORMATS = ("png", "svg", "pdf")
 
 
 _vehicles = click.option("--vehicles", metavar="LIST", type=Vehicles(), help="Only these, e.g. 1,3-5.")
-_log_scale = click.option("--log-scale", is_flag=True, help="Errors and ages on a logarithmic axis.")
+_log_scale = click.option(
+    "--log-scale/--linear",
+    default=None,
+    help="Errors, velocity errors and ages on a logarithmic axis, or all on a linear one; without it only errors are.",
+)
 _window = click.option(
     "--window",
     metavar="A..B",
@@ -57,7 +61,7 @@ def plot(
     formats: tuple[str, ...],
     compare: tuple[Path, ...],
     vehicles: tuple[int, ...] | None,
-    log_scale: bool,
+    log_scale: bool | None,
     window: tuple[float, float] | None,
 ) -> None:
     """Draw pictures of LOG (an MCAP file, or a run directory), as wide as a column of a journal.
@@ -68,7 +72,7 @@ def plot(
     \b
     Examples:
       fleet plot
-      fleet plot --what error,inputs --format svg,pdf --log-scale
+      fleet plot --what error,inputs --format svg,pdf --linear
       fleet plot --what messages --window 20s..22s
       fleet plot runs/a --compare runs/b --what error -o compared
     """
@@ -159,7 +163,7 @@ def report(
     out: Path,
     force: bool,
     vehicles: tuple[int, ...] | None,
-    log_scale: bool,
+    log_scale: bool | None,
     window: tuple[float, float] | None,
 ) -> None:
     """Write one self-contained HTML page about each LOG and, of several, what they have in common.

@@ -6,25 +6,21 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
-from matplotlib import colormaps
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
-from matplotlib.cm import ScalarMappable
-from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.text import Annotation
 
 from fleet.logs.open_log import FaultInterval
 from fleet.logs.records import Array
 from fleet.palette import COLOURS
+from fleet.pictures.bands import Series, band_legend, draw_band, outlier_style, outliers, spread
 from fleet.pictures.runs import NothingToDraw, Run, View, first_words
-from fleet.pictures.style import COLUMN_IN, STYLES, panels
-from fleet.scenario.sections.timeline import is_fault
+from fleet.pictures.shades import shade
+from fleet.pictures.style import COLUMN_IN, LABEL_PT, LEGEND_PT, STYLE_NAMES, STYLES, TEXT_PT, THIN, panels
 
-LABEL_PT = 6.0
-LABEL_ROWS = 6  # of names of faults; what does not fit there is shaded without its name
-SPAN_IN = 2.7  # width of a time axis, about
-MOST_NAMED = len(COLOURS)  # lines that a legend names; more are distinguished by a colour bar
-TUMBLE = "#c0392b"
+MOST_NAMED = len(COLOURS)  # lines that a legend names; more vehicles are a band
 FEW = 60  # samples that are shown as points too
 
 Get = Callable[[Run, int], tuple[Array, Array] | None]
@@ -40,11 +36,13 @@ def over_time(
     return figure, axes
 
 
-def finish(figure: Figure, axes: Sequence[Axes], runs: Sequence[Run], view: View, notes: Sequence[str] = ()) -> None:
+def finish(figure: Figure, axes: Sequence[Axes], runs: Sequence[Run], notes: Sequence[str] = ()) -> None:
     """Shade the faults, name them above the first axis, label the time axis and put the words below it."""
-    _shade(axes, runs, view)
-    lines = [*notes, *(_cut(run, len(runs)) for run in runs if run.log.missing)]
+    named = _shade(axes, runs)
+    lines = [*named, *notes, *(_cut(run, len(runs)) for run in runs if run.log.missing)]
     axes[-1].set_xlabel("\n".join(["time [s]", *lines]))
+    rows = {text.xyann[1] for text in axes[0].texts if isinstance(text, Annotation) and text.get_gid() == "fault-name"}
+    _grow(figure, TEXT_PT * len(lines) + LABEL_PT * len(rows))
     figure.align_ylabels(list(axes))
 
 
@@ -52,20 +50,21 @@ def _cut(run: Run, runs: int) -> str:
     return f"{run.label + ': ' if runs > 1 else ''}the log is not whole, it ends at {run.log.end:g} s"
 
 
-def colours(number: int) -> list[Any]:
-    """So many colours that can be distinguished: the palette's, or steps from dark to light."""
-    if number <= MOST_NAMED:
-        return list(COLOURS[:number])
-    return [colormaps["viridis"](k / (number - 1) * 0.92) for k in range(number)]
-
-
 def draw_lines(
-    figure: Figure, panel: Sequence[tuple[Axes, Get]], runs: Sequence[Run], view: View, whose: str = ""
+    figure: Figure,
+    panel: Sequence[tuple[Axes, Get]],
+    runs: Sequence[Run],
+    view: View,
+    whose: str = "",
+    log: bool = False,
+    **style: Any,
 ) -> list[str]:
-    """One line per vehicle and panel, its colour the vehicle's; of several runs, the run's.
+    """One line per vehicle and panel, its colour the vehicle's; of several runs, the run's; of many vehicles, a band.
 
     Args:
         whose: which laws report such a signal, for the message if no vehicle does.
+        log: the signals are errors on a logarithmic axis, which decides who is an outlier.
+        style: of each vehicle's line.
 
     Returns:
         words on vehicles that have no such signal.
@@ -73,49 +72,67 @@ def draw_lines(
     Raises:
         NothingToDraw: no vehicle has it.
     """
-    shown = sorted({i for run in runs for i in run.vehicles(view)})
     by_run = len(runs) > 1
-    palette = colours(len(runs) if by_run else len(shown))
-    silent: dict[str, list[int]] = {}
-    drawn: set[int] = set()
-    for r, run in enumerate(runs):
-        for i in run.vehicles(view):
-            k = r if by_run else shown.index(i)
-            found = False
-            for ax, get in panel:
-                got = get(run, i)
-                if got is None:
-                    continue
-                found = True
-                t, values = got
-                many = len(palette) > MOST_NAMED or by_run
-                ax.plot(
-                    t,
-                    values,
-                    color=palette[k],
-                    linestyle=STYLES[k % len(STYLES)] if len(palette) <= MOST_NAMED else "-",
-                    linewidth=0.7 if many else 1.0,
-                    marker="." if len(t) < FEW else "",
-                    markersize=3,
-                    label=f"UUV {i}",
-                    gid=f"{run.slug}-vehicle-{i}",
-                )
-            if found:
-                drawn.add(k)
-            else:
-                silent.setdefault(run.label, []).append(i)
-    if not drawn:
-        if not shown:
+    each = [[_series(run, view, get) for _, get in panel] for run in runs]
+    if not any(signals for found in each for signals in found):
+        if not any(run.vehicles(view) for run in runs):
             raise NothingToDraw("the log has no such vehicle" if view.vehicles else "the log has no vehicles")
         raise NothingToDraw(f"no vehicle reports it{f': {whose}' if whose else ''}")
-    if by_run:
-        legend_of(figure, [(run.label, palette[r], STYLES[r % len(STYLES)]) for r, run in enumerate(runs)])
-    elif len(shown) <= MOST_NAMED:
-        if len(shown) > 1:
-            legend_of(figure, [(f"UUV {i}", palette[k], STYLES[k]) for k, i in enumerate(shown) if k in drawn])
-    else:
-        vehicle_bar(figure, [ax for ax, _ in panel], shown)
-    return [f"{label + ': ' if by_run else ''}not reported by UUV {first_words(who)}" for label, who in silent.items()]
+    entries: list[Artist] = []
+    notes = []
+    for r, (run, found) in enumerate(zip(runs, each, strict=True)):
+        vehicles = run.vehicles(view)
+        reported = sorted({i for signals in found for i in signals})
+        of_run: dict[str, Any] = {"color": COLOURS[r % len(COLOURS)], "linestyle": STYLES[r % len(STYLES)]}
+        looks: dict[int, dict[str, Any]]  # of a line per vehicle
+        if len(vehicles) > MOST_NAMED:
+            spreads = [spread(signals) if signals else None for signals in found]
+            for (ax, _), one in zip(panel, spreads, strict=True):
+                if one is not None:
+                    draw_band(ax, one, of_run["color"], of_run["linestyle"])
+            named = [] if by_run else outliers([one for one in spreads if one is not None], log)
+            looks = {i: outlier_style(k) for k, i in enumerate(named)}
+            entries = band_legend(len(reported), named)
+        elif by_run:
+            looks = {i: of_run | {"linewidth": THIN} for i in reported}
+        else:
+            looks = {i: {"color": COLOURS[k], "linestyle": STYLES[k]} for k, i in enumerate(vehicles) if i in reported}
+            entries = [Line2D([], [], label=f"UUV {i}", **look) for i, look in looks.items()]
+        for (ax, _), signals in zip(panel, found, strict=True):
+            for i in sorted(signals.keys() & looks.keys()):
+                t, values = signals[i]
+                marker = "." if len(t) < FEW else ""
+                ax.plot(t, values, gid=f"{run.slug}-vehicle-{i}", marker=marker, markersize=3, **(looks[i] | style))
+        if silent := [i for i in vehicles if i not in reported]:
+            notes.append(f"{run.label + ': ' if by_run else ''}not reported by UUV {first_words(silent)}")
+    if by_run:  # in words, too: what a dash means is not seen in a short sample of it
+        legend_of(
+            figure,
+            [
+                (f"{STYLE_NAMES[r % len(STYLES)]}: {run.label}", COLOURS[r % len(COLOURS)], STYLES[r % len(STYLES)])
+                for r, run in enumerate(runs)
+            ],
+        )
+    elif len(entries) > 1:
+        marks_legend(figure, entries)
+    return notes
+
+
+def _series(run: Run, view: View, get: Get) -> dict[int, Series]:
+    """A signal of each vehicle that reports it, in the window."""
+    found = {i: get(run, i) for i in run.vehicles(view)}
+    return {i: within(*one, view.window) for i, one in found.items() if one is not None}
+
+
+def within(t: Array, values: Array, window: tuple[float, float] | None) -> Series:
+    """What lies in a window, and the sample before and behind it, so that a line reaches the edges."""
+    if window is None:
+        return t, values
+    known = np.flatnonzero((t >= window[0]) & (t <= window[1]))
+    if not len(known):
+        return t[:0], values[:0]
+    part = slice(max(known[0] - 1, 0), known[-1] + 2)
+    return t[part], values[part]
 
 
 def legend_of(figure: Figure, entries: Sequence[tuple[str, Any, Any]]) -> None:
@@ -123,7 +140,7 @@ def legend_of(figure: Figure, entries: Sequence[tuple[str, Any, Any]]) -> None:
     marks_legend(figure, [Line2D([], [], color=c, linestyle=style, label=label) for label, c, style in entries])
 
 
-def marks_legend(figure: Figure, handles: Sequence[Line2D]) -> None:
+def marks_legend(figure: Figure, handles: Sequence[Artist]) -> None:
     """One legend above all axes, in as few rows as fit."""
     widths = [22.0 + 4.1 * len(str(handle.get_label())) for handle in handles]  # pt
 
@@ -133,24 +150,17 @@ def marks_legend(figure: Figure, handles: Sequence[Line2D]) -> None:
 
     fitting = next((n for n in range(len(widths), 1, -1) if needed(n) <= 72.0 * COLUMN_IN), 1)
     fitting = -(-len(widths) // -(-len(widths) // fitting))  # rows of about the same length
+    _grow(figure, LEGEND_PT * (-(-len(widths) // fitting) - 1))
     figure.legend(
         handles=list(handles), loc="outside upper center", ncols=fitting,
         columnspacing=1.0, handlelength=1.8, handletextpad=0.5,
     )  # fmt: skip
 
 
-def vehicle_bar(figure: Figure, axes: Sequence[Axes], vehicles: Sequence[int]) -> None:
-    """A bar of colours in place of a legend with too many lines."""
-    norm = BoundaryNorm(np.arange(len(vehicles) + 1) - 0.5, len(vehicles))
-    mapped = ScalarMappable(norm, ListedColormap(colours(len(vehicles))))
-    bar = figure.colorbar(mapped, ax=list(axes), location="top", aspect=45, pad=0.02, fraction=0.06)
-    every = max(1, round(len(vehicles) / 10))
-    bar.set_ticks(
-        list(range(0, len(vehicles), every)), labels=[str(vehicles[k]) for k in range(0, len(vehicles), every)]
-    )
-    bar.set_label("UUV", labelpad=2)
-    bar.ax.tick_params(length=0, which="both")
-    bar.outline.set_linewidth(0.4)
+def _grow(figure: Figure, points: float) -> None:
+    """Make room for more lines of text, of so many points together, so that the axes keep their height."""
+    width, height = figure.get_size_inches()
+    figure.set_size_inches(width, height + 1.5 * points / 72.0)
 
 
 def bounds(ax: Axes, values: Sequence[tuple[float, float]], what: str, unit: str) -> str:
@@ -168,72 +178,14 @@ def bounds(ax: Axes, values: Sequence[tuple[float, float]], what: str, unit: str
     return f"outside: {what}, {far} {unit}" if far else ""
 
 
-def _shade(axes: Sequence[Axes], runs: Sequence[Run], view: View) -> None:
+def _shade(axes: Sequence[Axes], runs: Sequence[Run]) -> list[str]:
     whose: dict[FaultInterval, list[str]] = {}
     for run in runs:
         for fault in run.log.faults:
             whose.setdefault(fault, []).append(run.label)
     # A fault that not every run had is named with those that had it.
     called = [
-        fault if len(labels) == len(runs) else fault._replace(id=f"{fault.id} ({', '.join(labels)})")
+        fault if len(labels) == len(runs) else fault._replace(what=f"{fault.what} ({', '.join(labels)})")
         for fault, labels in whose.items()
     ]
-    shade(axes, called)
-
-
-def shade(axes: Sequence[Axes], intervals: Sequence[FaultInterval]) -> None:
-    """Grey where a fault lasts, red where a vehicle is tumbled, with names above the first axis."""
-    spans = sorted(intervals, key=lambda f: (f.begin, f.end, f.id))
-    first, last = axes[0].get_xlim()
-    spans = [f for f in spans if f.begin < last and f.end > first]
-    for ax in axes:
-        for span in spans:
-            colour, alpha = ("0.45", 0.2) if is_fault(span.what) else (TUMBLE, 0.12)
-            ax.axvspan(span.begin, span.end, color=colour, alpha=alpha, linewidth=0, zorder=0, gid=f"fault-{span.id}")
-    named = [f for f in spans if is_fault(f.what)]
-    # A vehicle that tumbles again and again is named once, where it first did.
-    again: dict[str, list[FaultInterval]] = {}
-    for span in spans:
-        if not is_fault(span.what):
-            again.setdefault(span.what, []).append(span)
-    for what, all_of_it in again.items():
-        times = f" ({len(all_of_it)} times)" if len(all_of_it) > 1 else ""
-        named.append(all_of_it[0]._replace(id=f"{what}{times}"))
-    _name(axes[0], sorted(named, key=lambda f: (f.begin, f.end, f.id)), first, last)
-
-
-def _rows(
-    faults: Sequence[FaultInterval], texts: Sequence[str], first: float, last: float
-) -> list[tuple[str, float, int]]:
-    """(text, where it begins [s], row from below) of those that find room."""
-    per_character = 0.62 * LABEL_PT / 72.0 / SPAN_IN * (last - first)
-    rows: list[float] = []  # until where each is taken
-    placed = []
-    for fault, text in zip(faults, texts, strict=True):
-        width = (len(text) + 1) * per_character
-        begin = max(min(max(fault.begin, first), last - width), first)
-        row = next((k for k, taken in enumerate(rows) if taken <= begin), len(rows))
-        if row < LABEL_ROWS:
-            rows[row : row + 1] = [begin + width]
-            placed.append((text, begin, row))
-    return placed
-
-
-def _name(ax: Axes, faults: Sequence[FaultInterval], first: float, last: float) -> None:
-    """Each fault's id above the axis where it begins, in as many rows as are needed so that none covers another."""
-    texts = [fault.id if len(fault.id) <= 32 else f"{fault.id[:31]}…" for fault in faults]
-    placed = _rows(faults, texts, first, last)
-    if len(placed) < len(faults):  # rather without the runs that they belong to than not at all
-        placed = _rows(faults, [text.split(" (")[0] for text in texts], first, last)
-    for text, begin, row in placed:
-        ax.annotate(
-            text,
-            (begin, 1.0),
-            xycoords=("data", "axes fraction"),
-            xytext=(0, 2.0 + row * (LABEL_PT + 1.0)),
-            textcoords="offset points",
-            fontsize=LABEL_PT,
-            color="0.25",
-            annotation_clip=False,
-            gid="fault-name",
-        )
+    return shade(axes, called)

@@ -1,8 +1,7 @@
-"""What went over the links: every packet by its fate, messages in space and time, ages of information."""
+"""What went over the links: messages in space and time, ages of information."""
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Sequence
 from typing import Any
 
@@ -15,7 +14,7 @@ from matplotlib.lines import Line2D
 
 from fleet.logs.records import Array
 from fleet.palette import COLOURS
-from fleet.pictures.axes import SPAN_IN, finish, legend_of, marks_legend, over_time
+from fleet.pictures.axes import finish, legend_of, marks_legend, over_time
 from fleet.pictures.runs import NothingToDraw, Run, View
 from fleet.pictures.style import plain_decades
 from fleet.quantities import vehicle_numbers
@@ -23,36 +22,39 @@ from netem.causes import Cause
 from netem.condition import Link
 
 CORRUPTED = "corrupted"
-# Fate -> (mark, colour). Every one has a mark of its own, so that colour is never the only difference; what tends to
-# happen together differs in both.
+# Fate -> (mark, colour). Every one has a mark and a colour of its own: blue for what arrives, grey for what is neither,
+# warm for what is lost; what tends to happen together differs in lightness, too.
 FATES: dict[str, tuple[str, str]] = {
     Cause.DELIVERED: ("|", "#56B4E9"),
-    CORRUPTED: ("2", "#E69F00"),
     Cause.IN_FLIGHT: (".", "#777777"),
-    "loss": ("x", "#D55E00"),
-    "down": ("v", "#000000"),
-    "partition": ("s", "#0072B2"),
-    "mute": ("^", "#CC79A7"),
-    "queue": ("D", "#009E73"),
-    "replaced": ("P", "#BBBBBB"),  # the many that an acoustic modem never sends: behind everything else
-    "mtu": ("<", "#000000"),
-    "range": (">", "#0072B2"),
-    "half duplex": ("h", "#009E73"),
-    "collision": ("*", "#D55E00"),
-    "snr": ("X", "#000000"),
-    "dead sender": ("8", "#0072B2"),
-    "deaf": ("d", "#009E73"),
-    "dead receiver": ("H", "#E69F00"),
+    Cause.REPLACED: ("P", "#BBBBBB"),  # what an acoustic modem never sends, which is no loss of the channel
+    CORRUPTED: ("2", "#CC79A7"),
+    Cause.LOSS: ("x", "#D55E00"),
+    Cause.PARTITION: ("s", "#7F1D1D"),
+    Cause.DOWN: ("v", "#E6A100"),
+    Cause.MUTE: ("^", "#F28E2B"),
+    Cause.QUEUE: ("D", "#FDC086"),
+    Cause.MTU: ("<", "#8C6D1F"),
+    Cause.RANGE: (">", "#F6C700"),
+    Cause.HALF_DUPLEX: ("h", "#FFA07A"),
+    Cause.COLLISION: ("*", "#C51B3A"),
+    Cause.SNR: ("X", "#5B1A0B"),
+    Cause.DEAD_SENDER: ("8", "#A65628"),
+    Cause.DEAF: ("d", "#E7298A"),
+    Cause.DEAD_RECEIVER: ("H", "#4A2C0A"),
 }
-_RASTER = 4000  # marks; more are drawn as an image within a vector file
-_MOST_MARKS = 10_000  # of one fate in a row: a picture is not so many points wide
 _BINS = 300  # of the time axis of the ages, at most; twice as many where every tooth can be seen
 _ROUNDS = 12  # shown by the space-time diagram unless a window is given
 _MOST_NAMED = 36  # rows
 _ROW_IN = 0.11  # height of a link's row among the ages, enough for its name
 
 
-def _links(run: Run, view: View) -> list[Link]:
+def links_between(run: Run, view: View) -> list[Link]:
+    """The directed links between the vehicles to show.
+
+    Raises:
+        NothingToDraw: there are none, or the log is not one of ours.
+    """
     run.tick_s  # noqa: B018  (a foreign log has no packets of ours)
     found = [(a, b) for a, b in run.log.links if view.vehicles is None or (a in view.vehicles and b in view.vehicles)]
     if not found:
@@ -60,7 +62,7 @@ def _links(run: Run, view: View) -> list[Link]:
     return found
 
 
-def _fates(run: Run, link: Link) -> tuple[Array, Array, Array, Array]:
+def fates_of(run: Run, link: Link) -> tuple[Array, Array, Array, Array]:
     """(sent [s], due [s], fate, sequence) of every packet of a link; a corrupted one's fate is `corrupted`."""
     packets = run.log[f"link/{link[0]}-{link[1]}"]
     if not len(packets):
@@ -73,68 +75,23 @@ def _style(fate: str) -> tuple[str, str]:
     return FATES.get(fate, ("p", "#777777"))
 
 
-def _rank(fate: str) -> tuple[int, str]:
+def rank(fate: str) -> tuple[int, str]:
+    """The place of a fate in legends, and which lies upon which: as in `FATES`."""
     return (list(FATES).index(fate) if fate in FATES else len(FATES)), fate
 
 
-def timeline(runs: Sequence[Run], view: View) -> Figure:
-    """A row per link, a mark per packet at its sending time."""
-    (run,) = runs
-    links = _links(run, view)
-    height = float(np.clip(0.16 * len(links), 1.0, 7.0))
-    figure, (ax,) = over_time(1, runs, view, height + 1.1)
-    first, last = ax.get_xlim()
-    tall = float(np.clip(72.0 * height / len(links) * 0.6, 1.6, 6.0))
-    rows = {link: k for k, link in enumerate(links)}
-    by_fate: dict[str, list[tuple[Array, Array]]] = {}
-    counts: Counter[str] = Counter()
-    total = 0
-    for link in links:
-        sent, _, fate, _ = _fates(run, link)
-        inside = (sent >= first) & (sent <= last)
-        for name in set(fate[inside]):
-            at = sent[inside & (fate == name)]
-            counts[name] += len(at)
-            if len(sent) > _MOST_MARKS:  # as close to one another as that, they are one mark
-                at = at[np.unique(np.floor((at - first) / (last - first) * _MOST_MARKS), return_index=True)[1]]
-            by_fate.setdefault(name, []).append((at, np.full(len(at), rows[link])))
-            total += len(at)
-    if not by_fate:
-        raise NothingToDraw("no packet was sent in that time")
-    size = float(np.clip(72.0 * SPAN_IN * len(links) / total, 0.35 * tall, 0.75 * tall))  # wider where there is room
-    handles = []
-    for name in sorted(by_fate, key=_rank):
-        mark, colour = _style(name)
-        x, y = (np.concatenate(part) for part in zip(*by_fate[name], strict=True))
-        thin, behind = name == Cause.DELIVERED, name == Cause.REPLACED
-        width = float(np.clip(0.3 * size, 0.4, 1.2)) if thin else 0.7
-        ax.plot(
-            x, y, linestyle="", marker=mark, color=colour, markersize=tall if thin else size, markeredgewidth=width,
-            zorder=1.5 if behind else 2 if thin else 3, rasterized=total > _RASTER, gid=f"fate-{name}",
-        )  # fmt: skip
-        handles.append(
-            Line2D([], [], linestyle="", marker=mark, color=colour, markersize=5, label=f"{name} ({counts[name]})")
-        )
-    ax.set_ylim(len(links) - 0.4, -0.6)
-    _name_rows(ax, links)
-    ax.set_ylabel("link")
-    ax.grid(False)
-    marks_legend(figure, handles)
-    finish(figure, [ax], runs, view)
-    return figure
-
-
-def _name_rows(ax: Axes, links: Sequence[Link], size: float = 6.0) -> None:
-    every = -(-len(links) // _MOST_NAMED)
-    ax.set_yticks(range(0, len(links), every), [f"{a}→{b}" for a, b in links[::every]])
+def name_rows(ax: Axes, names: Sequence[str], size: float) -> None:
+    """Names of rows along the vertical axis, as many as can be read."""
+    every = -(-len(names) // _MOST_NAMED)
+    ax.set_yticks(range(0, len(names), every), names[::every])
     ax.tick_params(axis="y", length=0, labelsize=size)
 
 
 def spacetime(runs: Sequence[Run], view: View) -> Figure:
     """Vehicles over time, a line from each sending to the arrival; a lost message ends on its way with its mark."""
     (run,) = runs
-    links = _links(run, view)
-    packets = {link: _fates(run, link) for link in links}
+    links = links_between(run, view)
+    packets = {link: fates_of(run, link) for link in links}
     view = view if view.window else View(view.vehicles, view.log_scale, _moment(run, packets))
     assert view.window is not None
     first, last = view.window
@@ -158,7 +115,7 @@ def spacetime(runs: Sequence[Run], view: View) -> Figure:
     if not lines:
         raise NothingToDraw(f"no message was under way from {first:g} to {last:g} s")
     handles = []
-    for name in sorted(lines, key=_rank):
+    for name in sorted(lines, key=rank):
         mark, colour = _style(name)
         if name == Cause.DELIVERED:
             colour, mark = COLOURS[0], "."
@@ -177,7 +134,7 @@ def spacetime(runs: Sequence[Run], view: View) -> Figure:
     ax.grid(axis="y", visible=False)
     ax.set_ylabel("vehicle")
     marks_legend(figure, handles)
-    finish(figure, [ax], runs, view)
+    finish(figure, [ax], runs)
     return figure
 
 
@@ -226,7 +183,7 @@ def peak_ages(run: Run, link: Link, edges: Array) -> Array:
     """
     ticks = int(run.log.run.get("ticks", 0))
     count = min(round(run.log.end / run.tick_s) + 1, ticks) if ticks else round(run.log.end / run.tick_s) + 1
-    sent, due, fate, _ = _fates(run, link)
+    sent, due, fate, _ = fates_of(run, link)
     good = fate == Cause.DELIVERED
     arrived = np.rint(due[good] / run.tick_s).astype(np.int64)
     order = np.argsort(arrived, kind="stable")
@@ -253,7 +210,7 @@ def peak_ages(run: Run, link: Link, edges: Array) -> Array:
 
 def ages(runs: Sequence[Run], view: View) -> Figure:
     """The oldest and the median link over time, and a row per link coloured by its age; peaks of short intervals."""
-    tables = [(run, _links(run, view)) for run in runs]
+    tables = [(run, links_between(run, view)) for run in runs]
     heights = [1.3, *(float(np.clip(_ROW_IN * len(links), 0.5, 4.0)) for _, links in tables)]
     figure, axes = over_time(1 + len(runs), runs, view, sum(heights) + 1.2 + 0.2 * len(runs), heights)
     first, last = axes[0].get_xlim()
@@ -273,12 +230,12 @@ def ages(runs: Sequence[Run], view: View) -> Figure:
             axes[0].plot(
                 middle[known], values, color=COLOURS[r % len(COLOURS)], linestyle=style, linewidth=0.8, gid=kind
             )
-    solid = ["oldest link"] if len(runs) == 1 else [f"{run.label}: oldest" for run in runs]
+    solid = ["oldest link"] if len(runs) == 1 else [f"{run.label}: oldest, solid" for run in runs]
     legend_of(
         figure,
         [
             *((name, COLOURS[r % len(COLOURS)], "-") for r, name in enumerate(solid)),
-            ("median link", COLOURS[0] if len(runs) == 1 else "0.3", ":"),
+            ("median link" if len(runs) == 1 else "median link, dotted", COLOURS[0] if len(runs) == 1 else "0.3", ":"),
         ],
     )
     axes[0].set_ylabel("age [s]")
@@ -291,13 +248,13 @@ def ages(runs: Sequence[Run], view: View) -> Figure:
         mesh = ax.pcolormesh(edges, np.arange(len(links) + 1) - 0.5, np.ma.masked_invalid(table), norm=norm,
                              cmap="cividis", rasterized=True)  # fmt: skip
         ax.set_ylim(len(links) - 0.5, -0.5)
-        _name_rows(ax, links, 5.5)
+        name_rows(ax, [f"{a}→{b}" for a, b in links], 5.5)
         ax.set_ylabel("link" if len(runs) == 1 else f"link\n{run.label}")
         ax.grid(False)
     bar = figure.colorbar(mesh, ax=axes[1:], location="right", aspect=18, pad=0.02)
     bar.set_label("age [s]")
     plain_decades(bar.ax.yaxis)
-    finish(figure, axes, runs, view)
+    finish(figure, axes, runs)
     return figure
 
 
@@ -306,7 +263,7 @@ def _bins(tables: Sequence[tuple[Run, Sequence[Link]]], span: float) -> int:
     gaps = []
     for run, links in tables:
         for link in links:
-            _, due, fate, _ = _fates(run, link)
+            _, due, fate, _ = fates_of(run, link)
             gaps.append(np.diff(np.unique(due[fate == Cause.DELIVERED])))
     together = np.concatenate(gaps) if gaps else np.empty(0)
     tooth = float(np.median(together)) if len(together) else 0.0

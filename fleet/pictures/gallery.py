@@ -10,8 +10,8 @@ from matplotlib.figure import Figure
 from fleet.errors import FleetError
 from fleet.logs.reader import Tell
 from fleet.logs.topic import TooLargeError
-from fleet.pictures import exchange, signals, timing, track
-from fleet.pictures.runs import NothingToDraw, Run, View
+from fleet.pictures import exchange, shares, signals, timing, track
+from fleet.pictures.runs import NothingToDraw, Run, View, origin
 from fleet.pictures.style import save
 
 Draw = Callable[[Sequence[Run], View], Figure]
@@ -30,7 +30,7 @@ WHAT: dict[str, tuple[tuple[str, str, Draw], ...]] = {
     "inputs": (("inputs", "Force and moments as applied, limits, and where a limit was met", signals.inputs),),
     "commands": (("commands", "Velocity commands and the bounds that the optimisation keeps", signals.commands),),
     "gains": (("gains", "Gains that the optimisation chooses, and their bounds", signals.gains),),
-    "links": (("links", "Every packet at its sending time, by fate", exchange.timeline),),
+    "links": (("links", "What became of the packets of each link, as shares over time", shares.timeline),),
     "messages": (("messages", "Messages between the agents in space and time", exchange.spacetime),),
     "ages": (("ages", "Age of what was last heard on each link", exchange.ages),),
     "timing": (("timing", "On a wall clock: how late agents answered, what delays became", timing.punctuality),),
@@ -46,6 +46,14 @@ def draw(
     Args:
         share: called before each with the share that is done.
     """
+    for name, title, _, figure in _each(what, runs, view, share):
+        yield name, title, figure
+
+
+def _each(
+    what: Sequence[str], runs: Sequence[Run], view: View, share: Tell
+) -> Iterator[tuple[str, str, Sequence[Run], Figure | str]]:
+    """As `draw`, with the runs that a picture shows."""
     asked_for_all = set(what) == set(WHAT)
     begun: set[str] = set()
     single = {picture[0]: (picture,) for pictures in WHAT.values() for picture in pictures}
@@ -62,9 +70,9 @@ def draw(
                 called = name if len(each) == 1 else f"{name}-{some[0].slug}"
                 shown = title if len(each) == 1 else f"{title}: {some[0].label}"
                 try:
-                    yield called, shown, make(some, view)
+                    yield called, shown, some, make(some, view)
                 except (NothingToDraw, TooLargeError) as reason:
-                    yield called, shown, str(reason)
+                    yield called, shown, some, str(reason)
 
 
 def write(
@@ -88,11 +96,11 @@ def write(
     paths: list[Path] = []
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        for name, _, figure in draw(what, runs, view, share):
+        for name, title, of, figure in _each(what, runs, view, share):
             if isinstance(figure, str):
                 tell(f"{name}: not drawn: {figure}")
             else:
-                paths += save(figure, folder / name, formats)
+                paths += save(figure, folder / name, formats, origin(of, title))
     except OSError as error:
         raise PictureError(
             f"cannot write pictures to {folder}: {error.strerror}; choose another place with -o DIR"

@@ -15,7 +15,9 @@ import numpy as np
 
 from fleet.errors import FleetError
 from fleet.logs.open_log import Log, open_drawn
+from fleet.logs.reader import digest
 from fleet.logs.records import Array
+from fleet.pictures.style import Origin
 from fleet.scenario.scenario import Scenario
 
 GAP = 1.5  # times the usual distance of two samples: more, and the line is broken
@@ -30,7 +32,7 @@ class View:
     """How to draw, as far as a user may choose."""
 
     vehicles: tuple[int, ...] | None = None  # None: all
-    log_scale: bool = False
+    log_scale: bool | None = None  # None: errors on a logarithmic axis, all others on a linear one
     window: tuple[float, float] | None = None  # s
 
 
@@ -71,6 +73,11 @@ class Run:
         except FleetError as error:
             self.notes.append(f"{self.label}: no limits and bounds, {str(error).splitlines()[0]}")
             return None
+
+    @cached_property
+    def digest(self) -> str:
+        """The digest of the log, as `fleet run` prints it."""
+        return digest(self.log.path)
 
     @cached_property
     def tick_s(self) -> float:
@@ -149,6 +156,15 @@ def with_gaps(t: Array, values: Array, step: float = 0.0) -> tuple[Array, Array]
     if not len(holes):
         return t, values
     return np.insert(t, holes + 1, np.nan), np.insert(values, holes + 1, np.nan, axis=0)
+
+
+def origin(runs: Sequence[Run], title: str) -> Origin:
+    """What the file of a picture says: scenario, seed and digest of each run."""
+    names = ("scenario", "seed", "digest")
+    each = [(run.log.run.get("scenario") or run.label, run.log.run.get("seed", "unknown"), run.digest) for run in runs]
+    return Origin(
+        title, tuple((name, " and ".join(of)) for name, of in zip(names, zip(*each, strict=True), strict=True))
+    )
 
 
 def first_words(names: Sequence[Any], most: int = 6) -> str:

@@ -7,16 +7,22 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
 
 from fleet.logs.records import Array
-from fleet.pictures.axes import Get, draw_lines, finish, over_time
+from fleet.pictures.axes import Get, draw_lines, finish, over_time, within
 from fleet.pictures.axes import bounds as draw_bounds
+from fleet.pictures.bands import SMALLEST
 from fleet.pictures.runs import Run, View
-from fleet.pictures.style import plain_decades
+from fleet.pictures.style import HEAVY, LABEL_PT, plain_decades
+from fleet.pictures.thresholds import draw_thresholds, thresholds
 from fleet.scenario.sections.per_vehicle import Control
 
 FORCES = (("surge force", "N"), ("pitch moment", "N m"), ("yaw moment", "N m"))
 NED = ("north", "east", "down")
+BELOW = "below $k_{min}$: the bounds on $\\rho$ come first"  # see agents/laws/gain_qp.py
+_TEXT_SHARE = 0.15  # of an axis: what a line of text needs
+HEAVY_SUFFIX = "-saturated"
 _AT_LIMIT = 1.0 - 1e-6
 
 
@@ -34,34 +40,36 @@ def component(group: str, name: str, k: int = 0, change: Callable[[Array], Array
 
 def consensus(runs: Sequence[Run], view: View) -> Figure:
     """|e_i| of each vehicle."""
-    return _norm(runs, view, "e_norm", "consensus error $|e|$ [m]")
+    return _norm(runs, view, "e_norm", "consensus error $|e|$ [m]", "consensus")
 
 
 def formation(runs: Sequence[Run], view: View) -> Figure:
     """Distance of each vehicle from its desired position."""
-    return _norm(runs, view, "formation_norm", "formation error [m]")
+    return _norm(runs, view, "formation_norm", "formation error [m]", "formation")
 
 
-def _norm(runs: Sequence[Run], view: View, name: str, label: str) -> Figure:
-    figure, (ax,) = over_time(1, runs, view, 2.3)
-    notes = draw_lines(figure, [(ax, component("error", name))], runs, view)
+def _norm(runs: Sequence[Run], view: View, name: str, label: str, error: str) -> Figure:
+    figure, (ax,) = over_time(1, runs, view, 2.4)
+    log = view.log_scale is not False
+    notes = draw_lines(figure, [(ax, component("error", name))], runs, view, log=log)
+    draw_thresholds(ax, thresholds(runs, error))
     ax.set_ylabel(label)
-    if view.log_scale:
+    if log:
         _logarithmic(ax)
     else:
         ax.set_ylim(0.0, None)
-    finish(figure, [ax], runs, view, notes)
+    finish(figure, [ax], runs, notes)
     return figure
 
 
 def _logarithmic(ax: Axes) -> None:
-    """A logarithmic axis from a micrometre: below it is arithmetic, not control."""
+    """A logarithmic axis from a micrometre on."""
     low = min((v[np.isfinite(v) & (v > 0)].min(initial=np.inf) for v in _values(ax)), default=np.inf)
     if low == np.inf:
         return
     ax.set_yscale("log", nonpositive="mask")
-    if low < 1e-6:
-        ax.set_ylim(1e-6, None)
+    if low < SMALLEST:
+        ax.set_ylim(SMALLEST, None)
     plain_decades(ax.yaxis)
 
 
@@ -79,12 +87,13 @@ def velocity(runs: Sequence[Run], view: View) -> Figure:
     figure, axes = over_time(3, runs, view)
     change: Callable[[Array], Array] = np.abs if view.log_scale else lambda v: v
     panel = [(ax, component("control", name, change=change)) for ax, (name, _, _) in zip(axes, rows, strict=True)]
-    notes = draw_lines(figure, panel, runs, view, "u_err, q_err and r_err are signals of the tracking laws that ship")
+    whose = "u_err, q_err and r_err are signals of the tracking laws that ship"
+    notes = draw_lines(figure, panel, runs, view, whose, log=bool(view.log_scale))
     for ax, (_, label, unit) in zip(axes, rows, strict=True):
         ax.set_ylabel(f"{label} [{unit}]" if not view.log_scale else f"|{label}| [{unit}]")
         if view.log_scale:
             _logarithmic(ax)
-    finish(figure, axes, runs, view, notes)
+    finish(figure, axes, runs, notes)
     return figure
 
 
@@ -92,45 +101,55 @@ def inputs(runs: Sequence[Run], view: View) -> Figure:
     """Force and moments as applied; heavy where the commanded ones are at their limit."""
     figure, axes = over_time(3, runs, view)
     panel = [(ax, component("command", "applied", k)) for k, ax in enumerate(axes)]
-    notes = draw_lines(figure, panel, runs, view)
+    notes = draw_lines(figure, panel, runs, view, drawstyle="steps-post")  # an input is held until the next
     saturated = False
     for k, ax in enumerate(axes):
-        limits = []
+        most: dict[str, float] = {}
         for run in runs:
             for i, control in _controls(run, view):
-                limits.append((-control.tau_max[k], control.tau_max[k]))
-                saturated |= _heavy(ax, run, i, k, control.tau_max[k])
+                most[f"{run.slug}-vehicle-{i}"] = control.tau_max[k]
+                saturated |= _heavy(ax, run, view, i, k, control.tau_max[k])
         name, unit = FORCES[k]
         ax.set_ylabel(f"{name} [{unit}]")
-        if far := draw_bounds(ax, limits, f"limits of the {name}", unit):
+        if far := draw_bounds(ax, [(-value, value) for value in most.values()], f"limits of the {name}", unit):
             notes.append(far)
+        elif most:
+            _keep_inside(ax, most)
     if saturated:
         notes.append("heavy: the command is at a limit")
-    finish(figure, axes, runs, view, notes)
+    finish(figure, axes, runs, notes)
     return figure
 
 
-def _heavy(ax: Axes, run: Run, i: int, k: int, limit: float) -> bool:
+def _keep_inside(ax: Axes, most: dict[str, float]) -> None:
+    """No part of a line's width lies beyond the limit that its values keep.
+
+    Args:
+        most: the limit of each vehicle's line by its gid; what belongs to all keeps the largest.
+    """
+    for artist in [*ax.get_lines(), *ax.collections]:
+        if artist.get_gid() == "bound":
+            continue
+        limit = most.get(str(artist.get_gid() or "").removesuffix(HEAVY_SUFFIX), max(most.values()))
+        inside = Rectangle((0.0, -limit), 1.0, 2.0 * limit, transform=ax.get_yaxis_transform())
+        artist.set_clip_path(inside)
+
+
+def _heavy(ax: Axes, run: Run, view: View, i: int, k: int, limit: float) -> bool:
     found, commanded = run.series(i, "command", "applied"), run.series(i, "command", "tau")
-    if found is None or commanded is None or not limit > 0.0:
+    line = next((one for one in ax.get_lines() if one.get_gid() == f"{run.slug}-vehicle-{i}"), None)
+    if found is None or commanded is None or line is None or not limit > 0.0:
         return False
-    t, values = found[0], found[1][:, k].copy()
-    at_limit = np.abs(commanded[1][:, k]) >= _AT_LIMIT * limit
+    t, values = within(found[0], found[1][:, k].copy(), view.window)
+    _, asked = within(*commanded, view.window)
+    at_limit = np.abs(asked[:, k]) >= _AT_LIMIT * limit
     if not at_limit.any():
         return False
     values[~at_limit] = np.nan
-    colour = next(line.get_color() for line in ax.get_lines() if line.get_gid() == f"{run.slug}-vehicle-{i}")
     ax.plot(
-        t,
-        values,
-        color=colour,
-        linewidth=3.0,
-        alpha=0.6,
-        solid_capstyle="butt",
-        marker="|",
-        markersize=4,
-        gid="saturated",
-    )
+        t, values, color=line.get_color(), linewidth=2.0 * HEAVY, alpha=0.6, solid_capstyle="butt", marker="|",
+        markersize=2.0 * HEAVY, drawstyle="steps-post", gid=f"{run.slug}-vehicle-{i}{HEAVY_SUFFIX}",
+    )  # fmt: skip
     return True
 
 
@@ -146,12 +165,12 @@ def commands(runs: Sequence[Run], view: View) -> Figure:
         if far := draw_bounds(ax, limits, f"bounds of rho {NED[k]}", "m/s"):
             notes.append(far)
     axes[3].set_ylabel("speed $u_c$ [m/s]")
-    finish(figure, axes, runs, view, notes)
+    finish(figure, axes, runs, notes)
     return figure
 
 
 def gains(runs: Sequence[Run], view: View) -> Figure:
-    """The diagonal of K and its bounds."""
+    """The diagonal of K and its bounds; where K is below its k_min, the reason."""
     figure, axes = over_time(3, runs, view)
     panel = [(ax, component("guidance", "K", k)) for k, ax in enumerate(axes)]
     notes = draw_lines(figure, panel, runs, view, "K is a signal of the guidance laws that ship")
@@ -160,8 +179,25 @@ def gains(runs: Sequence[Run], view: View) -> Figure:
         limits = [(c.guidance.k_min, c.guidance.k_max) for c in _optimal(runs, view)]
         if far := draw_bounds(ax, limits, f"bounds of K {NED[k]}", "1/s"):
             notes.append(far)
-    finish(figure, axes, runs, view, notes)
+        if limits:
+            _explain(ax, min(low for low, _ in limits))
+    finish(figure, axes, runs, notes)
     return figure
+
+
+def _explain(ax: Axes, k_min: float) -> None:
+    """Shade where a gain is below its k_min, if one is, and say there why."""
+    if not ax.dataLim.y0 < k_min * _AT_LIMIT:
+        return
+    low, high = ax.get_ylim()
+    ax.axhspan(low, k_min, color="#E69F00", alpha=0.12, linewidth=0, zorder=0, gid="below-k_min")
+    ax.set_ylim(low, high)
+    inside = (k_min - low) / (high - low) > _TEXT_SHARE
+    ax.annotate(
+        BELOW, (1.0, k_min), xycoords=("axes fraction", "data"), xytext=(-2, -2 if inside else 2), ha="right",
+        va="top" if inside else "bottom", textcoords="offset points", fontsize=LABEL_PT, color="0.25",
+        bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.6, "pad": 0.5}, gid="below-k_min",
+    )  # fmt: skip
 
 
 def _controls(run: Run, view: View) -> list[tuple[int, Control]]:

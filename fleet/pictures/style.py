@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from math import log10
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import matplotlib
 from matplotlib.axes import Axes
@@ -18,8 +18,11 @@ from fleet.palette import COLOURS
 from fleet.pictures.whole_file import whole_file
 
 STYLES = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)), (0, (1, 1)), (0, (7, 2)))
+STYLE_NAMES = ("solid", "dashed", "dash-dot", "dotted", "dash-dot-dot", "densely dotted", "long dashes")
 COLUMN_IN, PAGE_IN = 3.5, 7.0  # widths of a column and of a page of a journal
-DPI = 200
+DPI = 300
+LABEL_PT, LEGEND_PT, TEXT_PT = 6.0, 7.0, 8.0  # names within a picture; legends and numbers; everything else
+THIN, NORMAL, HEAVY = 0.7, 1.0, 3.0  # widths of lines [pt]: limits and many lines; few lines; what stands out
 FORMATS = ("png", "svg", "pdf")
 _MOST_PLAIN = 4.0  # decades
 
@@ -27,13 +30,13 @@ _MOST_PLAIN = 4.0  # decades
 matplotlib.rcdefaults()
 matplotlib.rcParams.update(
     {
-        "font.size": 8,
-        "axes.titlesize": 8,
-        "axes.labelsize": 8,
-        "legend.fontsize": 7,
-        "xtick.labelsize": 7,
-        "ytick.labelsize": 7,
-        "lines.linewidth": 1.0,
+        "font.size": TEXT_PT,
+        "axes.titlesize": TEXT_PT,
+        "axes.labelsize": TEXT_PT,
+        "legend.fontsize": LEGEND_PT,
+        "xtick.labelsize": LEGEND_PT,
+        "ytick.labelsize": LEGEND_PT,
+        "lines.linewidth": NORMAL,
         "axes.linewidth": 0.6,
         "axes.grid": True,
         "grid.linewidth": 0.3,
@@ -41,6 +44,7 @@ matplotlib.rcParams.update(
         "legend.frameon": False,
         "svg.hashsalt": "uuv-fleet",  # otherwise every file has other ids
         "svg.fonttype": "none",
+        "pdf.fonttype": 42,  # TrueType: journals refuse the other kind
     }
 )
 
@@ -72,7 +76,7 @@ def line(ax: Axes, number: int, t: Any, values: Any, label: str, **style: Any) -
 
 def limit(ax: Axes, value: float, label: str | None = None) -> None:
     """A bound as a thin grey line."""
-    ax.axhline(value, color="0.45", linewidth=0.7, linestyle=(0, (4, 3)), label=label)
+    ax.axhline(value, color="0.45", linewidth=THIN, linestyle=(0, (4, 3)), label=label)
 
 
 def plain_decades(axis: Axis) -> None:
@@ -92,15 +96,35 @@ def legend(figure: Figure, ax: Axes, columns: int) -> None:
     figure.legend(handles, labels, loc="outside upper center", ncols=columns)
 
 
-def save(figure: Figure, stem: Path, formats: Sequence[str] = ("png",)) -> list[Path]:
+class Origin(NamedTuple):
+    """Where a picture comes from, as its file says."""
+
+    title: str
+    facts: tuple[tuple[str, str], ...] = ()  # such as ("scenario", "paper"), ("seed", "1"), ("digest", "f7bb...")
+
+
+NOWHERE = Origin("")
+
+
+def metadata(form: str, origin: Origin = NOWHERE) -> dict[str, Any]:
+    """What a file of a format says of itself: PNG's text, PDF's information, SVG's Dublin Core. Never a date."""
+    said = ", ".join(f"{name} {value}" for name, value in origin.facts)
+    about = [f"{name}={value}" for name, value in origin.facts]
+    if form == "png":
+        named = {name.capitalize(): value for name, value in origin.facts}
+        return {"Software": "uuv-fleet", "Title": origin.title, "Description": said} | named
+    if form == "svg":
+        return {"Date": None, "Title": origin.title, "Description": said, "Keywords": about}
+    dated = {"CreationDate": None, "ModDate": None}
+    return dated | {"Title": origin.title, "Subject": said, "Keywords": "; ".join(about)}
+
+
+def save(figure: Figure, stem: Path, formats: Sequence[str] = ("png",), origin: Origin = NOWHERE) -> list[Path]:
     """Write a figure in the given formats; the same figure gives the same bytes."""
     paths = []
     for form in formats:
         path = stem.with_name(f"{stem.name}.{form}")
-        metadata: dict[str, Any] = {"png": {"Software": None}, "svg": {"Date": None}}.get(
-            form, {"CreationDate": None, "ModDate": None}
-        )
         with whole_file(path) as part:
-            figure.savefig(part, format=form, dpi=DPI, metadata=metadata)
+            figure.savefig(part, format=form, dpi=DPI, metadata=metadata(form, origin))
         paths.append(path)
     return paths

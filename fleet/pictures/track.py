@@ -3,132 +3,247 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
-from matplotlib.axes import Axes
+from matplotlib.artist import Artist
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
 from fleet.logs.records import Array
-from fleet.pictures.axes import MOST_NAMED, colours, legend_of, vehicle_bar
+from fleet.palette import COLOURS
+from fleet.pictures.axes import MOST_NAMED, marks_legend
+from fleet.pictures.bands import outliers, spread
 from fleet.pictures.runs import NothingToDraw, Run, View
-from fleet.pictures.style import COLUMN_IN, STYLES
+from fleet.pictures.style import COLUMN_IN, LABEL_PT, LEGEND_PT, NORMAL, STYLE_NAMES, STYLES, THIN
+from fleet.pictures.track_marks import Happening, directions, happenings, places, told
 
 SHAPES = 5  # moments at which the formation is drawn
+GREY = "0.6"
 _MOST_EDGES = 60  # of the graph that are drawn as the formation's shape
 _REFERENCE_POINTS = 400
+_TALL = 1.3  # times as high as wide: then the legend stands beside the tracks
+_EXAGGERATIONS = (1, 2, 5, 10, 20, 50, 100)
+_MARK = 3.5  # pt
+
+
+class Track(NamedTuple):
+    """A vehicle's way, and how it is drawn."""
+
+    run: Run
+    vehicle: int
+    t: Array  # s
+    positions: Array  # (samples, 3) [m, NED]
+    colour: str
+    style: Any
 
 
 def top(runs: Sequence[Run], view: View) -> Figure:
     """North over east, to scale."""
-    tracks = _tracks(runs, view)
-    everything = np.concatenate([p for track in tracks.values() for p in track.values()])[:, :2]
-    north, east = np.ptp(everything, axis=0) + 1e-9
-    figure = Figure(figsize=(COLUMN_IN, _height(north / east)), layout="constrained")
+    tracks, entries = _tracks(runs, view)
+    wanted = [(run, places(run, view)) for run in runs]
+    ends = [list(found.values()) for _, found in wanted if found]
+    low, high = _extent([*(track.positions for track in tracks), *map(np.array, ends)])
+    tall = (high - low)[0] > _TALL * (high - low)[1]
+    room = 1.7 if tall else 2.85  # in, for the axes
+    height = float(np.clip(room * (high - low)[0] / (high - low)[1], 1.0, 4.2))
+    figure = Figure(figsize=(COLUMN_IN, height + (0.75 if tall else 1.0)), layout="compressed")
     FigureCanvasAgg(figure)
     ax = figure.add_subplot()
     for run in runs:
         for a, b in _shapes(run, view):
-            ax.plot([a[1], b[1]], [a[0], b[0]], color="0.72", linewidth=0.5, zorder=1, gid="formation")
+            ax.plot([a[1], b[1]], [a[0], b[0]], color="0.78", linewidth=0.5, zorder=1, gid="formation")
         reference = _reference(run, view)
         if reference is not None:
             ax.plot(
-                reference[:, 1], reference[:, 0], color="0.4", linewidth=0.6, linestyle=":", zorder=1, gid="reference"
+                reference[:, 1], reference[:, 0], color="0.4", linewidth=THIN, linestyle=":", zorder=1, gid="reference"
             )
-    for (label, i), colour, style in _styles(tracks):
-        p = tracks[label][i]
-        ax.plot(p[:, 1], p[:, 0], color=colour, linestyle=style, linewidth=0.9, zorder=2, gid=f"vehicle-{i}")
-        ax.plot(p[0, 1], p[0, 0], "o", color=colour, markersize=3.5, markerfacecolor="white", zorder=3)
-        ax.plot(p[-1, 1], p[-1, 0], "o", color=colour, markersize=3.5, zorder=3)
-    ax.set_aspect("equal", adjustable="datalim")
+    many = len({track.vehicle for track in tracks}) > MOST_NAMED
+    for track in tracks:
+        p, colour, gid = track.positions, track.colour, f"vehicle-{track.vehicle}"
+        above = 2.0 if colour == GREY else 2.5
+        ax.plot(p[:, 1], p[:, 0], color=colour, linestyle=track.style, linewidth=THIN if many else NORMAL, zorder=above,
+                gid=gid)  # fmt: skip
+        ax.plot(p[0, 1], p[0, 0], "o", color=colour, markersize=_MARK, markerfacecolor="white", zorder=above + 1)
+        ax.plot(p[-1, 1], p[-1, 0], "o", color=colour, markersize=_MARK, zorder=above + 1)
+        for place, course in directions(p):
+            ax.plot(place[1], place[0], marker=(3, 0, course - 90.0), color=colour, markersize=4.5, linestyle="",
+                    markeredgewidth=0.0, zorder=above + 1, gid=f"direction-{track.vehicle}")  # fmt: skip
+        if many:
+            ax.annotate(str(track.vehicle), (p[-1, 1], p[-1, 0]), xytext=(3, 1), textcoords="offset points",
+                        fontsize=LABEL_PT, color="0.25", gid="number")  # fmt: skip
+    for _, found in wanted:
+        for place in found.values():
+            ax.plot(place[1], place[0], "+", color="black", markersize=6, markeredgewidth=THIN, zorder=5, gid="place")
+    happened = _happened(runs, view, tracks)
+    for one, colour in happened:
+        ax.plot(one.position[1], one.position[0], one.mark, color=colour, markeredgecolor="black", markeredgewidth=0.5,
+                markersize=6, zorder=6, gid=f"{one.what}-{one.vehicle}")  # fmt: skip
+    ax.set_xlim(low[1], high[1])
+    ax.set_ylim(low[0], high[0])
+    ax.set_aspect("equal", adjustable="box")
+    ax.xaxis.set_major_locator(MaxNLocator(4 if tall else 6))
     ax.set_xlabel("east [m]")
     ax.set_ylabel("north [m]")
-    _words(figure, runs)
-    _legend(figure, [ax], runs, view, tracks)
+    entries += _explained(happened, runs, view, flat=True)
+    _finish(figure, runs, [one for one, _ in happened], [])
+    if tall:
+        figure.legend(handles=entries, loc="outside right upper", handlelength=1.8)
+    else:
+        marks_legend(figure, entries)
     return figure
 
 
 def space(runs: Sequence[Run], view: View) -> Figure:
-    """East, north and depth; the three axes have scales of their own."""
-    tracks = _tracks(runs, view)
-    figure = Figure(figsize=(COLUMN_IN, 3.2), layout="constrained")
+    """East, north and depth; east and north have one scale, and it is said how much larger that of depth is."""
+    tracks, entries = _tracks(runs, view)
+    low, high = _extent([track.positions for track in tracks])
+    figure = Figure(figsize=(COLUMN_IN, 3.4), layout="constrained")
     FigureCanvasAgg(figure)
     ax: Any = figure.add_subplot(projection="3d")
     for run in runs:
         for a, b in _shapes(run, view):
-            ax.plot([a[1], b[1]], [a[0], b[0]], [a[2], b[2]], color="0.72", linewidth=0.5, gid="formation")
+            ax.plot([a[1], b[1]], [a[0], b[0]], [a[2], b[2]], color="0.78", linewidth=0.5, gid="formation")
         reference = _reference(run, view)
         if reference is not None:
-            ax.plot(*reference[:, [1, 0, 2]].T, color="0.4", linewidth=0.6, linestyle=":", gid="reference")
-    for (label, i), colour, style in _styles(tracks):
-        p = tracks[label][i]
-        ax.plot(p[:, 1], p[:, 0], p[:, 2], color=colour, linestyle=style, linewidth=0.9, gid=f"vehicle-{i}")
-        ax.plot(p[:1, 1], p[:1, 0], p[:1, 2], "o", color=colour, markersize=3.5, markerfacecolor="white")
-        ax.plot(p[-1:, 1], p[-1:, 0], p[-1:, 2], "o", color=colour, markersize=3.5)
-    low, high = ax.get_zlim()
-    if high - low < 0.5:  # m: otherwise a flat course looks rough
-        low, high = (low + high) / 2 - 0.25, (low + high) / 2 + 0.25
-    ax.set_zlim(high, low)  # down is down
+            ax.plot(*reference[:, [1, 0, 2]].T, color="0.4", linewidth=THIN, linestyle=":", gid="reference")
+    for track in tracks:
+        p, colour = track.positions, track.colour
+        ax.plot(p[:, 1], p[:, 0], p[:, 2], color=colour, linestyle=track.style, linewidth=NORMAL,
+                gid=f"vehicle-{track.vehicle}")  # fmt: skip
+        ax.plot(p[:1, 1], p[:1, 0], p[:1, 2], "o", color=colour, markersize=_MARK, markerfacecolor="white")
+        ax.plot(p[-1:, 1], p[-1:, 0], p[-1:, 2], "o", color=colour, markersize=_MARK)
+    happened = _happened(runs, view, tracks)
+    for one, colour in happened:
+        x, y, z = one.position
+        ax.plot([y], [x], [z], one.mark, color=colour, markeredgecolor="black", markeredgewidth=0.5, markersize=6,
+                gid=f"{one.what}-{one.vehicle}")  # fmt: skip
+    across = high - low
+    across[2] = max(across[2], 0.5)  # m: otherwise a flat course looks rough
+    factor = exaggeration(max(across[:2]), across[2])
+    ax.set_xlim(low[1], high[1])
+    ax.set_ylim(low[0], high[0])
+    ax.set_zlim((low[2] + high[2] + across[2]) / 2, (low[2] + high[2] - across[2]) / 2)  # down is down
     ax.set_xlabel("east [m]", labelpad=-2)
     ax.set_ylabel("north [m]", labelpad=-2)
-    ax.set_zlabel("depth [m]", labelpad=1)
+    ax.set_zlabel("depth [m]", labelpad=-1)
     ax.tick_params(pad=-2)
-    for axis in (ax.xaxis, ax.yaxis, ax.zaxis):
-        axis.set_major_locator(MaxNLocator(4))
-    ax.view_init(elev=28, azim=-60)
-    ax.set_box_aspect((1, 1.2, 0.7), zoom=0.9)
-    _words(figure, runs)
-    _legend(figure, [ax], runs, view, tracks)
+    for axis, length in ((ax.xaxis, across[1]), (ax.yaxis, across[0]), (ax.zaxis, factor * across[2])):
+        axis.set_major_locator(MaxNLocator(4 if length > 0.4 * max(across[:2]) else 2))
+    # The longer side to the right, so that the box fills the picture.
+    ax.view_init(elev=28, azim=-60 if across[1] >= across[0] else -25)
+    ax.set_box_aspect((across[1], across[0], factor * across[2]), zoom=0.85)
+    entries += _explained(happened, runs, view, flat=False)
+    scale = f"depth exaggerated {factor} times" if factor > 1 else "depth to scale"
+    _finish(figure, runs, [one for one, _ in happened], [scale])
+    marks_legend(figure, entries)
     return figure
 
 
-def _tracks(runs: Sequence[Run], view: View) -> dict[str, dict[int, Array]]:
-    """Run -> vehicle -> positions (samples, 3) [m, NED], in the window."""
-    found: dict[str, dict[int, Array]] = {}
+def exaggeration(across: float, deep: float) -> int:
+    """How many times larger depth is drawn than the plane, so that it can be seen: a round number, at least 1."""
+    return max((f for f in _EXAGGERATIONS if f * deep <= 0.6 * across), default=1)
+
+
+def _tracks(runs: Sequence[Run], view: View) -> tuple[list[Track], list[Artist]]:
+    """The ways in the window, and the entries of a legend that tell them apart."""
+    found: list[Track] = []
     for run in runs:
         for i in run.vehicles(view):
             topic = f"uuv/{i}/state"
             if topic not in run.log or not len(run.log[topic]):
                 continue
             state = run.log[topic]
-            positions = np.column_stack([state["x"], state["y"], state["z"]])[_inside(state.t, view)]
+            inside = _inside(state.t, view)
+            positions = np.column_stack([state["x"], state["y"], state["z"]])[inside]
             if len(positions):
-                found.setdefault(run.label, {})[i] = positions
+                found.append(Track(run, i, state.t[inside], positions, GREY, "-"))
     if not found:
         raise NothingToDraw("the log has no state of a vehicle in that time")
-    return found
+    shown = sorted({track.vehicle for track in found})
+    if len(runs) > 1:
+        look: dict[str, tuple[str, Any]] = {
+            run.label: (COLOURS[r % len(COLOURS)], STYLES[r % len(STYLES)]) for r, run in enumerate(runs)
+        }
+        names = [STYLE_NAMES[r % len(STYLES)] for r in range(len(runs))]
+        entries = [
+            Line2D([], [], color=colour, linestyle=style, label=f"{name}: {label}")
+            for name, (label, (colour, style)) in zip(names, look.items(), strict=True)
+        ]
+        return [t._replace(colour=look[t.run.label][0], style=look[t.run.label][1]) for t in found], list(entries)
+    named = shown if len(shown) <= MOST_NAMED else _worst(runs[0], shown)
+    palette = COLOURS if len(shown) <= MOST_NAMED else COLOURS[1:]
+    of = {i: palette[k] for k, i in enumerate(named)}
+    entries = [Line2D([], [], color=colour, label=f"UUV {i}") for i, colour in of.items()]
+    if len(named) < len(shown):
+        entries.append(Line2D([], [], color=GREY, linewidth=THIN, label=f"{len(shown) - len(named)} others"))
+    return [track._replace(colour=of.get(track.vehicle, GREY)) for track in found], list(entries)
+
+
+def _worst(run: Run, shown: Sequence[int]) -> list[int]:
+    """The vehicles that are farthest from their places for most of the time."""
+    errors = {i: run.series(i, "error", "formation_norm") for i in shown}
+    known = {i: (one[0], one[1][:, 0]) for i, one in errors.items() if one is not None}
+    return sorted(outliers([spread(known)], log=True)) if known else []
 
 
 def _inside(t: Array, view: View) -> Array:
     return np.full(len(t), True) if view.window is None else (t >= view.window[0]) & (t <= view.window[1])
 
 
-def _styles(tracks: dict[str, dict[int, Array]]) -> list[tuple[tuple[str, int], Any, Any]]:
-    shown = sorted({i for track in tracks.values() for i in track})
-    by_run = len(tracks) > 1
-    palette = colours(len(tracks) if by_run else len(shown))
+def _extent(positions: Sequence[Array]) -> tuple[Array, Array]:
+    """The least and greatest north, east and down [m], with a margin; never more than three times as long as wide."""
+    together = np.concatenate(positions)
+    low, high = np.nanmin(together, axis=0), np.nanmax(together, axis=0)
+    long = max(float((high - low)[:2].max()), 1.0)
+    margin = np.array([0.05 * long, 0.05 * long, 0.0])
+    low, high = low - margin, high + margin
+    missing = np.maximum((high - low)[:2].max() / 3.0 - (high - low)[:2], 0.0)
+    low[:2] -= missing / 2
+    high[:2] += missing / 2
+    return low, high
+
+
+def _happened(runs: Sequence[Run], view: View, tracks: Sequence[Track]) -> list[tuple[Happening, str]]:
+    """What happened to the vehicles, with the colour of each one's track."""
     found = []
-    for r, (label, track) in enumerate(tracks.items()):
-        for i in track:
-            k = r if by_run else shown.index(i)
-            found.append(((label, i), palette[k], STYLES[k] if len(palette) <= MOST_NAMED and by_run else "-"))
+    for run in runs:
+        own = {track.vehicle: track for track in tracks if track.run is run}
+        some = happenings(run, view, {i: (track.t, track.positions) for i, track in own.items()})
+        found += [(one, own[one.vehicle].colour) for one in some]
     return found
 
 
-def _legend(figure: Figure, axes: list[Axes], runs: Sequence[Run], view: View, tracks: dict[str, Any]) -> None:
-    shown = sorted({i for track in tracks.values() for i in track})
-    more: list[tuple[str, Any, Any]] = []
-    if any(_reference(run, view) is not None for run in runs):
-        more = [("reference", "0.4", ":")]
-    if len(tracks) > 1:
-        palette = colours(len(tracks))
-        legend_of(figure, [*((label, palette[k], STYLES[k % len(STYLES)]) for k, label in enumerate(tracks)), *more])
-    elif len(shown) <= MOST_NAMED:
-        legend_of(figure, [*((f"UUV {i}", colours(len(shown))[k], "-") for k, i in enumerate(shown)), *more])
-    else:
-        vehicle_bar(figure, axes, shown)
+def _explained(
+    happened: Sequence[tuple[Happening, str]], runs: Sequence[Run], view: View, *, flat: bool
+) -> list[Artist]:
+    """The entries of a legend that say what the marks mean."""
+
+    def mark(sign: Any, label: str, **style: Any) -> Line2D:
+        look: dict[str, Any] = {"color": "0.3", "markersize": 4} | style
+        return Line2D([], [], linestyle="", marker=sign, label=label, **look)
+
+    entries: list[Artist] = []
+    if any(run.scenario is not None for run in runs):
+        entries.append(Line2D([], [], color="0.4", linewidth=THIN, linestyle=":", label="reference"))
+    if any(_shapes(run, view) for run in runs):
+        entries.append(Line2D([], [], color="0.78", linewidth=0.8, label="links"))
+    entries += [mark("o", "start", markerfacecolor="white"), mark("o", "end")]
+    if flat:
+        entries.append(mark((3, 0, -90.0), "direction"))
+        if any(run.scenario is not None for run in runs):
+            entries.append(mark("+", "desired end", color="black"))
+    signs = {one.what: one.mark for one, _ in happened}
+    return entries + [mark(sign, what, markeredgecolor="black", markersize=5) for what, sign in signs.items()]
+
+
+def _finish(figure: Figure, runs: Sequence[Run], happened: Sequence[Happening], notes: Sequence[str]) -> None:
+    """Words below everything."""
+    cut = [f"{run.label}: the log is not whole, it ends at {run.log.end:g} s" for run in runs if run.log.missing]
+    if words := [*notes, *told(happened), *cut]:
+        figure.supxlabel("\n".join(words), fontsize=LEGEND_PT)
 
 
 def _shapes(run: Run, view: View) -> list[tuple[Array, Array]]:
@@ -155,15 +270,3 @@ def _reference(run: Run, view: View) -> Array | None:
         return None
     first, last = view.window or (0.0, run.log.end)
     return np.array([run.scenario.reference.at(t).position for t in np.linspace(first, last, _REFERENCE_POINTS)])
-
-
-def _height(ratio: float) -> float:
-    """Height [in] of a picture whose content is `ratio` times as high as wide."""
-    return float(np.clip((COLUMN_IN - 0.6) * ratio, 1.4, 4.2)) + 0.8
-
-
-def _words(figure: Figure, runs: Sequence[Run]) -> None:
-    """What the marks mean, below everything."""
-    cut = [f"{run.label}: the log is not whole, it ends at {run.log.end:g} s" for run in runs if run.log.missing]
-    words = ["open circle: start, filled: end; grey: links of the graph", *cut]
-    figure.supxlabel("\n".join(words), fontsize=7)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from fleet.logs.open_log import FaultInterval
-from fleet.pictures.axes import shade
+from fleet.pictures.shades import shade
 from fleet.pictures.style import FORMATS, legend, limit, line, panels, save
 from fleet.repeat.what_if import COMPONENTS, WhatIf, WhatIfError
 from fleet.scenario.scenario import timeline

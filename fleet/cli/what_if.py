@@ -56,9 +56,10 @@ def command(
         tell = lambda share: status.update(f"agent {agent}: {100 * share:.0f} %")  # noqa: E731
         found = what_if(log, agent, changes, tell, trust)
     if plot is not None:
+        from fleet.logs.reader import digest, log_path
         from fleet.repeat.what_if_picture import draw
 
-        draw(found, plot)
+        draw(found, plot, digest(log_path(log)))
     if as_json:
         from fleet.cli.documents.what_if import other_commands
 

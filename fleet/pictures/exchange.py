@@ -16,7 +16,7 @@ from fleet.logs.records import Array
 from fleet.palette import COLOURS
 from fleet.pictures.axes import finish, legend_of, marks_legend, over_time
 from fleet.pictures.runs import NothingToDraw, Run, View
-from fleet.pictures.style import plain_decades
+from fleet.pictures.style import LABEL_PT, THIN, plain_decades
 from fleet.quantities import vehicle_numbers
 from netem.causes import Cause
 from netem.condition import Link
@@ -120,14 +120,14 @@ def spacetime(runs: Sequence[Run], view: View) -> Figure:
         if name == Cause.DELIVERED:
             colour, mark = COLOURS[0], "."
         ax.add_collection(
-            LineCollection(lines[name], colors=colour, linewidths=0.6, gid=f"fate-{name}",
+            LineCollection(lines[name], colors=colour, linewidths=THIN, gid=f"fate-{name}",
                            linestyles="-" if name in (Cause.DELIVERED, CORRUPTED) else (0, (3, 1.5)), zorder=2)
         )  # fmt: skip
         x, y = zip(*ends[name], strict=True)
         ax.plot(
             x, y, linestyle="", marker=mark, color=colour, markersize=2.5 if name == Cause.DELIVERED else 3.5, zorder=3
         )
-        handles.append(Line2D([], [], marker=mark, color=colour, linewidth=0.6, markersize=4, label=name))
+        handles.append(Line2D([], [], marker=mark, color=colour, linewidth=THIN, markersize=4, label=name))
     ax.set_ylim(len(vehicles) - 0.5, -0.5)
     ax.set_yticks(range(len(vehicles)), [f"UUV {i}" for i in vehicles])
     ax.tick_params(axis="y", length=0)
@@ -162,10 +162,10 @@ def _life(ax: Axes, run: Run, i: int, row: int) -> None:
     ]
     at = 0.0
     for begin, end in sorted(absent):
-        ax.plot([at, begin], [row, row], color="0.55", linewidth=0.8, zorder=1)
-        ax.plot([begin, end], [row, row], color="0.55", linewidth=0.8, linestyle=":", zorder=1, gid=f"absent-{i}")
+        ax.plot([at, begin], [row, row], color="0.55", linewidth=THIN, zorder=1)
+        ax.plot([begin, end], [row, row], color="0.55", linewidth=THIN, linestyle=":", zorder=1, gid=f"absent-{i}")
         at = end
-    ax.plot([at, run.log.end], [row, row], color="0.55", linewidth=0.8, zorder=1)
+    ax.plot([at, run.log.end], [row, row], color="0.55", linewidth=THIN, zorder=1)
 
 
 def _numbers(text: str) -> Sequence[int]:
@@ -228,7 +228,7 @@ def ages(runs: Sequence[Run], view: View) -> Figure:
         middling = np.median(table[:, known], axis=0)
         for kind, values, style in (("oldest", table[:, known].max(axis=0), "-"), ("median", middling, ":")):
             axes[0].plot(
-                middle[known], values, color=COLOURS[r % len(COLOURS)], linestyle=style, linewidth=0.8, gid=kind
+                middle[known], values, color=COLOURS[r % len(COLOURS)], linestyle=style, linewidth=THIN, gid=kind
             )
     solid = ["oldest link"] if len(runs) == 1 else [f"{run.label}: oldest, solid" for run in runs]
     legend_of(
@@ -248,7 +248,7 @@ def ages(runs: Sequence[Run], view: View) -> Figure:
         mesh = ax.pcolormesh(edges, np.arange(len(links) + 1) - 0.5, np.ma.masked_invalid(table), norm=norm,
                              cmap="cividis", rasterized=True)  # fmt: skip
         ax.set_ylim(len(links) - 0.5, -0.5)
-        name_rows(ax, [f"{a}→{b}" for a, b in links], 5.5)
+        name_rows(ax, [f"{a}→{b}" for a, b in links], LABEL_PT)
         ax.set_ylabel("link" if len(runs) == 1 else f"link\n{run.label}")
         ax.grid(False)
     bar = figure.colorbar(mesh, ax=axes[1:], location="right", aspect=18, pad=0.02)

@@ -128,7 +128,7 @@ def _listed(texts: Sequence[str]) -> list[str]:
         named.append(f"and {len(texts) - _MOST_LISTED} more")
     lines = [""]
     for text in named:
-        if lines[-1] and len(lines[-1]) + len(text) > 56:
+        if lines[-1] and len(lines[-1]) + len(text) > 46:
             lines.append("")
         lines[-1] += f"; {text}" if lines[-1] else text
     return lines

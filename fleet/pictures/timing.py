@@ -16,7 +16,7 @@ from fleet.logs.schemas import CLOCK, REAL
 from fleet.palette import COLOURS
 from fleet.pictures.axes import MOST_NAMED, legend_of
 from fleet.pictures.runs import NothingToDraw, Run, View
-from fleet.pictures.style import COLUMN_IN, STYLES, panels
+from fleet.pictures.style import COLUMN_IN, LABEL_PT, STYLES, THIN, panels
 
 GREY = "#999999"
 
@@ -32,7 +32,7 @@ def punctuality(runs: Sequence[Run], view: View) -> Figure:
         k = sorted(worst).index(i) if i in worst else -1
         colour, style = (COLOURS[k], STYLES[k]) if k >= 0 else (GREY, "-")
         _tail(top, row["response"]["histogram_ms"], row["response"]["negative"], colour, style)
-    top.axvline(timing["world"]["period_ms"], color="#000000", linewidth=0.7, linestyle=(0, (1, 1)))
+    top.axvline(timing["world"]["period_ms"], color="#000000", linewidth=THIN, linestyle=(0, (1, 1)))
     top.set_ylabel("share of answers slower")
     links = timing["netem"]["links"].values()
     shown: list[tuple[str, str, Any, list[list[float]]]] = [
@@ -47,13 +47,13 @@ def punctuality(runs: Sequence[Run], view: View) -> Figure:
         ax.set_xscale("log")
         ax.set_yscale("log")
     top.tick_params(labelbottom=True)
-    top.text(timing["world"]["period_ms"], 0.6, " a tick", fontsize=6, va="top")
+    top.text(timing["world"]["period_ms"], 0.6, " a tick", fontsize=LABEL_PT, va="top")
     top.set_xlabel("answer after its tick began [ms of wall time]")
     bottom.set_xlabel("delay [ms]")
     more = [("others", GREY, "-")] if len(rows) > len(worst) else []
     legend_of(figure, [*((f"UUV {i}", COLOURS[k], STYLES[k]) for k, i in enumerate(sorted(worst))), *more])
     handles = [Line2D([], [], color=colour, linestyle=style, label=name) for name, colour, style, _ in shown]
-    bottom.legend(handles=handles, fontsize=6, loc="lower left")
+    bottom.legend(handles=handles, fontsize=LABEL_PT, loc="lower left")
     return figure
 
 

@@ -6,13 +6,16 @@ from pathlib import Path
 
 from fleet.logs.open_log import FaultInterval
 from fleet.pictures.shades import shade
-from fleet.pictures.style import FORMATS, legend, limit, line, panels, save
+from fleet.pictures.style import COLUMN_IN, FORMATS, Origin, legend, limit, line, panels, save
 from fleet.repeat.what_if import COMPONENTS, WhatIf, WhatIfError
 from fleet.scenario.scenario import timeline
 
 
-def draw(found: WhatIf, path: Path) -> None:
-    """Write the picture.
+def draw(found: WhatIf, path: Path, digest: str) -> None:
+    """Write the picture, as wide as a column.
+
+    Args:
+        digest: of the log that the agent heard.
 
     Raises:
         WhatIfError: the file cannot be written, or its suffix is none of a picture.
@@ -20,7 +23,7 @@ def draw(found: WhatIf, path: Path) -> None:
     form = path.suffix.removeprefix(".")
     if form not in FORMATS:
         raise WhatIfError(f"{path}: a picture ends in one of {', '.join('.' + f for f in FORMATS)}")
-    figure, axes = panels(3, 1)
+    figure, axes = panels(3, 1, COLUMN_IN, 4.6)
     for k, (ax, (name, unit)) in enumerate(zip(axes, COMPONENTS, strict=True)):
         line(ax, 0, found.t, found.recorded[:, k], f"agent {found.agent} of {found.scenario.name}, recorded")
         line(ax, 1, found.t, found.found[:, k], "what if, open loop")
@@ -32,10 +35,12 @@ def draw(found: WhatIf, path: Path) -> None:
             limit(ax, most, "limit" if k == 0 else None)
             limit(ax, -most)
         ax.set_ylabel(f"{name} [{unit}]")
-    shade(axes, [FaultInterval(*fault) for fault in timeline(found.scenario)])
-    axes[-1].set_xlabel("t [s]")
-    legend(figure, axes[0], 3)
+    axes[0].set_xlim(float(found.t[0]), float(found.t[-1]))
+    numbered = shade(axes, [FaultInterval(*fault) for fault in timeline(found.scenario)])
+    axes[-1].set_xlabel("\n".join(["time [s]", *numbered]))
+    legend(figure, axes[0], 1)
+    facts = (("scenario", found.scenario.name), ("seed", str(found.scenario.seed)), ("digest", digest))
     try:
-        save(figure, path.with_suffix(""), (form,))
+        save(figure, path.with_suffix(""), (form,), Origin(f"What if: agent {found.agent}", facts))
     except OSError as error:
         raise WhatIfError(f"cannot write {path}: {error.strerror}") from None

@@ -12,8 +12,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from fleet.palette import COLOURS
-from fleet.pictures.style import legend, limit, panels, save
-from fleet.reproduce.cases import NAMES, D, Outcome, U
+from fleet.pictures.style import HEAVY, NORMAL, THIN, Origin, legend, limit, panels, save
+from fleet.reproduce.cases import CASES, NAMES, D, Outcome, U
 from fleet.reproduce.topology import topology
 
 Outcomes = Mapping[str, Outcome]
@@ -28,9 +28,9 @@ SEEN = 250  # samples of the last two periods
 # How a line is drawn. Lines that lie on each other for most of the time differ in width: pale and wide below, thin
 # and dashed above, so that each can be seen.
 LineStyle = dict[str, Any]
-WIDE: LineStyle = {"linewidth": 3.4, "alpha": 0.4, "zorder": 2.0}
-PLAIN: LineStyle = {"linewidth": 1.3, "zorder": 2.1}
-DASHED: LineStyle = {"linewidth": 0.8, "linestyle": (0, (3, 2.5)), "zorder": 2.2}
+WIDE: LineStyle = {"linewidth": HEAVY, "alpha": 0.4, "zorder": 2.0}
+PLAIN: LineStyle = {"linewidth": NORMAL, "zorder": 2.1}
+DASHED: LineStyle = {"linewidth": THIN, "linestyle": (0, (3, 2.5)), "zorder": 2.2}
 OF_CONTROLLERS = dict(zip(NAMES, (WIDE, DASHED, PLAIN, WIDE, DASHED), strict=True))  # NBC lies near BC and BSMC
 OF_VEHICLES = (WIDE, WIDE, DASHED, DASHED)  # 1 lies near 4, and 2 near 3
 
@@ -227,10 +227,12 @@ FIGURES: dict[str, tuple[str, str, Callable[[Outcomes, str], Figure]]] = {
 
 def draw(name: str, outcomes: Outcomes, folder: Path, formats: tuple[str, ...]) -> bool:
     """Draw one picture; False if one of its runs was left out."""
-    _, sea, make = FIGURES[name]
+    title, sea, make = FIGURES[name]
     try:
         figure = make(outcomes, sea)
     except KeyError:
         return False
-    save(figure, folder / name, formats)
+    seeds = {CASES[case].scenario().seed for case in outcomes}
+    facts = (("scenario", ", ".join(outcomes)), ("seed", ", ".join(map(str, sorted(seeds)))))  # there are no logs
+    save(figure, folder / name, formats, Origin(title, facts))
     return True

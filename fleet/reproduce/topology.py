@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from fleet.palette import COLOURS
-from fleet.pictures.style import panels
+from fleet.pictures.style import LABEL_PT, LEGEND_PT, TEXT_PT, panels
 from fleet.reproduce.cases import CASES, Outcome
 
 Point = tuple[float, float]
@@ -29,10 +29,10 @@ def topology(outcomes: Mapping[str, Outcome], sea: str) -> Figure:
         if b := scenario.b[i - 1]:
             _arrow(ax, (x, REFERENCE_Y), (x, y), f"b$_{i}$ = {b:g}", colour=COLOURS[1])
         ax.plot([x], [y], "o", markersize=2 * RADIUS_PT, color="white", markeredgecolor="black", zorder=3)
-        ax.text(x, y, f"UUV {i}", ha="center", va="center", zorder=4, fontsize=6)
+        ax.text(x, y, f"UUV {i}", ha="center", va="center", zorder=4, fontsize=LABEL_PT)
     ax.plot([0.8, n + 0.2], [REFERENCE_Y] * 2, color=COLOURS[1], linewidth=16, solid_capstyle="round")
     words = "reference $\\eta_1^d$, its velocity known to all"
-    ax.text((1 + n) / 2, REFERENCE_Y, words, ha="center", va="center", color="white", fontsize=8, zorder=4)
+    ax.text((1 + n) / 2, REFERENCE_Y, words, ha="center", va="center", color="white", fontsize=TEXT_PT, zorder=4)
     ax.set_xlim(0.6, n + 0.4)
     ax.set_ylim(-0.4, REFERENCE_Y + 0.15)
     ax.axis("off")
@@ -51,5 +51,5 @@ def _arrow(ax: Axes, source: Point, target: Point, text: str, bend: float = 0.0,
     ax.annotate("", target, source, arrowprops=style)
     (x1, y1), (x2, y2) = source, target
     x, y = (x1 + x2) / 2, (y1 + y2) / 2
-    ax.text(x, y + 0.85 * bend * (x2 - x1), text, ha="center", va="center", color=colour, fontsize=7,
+    ax.text(x, y + 0.85 * bend * (x2 - x1), text, ha="center", va="center", color=colour, fontsize=LEGEND_PT,
             bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.8})  # fmt: skip

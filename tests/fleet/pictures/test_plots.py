@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 from matplotlib.axes import Axes
+from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from repository import ROOT
 
@@ -22,10 +23,8 @@ import fleet
 from fleet.cli.logs import KINDS, PARTS
 from fleet.cli.main import cli
 from fleet.logs.export import ExportError, columns, export
-from fleet.logs.open_log import FaultInterval
 from fleet.logs.run_name import run_name
 from fleet.pictures import exchange, signals
-from fleet.pictures.axes import shade
 from fleet.pictures.gallery import PER_RUN, WHAT, draw
 from fleet.pictures.report import ReportError, _from_log, page
 from fleet.pictures.report import write as write_report
@@ -120,13 +119,13 @@ def test_faults_are_shaded_and_named_on_every_time_axis(kind: str, runs: dict[st
         assert isinstance(figure, Figure)
         timed = [ax for ax in figure.axes if ax.get_subplotspec() is not None and ax.get_label() != "<colorbar>"]
         for ax in timed:
-            shaded = {str(patch.get_gid()): patch for patch in ax.patches if str(patch.get_gid()).startswith("fault-")}
-            assert set(shaded) == {"fault-crash", "fault-cut", "fault-tumbled-2"}, name  # 2 is without an agent
-            assert shaded["fault-tumbled-2"].get_facecolor()[0] > shaded["fault-crash"].get_facecolor()[0]  # in red
-            extent = shaded["fault-crash"].get_extents().transformed(ax.transData.inverted())
+            shaded = [patch for patch in ax.patches if patch.get_gid() in ("fault", "tumbled")]
+            assert [patch.get_gid() for patch in shaded] == ["fault", "fault", "tumbled"], name  # 2 is without an agent
+            assert shaded[2].get_facecolor()[0] > shaded[0].get_facecolor()[0]  # in red
+            extent = shaded[0].get_extents().transformed(ax.transData.inverted())
             assert (extent.x0, extent.x1) == pytest.approx((1.0, 2.0))
         named = [text.get_text() for text in timed[0].texts if text.get_gid() == "fault-name"]
-        assert named == ["crash", "tumbled 2", "cut"]
+        assert named == ["crash: kill 2", "tumbled 2", "cut: partition halves"]
         assert timed[-1].get_xlabel().startswith("time [s]")
 
 
@@ -144,7 +143,7 @@ def test_a_line_per_vehicle_that_breaks_where_the_agent_is_dead(runs: dict[str, 
 
 def test_heavy_where_a_command_is_at_its_limit(runs: dict[str, Run]) -> None:
     figure = figure_of(runs["faulty"], "inputs", "inputs")
-    drawn = [line for ax in figure.axes for line in lines(ax, "saturated")]
+    drawn = [line for ax in figure.axes for line in lines(ax, ".*-saturated")]
     assert drawn
     assert all(np.nanmin(np.abs(line.get_ydata())) == pytest.approx(20.0) for line in drawn)
     assert "heavy: the command is at a limit" in figure.axes[-1].get_xlabel()
@@ -163,28 +162,38 @@ def test_bounds_of_what_the_optimisation_keeps(runs: dict[str, Run]) -> None:
 
 
 def test_logarithmic_errors(runs: dict[str, Run]) -> None:
-    assert figure_of(runs["faulty"], "error", "error").axes[0].get_yscale() == "linear"
-    figure = figure_of(runs["faulty"], "error", "error", View(log_scale=True))
-    assert figure.axes[0].get_yscale() == "log"
+    """Errors unless asked otherwise, velocity errors and ages only where asked."""
+    for asked, scales in ((None, ["log", "log", "linear"]), (True, ["log"] * 3), (False, ["linear"] * 3)):
+        drawn = pictures(runs["faulty"], ["error", "velocity"], View(log_scale=asked))
+        assert [drawn[name].axes[0].get_yscale() for name in ("error", "formation", "velocity")] == scales
     velocity = figure_of(runs["faulty"], "velocity", "velocity", View(log_scale=True))
     assert all(np.nanmin(line.get_ydata()) >= 0 for ax in velocity.axes for line in lines(ax, ".*vehicle.*"))
 
 
-def test_twenty_vehicles_have_a_scale_of_colours(runs: dict[str, Run]) -> None:
-    figure = figure_of(runs["twenty"], "error", "error")
-    assert not figure.legends
-    assert len({line.get_color() for line in lines(figure.axes[0], ".*vehicle.*")}) == 20
-    some = figure_of(runs["twenty"], "error", "error", View(vehicles=(3, 7)))
-    assert [text.get_text() for text in some.legends[0].get_texts()] == ["UUV 3", "UUV 7"]
+@pytest.mark.parametrize("kind", ["error", "velocity", "inputs", "commands", "gains"])
+def test_twenty_vehicles_are_a_band_and_three_names(kind: str, runs: dict[str, Run]) -> None:
+    for figure in pictures(runs["twenty"], [kind]).values():
+        assert isinstance(figure, Figure)
+        for ax in figure.axes:
+            assert len(lines(ax, r"twenty-vehicle-\d+")) == 3
+            assert {c.get_gid() for c in ax.collections} == {"band-all", "band-most"}
+            assert lines(ax, "median")
+        named = [text.get_text() for text in figure.legends[0].get_texts()]
+        assert named[:3] == ["median of 20", "10 to 90 %", "all"] and len(named) == 6
+    some = pictures(runs["twenty"], [kind], View(vehicles=(3, 7)))
+    figure = next(iter(some.values()))
+    assert isinstance(figure, Figure)
+    assert [text.get_text() for text in figure.legends[0].get_texts()] == ["UUV 3", "UUV 7"]
+    assert not figure.axes[0].collections
 
 
 def test_two_runs_on_one_axis(directories: dict[str, Path]) -> None:
     both = load([directories["faulty"], directories["mixed"]])
     figure = figure_of(both, "error", "error")
     (ax,) = figure.axes
-    assert [text.get_text() for text in figure.legends[0].get_texts()] == ["faulty", "mixed"]
+    assert [text.get_text() for text in figure.legends[0].get_texts()] == ["solid: faulty", "dashed: mixed"]
     assert len({line.get_color() for line in lines(ax, ".*vehicle.*")}) == 2
-    assert [text.get_text() for text in ax.texts][:1] == ["crash (faulty)"]
+    assert [text.get_text() for text in ax.texts][:1] == ["crash: kill 2 (faulty)"]
     assert set(pictures(both, ["links", "ages"])) == {"links-faulty", "links-mixed", "ages"}
     same = load([directories["faulty"], directories["faulty"]])
     assert len({run.label for run in same}) == 2
@@ -227,29 +236,32 @@ def test_track_has_east_to_the_right_and_north_up(runs: dict[str, Run]) -> None:
     assert ax.get_xlabel() == "east [m]" and ax.get_ylabel() == "north [m]"
     assert ax.get_aspect() == 1.0
     assert lines(ax, "reference") and len(lines(ax, "formation")) == 5 * 3
+    (dead,) = lines(ax, "agent dead-2")
+    k = int(np.searchsorted(runs["faulty"].log["uuv/2/state"].t, 1.0))
+    assert dead.get_xdata()[0] == runs["faulty"].log["uuv/2/state"].y[k]
+    assert lines(ax, "tumbled-2") and not lines(ax, "agent dead-1")
+    assert len(lines(ax, "place")) == 4 and len(lines(ax, "direction-1")) == 3
+    words = figure.get_supxlabel()
+    assert "agent dead: UUV 2 at 1 s" in words and "tumbled: UUV 2 at" in words
     space: Any = figure_of(runs["faulty"], "track", "track-3d").axes[0]
     low, high = space.get_zlim()
     assert low > high  # depth grows downwards
-
-
-def test_each_packet_is_a_mark_of_its_fate(runs: dict[str, Run]) -> None:
-    (ax,) = figure_of(runs["faulty"], "links", "links").axes
-    shown = {line.get_gid(): len(line.get_xdata()) for line in lines(ax, "fate-.*")}
-    log = runs["faulty"].log
-    told: dict[str, int] = {}
-    for a, b in log.links:
-        link = log[f"link/{a}-{b}"]
-        for fate, corrupted in zip(link.fate, link.corrupted, strict=True):
-            name = "corrupted" if corrupted and fate == Cause.DELIVERED else fate
-            told[f"fate-{name}"] = told.get(f"fate-{name}", 0) + 1
-    assert shown == told
-    assert {"fate-loss", "fate-partition", "fate-dead receiver", "fate-corrupted"} <= set(shown)
-    assert [label.get_text() for label in ax.get_yticklabels()][:2] == ["1→2", "2→1"]
+    below = figure_of(runs["faulty"], "track", "track-3d")
+    (told,) = re.findall(r"depth exaggerated (\d+) times|depth (to scale)", below.get_supxlabel())
+    factor = int(told[0] or 1)
+    east, north = (np.ptp(limits) for limits in (space.get_xlim(), space.get_ylim()))
+    drawn = space._box_aspect
+    assert drawn[0] / east == pytest.approx(drawn[1] / north)
+    assert drawn[2] / (low - high) == pytest.approx(factor * drawn[0] / east)
 
 
 def test_every_fate_has_a_mark_of_its_own() -> None:
     assert set(exchange.FATES) == {Cause.DELIVERED, Cause.IN_FLIGHT, exchange.CORRUPTED, *LOSSES}
     assert len({mark for mark, _ in exchange.FATES.values()}) == len(exchange.FATES)
+    assert len({colour for _, colour in exchange.FATES.values()}) == len(exchange.FATES)
+    for fate in LOSSES:  # warm, where what arrives is blue
+        red, _, blue = to_rgb(exchange.FATES[fate][1])
+        assert red > blue or fate == Cause.REPLACED
 
 
 def test_messages_in_space_and_time(runs: dict[str, Run]) -> None:
@@ -540,14 +552,6 @@ def test_ticks_of_a_logarithmic_axis(low: float, high: float, shown: str | None)
     figure.canvas.draw()
     inside = [t.label1.get_text() for t in ax.yaxis.get_major_ticks() if low <= t.get_loc() <= high]
     assert " ".join(inside) == shown if shown else all("10^" in text for text in inside)
-
-
-def test_names_of_faults_that_find_no_room_are_shortened() -> None:
-    many = [FaultInterval(f"f{n} (one run, another)", float(n), n + 0.5, "kill 1") for n in range(10)]
-    _, (ax,) = panels(1, 1)
-    ax.set_xlim(0.0, 100.0)
-    shade([ax], many)
-    assert [text.get_text() for text in ax.texts] == [f"f{n}" for n in range(10)]
 
 
 @pytest.mark.usefixtures("few")

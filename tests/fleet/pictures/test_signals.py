@@ -1,0 +1,117 @@
+"""Errors with what the checks ask, inputs within their limits, gains below their k_min."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import to_rgb
+
+from fleet.logs.open_log import FaultInterval
+from fleet.pictures import signals
+from fleet.pictures.runs import Run, View, load
+from fleet.pictures.thresholds import thresholds
+from fleet.run.execute import execute
+from fleet.run.options import Options
+from fleet.scenario.loading import load_scenario
+
+CHECKS = (
+    "checks={formation_error: {below: 50 cm, after: 3 s}, "
+    "recovery_time: {fault: crash, below: 2 s, within: 10 cm, error: formation}}"
+)
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
+    changes = ["duration=5 s", "faults=[{at: 1 s, for: 1 s, id: crash, kill: 2}]", CHECKS]
+    options = Options(tmp_path_factory.mktemp("runs"), in_process=True, quiet=True)
+    return load([execute(load_scenario("paper", changes), options).directory])[0]
+
+
+def lines(ax: Axes, gid: str) -> list[Any]:
+    return [line for line in ax.get_lines() if str(line.get_gid() or "").startswith(gid)]
+
+
+def test_the_checks_of_an_error_are_drawn_where_they_hold(run: Run) -> None:
+    (ax,) = signals.formation([run], View()).axes
+    drawn = {(*line.get_xdata(), line.get_ydata()[0]) for line in lines(ax, "check")}
+    assert drawn == {(4.0, 5.0, 0.1), (3.0, 5.0, 0.5)}
+    told = [text.get_text() for text in ax.texts if text.get_gid() == "check-name"]
+    assert told == ["check: below 0.1 m 2 s after crash", "check: below 0.5 m from 3 s"]
+    assert not lines(signals.consensus([run], View()).axes[0], "check")
+    assert not lines(signals.formation([run], View(window=(0.0, 2.0))).axes[0], "check")
+    assert len(thresholds([run, run], "formation")) == 2  # each once
+
+
+def test_limits_are_those_of_the_window(run: Run) -> None:
+    """What happened before is not on the axis."""
+    for log in (None, False):
+        (ax,) = signals.formation([run], View(log_scale=log, window=(1.5, 2.5))).axes
+        seen = [np.asarray(line.get_ydata()) for line in lines(ax, "paper-vehicle")]
+        assert ax.get_ylim()[1] < 1.6 * max(np.nanmax(values) for values in seen)
+        error = run.log["uuv/1/error"]
+        inside = (error.t >= 1.5) & (error.t <= 2.5)
+        line = lines(ax, "paper-vehicle-1")[0]
+        assert set(error.formation_norm[inside]) <= set(line.get_ydata())
+        assert len(line.get_ydata()) <= inside.sum() + 2
+
+
+def test_no_line_of_an_input_reaches_beyond_its_limit(run: Run) -> None:
+    """Not even with its width: beyond the limit every pixel is without colour."""
+    figure = signals.inputs([run], View())
+    figure.set_dpi(300)
+    canvas = FigureCanvasAgg(figure)
+    for ax in figure.axes:
+        for line in lines(ax, "bound"):
+            line.set_visible(False)
+        assert all(line.get_drawstyle() == "steps-post" for line in lines(ax, "paper-vehicle"))
+        assert lines(ax, "paper-vehicle-1-saturated")
+    canvas.draw()
+    pixels = np.asarray(canvas.buffer_rgba())[::-1, :, :3].astype(int)
+    for ax in figure.axes:
+        box = ax.get_window_extent()
+        left, right, top = int(box.x0) + 4, int(box.x1) - 4, int(box.y1) - 4
+        limit = ax.transData.transform((0.0, 20.0))[1]
+
+        def coloured(low: int, high: int, left: int = left, right: int = right) -> bool:
+            part = pixels[low:high, left:right]
+            return bool((part.max(axis=2) - part.min(axis=2) > 30).any())
+
+        assert not coloured(int(limit) + 2, top)
+        assert coloured(int(limit) - 6, int(limit))
+
+
+def test_a_gain_below_its_k_min_is_explained_there(run: Run) -> None:
+    k_min = run.log.scenario.controls[0].guidance.k_min
+    figure = signals.gains([run], View())
+    told = 0
+    for k, ax in enumerate(figure.axes):
+        gains = np.concatenate([run.log[f"uuv/{i}/guidance"]["K"][:, k] for i in run.log.vehicles])
+        words = [text.get_text() for text in ax.texts if text.get_gid() == "below-k_min"]
+        shaded = [patch for patch in ax.patches if patch.get_gid() == "below-k_min"]
+        assert bool(words) == bool(shaded) == bool(gains.min() < 0.999 * k_min)
+        told += len(words)
+        assert all("the bounds on $\\rho$ come first" in word for word in words)
+        assert all(to_rgb(patch.get_facecolor()[:3]) == to_rgb("#E69F00") for patch in shaded)
+    assert told >= 1
+
+
+def test_every_recovery_has_a_line_until_the_next_fault(run: Run) -> None:
+    text = run.log.scenario_text.replace("fault: crash", "fault: every")
+    other = Run(run.log, "other")
+    other.log.__dict__.pop("scenario", None)
+    other.log.__dict__["faults"] = [
+        FaultInterval("a", 0.5, 1.0, "kill 1"),
+        FaultInterval("b", 4.0, 4.5, "kill 2"),
+    ]
+    before, other.log.scenario_text = other.log.scenario_text, text
+    try:
+        found = [one for one in thresholds([other], "formation") if "after" in one.words]
+        assert [(one.begin, one.end) for one in found] == [(3.0, 4.0)]
+    finally:
+        other.log.scenario_text = before
+        for name in ("faults", "scenario"):
+            other.log.__dict__.pop(name, None)

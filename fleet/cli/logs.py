@@ -66,8 +66,9 @@ def plot(
 ) -> None:
     """Draw pictures of LOG (an MCAP file, or a run directory), as wide as a column of a journal.
 
-    Tracks, consensus and formation errors, velocity errors, inputs, commands and gains with their limits, every
-    packet by its fate, messages in space and time, ages of information; faults are shaded. Prints the files.
+    Tracks, consensus and formation errors with what the checks ask, velocity errors, inputs, commands and gains with
+    their limits, shares of packets by fate, messages in space and time, ages of information; faults are shaded.
+    Prints the files.
 
     \b
     Examples:

@@ -12,10 +12,10 @@ from fleet.pictures.shades import shade, union, words
 from fleet.pictures.style import COLUMN_IN, panels
 
 
-def drawn(faults: list[FaultInterval], until: float = 100.0) -> tuple[list[Text], list[str], list[tuple[float, float]]]:
+def drawn(faults: list[FaultInterval]) -> tuple[list[Text], list[str], list[tuple[float, float]]]:
     """The words above the axis, the lines that explain numbers, and the shades."""
     figure, (ax,) = panels(1, 1, COLUMN_IN)
-    ax.set_xlim(0.0, until)
+    ax.set_xlim(0.0, 100.0)
     listed = shade([ax], faults)
     figure.draw_without_rendering()
     shades = [patch.get_extents().transformed(ax.transData.inverted()) for patch in ax.patches]
@@ -27,8 +27,12 @@ def drawn(faults: list[FaultInterval], until: float = 100.0) -> tuple[list[Text]
 
 def test_shades_of_faults_that_overlap_do_not_add_up() -> None:
     """Each time is shaded once."""
-    faults = [FaultInterval("f1", 10.0, 30.0, "kill 3"), FaultInterval("f2", 20.0, 40.0, "down 1<->2"),
-              FaultInterval("tumbled-3", 25.0, 26.0, "tumbled 3"), FaultInterval("f3", 60.0, 70.0, "kill 1")]  # fmt: skip
+    faults = [
+        FaultInterval("f1", 10.0, 30.0, "kill 3"),
+        FaultInterval("f2", 20.0, 40.0, "down 1<->2"),
+        FaultInterval("tumbled-3", 25.0, 26.0, "tumbled 3"),
+        FaultInterval("f3", 60.0, 70.0, "kill 1"),
+    ]
     texts, listed, shades = drawn(faults)
     assert shades == [(10.0, 40.0), (60.0, 70.0), (25.0, 26.0)]
     assert [text.get_text() for text in texts] == ["kill 3", "down 1<->2", "tumbled 3", "kill 1"]
@@ -55,9 +59,8 @@ def test_words_of_a_fault(fault: FaultInterval, expected: str) -> None:
 
 
 def test_many_faults_are_numbered() -> None:
-    many = [
-        FaultInterval(f"f{n}", 5.0 * n, 5.0 * n + 4.0, f"link {n}<->{n + 1}: delay 300ms loss 60%") for n in range(14)
-    ]
+    what = "link {}<->9: delay 300ms loss 60%"
+    many = [FaultInterval(f"f{n}", 5.0 * n, 5.0 * n + 4.0, what.format(n)) for n in range(14)]
     texts, listed, _ = drawn(many)
     assert [text.get_text() for text in texts] == [str(n) for n in range(1, 15)]
     assert listed[0].startswith("1 link 0<->9: delay 300ms loss 60%")

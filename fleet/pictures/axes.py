@@ -128,10 +128,8 @@ def within(t: Array, values: Array, window: tuple[float, float] | None) -> Serie
     """What lies in a window, and the sample before and behind it, so that a line reaches the edges."""
     if window is None:
         return t, values
-    known = np.flatnonzero((t >= window[0]) & (t <= window[1]))
-    if not len(known):
-        return t[:0], values[:0]
-    part = slice(max(known[0] - 1, 0), known[-1] + 2)
+    before, behind = np.flatnonzero(t <= window[0]), np.flatnonzero(t >= window[1])
+    part = slice(before[-1] if len(before) else 0, behind[0] + 1 if len(behind) else len(t))
     return t[part], values[part]
 
 

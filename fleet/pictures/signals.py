@@ -6,7 +6,9 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.collections import Collection
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
 
 from fleet.logs.records import Array
@@ -122,17 +124,29 @@ def inputs(runs: Sequence[Run], view: View) -> Figure:
 
 
 def _keep_inside(ax: Axes, most: dict[str, float]) -> None:
-    """No part of a line's width lies beyond the limit that its values keep.
+    """No part of a line's width lies beyond the limit that its values keep; values that do not keep it are shown.
 
     Args:
         most: the limit of each vehicle's line by its gid; what belongs to all keeps the largest.
     """
-    for artist in [*ax.get_lines(), *ax.collections]:
+    artists: list[Line2D | Collection] = [*ax.get_lines(), *ax.collections]
+    for artist in artists:
         if artist.get_gid() == "bound":
             continue
         limit = most.get(str(artist.get_gid() or "").removesuffix(HEAVY_SUFFIX), max(most.values()))
+        if not _largest(artist) <= limit / _AT_LIMIT:
+            continue
         inside = Rectangle((0.0, -limit), 1.0, 2.0 * limit, transform=ax.get_yaxis_transform())
         artist.set_clip_path(inside)
+
+
+def _largest(artist: Line2D | Collection) -> float:
+    """The largest magnitude of what an artist draws."""
+    if isinstance(artist, Line2D):
+        heights = np.asarray(artist.get_ydata(), float)
+    else:
+        heights = np.concatenate([np.asarray(path.vertices)[:, 1] for path in artist.get_paths()] or [np.empty(0)])
+    return float(np.nanmax(np.abs(heights), initial=0.0))
 
 
 def _heavy(ax: Axes, run: Run, view: View, i: int, k: int, limit: float) -> bool:
@@ -179,16 +193,27 @@ def gains(runs: Sequence[Run], view: View) -> Figure:
         limits = [(c.guidance.k_min, c.guidance.k_max) for c in _optimal(runs, view)]
         if far := draw_bounds(ax, limits, f"bounds of K {NED[k]}", "1/s"):
             notes.append(far)
-        if limits:
-            _explain(ax, min(low for low, _ in limits))
+        if low := [found for run in runs for found in _below(run, view, k)]:
+            _explain(ax, max(low))
     finish(figure, axes, runs, notes)
     return figure
 
 
+def _below(run: Run, view: View, k: int) -> list[float]:
+    """k_min of each vehicle whose optimised gain is below it in the window; a fixed gain has no bounds."""
+    found = []
+    for i, control in _controls(run, view):
+        series = run.series(i, "guidance", "K")
+        if series is None or not _is_optimal(control):
+            continue
+        _, values = within(series[0], series[1][:, k], view.window)
+        if np.nanmin(values, initial=np.inf) < control.guidance.k_min * _AT_LIMIT:
+            found.append(control.guidance.k_min)
+    return found
+
+
 def _explain(ax: Axes, k_min: float) -> None:
-    """Shade where a gain is below its k_min, if one is, and say there why."""
-    if not ax.dataLim.y0 < k_min * _AT_LIMIT:
-        return
+    """Shade what is below k_min, and say there why a gain is."""
     low, high = ax.get_ylim()
     ax.axhspan(low, k_min, color="#E69F00", alpha=0.12, linewidth=0, zorder=0, gid="below-k_min")
     ax.set_ylim(low, high)
@@ -209,4 +234,8 @@ def _controls(run: Run, view: View) -> list[tuple[int, Control]]:
 def _optimal(runs: Sequence[Run], view: View) -> list[Control]:
     """Of the vehicles whose guidance keeps bounds."""
     found = [control for run in runs for _, control in _controls(run, view)]
-    return [control for control in found if control.cascade and control.guidance_law.name == "optimal"]
+    return [control for control in found if _is_optimal(control)]
+
+
+def _is_optimal(control: Control) -> bool:
+    return control.cascade and control.guidance_law.name == "optimal"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -115,3 +116,49 @@ def test_every_recovery_has_a_line_until_the_next_fault(run: Run) -> None:
         other.log.scenario_text = before
         for name in ("faults", "scenario"):
             other.log.__dict__.pop(name, None)
+
+
+def test_the_reason_for_a_low_gain_is_true(run: Run) -> None:
+    """Where the optimisation chose a gain below k_min, rho is at one of its bounds."""
+    guidance = run.log.scenario.controls[0].guidance
+    chosen = 0
+    for i in run.log.vehicles:
+        found = run.log[f"uuv/{i}/guidance"]
+        for k in range(3):
+            low = (found["K"][:, k] < 0.999 * guidance.k_min) & (found["qp_status"] == 1)
+            rho = found["rho"][low, k]
+            off = np.minimum(abs(rho - guidance.rho_lo[k]), abs(rho - guidance.rho_hi[k]))
+            assert off.max(initial=0.0) < 1e-6
+            chosen += int(low.sum())
+    assert chosen > 10
+
+
+def test_a_fixed_gain_has_no_k_min(tmp_path: Path) -> None:
+    """One vehicle with a fixed gain below the k_min of the others, whose own gains are above it."""
+    fixed = "per_vehicle={'1': {controller: nbc, guidance: {K0: 0.05 0.05 0.05 1/s}}}"
+    options = Options(tmp_path, in_process=True, quiet=True)
+    mixed = load([execute(load_scenario("paper", ["duration=10 s", "checks={}", fixed]), options).directory])[0]
+    assert (mixed.log["uuv/1/guidance"]["K"] == 0.05).all()
+    figure = signals.gains([mixed], View(window=(9.0, 10.0)))
+    assert not [text for ax in figure.axes for text in ax.texts if text.get_gid() == "below-k_min"]
+
+
+def test_an_input_beyond_the_limit_is_shown(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A line is cut off at a limit that it keeps, and not at one that it does not."""
+    strong = Run(run.log, "strong")
+    found = run.series(1, "command", "applied")
+    assert found is not None
+    series = strong.series
+    monkeypatch.setattr(
+        Run, "series",
+        lambda self, i, group, name: (
+            (found[0], 1.5 * found[1]) if (self is strong and (i, name) == (1, "applied")) else series(i, group, name)
+        ),
+    )  # fmt: skip
+    figure = signals.inputs([strong], View())
+    figure.draw_without_rendering()
+    ax = figure.axes[1]
+    for i, cut in ((1, False), (2, True)):
+        (line,) = [one for one in ax.get_lines() if one.get_gid() == f"strong-vehicle-{i}"]
+        top = line.get_clip_box().transformed(ax.transData.inverted()).y1
+        assert (top == pytest.approx(20.0)) == cut

@@ -65,8 +65,8 @@ def draw_thresholds(ax: Axes, asked: Sequence[Threshold]) -> None:
     shown = [one for one in asked if one.begin < last and one.end > first]
     for k, value in enumerate(sorted({one.value for one in shown})):
         same = [one for one in shown if one.value == value]
-        for one in same:
-            ax.plot([max(one.begin, first), min(one.end, last)], [value, value], color="black", linewidth=NORMAL,
+        for begin, end in _union([(max(one.begin, first), min(one.end, last)) for one in same]):
+            ax.plot([begin, end], [value, value], color="black", linewidth=NORMAL,
                     linestyle=(0, (3, 1.5)), zorder=4, gid="check")  # fmt: skip
         va, off = ("top", -2) if k == 0 and len(shown) > len(same) else ("bottom", 2)
         words = [one.words for one in same]
@@ -76,3 +76,13 @@ def draw_thresholds(ax: Axes, asked: Sequence[Threshold]) -> None:
             textcoords="offset points", ha="right", va=va, fontsize=LABEL_PT, zorder=5, gid="check-name",
             bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.7, "pad": 0.5},
         )  # fmt: skip
+
+
+def _union(spans: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
+    """The same times without overlaps: dashes drawn twice would fill each other's gaps."""
+    found: list[tuple[float, float]] = []
+    for begin, end in sorted(spans):
+        if found and begin <= found[-1][1]:
+            begin, end = found[-1][0], max(end, found.pop()[1])
+        found.append((begin, end))
+    return found

@@ -14,7 +14,8 @@ from matplotlib.colors import to_rgb
 from fleet.logs.open_log import FaultInterval
 from fleet.pictures import signals
 from fleet.pictures.runs import Run, View, load
-from fleet.pictures.thresholds import thresholds
+from fleet.pictures.style import panels
+from fleet.pictures.thresholds import Threshold, draw_thresholds, thresholds
 from fleet.run.execute import execute
 from fleet.run.options import Options
 from fleet.scenario.loading import load_scenario
@@ -162,3 +163,12 @@ def test_an_input_beyond_the_limit_is_shown(run: Run, monkeypatch: pytest.Monkey
         (line,) = [one for one in ax.get_lines() if one.get_gid() == f"strong-vehicle-{i}"]
         top = line.get_clip_box().transformed(ax.transData.inverted()).y1
         assert (top == pytest.approx(20.0)) == cut
+
+
+def test_checks_of_one_value_are_one_line() -> None:
+    """Dashes that are drawn twice fill each other's gaps."""
+    _, (ax,) = panels(1, 1)
+    ax.set_xlim(0.0, 90.0)
+    asked = [(80.0, 90.0), (65.0, 90.0), (10.0, 20.0)]
+    draw_thresholds(ax, [Threshold(0.1, begin, end, "") for begin, end in asked])
+    assert [list(line.get_xdata()) for line in lines(ax, "check")] == [[10.0, 20.0], [65.0, 90.0]]

@@ -12,7 +12,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
 
 from fleet.logs.records import Array
-from fleet.pictures.axes import Get, draw_lines, finish, over_time, within
+from fleet.pictures.axes import MOST_NAMED, Get, draw_lines, finish, over_time, within
 from fleet.pictures.axes import bounds as draw_bounds
 from fleet.pictures.bands import SMALLEST
 from fleet.pictures.runs import Run, View
@@ -118,7 +118,8 @@ def inputs(runs: Sequence[Run], view: View) -> Figure:
         elif most:
             _keep_inside(ax, most)
     if saturated:
-        notes.append("heavy: the command is at a limit")
+        many = any(len(run.vehicles(view)) > MOST_NAMED for run in runs)
+        notes.append(f"heavy: the command is at a limit{' (of the vehicles with a line)' if many else ''}")
     finish(figure, axes, runs, notes)
     return figure
 

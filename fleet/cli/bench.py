@@ -11,6 +11,7 @@ from typing import Any, TypeVar
 
 import click
 
+from fleet.cli.group import ListingGroup
 from fleet.cli.types import Numbers
 from fleet.terminal.folding import stdout
 
@@ -38,7 +39,7 @@ def _agents(default: str) -> Callable[[_F], _F]:
     )
 
 
-@click.group(invoke_without_command=True)
+@click.group(cls=ListingGroup, invoke_without_command=True)
 @_agents("4,20,100")
 @_json
 @_quick

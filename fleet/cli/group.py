@@ -18,10 +18,23 @@ EPILOG = (
     "Exit status: 0 pass, 1 a check failed, 2 usage or bad scenario, 3 the run broke, 129 terminal closed, 130 Ctrl-C."
 )
 USAGE = 2
+WHOLE = 500  # characters; no first sentence of a command is that long
 BROKEN = 3  # the exit status of an error that has none of its own: those of the network
 
 
-class FleetGroup(click.Group):
+class ListingGroup(click.Group):
+    """A group whose help has the whole first sentence of each command; click would cut it."""
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the list of the commands."""
+        found = ((name, self.get_command(ctx, name)) for name in self.list_commands(ctx))
+        rows = [(name, command.get_short_help_str(WHOLE)) for name, command in found if command and not command.hidden]
+        if rows:
+            with formatter.section("Commands"):
+                formatter.write_dl(rows)
+
+
+class FleetGroup(ListingGroup):
     """A group whose commands do not catch errors to print them: the group does."""
 
     def invoke(self, ctx: click.Context) -> Any:

@@ -189,7 +189,8 @@ def clock(do: str, value: str | None, run: str | None, as_json: bool) -> None:
     if as_json:
         print_document(ClockSet(found, **values))
         return
-    click.echo(f"{found}: {values['clock']}, t = {values['at_s']:.2f} s")
+    onward = "; fleet clock resume goes on" if values["clock"] == "paused" else ""
+    click.echo(f"{found}: {values['clock']}, t = {values['at_s']:.2f} s{onward}")
 
 
 @click.command()

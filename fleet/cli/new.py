@@ -10,6 +10,7 @@ from pathlib import Path
 import click
 
 from fleet.cli.completion import scenarios
+from fleet.cli.group import ListingGroup
 from fleet.errors import FleetError
 
 KINDS = ("controller", "guidance", "tracking", "agent")
@@ -39,7 +40,7 @@ class NewFileError(FleetError):
     """The files cannot be written."""
 
 
-@click.group()
+@click.group(cls=ListingGroup)
 def new() -> None:
     """Begin something of your own from a template."""
 

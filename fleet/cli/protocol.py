@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from fleet.cli.completion import scenarios
+from fleet.cli.group import ListingGroup
 from fleet.cli.trust import TrustingCommand, trust_option
 from fleet.cli.types import Duration
 
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
 _CHECK = "Exit status: 0 every check passed, 1 one did not, 2 usage, or nobody came, 129 terminal closed, 130 Ctrl-C."
 
 
-@click.group(invoke_without_command=True)
+@click.group(cls=ListingGroup, invoke_without_command=True)
 @click.pass_context
 def protocol(context: click.Context) -> None:
     """Print the wire protocol page (Markdown), for whoever writes an agent in another language; or check one.

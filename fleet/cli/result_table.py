@@ -29,9 +29,9 @@ def show(result: Result, terminal: Terminal) -> None:
     most = terminal.width if terminal.is_terminal else None
 
     def say(text: str, style: str = "", mark: str = "") -> None:
-        """A line, folded on a terminal, with a styled mark before it."""
-        mark += "  " if mark else ""
-        line = Text(fold(mark + text, most, " " * len(mark) or INDENT))
+        """A line, folded on a terminal, with a styled mark before it; a mark that is no sentence makes a column."""
+        mark += "" if not mark else " " if mark.endswith(":") else "  "
+        line = Text(fold(mark + text, most, INDENT if mark.endswith(": ") else " " * len(mark) or INDENT))
         line.stylize(style, 0, len(mark))
         terminal.print(line, soft_wrap=True)
 
@@ -40,7 +40,7 @@ def show(result: Result, terminal: Terminal) -> None:
     if len(values["vehicles"]) > 1:
         say(f"formation error at the end: {WorstAndMedian(**values['formation'])}")
     if any(account["sent"] for account in values["ledger"].values()):
-        _show_links(values["ledger"], values["ages"], terminal, say)
+        _show_links(values["ledger"], values["ages"], values["from_s"], terminal, say)
     for verdict in result.verdicts:
         style, mark = ("green", "pass") if verdict.passed else ("red", "FAIL")
         say(f"{verdict.check}: {verdict.asked}; found {verdict.found}", style, mark)
@@ -89,7 +89,9 @@ def _show_vehicles(rows: dict[str, dict[str, float | None]], from_s: float, term
     _tell_more(len(rows) - len(shown), say)
 
 
-def _show_links(rows: dict[str, Any], ages: dict[str, dict[str, float]], terminal: Terminal, say: Say) -> None:
+def _show_links(
+    rows: dict[str, Any], ages: dict[str, dict[str, float]], from_s: float, terminal: Terminal, say: Say
+) -> None:
     """Packets and ages of the links: of all, or of those with the oldest information; columns of zeros are left out.
 
     Where there is no room for every cause of a loss, one column has their sum.
@@ -125,7 +127,8 @@ def _show_links(rows: dict[str, Any], ages: dict[str, dict[str, float]], termina
     merged = len(causes) > 1 and width([column for column in wanted if column.rank != _P95]) > terminal.width
     if merged:
         wanted = columns(counts("lost", _losses(*causes)))
-    title = "packets per directed link, age of what was heard last"
+    since = " since t = 0" if from_s else ""  # the ledger goes on, too, as what was on the way then must balance
+    title = f"packets per directed link{since}, age of what was heard last"
     table.show(wanted, title, terminal, "see result.json")
     _tell_more(len(rows) - len(shown), say)
     if merged:

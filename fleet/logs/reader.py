@@ -23,6 +23,7 @@ LOST = "lost"  # key in this record: text that says what is lost
 GAPS = "gaps"  # key in this record: numbers (from 0) of the messages before which data is lost
 MOST_KEPT = 256 << 20  # limit [bytes] for attachments, schemas, channels and metadata together
 _MOST_SCENARIO = 4_000_000  # bytes
+_WHAT_IT_IS = "a log is an MCAP file, or the directory of a run, such as runs/latest; fleet ls lists them"
 _ENTRY = 256  # estimated memory [bytes] of one entry of metadata, in addition to its text
 Tell = Callable[[float], None]  # progress callback: gets the fraction of the file that was read, 0 to 1
 
@@ -178,8 +179,13 @@ def digest(path: Path, tell: Tell = lambda _: None) -> str:
 
 
 def log_path(path: Path) -> Path:
-    """The path of a log file; `path` is the file itself or the directory of its run."""
-    return path / "run.mcap" if path.is_dir() else path
+    """The path of a log file; `path` is the file itself or the directory of its run.
+
+    A link such as `runs/latest` gives the run that it leads to now, since it leads to another one after the next run.
+    """
+    if not path.is_dir():
+        return path
+    return (path.parent / path.readlink() if path.is_symlink() else path) / "run.mcap"
 
 
 def open_file(path: Path) -> IO[bytes]:
@@ -213,7 +219,7 @@ def open_any(path: Path) -> IO[bytes]:
             raise LogReadError(f"cannot read {path}: it is no file")
         return path.open("rb")
     except FileNotFoundError as error:
-        raise LogReadError(_without_log(path) or f"cannot read {path}: {error.strerror}") from error
+        raise LogReadError(_without_log(path) or f"cannot read {path}: {error.strerror}; {_WHAT_IT_IS}") from error
     except OSError as error:
         raise LogReadError(f"cannot read {path}: {error.strerror}") from error
 

@@ -164,7 +164,7 @@ def _serve(run: _Run) -> None:
     except KeyboardInterrupt:
         result.status, result.reason = Status.INTERRUPTED, "interrupted"
     except StoppedError:
-        result.status, result.reason = Status.INTERRUPTED, "stopped by the operator"
+        result.status, result.reason = Status.INTERRUPTED, "the operator asked for it"
     finally:
         run.wall_s = time.monotonic() - began
         run.publication.close()

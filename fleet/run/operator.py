@@ -104,14 +104,15 @@ class Operator:
         if tick >= self.scenario.ticks:
             raise RefusedError("the run is about to end", BROKEN)
         if not isinstance(entry, dict) or "at" in entry:
-            raise RefusedError("expected a fault without a time: it acts now")
+            raise RefusedError("expected a fault without at: it begins now")
         try:
             section = _ENTRY.validate_python(entry | {"at": f"{tick * self.scenario.tick_ns} ns"})
         except ValidationError as error:
             first = error.errors(include_url=False)[0]
             said = str(first.get("ctx", {}).get("message", first["msg"]))
+            hint = first.get("ctx", {}).get("hint", "")
             where = ".".join(str(step) for step in first["loc"] if step != "[key]")
-            raise RefusedError(f"{where}: {said[:1].lower()}{said[1:]}") from None
+            raise RefusedError(f"{where}: {said[:1].lower()}{said[1:]}{f'; {hint}' if hint else ''}") from None
         problem = next(fault_problems(section, self.scenario.spec, self.scenario.graph.links), None)
         if problem is not None:
             raise RefusedError(str(problem))

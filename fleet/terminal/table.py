@@ -62,9 +62,13 @@ def show(wanted: Sequence[Column], title: str, terminal: Terminal, elsewhere: st
     """
     from rich.markup import escape
     from rich.table import Table
+    from rich.text import Text
 
+    most = terminal.width if terminal.is_terminal else None
     kept = fitting(wanted, terminal.width)
-    made = Table(title=title, title_justify="left", box=None, pad_edge=False)
+    # Not the title of the Table: that is folded to the width of the columns.
+    terminal.print(Text(fold(title, most), "table.title"), soft_wrap=True)
+    made = Table(box=None, pad_edge=False)
     for column in kept:
         made.add_column(escape(column.heading), justify=column.justify, vertical="bottom", overflow="fold")
     for row in zip(*(column.cells for column in kept), strict=True):
@@ -72,5 +76,4 @@ def show(wanted: Sequence[Column], title: str, terminal: Terminal, elsewhere: st
     terminal.print(made)
     if left := [column.heading.replace("\n", " ") for column in wanted if column not in kept]:
         text = f"no room here for {', '.join(left)}: {elsewhere}"
-        most = terminal.width if terminal.is_terminal else None
         terminal.print(fold(text, most), markup=False, highlight=False, soft_wrap=True)

@@ -133,7 +133,7 @@ def test_what_cannot_be_injected_is_refused_in_words(tmp_path: Path) -> None:
         assert tool(out, "stop").returncode == 0
         assert live.status(20.0) == 130
         live.until_nobody_is_left()
-        assert "stopped by the operator" in live.said
+        assert "stopped: the operator asked for it" in live.said
     done = tool(out, "status")
     assert (done.returncode, "is no live run" in done.stderr) == (3, True)
 

@@ -41,3 +41,10 @@ def test_an_argument_with_bytes_that_are_no_text() -> None:
     result = CliRunner().invoke(cli, ["check", "paper", "--set", "name=\udcff"])
     assert isinstance(result.exception, SystemExit), result.exception
     assert result.exit_code == 2 and "Traceback" not in result.output
+
+
+@pytest.mark.parametrize("group", [(), ("new",), ("bench",), ("protocol",)])
+def test_no_sentence_in_a_list_of_commands_is_cut(group: tuple[str, ...]) -> None:
+    result = CliRunner().invoke(cli, [*group, "--help"], env={"COLUMNS": "80"})
+    listed = result.stdout.split("\nCommands:\n")[1].splitlines()
+    assert [line for line in listed if line.endswith("...") or len(line) > 80] == []

@@ -52,7 +52,7 @@ CASES: list[tuple[list[str], type[msgspec.Struct], str]] = [
     (["inject", "mute", "3"], Injected, "live-1: mute 3, from t = 12.40 s until 22.40 s"),
     (["faults"], Faults, "1 fault\nlive-1      12.40 s to 22.40 s      active   mute 3"),
     (["heal"], Healed, "healed live-1 at t = 13.00 s"),
-    (["clock", "pause"], ClockSet, "paused, t = 2.00 s"),
+    (["clock", "pause"], ClockSet, "paused, t = 2.00 s; fleet clock resume goes on"),
     (["stop"], Stopping, "stopping at t = 3.00 s"),
 ]
 

@@ -95,7 +95,19 @@ def test_many_vehicles_and_links_show_the_worst() -> None:
 def test_a_continuation_counts_from_its_start() -> None:
     text = shown(result(from_s=20.0), 120, live=False)
     assert text.startswith("vehicles; settling times count from the start at t = 20 s\n")
+    assert "\npackets per directed link since t = 0, age of what was heard last\n" in text
     assert "80 s simulated, t = 20 to 100 s, in 4.35 s (23.0 x real time" in text
+
+
+def test_a_title_is_not_folded_to_a_narrow_table() -> None:
+    clean = {"1->2": account({}) | {"duplicated": 0, "in_flight": 0, "corrupted": 0}}
+    assert "\npackets per directed link, age of what was heard last\n" in shown(result(ledger=clean), 80)
+
+
+def test_a_run_that_was_stopped_says_so_in_one_sentence() -> None:
+    stopped = result()
+    stopped.status, stopped.reason = Status.INTERRUPTED, "interrupted"
+    assert "\nstopped: interrupted\n" in shown(stopped, 80)
 
 
 def test_every_loss_is_counted_where_there_is_no_room_for_each_cause() -> None:

@@ -91,10 +91,7 @@ class AgentLoop:
             memory: the `state` of its Memory message.
             anew: the core begins without memory: only deliveries that were not due yet are taken.
         """
-        state, deliveries = msgpack.unpackb(memory)
-        if not anew:
-            self.core.restore(state)
-        self._deliveries = [Delivery(*delivery) for delivery in deliveries]
+        self._deliveries = restore(None if anew else self.core, memory)
 
     def nav(self, nav: Nav) -> list[Answer]:
         """Take the nav of the next tick, or of a later one when the agent was suspended in between.
@@ -170,3 +167,19 @@ class AgentLoop:
         if incarnation > self.incarnation:
             raise OutOfPlace("incarnation", self.incarnation, incarnation)
         return incarnation == self.incarnation
+
+
+def restore(core: AgentCore | None, memory: bytes) -> list[Delivery]:
+    """Give an agent core what another one remembered.
+
+    Args:
+        core: None: nobody takes it.
+        memory: the `state` of a Memory message.
+
+    Returns:
+        The deliveries in it: those that were not due yet.
+    """
+    state, deliveries = msgpack.unpackb(memory)
+    if core is not None:
+        core.restore(state)
+    return [Delivery(*delivery) for delivery in deliveries]

@@ -1,6 +1,6 @@
 """`fleet whatif`: what one vehicle's agent would have commanded, had it been another.
 
-A fresh agent is given the navigation and the inbox that the recorded one had, sample by sample: open loop, since the
+A fresh agent, or in a run that goes on from another one with its memory, is given the navigation and the inbox that the recorded one had, sample by sample: open loop, since the
 vehicle went where the recorded commands sent it. With nothing changed it commands the same to the last bit.
 """
 
@@ -17,13 +17,16 @@ from msgspec.structs import astuple
 from agents.agent import Agent, make_agent
 from agents.controllers import BUILT_IN, laws
 from agents.errors import AgentError
+from agents.loop import restore
 from agents.plugged_agent import PluggedAgent
 from agents.plugins.loading import admit
 from agents.plugins.trust import NOTHING, Permission, Trust
 from fleet.errors import FleetError
 from fleet.logs.decoder import Decoder
 from fleet.logs.reader import LogReader, Tell, log_path
+from fleet.recorder.snapshot import Start
 from fleet.repeat.recorded_run import recorded as read
+from fleet.repeat.resume import start_of
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.trust import A_LOG, Policy
 from netem.lives import Lives
@@ -107,12 +110,23 @@ def what_if(
         scenario.layout(agent)
     except AgentError as error:
         raise WhatIfError(f"{path}: {error}") from None
-    navs, commands, deliveries = _read(path, agent, scenario.tick_ns, progress)
+    navs, commands, deliveries, start = _read(path, agent, scenario.tick_ns, progress)
     if not navs:
         raise WhatIfError(f"{path} has no navigation of agent {agent}")
+    memory = None if start is None or navs[0][0] != start.snapshot.tick else start.snapshot.memories.get(agent)
+    same = _law(scenario, agent) == _law(recorded, agent)
+    keeps = same and start is not None and agent not in start.anew
+    if memory is not None:  # it waits for what was on the way, which is in the log, too, beside what it had heard
+        heard = [delivery for delivery in deliveries if delivery.due_tick >= navs[0][0]]
+        due_later = {astuple(delivery): delivery for delivery in [*restore(None, memory), *heard]}
+        deliveries = [due_later[key] for key in sorted(due_later)]
     lives = Lives(recorded.faults.absences)
     begins = [0, *(end for _, end in lives.gaps(agent) if end is not None)]
     result = _Answers()
+    if memory is not None and not same:
+        result.notes.append(
+            f"the log begins at t = {navs[0][0] * scenario.tick_ns / 1e9:g} s; the other agent has no memory then"
+        )
     if agent in recorded.external:
         result.notes.append(f"vehicle {agent} is external: what was recorded is what somebody else's agent commanded")
     core: Agent | PluggedAgent | None = None
@@ -121,7 +135,10 @@ def what_if(
         incarnation = lives.incarnation(agent, tick)
         if core is None or incarnation != life:
             try:
+                first = core is None
                 core, life = make_agent(scenario.agent_config(agent)), incarnation
+                if first and memory is not None and keeps:
+                    restore(core, memory)
             except AgentError as error:
                 raise LawFailedError(str(error)) from None
             # What fell due before was for the life before, or for none.
@@ -156,6 +173,11 @@ def what_if(
     )
 
 
+def _law(scenario: Scenario, agent: int) -> object:
+    """What must be the same for an agent to take the memory of another."""
+    return laws(scenario.controls[agent - 1]), scenario.graph.links
+
+
 @dataclass(slots=True)
 class _Answers:
     ticks: list[int] = field(default_factory=list)
@@ -167,8 +189,8 @@ class _Answers:
 
 def _read(
     path: Path, agent: int, tick_ns: int, tell: Tell
-) -> tuple[list[tuple[int, tuple[float, ...]]], dict[int, tuple[float, ...]], list[Delivery]]:
-    """(tick, measured eta and nu) of every sample; the commands by tick; what was delivered, in order."""
+) -> tuple[list[tuple[int, tuple[float, ...]]], dict[int, tuple[float, ...]], list[Delivery], Start | None]:
+    """(tick, measured eta and nu) of every sample; commands by tick; what was delivered, in order; where it began."""
     navs: list[tuple[int, tuple[float, ...]]] = []
     commands: dict[int, tuple[float, ...]] = {}
     deliveries: list[Delivery] = []
@@ -188,4 +210,4 @@ def _read(
                 src = int(record.topic.removeprefix("link/").split("-")[0])
                 sent = record.publish_ns // tick_ns
                 deliveries.append(Delivery(record.log_ns // tick_ns, sent, src, m.seq, m.copy, m.payload))
-    return navs, commands, sorted(deliveries, key=astuple)
+    return navs, commands, sorted(deliveries, key=astuple), start_of(reader)

@@ -14,6 +14,7 @@ from fault_histories import EVERYTHING
 
 from fleet.cli.main import cli
 from fleet.errors import ScenarioError
+from fleet.repeat.resume import continuation
 from fleet.repeat.what_if import WhatIfError, what_if
 from fleet.run.execute import Status, execute
 from fleet.run.options import Options
@@ -104,3 +105,15 @@ def test_the_picture(tmp_path: Path) -> None:
     )
     assert result.exit_code == 0, result.output
     assert "surge force [N]" in picture.read_text()
+
+
+def test_of_a_run_that_goes_on_from_another_nothing_changed_is_identical(tmp_path: Path) -> None:
+    whole = run(tmp_path, "paper", "duration=3 s", "log.snapshot=1 s", LINKS)
+    for overrides in ([], ["controller=bsmc"]):  # with its memory; without
+        scenario, start = continuation(whole, 1_000_000_000, overrides)
+        later = execute(scenario, Options(tmp_path, in_process=True, quiet=True, start=start)).directory
+        for agent in (1, 3):
+            found = what_if(later, agent)
+            assert (found.identical, found.first_s, len(found.t), found.notes) == (True, None, 200, [])
+    other = what_if(later, 3, ["controller=nboc"])
+    assert (other.first_s, other.notes) == (1.0, ["the log begins at t = 1 s; the other agent has no memory then"])

@@ -1,7 +1,8 @@
 """`fleet whatif`: what one vehicle's agent would have commanded, had it been another.
 
-A fresh agent, or in a run that goes on from another one with its memory, is given the navigation and the inbox that the recorded one had, sample by sample: open loop, since the
-vehicle went where the recorded commands sent it. With nothing changed it commands the same to the last bit.
+A fresh agent is given the navigation and the inbox that the recorded one had, sample by sample: open loop, since the
+vehicle went where the recorded commands sent it. Where the run goes on from another, it begins with the memory that the
+recorded one had then. With nothing changed it commands the same to the last bit.
 """
 
 from __future__ import annotations

@@ -21,6 +21,8 @@ SIZES = Numbers(1, 1000, "4,20,100", whole=True)
 
 def _writable(_: click.Context, __: click.Parameter, path: Path | None) -> Path | None:
     """Refuse a file that cannot be written before an hour of measuring, not after it."""
+    if path is not None and path.name.startswith("-"):
+        raise click.BadParameter(f"expected the file to write, got the option {path}")
     if path is not None and (path.is_dir() or not os.access(path if path.exists() else path.parent, os.W_OK)):
         raise click.BadParameter(f"{path} cannot be written: it is a directory, is in none, or is not yours")
     return path

@@ -66,6 +66,8 @@ def continuation(
             f"vehicle {vehicles} is external in {source.path}: what its agent remembers is its own affair and not in "
             "the log, so nothing can go on from there"
         )
+    if at_ns is not None and at_ns > recorded.duration_ns:
+        raise SnapshotError(f"{source.path} ends at {show_time(recorded.duration_ns)}, got {show_time(at_ns)}")
     snapshot = find(path, at_ns, tell)
     at = show_time(snapshot.tick * recorded.tick_ns)
     for what, ours, theirs in (

@@ -112,6 +112,8 @@ def test_a_run_that_does_not_end_is_one_line(
 def test_a_directory_is_no_file_for_figures() -> None:
     result = CliRunner().invoke(cli, ["bench", "--quick", "--json", ""])
     assert result.exit_code == 2 and "cannot be written: it is a directory" in result.stderr
+    result = CliRunner().invoke(cli, ["bench", "--quick", "--json", "--help"])
+    assert result.exit_code == 2 and "expected the file to write, got the option --help" in result.stderr
 
 
 @pytest.mark.slow

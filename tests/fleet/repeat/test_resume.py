@@ -155,6 +155,7 @@ def test_what_cannot_go_on_says_why(module: Callable[[str], str], tmp_path: Path
         (f"{first}@400ms", [], "the first is at 500 ms"),
         (without, [], "it ended before the first, or has log.snapshot: 0 s"),
         (forgetful, [], f"{law}:Law has no state() and restore()"),
+        (f"{first}@30s", [], "ends at 1 s, got 30 s"),
         (f"{first}@soon", [], "as in runs/latest@20s"),
         (first, ["vehicles=5"], "the number of vehicles cannot change"),
         (first, ["graph.shape=ring"], "the links of the graph cannot change"),

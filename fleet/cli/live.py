@@ -93,10 +93,11 @@ def inject(what: tuple[str, ...], run: str | None, lasts: str | None, name: str 
     from fleet.scenario.text.fault_words import read_fault
 
     fault = read_fault(" ".join(what))
-    if lasts is not None:
-        fault["for"] = lasts
-    if name is not None:
-        fault["id"] = name
+    for key, value in (("for", lasts), ("id", name)):
+        if value is not None and key in fault:
+            raise click.UsageError(f"--{key} {value}: the fault says {key} {fault[key]} already; give one of them")
+        if value is not None:
+            fault[key] = value
     from fleet.cli.documents.live import Injected
 
     found, values = _ask(run, "inject", fault=fault)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 from click.shell_completion import get_completion_class
@@ -13,7 +13,11 @@ from fleet.cli import completion
 from fleet.cli.documents.output import json_option, print_document
 from fleet.cli.log_argument import log_argument
 
+if TYPE_CHECKING:
+    from fleet.run.connection import LiveRun
+
 F = TypeVar("F", bound=Callable[..., Any])
+D = TypeVar("D")
 
 
 def which(command: F) -> F:
@@ -27,12 +31,28 @@ def which(command: F) -> F:
     )(command)
 
 
-def _ask(run: str | None, op: str, **fields: Any) -> tuple[str, dict[str, Any]]:
-    """The run's name, and its answer."""
-    from fleet.run.connection import ask, find
+def _ask(kind: type[D], run: str | None, op: str, **fields: Any) -> D:
+    """The answer of the run that is meant, with its name. Errors as `answer`."""
+    from fleet.run.connection import find
 
-    found = find(run)
-    return found.name, ask(found, op, **fields)
+    return answer(kind, find(run), op, **fields)
+
+
+def answer(kind: type[D], found: LiveRun, op: str, **fields: Any) -> D:
+    """The answer of a run as a document of this kind.
+
+    Raises:
+        RemoteError: it does not answer in time, refuses, or answers something else.
+    """
+    import msgspec
+
+    from fleet.run.connection import RemoteError, ask
+
+    values = {"run": found.name, "directory": str(found.directory), **ask(found, op, **fields)}
+    try:
+        return msgspec.convert(values, kind)
+    except msgspec.ValidationError as error:
+        raise RemoteError(f"{found.name} answers as another version of uuv-fleet does: {error}") from None
 
 
 @click.command()
@@ -93,20 +113,21 @@ def inject(what: tuple[str, ...], run: str | None, lasts: str | None, name: str 
     from fleet.scenario.text.fault_words import read_fault
 
     fault = read_fault(" ".join(what))
-    if lasts is not None:
-        fault["for"] = lasts
-    if name is not None:
-        fault["id"] = name
+    for key, value in (("for", lasts), ("id", name)):
+        if value is not None and key in fault:
+            raise click.UsageError(f"--{key} {value}: the fault says {key} {fault[key]} already; give one of them")
+        if value is not None:
+            fault[key] = value
     from fleet.cli.documents.live import Injected
 
-    found, values = _ask(run, "inject", fault=fault)
+    found = _ask(Injected, run, "inject", fault=fault)
     if as_json:
-        print_document(Injected(found, **values))
+        print_document(found)
         return
-    until = f"until {values['to_s']:.2f} s"
-    if values["until_healed"]:
-        until = f"until healed, at the latest the end at {values['to_s']:g} s"
-    click.echo(f"{found}: {values['id']}: {values['what']}, from t = {values['from_s']:.2f} s {until}")
+    until = f"until {found.to_s:.2f} s"
+    if found.until_healed:
+        until = f"until healed, at the latest the end at {found.to_s:g} s"
+    click.echo(f"{found.run}: {found.id}: {found.what}, from t = {found.from_s:.2f} s {until}")
 
 
 @click.command()
@@ -119,16 +140,13 @@ def faults(run: str | None, as_json: bool) -> None:
     Examples:
       fleet faults
     """
-    import msgspec
-
     from fleet.cli.documents.live import Faults
 
-    name, values = _ask(run, "faults")
-    document = msgspec.convert({"run": name, **values}, Faults)
+    document = _ask(Faults, run, "faults")
     if as_json:
         print_document(document)
         return
-    click.echo(f"{name}: {len(document.faults) or 'no'} fault{'' if len(document.faults) == 1 else 's'}")
+    click.echo(f"{document.run}: {len(document.faults) or 'no'} fault{'' if len(document.faults) == 1 else 's'}")
     for fault in document.faults:
         until = "until healed" if fault.until_healed else f"to {fault.to_s:.2f} s"
         times = f"{fault.from_s:.2f} s {until}"
@@ -149,11 +167,11 @@ def heal(name: str | None, run: str | None, as_json: bool) -> None:
     """
     from fleet.cli.documents.live import Healed
 
-    found, values = _ask(run, "heal", id=name)
+    found = _ask(Healed, run, "heal", id=name)
     if as_json:
-        print_document(Healed(found, **values))
+        print_document(found)
         return
-    click.echo(f"{found}: healed {', '.join(values['healed']) or 'nothing'} at t = {values['at_s']:.2f} s")
+    click.echo(f"{found.run}: healed {', '.join(found.healed) or 'nothing'} at t = {found.at_s:.2f} s")
 
 
 @click.command()
@@ -185,12 +203,12 @@ def clock(do: str, value: str | None, run: str | None, as_json: bool) -> None:
         raise click.BadParameter(f"expected a number above 0, got {value!r}", param_hint="VALUE") from None
     from fleet.cli.documents.live import ClockSet
 
-    found, values = _ask(run, "clock", do=do, value=number)
+    found = _ask(ClockSet, run, "clock", do=do, value=number)
     if as_json:
-        print_document(ClockSet(found, **values))
+        print_document(found)
         return
-    onward = "; fleet clock resume goes on" if values["clock"] == "paused" else ""
-    click.echo(f"{found}: {values['clock']}, t = {values['at_s']:.2f} s{onward}")
+    onward = "; fleet clock resume goes on" if found.clock == "paused" else ""
+    click.echo(f"{found.run}: {found.clock}, t = {found.at_s:.2f} s{onward}")
 
 
 @click.command()
@@ -205,11 +223,11 @@ def stop(run: str | None, as_json: bool) -> None:
     """
     from fleet.cli.documents.live import Stopping
 
-    found, values = _ask(run, "stop")
+    found = _ask(Stopping, run, "stop")
     if as_json:
-        print_document(Stopping(found, **values))
+        print_document(found)
         return
-    click.echo(f"{found}: stopping at t = {values['at_s']:.2f} s")
+    click.echo(f"{found.run}: stopping at t = {found.at_s:.2f} s")
 
 
 @click.command()

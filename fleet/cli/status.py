@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from fleet.cli.documents.output import json_option, print_document
-from fleet.cli.live import which
+from fleet.cli.live import answer, which
 from fleet.terminal.folding import stdout
 
 if TYPE_CHECKING:
@@ -54,13 +54,9 @@ def status(run: str | None, watch: bool, every: bool, as_json: bool) -> None:
 
 
 def _status(found: LiveRun, every: bool) -> Status:
-    import msgspec
-
     from fleet.cli.documents.live import Status
-    from fleet.run.connection import ask
 
-    values = ask(found, "status", all=every)
-    return msgspec.convert({"run": found.name, "directory": str(found.directory), **values}, Status)
+    return answer(Status, found, "status", all=every)
 
 
 def watch_run(found: LiveRun, every: bool, terminal: Console) -> None:

@@ -23,7 +23,7 @@ from typing import Any
 
 import setproctitle
 
-from fleet.processes.interrupts import blocked
+from fleet.processes.interrupts import blocked, deferring_interrupts
 from fleet.processes.parent_death import CONSOLE_PID_VARIABLE
 from netem.errors import BusError
 
@@ -85,6 +85,7 @@ class Children:
         Raises:
             TimeoutError: the fork server did not answer, and was ended.
             OSError, EOFError: the fork server has ended, or there is no room for another process.
+            KeyboardInterrupt: it came meanwhile; the process was started.
         """
         assert threading.current_thread() is threading.main_thread(), "PDEATHSIG follows the forking thread"
         # Or the forkserver, a `python -c`, would import a `socket.py` in the current directory in place of Python's.
@@ -93,12 +94,15 @@ class Children:
         process = self._context.Process(
             target=_child, args=(title, str(log_path), target, args), name=role, daemon=True
         )
-        # The forkserver starts this one first, which lifts the block of SIGINT set below.
-        with blocked(signal.SIGHUP):
-            resource_tracker.ensure_running()
-        with _without_main(), blocked(signal.SIGINT, signal.SIGHUP), _bounded_wait(), _named_console():
-            process.start()
-        self.by_role[role] = Child(role, process, log_path)
+        # A process that is there is known, and so will be ended, before an interrupt is raised. The block alone does
+        # not see to that: another thread may take the signal, and then Python raises in this one.
+        with deferring_interrupts():
+            # The forkserver starts this one first, which lifts the block of SIGINT set below.
+            with blocked(signal.SIGHUP):
+                resource_tracker.ensure_running()
+            with _without_main(), blocked(signal.SIGINT, signal.SIGHUP), _bounded_wait(), _named_console():
+                process.start()
+            self.by_role[role] = Child(role, process, log_path)
 
     def watch(self) -> None:
         """Begin to call `on_exit`, also for processes that are started later."""

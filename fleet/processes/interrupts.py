@@ -43,6 +43,18 @@ def holding_interrupts() -> Iterator[Callable[[], KeyboardInterrupt | None]]:
 
 
 @contextmanager
+def deferring_interrupts() -> Iterator[None]:
+    """Within this block the signals raise nothing; the first that came is raised behind it."""
+    received: list[int] = []
+    try:
+        with _handling(lambda number, _: received.append(number)):
+            yield
+    finally:
+        if received:
+            signal.raise_signal(received[0])
+
+
+@contextmanager
 def blocked(*signals: signal.Signals) -> Iterator[None]:
     """Start processes that signals to the whole group do not reach, because they inherit the mask of this thread.
 

@@ -15,6 +15,7 @@ import msgpack
 
 from fleet.errors import RunBroken, StoppedError
 from fleet.processes.children import Children
+from fleet.processes.interrupts import deferring_interrupts
 from fleet.recorder.journal import Journal
 from fleet.run.accounts import lost_messages
 from fleet.run.clock import Clock, LiveClock
@@ -128,7 +129,8 @@ class Console:
                 raise
             self.closing = self._close()
         finally:
-            self._clean_up()
+            with deferring_interrupts():  # or processes would stay, and an open session would keep us from ending
+                self._clean_up()
 
     # The stages of a run.
 

@@ -84,15 +84,16 @@ class RunDirectory:
 
     def write_scenario(self, text: str) -> None:
         """Write the merged scenario, and lock it until `close`. Raises RunDirectoryError: there is no room."""
-        path = self.path / SCENARIO
+        path, unlocked = self.path / SCENARIO, self.path / f".{SCENARIO}"
         try:
-            path.write_text(text, "utf-8")
-            self._scenario = path.open("ab")
+            unlocked.write_text(text, "utf-8")
+            self._scenario = unlocked.open("ab")
+            with suppress(OSError):
+                fcntl.flock(self._scenario, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                self.locked = True
+            unlocked.rename(path)  # only now: who finds it without a lock takes the run for a dead one
         except OSError as error:
             raise RunDirectoryError(f"cannot write {path}", error) from error
-        with suppress(OSError):
-            fcntl.flock(self._scenario, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            self.locked = True
 
     def close(self) -> None:
         """Release the lock: the run is over."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import pty
@@ -9,6 +10,7 @@ import signal
 import subprocess
 import sys
 import threading
+from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -21,6 +23,9 @@ from fleet.logs.reader import LogReader
 from fleet.processes import children
 from fleet.processes.children import Children
 from fleet.processes.interrupts import DeferInterrupts, HungUp, holding_interrupts
+from fleet.run.execute import Status, execute
+from fleet.run.options import Options
+from fleet.scenario.loading import load_scenario
 
 FLEET = [sys.executable, "-m", "fleet"]
 LONG = ["--duration", "60 s", "--speed", "5"]
@@ -92,6 +97,49 @@ def test_nothing_starts_behind_a_suspended_fork_server(tmp_path: Path, monkeypat
 
 def _wait() -> None:
     threading.Event().wait()
+
+
+# --- Ctrl-C while processes are started and ended -------------------------------
+
+
+def test_a_process_that_is_started_when_ctrl_c_comes_is_known(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Who is to end the processes knows it by then."""
+    named = children._named_console
+
+    @contextlib.contextmanager
+    def named_and_interrupted() -> Iterator[None]:
+        with named():
+            yield
+        signal.raise_signal(signal.SIGINT)
+
+    monkeypatch.setattr(children, "_named_console", named_and_interrupted)
+    ours = Children(lambda _: None)
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            ours.start("one", "fleet one [test]", tmp_path / "one.log", _wait)
+        process = psutil.Process(ours.by_role["one"].pid)
+    finally:
+        ours.stop()
+    assert gone(process)
+
+
+def test_ctrl_c_while_a_run_ends_its_processes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """They are ended all the same, and the command ends: an open session would keep it for ever."""
+    started: list[psutil.Process] = []
+    stop = Children.stop
+
+    def interrupted(self: Children) -> None:
+        started.extend(psutil.Process(child.pid) for child in self.by_role.values())
+        signal.raise_signal(signal.SIGINT)
+        stop(self)
+
+    monkeypatch.setattr(Children, "stop", interrupted)
+    scenario = load_scenario("paper", ["duration=100 ms", "checks={}"])
+    result = execute(scenario, Options(tmp_path, quiet=True))
+    assert (result.status, result.reason) == (Status.INTERRUPTED, "interrupted")
+    assert len(started) == 6
+    assert all(gone(process) for process in started)
+    assert not (result.directory / "connection.json").exists()
 
 
 # --- a terminal that closes ---------------------------------------------------

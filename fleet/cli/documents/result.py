@@ -189,7 +189,10 @@ class Ran(Struct):
     python: Annotated[str, Meta(description="Version of Python.")]
     wall: Annotated[Wall, Meta(description="Wall times.")]
     rejected: Annotated[dict[str, int], Meta(description="Messages that were refused, by key.")]
-    deaths: Annotated[dict[str, str], Meta(description="How agents ended that no fault killed, by vehicle.")]
+    deaths: Annotated[
+        dict[str, list[str]],
+        Meta(description="By vehicle, how its agents ended that no fault killed, one after the other."),
+    ]
     notes: Annotated[list[str], Meta(description="What processes and agents told the operator.")]
     published: Annotated[Published | None, Meta(description="With `--publish`; else null.")] = None
     timing: Annotated[Timing | None, Meta(description="With `--clock real`; else null.")] = None

@@ -132,3 +132,22 @@ def test_the_kind_of_a_refusal_is_its_status(
     with live_directory(tmp_path) as run:
         result = invoke("heal", "nosuch")
         assert (result.exit_code, result.stderr) == (status, f"fleet: {run.name}: refused: no\n")
+
+
+@pytest.mark.parametrize("option", ["for", "id"])
+def test_what_the_words_of_a_fault_say_already_is_no_option_again(option: str) -> None:
+    """One of the two would be ignored without a word."""
+    result = invoke("inject", "mute", "3", option, "5s", f"--{option}", "10s")
+    assert result.exit_code == 2
+    assert f"--{option} 10s: the fault says {option} 5s already" in result.stderr
+
+
+@pytest.mark.parametrize("command", [["inject", "mute", "3"], ["faults"], ["heal"], ["status"], ["stop"]])
+def test_a_run_of_another_version_is_named_in_a_line(
+    command: list[str], answers: dict[str, Any], tmp_path: Path
+) -> None:
+    answers[command[0]] = {"at": 1.0}
+    with live_directory(tmp_path) as run:
+        result = invoke(*command)
+    assert (result.exit_code, result.stdout) == (3, "")
+    assert result.stderr.startswith(f"fleet: {run.name} answers as another version of uuv-fleet does: ")

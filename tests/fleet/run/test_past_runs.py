@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import fcntl
 import json
 import os
+from contextlib import closing
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
+from typing import IO
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from live_directory import live_directory
 
-from fleet.run.directory import RunDirectoryError
+from fleet.run.directory import RunDirectory, RunDirectoryError
 from fleet.run.past_runs import (
     BROKE,
     FAIL,
@@ -152,3 +155,25 @@ def test_the_newest_run(tmp_path: Path) -> None:
     (tmp_path / "latest").unlink()
     (tmp_path / "latest").symlink_to("nowhere")
     assert newest_run(tmp_path) == new
+
+
+def test_a_run_that_begins_is_at_no_moment_taken_for_a_dead_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """`fleet prune` would remove it, and who looks holds a lock for a moment."""
+    seen = []
+    lock = fcntl.flock
+
+    def looking(file: IO[bytes], how: int) -> None:
+        if how & fcntl.LOCK_EX:
+            seen.append(past_runs(tmp_path))
+        lock(file, how)
+
+    monkeypatch.setattr(fcntl, "flock", looking)
+    directory = RunDirectory(tmp_path, "paper", 1)
+    with closing(directory):
+        directory.write_scenario("text")
+        assert seen == [[]]
+        assert [run.verdict for run in past_runs(tmp_path)] == [LIVE]
+        assert directory.locked
+    assert (directory.path / "scenario.yaml").read_text() == "text"

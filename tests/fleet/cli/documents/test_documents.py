@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+import signal
 import sys
 from pathlib import Path
 from typing import Any, TypeVar
@@ -27,6 +29,7 @@ from fleet.cli.documents.result import Ran
 from fleet.cli.documents.what_if import OtherCommands
 from fleet.cli.main import cli
 from fleet.logs.reader import digest
+from fleet.run.supervisor import Supervisor
 from fleet.scenario.catalogue import shipped_scenarios
 
 S = TypeVar("S", bound=msgspec.Struct)
@@ -243,6 +246,22 @@ def test_run_on_a_wall_clock_and_published(tmp_path: Path) -> None:
     assert found.published is not None
     assert found.timing is not None
     assert (found.timing.clock, list(found.timing.vehicles)) == ("real", ["1", "2", "3", "4"])
+
+
+def test_run_in_which_an_agent_dies(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    poll = Supervisor.poll
+
+    def killing(self: Supervisor) -> None:
+        child = self._children.by_role["agent-3"]
+        if child.process.is_alive():
+            os.kill(child.pid, signal.SIGKILL)
+        poll(self)
+
+    monkeypatch.setattr(Supervisor, "poll", killing)
+    result = invoke("run", "paper", "--duration", "500 ms", *NO_CHECKS, "--out", tmp_path, "--json", "-q")
+    found = printed(Ran, result)
+    assert (result.exit_code, found.exit) == (1, 1)
+    assert found.deaths == {"3": ["was killed by SIGKILL"]}
 
 
 # --- fleet verify, diff, info --------------------------------------------------------

@@ -119,7 +119,7 @@ def inputs(runs: Sequence[Run], view: View) -> Figure:
             _keep_inside(ax, most)
     if saturated:
         many = any(len(run.vehicles(view)) > MOST_NAMED for run in runs)
-        notes.append(f"heavy: the command is at a limit{' (of the vehicles with a line)' if many else ''}")
+        notes.append(f"heavy: {'the command of a named one' if many else 'the command'} is at a limit")
     finish(figure, axes, runs, notes)
     return figure
 
@@ -155,16 +155,19 @@ def _heavy(ax: Axes, run: Run, view: View, i: int, k: int, limit: float) -> bool
     line = next((one for one in ax.get_lines() if one.get_gid() == f"{run.slug}-vehicle-{i}"), None)
     if found is None or commanded is None or line is None or not limit > 0.0:
         return False
-    t, values = within(found[0], found[1][:, k].copy(), view.window)
+    t, values = within(found[0], found[1][:, k], view.window)
     _, asked = within(*commanded, view.window)
     at_limit = np.abs(asked[:, k]) >= _AT_LIMIT * limit
     if not at_limit.any():
         return False
-    values[~at_limit] = np.nan
-    ax.plot(
-        t, values, color=line.get_color(), linewidth=2.0 * HEAVY, alpha=0.6, solid_capstyle="butt", marker="|",
-        markersize=2.0 * HEAVY, drawstyle="steps-post", gid=f"{run.slug}-vehicle-{i}{HEAVY_SUFFIX}",
-    )  # fmt: skip
+    for heavy in (at_limit & (values > 0.0), at_limit & (values < 0.0)):  # no line joins the one limit with the other
+        if not heavy.any():
+            continue
+        ax.plot(
+            t, np.where(heavy, values, np.nan), color=line.get_color(), linewidth=2.0 * HEAVY, alpha=0.6,
+            solid_capstyle="butt", marker="|", markersize=2.0 * HEAVY, drawstyle="steps-post",
+            gid=f"{run.slug}-vehicle-{i}{HEAVY_SUFFIX}",
+        )  # fmt: skip
     return True
 
 

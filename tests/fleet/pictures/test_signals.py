@@ -172,3 +172,16 @@ def test_checks_of_one_value_are_one_line() -> None:
     asked = [(80.0, 90.0), (65.0, 90.0), (10.0, 20.0)]
     draw_thresholds(ax, [Threshold(0.1, begin, end, "") for begin, end in asked])
     assert [list(line.get_xdata()) for line in lines(ax, "check")] == [[10.0, 20.0], [65.0, 90.0]]
+
+
+def test_no_heavy_line_joins_the_two_limits(tmp_path: Path) -> None:
+    """A command that goes from one limit to the other between two samples of a thin log."""
+    scenario = load_scenario("paper", ["checks={}", "vehicles=20", "duration=1 s", "log={every: 20 ticks}"])
+    run = load([execute(scenario, Options(tmp_path, in_process=True, quiet=True)).directory])[0]
+    figure = signals.inputs([run], View(vehicles=(14,)))
+    heavy = [
+        line for ax in figure.axes for line in ax.get_lines() if str(line.get_gid()).endswith(signals.HEAVY_SUFFIX)
+    ]
+    values = [np.asarray(line.get_ydata(), float) for line in heavy]
+    assert {float(np.sign(v)) for found in values for v in found[np.isfinite(found)]} == {1.0, -1.0}
+    assert all(len({float(np.sign(v)) for v in found[np.isfinite(found)]}) == 1 for found in values)

@@ -12,7 +12,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -57,7 +57,7 @@ class Soak:
     def __init__(self, name: str, arguments: list[str], folder: Path) -> None:
         self.name, self._folder = name, folder
         self._began = time.monotonic()
-        self._samples: list[float] = []
+        self._samples: list[tuple[float, float]] = []  # when [s], and the memory of all its processes [MB]
         self._output = (folder / f"{name}.txt").open("wb")
         command = [sys.executable, "-P", "-m", "fleet", "run", *arguments, "-q", "--out", str(folder / name)]
         self._process = subprocess.Popen(
@@ -69,7 +69,7 @@ class Soak:
         """Whether it still runs; takes a sample of its memory."""
         if self._process.poll() is not None:
             return False
-        self._samples.append(sum(map(pss_mb, _of_session(self._process.pid))))
+        self._samples.append((time.monotonic(), sum(map(pss_mb, _of_session(self._process.pid)))))
         return True
 
     @property
@@ -96,8 +96,8 @@ class Soak:
         values = result_of(self._folder / self.name)
         said = (self._folder / f"{self.name}.txt").read_text("utf-8", "replace").strip()
         unbalanced = [c["found"] for c in values.get("checks", ()) if c["check"] == "ledger" and not c["passed"]]
-        samples = self._samples or [0.0]
-        late = sorted(samples[-max(1, len(samples) // 10) :])
+        ran_s = float(values.get("wall", {}).get("run_s", 0.0))  # without the start, in which memory grows
+        warm, late = warm_and_late(self._samples, ran_s)
         return SoakRow(
             self.name,
             float(values.get("sim_s", 0.0)),
@@ -106,11 +106,25 @@ class Soak:
             str(values.get("reason", "")) or (said if not values else ""),
             sum(f["action"] == "ends" and f["what"].startswith("kill") for f in values.get("faults", ())),
             ", ".join(unbalanced) or ("balanced" if values else "unknown"),
-            samples[int(len(samples) * WARM)],
-            late[len(late) // 2],
+            warm,
+            late,
             len(left),
             str(values.get("digest", "")),
         )
+
+
+def warm_and_late(samples: Sequence[tuple[float, float]], ran_s: float) -> tuple[float, float]:
+    """The memory after a quarter of a run, and the median of its last tenth.
+
+    Args:
+        samples: when [s], and how much; the last one at the end of the run.
+        ran_s: how long the run took after its start [s].
+    """
+    if not samples:
+        return 0.0, 0.0
+    warm_s = samples[-1][0] - (1.0 - WARM) * ran_s
+    late = sorted(size for _, size in samples[-max(1, len(samples) // 10) :])
+    return next(size for at_s, size in samples if at_s >= warm_s), late[len(late) // 2]
 
 
 def measure_soak(vehicles: int, seconds: float, distributed_s: float, say: Callable[[str], None]) -> list[SoakRow]:

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from fleet.bench.soak import measure_soak, soak_failures
+from fleet.bench.soak import measure_soak, soak_failures, warm_and_late
 
 
 @pytest.mark.slow
@@ -23,3 +23,13 @@ def test_two_minutes_of_random_faults() -> None:
     assert "1 processes" in soak_failures([replace(good, orphans=1)])[0]
     assert "differ" in soak_failures([good, replace(good, digest="0")])[0]
     assert "broken" in soak_failures([replace(good, status="broken")])[0]
+
+
+def test_a_long_start_is_not_taken_for_growth() -> None:
+    """Memory is compared from a quarter of the run on, however long its processes took to start."""
+    start = [(0.0, 1.0), (1.0, 50.0), (2.0, 90.0), (3.0, 120.0)]
+    run = [(4.0 + k, 180.0) for k in range(5)]
+    assert warm_and_late(start + run, 4.5) == (180.0, 180.0)
+    growing = [(4.0 + k, 180.0 + 50.0 * k) for k in range(5)]
+    assert warm_and_late(start + growing, 4.5) == (230.0, 380.0)
+    assert warm_and_late([], 0.0) == (0.0, 0.0)

@@ -93,7 +93,7 @@ class Brain:
 
     def _check(self, tick: int, demand: Vec3, telemetry: tuple[float, ...]) -> None:
         """Raise for the first value that is not finite, if there is one."""
-        if isfinite(sum(telemetry) + sum(demand)):
+        if isfinite(sum(telemetry, 0.0) + sum(demand, 0.0)):
             return
         for group, signal, place in self.layout.signals():
             values = telemetry[place]

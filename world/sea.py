@@ -85,13 +85,13 @@ class World:
                     extra = NavNoise(*fault.values)
                     measured = measure(*measured, extra, self.config.seed, i, tick, f"fault {fault.id}")
                 case "bias":
-                    measured = _eta_nu([a + b for a, b in zip(sum(measured, ()), fault.values, strict=True)])
+                    measured = _eta_nu([a + b for a, b in zip((*measured[0], *measured[1]), fault.values, strict=True)])
                 case "freeze":
-                    measured = _eta_nu(self._held.setdefault((fault.id, i), sum(measured, ())))
+                    measured = _eta_nu(self._held.setdefault((fault.id, i), (*measured[0], *measured[1])))
                 case "dropout":
                     known = self._held.get((fault.id, i))
                     if known is None or uniform(self.config.seed, f"fault {fault.id}", i, tick) >= fault.values[0]:
-                        self._held[fault.id, i] = sum(measured, ())
+                        self._held[fault.id, i] = (*measured[0], *measured[1])
                     else:
                         measured = _eta_nu(known)
         return measured

@@ -31,6 +31,7 @@ from fleet.cli.documents.output import json_option, print_document
 from fleet.cli.group import EPILOG, FleetGroup
 from fleet.cli.trust import TrustingCommand, trust_option
 from fleet.cli.types import OVERRIDES, disturbances
+from fleet.cores import cores
 from fleet.terminal.folding import say, stdout
 
 if TYPE_CHECKING:
@@ -44,7 +45,7 @@ if TYPE_CHECKING:
 @click.group(
     cls=FleetGroup, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100}, epilog=EPILOG
 )
-@click.version_option(package_name="uuv-fleet")
+@click.version_option(package_name="uuv-fleet", message=f"%(prog)s, version %(version)s, cores: {cores()}")
 def cli() -> None:
     """Emulate a fleet of underwater vehicles on a real, impaired pub/sub network.
 

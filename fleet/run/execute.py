@@ -16,6 +16,7 @@ from rich.console import Console as Terminal
 from agents.errors import AgentError
 from fleet.analysis import punctuality
 from fleet.analysis.verdicts import Verdict, judge, judge_expected
+from fleet.cores import cores
 from fleet.errors import RunBroken, StoppedError
 from fleet.processes.interrupts import DeferInterrupts, HungUp
 from fleet.processes.ports import free_port
@@ -207,6 +208,7 @@ def _report(run: _Run) -> None:
         "in_process": run.in_process,
         "startup_s": runner.started_s,
         "run_s": run_s,
+        "cores": cores(),
         "x_real_time": (result.values["sim_s"] - result.values["from_s"]) / max(1e-9, run_s),
     }
     result.values |= run.publication.summary()

@@ -83,6 +83,7 @@ class Wall(Struct):
     in_process: Annotated[bool, Meta(description="Whether the run was one process.")]
     startup_s: Annotated[float, Meta(description="Until all processes were ready [s].")]
     run_s: Annotated[float, Meta(description="From then to the end [s].")]
+    cores: Annotated[str, Meta(description="`compiled` or `plain Python`: the cores of world, agents and netem.")]
     x_real_time: Annotated[float, Meta(description="Simulated time per wall time [1].")]
 
 

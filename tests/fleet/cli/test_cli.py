@@ -102,7 +102,7 @@ def test_every_option_is_explained(command: str) -> None:
 
 
 def test_version() -> None:
-    assert re.fullmatch(r"fleet, version \d+\.\d+\.\d+\n", invoke("--version").output)
+    assert re.fullmatch(r"fleet, version \d+\.\d+\.\d+, cores: (compiled|plain Python)\n", invoke("--version").output)
 
 
 # --- exit status -----------------------------------------------------------
@@ -310,7 +310,7 @@ def test_result_file(tmp_path: Path) -> None:
     assert (values["middleware_lost"], values["rejected"], values["notes"]) == (0, {}, [])
     assert values["digest"] == digest(directory / "run.mcap")
     assert values["messages"] == sum(topics(directory / "run.mcap").values())
-    assert set(values["wall"]) == {"in_process", "startup_s", "run_s", "x_real_time"}
+    assert set(values["wall"]) == {"in_process", "startup_s", "run_s", "cores", "x_real_time"}
     assert values["wall"]["in_process"] is False
 
 

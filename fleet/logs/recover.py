@@ -6,7 +6,7 @@ Chunk by chunk, so that a whole log comes out as the same bytes. What was missin
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import IO
 
@@ -170,7 +170,7 @@ class Copy:
         """The writer; the first item begins the file, with its own header if it is one."""
         if self._writer is None:
             header = item if isinstance(item, Header) else Header("", "uuv-fleet")
-            self._writer = McapWriter(self._target, header.profile, header.library)
+            self._writer = McapWriter(self._target, **asdict(header))
         return self._writer
 
 

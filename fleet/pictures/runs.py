@@ -17,6 +17,7 @@ from fleet.errors import FleetError
 from fleet.logs.open_log import Log, open_drawn
 from fleet.logs.reader import digest
 from fleet.logs.records import Array
+from fleet.logs.run_name import run_name
 from fleet.pictures.style import Origin
 from fleet.scenario.scenario import Scenario
 
@@ -120,7 +121,7 @@ def load(paths: Sequence[Path], share: Callable[[float], None] = lambda _: None)
     logs = [open_drawn(path, _WANTED, share, _DRAWN) for path in paths]
     names = [_name(log) for log in logs]
     often = Counter(names)
-    labels = [name if often[name] == 1 else _place(log) for name, log in zip(names, logs, strict=True)]
+    labels = [name if often[name] == 1 else run_name(log.path) for name, log in zip(names, logs, strict=True)]
     seen: Counter[str] = Counter()
     runs = []
     for label, log in zip(labels, logs, strict=True):
@@ -137,11 +138,6 @@ _DRAWN = {"link/*": frozenset({"seq", "copy", "sent", "due", "fate", "corrupted"
 
 def _name(log: Log) -> str:
     return log.run.get("scenario", "") or log.path.stem
-
-
-def _place(log: Log) -> str:
-    path = log.path.resolve()
-    return path.parent.name if path.name == "run.mcap" else path.stem
 
 
 def with_gaps(t: Array, values: Array, step: float = 0.0) -> tuple[Array, Array]:

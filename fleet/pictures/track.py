@@ -52,9 +52,10 @@ def top(runs: Sequence[Run], view: View) -> Figure:
     figure = Figure(figsize=(COLUMN_IN, height + (0.75 if tall else 1.0)), layout="compressed")
     FigureCanvasAgg(figure)
     ax = figure.add_subplot()
+    edges = [edge for run in runs for edge in _shapes(run, view)]
+    for a, b in edges:
+        ax.plot([a[1], b[1]], [a[0], b[0]], color="0.78", linewidth=0.5, zorder=1, gid="formation")
     for run in runs:
-        for a, b in _shapes(run, view):
-            ax.plot([a[1], b[1]], [a[0], b[0]], color="0.78", linewidth=0.5, zorder=1, gid="formation")
         reference = _reference(run, view)
         if reference is not None:
             ax.plot(
@@ -87,7 +88,7 @@ def top(runs: Sequence[Run], view: View) -> Figure:
     ax.xaxis.set_major_locator(MaxNLocator(4 if tall else 6))
     ax.set_xlabel("east [m]")
     ax.set_ylabel("north [m]")
-    entries += _explained(happened, runs, view, flat=True)
+    entries += _explained(happened, runs, linked=bool(edges), flat=True)
     _finish(figure, runs, [one for one, _ in happened], [])
     if tall:
         figure.legend(handles=entries, loc="outside right upper", handlelength=1.8)
@@ -103,9 +104,10 @@ def space(runs: Sequence[Run], view: View) -> Figure:
     figure = Figure(figsize=(COLUMN_IN, 3.4), layout="constrained")
     FigureCanvasAgg(figure)
     ax: Any = figure.add_subplot(projection="3d")
+    edges = [edge for run in runs for edge in _shapes(run, view)]
+    for a, b in edges:
+        ax.plot([a[1], b[1]], [a[0], b[0]], [a[2], b[2]], color="0.78", linewidth=0.5, gid="formation")
     for run in runs:
-        for a, b in _shapes(run, view):
-            ax.plot([a[1], b[1]], [a[0], b[0]], [a[2], b[2]], color="0.78", linewidth=0.5, gid="formation")
         reference = _reference(run, view)
         if reference is not None:
             ax.plot(*reference[:, [1, 0, 2]].T, color="0.4", linewidth=THIN, linestyle=":", gid="reference")
@@ -135,7 +137,7 @@ def space(runs: Sequence[Run], view: View) -> Figure:
     # The longer side to the right, so that the box fills the picture.
     ax.view_init(elev=28, azim=-60 if across[1] >= across[0] else -25)
     ax.set_box_aspect((across[1], across[0], factor * across[2]), zoom=0.85)
-    entries += _explained(happened, runs, view, flat=False)
+    entries += _explained(happened, runs, linked=bool(edges), flat=False)
     scale = f"depth exaggerated {factor} times" if factor > 1 else "depth to scale"
     _finish(figure, runs, [one for one, _ in happened], [scale])
     marks_legend(figure, entries)
@@ -217,7 +219,7 @@ def _happened(runs: Sequence[Run], view: View, tracks: Sequence[Track]) -> list[
 
 
 def _explained(
-    happened: Sequence[tuple[Happening, str]], runs: Sequence[Run], view: View, *, flat: bool
+    happened: Sequence[tuple[Happening, str]], runs: Sequence[Run], *, linked: bool, flat: bool
 ) -> list[Artist]:
     """The entries of a legend that say what the marks mean."""
 
@@ -228,7 +230,7 @@ def _explained(
     entries: list[Artist] = []
     if any(run.scenario is not None for run in runs):
         entries.append(Line2D([], [], color="0.4", linewidth=THIN, linestyle=":", label="reference"))
-    if any(_shapes(run, view) for run in runs):
+    if linked:
         entries.append(Line2D([], [], color="0.78", linewidth=0.8, label="links"))
     entries += [mark("o", "start", markerfacecolor="white"), mark("o", "end")]
     if flat:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from collections.abc import Callable
 from typing import Any
 
 from hypothesis import given, settings
@@ -29,38 +30,34 @@ STEPS = st.lists(
 )
 
 
-def by_library(steps: list[tuple[Any, ...]]) -> bytes:
-    target = io.BytesIO()
-    writer = Writer(target, compression=CompressionType.ZSTD)
-    writer.start("profile", "library")
-    schemas = channels = 0
-    for kind, *values in steps:
-        if kind == "message" and channels:
-            channel, log_ns, publish_ns, sequence, data = values
-            writer.add_message(channel % channels + 1, log_ns, data, publish_ns, sequence)
-        elif kind == "schema":
-            schemas = writer.register_schema(*values)
-        elif kind == "channel":
-            topic, encoding, metadata = values
-            channels = writer.register_channel(topic, encoding, schemas, metadata)
-        elif kind == "attachment":
-            writer.add_attachment(*values)
-        elif kind == "metadata":
-            writer.add_metadata(*values)
-        elif kind == "flush":
-            writer.flush()
-    writer.finish()
-    return target.getvalue()
+class Library:
+    """The library's writer, with the methods of ours."""
+
+    def __init__(self, target: io.BytesIO, profile: str, library: str) -> None:
+        self._writer = Writer(target, compression=CompressionType.ZSTD)
+        self._writer.start(profile, library)
+        self.schema = self._writer.register_schema
+        self.channel = self._writer.register_channel
+        self.metadata = self._writer.add_metadata
+        self.flush = self._writer.flush
+        self.finish = self._writer.finish
+
+    def message(self, channel: int, log_ns: int, publish_ns: int, sequence: int, data: bytes) -> None:
+        self._writer.add_message(channel, log_ns, data, publish_ns, sequence)
+
+    def attachment(self, a: Attachment) -> None:
+        self._writer.add_attachment(a.create_time, a.log_time, a.name, a.media_type, a.data)
 
 
-def by_us(steps: list[tuple[Any, ...]]) -> bytes:
+def written(make: Callable[..., Any], steps: list[tuple[Any, ...]]) -> bytes:
     target = io.BytesIO()
-    writer = McapWriter(target, "profile", "library")
+    writer = make(target, "profile", "library")
     schemas = channels = 0
     for kind, *values in steps:
-        if kind == "message" and channels:
-            channel, log_ns, publish_ns, sequence, data = values
-            writer.message(channel % channels + 1, log_ns, publish_ns, sequence, data)
+        if kind == "message":
+            if channels:
+                channel, *rest = values
+                writer.message(channel % channels + 1, *rest)
         elif kind == "schema":
             schemas = writer.schema(*values)
         elif kind == "channel":
@@ -68,10 +65,8 @@ def by_us(steps: list[tuple[Any, ...]]) -> bytes:
             channels = writer.channel(topic, encoding, schemas, metadata)
         elif kind == "attachment":
             writer.attachment(Attachment(*values))
-        elif kind == "metadata":
-            writer.metadata(*values)
-        elif kind == "flush":
-            writer.flush()
+        else:
+            getattr(writer, kind)(*values)
     writer.finish()
     return target.getvalue()
 
@@ -79,7 +74,7 @@ def by_us(steps: list[tuple[Any, ...]]) -> bytes:
 @settings(max_examples=300, deadline=None)
 @given(STEPS)
 def test_the_same_bytes_as_the_library(steps: list[tuple[Any, ...]]) -> None:
-    assert by_us(steps) == by_library(steps)
+    assert written(McapWriter, steps) == written(Library, steps)
 
 
 def test_many_messages_end_chunks_where_the_library_ends_them() -> None:
@@ -89,9 +84,9 @@ def test_many_messages_end_chunks_where_the_library_ends_them() -> None:
         *[("channel", f"t{i}", "e", {}) for i in (1, 2, 3)],
     ]
     messages = [("message", i % 3, i * 10, i * 10 - i % 7, i, bytes(1 + i % 250)) for i in range(1, 20_000)]
-    written = by_us(declared + messages)
-    assert written == by_library(declared + messages)
-    reader = make_reader(io.BytesIO(written), validate_crcs=True)
+    ours = written(McapWriter, declared + messages)
+    assert ours == written(Library, declared + messages)
+    reader = make_reader(io.BytesIO(ours), validate_crcs=True)
     summary = reader.get_summary()
     assert summary is not None and summary.statistics is not None and summary.statistics.chunk_count > 2
     read = [(m.log_time, m.publish_time, m.sequence, m.data) for _, _, m in reader.iter_messages()]

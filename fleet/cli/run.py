@@ -130,6 +130,10 @@ def run(
         changes.append(f"seed={seed}")
     if duration is not None:
         changes.append(f"duration={duration}")
+    if scenario is not None and begin is None and not in_process and not show_config:
+        from fleet.processes.children import start_forkserver
+
+        start_forkserver()  # now: it imports for as long as reading a scenario takes
     loaded, start = _load(scenario, begin, changes, trust, quiet=quiet, only_shown=show_config)
     if show_config:
         click.echo(loaded.to_yaml(), nl=False)

@@ -87,20 +87,14 @@ class Children:
             OSError, EOFError: the fork server has ended, or there is no room for another process.
             KeyboardInterrupt: it came meanwhile; the process was started.
         """
-        assert threading.current_thread() is threading.main_thread(), "PDEATHSIG follows the forking thread"
-        # Or the forkserver, a `python -c`, would import a `socket.py` in the current directory in place of Python's.
-        os.environ["PYTHONSAFEPATH"] = "1"
-        self._context.set_forkserver_preload(["fleet.processes.preload"])
+        _set_preload()
         process = self._context.Process(
             target=_child, args=(title, str(log_path), target, args), name=role, daemon=True
         )
         # A process that is there is known, and so will be ended, before an interrupt is raised. The block alone does
         # not see to that: another thread may take the signal, and then Python raises in this one.
         with deferring_interrupts():
-            # The forkserver starts this one first, which lifts the block of SIGINT set below.
-            with blocked(signal.SIGHUP):
-                resource_tracker.ensure_running()
-            with _without_main(), blocked(signal.SIGINT, signal.SIGHUP), _bounded_wait(), _named_console():
+            with _forkserver_starting(), _bounded_wait():
                 process.start()
             self.by_role[role] = Child(role, process, log_path)
 
@@ -140,6 +134,37 @@ class Children:
                 child.process.join()
                 code = child.process.exitcode
                 self._on_exit(Exit(child.role, FORKSERVER_LOST if code is None else code, child.pid))
+
+
+def start_forkserver() -> None:
+    """Start the fork server, which imports what all processes need while its caller does something else.
+
+    `Children.start` does so, too, if nobody did before; it must be called on the same thread, the main one. The fork
+    server ends with this process.
+
+    Raises:
+        OSError: there is no room for another process.
+    """
+    _set_preload()
+    with deferring_interrupts(), _forkserver_starting():
+        multiprocessing.forkserver.ensure_running()
+
+
+def _set_preload() -> None:
+    assert threading.current_thread() is threading.main_thread(), "PDEATHSIG follows the forking thread"
+    # Or the forkserver, a `python -c`, would import a `socket.py` in the current directory in place of Python's.
+    os.environ["PYTHONSAFEPATH"] = "1"
+    multiprocessing.forkserver.set_forkserver_preload(["fleet.processes.preload"])
+
+
+@contextlib.contextmanager
+def _forkserver_starting() -> Iterator[None]:
+    """What has to hold where the fork server may be started."""
+    # The forkserver starts this one first, which lifts the block of SIGINT set below.
+    with blocked(signal.SIGHUP):
+        resource_tracker.ensure_running()
+    with _without_main(), blocked(signal.SIGINT, signal.SIGHUP), _named_console():
+        yield
 
 
 def _left(processes: list[BaseProcess]) -> list[BaseProcess]:

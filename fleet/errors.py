@@ -23,6 +23,7 @@ Exception
 │   ├── ExportError
 │   ├── ExternalError
 │   ├── FaultWordsError
+│   ├── FiguresError
 │   ├── HostsError
 │   ├── LogError
 │   ├── LogReadError

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 from fleet.errors import FleetError
 
 
@@ -16,3 +18,13 @@ class BenchError(FleetError):
     def __init__(self, reason: str, status: int = 3) -> None:
         super().__init__(reason)
         self.status = status
+
+
+class FiguresError(FleetError):
+    """A file is not what `fleet bench -o` writes, or cannot be read."""
+
+    status = 2
+
+    def __init__(self, path: Path, reason: str) -> None:
+        super().__init__(f"{path}: {reason}")
+        self.path, self.reason = path, reason

@@ -140,4 +140,4 @@ def show_journals(rows: list[dict[str, float]], terminal: Terminal) -> None:
     }  # fmt: skip
     ranks = {name: int(key.startswith("mb")) for key, name in names.items()}
     cells = [[f"{row[key]:.2f}" if key.startswith("mb") else f"{row[key]:.0f}" for key in names] for row in rows]
-    show_table(columns(ranks, cells), "the journal, messages per second", terminal, "--json FILE")
+    show_table(columns(ranks, cells), "the journal, messages per second", terminal, "-o FILE")

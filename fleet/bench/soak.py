@@ -14,11 +14,11 @@ import tempfile
 import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import psutil
+from msgspec import Meta, Struct
 from rich.console import Console as Terminal
 
 from fleet.bench.memory import pss_mb
@@ -31,24 +31,27 @@ END_S = 5.0  # for a run that is to end before its time
 _DEAD = (psutil.STATUS_ZOMBIE, psutil.STATUS_DEAD)
 
 
-@dataclass(frozen=True, slots=True)
-class SoakRow:
+class SoakRow(Struct, frozen=True):
     """One run of the soak."""
 
-    run: str
-    simulated_s: float
-    wall_s: float
-    status: str
-    reason: str
-    restarts: int
-    ledger: str
-    warm_mb: float  # memory of all its processes after a quarter of the run
-    end_mb: float  # median of the last tenth
-    orphans: int
-    digest: str
+    run: Annotated[str, Meta(description="Which one: in-process, again, distributed, or the same in-process.")]
+    simulated_s: Annotated[float, Meta(description="Simulated time [s].")]
+    wall_s: Annotated[float, Meta(description="How long it took [s].")]
+    status: Annotated[str, Meta(description="As in result.json.")]
+    reason: Annotated[str, Meta(description="Why it broke; empty: it did not.")]
+    restarts: Annotated[int, Meta(description="Agents that were killed and started again.")]
+    ledger: Annotated[str, Meta(description="balanced, or what is wrong with it.")]
+    warm_mb: Annotated[float, Meta(description="Memory of all its processes after a quarter of the run [MB].")]
+    end_mb: Annotated[float, Meta(description="The same at its end: median of the last tenth [MB].")]
+    orphans: Annotated[int, Meta(description="Processes that it left.")]
+    digest: Annotated[str, Meta(description="SHA-256 of its messages, in hexadecimal.")]
 
-    def to_values(self) -> dict[str, Any]:
-        return asdict(self)
+
+class Soaked(Struct):
+    """`fleet bench soak --json`: long runs under random faults."""
+
+    rows: Annotated[list[SoakRow], Meta(description="Each run.")]
+    failures: Annotated[list[str], Meta(description="What is wrong, in words; none: the soak passed.")]
 
 
 class Soak:
@@ -177,7 +180,7 @@ def show_soak(rows: list[SoakRow], terminal: Terminal) -> None:
         )
         for row in rows
     ]
-    show(columns(headings, cells), "soak: a random fault every 5 s", terminal, "--json FILE")
+    show(columns(headings, cells), "soak: a random fault every 5 s", terminal, "--json")
 
 
 def _arguments(vehicles: int, seconds: float) -> list[str]:

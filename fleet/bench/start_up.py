@@ -1,14 +1,12 @@
-"""What starting costs: CPU time of short commands, also as multiples of what Python alone takes to start and end."""
+"""What starting costs: CPU time of short commands, to be compared with what Python alone takes to start and end."""
 
 from __future__ import annotations
 
+import os
 import resource
 import subprocess
 import sys
 import tempfile
-from typing import Any
-
-from rich.table import Table
 
 from fleet.bench.errors import BenchError
 
@@ -18,6 +16,7 @@ _FLEET = [sys.executable, "-P", "-m", "fleet"]
 _RUN = ["run", "paper", "--in-process", "--quiet", "--duration", "1 s", "--set", "checks={tumbled: waived}"]
 COMMANDS = {
     PYTHON: [sys.executable, "-P", "-c", "pass"],
+    "fleet --help": [*_FLEET, "--help"],
     "fleet --version": [*_FLEET, "--version"],
     "fleet list": [*_FLEET, "list"],
     "fleet check paper": [*_FLEET, "check", "paper"],
@@ -25,35 +24,30 @@ COMMANDS = {
 }
 
 
-def measure_start_up(repeats: int) -> list[dict[str, Any]]:
-    """Name, CPU time of user and system [s], and its ratio to Python's own, of each command.
+def cpu_times(repeats: int) -> dict[str, float]:
+    """CPU time of user and system [s] of each command.
 
-    The commands take turns and the least time of each counts, because other work on the machine only ever adds.
+    The commands take turns and the least time of each counts, because other work on the machine only ever adds. Byte
+    code is there, as after an install, also where PYTHONDONTWRITEBYTECODE is set: in a folder of our own.
 
     Raises:
         BenchError: a command failed.
     """
     least = dict.fromkeys(COMMANDS, float("inf"))
     with tempfile.TemporaryDirectory(prefix="uuv-fleet-bench-") as folder:
-        for _ in range(repeats):
+        environment = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
+        environment["PYTHONPYCACHEPREFIX"] = f"{folder}/byte-code"
+        for repeat in range(repeats + 1):
             for name, command in COMMANDS.items():
-                least[name] = min(least[name], _cpu_s(name, command, folder))
-    return [{"command": name, "cpu_s": cpu_s, "ratio": cpu_s / least[PYTHON]} for name, cpu_s in least.items()]
+                spent = _cpu_s(name, command, folder, environment)
+                if repeat:  # the first one writes the byte code
+                    least[name] = min(least[name], spent)
+    return least
 
 
-def start_up_table(rows: list[dict[str, Any]]) -> Table:
-    """The figures of `measure_start_up`."""
-    table = Table(title="start-up, CPU time", title_justify="left", box=None, pad_edge=False)
-    for heading in ("command", "s", "x Python alone"):
-        table.add_column(heading, justify="left" if heading == "command" else "right")
-    for row in rows:
-        table.add_row(row["command"], f"{row['cpu_s']:.3f}", f"{row['ratio']:.1f}")
-    return table
-
-
-def _cpu_s(name: str, command: list[str], folder: str) -> float:
+def _cpu_s(name: str, command: list[str], folder: str, environment: dict[str, str]) -> float:
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
-    ended = subprocess.run(command, cwd=folder, capture_output=True, text=True)
+    ended = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True)
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     if ended.returncode:
         raise BenchError(f"{name} exited with status {ended.returncode}: {ended.stderr.strip()[-200:]}")

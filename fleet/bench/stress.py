@@ -15,10 +15,10 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
+from msgspec import Meta, Struct
 from rich.table import Table
 
 from agents.join_file import JoinFile
@@ -34,19 +34,22 @@ CHECKS = "checks={ledger: balanced, middleware_loss: {at_most: 0}, tumbled: waiv
 FLOODED = 3  # the vehicle whose agent goes mad
 
 
-@dataclass(frozen=True, slots=True)
-class StressRow:
+class StressRow(Struct, frozen=True):
     """One thing that was tried."""
 
-    tried: str
-    status: str
-    same_bytes: bool
-    wall_s: float
-    alone_s: float  # the same distributed run with nothing done to it; 0: that is what this is
-    seen: str
+    tried: Annotated[str, Meta(description="What was tried.")]
+    status: Annotated[str, Meta(description="As in result.json, with the reason if there is one.")]
+    same_bytes: Annotated[bool, Meta(description="Whether the log has the same bytes as the undisturbed run.")]
+    wall_s: Annotated[float, Meta(description="How long the run took after its start [s].")]
+    alone_s: Annotated[float, Meta(description="The same run with nothing done to it [s]; 0: that is what this is.")]
+    seen: Annotated[str, Meta(description="What was seen, in words.")]
 
-    def to_values(self) -> dict[str, Any]:
-        return asdict(self)
+
+class Stressed(Struct):
+    """`fleet bench stress --json`: large fleets, and what a participant with a login could do."""
+
+    rows: Annotated[list[StressRow], Meta(description="Everything that was tried.")]
+    failures: Annotated[list[str], Meta(description="What is wrong, in words; none: all was withstood.")]
 
 
 def measure_stress(sizes: Sequence[int], suspend_s: float, say: Callable[[str], None]) -> list[StressRow]:

@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated
 
+from msgspec import Meta, Struct
 from rich.console import Console as Terminal
 
 from fleet.analysis.punctuality import MOST_MISSED, missed_share, moved_share
@@ -23,28 +23,28 @@ from fleet.scenario.scenario import Scenario
 from fleet.terminal.table import columns, show
 
 
-@dataclass(frozen=True, slots=True)
-class WallClockRow:
+class WallClockRow(Struct, frozen=True):
     """One fleet at one rate."""
 
-    vehicles: int
-    speed: float
-    ticks_per_s: float
-    label: str
-    missed: float  # share of its ticks that the worst agent missed
-    moved: float  # share of the run by which the clock was moved because the world was late
-    answer_p99_ms: float  # of the slowest agent
-    overdue: float  # share of the deliveries that were used too late
-    same_bytes: bool  # as lockstep
-    lockstep_x: float  # times real time that lockstep makes
+    vehicles: Annotated[int, Meta(description="Fleet size.")]
+    speed: Annotated[float, Meta(description="Times real time that was asked [1].")]
+    ticks_per_s: Annotated[float, Meta(description="Ticks of that rate [1/s].")]
+    label: Annotated[str, Meta(description="on time, or degraded.")]
+    missed: Annotated[float, Meta(description="Share of its ticks that the worst agent missed [1].")]
+    moved: Annotated[
+        float, Meta(description="Share of the run by which the clock was moved because the world was late [1].")
+    ]
+    answer_p99_ms: Annotated[float, Meta(description="99th percentile of the answers of the slowest agent [ms].")]
+    overdue: Annotated[float, Meta(description="Share of the deliveries that were used too late [1].")]
+    same_bytes: Annotated[bool, Meta(description="Whether the log has the same bytes as in lockstep.")]
+    lockstep_x: Annotated[float, Meta(description="Times real time that lockstep makes [1].")]
+    fit: Annotated[bool, Meta(description="Whether a run would pass with the default tolerance.")]
 
-    @property
-    def fit(self) -> bool:
-        """Whether a run would pass with the default tolerance."""
-        return max(self.missed, self.moved) <= MOST_MISSED
 
-    def to_values(self) -> dict[str, Any]:
-        return asdict(self) | {"fit": self.fit}
+class OnWallClock(Struct):
+    """`fleet bench real --json`: where a wall clock is too fast for this machine."""
+
+    rows: Annotated[list[WallClockRow], Meta(description="Each fleet at each rate.")]
 
 
 def measure_wall_clock(
@@ -77,17 +77,19 @@ def _on_wall_clock(folder: Path, speed: float) -> Options:
 def _row(n: int, speed: float, scenario: Scenario, found: Result, same: Result) -> WallClockRow:
     timing = found.values["timing"]
     vehicles, network = timing["vehicles"].values(), timing["netem"]
+    missed, moved = missed_share(timing), moved_share(timing)
     return WallClockRow(
         n,
         speed,
         speed * 1e9 / scenario.tick_ns,
         timing["label"],
-        missed_share(timing),
-        moved_share(timing),
+        missed,
+        moved,
         max(row["response"]["p99_ms"] for row in vehicles),
         network["overdue"] / max(1, network["hop"]["count"]),
         found.digest == same.digest,
         same.values["wall"]["x_real_time"],
+        max(missed, moved) <= MOST_MISSED,
     )
 
 
@@ -112,4 +114,4 @@ def show_wall_clock(rows: Sequence[WallClockRow], terminal: Terminal) -> None:
         )
         for row in rows
     ]
-    show(columns(headings, cells), "on a wall clock (Ts = 10 ms)", terminal, "--json FILE")
+    show(columns(headings, cells), "on a wall clock (Ts = 10 ms)", terminal, "--json")

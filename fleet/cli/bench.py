@@ -1,19 +1,24 @@
-"""The commands that measure this machine: `fleet bench`, `bench real`, `bench soak` and `bench stress`."""
+"""The commands that measure this machine: `fleet bench`, and those below it."""
 
 from __future__ import annotations
 
-import json
 import os
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
+from fleet.cli.documents.output import as_document, json_option, print_document
 from fleet.cli.group import ListingGroup
 from fleet.cli.types import Numbers
 from fleet.terminal.folding import stdout
+
+if TYPE_CHECKING:
+    from msgspec import Struct
+
+    from fleet.bench.figures import Comparison
 
 _F = TypeVar("_F", bound=Callable[..., Any])
 SIZES = Numbers(1, 1000, "4,20,100", whole=True)
@@ -28,11 +33,12 @@ def _writable(_: click.Context, __: click.Parameter, path: Path | None) -> Path 
     return path
 
 
-_json = click.option(
-    "--json", "json_path", type=click.Path(path_type=Path, dir_okay=False), callback=_writable,
-    help="Also write all figures here.",
+_output = click.option(
+    "-o", "--output", metavar="FILE", type=click.Path(path_type=Path, dir_okay=False), callback=_writable,
+    help="Also write what --json prints into a file.",
 )  # fmt: skip
 _quick = click.option("--quick", is_flag=True, help="A few ticks each: shows that it works, measures little.")
+_file = click.Path(path_type=Path)
 
 
 def _agents(default: str) -> Callable[[_F], _F]:
@@ -43,26 +49,69 @@ def _agents(default: str) -> Callable[[_F], _F]:
 
 @click.group(cls=ListingGroup, invoke_without_command=True)
 @_agents("4,20,100")
-@_json
+@click.option("--compare", "old", metavar="OLD.json", type=_file, help="Say what got slower or faster since then.")
+@_output
+@json_option
 @_quick
 @click.pass_context
-def bench(context: click.Context, agents: list[int], json_path: Path | None, quick: bool) -> None:
+def bench(
+    context: click.Context, agents: list[int], old: Path | None, output: Path | None, as_json: bool, quick: bool
+) -> None:
     """Measure this machine: the fleet against a bare zenoh barrier and OS pipes.
+
+    Takes some minutes, and wants a machine with nothing else to do. With --compare the exit status is 1 if something
+    got slower by more than the noise.
 
     \b
     Examples:
       fleet bench
-      fleet bench --agents 4 --json bench.json
+      fleet bench --agents 4 -o old.json
+      fleet bench --agents 4 --compare old.json
       fleet bench real --agents 4,20 --speed 1,4
     """
     if context.invoked_subcommand is not None:
         return
+    from fleet.bench.comparison import compare, read
     from fleet.bench.fleets import measure_fleets
-    from fleet.bench.tables import show
+    from fleet.bench.tables import show, show_comparison
 
-    figures = measure_fleets(agents, quick=quick, say=_say)
-    show(figures, stdout())
-    _write(json_path, figures)
+    before = None if old is None else read(old)  # refused now, not after some minutes
+    measured = measure_fleets(agents, quick=quick, say=_say)
+    if old is not None and before is not None:
+        measured.comparison = compare(before, measured, old)
+    _give(measured, output, as_json=as_json)
+    if not as_json:
+        show(measured, stdout())
+        if measured.comparison:
+            show_comparison(measured.comparison, stdout())
+    _end_compared(measured.comparison)
+
+
+@bench.command("compare")
+@click.argument("old", metavar="OLD.json", type=_file)
+@click.argument("new", metavar="NEW.json", type=_file)
+@json_option
+def compare_(old: Path, new: Path, as_json: bool) -> None:
+    """Compare two files of fleet bench -o; nothing is measured.
+
+    The exit status is 1 if something got slower by more than the noise: the repeats of a figure do not overlap, and
+    their medians are more than 10 % apart. Ratios to the baselines of the same minute count, not seconds.
+
+    \b
+    Examples:
+      fleet bench compare old.json new.json
+      fleet bench compare plain.json compiled.json --json | jq '.comparison.changes[] | select(.verdict != "same")'
+    """
+    from fleet.bench.comparison import compare, read
+    from fleet.bench.figures import ComparedFiles
+    from fleet.bench.tables import show_comparison
+
+    found = compare(read(old), read(new), old)
+    if as_json:
+        print_document(ComparedFiles(found))
+    else:
+        show_comparison(found, stdout())
+    _end_compared(found)
 
 
 @bench.command()
@@ -71,9 +120,10 @@ def bench(context: click.Context, agents: list[int], json_path: Path | None, qui
     "--speed", "speeds", metavar="X,X,...", type=Numbers(0.01, 100.0, "1,2,5"), default="1,2,5", show_default=True,
     help="Times real time; 1 is 100 ticks/s.",
 )  # fmt: skip
-@_json
+@_output
+@json_option
 @_quick
-def real(agents: list[int], speeds: list[float], json_path: Path | None, quick: bool) -> None:
+def real(agents: list[int], speeds: list[float], output: Path | None, as_json: bool, quick: bool) -> None:
     """Find where --clock real falls behind on this machine, and what lockstep makes of the same.
 
     \b
@@ -81,11 +131,12 @@ def real(agents: list[int], speeds: list[float], json_path: Path | None, quick: 
       fleet bench real
       fleet bench real --agents 4,100 --speed 0.5,1
     """
-    from fleet.bench.wall_clock import measure_wall_clock, show_wall_clock
+    from fleet.bench.wall_clock import OnWallClock, measure_wall_clock, show_wall_clock
 
     rows = measure_wall_clock(agents, speeds, seconds=1.0 if quick else 10.0, say=_say)
-    show_wall_clock(rows, stdout())
-    _write(json_path, [row.to_values() for row in rows])
+    _give(OnWallClock(rows), output, as_json=as_json)
+    if not as_json:
+        show_wall_clock(rows, stdout())
 
 
 @bench.command()
@@ -94,8 +145,9 @@ def real(agents: list[int], speeds: list[float], json_path: Path | None, quick: 
     "--suspend", metavar="SECONDS", type=click.FloatRange(0.1, 3600.0), default=30.0, show_default=True,
     help="How long the console is stopped.",
 )  # fmt: skip
-@_json
-def stress(agents: list[int], suspend: float, json_path: Path | None) -> None:
+@_output
+@json_option
+def stress(agents: list[int], suspend: float, output: Path | None, as_json: bool) -> None:
     """Try large fleets, floods by an agent, a stopped console and a reader that never reads.
 
     \b
@@ -103,12 +155,14 @@ def stress(agents: list[int], suspend: float, json_path: Path | None) -> None:
       fleet bench stress
       fleet bench stress --agents 20 --suspend 1
     """
-    from fleet.bench.stress import measure_stress, stress_failures, stress_table
+    from fleet.bench.stress import Stressed, measure_stress, stress_failures, stress_table
 
     rows = measure_stress(agents, suspend, _say)
-    stdout().print(stress_table(rows))
-    _write(json_path, [row.to_values() for row in rows])
-    _end(stress_failures(rows))
+    failures = stress_failures(rows)
+    _give(Stressed(rows, failures), output, as_json=as_json)
+    if not as_json:
+        stdout().print(stress_table(rows))
+    _end(failures, as_json=as_json)
 
 
 @bench.command()
@@ -121,8 +175,9 @@ def stress(agents: list[int], suspend: float, json_path: Path | None) -> None:
     "--distributed", metavar="SECONDS", type=click.FloatRange(30.0, 1e6), default=300.0, show_default=True,
     help="Simulated, distributed.",
 )  # fmt: skip
-@_json
-def soak(vehicles: int, duration: float, distributed: float, json_path: Path | None) -> None:
+@_output
+@json_option
+def soak(vehicles: int, duration: float, distributed: float, output: Path | None, as_json: bool) -> None:
     """Run for long under random faults: is memory flat, the ledger balanced, the digest the same, nobody left?
 
     \b
@@ -130,27 +185,36 @@ def soak(vehicles: int, duration: float, distributed: float, json_path: Path | N
       fleet bench soak
       fleet bench soak --vehicles 6 --duration 120 --distributed 60
     """
-    from fleet.bench.soak import measure_soak, show_soak, soak_failures
+    from fleet.bench.soak import Soaked, measure_soak, show_soak, soak_failures
 
     rows = measure_soak(vehicles, duration, distributed, _say)
-    show_soak(rows, stdout())
-    _write(json_path, [row.to_values() for row in rows])
-    _end(soak_failures(rows))
+    failures = soak_failures(rows)
+    _give(Soaked(rows, failures), output, as_json=as_json)
+    if not as_json:
+        show_soak(rows, stdout())
+    _end(failures, as_json=as_json)
 
 
-def _end(wrong: list[str]) -> None:
+def _give(document: Struct, output: Path | None, *, as_json: bool) -> None:
+    """Print a document, or write it, or both."""
+    if output is not None:
+        output.write_text(as_document(document) + "\n", "utf-8")
+    if as_json:
+        print_document(document)
+
+
+def _end(wrong: list[str], *, as_json: bool) -> None:
     for line in wrong:
-        click.echo(f"FAIL  {line}")
+        click.echo(f"FAIL  {line}", err=as_json)
     sys.exit(1 if wrong else 0)
+
+
+def _end_compared(found: Comparison | None) -> None:
+    sys.exit(1 if found is not None and found.slower else 0)
 
 
 def _say(text: str) -> None:
     click.echo(text, err=True)
-
-
-def _write(path: Path | None, figures: Any) -> None:
-    if path is not None:
-        path.write_text(json.dumps(figures, indent=2) + "\n", "utf-8")
 
 
 COMMANDS = (bench,)

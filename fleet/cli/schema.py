@@ -6,8 +6,8 @@ import click
 
 
 @click.command()
-@click.argument("command", required=False)
-def schema(command: str | None) -> None:
+@click.argument("command", nargs=-1, metavar="[COMMAND]")
+def schema(command: tuple[str, ...]) -> None:
     """Print the JSON Schema of what COMMAND prints with --json; without COMMAND, a page about all of them (Markdown).
 
     \b
@@ -19,14 +19,15 @@ def schema(command: str | None) -> None:
     from fleet.cli.documents.page import page
     from fleet.cli.documents.page import schema as schema_of
 
-    if command is None:
+    if not command:
         click.echo(page(), nl=False)
         return
-    if command not in DOCUMENTS:
-        raise click.UsageError(f"{command} has no --json; there are {', '.join(sorted(DOCUMENTS))}")
+    name = " ".join(command)  # "bench real" is one of two words
+    if name not in DOCUMENTS:
+        raise click.UsageError(f"{name} has no --json; there are {', '.join(sorted(DOCUMENTS))}")
     import json
 
-    click.echo(json.dumps(schema_of(command), indent=2))
+    click.echo(json.dumps(schema_of(name), indent=2))
 
 
 COMMANDS = (schema,)

@@ -1,9 +1,16 @@
-"""The document of each command with `--json`."""
+"""The document of each command with `--json`.
+
+Those of `fleet bench` stand beside what measures, which reads them again with `--compare`.
+"""
 
 from __future__ import annotations
 
 from msgspec import Struct
 
+from fleet.bench.figures import ComparedFiles, Measured
+from fleet.bench.soak import Soaked
+from fleet.bench.stress import Stressed
+from fleet.bench.wall_clock import OnWallClock
 from fleet.cli.documents import live, runs
 from fleet.cli.documents.check import Checked
 from fleet.cli.documents.listing import Scenarios
@@ -12,6 +19,11 @@ from fleet.cli.documents.result import Ran
 from fleet.cli.documents.what_if import OtherCommands
 
 DOCUMENTS: dict[str, type[Struct]] = {
+    "bench": Measured,
+    "bench compare": ComparedFiles,
+    "bench real": OnWallClock,
+    "bench soak": Soaked,
+    "bench stress": Stressed,
     "check": Checked,
     "clock": live.ClockSet,
     "diff": Compared,

@@ -27,12 +27,19 @@ def json_is_asked(context: click.Context) -> bool:
     return bool(context.meta.get(_ASKED))
 
 
+def as_document(document: msgspec.Struct) -> str:
+    """A document as JSON: a number that is not finite becomes null, since JSON has none."""
+    import msgspec
+
+    return msgspec.json.format(msgspec.json.encode(document), indent=2).decode()
+
+
 def print_document(document: msgspec.Struct) -> None:
-    """Print a document as JSON: a number that is not finite becomes null, since JSON has none."""
+    """Print a document as JSON."""
     import msgspec
 
     try:
-        click.echo(msgspec.json.format(msgspec.json.encode(document), indent=2).decode())
+        click.echo(as_document(document))
     except UnicodeEncodeError:  # the name of a file that is no text; json writes it with escapes
         import json
 

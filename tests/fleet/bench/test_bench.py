@@ -15,9 +15,11 @@ from waiting import wait_for
 from fleet.__main__ import _command_line
 from fleet.bench import barriers, journal, measured_run
 from fleet.bench.errors import BenchError
-from fleet.bench.fleets import measure_fleets, netem_targets, step_targets, targets
+from fleet.bench.figures import Collector, now, this_machine
+from fleet.bench.fleets import DISTRIBUTED, IN_PROCESS, PIPES, READY, ZENOH, goals, measure_fleets
 from fleet.bench.network_core import SHARE
 from fleet.bench.soak import Soak
+from fleet.bench.tables import show
 from fleet.bench.wall_clock import measure_wall_clock as measure_real
 from fleet.bench.wall_clock import show_wall_clock
 from fleet.cli.main import cli
@@ -28,39 +30,36 @@ from fleet.scenario.loading import load_scenario
 @pytest.mark.slow
 def test_quick_bench_reports_every_figure() -> None:
     heard: list[str] = []
-    figures = measure_fleets([2], quick=True, say=heard.append)
-    (row,) = figures["fleets"]
-    assert row["vehicles"] == 2
-    speeds = ["zenoh_barrier", "pipe_barrier", "distributed", "in_process", "c/a", "c/d", "x_real_time", "startup_s"]
-    assert all(row[name] > 0 for name in speeds)
-    steps = figures["steps_us"]
-    assert {"agent step", "agent step with QP", "QP: solve (PIQP, fresh solver)", "controller alone, bsmc"} <= set(
-        steps
+    found = measure_fleets([2], quick=True, say=heard.append)
+    names = {figure.name for figure in found.figures}
+    assert {f"N = 2: {name}" for name in (ZENOH, PIPES, DISTRIBUTED, IN_PROCESS, READY)} <= names
+    assert {"N = 2: journal written", "network core: perfect", f"network core: {SHARE}", "start: fleet --help"} <= names
+    assert {"step: agent step", "step: QP: solve (PIQP, fresh solver)", "step: controller alone, bsmc"} <= names
+    assert sum(name.startswith("four vehicles: tick 100 ms") for name in names) == 2
+    assert all(min(figure.samples) > 0 for figure in found.figures)
+    assert all(len(figure.ratios) == len(figure.samples) for figure in found.figures if figure.baseline)
+    assert (found.quick, found.machine.cpus > 0, found.versions["uuv-fleet"] != "") == (True, True, True)
+    assert heard[-1] == "the network core, start-up and single steps, 1 of 1"
+    shown = Terminal(width=120, record=True, file=StringIO())
+    show(found, shown)
+    text = shown.export_text()
+    assert all(
+        name.partition(": ")[2] in text for name in names if name.startswith(("step", "network", "start", "four"))
     )
-    (journal,) = figures["journals"]
-    assert all(value > 0 for value in journal.values())
-    network = figures["netem"]
-    assert network["full grammar, packets/s"] > 0 and network["perfect, packets/s"] > 0
-    assert network[SHARE] > 0
-    assert all(row["cpu_s"] > 0 for row in figures["start_up"])
-    assert heard[-1] == "single steps"
 
 
-def test_targets_say_met_or_missed() -> None:
-    row = {"vehicles": 4, "c/a": 0.4, "x_real_time": 20.0, "startup_s": 1.0, "pss_mb": 6.0}
-    assert targets([row]) == ["MISSED N = 4: c/a 0.40, at least 0.5", "met    N = 4: x real time 20.00, at least 15"]
-
-
-def test_goals_of_single_steps_say_met_or_missed() -> None:
-    assert step_targets({"agent step": 30.0, "agent step with QP": 90.0}) == [
-        "met    agent step: 30.0 us, at most 40 us",
-        "MISSED agent step with QP: 90.0 us, at most 80 us",
+def test_goals_say_met_or_missed() -> None:
+    found = Collector()
+    for c, ready in ((1200.0, 0.4), (1600.0, 0.6)):
+        found.add(f"N = 4: {DISTRIBUTED}", "ticks/s", c, ZENOH, 10_000.0)
+        found.add(f"N = 4: {READY}", "s", ready, higher=False)
+        found.add(f"network core: {SHARE}", "1", ready, higher=False)
+    assert goals(found.measured(quick=False, machine=this_machine(), began=now())) == [
+        "MISSED N = 4: c distributed / a zenoh barrier: 0.14, at least 0.35",
+        "met    N = 4: c distributed: 1,600 ticks/s, at least 1500",
+        "met    N = 4: ready: 0.40 s, at most 0.5",
+        "MISSED network core: share of a run, N = 20: 0.40, at most 0.1",
     ]
-
-
-def test_the_goal_of_the_network_core() -> None:
-    assert netem_targets({SHARE: 0.12}) == ["MISSED netem: share of a run, N = 20 0.120, below 0.1"]
-    assert netem_targets({SHARE: 0.05}) == ["met    netem: share of a run, N = 20 0.050, below 0.1"]
 
 
 def test_a_fleet_that_is_asked_too_much_does_not_fit() -> None:
@@ -110,9 +109,9 @@ def test_a_run_that_does_not_end_is_one_line(
 
 
 def test_a_directory_is_no_file_for_figures() -> None:
-    result = CliRunner().invoke(cli, ["bench", "--quick", "--json", ""])
+    result = CliRunner().invoke(cli, ["bench", "--quick", "-o", ""])
     assert result.exit_code == 2 and "cannot be written: it is a directory" in result.stderr
-    result = CliRunner().invoke(cli, ["bench", "--quick", "--json", "--help"])
+    result = CliRunner().invoke(cli, ["bench", "--quick", "-o", "--help"])
     assert result.exit_code == 2 and "expected the file to write, got the option --help" in result.stderr
 
 

@@ -1,0 +1,175 @@
+"""What counts as slower, and files that are no figures: nothing is measured here."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+from click.testing import CliRunner, Result
+
+from fleet.bench.comparison import MOST_BYTES, compare, read
+from fleet.bench.errors import FiguresError
+from fleet.bench.figures import FORMAT, Change, ComparedFiles, Figure, Machine, Measured
+from fleet.cli.main import cli
+
+IDLE = Machine(2, "a processor", "Linux", "3.11.7", 0.1)
+
+
+def rate(*ratios: float, of: float = 1000.0) -> Figure:
+    """A figure of which more is better, with these ratios."""
+    return Figure("N = 4: c distributed", "ticks/s", True, [of * ratio for ratio in ratios], "a", list(ratios))
+
+
+def memory(*samples: float) -> Figure:
+    return Figure("N = 4: PSS", "MB", False, list(samples))
+
+
+def measured(*figures: Figure, **other: Any) -> Measured:
+    values = {"machine": IDLE, "versions": {"numpy": "2.1"}, "cores": "compiled", "quick": False} | other
+    return Measured(
+        format=FORMAT, began="2026-11-22T10:00:00+00:00", command="fleet bench", figures=[*figures], **values
+    )
+
+
+def change(old: Figure, new: Figure) -> Change:
+    (found,) = compare(measured(old), measured(new), Path("old.json")).changes
+    return found
+
+
+STEADY = (0.20, 0.21, 0.20, 0.19, 0.20)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "verdict"),
+    [
+        (rate(*STEADY), rate(0.15, 0.16, 0.15, 0.14, 0.15), "slower"),
+        (rate(*STEADY), rate(0.30, 0.31, 0.30, 0.29, 0.30), "faster"),
+        (rate(*STEADY), rate(0.15, 0.16, 0.20, 0.14, 0.15), "same"),  # the ranges overlap
+        (rate(0.200, 0.201, 0.202), rate(0.190, 0.191, 0.192), "same"),  # apart, but by less than the least change
+        (rate(0.20, 0.21), rate(0.10, 0.11), "same"),  # two repeats do not say how large the noise is
+        (rate(*STEADY, of=1000.0), rate(*STEADY, of=500.0), "same"),  # the machine is half as fast, baseline and all
+        (memory(10.0, 10.1, 10.2), memory(15.0, 15.1, 15.2), "slower"),
+        (memory(10.0, 10.1, 10.2), memory(5.0, 5.1, 5.2), "faster"),
+    ],
+)
+def test_a_change_is_more_than_the_noise_of_both(old: Figure, new: Figure, verdict: str) -> None:
+    assert change(old, new).verdict == verdict
+
+
+def test_a_change_says_by_how_much_and_how_large_the_noise_is() -> None:
+    found = change(rate(*STEADY), rate(0.10, 0.11, 0.10, 0.09, 0.10))
+    assert (found.compared, found.old, found.new, found.times_slower) == ("ratio", 0.20, 0.10, 2.0)
+    assert found.noise == pytest.approx(0.2)  # 0.09 to 0.11, around 0.10
+    found = change(memory(10.0, 10.0, 10.0), memory(20.0, 20.0, 20.0))
+    assert (found.compared, found.times_slower, found.noise) == ("value", 2.0, 0.0)
+
+
+def test_what_makes_two_measurements_less_comparable_is_said() -> None:
+    busy = Machine(4, "another", "Linux", "3.12.0", 1.5)
+    old, new = measured(memory(1.0, 1.0, 1.0)), measured(memory(1.0), machine=busy, cores="plain Python", versions={})
+    assert compare(old, new, Path("old.json")).warnings == [
+        "processors: 2 then, 4 now",
+        "processor: a processor then, another now",
+        "Python: 3.11.7 then, 3.12.0 now",
+        "cores: compiled then, plain Python now",
+        "numpy: 2.1 then, none now",
+        "the machine was busy now: load 1.5 per processor",
+        "figures with fewer than 3 repeats: their noise is not known, so they count as same",
+    ]
+    assert compare(old, old, Path("old.json")).warnings == []
+
+
+def test_figures_that_only_one_has_are_named() -> None:
+    found = compare(measured(rate(*STEADY)), measured(rate(*STEADY), memory(1.0)), Path("old.json"))
+    assert [change.name for change in found.changes] == ["N = 4: c distributed"]
+    assert found.missing == ["N = 4: PSS"]
+    with pytest.raises(FiguresError, match="it has no figure that was measured now"):
+        compare(measured(memory(1.0)), measured(rate(*STEADY)), Path("old.json"))
+
+
+def write(path: Path, document: Measured) -> Path:
+    path.write_bytes(msgspec.json.encode(document))
+    return path
+
+
+def invoke(*arguments: str | Path) -> Result:
+    return CliRunner().invoke(cli, ["bench", *map(str, arguments)])
+
+
+def test_two_files_are_compared_without_measuring(tmp_path: Path) -> None:
+    old = write(tmp_path / "old.json", measured(rate(*STEADY), memory(1.0, 1.0, 1.0)))
+    slow = write(tmp_path / "slow.json", measured(rate(0.10, 0.11, 0.10), memory(1.0, 1.0, 1.0)))
+    result = invoke("compare", old, slow)
+    assert result.exit_code == 1
+    assert "slower  N = 4: c distributed  2.00 x" in result.stdout
+    assert result.stdout.splitlines()[-1] == "1 slower, 0 faster, 1 the same within the noise"
+    result = invoke("compare", slow, old, "--json")
+    assert result.exit_code == 0
+    found = msgspec.json.decode(result.stdout, type=ComparedFiles).comparison
+    assert [each.verdict for each in found.changes] == ["faster", "same"]
+
+
+def test_the_new_measurement_is_compared_and_both_are_one_document(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    old = write(tmp_path / "old.json", measured(memory(1.0, 1.0, 1.0)))
+    monkeypatch.setattr("fleet.bench.fleets.measure_fleets", lambda *_, **__: measured(memory(2.0, 2.0, 2.0)))
+    result = invoke("--compare", old, "--json", "-o", tmp_path / "new.json")
+    assert result.exit_code == 1
+    found = msgspec.json.decode(result.stdout, type=Measured)
+    assert found.comparison is not None and [each.verdict for each in found.comparison.changes] == ["slower"]
+    assert read(tmp_path / "new.json") == found
+    assert json.loads(result.stdout)["comparison"]["with"] == str(old)
+
+
+GOOD = json.loads(msgspec.json.encode(measured(rate(*STEADY))))
+
+
+def text(**other: Any) -> bytes:
+    return json.dumps(GOOD | other).encode()
+
+
+def figure(**other: Any) -> bytes:
+    return text(figures=[GOOD["figures"][0] | other])
+
+
+@pytest.mark.parametrize(
+    ("content", "reason"),
+    [
+        (b"", "not the figures of fleet bench: Input data was truncated"),
+        (b"\x89PNG\r\n\x00\xff", "not the figures of fleet bench: "),
+        (b"[" * 1000, "not the figures of fleet bench: "),
+        (b"[1, 2]", "not the figures of fleet bench: Expected `object`, got `array`"),
+        (b'{"fleets": []}', "not the figures of fleet bench: Object missing required field `format`"),
+        (text(format=2), "expected format 1, got 2: another version wrote it; measure again"),
+        (json.dumps({"format": 1}).encode(), "not the figures of fleet bench: Object missing required field `began`"),
+        (text(figures=[]), "it has no figure that was measured now"),
+        (figure(samples=[]), "length >= 1 - at `$.figures[0].samples`"),
+        (figure(samples=[1, "2"]), "Expected `float`, got `str`"),
+        (figure(ratios=[1.0]), "got 5 samples and 1 ratios of 'N = 4:"),
+        (figure(ratios=[0.0] * 5), "expected positive numbers"),
+        (b" " * (MOST_BYTES + 1), "expected figures of fleet bench, got more than 10 MB"),
+    ],
+)  # fmt: skip
+def test_a_file_that_is_something_else_is_refused_in_a_line(content: bytes, reason: str, tmp_path: Path) -> None:
+    path = tmp_path / "old.json"
+    path.write_bytes(content)
+    result = invoke("compare", path, path)
+    assert result.exit_code == 2
+    (line,) = result.stderr.splitlines()
+    assert line.startswith(f"fleet: {path}: ") and reason in line
+
+
+def test_what_is_no_file_is_refused_in_a_line_and_before_anything_is_measured(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("fleet.bench.fleets.measure_fleets", lambda *_, **__: pytest.fail("measured"))
+    os.mkfifo(tmp_path / "pipe")
+    for name, reason in (("pipe", "no file"), ("none.json", "No such file"), (".", "Is a directory")):
+        result = invoke("--compare", tmp_path / name)
+        assert result.exit_code == 2, result.output
+        assert reason in result.stderr.splitlines()[-1]

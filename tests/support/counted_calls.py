@@ -1,0 +1,82 @@
+"""How many calls a tick takes, by module: a measure of speed that no other work on the machine changes."""
+
+from __future__ import annotations
+
+import sys
+from collections import Counter
+from collections.abc import Mapping
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+from fleet.recorder.journal import Journal
+from fleet.recorder.log_file import LogFile
+from fleet.recorder.writer import LogWriter
+from fleet.run.clock import Clock
+from fleet.run.in_process import InProcess
+from fleet.scenario.loading import load_scenario
+from netem.wire.messages import Message
+
+TICKS = 100  # a second: ten rounds, twenty optimisations, one snapshot, one flush
+SHORT = 20
+# The room of a module: by the first of these names that its own begins with.
+ROOMS = {"agents": "agents", "world": "world", "netem.wire": "wire", "netem": "netem", "fleet.recorder": "recorder",
+         "fleet.logs": "recorder", "mcap": "recorder"}  # fmt: skip
+
+
+class Posting(InProcess):
+    """A run that counts its messages by kind."""
+
+    def __init__(self, *arguments: Any) -> None:
+        super().__init__(*arguments)
+        self.messages: Counter[str] = Counter()
+
+    def _send(self, sender: int, receiver: int, message: Message) -> None:
+        self.messages[type(message).__name__] += 1
+        super()._send(sender, receiver, message)
+
+
+def counted(vehicles: int, folder: Path) -> tuple[dict[str, float], dict[str, float]]:
+    """Of one tick of the paper's fleet, recorded, in one process: calls by module, and messages by kind.
+
+    Calls are those of Python's functions, in their module, and of C's, in the module that calls. What a run does once
+    does not count: a longer run less a shorter one.
+    """
+    run(vehicles, SHORT, folder / "first.mcap")  # what is made on first use
+    short, long = (run(vehicles, ticks, folder / f"{ticks}.mcap") for ticks in (SHORT, SHORT + TICKS))
+    return _per_tick(long[0], short[0]), _per_tick(long[1], short[1])
+
+
+def _per_tick(long: Counter[str], short: Counter[str]) -> dict[str, float]:
+    return {name: (number - short[name]) / TICKS for name, number in long.items()}
+
+
+def run(vehicles: int, ticks: int, log: Path) -> tuple[Counter[str], Counter[str]]:
+    scenario = load_scenario("paper", [f"vehicles={vehicles}", f"duration={ticks * 10} ms", "checks={}"])
+    file = LogFile(log)
+    fleet = Posting(scenario, Journal(scenario, LogWriter(file, scenario)))
+    calls: Counter[str] = Counter()
+
+    def count(frame: FrameType, event: str, _: Any) -> None:
+        if event in ("call", "c_call"):
+            calls[frame.f_globals.get("__name__", "?")] += 1
+
+    before = sys.getprofile()
+    sys.setprofile(count)
+    try:
+        fleet.serve(Clock.of(scenario), lambda: None)
+    finally:
+        sys.setprofile(before)
+    file.close()
+    del calls[__name__]
+    return calls, fleet.messages
+
+
+def by_room(calls: Mapping[str, float]) -> dict[str, float]:
+    """Calls of the rooms; `loop` is what passes messages on, and everything else."""
+    rooms: dict[str, float] = {}
+    for module, number in calls.items():
+        within = [name for name in ROOMS if f"{module}.".startswith(f"{name}.")]
+        room = ROOMS[within[0]] if within else "loop"
+        rooms[room] = rooms.get(room, 0.0) + number
+    return rooms

@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
+from fleet.cli.completion import scenarios
 from fleet.cli.documents.output import as_document, json_option, print_document
 from fleet.cli.group import ListingGroup
-from fleet.cli.types import Numbers
+from fleet.cli.types import OVERRIDES, Numbers
 from fleet.terminal.folding import stdout
 
 if TYPE_CHECKING:
@@ -137,6 +138,41 @@ def real(agents: list[int], speeds: list[float], output: Path | None, as_json: b
     _give(OnWallClock(rows), output, as_json=as_json)
     if not as_json:
         show_wall_clock(rows, stdout())
+
+
+@bench.command()
+@click.argument("scenario", shell_complete=scenarios)
+@click.option("--duration", metavar="TIME", default="20 s", show_default=True, help="Simulated.")
+@click.option("--in-process", is_flag=True, help="One process, no zenoh.")
+@OVERRIDES
+@click.option("-o", "--out", metavar="DIR", type=click.Path(path_type=Path, file_okay=False), default=Path("profile"),
+              show_default=True, help="Where the flame graphs go.")  # fmt: skip
+@json_option
+def profile(
+    scenario: str, duration: str, in_process: bool, overrides: tuple[str, ...], out: Path, as_json: bool
+) -> None:
+    """Run SCENARIO and show where its time goes: a table, and a flame graph (SVG) for each kind of process.
+
+    Needs py-spy: pip install 'uuv-fleet[profile]'. A run that is watched is slower. The checks of the scenario are left
+    out.
+
+    \b
+    Examples:
+      fleet bench profile paper
+      fleet bench profile paper --set vehicles=20 --duration '10 s' -o twenty
+      fleet bench profile paper --in-process
+    """
+    from fleet.bench.profile import measure_profile, show_profile
+    from fleet.scenario.loading import load_scenario
+
+    changes = [*overrides, f"duration={duration}", "checks={}"]
+    name = load_scenario(scenario, changes).name  # a mistake in it is told now
+    words = [scenario, *(word for change in changes for word in ("--set", change)), *["--in-process"] * in_process]
+    found = measure_profile(words, name, out)
+    if as_json:
+        print_document(found)
+    else:
+        show_profile(found, stdout())
 
 
 @bench.command()

@@ -8,6 +8,7 @@ from __future__ import annotations
 from msgspec import Struct
 
 from fleet.bench.figures import ComparedFiles, Measured
+from fleet.bench.profile import Profiled
 from fleet.bench.soak import Soaked
 from fleet.bench.stress import Stressed
 from fleet.bench.wall_clock import OnWallClock
@@ -21,6 +22,7 @@ from fleet.cli.documents.what_if import OtherCommands
 DOCUMENTS: dict[str, type[Struct]] = {
     "bench": Measured,
     "bench compare": ComparedFiles,
+    "bench profile": Profiled,
     "bench real": OnWallClock,
     "bench soak": Soaked,
     "bench stress": Stressed,

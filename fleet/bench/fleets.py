@@ -11,6 +11,7 @@ several times, in turn, so that a slow minute of the machine meets a figure and 
 from __future__ import annotations
 
 import tempfile
+import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -31,7 +32,7 @@ from fleet.scenario.scenario import Scenario
 TICK_S = 0.01
 REPEATS = 5
 ZENOH, PIPES = "a zenoh barrier", "b pipe barrier"
-DISTRIBUTED, IN_PROCESS = "c distributed", "d in-process"
+DISTRIBUTED, IN_PROCESS, CPU = "c distributed", "d in-process", "d CPU time of a tick"
 READY, PSS = "ready", "PSS of an agent"
 # Four vehicles at the rates at which others are used; a round is a whole number of ticks.
 RATES: dict[str, tuple[str, ...]] = {
@@ -93,11 +94,14 @@ def _fleet(n: int, quick: bool, found: Collector, say: Callable[[str], None]) ->
     with sampled_pss() as pss:
         distributed = _wall(scenario, in_process=False)
     say("in-process")
+    cpu_s = time.process_time()
     alone = _wall(scenario, in_process=True)
+    tick_us = (time.process_time() - cpu_s) / scenario.ticks * 1e6  # with what a run does once
     found.add(name + ZENOH, "ticks/s", zenoh)
     found.add(name + PIPES, "ticks/s", pipes)
     found.add(name + DISTRIBUTED, "ticks/s", scenario.ticks / distributed["run_s"], ZENOH, zenoh)
     found.add(name + IN_PROCESS, "ticks/s", scenario.ticks / alone["run_s"], python_loop.NAME, loops)
+    found.add(name + CPU, "us", tick_us, python_loop.NAME, 1e6 / loops, higher=False)
     found.add(name + READY, "s", distributed["startup_s"], python_loop.NAME, 1 / loops, higher=False)
     if pss[0]:  # a run of half a second was not seen
         found.add(name + PSS, "MB", pss[0], higher=False)

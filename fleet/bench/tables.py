@@ -8,7 +8,7 @@ from dataclasses import replace
 from rich.console import Console as Terminal
 
 from fleet.bench.figures import Change, Comparison, Figure, Measured
-from fleet.bench.fleets import DISTRIBUTED, IN_PROCESS, PIPES, PSS, READY, TICK_S, ZENOH, goals
+from fleet.bench.fleets import CPU, DISTRIBUTED, IN_PROCESS, PIPES, PSS, READY, TICK_S, ZENOH, goals
 from fleet.bench.journal import show_journals
 from fleet.bench.start_up import PYTHON
 from fleet.terminal.table import Column, columns
@@ -36,7 +36,7 @@ def show(measured: Measured, terminal: Terminal) -> None:
 def _show_fleets(fleets: dict[str, dict[str, Figure]], terminal: Terminal) -> None:
     headings = {
         "N": 0, "a zenoh\nbarrier": 0, "b pipe\nbarrier": 0, "c\ndistributed": 0, "d\nin-process": 0,
-        "c/a": 0, "c x\nreal": 1, "d x\nreal": 1, "ready\n[s]": 2, "PSS\n[MB]": 3,
+        "c/a": 0, "c x\nreal": 1, "d x\nreal": 1, "d CPU\n[us]": 2, "ready\n[s]": 3, "PSS\n[MB]": 4,
     }  # fmt: skip
     rows = [
         (
@@ -44,12 +44,14 @@ def _show_fleets(fleets: dict[str, dict[str, Figure]], terminal: Terminal) -> No
             *(f"{of[key].best:.0f}" for key in (ZENOH, PIPES, DISTRIBUTED, IN_PROCESS)),
             f"{of[DISTRIBUTED].ratio:.2f}",
             *(f"{of[key].best * TICK_S:.2f}" for key in (DISTRIBUTED, IN_PROCESS)),
+            f"{of[CPU].best:.0f}",
             f"{of[READY].best:.2f}",
             f"{of[PSS].best:.1f}" if PSS in of else "-",
         )
         for name, of in fleets.items()
     ]
-    show_table(columns(headings, rows), "ticks per second (Ts = 10 ms), PSS per agent", terminal, _ELSEWHERE)
+    title = "ticks per second (Ts = 10 ms), CPU time of a tick, PSS of an agent"
+    show_table(columns(headings, rows), title, terminal, _ELSEWHERE)
 
 
 def _journal(name: str, of: dict[str, Figure]) -> dict[str, float]:

@@ -9,12 +9,15 @@ from pathlib import Path
 from types import FrameType
 from typing import Any
 
+import pytest
+
 from fleet.recorder.journal import Journal
 from fleet.recorder.log_file import LogFile
 from fleet.recorder.writer import LogWriter
+from fleet.run import in_process
 from fleet.run.clock import Clock
-from fleet.run.in_process import InProcess
 from fleet.scenario.loading import load_scenario
+from netem.wire.codec import encode
 from netem.wire.messages import Message
 
 TICKS = 100  # a second: ten rounds, twenty optimisations, one snapshot, one flush
@@ -24,20 +27,8 @@ ROOMS = {"agents": "agents", "world": "world", "netem.wire": "wire", "netem": "n
          "fleet.logs": "recorder", "mcap": "recorder"}  # fmt: skip
 
 
-class Posting(InProcess):
-    """A run that counts its messages by kind."""
-
-    def __init__(self, *arguments: Any) -> None:
-        super().__init__(*arguments)
-        self.messages: Counter[str] = Counter()
-
-    def _send(self, sender: int, receiver: int, message: Message) -> None:
-        self.messages[type(message).__name__] += 1
-        super()._send(sender, receiver, message)
-
-
 def counted(vehicles: int, folder: Path) -> tuple[dict[str, float], dict[str, float]]:
-    """Of one tick of the paper's fleet, recorded, in one process: calls by module, and messages by kind.
+    """Of one tick of the paper's fleet, recorded, in one process: calls by module, and encoded messages by kind.
 
     Calls are those of Python's functions, in their module, and of C's, in the module that calls. What a run does once
     does not count: a longer run less a shorter one.
@@ -54,22 +45,29 @@ def _per_tick(long: Counter[str], short: Counter[str]) -> dict[str, float]:
 def run(vehicles: int, ticks: int, log: Path) -> tuple[Counter[str], Counter[str]]:
     scenario = load_scenario("paper", [f"vehicles={vehicles}", f"duration={ticks * 10} ms", "checks={}"])
     file = LogFile(log)
-    fleet = Posting(scenario, Journal(scenario, LogWriter(file, scenario)))
+    fleet = in_process.InProcess(scenario, Journal(scenario, LogWriter(file, scenario)))
     calls: Counter[str] = Counter()
+    messages: Counter[str] = Counter()
+
+    def counting(message: Message) -> bytes:
+        messages[type(message).__name__] += 1
+        return encode(message)
 
     def count(frame: FrameType, event: str, _: Any) -> None:
         if event in ("call", "c_call"):
             calls[frame.f_globals.get("__name__", "?")] += 1
 
     before = sys.getprofile()
-    sys.setprofile(count)
-    try:
-        fleet.serve(Clock.of(scenario), lambda: None)
-    finally:
-        sys.setprofile(before)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(in_process, "encode", counting)
+        sys.setprofile(count)
+        try:
+            fleet.serve(Clock.of(scenario), lambda: None)
+        finally:
+            sys.setprofile(before)
     file.close()
     del calls[__name__]
-    return calls, fleet.messages
+    return calls, messages
 
 
 def by_room(calls: Mapping[str, float]) -> dict[str, float]:

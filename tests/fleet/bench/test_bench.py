@@ -16,7 +16,7 @@ from fleet.__main__ import _command_line
 from fleet.bench import barriers, journal, measured_run
 from fleet.bench.errors import BenchError
 from fleet.bench.figures import Collector, now, this_machine
-from fleet.bench.fleets import DISTRIBUTED, IN_PROCESS, PIPES, READY, ZENOH, goals, measure_fleets
+from fleet.bench.fleets import CPU, DISTRIBUTED, IN_PROCESS, PIPES, READY, ZENOH, goals, measure_fleets
 from fleet.bench.network_core import SHARE
 from fleet.bench.soak import Soak
 from fleet.bench.tables import show
@@ -32,7 +32,7 @@ def test_quick_bench_reports_every_figure() -> None:
     heard: list[str] = []
     found = measure_fleets([2], quick=True, say=heard.append)
     names = {figure.name for figure in found.figures}
-    assert {f"N = 2: {name}" for name in (ZENOH, PIPES, DISTRIBUTED, IN_PROCESS, READY)} <= names
+    assert {f"N = 2: {name}" for name in (ZENOH, PIPES, DISTRIBUTED, IN_PROCESS, CPU, READY)} <= names
     assert {"N = 2: journal written", "network core: perfect", f"network core: {SHARE}", "start: fleet --help"} <= names
     assert {"step: agent step", "step: QP: solve (PIQP, fresh solver)", "step: controller alone, bsmc"} <= names
     assert sum(name.startswith("four vehicles: tick 100 ms") for name in names) == 2

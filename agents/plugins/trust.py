@@ -7,7 +7,6 @@ to find that out.
 
 from __future__ import annotations
 
-import hashlib
 import importlib.util
 import os
 import stat
@@ -176,6 +175,8 @@ def _open_to_all(folder: str) -> bool:
 
 def _fingerprints(place: Place) -> list[str]:
     """SHA-256 of each file; nothing if one cannot be read."""
+    import hashlib  # loads OpenSSL, which --help needs not
+
     try:
         return [hashlib.sha256(Path(file).read_bytes()).hexdigest() for file in place.files]
     except OSError:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import secrets
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -151,6 +150,8 @@ def acl(
       zenohd -c acl/router.json5                       on the router's host
       fleet run paper --router tls/sea.example.org:7447 --credentials acl/credentials.json --certs certs
     """
+    from secrets import token_hex
+
     from fleet.hosts import router_config as lists
     from fleet.hosts.rendezvous import HostsError, parse_endpoint, run_id
     from fleet.scenario.loading import load_scenario
@@ -161,7 +162,7 @@ def acl(
         raise HostsError(f"{endpoint} needs certificates: --certs DIR, made with fleet certs DIR --host NAME; or tcp/")
     if endpoint.protocol == "tcp" and (certs or mutual_tls):
         raise HostsError("--certs and --mutual-tls are for tls/ endpoints")
-    name = secrets.token_hex(4) if run is None else run_id(run)
+    name = token_hex(4) if run is None else run_id(run)
     users = users_file or (out or Path()).absolute() / lists.USERS
     place = certs.absolute() if certs else None
     text = lists.config(

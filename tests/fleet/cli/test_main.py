@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 READING = {"numpy", "pydantic", "zenoh", "matplotlib", "google.protobuf", "mcap", "piqp", "jinja2", "multiprocessing"}
-LIGHT = READING | {"rich", "yaml", "msgspec", "fractions", "asyncio"}
+LIGHT = READING | {"rich", "yaml", "msgspec", "fractions", "asyncio", "hashlib"}
 
 
 def imported(*arguments: str, **environment: str) -> set[str]:

@@ -295,6 +295,29 @@ def _status(pid: int) -> int:
 
 # --- a run that ends while its processes begin --------------------------------
 
+EARLY = """\
+from multiprocessing import forkserver
+from pathlib import Path
+from fleet.processes.children import Children, start_forkserver
+from sys import argv
+
+start_forkserver()
+early = forkserver._forkserver._forkserver_pid
+children = Children(lambda _: None)
+children.start("role", "title", Path(argv[1]) / "role.log", print, "begun")
+children.by_role["role"].process.join(20)
+children.stop()
+print(early == forkserver._forkserver._forkserver_pid)
+"""
+
+
+def test_a_fork_server_that_was_started_before_is_the_one_that_starts_processes(tmp_path: Path) -> None:
+    arguments = [sys.executable, "-c", EARLY, str(tmp_path)]
+    done = subprocess.run(arguments, capture_output=True, text=True, timeout=60, check=False)
+    assert (done.stdout, done.stderr) == ("True\n", "")
+    assert (tmp_path / "role.log").read_text() == "begun\n"
+
+
 BEGUN_TOO_LATE = """\
 import sys
 from pathlib import Path

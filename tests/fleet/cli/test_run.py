@@ -6,6 +6,8 @@ import json
 import re
 from pathlib import Path
 
+import click
+import pytest
 from click.testing import CliRunner, Result
 
 from fleet.cli.main import cli
@@ -81,3 +83,25 @@ def test_a_published_run_without_a_log(tmp_path: Path) -> None:
     assert result.exit_code == 0, result.stderr
     values = json.loads((tmp_path / "latest" / "result.json").read_text())
     assert (values["log_bytes"], values["published"]["dropped"]) == (0, 0)
+
+
+# --- the fork server --------------------------------------------------------------
+
+
+def test_the_fork_server_imports_while_the_scenario_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Only where there will be processes, as far as that is known before the scenario is."""
+    done: list[str] = []
+    monkeypatch.setattr("fleet.processes.children.start_forkserver", lambda: done.append("started"))
+    for options, expected in (
+        ([], ["started", "read"]),
+        (["--in-process"], ["read"]),
+        (["--show-config"], ["read"]),
+    ):
+        done.clear()
+        monkeypatch.setattr("fleet.scenario.loading.load_scenario", lambda *_, **__: done.append("read") or _refuse())
+        result = invoke("run", "paper", *options, "--out", tmp_path)
+        assert (result.exit_code, done) == (2, expected)
+
+
+def _refuse() -> None:
+    raise click.UsageError("no such scenario")

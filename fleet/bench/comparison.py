@@ -2,14 +2,16 @@
 
 A figure is compared as its ratio to the baseline of the same minute, where it has one, since the machine itself may
 have become slower. It changed if the repeats of the two measurements do not overlap (the worst of one is better than
-the best of the other) and the medians are further apart than `LEAST`. With five repeats each, chance alone separates
-two equal figures once in 126 times; the least change keeps small drifts of the machine out.
+the best of the other), and if the medians are further apart than the repeats of either measurement, and than `LEAST`.
+With five repeats each, chance alone separates two equal figures once in 126 times; the two other conditions keep small
+and large drifts of the machine out.
 """
 
 from __future__ import annotations
 
 import os
 import stat
+from collections.abc import Sequence
 from pathlib import Path
 from statistics import median
 
@@ -76,7 +78,9 @@ def compare(old: Measured, new: Measured, path: Path) -> Comparison:
         raise FiguresError(path, "it has no figure that was measured now; measure both with the same options")
     missing = [name for name in (*before, *now) if name not in common]
     changes = [_change(before[name], now[name]) for name in common]
-    return Comparison(str(path), _warnings(old, new), changes, list(dict.fromkeys(missing)))
+    of_machine = [change for change in changes if now[change.name].of_machine]
+    judged = [change for change in changes if not now[change.name].of_machine]
+    return Comparison(str(path), _warnings(old, new, of_machine), judged, list(dict.fromkeys(missing)))
 
 
 def _alike(old: Figure, new: Figure) -> bool:
@@ -88,15 +92,15 @@ def _change(old: Figure, new: Figure) -> Change:
     before, now = (old.ratios, new.ratios) if by_ratio else (old.samples, new.samples)
     middle = median(before), median(now)
     slower = middle[0] / middle[1] if new.higher_is_better else middle[1] / middle[0]
+    noise = max((max(values) - min(values)) / median(values) for values in (before, now))
     verdict = "same"
     apart = min(before) > max(now) or max(before) < min(now)
-    if apart and not 1 / (1 + LEAST) <= slower <= 1 + LEAST and min(len(before), len(now)) >= FEWEST:
+    if apart and max(slower, 1 / slower) > 1 + max(LEAST, noise) and min(len(before), len(now)) >= FEWEST:
         verdict = "slower" if slower > 1 else "faster"
-    noise = max((max(values) - min(values)) / median(values) for values in (before, now))
     return Change(new.name, "ratio" if by_ratio else "value", *middle, slower, noise, verdict)
 
 
-def _warnings(old: Measured, new: Measured) -> list[str]:
+def _warnings(old: Measured, new: Measured, of_machine: Sequence[Change]) -> list[str]:
     """Why the two may not be comparable."""
     pairs = [
         ("processors", old.machine.cpus, new.machine.cpus),
@@ -111,6 +115,11 @@ def _warnings(old: Measured, new: Measured) -> list[str]:
         ),
     ]
     told = [f"{what}: {before} then, {now} now" for what, before, now in pairs if before != now]
+    told += [
+        f"the machine itself is {change.verdict} now: {change.name} by {change.factor:.2f} x"
+        for change in of_machine
+        if change.verdict != "same"
+    ]
     for which, measured in (("then", old), ("now", new)):
         if measured.machine.busy > BUSY:
             told.append(f"the machine was busy {which}: load {measured.machine.busy:.1f} per processor")

@@ -30,6 +30,9 @@ class Figure(Struct, forbid_unknown_fields=True):
     ratios: Annotated[
         list[float], Meta(description="Each sample in relation to the baseline of the same minute [1].")
     ] = field(default_factory=list)
+    of_machine: Annotated[
+        bool, Meta(description="Whether it only says how fast the machine is, so that it is not judged.")
+    ] = False
 
     @property
     def best(self) -> float:
@@ -62,6 +65,11 @@ class Change(Struct, forbid_unknown_fields=True):
     times_slower: Annotated[float, Meta(description="How much slower or larger it became; below 1: faster [1].")]
     noise: Annotated[float, Meta(description="Within one measurement: the larger of both, of range to median [1].")]
     verdict: Annotated[str, Meta(description="slower, faster, or same: no more than the noise.")]
+
+    @property
+    def factor(self) -> float:
+        """By how much it changed, in either direction: at least 1."""
+        return max(self.times_slower, 1 / self.times_slower)
 
 
 class Comparison(Struct, forbid_unknown_fields=True):
@@ -108,7 +116,15 @@ class Collector:
         self._figures: dict[str, Figure] = {}
 
     def add(
-        self, name: str, unit: str, sample: float, baseline: str = "", of_baseline: float = 0.0, *, higher: bool = True
+        self,
+        name: str,
+        unit: str,
+        sample: float,
+        baseline: str = "",
+        of_baseline: float = 0.0,
+        *,
+        higher: bool = True,
+        of_machine: bool = False,
     ) -> None:
         """Add a measurement.
 
@@ -116,7 +132,7 @@ class Collector:
             baseline: the name of a baseline, if there is one.
             of_baseline: what the baseline measured at this time: the ratio is `sample / of_baseline`.
         """
-        figure = self._figures.setdefault(name, Figure(name, unit, higher, [], baseline))
+        figure = self._figures.setdefault(name, Figure(name, unit, higher, [], baseline, of_machine=of_machine))
         figure.samples.append(sample)
         if baseline:
             figure.ratios.append(sample / of_baseline)

@@ -97,8 +97,8 @@ def _fleet(n: int, quick: bool, found: Collector, say: Callable[[str], None]) ->
     cpu_s = time.process_time()
     alone = _wall(scenario, in_process=True)
     tick_us = (time.process_time() - cpu_s) / scenario.ticks * 1e6  # with what a run does once
-    found.add(name + ZENOH, "ticks/s", zenoh)
-    found.add(name + PIPES, "ticks/s", pipes)
+    found.add(name + ZENOH, "ticks/s", zenoh, of_machine=True)
+    found.add(name + PIPES, "ticks/s", pipes, of_machine=True)
     found.add(name + DISTRIBUTED, "ticks/s", scenario.ticks / distributed["run_s"], ZENOH, zenoh)
     found.add(name + IN_PROCESS, "ticks/s", scenario.ticks / alone["run_s"], python_loop.NAME, loops)
     found.add(name + CPU, "us", tick_us, python_loop.NAME, 1e6 / loops, higher=False)
@@ -140,8 +140,9 @@ def _network_core(quick: bool, found: Collector) -> None:
 def _start_up(quick: bool, found: Collector) -> None:
     times = cpu_times(1 if quick else 3)
     for name in COMMANDS:
-        baseline = () if name == PYTHON else (PYTHON, times[PYTHON])
-        found.add(f"{_START}{name}", "s of CPU time", times[name], *baseline, higher=False)
+        python = name == PYTHON
+        baseline = () if python else (PYTHON, times[PYTHON])
+        found.add(f"{_START}{name}", "s of CPU time", times[name], *baseline, higher=False, of_machine=python)
 
 
 def _single_steps(quick: bool, found: Collector) -> None:

@@ -1,4 +1,4 @@
-"""The network core alone: packets per second, and its share of a whole run."""
+"""The network core alone: packets per second of CPU time, and its share of a whole run."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _PAYLOAD = b"x" * 63
 
 
 def netem_figures(*, quick: bool) -> dict[str, float]:
-    """Packets per second through `Netem.exchange`, and the share of an in-process run that it takes."""
+    """Packets per second of CPU time through `Netem.exchange`, and the share of an in-process run that it takes."""
     rounds = 5 if quick else 100
     return {
         "vehicles": AGENTS,
@@ -47,18 +47,18 @@ def scenario(vehicles: int, condition: str, seconds: float) -> Scenario:
 
 
 def packets_per_second(condition: str, rounds: int) -> float:
-    """How many packets one core takes, impairs and hands out."""
+    """How many packets one core takes, impairs and hands out in a second of CPU time."""
     config = scenario(AGENTS, condition, 10.0).netem_config
     netem = Netem(config)
     payloads = dict.fromkeys(config.vehicles, (_PAYLOAD,))
-    began = time.perf_counter()
+    began = time.process_time()
     for k in range(rounds):
         netem.exchange(k * config.round_ticks, payloads)
-    return rounds * len(config.links) / (time.perf_counter() - began)
+    return rounds * len(config.links) / (time.process_time() - began)
 
 
 def share_of_a_run(seconds: float) -> float:
-    """The part of an in-process run's wall time, without a log, that is spent in `exchange`."""
+    """The part of an in-process run's CPU time, without a log, that is spent in `exchange`."""
     run = scenario(SHARE_AT, CONDITION, seconds)
 
     class Nowhere:
@@ -72,9 +72,9 @@ def share_of_a_run(seconds: float) -> float:
     fleet = InProcess(run, Journal(run, Nowhere()))
     core = Timed(fleet.rounds)
     fleet.rounds = core  # type: ignore[assignment]  # it passes everything on
-    began = time.perf_counter()
+    began = time.process_time()
     fleet.serve(Clock.of(run), lambda: None)
-    return core.spent_s / (time.perf_counter() - began)
+    return core.spent_s / (time.process_time() - began)
 
 
 class Timed:
@@ -88,8 +88,8 @@ class Timed:
         return getattr(self._rounds, name)
 
     def exchange(self) -> tuple[list[tuple[int, Inbox]], LinkReport] | None:
-        began = time.perf_counter()
+        began = time.process_time()
         try:
             return self._rounds.exchange()
         finally:
-            self.spent_s += time.perf_counter() - began
+            self.spent_s += time.process_time() - began

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from rich.console import Console as Terminal
 
-from fleet.bench.figures import Change, Comparison, Figure, Measured
+from fleet.bench.figures import Comparison, Figure, Measured
 from fleet.bench.fleets import CPU, DISTRIBUTED, IN_PROCESS, PIPES, PSS, READY, TICK_S, ZENOH, goals
 from fleet.bench.journal import show_journals
 from fleet.bench.start_up import PYTHON
@@ -90,11 +90,17 @@ def show_comparison(found: Comparison, terminal: Terminal) -> None:
     changed = sorted((c for c in found.changes if c.verdict != "same"), key=lambda change: -change.times_slower)
     if changed:
         rows = [
-            (change.verdict, change.name, _times(change), change.compared, f"{change.old:.3g}", f"{change.new:.3g}",
-             f"{change.noise:.0%}")
+            (
+                change.verdict,
+                change.name,
+                f"{change.factor:.2f} x",
+                change.compared,
+                *(f"{value:.3g}" for value in (change.old, change.new)),
+                f"{change.noise:.0%}",
+            )
             for change in changed
-        ]  # fmt: skip
-        headings = {"": 0, "figure": 0, "by": 0, "compared": 3, "then": 2, "now": 2, "noise": 1}
+        ]
+        headings = {"": 0, "figure": 0, "by": 0, "compared": 4, "then": 2, "now": 2, "noise": 3}
         title = f"compared with {found.with_}"
         show_table(_left(columns(headings, rows), "", "figure", "compared"), title, terminal, "--json")
     same = len(found.changes) - len(changed)
@@ -102,7 +108,3 @@ def show_comparison(found: Comparison, terminal: Terminal) -> None:
     terminal.print(
         f"{slower} slower, {len(changed) - slower} faster, {same} the same within the noise", highlight=False
     )
-
-
-def _times(change: Change) -> str:
-    return f"{change.times_slower:.2f} x" if change.times_slower >= 1 else f"{1 / change.times_slower:.2f} x"

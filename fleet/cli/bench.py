@@ -96,7 +96,8 @@ def compare_(old: Path, new: Path, as_json: bool) -> None:
     """Compare two files of fleet bench -o; nothing is measured.
 
     The exit status is 1 if something got slower by more than the noise: the repeats of a figure do not overlap, and
-    their medians are more than 10 % apart. Ratios to the baselines of the same minute count, not seconds.
+    their medians are further apart than the repeats, and than 10 %. Ratios to the baselines of the same minute count,
+    not seconds.
 
     \b
     Examples:

@@ -50,6 +50,7 @@ STEADY = (0.20, 0.21, 0.20, 0.19, 0.20)
         (rate(*STEADY), rate(0.30, 0.31, 0.30, 0.29, 0.30), "faster"),
         (rate(*STEADY), rate(0.15, 0.16, 0.20, 0.14, 0.15), "same"),  # the ranges overlap
         (rate(0.200, 0.201, 0.202), rate(0.190, 0.191, 0.192), "same"),  # apart, but by less than the least change
+        (rate(0.20, 0.30, 0.20), rate(0.18, 0.17, 0.16), "same"),  # apart, but by less than the repeats are
         (rate(0.20, 0.21), rate(0.10, 0.11), "same"),  # two repeats do not say how large the noise is
         (rate(*STEADY, of=1000.0), rate(*STEADY, of=500.0), "same"),  # the machine is half as fast, baseline and all
         (memory(10.0, 10.1, 10.2), memory(15.0, 15.1, 15.2), "slower"),
@@ -81,6 +82,14 @@ def test_what_makes_two_measurements_less_comparable_is_said() -> None:
         "figures with fewer than 3 repeats: their noise is not known, so they count as same",
     ]
     assert compare(old, old, Path("old.json")).warnings == []
+
+
+def test_what_only_says_how_fast_the_machine_is_is_told_but_not_judged() -> None:
+    then = Figure("start: python -c pass", "s of CPU time", False, [0.020, 0.021, 0.020], of_machine=True)
+    now = Figure("start: python -c pass", "s of CPU time", False, [0.040, 0.041, 0.040], of_machine=True)
+    found = compare(measured(then, memory(1.0, 1.0, 1.0)), measured(now, memory(1.0, 1.0, 1.0)), Path("old.json"))
+    assert [change.name for change in found.changes] == ["N = 4: PSS"]
+    assert found.warnings == ["the machine itself is slower now: start: python -c pass by 2.00 x"]
 
 
 def test_figures_that_only_one_has_are_named() -> None:

@@ -14,6 +14,7 @@ import sys
 import sysconfig
 import tempfile
 import threading
+import time
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -29,7 +30,7 @@ from rich.console import Console as Terminal
 import fleet
 from fleet.bench.errors import BenchError
 from fleet.bench.flame_graph import Frame, flame_graph
-from fleet.bench.soak import result_of
+from fleet.bench.soak import of_session, result_of
 from fleet.cores import cores
 from fleet.terminal.table import columns, show
 
@@ -188,10 +189,13 @@ def _session(command: list[str], output: Any) -> Iterator[subprocess.Popen[bytes
         yield process
     finally:
         for number in (signal.SIGTERM, signal.SIGKILL):
-            with suppress(ProcessLookupError):
-                os.killpg(process.pid, number)
-            with suppress(subprocess.TimeoutExpired):
-                process.wait(END_S)
+            deadline = time.monotonic() + END_S
+            for pid in of_session(process.pid):
+                with suppress(ProcessLookupError):
+                    os.kill(pid, number)
+            while of_session(process.pid) and time.monotonic() < deadline:
+                time.sleep(0.02)
+        process.wait()
 
 
 Stacks = dict[tuple[int, int], list[tuple[tuple[Frame, ...], float]]]  # (process, thread) -> stacks and seconds

@@ -72,7 +72,7 @@ class Soak:
         """Whether it still runs; takes a sample of its memory."""
         if self._process.poll() is not None:
             return False
-        self._samples.append((time.monotonic(), sum(map(pss_mb, _of_session(self._process.pid)))))
+        self._samples.append((time.monotonic(), sum(map(pss_mb, of_session(self._process.pid)))))
         return True
 
     @property
@@ -84,7 +84,7 @@ class Soak:
         self._process.terminate()
         with suppress(subprocess.TimeoutExpired):
             self._process.wait(END_S)
-        for pid in _of_session(self._process.pid):
+        for pid in of_session(self._process.pid):
             with suppress(ProcessLookupError):
                 os.kill(pid, 9)
         self._process.kill()  # not by its number, which may be another's once it has been waited for
@@ -94,7 +94,7 @@ class Soak:
     def row(self) -> SoakRow:
         """Its figures, once it has ended."""
         wall_s = time.monotonic() - self._began
-        left = _of_session(self._process.pid)
+        left = of_session(self._process.pid)
         self.stop()
         values = result_of(self._folder / self.name)
         said = (self._folder / f"{self.name}.txt").read_text("utf-8", "replace").strip()
@@ -219,7 +219,7 @@ def result_of(folder: Path) -> dict[str, Any]:
     return values
 
 
-def _of_session(session: int) -> list[int]:
+def of_session(session: int) -> list[int]:
     """The processes of a session that are not dead."""
     members = []
     for pid in psutil.pids():

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 import stat
+import subprocess
 from pathlib import Path
 from typing import Any
 
@@ -12,12 +13,14 @@ import msgspec
 import pytest
 from click.testing import CliRunner
 from repository import ROOT
+from waiting import wait_for
 
 import fleet
 from fleet.bench import profile
 from fleet.bench.errors import BenchError
 from fleet.bench.flame_graph import Frame
 from fleet.bench.profile import Profiled, Times, kind_of, read_stacks
+from fleet.bench.soak import of_session
 from fleet.cli.main import cli
 
 PLACES = {
@@ -127,6 +130,24 @@ def test_a_py_spy_that_may_not_look_is_one_line(tmp_path: Path, monkeypatch: pyt
     assert line.startswith("fleet: py-spy made no profile: Permission Denied: Try running again as root; ")
     assert "--cap-add SYS_PTRACE" in line
     assert not (tmp_path / "out").exists()
+
+
+def test_an_interrupt_lets_the_run_end_by_itself_and_leaves_nobody(tmp_path: Path) -> None:
+    """The run, which is not the first of the group, gets the time to clean up that it needs."""
+    script = f"(trap 'sleep 0.3; echo cleaned >{tmp_path}/said; exit' TERM; touch {tmp_path}/ready; sleep 60 & wait) &"
+    session = 0
+
+    def interrupted() -> None:
+        nonlocal session
+        with profile._session(["sh", "-c", f"{script} sleep 60"], subprocess.DEVNULL) as process:
+            session = process.pid
+            wait_for((tmp_path / "ready").exists, 10.0, "the run")
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        interrupted()
+    assert (tmp_path / "said").read_text() == "cleaned\n"
+    assert of_session(session) == []
 
 
 def test_a_scenario_that_there_is_not_is_told_before_py_spy_starts(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -150,7 +150,9 @@ def measure_profile(arguments: Sequence[str], scenario: str, out: Path) -> Profi
         times = Times()
         said = _run(command, folder / "said.txt", times)
         result = result_of(folder / "run")
-        if not (folder / "stacks.json").exists() or "x_real_time" not in result.get("wall", {}):
+        if result.get("status", "pass") not in ("pass", "check_failed"):
+            raise BenchError(f"the run was {result['status']}: {result.get('reason', '')}")
+        if not result or not (folder / "stacks.json").exists():
             raise BenchError(f"py-spy made no profile: {said}; if it may not look into processes: {_HINT}")
         stacks = read_stacks((folder / "stacks.json").read_bytes())
         wall = result["wall"]

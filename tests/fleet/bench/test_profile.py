@@ -132,6 +132,15 @@ def test_a_py_spy_that_may_not_look_is_one_line(tmp_path: Path, monkeypatch: pyt
     assert not (tmp_path / "out").exists()
 
 
+def test_a_run_that_breaks_is_no_profile(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    broken = {"status": "broken", "reason": "agent 2 was killed", "wall": {"x_real_time": 1.0, "in_process": False}}
+    monkeypatch.setattr(profile, "py_spy", lambda: "true")
+    monkeypatch.setattr(profile, "result_of", lambda _: broken)
+    status, line = run("-o", str(tmp_path / "out"))
+    assert (status, line) == (3, "fleet: the run was broken: agent 2 was killed")
+    assert not (tmp_path / "out").exists()
+
+
 def test_an_interrupt_lets_the_run_end_by_itself_and_leaves_nobody(tmp_path: Path) -> None:
     """The run, which is not the first of the group, gets the time to clean up that it needs."""
     script = f"(trap 'sleep 0.3; echo cleaned >{tmp_path}/said; exit' TERM; touch {tmp_path}/ready; sleep 60 & wait) &"

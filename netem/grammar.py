@@ -38,7 +38,7 @@ from netem.parsing import LONGEST_NUMBER, NUMBER, GrammarError, exact_number, ne
 _VALUE = re.compile(rf"({NUMBER.pattern})\s*([^\W\d_]+|%)?(?=\s|$)", re.ASCII)
 _WORD = re.compile(r"\S+")
 _TIME_NS = {"us": 10**3, "ms": 10**6, "s": 10**9}
-_RATE_BIT = {"bit": 1, "kbit": 10**3, "mbit": 10**6, "gbit": 10**9, "bps": 8, "kbps": 8000, "mbps": 8 * 10**6,
+RATE_UNITS = {"bit": 1, "kbit": 10**3, "mbit": 10**6, "gbit": 10**9, "bps": 8, "kbps": 8000, "mbps": 8 * 10**6,
              "gbps": 8 * 10**9, "kibit": 1024, "mibit": 1024**2, "gibit": 1024**3}  # fmt: skip
 _LONGEST_TIME_NS = 10**9 * 86_400
 _MOST_PACKETS = 10**6
@@ -224,10 +224,10 @@ def _rate(reader: _Reader) -> dict[str, Any]:
     if value is None:
         raise GrammarError(f'expected a rate such as "1kbit", got {quoted(got)}', column)
     number, unit, column = value
-    if unit.lower() not in _RATE_BIT:
+    if unit.lower() not in RATE_UNITS:
         text = "has no unit" if not unit else f'takes bit, kbit, mbit (bits) or bps, kbps, mbps (bytes), got "{unit}"'
-        raise GrammarError(f'the rate "{got}" {text}', column, nearest(unit, _RATE_BIT) if unit else "write 1kbit")
-    bits_per_s = number * _RATE_BIT[unit.lower()]
+        raise GrammarError(f'the rate "{got}" {text}', column, nearest(unit, RATE_UNITS) if unit else "write 1kbit")
+    bits_per_s = number * RATE_UNITS[unit.lower()]
     if bits_per_s.denominator != 1 or not 0 <= bits_per_s <= 10**12:
         raise GrammarError("the rate must be a whole number of bits per second, at most 1000 gbit", column)
     found = {"rate_bit_s": bits_per_s.numerator}
@@ -370,8 +370,8 @@ def _print_percent(value: float) -> str:
 
 def _print_rate(bits_per_s: int) -> str:
     for unit in ("gbit", "mbit", "kbit"):
-        if bits_per_s % _RATE_BIT[unit] == 0:
-            return f"{bits_per_s // _RATE_BIT[unit]}{unit}"
+        if bits_per_s % RATE_UNITS[unit] == 0:
+            return f"{bits_per_s // RATE_UNITS[unit]}{unit}"
     return f"{bits_per_s}bit"
 
 

@@ -53,6 +53,8 @@ Exception
 │   ├── SelectionError
 │   ├── SnapshotError
 │   ├── StoppedError
+│   ├── StudyError
+│   │   └── ValuesError
 │   ├── UnknownValueError
 │   ├── ViewError
 │   └── WhatIfError

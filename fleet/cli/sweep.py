@@ -83,7 +83,7 @@ def sweep(
     from fleet.study.plan import Plan, parse_seeds
     from fleet.study.store import Store
     from fleet.study.study import engine_of, new_directory
-    from fleet.study.sweep import prepare, run_study
+    from fleet.study.sweep import modules_again, prepare, run_study
     from fleet.study.values import parse_axis
 
     shown = chosen(measures)
@@ -91,18 +91,25 @@ def sweep(
         if vary or overrides or fault or net or zipped:
             raise click.UsageError(f"{scenario} is a study: what it runs is settled; only the missing runs are made")
         store = Store.open(Path(scenario))
+        modules = modules_again(store, trust)
     else:
         changes = (*(Override(SET, text) for text in overrides), *net, *fault)
         plan = Plan(scenario, changes, tuple(map(parse_axis, vary)), zipped, parse_seeds(seeds), draw)
-        store = prepare(plan, new_directory(scenario, out), trust)
+        store, modules = prepare(plan, new_directory(scenario, out), trust)
     record = store.record
     if not quiet:
         runs = store.point_count * len(record.seeds)
-        say(f"{store.directory}: {store.point_count} points x {len(record.seeds)} seeds = {runs} runs", err=True)
-    with _showing(quiet) as tell, engine_of(workers, scheduler, dashboard=dashboard) as engine:
-        if engine.dashboard and not quiet:
-            say(f"Dask's page: {engine.dashboard}", err=True)
-        run_study(store, engine, tell, timeout_s=inf if timeout is None else timeout / 1e9)
+        made = f", {runs - store.missing} of them made" if store.missing < runs else ""
+        say(f"{store.directory}: {store.point_count} points x {len(record.seeds)} seeds = {runs} runs{made}", err=True)
+    if store.missing:
+        with _showing(quiet) as tell, engine_of(workers, scheduler, dashboard=dashboard) as engine:
+            if engine.dashboard and not quiet:
+                say(f"Dask's page: {engine.dashboard}", err=True)
+            try:
+                run_study(store, engine, tell, modules=modules, timeout_s=inf if timeout is None else timeout / 1e9)
+            except KeyboardInterrupt:
+                say(f"{store.missing} runs are missing; fleet sweep {store.directory} makes them", err=True)
+                raise
     if quiet:
         click.echo(store.directory)
     else:
@@ -181,13 +188,13 @@ def _cell(value: float | str) -> str:
 
 
 def _share(rate: Estimate) -> str:
-    if rate.count == 0:
+    if rate.runs == 0:
         return "-"
     return f"{100 * rate.value:.0f} %  {100 * rate.low:3.0f}..{100 * rate.high:3.0f} %"
 
 
 def _number(found: Estimate) -> str:
-    if found.count == 0:
+    if found.runs == 0:
         return "-"
     text = f"{found.value:.3g}"
     return text if found.low == found.high or not isfinite(found.low) else f"{text}  {found.low:.3g}..{found.high:.3g}"

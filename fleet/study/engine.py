@@ -1,7 +1,7 @@
 """Who makes the runs of a study: Dask workers, of a cluster that this program starts or of one that is there.
 
-A plain local cluster lets everybody on the host run code as its user. So ours speaks TLS with certificates that exist as long as
-it does: who does not have them cannot connect.
+A plain local cluster lets everybody on the host run code as its user. So ours speaks TLS with certificates that exist
+as long as it does: who does not have them cannot connect.
 """
 
 from __future__ import annotations
@@ -31,8 +31,9 @@ NEEDED = ("dask", "distributed", "pyarrow", "scipy", "pandas", "xarray", "crypto
 _AHEAD = 3  # batches per worker that are under way, so that none of them waits
 _BATCH_S = 0.5  # a batch takes about so long, and is one run if that takes longer
 _LARGEST_BATCH = 16
+_CONNECT_S = 10
 _JOIN_S = 60  # for a worker of a cluster that is there
-_LOST = "the worker that made it died three times; is there enough memory?"
+LOST = "the worker that made it died three times; is there enough memory?"
 
 Row = dict[str, Any]
 
@@ -66,7 +67,7 @@ class Engine:
             wait: is called several times a second.
         """
         waiting: deque[list[Task]] = deque()
-        under_way: dict[Future, list[Task]] = {}
+        under_way: dict[Future[Any], list[Task]] = {}
         size = 1
 
         def submit() -> None:
@@ -155,7 +156,7 @@ def remote_engine(scheduler: str | Any, security: Any = None) -> Iterator[Engine
     from distributed import Client
 
     try:
-        client = Client(scheduler, security=security, timeout="10s", set_as_default=False)
+        client = Client(scheduler, security=security, timeout=_CONNECT_S, set_as_default=False)
     except (OSError, TimeoutError, ValueError) as error:
         raise StudyError(f"no Dask scheduler answers at {scheduler}: {error!s:.200}") from None
     with client:
@@ -163,7 +164,7 @@ def remote_engine(scheduler: str | Any, security: Any = None) -> Iterator[Engine
             client.wait_for_workers(1, timeout=_JOIN_S)
         except TimeoutError:
             raise StudyError(f"the scheduler at {scheduler} has no worker: start some with dask worker") from None
-        _check_versions(client)
+        check_versions(client)
         threads = sum(client.nthreads().values())
         yield Engine(client, threads, client.dashboard_link)
 
@@ -193,7 +194,7 @@ def _check_versions(client: Client) -> None:
         raise StudyError("the cluster cannot be used: " + "; ".join(problems[:5]))
 
 
-def _finished(under_way: dict[Future, list[Task]], wait: Callable[[], None]) -> list[Future]:
+def _finished(under_way: dict[Future[Any], list[Task]], wait: Callable[[], None]) -> list[Future[Any]]:
     """Those that ended, at least one."""
     from distributed import wait as until
 
@@ -204,9 +205,9 @@ def _finished(under_way: dict[Future, list[Task]], wait: Callable[[], None]) -> 
             wait()
 
 
-def _lost(task: Task, future: Future) -> Row:
+def _lost(task: Task, future: Future[Any]) -> Row:
     error = future.exception()
     killed = type(error).__name__ == "KilledWorker"
-    reason = _LOST if killed else f"{type(error).__name__}: {error!s:.500}"
+    reason = LOST if killed else f"{type(error).__name__}: {error!s:.500}"
     return {"key": task.key, "point": task.point, "seed": task.seed, "status": FAILED, "reason": reason,
             "version": version("uuv-fleet")}  # fmt: skip

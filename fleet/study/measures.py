@@ -9,12 +9,13 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from math import isfinite, nan
-from statistics import median
+from statistics import fmean, median
 from typing import Any
 
 from fleet.study.errors import StudyError
 from netem.parsing import nearest
 
+Join = Callable[[list[float]], float]
 Values = Mapping[str, Any]  # of a run, as result.json has them
 
 
@@ -35,7 +36,7 @@ class Measure:
     of: Callable[[Values], float]
 
 
-def _over_vehicles(key: str, join: Callable[[list[float]], float]) -> Callable[[Values], float]:
+def _over_vehicles(key: str, join: Join) -> Callable[[Values], float]:
     """A number of all vehicles; NaN if one of them does not have it."""
 
     def compute(values: Values) -> float:
@@ -46,7 +47,7 @@ def _over_vehicles(key: str, join: Callable[[list[float]], float]) -> Callable[[
     return compute
 
 
-def _over_links(key: str, join: Callable[[Iterable[float]], float]) -> Callable[[Values], float]:
+def _over_links(key: str, join: Join) -> Callable[[Values], float]:
     """The ages of all links; NaN if one of them heard nothing."""
 
     def compute(values: Values) -> float:
@@ -73,34 +74,43 @@ def _failed(values: Values) -> float:
     return float(sum(not check["passed"] for check in values["checks"])) if values["checks"] else nan
 
 
+_VEHICLES: tuple[tuple[str, str, str, str, Join], ...] = (  # name, key of result.json, unit, what, joined over vehicles
+    ("formation_final_m", "formation_final_m", "m", "final formation error of the worst vehicle", max),
+    ("formation_median_m", "formation_final_m", "m", "final formation error of the median vehicle", median),
+    ("e_final_m", "e_final_m", "m", "final consensus error of the worst vehicle", max),
+    ("e_rms_m", "e_rms_m", "m", "RMS of the consensus error over the last 10 s, worst vehicle", max),
+    ("settle_5cm_s", "settle_5cm_s", "s", "time from which every consensus error stays below 5 cm", max),
+    ("settle_10pct_s", "settle_10pct_s", "s", "time from which it stays below a tenth of its start", max),
+    ("effort_Ns", "effort_Ns", "N s", "integral of the surge force, mean of the vehicles", fmean),
+    ("u_cmd_max_mps", "u_cmd_max_mps", "m/s", "largest commanded speed of any vehicle", max),
+    ("qp_failures", "qp_failures", "", "times that the gain's optimisation failed", sum),
+    ("payloads_rejected", "payloads_rejected", "", "payloads that agents refused", sum),
+)
+_LINKS: tuple[tuple[str, str, str, str], ...] = (  # name, key of result.json, unit, what; of the worst link
+    ("age_mean_s", "mean_s", "s", "mean age of what is known of a neighbour, worst link"),
+    ("age_p95_s", "p95_s", "s", "95th percentile of that age, worst link"),
+    ("age_max_s", "max_s", "s", "largest such age"),
+)
+_RUN: tuple[tuple[str, str, str, Callable[[Values], float]], ...] = (
+    ("packets_sent", "", "packets sent on all links", _packets("sent")),
+    ("packets_delivered", "", "packets delivered", _packets("delivered")),
+    ("packets_lost", "", "packets lost, for any cause", _lost),
+    ("packets_corrupted", "", "packets damaged on the way", _packets("corrupted")),
+    ("loss_share", "", "share of the packets that were lost", _loss),
+    ("tumbles", "", "times that a vehicle tumbled", lambda values: float(len(values["tumbles"]))),
+    ("deaths", "", "agents that ended by themselves", lambda values: float(sum(map(len, values["deaths"].values())))),
+    ("checks_failed", "", "checks that failed", _failed),
+    ("sim_s", "s", "simulated time", lambda values: float(values["sim_s"])),
+    ("wall_s", "s", "wall time of the run", lambda values: float(values["wall"]["run_s"])),
+)
 MEASURES: dict[str, Measure] = {
     measure.name: measure
     for measure in (
-        Measure("formation_final_m", "m", "final formation error of the worst vehicle", _over_vehicles("formation_final_m", max)),
-        Measure("formation_median_m", "m", "final formation error of the median vehicle", _over_vehicles("formation_final_m", median)),
-        Measure("e_final_m", "m", "final consensus error of the worst vehicle", _over_vehicles("e_final_m", max)),
-        Measure("e_rms_m", "m", "RMS of the consensus error over the last 10 s, of the worst vehicle", _over_vehicles("e_rms_m", max)),
-        Measure("settle_5cm_s", "s", "time after which every consensus error stays below 5 cm", _over_vehicles("settle_5cm_s", max)),
-        Measure("settle_10pct_s", "s", "time after which every consensus error stays below a tenth of its start", _over_vehicles("settle_10pct_s", max)),
-        Measure("effort_Ns", "N s", "integral of the surge force, mean of the vehicles", _over_vehicles("effort_Ns", lambda row: sum(row) / len(row))),
-        Measure("u_cmd_max_mps", "m/s", "largest commanded speed of any vehicle", _over_vehicles("u_cmd_max_mps", max)),
-        Measure("qp_failures", "", "times that the gain's optimisation failed", _over_vehicles("qp_failures", sum)),
-        Measure("payloads_rejected", "", "payloads that agents refused", _over_vehicles("payloads_rejected", sum)),
-        Measure("packets_sent", "", "packets sent on all links", _packets("sent")),
-        Measure("packets_delivered", "", "packets delivered", _packets("delivered")),
-        Measure("packets_lost", "", "packets lost, for any cause", _lost),
-        Measure("packets_corrupted", "", "packets damaged on the way", _packets("corrupted")),
-        Measure("loss_share", "", "share of the packets that were lost", _loss),
-        Measure("age_mean_s", "s", "mean age of what is known of a neighbour, of the worst link", _over_links("mean_s", max)),
-        Measure("age_p95_s", "s", "95th percentile of that age, of the worst link", _over_links("p95_s", max)),
-        Measure("age_max_s", "s", "largest such age", _over_links("max_s", max)),
-        Measure("tumbles", "", "times that a vehicle tumbled", lambda values: float(len(values["tumbles"]))),
-        Measure("deaths", "", "agents that ended by themselves", lambda values: float(sum(map(len, values["deaths"].values())))),
-        Measure("checks_failed", "", "checks that failed", _failed),
-        Measure("sim_s", "s", "simulated time", lambda values: float(values["sim_s"])),
-        Measure("wall_s", "s", "wall time of the run", lambda values: float(values["wall"]["run_s"])),
+        *(Measure(name, unit, what, _over_vehicles(key, join)) for name, key, unit, what, join in _VEHICLES),
+        *(Measure(name, unit, what, _over_links(key, max)) for name, key, unit, what in _LINKS),
+        *(Measure(name, unit, what, compute) for name, unit, what, compute in _RUN),
     )
-}  # fmt: skip
+}
 
 
 def chosen(names: Iterable[str]) -> list[Measure]:
@@ -112,8 +122,7 @@ def chosen(names: Iterable[str]) -> list[Measure]:
     found = []
     for name in names:
         if name not in MEASURES:
-            raise StudyError(
-                f'there is no measure "{name[:60]}"; {nearest(name, MEASURES) or "fleet sweep --help lists them"}'
-            )
+            hint = nearest(name, MEASURES) or f"there are {', '.join(MEASURES)}"
+            raise StudyError(f'there is no measure "{name[:60]}"; {hint}')
         found.append(MEASURES[name])
     return found

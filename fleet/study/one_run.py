@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from math import isfinite, nan
+from pathlib import Path
 from typing import Any, NamedTuple
 
 from agents.plugins.trust import Trust
@@ -11,9 +12,12 @@ from fleet.errors import FleetError
 from fleet.run.judged import judged
 from fleet.run.outcome import Result
 from fleet.scenario.loading import parse_scenario
+from fleet.scenario.scenario import Scenario
 from fleet.scenario.trust import Policy
 from fleet.study.measures import MEASURES
+from fleet.study.modules import NO_MODULES, Modules
 
+A_STUDY = "a study names it"  # why a law that is not installed needs trust
 FAILED = "failed"  # the status of a run that has no result
 
 
@@ -26,7 +30,7 @@ class Task(NamedTuple):
     name: str  # of the scenario
     text: str  # the whole scenario but for its seed
     timeout_s: float  # of wall time; inf: none
-    fingerprints: tuple[str, ...] = ()  # SHA-256 of the modules that may run besides installed ones
+    modules: Modules = NO_MODULES  # that may run besides installed ones
 
 
 class _TimeoutError(FleetError):
@@ -43,13 +47,19 @@ def make_run(task: Task) -> dict[str, Any]:
 
     row: dict[str, Any] = {"key": task.key, "point": task.point, "seed": task.seed}
     try:
-        policy = Policy(Trust(fingerprints=frozenset(task.fingerprints)), stranger="")
-        scenario = parse_scenario(task.text, task.name, [f"seed={task.seed}"], policy=policy)
+        scenario = _scenario(task)
         result = judged(scenario, check if isfinite(task.timeout_s) else None)
     except Exception as error:  # a law of a user's may raise anything: the study says so and goes on
         reason = str(error) if isinstance(error, FleetError) else f"{type(error).__name__}: {error}"
         return row | {"status": FAILED, "reason": reason[:2000]}
     return row | _measured(result)
+
+
+def _scenario(task: Task) -> Scenario:
+    modules = task.modules
+    policy = Policy(Trust(fingerprints=frozenset(modules.fingerprints)), stranger=A_STUDY)
+    folder = None if modules.folder is None else Path(modules.folder)
+    return parse_scenario(task.text, task.name, [f"seed={task.seed}"], folder, policy)
 
 
 def _measured(result: Result) -> dict[str, Any]:

@@ -1,7 +1,7 @@
 """How sure a study is: intervals of pass rates and medians, and two series over the same seeds compared in pairs.
 
-Packets' fates are hashed draws of seed, link and number: runs with the same seed meet the same network, whatever their controller.
-So two controllers are compared seed by seed, which needs far fewer runs than two independent series.
+Packets' fates are hashed draws of seed, link and number: runs with the same seed meet the same network, whatever their
+controller. So two controllers are compared seed by seed, which needs far fewer runs than two independent series.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ class Estimate(NamedTuple):
     value: float
     low: float
     high: float
-    count: int  # runs behind it
+    runs: int  # behind it
 
     @property
     def half(self) -> float:
@@ -54,7 +54,7 @@ def pass_rate(passed: int, runs: int, confidence: float = CONFIDENCE) -> Estimat
 
 
 def median(values: Sequence[float], confidence: float = CONFIDENCE) -> Estimate:
-    """The median of the finite values, with its bootstrapped interval (BCa; percentile where all but a few are the same)."""
+    """The median of the finite values, with its bootstrapped interval: BCa, or percentile where BCa is not defined."""
     finite = np.array([value for value in values if isfinite(value)])
     if len(finite) == 0:
         return Estimate(nan, nan, nan, 0)
@@ -82,7 +82,7 @@ def median(values: Sequence[float], confidence: float = CONFIDENCE) -> Estimate:
 
 
 def compare(first: Sequence[float], second: Sequence[float], confidence: float = CONFIDENCE) -> Comparison:
-    """Compare two series of the same length, the values of each pair with the same seed; pairs with NaN are left out."""
+    """Compare two series of the same length, each pair with the same seed; pairs with NaN are left out."""
     pairs = [(a, b) for a, b in zip(first, second, strict=True) if isfinite(a) and isfinite(b)]
     differences = np.array([b - a for a, b in pairs])
     if len(pairs) == 0:

@@ -1,4 +1,4 @@
-"""The directory of a study: what is to be run, and one row per run that was made, as Parquet files that only grow in number.
+"""The directory of a study: what is to be run, and one row per run that was made, as Parquet files.
 
 ```text
 DIR/study.json         what the study is: scenario, axes with units, seeds, versions
@@ -13,10 +13,10 @@ from __future__ import annotations
 
 import fcntl
 import os
-from collections.abc import Iterable, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 import pyarrow as pa
@@ -53,17 +53,14 @@ class StudyRecord(msgspec.Struct):
     seeds: list[int]
     checks: list[str]  # of the scenario, by name
     made_by: str  # the version of the package
-    folder: str | None = None  # where the scenario's file lay, in which modules of laws may lie
-    fingerprints: list[str] = []  # SHA-256 of modules that may run
 
 
 class Store:
-    """The directory of one study. It is locked while it is open for writing: two programs cannot run one study."""
+    """The directory of one study. Two programs cannot run one study: see `locked`."""
 
     def __init__(self, directory: Path, record: StudyRecord) -> None:
         self.directory, self.record = directory, record
         self._parts = _next_part(directory)
-        self._lock: IO[bytes] | None = None
 
     @classmethod
     def create(cls, directory: Path, record: StudyRecord, points: Sequence[Mapping[str, Any]]) -> Store:
@@ -110,22 +107,25 @@ class Store:
             raise StudyError(f"{directory}: a study of version {record.version}; this fleet reads version {VERSION}")
         return cls(directory, record)
 
-    def lock(self) -> None:
-        """Take the study for writing until the program ends.
+    @contextmanager
+    def locked(self) -> Iterator[None]:
+        """Have the study for writing.
 
         Raises:
             StudyError: another program has it.
         """
-        try:
-            self._lock = (self.directory / _STUDY).open("rb")
-            fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise StudyError(f"another fleet runs the study {self.directory}") from None
-        except OSError as error:
-            raise StudyError(f"cannot lock {self.directory}: {error.strerror}") from None
-        with suppress(OSError):
-            for left in (self.directory / _RUNS).glob("*.part"):
-                left.unlink()
+        with ExitStack() as stack:
+            try:
+                file = stack.enter_context((self.directory / _STUDY).open("rb"))
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                raise StudyError(f"another fleet runs the study {self.directory}") from None
+            except OSError as error:
+                raise StudyError(f"cannot lock {self.directory}: {error.strerror}") from None
+            with suppress(OSError):
+                for left in (self.directory / _RUNS).glob("*.part"):
+                    left.unlink()
+            yield
 
     @property
     def schema(self) -> pa.Schema:
@@ -147,6 +147,11 @@ class Store:
     def point_count(self) -> int:
         """How many points there are. Raises StudyError."""
         return int(_read(self.directory / _POINTS, ["point"]).num_rows)
+
+    @property
+    def missing(self) -> int:
+        """How many runs have no row yet. Raises StudyError."""
+        return self.point_count * len(self.record.seeds) - len(self.done())
 
     def points(self) -> list[dict[str, Any]]:
         """Every point: `point`, its values by key, and `scenario`. Raises StudyError."""
@@ -170,14 +175,16 @@ class Store:
 
     def table(self, columns: list[str] | None = None) -> pa.Table:
         """All rows, ordered by point and seed, so that their order does not tell who ran them. Raises StudyError."""
-        parts = [_read(path, columns) for path in sorted((self.directory / _RUNS).glob("part-*.parquet"))]
-        if not parts:
-            schema = self.schema
-            return (schema if columns is None else pa.schema([schema.field(name) for name in columns])).empty_table()
-        try:
-            table = pa.concat_tables(parts)
-        except pa.ArrowInvalid as error:
-            raise StudyError(f"{self.directory}: files of several studies: {error!s:.200}") from None
+        schema = self.schema
+        if columns is not None:
+            schema = pa.schema([schema.field(name) for name in columns])
+        parts = []
+        for path in sorted((self.directory / _RUNS).glob("part-*.parquet")):
+            part = _read(path, columns)
+            if not part.schema.equals(schema):
+                raise StudyError(f"{path} has other columns than {self.directory / _STUDY} says")
+            parts.append(part)
+        table = pa.concat_tables(parts) if parts else schema.empty_table()
         return table.sort_by([("point", "ascending"), ("seed", "ascending")])
 
     def frame(self) -> pd.DataFrame:
@@ -212,7 +219,8 @@ def _unit_field(name: str, kind: pa.DataType, unit: str) -> pa.Field:
 
 
 def _unit(field: pa.Field) -> str:
-    return (field.metadata or {}).get(b"unit", b"").decode()
+    unit: bytes = (field.metadata or {}).get(b"unit", b"")
+    return unit.decode()
 
 
 def _next_part(directory: Path) -> int:

@@ -34,7 +34,7 @@ STAMP = "%Y%m%d-%H%M%S"
 
 
 class Study:
-    """A study and its rows, of which each is one run. It may still be running elsewhere: every call reads the files anew."""
+    """A study and its rows, each of which is one run. Every call reads the files anew: it may still be running."""
 
     def __init__(self, store: Store) -> None:
         self._store = store
@@ -65,8 +65,8 @@ class Study:
     def to_xarray(self) -> xr.Dataset:
         """The numbers of every run as arrays with `units` as attributes.
 
-        The dimensions are the keys that are varied and `seed`, if every value was run with every other; else `point` and
-        `seed`, with the keys as coordinates. A run that was not made is NaN, or None.
+        The dimensions are the keys that are varied and `seed`, if every value was run with every other; else `point`
+        and `seed`, with the keys as coordinates. A run that was not made is NaN, or None.
 
         Raises:
             StudyError: the study is damaged.
@@ -155,7 +155,7 @@ def sweep(
         scenario: a shipped name or a file.
         vary: by key the values, as text of the grammar of `fleet sweep --vary` or as a list.
         seeds: how many, from 1 on, or which.
-        set, net, fault: what is changed for every run, as the options of these names; `{key}` stands for a varied value.
+        set, net, fault: what is changed for every run, as by the options; `{key}` stands for a varied value.
         zipped: values go together, first with first, instead of each with each.
         draw: the seed of values that are drawn.
         out: the study's directory; None: a new one below `studies`. One that is there is gone on with.
@@ -176,9 +176,9 @@ def sweep(
     texts += [("--net", text) for text in net] + [("--fault", text) for text in fault]
     changes = tuple(Override(option, text) for option, text in texts)
     plan = Plan(str(scenario), changes, axes, zipped, chosen_seeds, draw)
-    store = prepare(plan, new_directory(plan.scenario) if out is None else Path(out), trust)
+    store, modules = prepare(plan, new_directory(plan.scenario) if out is None else Path(out), trust)
     with engine_of(workers, scheduler) as engine:
-        run_study(store, engine, progress, timeout_s=timeout_s)
+        run_study(store, engine, progress, modules=modules, timeout_s=timeout_s)
     return Study(store)
 
 

@@ -1,10 +1,11 @@
-"""A study from its plan to its rows: every point is checked before the first run, and what was made is never made again."""
+"""A study from its plan to its rows: every point is checked before the first run, and no run is made twice."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from importlib.metadata import version
 from math import inf
 from pathlib import Path
@@ -12,10 +13,12 @@ from typing import Any
 
 from agents.plugins.trust import NOTHING, Trust
 from fleet.errors import Problem, ScenarioError
-from fleet.scenario.loading import load_scenario
+from fleet.scenario.loading import load_scenario, parse_scenario
 from fleet.scenario.scenario import Scenario
+from fleet.scenario.trust import Policy
 from fleet.study.engine import Engine, Row
-from fleet.study.one_run import FAILED, Task
+from fleet.study.modules import NO_MODULES, Modules, modules_of
+from fleet.study.one_run import A_STUDY, FAILED, Task
 from fleet.study.plan import Plan, Point, run_key
 from fleet.study.store import Store, StudyRecord, axis_record
 
@@ -44,8 +47,11 @@ class Progress:
         return (self.runs - self.made) / self.rate if self.new else inf
 
 
-def prepare(plan: Plan, directory: Path, trust: Trust = NOTHING) -> Store:
+def prepare(plan: Plan, directory: Path, trust: Trust = NOTHING) -> tuple[Store, Modules]:
     """Check every point, and make the directory of the study.
+
+    Returns:
+        The study, and the modules of laws that its runs need.
 
     Raises:
         ScenarioError: with the mistakes of all points, each once.
@@ -75,7 +81,20 @@ def prepare(plan: Plan, directory: Path, trust: Trust = NOTHING) -> Store:
         {"values": point.values, "scenario": scenario.to_yaml()}
         for point, scenario in zip(plan.points, scenarios, strict=True)
     ]
-    return Store.create(directory, record, rows)
+    path = Path(plan.scenario)
+    return Store.create(directory, record, rows), modules_of(scenarios, path.parent if path.exists() else None)
+
+
+def modules_again(store: Store, trust: Trust) -> Modules:
+    """The modules that the runs of a study need that is there. It may come from anybody, so they need trust.
+
+    Raises:
+        ScenarioError: one of them may not run, or a scenario is damaged.
+        StudyError: the study is damaged.
+    """
+    policy = Policy(trust, A_STUDY)
+    scenarios = [parse_scenario(row["scenario"], store.record.scenario, policy=policy) for row in store.points()]
+    return modules_of(scenarios, None)
 
 
 def _with_points(problem: Problem, points: list[Point], of: int) -> Problem:
@@ -98,18 +117,31 @@ def check_names(scenarios: Sequence[Scenario]) -> list[str]:
     return list(dict.fromkeys([*declared, *always, *expected]))
 
 
-def run_study(store: Store, engine: Engine, tell: Callable[[Progress], None], *, timeout_s: float = inf) -> Progress:
+def run_study(
+    store: Store,
+    engine: Engine,
+    tell: Callable[[Progress], None],
+    *,
+    modules: Modules = NO_MODULES,
+    timeout_s: float = inf,
+) -> Progress:
     """Make every run that has no row yet.
 
     Args:
         tell: called several times a second.
+        modules: that the runs need, and that are let in.
         timeout_s: of wall time, for one run.
 
     Raises:
         StudyError: rows cannot be written. What was written before stays.
         KeyboardInterrupt: at any time; rows that were made are written.
     """
-    store.lock()
+    task = partial(Task, name=store.record.scenario, timeout_s=timeout_s, modules=modules)
+    with store.locked():
+        return _run_missing(store, engine, tell, task)
+
+
+def _run_missing(store: Store, engine: Engine, tell: Callable[[Progress], None], task: Callable[..., Task]) -> Progress:
     done = store.done()
     points, seeds = store.points(), store.record.seeds
     progress = Progress(len(points) * len(seeds), len(done), began=time.monotonic())
@@ -139,17 +171,17 @@ def run_study(store: Store, engine: Engine, tell: Callable[[Progress], None], *,
         tell(progress)
 
     try:
-        engine.make(_tasks(store, points, done, timeout_s), take, wait)
+        engine.make(_tasks(store, points, done, task), take, wait)
     finally:
         write()
     return progress
 
 
-def _tasks(store: Store, points: list[dict[str, Any]], done: set[tuple[int, int]], timeout_s: float) -> Iterator[Task]:
-    record = store.record
-    for seed in record.seeds:
+def _tasks(
+    store: Store, points: list[dict[str, Any]], done: set[tuple[int, int]], task: Callable[..., Task]
+) -> Iterator[Task]:
+    for seed in store.record.seeds:
         for point in points:
             number, text = point["point"], point["scenario"]
             if (number, seed) not in done:
-                key = run_key(f"{text}\nseed {seed}")
-                yield Task(key, number, seed, record.scenario, text, timeout_s, tuple(record.fingerprints))
+                yield task(key=run_key(f"{text}\nseed {seed}"), point=number, seed=seed, text=text)

@@ -175,7 +175,8 @@ def versions() -> dict[str, str]:
     return {"python": ".".join(map(str, sys.version_info[:2]))} | {name: version(name) for name in packages}
 
 
-def _check_versions(client: Client) -> None:
+def check_versions(client: Client) -> None:
+    """Raises StudyError: a worker has another version of something that matters, or lacks it."""
     ours, problems = versions(), []
     try:
         theirs = client.run(versions, on_error="return")

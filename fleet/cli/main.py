@@ -22,6 +22,7 @@ from fleet.cli import (
     run,
     runs,
     schema,
+    shrink,
     status,
     sweep,
     verify,
@@ -150,8 +151,8 @@ def list_(as_json: bool) -> None:
 
 
 _MODULES = (
-    bench, hosts, join, live, logs, new, protocol, replay, reproduce, run, runs, schema, status, sweep, verify,
-    what_if,
+    bench, hosts, join, live, logs, new, protocol, replay, reproduce, run, runs, schema, shrink, status, sweep,
+    verify, what_if,
 )  # fmt: skip
 for _module in _MODULES:
     for _command in _module.COMMANDS:

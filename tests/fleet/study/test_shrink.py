@@ -18,6 +18,7 @@ FAULTS = (
     "{id: loss, at: 500 ms, for: 100 ms, link: {'*': loss 40%}},"
     "{id: deaf, at: 600 ms, for: 100 ms, deaf: 2}]"
 )
+NONE = "checks={formation_error: {below: 99 m, after: 0 s}, tumbled: waived, deaths: waived}"
 CHECK = "checks={formation_error: {below: 4.6 m, after: 800 ms}}"
 
 
@@ -32,7 +33,7 @@ def test_what_is_not_needed_goes_and_what_is_left_fails() -> None:
     assert fault.id == "push"
     assert fault.wrench is not None
     assert 0.0 < fault.wrench.force[0] < 400.0
-    assert found.scenario.vehicles == 1
+    assert found.scenario.vehicles == 2
     assert next(step.what for step in found.steps) == "1 of 5 faults are needed"
     assert found.scenario.duration_ns > 800_000_000  # a run that only ended too early does not count
     assert not judged(found.scenario).passed
@@ -43,7 +44,11 @@ def test_what_is_not_needed_goes_and_what_is_left_fails() -> None:
 @pytest.mark.parametrize(
     ("overrides", "check", "message"),
     [
-        (("checks={formation_error: {below: 99 m, after: 0 s}, tumbled: waived, deaths: waived}",), None, "every check passes"),
+        (
+            ("checks={formation_error: {below: 99 m, after: 0 s}, tumbled: waived, deaths: waived}",),
+            None,
+            "every check passes",
+        ),
         ((FAULTS, CHECK), "ledger", "the check ledger does not fail; these do: formation_error, tumbled"),
     ],
 )

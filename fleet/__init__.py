@@ -2,19 +2,28 @@
 
 from __future__ import annotations
 
+from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from fleet.logs.open_log import Log as Log
     from fleet.logs.open_log import open_log as open_log
+    from fleet.study.study import Study as Study
+    from fleet.study.study import open_study as open_study
+    from fleet.study.study import sweep as sweep
 
-__all__ = ["Log", "open_log"]
+_OFFERED = {
+    "Log": "fleet.logs.open_log",
+    "open_log": "fleet.logs.open_log",
+    "Study": "fleet.study.study",
+    "open_study": "fleet.study.study",
+    "sweep": "fleet.study.study",
+}
+__all__ = ["Log", "Study", "open_log", "open_study", "sweep"]
 
 
 def __getattr__(name: str) -> Any:
     # Every command imports this package; numpy and protobuf come with the first use.
-    if name in __all__:
-        from fleet.logs import open_log as arrays
-
-        return getattr(arrays, name)
+    if name in _OFFERED:
+        return getattr(import_module(_OFFERED[name]), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

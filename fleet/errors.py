@@ -54,6 +54,8 @@ Exception
 │   ├── SelectionError
 │   ├── SnapshotError
 │   ├── StoppedError
+│   ├── StudyError
+│   │   └── ValuesError
 │   ├── UnknownValueError
 │   ├── ViewError
 │   └── WhatIfError

@@ -38,7 +38,7 @@ from netem.parsing import LONGEST_NUMBER, NUMBER, GrammarError, exact_number, ne
 _VALUE = re.compile(rf"({NUMBER.pattern})\s*([^\W\d_]+|%)?(?=\s|$)", re.ASCII)
 _WORD = re.compile(r"\S+")
 _TIME_NS = {"us": 10**3, "ms": 10**6, "s": 10**9}
-_RATE_BIT = {"bit": 1, "kbit": 10**3, "mbit": 10**6, "gbit": 10**9, "bps": 8, "kbps": 8000, "mbps": 8 * 10**6,
+RATE_UNITS = {"bit": 1, "kbit": 10**3, "mbit": 10**6, "gbit": 10**9, "bps": 8, "kbps": 8000, "mbps": 8 * 10**6,
              "gbps": 8 * 10**9, "kibit": 1024, "mibit": 1024**2, "gibit": 1024**3}  # fmt: skip
 _LONGEST_TIME_NS = 10**9 * 86_400
 _MOST_PACKETS = 10**6
@@ -98,22 +98,56 @@ def parse_condition(text: str) -> Condition:
     Raises:
         GrammarError: unknown or unsupported words, wrong units, values out of range or without effect.
     """
+    found, places = _read(text)
+    if found.get("reorder") and not found.get("delay_ns"):
+        raise GrammarError("reorder sends some packets at once, so the others need a delay", places["reorder"].start)
+    return Condition(**found)
+
+
+def with_word(text: str, word: str, value: str) -> str:
+    """A condition in which one word has other values: `with_word("delay 2s loss 1%", "loss", "30%")`.
+
+    Args:
+        text: the condition as it is; empty: a perfect link.
+        word: one that takes values; it is added at the end if the condition does not have it.
+        value: everything that is to stand behind the word.
+
+    Raises:
+        GrammarError: the condition is none; the word is unknown or has no value; the value is none for this word. The
+            column is that in `value` where the value is wrong, else 0.
+    """
+    if word not in _PARSERS or word == "down":
+        valued = ", ".join(name for name in WORDS if name != "down")
+        hint = nearest(word, WORDS) if word != "down" else "--net takes whole conditions"
+        raise GrammarError(f'a link condition has no value "{word[:40]}"; it has {valued}', 0, hint)
+    try:
+        _, added = _read(f"{word} {value}")
+    except GrammarError as error:
+        raise GrammarError(error.message, max(0, error.column - len(word) - 1), error.hint) from None
+    if len(added) > 1:
+        other = next(name for name in added if name != word)
+        raise GrammarError(f'"{other}" is another word of the condition', max(0, added[other].start - len(word) - 1))
+    places = _read(text)[1] if text else {}
+    terms = {name: text[place.start : place.stop].strip() for name, place in places.items()}
+    return " ".join((terms | {word: f"{word} {value.strip()}"}).values())
+
+
+def _read(text: str) -> tuple[dict[str, Any], dict[str, slice]]:
+    """The values of a condition, and where each of its words stands with what is behind it."""
     reader = _Reader(text)
     if reader.done():
         raise GrammarError('expected a link condition such as "delay 200ms 50ms loss 30%", got nothing')
-    seen: dict[str, int] = {}
+    places: dict[str, slice] = {}
     found: dict[str, Any] = {}
     while not reader.done():
         column, word = reader.at, reader.word()
-        if word in seen:
+        if word in places:
             raise GrammarError(f'"{word}" is given twice', column)
-        seen[word] = column
         if word not in _PARSERS:
             raise _unknown(word, column)
         found |= _PARSERS[word](reader)
-    if found.get("reorder") and not found.get("delay_ns"):
-        raise GrammarError("reorder sends some packets at once, so the others need a delay", seen["reorder"])
-    return Condition(**found)
+        places[word] = slice(column, reader.at)
+    return found, places
 
 
 def _delay(reader: _Reader) -> dict[str, Any]:
@@ -190,10 +224,10 @@ def _rate(reader: _Reader) -> dict[str, Any]:
     if value is None:
         raise GrammarError(f'expected a rate such as "1kbit", got {quoted(got)}', column)
     number, unit, column = value
-    if unit.lower() not in _RATE_BIT:
+    if unit.lower() not in RATE_UNITS:
         text = "has no unit" if not unit else f'takes bit, kbit, mbit (bits) or bps, kbps, mbps (bytes), got "{unit}"'
-        raise GrammarError(f'the rate "{got}" {text}', column, nearest(unit, _RATE_BIT) if unit else "write 1kbit")
-    bits_per_s = number * _RATE_BIT[unit.lower()]
+        raise GrammarError(f'the rate "{got}" {text}', column, nearest(unit, RATE_UNITS) if unit else "write 1kbit")
+    bits_per_s = number * RATE_UNITS[unit.lower()]
     if bits_per_s.denominator != 1 or not 0 <= bits_per_s <= 10**12:
         raise GrammarError("the rate must be a whole number of bits per second, at most 1000 gbit", column)
     found = {"rate_bit_s": bits_per_s.numerator}
@@ -336,8 +370,8 @@ def _print_percent(value: float) -> str:
 
 def _print_rate(bits_per_s: int) -> str:
     for unit in ("gbit", "mbit", "kbit"):
-        if bits_per_s % _RATE_BIT[unit] == 0:
-            return f"{bits_per_s // _RATE_BIT[unit]}{unit}"
+        if bits_per_s % RATE_UNITS[unit] == 0:
+            return f"{bits_per_s // RATE_UNITS[unit]}{unit}"
     return f"{bits_per_s}bit"
 
 

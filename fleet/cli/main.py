@@ -22,7 +22,9 @@ from fleet.cli import (
     run,
     runs,
     schema,
+    shrink,
     status,
+    sweep,
     verify,
     what_if,
 )
@@ -149,7 +151,8 @@ def list_(as_json: bool) -> None:
 
 
 _MODULES = (
-    bench, hosts, join, live, logs, new, protocol, replay, reproduce, run, runs, schema, status, verify, what_if,
+    bench, hosts, join, live, logs, new, protocol, replay, reproduce, run, runs, schema, shrink, status, sweep,
+    verify, what_if,
 )  # fmt: skip
 for _module in _MODULES:
     for _command in _module.COMMANDS:

@@ -21,7 +21,6 @@ from pathlib import Path
 from struct import Struct
 from typing import IO, Any
 
-import fleet
 from fleet.errors import FleetError
 from fleet.logs.schemas import Schema
 from netem.whole_file import write_whole
@@ -92,7 +91,7 @@ class LivePublisher:
         }
         # A group of its own: Ctrl-C is the console's business. It ends with the pipe, also when we are killed.
         self._process = process = subprocess.Popen(
-            [sys.executable, "-P", "-c", _MAIN, str(Path(fleet.__file__).parent.parent)],
+            [sys.executable, "-P", "-c", _MAIN, str(Path(__file__).parents[2])],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             process_group=0,

@@ -3,24 +3,19 @@
 from __future__ import annotations
 
 import secrets
-import sys
 import time
 from contextlib import ExitStack, closing
-from dataclasses import dataclass, field
-from enum import IntEnum
-from pathlib import Path
-from typing import Any
+from dataclasses import dataclass
 
 from rich.console import Console as Terminal
 
 from agents.errors import AgentError
 from fleet.analysis import punctuality
-from fleet.analysis.verdicts import Verdict, judge, judge_expected
 from fleet.cores import cores
 from fleet.errors import RunBroken, StoppedError
 from fleet.processes.interrupts import DeferInterrupts, HungUp
 from fleet.processes.ports import free_port
-from fleet.recorder.journal import Journal, Spell
+from fleet.recorder.journal import Journal
 from fleet.recorder.log_file import LogError, LogFile
 from fleet.recorder.no_log import NoLog
 from fleet.recorder.writer import LogWriter
@@ -30,38 +25,14 @@ from fleet.run.directory import RunDirectory
 from fleet.run.external_agents import ExternalError, refuse
 from fleet.run.in_process import InProcess
 from fleet.run.options import Options
+from fleet.run.outcome import Result, Status, judge_run, outcome_values, settle
 from fleet.run.progress import ProgressLine
 from fleet.run.publication import NoPublication, Publication
 from fleet.run.registry import RegistryError, register
 from fleet.run.runner import Runner
 from fleet.scenario.scenario import Scenario
 from fleet.terminal.status_line import StatusLine
-from netem.condition import Link
 from world.errors import WorldError
-
-
-class Status(IntEnum):
-    """Exit statuses of `fleet run`."""
-
-    PASS = 0
-    CHECK_FAILED = 1
-    USAGE = 2
-    BROKEN = 3
-    HUNG_UP = 129
-    INTERRUPTED = 130
-
-
-@dataclass(slots=True)
-class Result:
-    """What a run came to."""
-
-    status: Status
-    directory: Path
-    digest: str
-    reason: str = ""
-    lines: list[str] = field(default_factory=list)
-    verdicts: list[Verdict] = field(default_factory=list)
-    values: dict[str, Any] = field(default_factory=dict)
 
 
 @dataclass(slots=True)
@@ -103,7 +74,7 @@ def execute(scenario: Scenario, options: Options, terminal: Terminal | None = No
         run = _prepare(scenario, options, terminal or Terminal(stderr=True), interrupts, while_it_lives)
         _serve(run)
         with interrupts:  # what there is gets written, whatever comes meanwhile
-            _settle(run)
+            settle(run.journal, run.log, run.runner, run.result)
             _judge(run)
             _report(run)
     return run.result
@@ -143,7 +114,7 @@ def _prepare(
         from fleet.run.console import Console  # and with it zenoh and multiprocessing
 
         runner = Console(scenario, directory, journal, options, number, line.print)
-    result = Result(Status.PASS, directory.path, "")
+    result = Result(Status.PASS, directory.path)
     return _Run(scenario, options, directory, publication, log, journal, runner, line, result, in_process)
 
 
@@ -171,39 +142,19 @@ def _serve(run: _Run) -> None:
         run.publication.close()
 
 
-def _settle(run: _Run) -> None:
-    """Close the log, and enter into the ledger what was still on the way."""
-    _close_log(run.log, run.result)
-    run.result.digest = run.log.digest
-    for link, (sent, duplicated) in run.runner.closing.entered.items():
-        run.journal.ledger.enter(link, sent=sent, duplicated=duplicated)
-    run.journal.finish()
-
-
 def _judge(run: _Run) -> None:
-    """Judge a run that came to its end."""
-    result, lost = run.result, run.runner.middleware_lost
-    if result.status is not Status.PASS:
-        return
-    result.verdicts = judge(run.scenario, run.journal, middleware_lost=lost)
-    if run.realtime:
-        result.verdicts.append(punctuality.verdict(run.runner.closing.timing, run.options.most_missed))
-    expected = judge_expected(run.scenario, result.verdicts)
-    if expected is not None:
-        result.verdicts.append(expected)
-    deciding = result.verdicts if expected is None else [expected]
-    if not all(verdict.passed for verdict in deciding):
-        result.status = Status.CHECK_FAILED
-    if lost:
-        result.status = Status.BROKEN
-        result.reason = f"the middleware lost {lost} messages: the run is invalid"
+    """Judge the checks, and in real time how everyone kept up."""
+    more = []
+    if run.realtime and run.result.status is Status.PASS:
+        more.append(punctuality.verdict(run.runner.closing.timing, run.options.most_missed))
+    judge_run(run.scenario, run.journal, run.result, lost=run.runner.middleware_lost, more=more)
 
 
 def _report(run: _Run) -> None:
     """Write result.json."""
     runner, result, closing = run.runner, run.result, run.runner.closing
     run_s = run.wall_s - runner.started_s
-    result.values = _values(run.scenario, run.journal, run.log, result, runner.middleware_lost)
+    result.values = outcome_values(run.scenario, run.journal, run.log, result, lost=runner.middleware_lost)
     result.values["wall"] = {
         "in_process": run.in_process,
         "startup_s": runner.started_s,
@@ -231,54 +182,3 @@ def _clock(scenario: Scenario, options: Options) -> Clock:
         begin = 0 if options.start is None else options.start.snapshot.tick
         return Clock.of(scenario, options.speed_limit, begin=begin)
     return Clock.of(scenario, options.realtime_speed, lead_ns=WINDOW_NS)
-
-
-def _close_log(file: LogFile | NoLog, result: Result) -> None:
-    try:
-        file.close()
-    except LogError as error:
-        file.abandon()
-        if result.status is Status.PASS:
-            result.status, result.reason = Status.BROKEN, str(error)
-
-
-def _values(scenario: Scenario, journal: Journal, file: LogFile | NoLog, result: Result, lost: int) -> dict[str, Any]:
-    return {
-        "scenario": scenario.name,
-        "seed": scenario.seed,
-        "status": result.status.name.lower(),
-        "exit": int(result.status),
-        "reason": result.reason,
-        "lines": result.lines,
-        "from_s": journal.begin * scenario.tick_ns / 1e9,
-        "sim_s": max(0, journal.written) * scenario.tick_ns / 1e9,
-        "checks": [verdict.to_values() for verdict in result.verdicts],
-        "vehicles": journal.metrics.summary(),
-        "formation": journal.metrics.formation._asdict(),
-        "tumbles": [_spell(spell, scenario.tick_ns / 1e9) for spell in journal.tumbles],
-        "ledger": {_name(link): account.to_values() for link, account in journal.ledger.accounts.items()},
-        "ages": journal.ages.summary(scenario.tick_ns),
-        "middleware_lost": lost,
-        "faults": [
-            {
-                "at_s": event.tick * scenario.tick_ns / 1e9,
-                "fault": event.fault,
-                "action": event.action,
-                "what": event.what,
-            }
-            for event in journal.happened
-        ],
-        "messages": file.messages,
-        "log_bytes": file.size,
-        "digest": file.digest,
-        "python": sys.version.split()[0],
-    }
-
-
-def _spell(spell: Spell, tick_s: float) -> dict[str, Any]:
-    until = None if spell.end is None else spell.end * tick_s
-    return {"vehicle": spell.vehicle, "from_s": spell.begin * tick_s, "to_s": until}
-
-
-def _name(link: Link) -> str:
-    return f"{link[0]}->{link[1]}"

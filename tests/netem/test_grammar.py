@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from netem.condition import Condition, FourState, GilbertElliott
 from netem.errors import NetemError
-from netem.grammar import REFUSED, parse_condition, print_condition
+from netem.grammar import REFUSED, parse_condition, print_condition, with_word
 from netem.parsing import GrammarError, exact_number
 from netem.selectors import Selector, parse_selector, select
 
@@ -163,3 +163,36 @@ def test_what_is_no_selector_is_refused(text: str) -> None:
 def test_exact_numbers_are_short_decimals(text: str) -> None:
     """Whatever the text, exact arithmetic on it stays cheap."""
     assert exact_number(text) is None
+
+
+def test_one_word_of_a_condition_is_changed() -> None:
+    assert with_word("delay 200ms 50ms  loss 30% seed 7", "loss", "5 %") == "delay 200ms 50ms loss 5 % seed 7"
+    assert with_word("delay 200ms 50ms", "delay", "1s") == "delay 1s"
+    assert with_word("down", "loss", "gemodel 1% 10%") == "down loss gemodel 1% 10%"
+    assert with_word("", "rate", "80 bit") == "rate 80 bit"
+
+
+@given(conditions(), st.integers(0, 10_000))
+def test_the_other_words_of_a_condition_stay(condition: Condition, hundredths: int) -> None:
+    percent = f"{hundredths / 100}%"
+    found = parse_condition(with_word(print_condition(condition), "duplicate", percent))
+    without = {name: getattr(condition, name) for name in condition.__slots__ if not name.startswith("duplicate")}
+    assert found == Condition(**without, duplicate=parse_condition(f"duplicate {percent}").duplicate)
+
+
+@pytest.mark.parametrize(
+    ("word", "value", "message", "column"),
+    [
+        ("los", "1%", 'no value "los"; it has limit', 0),
+        ("down", "", 'no value "down"', 0),
+        ("loss", "0.3", 'takes a percentage such as "30%", got "0.3"', 0),
+        ("loss", "", "expected a loss", 0),
+        ("delay", "1s 2m", 'takes us, ms or s, got "m"', 3),
+        ("loss", "3% delay 5ms", '"delay" is another word', 3),
+    ],
+)
+def test_a_word_that_cannot_be_changed_so(word: str, value: str, message: str, column: int) -> None:
+    with pytest.raises(GrammarError) as caught:
+        with_word("delay 200ms loss 30%", word, value)
+    assert message in str(caught.value)
+    assert caught.value.column == column

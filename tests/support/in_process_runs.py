@@ -7,8 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from fleet.run.execute import Result, Status, execute
+from fleet.run.execute import execute
 from fleet.run.options import Options
+from fleet.run.outcome import Result, Status
 from fleet.scenario.loading import load_scenario
 
 Alone = Callable[..., Result]

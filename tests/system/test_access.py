@@ -28,8 +28,9 @@ import netem.wire.bus
 from fleet.logs.reader import LogReader
 from fleet.processes.private_folder import PrivateFolder
 from fleet.run.directory import RunDirectory
-from fleet.run.execute import Status, execute
+from fleet.run.execute import execute
 from fleet.run.options import Options
+from fleet.run.outcome import Status
 from fleet.scenario.loading import load_scenario
 from netem.errors import BusError
 from netem.wire.access import CONSOLE, LEASE_MS, NETEM, OPERATOR, Credentials, Listener, agent_role, generate

@@ -22,8 +22,9 @@ import fleet.run.launch
 from agents.errors import ControllerError
 from fleet.logs.reader import LogReader
 from fleet.run.directory import RunDirectory
-from fleet.run.execute import Result, Status, execute
+from fleet.run.execute import execute
 from fleet.run.options import Options
+from fleet.run.outcome import Result, Status
 from fleet.scenario.loading import load_scenario
 from netem.wire.access import Credentials
 from netem.wire.bus import Bus

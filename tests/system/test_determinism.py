@@ -20,8 +20,9 @@ from mcap.stream_reader import StreamReader
 
 from fleet.logs.reader import LogReader, digest
 from fleet.run.directory import RunDirectory
-from fleet.run.execute import Status, execute
+from fleet.run.execute import execute
 from fleet.run.options import Options
+from fleet.run.outcome import Status
 from fleet.scenario.loading import load_scenario
 
 CHECKS = "checks={qp_infeasible: {at_most: 0}, ledger: balanced, middleware_loss: {at_most: 0}}"

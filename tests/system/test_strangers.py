@@ -29,8 +29,9 @@ from fleet.errors import RunBroken
 from fleet.processes.children import Children, Exit
 from fleet.processes.private_folder import PREFIX, PrivateFolder
 from fleet.run.directory import RunDirectory
-from fleet.run.execute import Result, Status, execute
+from fleet.run.execute import execute
 from fleet.run.options import Options
+from fleet.run.outcome import Result, Status
 from fleet.scenario.loading import load_scenario
 from netem.wire.access import Credentials
 from netem.wire.audit import CUT_OFF

@@ -15,8 +15,9 @@ from loops import NU0, PARAMS, TAU_MAX, world_config
 from fleet.logs.open_log import open_log
 from fleet.repeat.resume import continuation
 from fleet.run import in_memory
-from fleet.run.execute import Result, Status, execute
+from fleet.run.execute import execute
 from fleet.run.options import Options
+from fleet.run.outcome import Result, Status
 from fleet.scenario.loading import load_scenario
 from netem.wire.messages import Frame, Tumble
 from world.config import VehicleSetup

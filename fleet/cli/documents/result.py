@@ -7,7 +7,7 @@ from typing import Annotated
 from msgspec import Meta, Struct, convert
 
 from fleet.cli.documents.live import Formation
-from fleet.run.execute import Result
+from fleet.run.outcome import Result
 
 Metres = float | None  # null: the motion left the finite numbers
 
@@ -201,4 +201,5 @@ class Ran(Struct):
 
 def ran(result: Result) -> Ran:
     """The document of a run."""
+    assert result.directory is not None  # of a run that the command line made
     return convert({"run": result.directory.name, "directory": str(result.directory), **result.values}, Ran)

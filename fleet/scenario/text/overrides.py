@@ -6,6 +6,7 @@ So an override obeys the rules of the file, and a mistake in one is reported wit
 |---|---|
 | `--set vehicles=N` | scales the scenario (see `scaling`), before the other overrides apply |
 | `--set KEY=VALUE` | one key, such as `network.period`; steps into a list count from 1: `initial.2.surge=0.3 m/s` |
+| `--set network.links.SELECTOR.WORD=VALUES` | one word of a link's condition, such as `network.links.*.loss=30 %` |
 | `--net "SELECTOR CONDITION"` | `network.links`: in place of the same selector, behind all others, so that it wins |
 | `--fault "at TIME ..."` | one fault more, in the words of `fault_words` |
 
@@ -14,21 +15,26 @@ So an override obeys the rules of the file, and a mistake in one is reported wit
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import re
+from collections.abc import Callable, Sequence
+from functools import partial
 from typing import NamedTuple
 
 from fleet.errors import Problem
 from fleet.quantities import describe_value
 from fleet.scenario.text.fault_words import FaultWordsError, fault_entry, link_entries
 from fleet.scenario.text.scaling import scale
-from fleet.scenario.text.yaml_reader import Items, Mapping, Node, Place, Scalar, Source, read
+from fleet.scenario.text.yaml_reader import Items, Mapping, Node, Place, Scalar, Source, plain, read
+from netem.grammar import WORDS, with_word
 from netem.parsing import GrammarError
 from netem.selectors import parse_selector
 
 SET, NET, FAULT = "--set", "--net", "--fault"
 _MAX_STEPS = 10
+_LINK_WORD = re.compile(r"network\.links\.(?P<selector>[^.]+)\.(?P<word>[^.]+)")
 
 Step = tuple[str, Place]
+Change = Callable[[Mapping], Mapping]
 
 
 class Override(NamedTuple):
@@ -54,17 +60,20 @@ def apply(root: Mapping, overrides: Sequence[str | Override]) -> tuple[Mapping, 
     Those of `--set` are applied first; of each kind the later ones over the earlier.
     """
     problems: list[Problem] = []
-    changes: list[tuple[list[Step], Node]] = []
-    words: list[tuple[str, Source]] = []
+    changes: list[Change] = []  # of --set
+    words: list[Change] = []
     for rank, override in enumerate(map(Override.of, overrides), start=1):
         source = Source(override.name, override.text, rank)
         if override.option != SET:
-            words.append((override.option, source))
+            words.append(partial(_with_links if override.option == NET else _with_fault, source))
             continue
         path, equals, _ = override.text.partition("=")
         if not equals or not all(path.split(".")) or path.count(".") > _MAX_STEPS:
             hint = "write key.path=value, such as network.period=50ms"
             problems.append(Place(source, 1, 1).problem("not an override", hint))
+            continue
+        if _LINK_WORD.fullmatch(path):
+            changes.append(partial(_with_link_word, source))
             continue
         value, mistakes = read(source, start=len(path) + 1)
         problems += mistakes
@@ -73,18 +82,10 @@ def apply(root: Mapping, overrides: Sequence[str | Override]) -> tuple[Mapping, 
         if path == "vehicles":
             root = scale(root, root.with_entry("vehicles", Place(source, 1, 1), value))
         else:
-            changes.append((_steps(path, source), value))
-    for steps, value in changes:
+            changes.append(partial(_with_value, _steps(path, source), value))
+    for change in (*changes, *words):
         try:
-            changed = _set(root, steps, value)
-        except _MistakeError as error:
-            problems.append(error.problem)
-            continue
-        assert isinstance(changed, Mapping)
-        root = changed
-    for option, source in words:
-        try:
-            root = _with_links(root, source) if option == NET else _with_fault(root, source)
+            root = change(root)
         except (FaultWordsError, _MistakeError) as error:
             problems.append(error.problem)
     return root, problems
@@ -104,6 +105,12 @@ def _steps(path: str, source: Source) -> list[Step]:
         steps.append((key, Place(source, 1, column)))
         column += len(key) + 1
     return steps
+
+
+def _with_value(steps: list[Step], value: Node, root: Mapping) -> Mapping:
+    changed = _set(root, steps, value)
+    assert isinstance(changed, Mapping)  # there is at least one step
+    return changed
 
 
 def _set(node: Node | None, steps: list[Step], value: Node) -> Node:
@@ -128,22 +135,64 @@ def _set(node: Node | None, steps: list[Step], value: Node) -> Node:
     )
 
 
-def _with_links(root: Mapping, source: Source) -> Mapping:
+def _with_links(source: Source, root: Mapping) -> Mapping:
     """The tree with more conditions of links; a section that is wrong stays, and is reported when it is read."""
     entries, start = link_entries(source), Place(source, 1, 1)
+    network, links = _network(root, start)
+    if network is None or links is None:
+        return root
+    for selector, condition in entries.entries.items():
+        for same in [text for text in links.entries if _links_of(text) == _links_of(selector)]:
+            links = links.without(same)
+        links = links.with_entry(selector, entries.keys[selector], condition)
+    return _with_network(root, network, links, start)
+
+
+def _with_link_word(source: Source, root: Mapping) -> Mapping:
+    """The tree with one word of a link's condition changed, which keeps its place among the others."""
+    start = Place(source, 1, 1)
+    path, _, value = source.text.partition("=")
+    match = _LINK_WORD.fullmatch(path)
+    assert match is not None
+    selector, word = match["selector"], match["word"]
+    network, links = _network(root, start)
+    if network is None or links is None:
+        return root
+    same = next((text for text in links.entries if _links_of(text) == _links_of(selector)), None)
+    if same is None and links.entries:
+        known = ", ".join(links.entries)
+        hint = "--net '* loss 30%' takes the place of all conditions of a link"
+        message = f'network.links has no condition for "{selector}"; it has conditions for {known}'
+        raise _MistakeError(start.shifted(match.start("selector")).problem(message, hint))
+    before = None if same is None else links.entries[same]
+    text = "" if before is None else plain(before)
+    if not isinstance(text, str):  # reported when it is read
+        return root
+    try:
+        condition = Scalar(with_word(text, word, value), start.shifted(len(path) + 1))
+    except GrammarError as error:
+        column = match.start("word") if not value.strip() or word not in WORDS else len(path) + 1 + error.column
+        raise _MistakeError(start.shifted(column).problem(error.message, error.hint)) from None
+    if same is None:
+        links = links.with_entry(selector, start, condition)
+    else:
+        links = Mapping(links.entries | {same: condition}, links.keys, links.place)
+    return _with_network(root, network, links, start)
+
+
+def _network(root: Mapping, start: Place) -> tuple[Mapping | None, Mapping | None]:
+    """The sections of the network and of its links; None where a section is wrong."""
     network = root.entries.get("network")
     if isinstance(network, Scalar) and network.value == "ideal":
         hint = "give it a period first, as in --set 'network={period: 100 ms}'"
         raise _MistakeError(start.problem("the network of this scenario is ideal and has no links", hint))
     if isinstance(network, Scalar) and network.value == "acoustic":
         network = Mapping({"acoustic": Mapping({}, {}, network.place)}, {"acoustic": network.place}, network.place)
-    network = _mapping(network, start)
-    if network is None or (links := _mapping(network.entries.get("links"), start)) is None:
-        return root
-    for selector, condition in entries.entries.items():
-        for same in [text for text in links.entries if _links_of(text) == _links_of(selector)]:
-            links = links.without(same)
-        links = links.with_entry(selector, entries.keys[selector], condition)
+    section = _mapping(network, start)
+    return section, None if section is None else _mapping(section.entries.get("links"), start)
+
+
+def _with_network(root: Mapping, network: Mapping, links: Mapping, start: Place) -> Mapping:
     network = network.with_entry("links", network.keys.get("links", start), links)
     return root.with_entry("network", root.keys.get("network", start), network)
 
@@ -163,7 +212,7 @@ def _links_of(selector: str) -> str:
         return selector
 
 
-def _with_fault(root: Mapping, source: Source) -> Mapping:
+def _with_fault(source: Source, root: Mapping) -> Mapping:
     """The tree with one fault more; faults that are no list stay, and are reported when they are read."""
     fault, start = fault_entry(source), Place(source, 1, 1)
     if "at" not in fault.entries:

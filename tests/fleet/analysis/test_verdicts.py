@@ -18,8 +18,9 @@ from fleet.cli.result_table import MOST_ROWS, show
 from fleet.errors import ScenarioError
 from fleet.recorder.journal import Journal
 from fleet.repeat.recorded_run import script
-from fleet.run.execute import Result, Status, execute
+from fleet.run.execute import execute
 from fleet.run.options import Options
+from fleet.run.outcome import Result, Status
 from fleet.scenario.loading import load_scenario, parse_scenario
 from fleet.scenario.scenario import Scenario, frame_every
 from netem.wire.messages import Fate, Frame, Life, LinkReport, Tumble, VehicleFrame

@@ -19,8 +19,9 @@ from fleet.cli.main import cli
 from fleet.logs.schemas import Column, DoublesEncoder
 from fleet.repeat.recorded_agent import NotRecordedError
 from fleet.repeat.verify import verification_lines, verify
-from fleet.run.execute import Status, execute
+from fleet.run.execute import execute
 from fleet.run.options import Options
+from fleet.run.outcome import Status
 from fleet.scenario.loading import load_scenario
 
 EXTERNAL = "per_vehicle={3: {external: true}}"

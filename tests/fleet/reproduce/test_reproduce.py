@@ -24,8 +24,8 @@ from fleet.reproduce.run import _network_check, _ours_alone, _pool
 from fleet.reproduce.table1 import HEADINGS, chosen, table_1
 from fleet.reproduce.topology import topology
 from fleet.reproduce.verdicts import Claim, ClaimCheck
-from fleet.run.execute import Result, Status
 from fleet.run.in_memory import record
+from fleet.run.outcome import Result, Status
 from fleet.scenario.loading import load_scenario
 
 

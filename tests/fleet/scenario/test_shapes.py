@@ -18,8 +18,9 @@ from small_scenario import SMALL, only_problem, places, small
 
 from fleet.analysis.stability import analyse
 from fleet.errors import ScenarioError
-from fleet.run.execute import Status, execute
+from fleet.run.execute import execute
 from fleet.run.options import Options
+from fleet.run.outcome import Status
 from fleet.scenario.loading import load_scenario, parse_scenario
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.schema.motion import FormationShape, GraphSection

@@ -103,3 +103,33 @@ def test_every_mistake_is_reported_and_those_of_the_file_come_first() -> None:
 def test_a_caret_stands_below_the_words_at_fault() -> None:
     shown, caret = refused(Override(FAULT, "at 1s  for 2s  partition 1, 2 / 9")).splitlines()[1:3]
     assert shown[caret.index("^") :] == "1, 2 / 9"
+
+
+def test_one_word_of_a_links_condition_keeps_the_others_and_the_order() -> None:
+    before = "network.links={'2 -> 1': delay 1ms loss 1%, '*': delay 2ms loss 2%, 1->2: loss 3%}"
+    found = small(before, "network.links.*.loss=50 %", "network.links.2->1.delay=7 ms")
+    assert (
+        found.to_yaml()
+        == small("network.links={2->1: delay 7ms loss 1%, '*': delay 2ms loss 50%, 1->2: loss 3%}").to_yaml()
+    )
+    assert small("network.links.*.loss=5%") == small("network.links={'*': loss 5%}")  # of links without a condition
+
+
+@pytest.mark.parametrize(
+    ("text", "message", "column"),
+    [
+        ("network.links.*.loss=0.3", 'takes a percentage such as "30%", got "0.3"', 22),
+        ("network.links.*.lose=3%", 'no value "lose"', 17),
+        ("network.links.1->2.loss=3%", 'network.links has no condition for "1->2"', 15),
+    ],
+)
+def test_a_word_that_cannot_be_changed_is_pointed_at(text: str, message: str, column: int) -> None:
+    with pytest.raises(ScenarioError) as caught:
+        small("network.links={'*': delay 2ms}", text)
+    (problem,) = caught.value.problems
+    assert (problem.file, problem.line, problem.column) == (f"--set {text}", 1, column)
+    assert message in problem.message
+
+
+def test_an_ideal_network_has_no_word_to_change() -> None:
+    assert "is ideal and has no links" in refused("network=ideal", "network.links.*.loss=3%")

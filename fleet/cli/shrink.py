@@ -1,0 +1,107 @@
+"""The command `fleet shrink`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from fleet.cli.completion import scenarios
+from fleet.cli.trust import TrustingCommand, trust_option
+from fleet.cli.types import OVERRIDES, disturbances
+from fleet.terminal.folding import say
+
+if TYPE_CHECKING:
+    from agents.plugins.trust import Trust
+    from fleet.scenario.scenario import Scenario
+    from fleet.scenario.text.overrides import Override
+
+MOST_RUNS = 2000
+
+
+@click.command(cls=TrustingCommand)
+@click.argument("failing", metavar="LOG|SCENARIO", shell_complete=scenarios)
+@OVERRIDES
+@disturbances
+@click.option("--check", metavar="NAME", help="The check that must still fail; by default the first one that does.")
+@click.option("-o", "--out", metavar="FILE", type=click.Path(path_type=Path, dir_okay=False),
+              help="Where the least scenario goes; by default NAME-least.yaml.")  # fmt: skip
+@click.option("--force", is_flag=True, help="Replace that file if it is there.")
+@click.option("--most-runs", metavar="N", type=click.IntRange(1), default=MOST_RUNS, show_default=True,
+              help="Stop making it less after so many runs.")  # fmt: skip
+@click.option("--workers", metavar="N", type=click.IntRange(1, 1024), help="Runs at a time; by default one per core.")
+@trust_option
+def shrink(
+    failing: str,
+    overrides: tuple[str, ...],
+    fault: tuple[Override, ...],
+    net: tuple[Override, ...],
+    check: str | None,
+    out: Path | None,
+    force: bool,
+    most_runs: int,
+    workers: int | None,
+    trust: Trust,
+) -> None:
+    """Make a run that fails a check as small as it can be: what is the least that breaks it?
+
+    Faults are left out, the run and its faults are shortened, made milder, and vehicles left out, as long as the check
+    still fails. A log gives what happened in it, injected faults included. The least scenario is written to a file.
+
+    \b
+    Examples:
+      fleet shrink runs/latest
+      fleet shrink nemesis --set seed=7 --check formation_error
+      fleet shrink my.yaml --out least.yaml
+    """
+    from fleet.study.engine import need_extra
+
+    need_extra()
+    from rich.console import Console as Terminal
+
+    from fleet.study.errors import StudyError
+    from fleet.study.modules import modules_of
+    from fleet.study.shrink import Shrinker
+    from fleet.study.study import engine_of
+    from fleet.terminal.fitting import Piece
+    from fleet.terminal.status_line import StatusLine
+
+    scenario, folder = _scenario(failing, [*overrides, *net, *fault], trust)
+    path = out or Path(f"{scenario.name}-least.yaml")
+    if path.exists() and not force:
+        raise StudyError(f"{path} is there already: choose another file with --out, or --force")
+    modules = modules_of([scenario], folder)
+    with StatusLine(Terminal(stderr=True), quiet=False) as line, engine_of(workers, None) as engine:
+
+        def tell(doing: str, runs: int) -> None:
+            if line.due():
+                line.show([Piece(0, [f"{runs} runs"]), Piece(1, [doing or "the run as it is"])])
+
+        found = Shrinker(scenario, engine, tell, modules).shrink(check, most_runs)
+    path.write_text(found.scenario.to_yaml(), "utf-8")
+    first, last = found.found
+    say(f"{scenario.name} fails {found.check} with {first}, the least scenario with {last}; {found.runs} runs")
+    for step in found.steps:
+        say(f"  {step.what}")
+    if not found.steps:
+        say("  nothing can be left out")
+    say(f"fleet run {path} fails it, too", err=True)
+    click.echo(path)
+
+
+def _scenario(name: str, changes: list[str | Override], trust: Trust) -> tuple[Scenario, Path | None]:
+    """The scenario of a log or a file, and the folder of that file."""
+    from fleet.scenario.catalogue import shipped_scenarios
+    from fleet.scenario.loading import load_scenario
+
+    path = Path(name)
+    if name in shipped_scenarios() or path.suffix in (".yaml", ".yml"):
+        return load_scenario(name, changes, trust), path.parent if path.exists() else None
+    from fleet.repeat.recorded_run import recorded
+    from fleet.scenario.trust import Policy
+
+    return recorded(path).script(changes, Policy(trust)), None
+
+
+COMMANDS = (shrink,)

@@ -1,0 +1,203 @@
+"""The command `fleet sweep`."""
+
+from __future__ import annotations
+
+from datetime import timedelta
+from math import inf, isfinite
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from fleet.cli.completion import scenarios
+from fleet.cli.trust import TrustingCommand, trust_option
+from fleet.cli.types import OVERRIDES, Duration, disturbances
+from fleet.terminal.folding import say, stdout
+
+if TYPE_CHECKING:
+    from agents.plugins.trust import Trust
+    from fleet.scenario.text.overrides import Override
+    from fleet.study.statistics import Estimate
+    from fleet.study.store import Store
+    from fleet.study.sweep import Progress
+
+
+@click.command(cls=TrustingCommand)
+@click.argument("scenario", metavar="SCENARIO|DIR", shell_complete=scenarios)
+@click.option("--vary", metavar="KEY=VALUES", multiple=True, help="What varies over which values; repeatable.")
+@click.option("--zip", "zipped", is_flag=True, help="Values go together, first with first; else each with each.")
+@click.option("--seeds", metavar="SEEDS", default="10", show_default=True,
+              help="How many runs each point has, or their seeds: 20, 5..24 or 3,7,9.")  # fmt: skip
+@click.option("--draw", type=click.IntRange(0), default=1, show_default=True, help="Seed of values that are drawn.")
+@OVERRIDES
+@disturbances
+@click.option("--measure", "measures", metavar="NAME", multiple=True,
+              help="What the table shows; repeatable. All measures are in the rows: see below.")  # fmt: skip
+@click.option("--out", metavar="DIR", type=click.Path(path_type=Path, file_okay=False), default=Path("studies"),
+              show_default=True, help="Where studies go, each in a directory of its own.")  # fmt: skip
+@click.option("--workers", metavar="N", type=click.IntRange(1, 1024), help="Runs at a time; by default one per core.")
+@click.option("--scheduler", metavar="ADDRESS", help="Use a Dask cluster that is there, e.g. tls://host:8786.")
+@click.option("--timeout", metavar="TIME", type=Duration(1), help="Wall time that one run may take, e.g. '5 min'.")
+@click.option("--dashboard", is_flag=True, help="Let Dask serve its own page, and say where.")
+@trust_option
+@click.option("-q", "--quiet", is_flag=True, help="Print nothing but the study's directory, and failures on stderr.")
+def sweep(
+    scenario: str,
+    vary: tuple[str, ...],
+    zipped: bool,
+    seeds: str,
+    draw: int,
+    overrides: tuple[str, ...],
+    fault: tuple[Override, ...],
+    net: tuple[Override, ...],
+    measures: tuple[str, ...],
+    out: Path,
+    workers: int | None,
+    scheduler: str | None,
+    timeout: int | None,
+    dashboard: bool,
+    trust: Trust,
+    quiet: bool,
+) -> None:
+    """Run SCENARIO at every combination of some values, several times each, and say how sure the answer is.
+
+    With the directory of a study instead, go on with what is missing of it: a study may be interrupted at any time.
+
+    \b
+    VALUES are a list (nboc,bc), a range with a step (0 %..90 %/10 %), with a count
+    (100 ms..2 s log 8, 0..1 lin 5), or drawn (0 %..50 % random 100, ... latin 100).
+    A name that is no key of the scenario fills {name} in --set, --net and --fault.
+
+    \b
+    Examples:
+      fleet sweep rough-sea --vary 'network.links.*.loss=0 %..90 %/30 %' --seeds 5
+      fleet sweep paper --vary 'loss=0 %,30 %' --vary 'delay=0 s,1 s' --net '* loss {loss} delay {delay}'
+      fleet sweep rough-sea --vary controller=nboc,bc --seeds 20 --measure e_rms_m
+      fleet sweep studies/rough-sea-20261122-101500
+    """
+    from fleet.study.engine import need_extra
+    from fleet.study.measures import chosen
+
+    need_extra()
+    from fleet.scenario.text.overrides import SET, Override
+    from fleet.study.plan import Plan, parse_seeds
+    from fleet.study.store import Store
+    from fleet.study.study import engine_of, new_directory
+    from fleet.study.sweep import modules_again, prepare, run_study
+    from fleet.study.values import parse_axis
+
+    shown = chosen(measures)
+    if Path(scenario).is_dir():
+        if vary or overrides or fault or net or zipped:
+            raise click.UsageError(f"{scenario} is a study: what it runs is settled; only the missing runs are made")
+        store = Store.open(Path(scenario))
+        modules = modules_again(store, trust)
+    else:
+        changes = (*(Override(SET, text) for text in overrides), *net, *fault)
+        plan = Plan(scenario, changes, tuple(map(parse_axis, vary)), zipped, parse_seeds(seeds), draw)
+        store, modules = prepare(plan, new_directory(scenario, out), trust)
+    record = store.record
+    if not quiet:
+        runs = store.point_count * len(record.seeds)
+        made = f", {runs - store.missing} of them made" if store.missing < runs else ""
+        say(f"{store.directory}: {store.point_count} points x {len(record.seeds)} seeds = {runs} runs{made}", err=True)
+    if store.missing:
+        with _showing(quiet) as tell, engine_of(workers, scheduler, dashboard=dashboard) as engine:
+            if engine.dashboard and not quiet:
+                say(f"Dask's page: {engine.dashboard}", err=True)
+            try:
+                run_study(store, engine, tell, modules=modules, timeout_s=inf if timeout is None else timeout / 1e9)
+            except KeyboardInterrupt:
+                say(f"{store.missing} runs are missing; fleet sweep {store.directory} makes them", err=True)
+                raise
+    if quiet:
+        click.echo(store.directory)
+    else:
+        _show(store, shown)
+
+
+def _showing(quiet: bool) -> Any:
+    """A context with a function that shows where a study is."""
+    from contextlib import contextmanager
+
+    from rich.console import Console as Terminal
+
+    from fleet.terminal.fitting import Piece
+    from fleet.terminal.status_line import BAR, StatusLine, bar
+
+    @contextmanager
+    def showing() -> Any:
+        with StatusLine(Terminal(stderr=True), quiet=quiet) as line:
+
+            def tell(progress: Progress) -> None:
+                if not line.due():
+                    return
+                share = progress.made / max(1, progress.runs)
+                left = f"{timedelta(seconds=round(progress.left_s))} left" if isfinite(progress.left_s) else ""
+                rate = f"{progress.rate:.2g} runs/s"
+                failed = f"{progress.failed} without result" if progress.failed else ""
+                passed = f"{progress.passed} of {progress.new} passed"
+                line.show(
+                    [
+                        Piece(0, [f"{progress.made} / {progress.runs} runs"]),
+                        Piece(5, [bar(share), bar(share, BAR // 2), ""] if line.live else [""]),
+                        Piece(3, [rate, ""] if progress.new else [""]),
+                        Piece(2, [left, ""] if left else [""]),
+                        Piece(4, [passed, ""]),
+                        Piece(1, [failed, ""] if failed else [""]),
+                    ]
+                )
+
+            yield tell
+
+    return showing()
+
+
+def _show(store: Store, measures: Any) -> None:
+    """The table of a study, and where it is."""
+    from fleet.study.measures import MEASURES
+    from fleet.study.summary import summarise
+    from fleet.terminal.table import Column, show
+
+    rows = summarise(store, measures)
+    columns = []
+    for axis in store.record.axes:
+        heading = axis.key.removeprefix("network.links.") + (f"\n[{axis.unit}]" if axis.unit else "")
+        cells = [_cell(row.values[axis.key]) for row in rows]
+        columns.append(Column(heading, cells, 0, "left" if axis.unit is None else "right"))
+    columns.append(Column("runs", [str(row.runs) for row in rows], 3))
+    if any(row.failed for row in rows):
+        columns.append(Column("without\nresult", [str(row.failed) for row in rows], 0))
+    columns.append(Column("passed\n95 % interval", [_share(row.passed) for row in rows], 0))
+    for rank, name in enumerate(rows[0].medians if rows else (), start=4):
+        unit = MEASURES[name].unit
+        heading = f"{name.removesuffix('_' + unit)}\nmedian" + (f" [{unit}]" if unit else "")
+        columns.append(Column(heading, [_number(row.medians[name]) for row in rows], rank))
+    terminal = stdout()
+    show(
+        columns,
+        f"{store.record.scenario}, {len(store.record.seeds)} seeds per point",
+        terminal,
+        "fleet.open_study has all",
+    )
+    say(str(store.directory))
+
+
+def _cell(value: float | str) -> str:
+    return value if isinstance(value, str) else f"{value:g}"
+
+
+def _share(rate: Estimate) -> str:
+    if rate.runs == 0:
+        return "-"
+    return f"{100 * rate.value:.0f} %  {100 * rate.low:3.0f}..{100 * rate.high:3.0f} %"
+
+
+def _number(found: Estimate) -> str:
+    if found.runs == 0:
+        return "-"
+    text = f"{found.value:.3g}"
+    return text if found.low == found.high or not isfinite(found.low) else f"{text}  {found.low:.3g}..{found.high:.3g}"
+
+
+COMMANDS = (sweep,)

@@ -1,0 +1,105 @@
+"""A run that is judged and not recorded: one function for scripts and studies, in one process, without a file."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+from agents.errors import AgentError
+from agents.plugins.trust import NOTHING, Trust
+from fleet.cores import cores
+from fleet.errors import RunBroken
+from fleet.recorder.journal import Journal
+from fleet.recorder.no_log import NoLog
+from fleet.recorder.writer import LogWriter
+from fleet.run.clock import Clock
+from fleet.run.in_process import InProcess
+from fleet.run.outcome import Result, Status, judge_run, outcome_values, settle
+from fleet.scenario.loading import load_scenario, parse_scenario
+from fleet.scenario.scenario import Scenario
+from world.errors import WorldError
+
+Changes = Mapping[str, Any] | Iterable[str]
+
+
+def run(
+    scenario: str | Path | Scenario,
+    *,
+    set: Changes = (),
+    seed: int | None = None,
+    trust: Trust = NOTHING,
+    progress: Callable[[float], None] | None = None,
+) -> Result:
+    """Run a scenario in this process and judge it; no file is written.
+
+    The result is that of `fleet run --in-process --set ...`, to the digest of the log that is not written.
+
+    Args:
+        scenario: a shipped name, a file, or a scenario that is loaded.
+        set: what to change, as `--set`: a mapping such as `{"network.links": {"*": "loss 30 %"}, "duration": "20 s"}`,
+            or texts such as `"duration=20 s"`.
+        seed: in place of the scenario's.
+        trust: which modules may run that are neither installed nor the user's own.
+        progress: called with the simulated time [s] all the time.
+
+    Returns:
+        The verdicts and all numbers. A run that breaks is a result, too: its `status` and `reason` say why.
+
+    Raises:
+        ScenarioError: with every mistake that was found.
+    """
+    changes = override_texts(set)
+    if seed is not None:
+        changes.append(f"seed={seed}")
+    if not isinstance(scenario, Scenario):
+        scenario = load_scenario(scenario, changes, trust)
+    elif changes:
+        scenario = parse_scenario(scenario.to_yaml(), scenario.name, changes)
+    return judged(scenario, progress)
+
+
+def judged(scenario: Scenario, progress: Callable[[float], None] | None = None) -> Result:
+    """The result of a scenario that is loaded; see `run`."""
+    log = NoLog()
+    journal = Journal(scenario, LogWriter(log, scenario))
+    runner = InProcess(scenario, journal)
+    result = Result(Status.PASS)
+    tick_s = scenario.tick_ns / 1e9
+
+    def tell() -> None:
+        if progress is not None:
+            progress(max(0, journal.written) * tick_s)
+
+    began = time.monotonic()
+    try:
+        runner.serve(Clock.of(scenario), tell)
+        tell()
+    except RunBroken as error:
+        result.status, result.reason, result.lines = Status.BROKEN, error.reason, error.lines
+    except (AgentError, WorldError) as error:
+        result.status, result.reason = Status.BROKEN, str(error)
+    wall_s = time.monotonic() - began
+    settle(journal, log, runner, result)
+    judge_run(scenario, journal, result, lost=0)
+    result.values = outcome_values(scenario, journal, log, result, lost=0)
+    result.values["wall"] = {"in_process": True, "run_s": wall_s, "cores": cores()}
+    result.values["deaths"] = {str(i): how for i, how in runner.deaths.items()}
+    result.values["notes"] = list(runner.notes)
+    return result
+
+
+def override_texts(changes: Changes) -> list[str]:
+    """Changes as the texts of `--set`.
+
+    Raises:
+        TypeError: they are neither a mapping nor texts.
+    """
+    if isinstance(changes, str):
+        raise TypeError(f'set: expected a mapping or a list of texts such as ["duration=20 s"], got {changes!r}')
+    if isinstance(changes, Mapping):
+        # JSON is YAML, so a mapping or a list inside comes through.
+        return [f"{key}={value if isinstance(value, str) else json.dumps(value)}" for key, value in changes.items()]
+    return [str(change) for change in changes]

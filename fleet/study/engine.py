@@ -1,0 +1,214 @@
+"""Who makes the runs of a study: Dask workers, of a cluster that this program starts or of one that is there.
+
+A plain local cluster lets everybody on the host run code as its user. So ours speaks TLS with certificates that exist
+as long as it does: who does not have them cannot connect.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import signal
+import sys
+from collections import deque
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from importlib.metadata import version
+from importlib.util import find_spec
+from itertools import islice
+from typing import TYPE_CHECKING, Any
+
+from fleet.cores import cores
+from fleet.processes.interrupts import blocked
+from fleet.study.errors import StudyError
+from fleet.study.one_run import FAILED, Task, make_run
+
+if TYPE_CHECKING:
+    from distributed import Client, Future
+
+NEEDED = ("dask", "distributed", "pyarrow", "scipy", "pandas", "xarray", "cryptography")
+_AHEAD = 3  # batches per worker that are under way, so that none of them waits
+_BATCH_S = 0.5  # a batch takes about so long, and is one run if that takes longer
+_LARGEST_BATCH = 16
+_CONNECT_S = 10
+_JOIN_S = 60  # for a worker of a cluster that is there
+LOST = "the worker that made it died three times; is there enough memory?"
+
+Row = dict[str, Any]
+
+
+def need_extra() -> None:
+    """Raises StudyError: the libraries of the extra `study` are not installed."""
+    missing = [name for name in NEEDED if find_spec(name) is None]
+    if missing:
+        raise StudyError(f"studies need {', '.join(missing)}: pip install 'uuv-fleet[study]'")
+
+
+@dataclass(frozen=True, slots=True)
+class Engine:
+    """Workers that are ready.
+
+    Attributes:
+        workers: how many runs go on at once.
+        dashboard: the address of Dask's own page; empty: it has none.
+    """
+
+    client: Client
+    workers: int
+    dashboard: str
+
+    def make(self, tasks: Iterator[Task], take: Callable[[list[Row]], None], wait: Callable[[], None]) -> None:
+        """Make every run, whoever dies meanwhile.
+
+        Args:
+            tasks: are asked for as workers become free, so that memory does not grow with their number.
+            take: gets rows, in the order in which runs end.
+            wait: is called several times a second.
+        """
+        waiting: deque[list[Task]] = deque()
+        under_way: dict[Future[Any], list[Task]] = {}
+        size = 1
+
+        def submit() -> None:
+            while len(under_way) < _AHEAD * self.workers:
+                batch = waiting.popleft() if waiting else list(islice(tasks, size))
+                if not batch:
+                    return
+                future = self.client.submit(make_batch, batch, pure=False)
+                under_way[future] = batch
+
+        submit()
+        while under_way:
+            for future in _finished(under_way, wait):
+                batch = under_way.pop(future)
+                if future.status == "finished":
+                    rows = future.result()
+                    slowest = max((row["wall_s"] for row in rows if row["wall_s"] is not None), default=_BATCH_S)
+                    size = max(1, min(_LARGEST_BATCH, int(_BATCH_S / max(slowest, 1e-3))))
+                    take(rows)
+                elif len(batch) > 1:  # which of them killed the worker is not known
+                    waiting.extend([task] for task in batch)
+                else:
+                    take([_lost(batch[0], future)])
+            submit()
+
+
+def make_batch(tasks: list[Task]) -> list[Row]:
+    """Make some runs; this is what a worker does."""
+    of_worker = {"version": version("uuv-fleet"), "cores": cores()}
+    return [{"wall_s": None} | make_run(task) | of_worker for task in tasks]
+
+
+@contextmanager
+def local_engine(workers: int, *, dashboard: bool = False) -> Iterator[Engine]:
+    """Workers on this machine, which end with the context.
+
+    Args:
+        workers: how many, one core each.
+        dashboard: whether Dask serves its page, on loopback.
+
+    Raises:
+        StudyError: they do not start.
+    """
+    need_extra()
+    from distributed import Client, LocalCluster
+    from distributed.security import Security
+
+    os.environ.setdefault(
+        "PYTHONSAFEPATH", "1"
+    )  # or a `socket.py` in the current directory would be taken for Python's
+    with ExitStack() as stack:
+        try:
+            # Ctrl-C and the end of the terminal are for this process: workers inherit what is blocked.
+            with blocked(signal.SIGINT, signal.SIGHUP):
+                security = Security.temporary()
+                cluster = stack.enter_context(
+                    LocalCluster(
+                        n_workers=workers,
+                        threads_per_worker=1,
+                        processes=True,
+                        host="127.0.0.1",
+                        protocol="tls://",
+                        security=security,
+                        dashboard_address="127.0.0.1:0" if dashboard else None,
+                        silence_logs=logging.CRITICAL,
+                    )
+                )
+                client = stack.enter_context(Client(cluster, security=security))
+        except (OSError, TimeoutError, RuntimeError) as error:
+            raise StudyError(f"the workers do not start: {error!s:.200}") from None
+        yield Engine(client, workers, client.dashboard_link if dashboard else "")
+
+
+@contextmanager
+def remote_engine(scheduler: str | Any, security: Any = None) -> Iterator[Engine]:
+    """The workers of a Dask cluster that is there.
+
+    Args:
+        scheduler: its address, such as `tls://host:8786`, or a Dask cluster object.
+        security: a `distributed.security.Security`; None: as Dask's configuration says.
+
+    Raises:
+        StudyError: it cannot be reached, has no worker, or a worker has another version of something.
+    """
+    need_extra()
+    from distributed import Client
+
+    try:
+        client = Client(scheduler, security=security, timeout=_CONNECT_S, set_as_default=False)
+    except (OSError, TimeoutError, ValueError) as error:
+        raise StudyError(f"no Dask scheduler answers at {scheduler}: {error!s:.200}") from None
+    with client:
+        try:
+            client.wait_for_workers(1, timeout=_JOIN_S)
+        except TimeoutError:
+            raise StudyError(f"the scheduler at {scheduler} has no worker: start some with dask worker") from None
+        check_versions(client)
+        threads = sum(client.nthreads().values())
+        yield Engine(client, threads, client.dashboard_link)
+
+
+def versions() -> dict[str, str]:
+    """What must be the same on both sides for the same bytes and a working connection."""
+    packages = ("uuv-fleet", "distributed", "numpy", "piqp", "msgspec")
+    return {"python": ".".join(map(str, sys.version_info[:2]))} | {name: version(name) for name in packages}
+
+
+def check_versions(client: Client) -> None:
+    """Raises StudyError: a worker has another version of something that matters, or lacks it."""
+    ours, problems = versions(), []
+    try:
+        theirs = client.run(versions, on_error="return")
+    except Exception as error:  # of whatever kind the worker's is
+        raise StudyError(f"the workers cannot be asked for their versions: {error!s:.200}") from None
+    for worker, found in theirs.items():
+        if isinstance(found, BaseException):
+            problems.append(f"worker {worker} lacks {getattr(found, 'name', None) or found}")
+            continue
+        different = [
+            f"{name} {found.get(name)} (here {mine})" for name, mine in ours.items() if found.get(name) != mine
+        ]
+        if different:
+            problems.append(f"worker {worker} has {', '.join(different)}")
+    if problems:
+        raise StudyError("the cluster cannot be used: " + "; ".join(problems[:5]))
+
+
+def _finished(under_way: dict[Future[Any], list[Task]], wait: Callable[[], None]) -> list[Future[Any]]:
+    """Those that ended, at least one."""
+    from distributed import wait as until
+
+    while True:
+        try:
+            return list(until(list(under_way), timeout=0.2, return_when="FIRST_COMPLETED").done)
+        except TimeoutError:
+            wait()
+
+
+def _lost(task: Task, future: Future[Any]) -> Row:
+    error = future.exception()
+    killed = type(error).__name__ == "KilledWorker"
+    reason = LOST if killed else f"{type(error).__name__}: {error!s:.500}"
+    return {"key": task.key, "point": task.point, "seed": task.seed, "status": FAILED, "reason": reason,
+            "version": version("uuv-fleet")}  # fmt: skip

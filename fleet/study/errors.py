@@ -1,0 +1,13 @@
+"""What can be wrong with a study."""
+
+from __future__ import annotations
+
+from fleet.errors import FleetError
+
+
+class StudyError(FleetError):
+    """A study that cannot be made, run or read."""
+
+
+class ValuesError(StudyError):
+    """A text that is no values to vary a key over."""

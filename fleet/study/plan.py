@@ -1,0 +1,172 @@
+"""The plan of a study: which runs it has, each a scenario with a few changes and a seed, in a fixed order."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import product
+
+from fleet.scenario.text.overrides import SET, Override
+from fleet.study.errors import StudyError
+from fleet.study.values import Axis, Value
+
+MOST_RUNS = 10_000_000
+_NAME = re.compile(r"\{([A-Za-z_][A-Za-z0-9_]*)\}")
+
+
+@dataclass(frozen=True, slots=True)
+class Point:
+    """One combination of values; its runs differ in their seeds only."""
+
+    number: int  # from 0 on
+    values: Mapping[str, Value]  # by key of the axis
+    changes: tuple[Override, ...]
+
+    @property
+    def shown(self) -> str:
+        """`loss=10 %, delay=1 s`; empty if nothing is varied."""
+        return ", ".join(f"{key}={value.text}" for key, value in self.values.items())
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """What a study runs.
+
+    Attributes:
+        scenario: a shipped name or a file.
+        changes: what is changed for every run; `{name}` stands for the value of the axis of that name.
+        axes: what is varied.
+        zipped: whether the axes go together, first with first, instead of every value with every other.
+        seeds: of the runs of each point; the same ones, so that points can be compared in pairs.
+        draw: the seed of sampled axes.
+    """
+
+    scenario: str
+    changes: tuple[Override, ...] = ()
+    axes: tuple[Axis, ...] = ()
+    zipped: bool = False
+    seeds: tuple[int, ...] = (1,)
+    draw: int = 1
+    points: tuple[Point, ...] = field(init=False)
+
+    def __post_init__(self) -> None:
+        keys = [axis.key for axis in self.axes]
+        if twice := next((key for key in keys if keys.count(key) > 1), None):
+            raise StudyError(f"{twice} is varied twice: give all its values at once")
+        if "seed" in keys:
+            raise StudyError("seeds are varied with --seeds, so that all points have the same ones")
+        self._check_names(set(keys))
+        combinations = self._combinations()
+        object.__setattr__(self, "points", tuple(self._point(n, row) for n, row in enumerate(combinations)))
+        if len(self) > MOST_RUNS:
+            raise StudyError(f"these are {len(self)} runs, and {MOST_RUNS} at most may be")
+
+    def __len__(self) -> int:
+        return len(self.points) * len(self.seeds)
+
+    def runs(self) -> Iterator[tuple[Point, int]]:
+        """Every run as (point, seed): all points with the first seed, then all with the next."""
+        for seed in self.seeds:
+            for point in self.points:
+                yield point, seed
+
+    def _combinations(self) -> Iterator[tuple[Value, ...]]:
+        sampled = [axis for axis in self.axes if axis.sampled]
+        grid = [axis for axis in self.axes if not axis.sampled]
+        groups: list[list[dict[str, Value]]] = []
+        if sampled:
+            groups.append(_drawn(sampled, self.draw))
+        if self.zipped:
+            _check_lengths(grid)
+            groups.append(
+                [
+                    dict(zip((axis.key for axis in grid), row, strict=True))
+                    for row in zip(*(a.values for a in grid), strict=True)
+                ]
+            )
+        else:
+            groups += [[{axis.key: value} for value in axis.values] for axis in grid]
+        for parts in product(*groups):
+            row: dict[str, Value] = {}
+            for part in parts:
+                row |= part
+            yield tuple(row[axis.key] for axis in self.axes)
+
+    def _point(self, number: int, row: Sequence[Value]) -> Point:
+        values = {axis.key: value for axis, value in zip(self.axes, row, strict=True)}
+        names = self._names()
+        filled = [Override(change.option, _fill(change.text, values)) for change in self.changes]
+        keys = [Override(SET, f"{key}={value.text}") for key, value in values.items() if key not in names]
+        return Point(number, values, (*filled, *keys))
+
+    def _names(self) -> set[str]:
+        """The names that stand in a template."""
+        return {name for change in self.changes for name in _NAME.findall(change.text)}
+
+    def _check_names(self, keys: set[str]) -> None:
+        for change in self.changes:
+            for name in _NAME.findall(change.text):
+                if name not in keys:
+                    raise StudyError(
+                        f"{change.name}: {{{name}}} stands for the value of --vary {name}=..., which is not there"
+                    )
+
+
+def run_key(text: str) -> str:
+    """What names a run: the first 32 digits of the SHA-256 of its whole scenario."""
+    return hashlib.sha256(text.encode()).hexdigest()[:32]
+
+
+def parse_seeds(text: str) -> tuple[int, ...]:
+    """`20`: the seeds 1 to 20; `5..24`: those; `3,7,9`: those.
+
+    Raises:
+        StudyError: it is none of them.
+    """
+    try:
+        if ".." in text:
+            low, high = (int(part) for part in text.split(".."))
+            seeds = range(low, high + 1)
+        elif "," in text:
+            return tuple(dict.fromkeys(int(part) for part in text.split(",")))
+        else:
+            seeds = range(1, int(text) + 1)
+    except ValueError:
+        seeds = range(0)
+    if not 1 <= len(seeds) <= MOST_RUNS or seeds[0] < 0:
+        raise StudyError(f"expected a number of seeds such as 20, or seeds such as 5..24 or 3,7,9, got '{text[:40]}'")
+    return tuple(seeds)
+
+
+def _fill(text: str, values: Mapping[str, Value]) -> str:
+    return _NAME.sub(lambda match: values[match[1]].text, text)
+
+
+def _check_lengths(axes: Sequence[Axis]) -> None:
+    lengths = {axis.key: len(axis.values) for axis in axes}
+    if len(set(lengths.values())) > 1:
+        listed = ", ".join(f"{key} {length}" for key, length in lengths.items())
+        raise StudyError(f"zipped keys need as many values as each other: {listed}")
+
+
+def _drawn(axes: Sequence[Axis], seed: int) -> list[dict[str, Value]]:
+    """Samples of all sampled axes together: each is one value of each axis."""
+    from scipy.stats import qmc
+
+    counts = {axis.key: axis.count for axis in axes}
+    if len(set(counts.values())) > 1:
+        listed = ", ".join(f"{key} {count}" for key, count in counts.items())
+        raise StudyError(f"keys that are drawn are drawn together, so they need the same count: {listed}")
+    kinds = {axis.how for axis in axes}
+    if len(kinds) > 1:
+        raise StudyError("keys that are drawn are drawn together: all random, or all latin")
+    import numpy as np
+
+    generator = np.random.default_rng(seed)
+    shape = axes[0].count, len(axes)
+    shares = (
+        generator.random(shape) if kinds == {"random"} else qmc.LatinHypercube(shape[1], rng=generator).random(shape[0])
+    )
+    return [{axis.key: axis.at(float(share)) for axis, share in zip(axes, row, strict=True)} for row in shares]

@@ -1,0 +1,287 @@
+"""The least that breaks it: a scenario whose run fails a check, with as little as possible of what it need not have.
+
+Runs are deterministic, so whatever still fails, fails each time. In turn, until nothing gets less: faults are left out
+(`ddmin`), the run is shortened, the last vehicles are left out, each fault is shortened and made milder. Candidates of
+one step are run side by side, and of those that fail the least one is taken, so the result does not depend on how many
+workers there are.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable, Iterator, Sequence
+from copy import deepcopy
+from fractions import Fraction
+from math import inf, isfinite
+from typing import Any, NamedTuple
+
+from fleet.errors import ScenarioError
+from fleet.quantities import show_time, time_ns
+from fleet.scenario.loading import parse_scenario
+from fleet.scenario.scenario import Scenario
+from fleet.scenario.text.yaml_reader import Source, plain, read
+from fleet.study.ddmin import ddmin
+from fleet.study.engine import Engine, Row
+from fleet.study.errors import StudyError
+from fleet.study.modules import NO_MODULES, Modules
+from fleet.study.one_run import Task
+from fleet.study.plan import run_key
+from netem.parsing import NUMBER
+
+MOST_ROUNDS = 5
+_SHARES = (Fraction(1, 4), Fraction(1, 2), Fraction(3, 4), Fraction(9, 10))  # of a number that is made less
+_TIMES = frozenset({"at", "for", "id"})
+# Kinds whose every number makes them stronger. (A smaller efficiency or saturation is stronger; others have none.)
+_MILDER = ("link", "noise", "bias", "dropout", "slow", "gust", "current", "wrench")
+_NUMBER = re.compile(rf"(?<![\w.])({NUMBER.pattern})(?=\s*[^\W\d_]|\s*%|\s+[-+.\d]|\s*$)", re.ASCII)
+
+Tree = dict[str, Any]  # a scenario as plain values
+
+
+class Step(NamedTuple):
+    """What was made less, in words, and how many runs it took."""
+
+    what: str
+    runs: int
+
+
+class Shrunk(NamedTuple):
+    """The least scenario that was found.
+
+    Attributes:
+        check: the check that fails.
+        found: what the verdict of that check says, of the first scenario and of the least one.
+        runs: that were made.
+        steps: what was made less, in order.
+    """
+
+    scenario: Scenario
+    check: str
+    found: tuple[str, str]
+    runs: int
+    steps: list[Step]
+
+
+class Shrinker:
+    """Makes one scenario less."""
+
+    def __init__(
+        self, scenario: Scenario, engine: Engine, tell: Callable[[str, int], None], modules: Modules = NO_MODULES
+    ) -> None:
+        """Prepare it.
+
+        Args:
+            scenario: whose run fails a check.
+            tell: called now and then with what is being tried and how many runs were made.
+            modules: that its laws need.
+        """
+        self._name, self._engine, self._tell, self._modules = scenario.name, engine, tell, modules
+        self._rows: dict[str, Row] = {}  # by key of the run
+        self._doing = ""
+        self._check = ""
+        self._tree = _tree(scenario)
+
+    def shrink(self, check: str | None = None, most_runs: int = 10_000) -> Shrunk:
+        """Make it less until nothing can be left out, or the runs are used up.
+
+        Args:
+            check: which must still fail; None: the first that does.
+
+        Raises:
+            StudyError: it does not fail, or not this check.
+        """
+        first = self._run([self._tree])[0]
+        self._check = self._failed(first, check)
+        steps: list[Step] = []
+        for _ in range(MOST_ROUNDS):
+            before = json.dumps(self._tree)
+            for step in (self._fewer_faults, self._shorter, self._fewer_vehicles, self._shorter_faults, self._milder):
+                runs = len(self._rows)
+                for what in step():
+                    steps.append(Step(what, len(self._rows) - runs))
+                    runs = len(self._rows)
+                if len(self._rows) >= most_runs:
+                    break
+            if json.dumps(self._tree) == before or len(self._rows) >= most_runs:
+                break
+        last = self._run([self._tree])[0]
+        return Shrunk(self._scenario(self._tree), self._check, (_found(first, self._check), _found(last, self._check)),
+                      len(self._rows), steps)  # fmt: skip
+
+    def _failed(self, row: Row, check: str | None) -> str:
+        """The check that is to fail."""
+        failing = [
+            name.removeprefix("check.") for name, passed in row.items() if name.startswith("check.") and not passed
+        ]
+        if row["status"] not in ("pass", "check_failed"):
+            raise StudyError(f"the run does not come to its end: {row['reason']}")
+        if not failing:
+            raise StudyError("every check passes: there is nothing to shrink")
+        if check is not None and check not in failing:
+            raise StudyError(f"the check {check} does not fail; these do: {', '.join(failing)}")
+        return check or failing[0]
+
+    def _fewer_faults(self) -> Iterator[str]:
+        faults = self._tree.get("faults") or []
+        if not faults:
+            return
+        self._doing = "fewer faults"
+        left = ddmin(faults, lambda parts: self._fail([{**self._tree, "faults": part} for part in parts]))
+        if len(left) < len(faults):
+            self._tree["faults"] = left
+            yield f"{len(left)} of {len(faults)} faults are needed"
+
+    def _shorter(self) -> Iterator[str]:
+        """A run that ends earlier; one that ends before its check begins would fail for that reason alone."""
+        if self._check == "recovery_time":  # which an earlier end always fails
+            return
+        self._doing = "a shorter run"
+        before = self._tree["duration"]
+        end = time_ns(before)
+        tick = time_ns(self._tree["tick"])
+        while True:
+            shorter = [int(share * end) // tick * tick for share in _SHARES]
+            candidates = [{**self._tree, "duration": show_time(ns)} for ns in shorter if 0 < ns < end]
+            tree = self._least(candidates)
+            if tree is None:
+                break
+            self._tree, end = tree, time_ns(tree["duration"])
+        if end < time_ns(before):
+            yield f"{self._tree['duration']} instead of {before}"
+
+    def _fewer_vehicles(self) -> Iterator[str]:
+        self._doing = "fewer vehicles"
+        before = self._tree["vehicles"]
+        tree = self._least([_without_vehicles(self._tree, n) for n in range(1, before)])
+        if tree is not None:
+            self._tree = tree
+            yield f"{tree['vehicles']} of {before} vehicles are needed"
+
+    def _shorter_faults(self) -> Iterator[str]:
+        for k, fault in enumerate(self._tree.get("faults") or []):
+            self._doing = f"fault {fault.get('id', k + 1)} shorter"
+            if "for" not in fault:
+                continue
+            before = time_ns(fault["for"])
+            lasts = before
+            while True:
+                shorter = [int(share * lasts) // 10**6 * 10**6 for share in _SHARES]
+                tree = self._least(
+                    [_with_fault(self._tree, k, {"for": show_time(ns)}) for ns in shorter if 0 < ns < lasts]
+                )
+                if tree is None:
+                    break
+                self._tree, lasts = tree, time_ns(tree["faults"][k]["for"])
+            if lasts < before:
+                yield f"fault {fault.get('id', k + 1)} lasts {show_time(lasts)} instead of {show_time(before)}"
+
+    def _milder(self) -> Iterator[str]:
+        for k in range(len(self._tree.get("faults") or [])):
+            fault = self._tree["faults"][k]
+            kind = next(key for key in fault if key not in _TIMES)
+            if kind not in _MILDER:
+                continue
+            self._doing = f"fault {fault.get('id', k + 1)} milder"
+            count = sum(len(_NUMBER.findall(text)) for text in _texts(fault[kind]))
+            for place in range(count):
+                while (tree := self._least(list(self._weaker(k, kind, place)))) is not None:
+                    self._tree = tree
+            now = self._tree["faults"][k]
+            if now != fault:
+                yield f"fault {fault.get('id', k + 1)} is {_words(now[kind])} instead of {_words(fault[kind])}"
+
+    def _weaker(self, k: int, kind: str, place: int) -> Iterator[Tree]:
+        """The scenario with one number of one fault made less, the least first."""
+        value = self._tree["faults"][k][kind]
+        for share in (Fraction(0), *_SHARES):
+            less = _scaled(value, place, share)
+            if less != _scaled(value, place, Fraction(1)):
+                yield _with_fault(self._tree, k, {kind: less})
+
+    def _least(self, candidates: Sequence[Tree]) -> Tree | None:
+        """The first of the candidates that fails; they are given from the least on."""
+        return next((tree for tree, failed in zip(candidates, self._fail(candidates), strict=True) if failed), None)
+
+    def _fail(self, trees: Sequence[Tree]) -> list[bool]:
+        """Whether the run of each comes to its end and fails the check, and not only because it ended too early."""
+        return [
+            row.get(f"check.{self._check}") is False
+            and (self._check == "recovery_time" or isfinite(row.get(f"value.{self._check}", inf)))
+            for row in self._run(trees)
+        ]
+
+    def _run(self, trees: Sequence[Tree]) -> list[Row]:
+        """The row of each; of one that is no valid scenario the row of a run that failed."""
+        texts = [json.dumps(tree) for tree in trees]
+        keys = [run_key(text) for text in texts]
+        wanted = {key: text for key, text in zip(keys, texts, strict=True) if key not in self._rows}
+        tasks = (Task(key, 0, self._tree["seed"], self._name, text, inf, self._modules) for key, text in wanted.items())
+
+        def take(rows: list[Row]) -> None:
+            self._rows.update({row["key"]: row for row in rows})
+            self._tell(self._doing, len(self._rows))
+
+        self._engine.make(tasks, take, lambda: self._tell(self._doing, len(self._rows)))
+        return [self._rows[key] for key in keys]
+
+    def _scenario(self, tree: Tree) -> Scenario:
+        return parse_scenario(json.dumps(tree), self._name)
+
+
+def _tree(scenario: Scenario) -> Tree:
+    root, problems = read(Source(scenario.name, scenario.to_yaml()))
+    if root is None or problems:
+        raise ScenarioError(problems)
+    values: Tree = plain(root)
+    return values
+
+
+def _found(row: Row, check: str) -> str:
+    value = row.get(f"value.{check}")
+    return "never" if value is None or not isfinite(value) else f"{value:.4g}"
+
+
+def _with_fault(tree: Tree, k: int, changes: Tree) -> Tree:
+    faults = [dict(fault) for fault in tree["faults"]]
+    faults[k] |= changes
+    return {**tree, "faults": faults}
+
+
+def _without_vehicles(tree: Tree, n: int) -> Tree:
+    """The scenario with the first n vehicles; where something else names the others it is no valid scenario."""
+    made = deepcopy(tree)
+    made["vehicles"] = n
+    if isinstance(offsets := (made.get("formation") or {}).get("offsets"), list):
+        made["formation"]["offsets"] = offsets[:n]
+    if isinstance(made.get("initial"), list):
+        made["initial"] = made["initial"][:n]
+    return made
+
+
+def _texts(value: Any) -> list[str]:
+    """Every text or number in a value, in order."""
+    if isinstance(value, dict):
+        return [text for key, inner in value.items() if key != "vehicles" for text in _texts(inner)]
+    return [str(value)]
+
+
+def _scaled(value: Any, place: int, share: Fraction) -> Any:
+    """The value with its number at `place`, counted over all its texts, times a share."""
+    seen = 0
+
+    def scale(match: re.Match[str]) -> str:
+        nonlocal seen
+        seen += 1
+        return f"{float(Fraction(match[1]) * share):.4g}" if seen - 1 == place else match[0]
+
+    def walk(value: Any) -> Any:
+        if isinstance(value, dict):
+            return {key: inner if key == "vehicles" else walk(inner) for key, inner in value.items()}
+        return _NUMBER.sub(scale, str(value))
+
+    return walk(value)
+
+
+def _words(value: Any) -> str:
+    return json.dumps(value) if isinstance(value, dict) else str(value)

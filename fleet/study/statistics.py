@@ -1,0 +1,107 @@
+"""How sure a study is: intervals of pass rates and medians, and two series over the same seeds compared in pairs.
+
+Packets' fates are hashed draws of seed, link and number: runs with the same seed meet the same network, whatever their
+controller. So two controllers are compared seed by seed, which needs far fewer runs than two independent series.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import isfinite, nan
+from typing import NamedTuple
+
+import numpy as np
+
+CONFIDENCE = 0.95
+_RESAMPLES = 2000
+_SEED = 1  # of the bootstrap, so that a table reads the same each time
+
+
+class Estimate(NamedTuple):
+    """A number of several runs and its interval; NaN where there are too few."""
+
+    value: float
+    low: float
+    high: float
+    runs: int  # behind it
+
+    @property
+    def half(self) -> float:
+        """Half the width of the interval."""
+        return (self.high - self.low) / 2
+
+
+class Comparison(NamedTuple):
+    """A second series against a first one, run by run with the same seed."""
+
+    difference: Estimate  # the median of second - first
+    better: float  # share of pairs in which the second is smaller, ties by half; 0.5: no difference
+    p: float  # of the two-sided Wilcoxon signed-rank test; NaN: too few pairs that differ
+
+
+def pass_rate(passed: int, runs: int, confidence: float = CONFIDENCE) -> Estimate:
+    """The share of runs that passed, with its Wilson score interval.
+
+    Args:
+        runs: with a verdict; 0 gives NaN.
+    """
+    if runs == 0:
+        return Estimate(nan, nan, nan, 0)
+    from scipy.stats import binomtest
+
+    found = binomtest(passed, runs).proportion_ci(confidence, method="wilson")
+    return Estimate(passed / runs, float(found.low), float(found.high), runs)
+
+
+def median(values: Sequence[float], confidence: float = CONFIDENCE) -> Estimate:
+    """The median of the finite values, with its bootstrapped interval: BCa, or percentile where BCa is not defined."""
+    finite = np.array([value for value in values if isfinite(value)])
+    if len(finite) == 0:
+        return Estimate(nan, nan, nan, 0)
+    middle = float(np.median(finite))
+    if len(finite) < 3:
+        return Estimate(middle, nan, nan, len(finite))
+    if np.ptp(finite) == 0.0:
+        return Estimate(middle, middle, middle, len(finite))
+    import warnings
+
+    from scipy.stats import bootstrap
+
+    found = None
+    for method in ("BCa", "percentile"):
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # BCa is not defined for such data: its interval is NaN then
+            found = bootstrap(
+                (finite,), np.median, confidence_level=confidence, n_resamples=_RESAMPLES, method=method,
+                vectorized=True, axis=-1, rng=np.random.default_rng(_SEED),
+            ).confidence_interval  # fmt: skip
+        if isfinite(found.low) and isfinite(found.high):
+            break
+    assert found is not None
+    return Estimate(middle, float(found.low), float(found.high), len(finite))
+
+
+def compare(first: Sequence[float], second: Sequence[float], confidence: float = CONFIDENCE) -> Comparison:
+    """Compare two series of the same length, each pair with the same seed; pairs with NaN are left out."""
+    pairs = [(a, b) for a, b in zip(first, second, strict=True) if isfinite(a) and isfinite(b)]
+    differences = np.array([b - a for a, b in pairs])
+    if len(pairs) == 0:
+        return Comparison(Estimate(nan, nan, nan, 0), nan, nan)
+    better = float(np.mean((differences < 0) + 0.5 * (differences == 0)))
+    p = nan
+    if np.count_nonzero(differences) >= 5:
+        from scipy.stats import wilcoxon
+
+        p = float(wilcoxon(differences).pvalue)
+    return Comparison(median(differences.tolist(), confidence), better, p)
+
+
+def compare_rates(first: Sequence[bool], second: Sequence[bool]) -> float:
+    """McNemar's exact test on two series of verdicts over the same seeds: the p-value; 1 if no pair differs."""
+    gained = sum(b and not a for a, b in zip(first, second, strict=True))
+    lost = sum(a and not b for a, b in zip(first, second, strict=True))
+    if gained + lost == 0:
+        return 1.0
+    from scipy.stats import binomtest
+
+    return float(binomtest(gained, gained + lost).pvalue)

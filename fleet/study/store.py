@@ -1,0 +1,243 @@
+"""The directory of a study: what is to be run, and one row per run that was made, as Parquet files.
+
+```text
+DIR/study.json         what the study is: scenario, axes with units, seeds, versions
+DIR/points.parquet     one row per point: its values and its whole scenario
+DIR/runs/*.parquet     one row per run, in the order in which they ended
+```
+
+A file is written beside its name and then renamed, so whatever ends the program, what stands there is whole.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import os
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager, suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from fleet.study.errors import StudyError
+from fleet.study.measures import MEASURES
+from fleet.study.values import Axis, Value
+from netem.whole_file import read_file, write_whole
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+VERSION = 1
+_STUDY, _POINTS, _RUNS = "study.json", "points.parquet", "runs"
+_MOST_BYTES = 50_000_000
+_TEXT, _BOOL, _NUMBER, _WHOLE = pa.string(), pa.bool_(), pa.float64(), pa.int64()
+
+
+class AxisRecord(msgspec.Struct):
+    """An axis as study.json has it: `unit` is None where the values are words."""
+
+    key: str
+    unit: str | None
+
+
+class StudyRecord(msgspec.Struct):
+    """study.json."""
+
+    version: int
+    scenario: str  # its name
+    command: str  # the changes of every run, for people
+    axes: list[AxisRecord]
+    seeds: list[int]
+    checks: list[str]  # of the scenario, by name
+    made_by: str  # the version of the package
+
+
+class Store:
+    """The directory of one study. Two programs cannot run one study: see `locked`."""
+
+    def __init__(self, directory: Path, record: StudyRecord) -> None:
+        self.directory, self.record = directory, record
+        self._parts = _next_part(directory)
+
+    @classmethod
+    def create(cls, directory: Path, record: StudyRecord, points: Sequence[Mapping[str, Any]]) -> Store:
+        """Make the directory of a new study.
+
+        Args:
+            points: of each point `values` by key, and `scenario`, its whole text.
+
+        Raises:
+            StudyError: the directory is there already and not empty, or cannot be written.
+        """
+        try:
+            (directory / _RUNS).mkdir(parents=True)
+            store = cls(directory, record)
+            columns: dict[str, Any] = {"point": pa.array(range(len(points)), _WHOLE)}
+            for axis in record.axes:
+                columns[axis.key] = _column(axis, [point["values"][axis.key] for point in points])
+            columns["scenario"] = pa.array([point["scenario"] for point in points], _TEXT)
+            fields = [pa.field("point", _WHOLE), *map(_axis_field, record.axes), pa.field("scenario", _TEXT)]
+            _write(directory / _POINTS, pa.table(columns, schema=pa.schema(fields)))
+            write_whole(directory / _STUDY, msgspec.json.format(msgspec.json.encode(record), indent=1) + b"\n")
+        except FileExistsError:
+            raise StudyError(f"{directory} is there already; fleet sweep {directory} goes on with it") from None
+        except OSError as error:
+            raise StudyError(f"cannot make the study {directory}: {error.strerror}") from None
+        return store
+
+    @classmethod
+    def open(cls, directory: Path) -> Store:
+        """The store of a study that is there.
+
+        Raises:
+            StudyError: there is none, or it is damaged.
+        """
+        try:
+            record = msgspec.json.decode(read_file(directory / _STUDY, _MOST_BYTES), type=StudyRecord)
+        except FileNotFoundError:
+            raise StudyError(f"{directory} is no study: it has no {_STUDY}") from None
+        except OSError as error:
+            raise StudyError(f"cannot read {directory / _STUDY}: {error.strerror}") from None
+        except (msgspec.MsgspecError, UnicodeDecodeError) as error:
+            raise StudyError(f"{directory / _STUDY} is damaged: {error!s:.200}") from None
+        if record.version != VERSION:
+            raise StudyError(f"{directory}: a study of version {record.version}; this fleet reads version {VERSION}")
+        return cls(directory, record)
+
+    @contextmanager
+    def locked(self) -> Iterator[None]:
+        """Have the study for writing.
+
+        Raises:
+            StudyError: another program has it.
+        """
+        with ExitStack() as stack:
+            try:
+                file = stack.enter_context((self.directory / _STUDY).open("rb"))
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                raise StudyError(f"another fleet runs the study {self.directory}") from None
+            except OSError as error:
+                raise StudyError(f"cannot lock {self.directory}: {error.strerror}") from None
+            with suppress(OSError):
+                for left in (self.directory / _RUNS).glob("*.part"):
+                    left.unlink()
+            yield
+
+    @property
+    def schema(self) -> pa.Schema:
+        """Of a row of a run, with the unit of each column."""
+        checks = self.record.checks
+        return pa.schema(
+            [
+                pa.field("key", _TEXT), pa.field("point", _WHOLE), pa.field("seed", _WHOLE),
+                *map(_axis_field, self.record.axes),
+                pa.field("status", _TEXT), pa.field("reason", _TEXT), pa.field("passed", _BOOL),
+                *(pa.field(f"check.{name}", _BOOL) for name in checks),
+                *(pa.field(f"value.{name}", _NUMBER) for name in checks),
+                *(_unit_field(measure.name, _NUMBER, measure.unit) for measure in MEASURES.values()),
+                pa.field("digest", _TEXT), pa.field("version", _TEXT), pa.field("cores", _TEXT),
+            ]
+        )  # fmt: skip
+
+    @property
+    def point_count(self) -> int:
+        """How many points there are. Raises StudyError."""
+        return int(_read(self.directory / _POINTS, ["point"]).num_rows)
+
+    @property
+    def missing(self) -> int:
+        """How many runs have no row yet. Raises StudyError."""
+        return self.point_count * len(self.record.seeds) - len(self.done())
+
+    def points(self) -> list[dict[str, Any]]:
+        """Every point: `point`, its values by key, and `scenario`. Raises StudyError."""
+        rows: list[dict[str, Any]] = _read(self.directory / _POINTS).to_pylist()
+        return rows
+
+    def done(self) -> set[tuple[int, int]]:
+        """(point, seed) of every run that has a row. Raises StudyError."""
+        table = self.table(["point", "seed"])
+        return set(zip(table["point"].to_pylist(), table["seed"].to_pylist(), strict=True))
+
+    def add(self, rows: Iterable[Mapping[str, Any]]) -> None:
+        """Write rows of runs as one more file. Raises StudyError."""
+        schema = self.schema
+        table = pa.Table.from_pylist([{name: row.get(name) for name in schema.names} for row in rows], schema=schema)
+        try:
+            _write(self.directory / _RUNS / f"part-{self._parts:06d}.parquet", table)
+        except OSError as error:
+            raise StudyError(f"cannot write the study {self.directory}: {error.strerror}") from None
+        self._parts += 1
+
+    def table(self, columns: list[str] | None = None) -> pa.Table:
+        """All rows, ordered by point and seed, so that their order does not tell who ran them. Raises StudyError."""
+        schema = self.schema
+        if columns is not None:
+            schema = pa.schema([schema.field(name) for name in columns])
+        parts = []
+        for path in sorted((self.directory / _RUNS).glob("part-*.parquet")):
+            part = _read(path, columns)
+            if not part.schema.equals(schema):
+                raise StudyError(f"{path} has other columns than {self.directory / _STUDY} says")
+            parts.append(part)
+        table = pa.concat_tables(parts) if parts else schema.empty_table()
+        return table.sort_by([("point", "ascending"), ("seed", "ascending")])
+
+    def frame(self) -> pd.DataFrame:
+        """All rows as a pandas DataFrame; `attrs["units"]` has the unit of each column. Raises StudyError."""
+        table = self.table()
+        frame = table.to_pandas()
+        units = {field.name: _unit(field) for field in table.schema if _unit(field)}
+        frame.attrs["units"] = units
+        return frame
+
+
+def axis_record(axis: Axis) -> AxisRecord:
+    """How study.json has an axis."""
+    return AxisRecord(axis.key, axis.unit if axis.numeric else None)
+
+
+def cell(axis: AxisRecord, value: Value) -> float | str | None:
+    """A value as a table has it: a number in the axis' unit, or a word."""
+    return value.text if axis.unit is None else value.number
+
+
+def _column(axis: AxisRecord, values: Sequence[Value]) -> pa.Array:
+    return pa.array([cell(axis, value) for value in values], _TEXT if axis.unit is None else _NUMBER)
+
+
+def _axis_field(axis: AxisRecord) -> pa.Field:
+    return _unit_field(axis.key, _TEXT if axis.unit is None else _NUMBER, axis.unit or "")
+
+
+def _unit_field(name: str, kind: pa.DataType, unit: str) -> pa.Field:
+    return pa.field(name, kind, metadata={"unit": unit} if unit else None)
+
+
+def _unit(field: pa.Field) -> str:
+    unit: bytes = (field.metadata or {}).get(b"unit", b"")
+    return unit.decode()
+
+
+def _next_part(directory: Path) -> int:
+    names = [path.stem.partition("-")[2] for path in (directory / _RUNS).glob("part-*.parquet")]
+    return 1 + max((int(name) for name in names if name.isdecimal()), default=0)
+
+
+def _write(path: Path, table: pa.Table) -> None:
+    part = path.with_suffix(".part")
+    pq.write_table(table, part, compression="zstd")
+    os.replace(part, path)
+
+
+def _read(path: Path, columns: list[str] | None = None) -> pa.Table:
+    try:
+        return pq.read_table(path, columns=columns)
+    except FileNotFoundError:
+        raise StudyError(f"{path} is missing") from None
+    except (OSError, pa.ArrowException) as error:
+        raise StudyError(f"{path} cannot be read: {error!s:.200}") from None

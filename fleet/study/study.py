@@ -1,0 +1,199 @@
+"""Studies for scripts: `fleet.sweep` makes one, `fleet.open_study` reads one."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import AbstractContextManager
+from math import inf
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from agents.plugins.trust import NOTHING, Trust
+from fleet.run.execute import execute
+from fleet.run.judged import Changes, override_texts
+from fleet.run.options import Options
+from fleet.run.outcome import Result
+from fleet.scenario.loading import parse_scenario
+from fleet.scenario.text.overrides import Override
+from fleet.study.engine import Engine, local_engine, need_extra, remote_engine
+from fleet.study.errors import StudyError
+from fleet.study.measures import chosen
+from fleet.study.plan import Plan, parse_seeds
+from fleet.study.store import Store
+from fleet.study.summary import PointSummary, summarise
+from fleet.study.sweep import Progress, prepare, run_study
+from fleet.study.values import Axis, axis
+
+if TYPE_CHECKING:
+    import pandas as pd
+    import xarray as xr
+
+STAMP = "%Y%m%d-%H%M%S"
+
+
+class Study:
+    """A study and its rows, each of which is one run. Every call reads the files anew: it may still be running."""
+
+    def __init__(self, store: Store) -> None:
+        self._store = store
+
+    @property
+    def directory(self) -> Path:
+        """Where it is."""
+        return self._store.directory
+
+    @property
+    def axes(self) -> dict[str, str | None]:
+        """The keys that are varied, and the unit of each; None: its values are words."""
+        return {axis.key: axis.unit for axis in self._store.record.axes}
+
+    @property
+    def seeds(self) -> list[int]:
+        """The seeds of every point."""
+        return list(self._store.record.seeds)
+
+    def to_pandas(self) -> pd.DataFrame:
+        """One row per run, ordered by point and seed; `attrs["units"]` has the unit of each column that has one.
+
+        Raises:
+            StudyError: the study is damaged.
+        """
+        return self._store.frame()
+
+    def to_xarray(self) -> xr.Dataset:
+        """The numbers of every run as arrays with `units` as attributes.
+
+        The dimensions are the keys that are varied and `seed`, if every value was run with every other; else `point`
+        and `seed`, with the keys as coordinates. A run that was not made is NaN, or None.
+
+        Raises:
+            StudyError: the study is damaged.
+        """
+        frame = self._store.frame()
+        units = frame.attrs["units"]
+        keys = list(self.axes)
+        combinations = frame[keys].drop_duplicates()
+        whole = 1
+        for key in keys:
+            whole *= combinations[key].nunique()
+        points = frame["point"].nunique()
+        dims = keys if keys and whole == points == len(combinations) else ["point"]
+        found: xr.Dataset = frame.drop(columns=["key"]).set_index([*dims, "seed"]).to_xarray()
+        if dims == ["point"]:
+            coordinates = {key: ("point", frame.groupby("point")[key].first().to_numpy()) for key in keys}
+            found = found.drop_vars(keys).assign_coords(coordinates)
+        for name in found.variables:
+            if str(name) in units:
+                found[name].attrs["units"] = units[str(name)]
+        return found
+
+    def summary(self, *measures: str) -> list[PointSummary]:
+        """Of each point the pass rate and the medians of some measures, with intervals.
+
+        Raises:
+            StudyError: there is no such measure, or the study is damaged.
+        """
+        return summarise(self._store, chosen(measures))
+
+    def rerun(self, point: int | Mapping[str, Any], seed: int, out: Path = Path("runs")) -> Result:
+        """Make one of its runs again with its log; the digest is that of the row.
+
+        Args:
+            point: its number, or its values by key.
+            seed: of the run.
+            out: where the run's directory is made.
+
+        Raises:
+            StudyError: there is no such point.
+        """
+        rows = self._store.points()
+        if isinstance(point, Mapping):
+            matching = [row for row in rows if all(row.get(key) == value for key, value in point.items())]
+            if len(matching) != 1:
+                raise StudyError(f"{len(matching)} points have {dict(point)}; there are {len(rows)} in all")
+            row = matching[0]
+        elif 0 <= point < len(rows):
+            row = rows[point]
+        else:
+            raise StudyError(f"there is no point {point}: they are 0 to {len(rows) - 1}")
+        scenario = parse_scenario(row["scenario"], self._store.record.scenario, [f"seed={seed}"])
+        return execute(scenario, Options(out, in_process=True, quiet=True))
+
+
+def open_study(directory: str | Path) -> Study:
+    """The study in a directory that `fleet sweep` made.
+
+    Raises:
+        StudyError: there is none, it is damaged, or the extra `study` is not installed.
+    """
+    need_extra()
+    return Study(Store.open(Path(directory)))
+
+
+def sweep(
+    scenario: str | Path,
+    vary: Mapping[str, str | Iterable[Any]],
+    *,
+    seeds: int | Sequence[int] = 10,
+    set: Changes = (),
+    net: Iterable[str] = (),
+    fault: Iterable[str] = (),
+    zipped: bool = False,
+    draw: int = 1,
+    out: str | Path | None = None,
+    workers: int | None = None,
+    scheduler: Any = None,
+    timeout_s: float = inf,
+    trust: Trust = NOTHING,
+    progress: Callable[[Progress], None] = lambda _: None,
+) -> Study:
+    """Run a scenario at every combination of some values, each with several seeds.
+
+    Args:
+        scenario: a shipped name or a file.
+        vary: by key the values, as text of the grammar of `fleet sweep --vary` or as a list.
+        seeds: how many, from 1 on, or which.
+        set, net, fault: what is changed for every run, as by the options; `{key}` stands for a varied value.
+        zipped: values go together, first with first, instead of each with each.
+        draw: the seed of values that are drawn.
+        out: the study's directory; None: a new one below `studies`. One that is there is gone on with.
+        workers: processes of this machine; None: one per core.
+        scheduler: of a Dask cluster that is there: an address or a cluster object; None: workers of this machine.
+        timeout_s: of wall time, for one run.
+        trust: which modules may run that are neither installed nor the user's own.
+        progress: called several times a second.
+
+    Raises:
+        ScenarioError: with the mistakes of all points.
+        StudyError: the study cannot be made or run.
+    """
+    need_extra()
+    axes = tuple(_axis(key, values) for key, values in vary.items())
+    chosen_seeds = parse_seeds(str(seeds)) if isinstance(seeds, int) else tuple(seeds)
+    texts = [("--set", text) for text in override_texts(set)]
+    texts += [("--net", text) for text in net] + [("--fault", text) for text in fault]
+    changes = tuple(Override(option, text) for option, text in texts)
+    plan = Plan(str(scenario), changes, axes, zipped, chosen_seeds, draw)
+    store, modules = prepare(plan, new_directory(plan.scenario) if out is None else Path(out), trust)
+    with engine_of(workers, scheduler) as engine:
+        run_study(store, engine, progress, modules=modules, timeout_s=timeout_s)
+    return Study(store)
+
+
+def engine_of(workers: int | None, scheduler: Any, *, dashboard: bool = False) -> AbstractContextManager[Engine]:
+    """The engine that was asked for. Raises StudyError."""
+    if scheduler is not None:
+        return remote_engine(scheduler)
+    return local_engine(workers or len(os.sched_getaffinity(0)), dashboard=dashboard)
+
+
+def new_directory(scenario: str, out: Path = Path("studies")) -> Path:
+    """Where a new study of a scenario goes."""
+    return out / f"{Path(scenario).stem}-{time.strftime(STAMP, time.gmtime())}"
+
+
+def _axis(key: str, values: str | Iterable[Any]) -> Axis:
+    text = values if isinstance(values, str) else ", ".join(str(value) for value in values)
+    return axis(key, text)

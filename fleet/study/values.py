@@ -1,0 +1,240 @@
+"""What a study varies: a key, or a name of a template, and its values as text.
+
+    VALUES := VALUE , VALUE ...          a list: `nboc, bc`, `0 %, 10 %, 30 %`, `{a: 1}, {a: 2}`
+            | LOW..HIGH / STEP           `0 %..90 %/10 %`; the high end counts if a step meets it
+            | LOW..HIGH / COUNT          so many values at equal distances: `0..2 s/9`; a count has no unit
+            | LOW..HIGH lin|log COUNT    at equal distances, or at equal ratios: `100 ms..2 s log 8`
+            | LOW..HIGH random COUNT     drawn, every value equally likely; `random log COUNT`: every ratio
+            | LOW..HIGH latin COUNT      a Latin hypercube over all keys with it; `latin log COUNT`
+
+A unit that only one end has holds for both. Values in a range have at most six significant digits.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from fractions import Fraction
+from math import exp, log
+from typing import Literal, NamedTuple
+
+from fleet.quantities import DIMENSIONS
+from fleet.study.errors import ValuesError
+from netem.grammar import RATE_UNITS
+from netem.parsing import LONGEST_NUMBER, NUMBER, exact_number, nearest
+
+MOST_VALUES = 100_000  # of one key
+DIGITS = 6
+
+_SIZES = [dict(dimension.units) for dimension in DIMENSIONS] + [{unit: Fraction(n) for unit, n in RATE_UNITS.items()}]
+_UNITS = sorted({unit for sizes in _SIZES for unit in sizes if unit}, key=len, reverse=True)
+_UNIT = "|".join(map(re.escape, _UNITS))
+
+
+def _quantity(name: str) -> str:
+    """The pattern of a number and a unit, as groups `name` and `name_unit`."""
+    return rf"(?P<{name}>{NUMBER.pattern})(?:\s*(?P<{name}_unit>{_UNIT}))?"
+
+
+_RANGE = re.compile(
+    rf"\s*{_quantity('low')}\s*\.\.\s*{_quantity('high')}\s*"
+    rf"(?:/\s*{_quantity('step')}|(?P<how>[a-z][a-z ]*?)\s+(?P<count>\d+))?\s*",
+    re.ASCII,
+)
+_SINGLE = re.compile(_quantity("value"), re.ASCII)
+_KEY = re.compile(r"[^\s=]+")
+
+How = Literal["grid", "random", "latin"]
+_HOWS: dict[str, tuple[How, bool]] = {
+    "lin": ("grid", False),
+    "log": ("grid", True),
+    "random": ("random", False),
+    "random log": ("random", True),
+    "latin": ("latin", False),
+    "latin log": ("latin", True),
+}
+
+
+class Value(NamedTuple):
+    """One value: the text that is set, and its number in the axis' unit, if it is a number."""
+
+    text: str
+    number: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Axis:
+    """A key that is varied.
+
+    Attributes:
+        key: of the scenario, such as `network.links.*.loss`, or a name of a template.
+        unit: of the numbers; empty if they have none, or if the values are words.
+        values: in order; of a range that is to be sampled none.
+        how: `grid`: the values; `random`, `latin`: `count` values between `low` and `high` are to be drawn.
+        scale: `log`: equal ratios are equally likely, or equally far apart.
+    """
+
+    key: str
+    unit: str = ""
+    values: tuple[Value, ...] = ()
+    how: How = "grid"
+    low: float = 0.0
+    high: float = 0.0
+    count: int = 0
+    scale: Literal["lin", "log"] = "lin"
+
+    @property
+    def sampled(self) -> bool:
+        """Whether its values are to be drawn."""
+        return self.how != "grid"
+
+    @property
+    def numeric(self) -> bool:
+        """Whether every value is a number."""
+        return self.sampled or all(value.number is not None for value in self.values)
+
+    def at(self, share: float) -> Value:
+        """The value at a share, from 0 to 1, of the way from the low end to the high one."""
+        if self.scale == "log":
+            return _value(exp(log(self.low) + share * (log(self.high) - log(self.low))), self.unit)
+        return _value(self.low + share * (self.high - self.low), self.unit)
+
+
+def parse_axis(text: str) -> Axis:
+    """The axis that `KEY=VALUES` describes.
+
+    Raises:
+        ValuesError: it has no key, or its values are none.
+    """
+    key, equals, values = text.partition("=")
+    if not equals or not _KEY.fullmatch(key.strip()):
+        raise ValuesError(f"expected KEY=VALUES such as 'network.links.*.loss=0 %..90 %/10 %', got '{text[:80]}'")
+    return axis(key.strip(), values)
+
+
+def axis(key: str, text: str) -> Axis:
+    """The axis of a key and its values as text. Raises ValuesError."""
+    try:
+        if ".." in text and not any(mark in text for mark in "{[\"'"):
+            return _range(key, text)
+        return _listed(key, text)
+    except ValuesError as error:
+        raise ValuesError(f"{key}={text.strip()[:80]}: {error}") from None
+
+
+def _listed(key: str, text: str) -> Axis:
+    texts = [part.strip() for part in _split(text)]
+    if not any(texts):
+        raise ValuesError("expected values, got nothing")
+    if not all(texts):
+        raise ValuesError("there is no value between two commas, or behind the last")
+    if len(set(texts)) < len(texts):
+        twice = next(text for text in texts if texts.count(text) > 1)
+        raise ValuesError(f"the value {twice[:40]} is given twice")
+    matches = [_SINGLE.fullmatch(text) for text in texts]
+    numbers: list[Fraction] = []
+    unit = ""
+    for match in matches:
+        number = exact_number(match["value"]) if match else None
+        if match is None or number is None:
+            return Axis(key, "", tuple(map(Value, texts)))
+        unit = unit or match["value_unit"] or ""
+        factor = _factor(match["value_unit"] or "", unit)
+        if factor is None:  # a text of several kinds is words
+            return Axis(key, "", tuple(map(Value, texts)))
+        numbers.append(number * factor)
+    return Axis(key, unit, tuple(Value(text, float(n)) for text, n in zip(texts, numbers, strict=True)))
+
+
+def _range(key: str, text: str) -> Axis:
+    match = _RANGE.fullmatch(text)
+    if match is None:
+        hint = "write LOW..HIGH/STEP, LOW..HIGH log COUNT, or a list; units as in 100 ms"
+        raise ValuesError(f"expected a range such as 0 %..90 %/10 % or 100 ms..2 s log 8; {hint}")
+    unit = match["low_unit"] or match["high_unit"] or ""
+    low = _number(match, "low", unit)
+    high = _number(match, "high", unit)
+    if low >= high:
+        raise ValuesError("the low end must be below the high end")
+    if match["how"]:
+        return _counted(key, unit, low, high, match["how"], int(match["count"]))
+    if match["step"] is None:
+        raise ValuesError("how many values? write a step as in 0 %..90 %/10 %, or a count as in 0 %..90 % lin 10")
+    if unit and not match["step_unit"]:
+        step = exact_number(match["step"])
+        if step is None or step.denominator != 1 or step < 2:
+            raise ValuesError(f"a step needs a unit, as in /10 {unit}; a count is a whole number from 2 on")
+        return _counted(key, unit, low, high, "lin", int(step))
+    step = _number(match, "step", unit)
+    if step <= 0:
+        raise ValuesError("a step must be above 0")
+    if step > high - low:
+        raise ValuesError(f"the step is larger than the range; lin {match['step']} means so many values")
+    count = (high - low) // step + 1
+    if count > MOST_VALUES:
+        raise ValuesError(f"these are {count} values, and {MOST_VALUES} at most may be")
+    return Axis(key, unit, tuple(_value(float(low + k * step), unit) for k in range(count)))
+
+
+def _counted(key: str, unit: str, low: Fraction, high: Fraction, how: str, count: int) -> Axis:
+    words = " ".join(how.split())
+    if words not in _HOWS:
+        hint = nearest(words, _HOWS) or f"known: {', '.join(_HOWS)}"
+        raise ValuesError(f'unknown kind of range "{words[:40]}"; {hint}')
+    kind, logarithmic = _HOWS[words]
+    if not 2 <= count <= MOST_VALUES:
+        raise ValuesError(f"a count must be from 2 to {MOST_VALUES}, got {count}")
+    if logarithmic and low <= 0:
+        raise ValuesError("a range at equal ratios must begin above 0")
+    made = Axis(key, unit, (), kind, float(low), float(high), count, "log" if logarithmic else "lin")
+    if made.sampled:
+        return made
+    values = tuple(made.at(k / (count - 1)) for k in range(count))
+    return Axis(key, unit, values)
+
+
+def _number(match: re.Match[str], name: str, unit: str) -> Fraction:
+    number = exact_number(match[name])
+    own = match[f"{name}_unit"] or unit
+    factor = _factor(own, unit)
+    if number is None:
+        raise ValuesError(f"a number may have {LONGEST_NUMBER} characters at most")
+    if factor is None:
+        raise ValuesError(f'"{own}" and "{unit}" are no units of the same')
+    return number * factor
+
+
+def _factor(own: str, unit: str) -> Fraction | None:
+    """How much of `unit` one `own` is; None if they do not measure the same."""
+    if own == unit:
+        return Fraction(1)
+    for sizes in _SIZES:
+        if own in sizes and unit in sizes:
+            return sizes[own] / sizes[unit]
+    return None
+
+
+def _value(number: float, unit: str) -> Value:
+    text = f"{number:.{DIGITS}g}"
+    if "e" in text:  # 1e-07: as people write it
+        text = f"{float(text):.20f}".rstrip("0").rstrip(".")
+    return Value(f"{text} {unit}".rstrip(), float(text))
+
+
+def _split(text: str) -> Iterator[str]:
+    """The text at commas that are not within brackets or quotation marks."""
+    depth, quote, begin = 0, "", 0
+    for at, character in enumerate(text):
+        if quote:
+            quote = "" if character == quote else quote
+        elif character in "\"'":
+            quote = character
+        elif character in "{[(":
+            depth += 1
+        elif character in ")]}":
+            depth -= 1
+        elif character == "," and depth == 0:
+            yield text[begin:at]
+            begin = at + 1
+    yield text[begin:]

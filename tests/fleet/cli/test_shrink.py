@@ -1,0 +1,70 @@
+"""`fleet shrink` as people type it."""
+
+from __future__ import annotations
+
+from contextlib import nullcontext
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner, Result
+from small_scenario import SMALL
+from study_engine import Here
+
+from fleet.cli.main import cli
+from fleet.run.judged import run
+
+FAILING = """\
+faults:
+  - {at: 100 ms, for: 300 ms, mute: 3}
+  - {at: 300 ms, for: 400 ms, wrench: {vehicles: 1, force: 400 0 0 N}}
+checks: {formation_error: {below: 4.6 m, after: 800 ms}}
+"""
+
+
+@pytest.fixture(autouse=True)
+def failing_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("fleet.study.study.engine_of", lambda *_: nullcontext(Here()))
+    monkeypatch.chdir(tmp_path)
+    Path("small.yaml").write_text(SMALL + FAILING, "utf-8")
+
+
+def call(*args: str) -> Result:
+    return CliRunner().invoke(cli, list(args))
+
+
+def test_the_least_scenario_is_written_and_fails(tmp_path: Path) -> None:
+    result = call("shrink", "small.yaml")
+    assert result.exit_code == 0, result.output
+    lines = result.stdout.splitlines()
+    assert lines[0].startswith("small fails formation_error with ")
+    assert lines[1] == "  1 of 2 faults are needed"
+    assert lines[-1] == "small-least.yaml"
+    assert not run("small-least.yaml").passed
+    again = call("shrink", "small.yaml")
+    assert again.exit_code == 2
+    assert "small-least.yaml is there already" in again.stderr
+    assert call("shrink", "small-least.yaml", "--out", "small-least.yaml", "--force").exit_code == 0
+
+
+def test_a_log_is_shrunk_as_it_happened() -> None:
+    made = call("run", "small.yaml", "--in-process", "-q")
+    assert made.exit_code == 1
+    result = call("shrink", made.stdout.strip(), "-o", "least.yaml")
+    assert result.exit_code == 0, result.output
+    assert "1 of 2 faults are needed" in result.stdout
+
+
+@pytest.mark.parametrize(
+    ("args", "message"),
+    [
+        (["paper", "--set", "duration=1 s", "--set", "checks={}"], "every check passes: there is nothing to shrink"),
+        (["small.yaml", "--check", "ledger"], "the check ledger does not fail"),
+        (["nosuch.yaml"], "nosuch.yaml"),
+        (["no-such-run"], "no-such-run"),
+    ],
+)
+def test_mistakes_are_usage(args: list[str], message: str) -> None:
+    result = call("shrink", *args)
+    assert result.exit_code == 2
+    assert message in result.stderr
+    assert not list(Path().glob("*-least.yaml"))

@@ -1,0 +1,141 @@
+"""Workers of this machine: who may use them, and what becomes of a study when one of them dies."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from math import inf
+from pathlib import Path
+from typing import Any
+
+import pytest
+from failing_laws import failing
+from small_scenario import SMALL, small
+from waiting import wait_for
+
+from fleet.scenario.loading import parse_scenario
+from fleet.scenario.trust import Policy
+from fleet.study.engine import LOST, Engine, check_versions, local_engine, need_extra, remote_engine, versions
+from fleet.study.errors import StudyError
+from fleet.study.modules import modules_of
+from fleet.study.one_run import FAILED, Task
+
+NAME = "small"
+DONE = {"pass", "check_failed"}
+
+
+@pytest.fixture(scope="module")
+def engine() -> Iterator[Engine]:
+    with local_engine(2) as found:
+        yield found
+
+
+def tasks(count: int, duration: str = "1 s") -> Iterator[Task]:
+    text = small(f"duration={duration}").to_yaml()
+    return (Task(f"key-{seed}", 0, seed, NAME, text, inf) for seed in range(count))
+
+
+def made(engine: Engine, tasks: Iterator[Task], **options: Any) -> list[dict[str, Any]]:
+    rows: list[dict[str, Any]] = []
+    engine.make(tasks, rows.extend, options.get("wait", lambda: None))
+    return rows
+
+
+def test_every_run_is_made_once(engine: Engine) -> None:
+    rows = made(engine, tasks(25))
+    assert sorted(row["seed"] for row in rows) == list(range(25))
+    assert {row["status"] for row in rows} <= DONE
+
+
+def test_a_worker_that_is_killed_costs_no_run(engine: Engine) -> None:
+    def workers() -> dict[str, int]:
+        return engine.client.run(os.getpid)
+
+    before = workers()
+    killed: list[int] = []
+
+    def kill_one() -> None:
+        if not killed:
+            killed.append(next(iter(before.values())))
+            os.kill(killed[0], signal.SIGKILL)
+
+    rows = made(engine, tasks(12, "8 s"), wait=kill_one)
+    assert killed
+    assert sorted(row["seed"] for row in rows) == list(range(12))
+    assert {row["status"] for row in rows} <= DONE
+    wait_for(lambda: len(workers()) == 2 and killed[0] not in workers().values(), 30, "another worker in its place")
+
+
+@pytest.mark.slow
+def test_a_law_of_the_users_runs_there_and_one_that_kills_its_workers_costs_its_run(
+    engine: Engine, tmp_path: Path
+) -> None:
+    laws = {"good_law": "pass", "deadly_law": "__import__('os')._exit(1)", "other_law": "pass  # another file"}
+    scenarios = []
+    for name, line in laws.items():
+        (tmp_path / f"{name}.py").write_text(failing(3, line), "utf-8")
+        text = f"{SMALL}controller: {name}:Law\n"
+        scenarios.append(parse_scenario(text, "small.yaml", folder=tmp_path, policy=Policy(stranger="")))
+    modules = modules_of(scenarios[:2], tmp_path)
+    assert len(modules.files) == len(modules.fingerprints) == 2
+    good, deadly, other = (scenario.to_yaml() for scenario in scenarios)
+    chosen = [
+        Task("a", 0, 1, NAME, good, inf, modules),
+        Task("b", 1, 1, NAME, deadly, inf, modules),
+        Task("c", 0, 2, NAME, good, inf, modules),
+        Task("d", 2, 1, NAME, other, inf, modules),
+    ]
+    rows = {row["key"]: row for row in made(engine, iter(chosen))}
+    assert {rows[key]["status"] for key in "ac"} <= DONE
+    assert (rows["b"]["status"], rows["b"]["reason"]) == (FAILED, LOST)
+    assert rows["d"]["status"] == FAILED
+    assert "a study names it" in rows["d"]["reason"]
+
+
+STRANGER = """
+import sys
+from distributed import Client
+for address in sys.argv[1:]:
+    try:
+        Client(address, timeout="1s").run(print)
+    except (OSError, TypeError) as error:
+        print("refused")
+"""
+
+
+def test_a_stranger_on_this_host_is_refused(engine: Engine) -> None:
+    address = engine.client.scheduler.address
+    assert address.startswith("tls://127.0.0.1:")
+    plain = address.replace("tls://", "tcp://")
+    done = subprocess.run([sys.executable, "-c", STRANGER, address, plain], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["refused", "refused"]
+
+
+def test_no_scheduler_and_no_extra_are_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("fleet.study.engine._CONNECT_S", 0.3)
+    with pytest.raises(StudyError, match="no Dask scheduler answers at tcp://127"), remote_engine("tcp://127.0.0.1:1"):
+        pass
+    monkeypatch.setattr("fleet.study.engine.NEEDED", ("dask", "no_such_library"))
+    with pytest.raises(StudyError, match=r"studies need no_such_library: pip install 'uuv-fleet\[study\]'"):
+        need_extra()
+
+
+class _Cluster:
+    """A client whose workers answer what a test wants."""
+
+    def __init__(self, found: object) -> None:
+        self.found = found
+
+    def run(self, *_: Any, **__: Any) -> dict[str, object]:
+        return {"tcp://10.0.0.2:1": versions(), "tcp://10.0.0.3:1": self.found}
+
+
+def test_workers_with_other_versions_are_told_apart_before_the_first_run() -> None:
+    check_versions(_Cluster(versions()))  # type: ignore[arg-type]
+    with pytest.raises(StudyError, match=r"worker tcp://10.0.0.3:1 has numpy 1.0 \(here "):
+        check_versions(_Cluster(versions() | {"numpy": "1.0"}))  # type: ignore[arg-type]
+    with pytest.raises(StudyError, match=r"worker tcp://10.0.0.3:1 lacks fleet"):
+        check_versions(_Cluster(ModuleNotFoundError("No module named 'fleet'", name="fleet")))  # type: ignore[arg-type]

@@ -1,0 +1,78 @@
+"""Which runs a study has, in which order, and what is wrong with a plan."""
+
+from __future__ import annotations
+
+import pytest
+
+from fleet.scenario.text.overrides import FAULT, NET, SET, Override
+from fleet.study.errors import StudyError
+from fleet.study.plan import Plan, parse_seeds
+from fleet.study.values import parse_axis
+
+LOSS, DELAY = parse_axis("loss=0 %,30 %"), parse_axis("delay=100 ms,1 s")
+
+
+def test_every_value_with_every_other_and_all_points_before_the_next_seed() -> None:
+    plan = Plan("paper", (Override(NET, "* loss {loss} delay {delay}"),), (LOSS, DELAY), seeds=(7, 3))
+    assert len(plan) == 8
+    assert [(point.shown, seed) for point, seed in plan.runs()][:5] == [
+        ("loss=0 %, delay=100 ms", 7),
+        ("loss=0 %, delay=1 s", 7),
+        ("loss=30 %, delay=100 ms", 7),
+        ("loss=30 %, delay=1 s", 7),
+        ("loss=0 %, delay=100 ms", 3),
+    ]
+    assert plan.points[1].changes == (Override(NET, "* loss 0 % delay 1 s"),)
+
+
+def test_a_key_that_fills_no_template_is_one_of_the_scenario() -> None:
+    axes = (parse_axis("controller=nboc,bc"), parse_axis("who=2,3"))
+    plan = Plan("paper", (Override(FAULT, "at 3s kill {who}"),), axes)
+    assert plan.points[3].changes == (Override(FAULT, "at 3s kill 3"), Override(SET, "controller=bc"))
+
+
+def test_zipped_values_go_together() -> None:
+    plan = Plan("paper", (Override(NET, "* loss {loss} delay {delay}"),), (LOSS, DELAY), zipped=True)
+    assert [point.shown for point in plan.points] == ["loss=0 %, delay=100 ms", "loss=30 %, delay=1 s"]
+
+
+def test_drawn_values_are_drawn_together_and_crossed_with_the_others() -> None:
+    axes = (parse_axis("a=0..10 latin 5"), parse_axis("c=x,y"), parse_axis("b=1..100 latin log 5"))
+    set_all = (Override(SET, "k={a}{b}{c}"),)
+    plan = Plan("paper", set_all, axes)
+    assert len(plan.points) == 10
+    assert list(plan.points[0].values) == ["a", "c", "b"]
+    numbers = [point.values["a"].number for point in plan.points[::2]]
+    assert sorted(int(number // 2) for number in numbers if number is not None) == [0, 1, 2, 3, 4]  # one in each fifth
+    assert plan.points == Plan("paper", set_all, axes).points
+    assert plan.points != Plan("paper", set_all, axes, draw=2).points
+
+
+@pytest.mark.parametrize(
+    ("text", "seeds"), [("3", (1, 2, 3)), ("5..7", (5, 6, 7)), ("3,7,3", (3, 7)), ("0..0", (0,)), ("1", (1,))]
+)
+def test_seeds(text: str, seeds: tuple[int, ...]) -> None:
+    assert parse_seeds(text) == seeds
+
+
+@pytest.mark.parametrize("text", ["0", "-1", "", "x", "7..5", "1..2..3", "99999999999999"])
+def test_what_are_no_seeds(text: str) -> None:
+    with pytest.raises(StudyError, match="expected a number of seeds"):
+        parse_seeds(text)
+
+
+@pytest.mark.parametrize(
+    ("axes", "changes", "zipped", "message"),
+    [
+        ((LOSS, LOSS), (), False, "loss is varied twice"),
+        ((parse_axis("seed=1,2"),), (), False, "seeds are varied with --seeds"),
+        ((LOSS,), ("k={los}",), False, "{los} stands for the value of --vary los"),
+        ((LOSS, parse_axis("c=a,b,c")), (), True, "as many values as each other: loss 2, c 3"),
+        ((parse_axis("a=0..1 latin 5"), parse_axis("b=0..1 latin 6")), (), False, "need the same count: a 5, b 6"),
+        ((parse_axis("a=0..1 latin 5"), parse_axis("b=0..1 random 5")), (), False, "all random, or all latin"),
+    ],
+)
+def test_what_is_no_plan(axes: tuple, changes: tuple[str, ...], zipped: bool, message: str) -> None:
+    with pytest.raises(StudyError) as caught:
+        Plan("paper", tuple(Override(SET, text) for text in changes), axes, zipped)
+    assert message in str(caught.value)

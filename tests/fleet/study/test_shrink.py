@@ -1,0 +1,57 @@
+"""The least that breaks a run: what is needed stays, and what is left fails by itself."""
+
+from __future__ import annotations
+
+import pytest
+from small_scenario import small
+from study_engine import Here
+
+from fleet.run.judged import judged
+from fleet.study.errors import StudyError
+from fleet.study.shrink import Shrinker
+
+FAULTS = (
+    "faults=["
+    "{id: noise, at: 100 ms, for: 200 ms, noise: {vehicles: 2, position_noise: 1 cm}},"
+    "{id: mute, at: 200 ms, for: 300 ms, mute: 3},"
+    "{id: push, at: 300 ms, for: 400 ms, wrench: {vehicles: 1, force: 400 0 0 N}},"
+    "{id: loss, at: 500 ms, for: 100 ms, link: {'*': loss 40%}},"
+    "{id: deaf, at: 600 ms, for: 100 ms, deaf: 2}]"
+)
+NONE = "checks={formation_error: {below: 99 m, after: 0 s}, tumbled: waived, deaths: waived}"
+CHECK = "checks={formation_error: {below: 4.6 m, after: 800 ms}}"
+
+
+def shrinker(*overrides: str, engine: Here | None = None) -> Shrinker:
+    return Shrinker(small(*overrides), engine or Here(), lambda doing, runs: None)  # type: ignore[arg-type]
+
+
+def test_what_is_not_needed_goes_and_what_is_left_fails() -> None:
+    found = shrinker(FAULTS, CHECK).shrink()
+    assert found.check == "formation_error"
+    (fault,) = found.scenario.spec.faults
+    assert fault.id == "push"
+    assert fault.wrench is not None
+    assert 0.0 < fault.wrench.force[0] < 400.0
+    assert found.scenario.vehicles == 2
+    assert next(step.what for step in found.steps) == "1 of 5 faults are needed"
+    assert found.scenario.duration_ns > 800_000_000  # a run that only ended too early does not count
+    assert not judged(found.scenario).passed
+    again = shrinker(FAULTS, CHECK, engine=Here(backwards=True)).shrink()
+    assert again.scenario == found.scenario  # whoever made the runs, in whatever order
+
+
+@pytest.mark.parametrize(
+    ("overrides", "check", "message"),
+    [
+        (
+            ("checks={formation_error: {below: 99 m, after: 0 s}, tumbled: waived, deaths: waived}",),
+            None,
+            "every check passes",
+        ),
+        ((FAULTS, CHECK), "ledger", "the check ledger does not fail; these do: formation_error, tumbled"),
+    ],
+)
+def test_nothing_to_shrink_is_said(overrides: tuple[str, ...], check: str | None, message: str) -> None:
+    with pytest.raises(StudyError, match=message):
+        shrinker(*overrides).shrink(check)

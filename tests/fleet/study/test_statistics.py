@@ -1,0 +1,61 @@
+"""Intervals against values from the literature, and their laws."""
+
+from __future__ import annotations
+
+from math import isnan, nan
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from fleet.study.statistics import compare, compare_rates, median, pass_rate
+
+
+def test_the_interval_of_a_pass_rate_is_wilsons() -> None:
+    found = pass_rate(17, 20)
+    assert found.value == 0.85
+    # (p + z^2/2n +- z sqrt(p(1-p)/n + z^2/4n^2)) / (1 + z^2/n) with z = 1.959964
+    assert (found.low, found.high) == pytest.approx((0.63958, 0.94763), abs=1e-5)
+    assert all(map(isnan, pass_rate(0, 0)[:3]))
+
+
+@given(st.integers(1, 200).flatmap(lambda n: st.tuples(st.integers(0, n), st.just(n))))
+def test_a_pass_rate_is_within_its_interval_and_the_interval_within_0_and_1(case: tuple[int, int]) -> None:
+    passed, runs = case
+    found = pass_rate(passed, runs)
+    assert 0.0 <= found.low <= found.value <= found.high <= 1.0
+    assert pass_rate(2 * passed, 2 * runs).half < found.half
+
+
+def test_a_median_has_an_interval_that_reads_the_same_each_time() -> None:
+    values = [1.0, 2.0, 3.0, 4.0, 9.0, nan]
+    found = median(values)
+    assert (found.value, found.runs) == (3.0, 5)
+    assert 1.0 <= found.low <= 3.0 <= found.high <= 9.0
+    assert median(values) == found
+    assert median([2.0] * 7) == (2.0, 2.0, 2.0, 7)
+    assert median([1.0, 2.0])[0] == 1.5
+    assert isnan(median([1.0, 2.0]).low)
+    assert isnan(median([nan]).value)
+
+
+def test_values_that_are_the_same_but_for_one_have_an_interval() -> None:
+    found = median([1.0] * 19 + [2.0])  # BCa is not defined here
+    assert (found.low, found.high) == (1.0, 1.0)
+
+
+def test_two_series_are_compared_in_pairs() -> None:
+    first = [1.0, 5.0, 2.0, 8.0, 3.0, 9.0, nan]
+    second = [1.5, 5.5, 2.5, 8.5, 3.5, 9.5, 1.0]  # always half more, which no comparison of the medians would show
+    found = compare(first, second)
+    assert found.difference[:3] == (0.5, 0.5, 0.5)
+    assert found.difference.runs == 6
+    assert found.better == 0.0
+    assert found.p == pytest.approx(2 / 2**6)  # all six differences of one sign
+    assert compare(first, first).better == 0.5
+    assert isnan(compare(first, first).p)
+
+
+def test_verdicts_are_compared_in_pairs() -> None:
+    assert compare_rates([True] * 9, [True] * 9) == 1.0
+    assert compare_rates([False] * 6 + [True] * 4, [True] * 10) == pytest.approx(2 / 2**6)

@@ -1,0 +1,182 @@
+"""A study from plan to rows: checked first, interrupted, gone on with, and the same whoever made it."""
+
+from __future__ import annotations
+
+from math import isnan
+from pathlib import Path
+
+import pyarrow.parquet as pq
+import pytest
+from pandas.testing import assert_frame_equal
+from small_scenario import SMALL
+from study_engine import Here
+
+from fleet.errors import ScenarioError
+from fleet.run.judged import run
+from fleet.scenario.text.overrides import SET, Override
+from fleet.study.errors import StudyError
+from fleet.study.plan import Plan
+from fleet.study.store import Store
+from fleet.study.study import Study, open_study
+from fleet.study.summary import summarise
+from fleet.study.sweep import Progress, prepare, run_study
+from fleet.study.values import parse_axis
+
+CHECKS = Override(SET, "checks={formation_error: {below: 0.9 m, after: 0.9 s}}")
+LINKS = Override(SET, "network.links={'*': delay 50ms loss 10%}")
+
+
+@pytest.fixture
+def small_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "small.yaml").write_text(SMALL, "utf-8")
+    return "small.yaml"
+
+
+def plan(file: str, *axes: str, seeds: tuple[int, ...] = (1, 2)) -> Plan:
+    chosen = axes or ("network.links.*.loss=0 %, 80 %", "neighbours.extrapolate=hold, neighbour")
+    return Plan(file, (CHECKS, LINKS), tuple(map(parse_axis, chosen)), seeds=seeds)
+
+
+def made(file: str, directory: Path, engine: Here | None = None) -> Store:
+    store, _ = prepare(plan(file), directory)
+    run_study(store, engine or Here(), lambda progress: None)  # type: ignore[arg-type]
+    return store
+
+
+def assert_same_rows(one: Store, other: Store) -> None:
+    """Every value but the wall time is the same, to the last bit."""
+    frames = [store.frame().drop(columns=["wall_s"]) for store in (one, other)]
+    assert_frame_equal(*frames, check_exact=True)
+
+
+def test_a_row_is_the_run(small_file: str, tmp_path: Path) -> None:
+    frame = open_study(made(small_file, tmp_path / "study").directory).to_pandas()
+    assert len(frame) == 8
+    row = frame[(frame["network.links.*.loss"] == 80.0) & (frame["seed"] == 2)].iloc[1]
+    assert row["neighbours.extrapolate"] == "neighbour"
+    changes = [CHECKS.text, LINKS.text, "network.links.*.loss=80 %", "neighbours.extrapolate=neighbour"]
+    found = run(small_file, set=changes, seed=2)
+    assert row["digest"] == found.digest
+    assert row["passed"] == found.passed
+    assert row["check.formation_error"] == found.verdicts[0].passed
+    assert row["value.formation_error"] == found.verdicts[0].value
+    assert row["formation_final_m"] == found.values["formation"]["worst_m"]
+    assert isnan(row["settle_5cm_s"])
+    assert frame.attrs["units"]["network.links.*.loss"] == "%"
+    assert frame.attrs["units"]["age_p95_s"] == "s"
+
+
+def test_rows_are_the_same_in_whatever_order_they_were_made(small_file: str, tmp_path: Path) -> None:
+    forwards = made(small_file, tmp_path / "a")
+    assert_same_rows(forwards, made(small_file, tmp_path / "b", Here(backwards=True)))
+
+
+def test_an_interrupted_study_goes_on_where_it_was(small_file: str, tmp_path: Path) -> None:
+    store, _ = prepare(plan(small_file), tmp_path / "study")
+    first, second = Here(most=3), Here()
+    with pytest.raises(KeyboardInterrupt):
+        run_study(store, first, lambda progress: None)  # type: ignore[arg-type]
+    again = Store.open(tmp_path / "study")
+    assert again.missing == 5
+    seen: list[tuple[int, int]] = []
+
+    def tell(progress: Progress) -> None:
+        seen.append((progress.made, progress.runs))
+
+    run_study(again, second, tell)  # type: ignore[arg-type]
+    assert len(second.tasks) == 5
+    assert {task.key for task in first.tasks}.isdisjoint(task.key for task in second.tasks)
+    assert seen[-1] == (8, 8)
+    assert again.missing == 0
+    assert_same_rows(again, made(small_file, tmp_path / "whole"))
+
+
+def test_a_study_is_run_by_one_program_at_a_time(small_file: str, tmp_path: Path) -> None:
+    store, _ = prepare(plan(small_file), tmp_path / "study")
+    again = Store.open(tmp_path / "study")
+    with store.locked(), pytest.raises(StudyError, match="another fleet runs the study"), again.locked():
+        pass
+    with again.locked():
+        pass
+
+
+def test_every_mistake_of_every_point_is_told_before_anything_is_made(small_file: str, tmp_path: Path) -> None:
+    wrong = plan(small_file, "network.links.*.loss=0 %, 130 %", "duration=1 s, 2 m, 3 s")
+    with pytest.raises(ScenarioError) as caught:
+        prepare(wrong, tmp_path / "study")
+    text = str(caught.value)
+    assert "between 0% and 100%" in text
+    assert "(in 3 of 6 points, first network.links.*.loss=130 %, duration=1 s)" in text
+    assert "(in 2 of 6 points, first network.links.*.loss=0 %, duration=2 m)" in text
+    assert not (tmp_path / "study").exists()
+
+
+def test_a_run_that_fails_is_a_row(small_file: str, tmp_path: Path) -> None:
+    store, _ = prepare(plan(small_file, "network.links.*.loss=0 %, 80 %", seeds=(1,)), tmp_path / "study")
+    progress = run_study(store, Here(), lambda progress: None, timeout_s=0.0)  # type: ignore[arg-type]
+    assert (progress.failed, progress.passed) == (2, 0)
+    rows = store.table().to_pylist()
+    assert {(row["status"], row["reason"]) for row in rows} == {("failed", "took longer than 0 s")}
+    (summary, _) = summarise(store)
+    assert (summary.runs, summary.failed, summary.passed.runs) == (1, 1, 0)
+
+
+def test_the_summary_has_intervals(small_file: str, tmp_path: Path) -> None:
+    study = Study(made(small_file, tmp_path / "study"))
+    rows = study.summary("formation_final_m")
+    assert [row.values for row in rows][:2] == [
+        {"network.links.*.loss": 0.0, "neighbours.extrapolate": "hold"},
+        {"network.links.*.loss": 0.0, "neighbours.extrapolate": "neighbour"},
+    ]
+    assert all(row.runs == 2 and row.passed.low < row.passed.high for row in rows)
+    with pytest.raises(StudyError, match='no measure "formation"; did you mean'):
+        study.summary("formation")
+
+
+def test_arrays_have_the_keys_as_dimensions_and_units(small_file: str, tmp_path: Path) -> None:
+    found = Study(made(small_file, tmp_path / "study")).to_xarray()
+    assert dict(found.sizes) == {"network.links.*.loss": 2, "neighbours.extrapolate": 2, "seed": 2}
+    assert found["age_p95_s"].attrs["units"] == "s"
+    assert found["network.links.*.loss"].attrs["units"] == "%"
+    lossy = found["loss_share"].sel({"network.links.*.loss": 80.0})
+    assert float(lossy.mean()) > float(found["loss_share"].sel({"network.links.*.loss": 0.0}).mean())
+
+
+def test_a_run_is_made_again_with_its_log(small_file: str, tmp_path: Path) -> None:
+    study = Study(made(small_file, tmp_path / "study"))
+    row = study.to_pandas().iloc[3]
+    found = study.rerun(int(row["point"]), int(row["seed"]), tmp_path / "runs")
+    assert found.digest == row["digest"]
+    assert found.directory is not None
+    assert (found.directory / "run.mcap").exists()
+    values = {"network.links.*.loss": 80.0, "neighbours.extrapolate": "hold"}
+    assert study.rerun(values, 1, tmp_path / "runs").values["seed"] == 1
+    with pytest.raises(StudyError, match="0 to 3"):
+        study.rerun(4, 1)
+    with pytest.raises(StudyError, match="2 points have"):
+        study.rerun({"network.links.*.loss": 80.0}, 1)
+
+
+def test_bad_directories_are_said(small_file: str, tmp_path: Path) -> None:
+    store = made(small_file, tmp_path / "study")
+    with pytest.raises(StudyError, match="is there already; fleet sweep"):
+        prepare(plan(small_file), store.directory)
+    with pytest.raises(StudyError, match="it has no study"):
+        open_study(tmp_path)
+    part = next((store.directory / "runs").glob("*.parquet"))
+    whole = part.read_bytes()
+    part.write_bytes(whole[: len(whole) // 2])
+    with pytest.raises(StudyError, match="cannot be read"):
+        Study(store).to_pandas()
+    pq.write_table(pq.read_table(store.directory / "points.parquet"), part)
+    with pytest.raises(StudyError, match="other columns"):
+        Study(store).to_pandas()
+    file = store.directory / "study.json"
+    text = file.read_text("utf-8")
+    file.write_text(text.replace('"version": 1', '"version": 99'), "utf-8")
+    with pytest.raises(StudyError, match="version 99; this fleet reads version 1"):
+        open_study(store.directory)
+    file.write_text(text[:50], "utf-8")
+    with pytest.raises(StudyError, match="is damaged"):
+        open_study(store.directory)

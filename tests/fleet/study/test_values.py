@@ -1,0 +1,94 @@
+"""The text of what a study varies: what it stands for, and what is wrong with it in words."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from fleet.study.errors import ValuesError
+from fleet.study.values import Axis, Value, axis, parse_axis
+
+
+def texts(text: str) -> list[str]:
+    return [value.text for value in parse_axis(text).values]
+
+
+@pytest.mark.parametrize(
+    ("text", "unit", "values"),
+    [
+        ("loss=0 %..30 %/10 %", "%", ["0 %", "10 %", "20 %", "30 %"]),
+        ("loss=0..30 %/20 %", "%", ["0 %", "20 %"]),
+        ("delay=100 ms..2 s lin 3", "ms", ["100 ms", "1050 ms", "2000 ms"]),
+        ("delay=1 s..100 s log 3", "s", ["1 s", "10 s", "100 s"]),
+        ("delay=0..2 s/3", "s", ["0 s", "1 s", "2 s"]),  # a count: it has no unit
+        ("speed=0.1 m/s..0.5 m/s/0.2 m/s", "m/s", ["0.1 m/s", "0.3 m/s", "0.5 m/s"]),
+        ("gain=0.5 1/s..1 1/s/0.25 1/s", "1/s", ["0.5 1/s", "0.75 1/s", "1 1/s"]),
+        ("rate=1 kbit..2 kbit/500 bit", "kbit", ["1 kbit", "1.5 kbit", "2 kbit"]),
+        ("n=4..8/2", "", ["4", "6", "8"]),
+        ("controller=nboc, bc", "", ["nboc", "bc"]),
+        ("delay=100 ms, 1 s", "ms", ["100 ms", "1 s"]),
+        ("links={a: 1, b: 2}, {a: 3}", "", ["{a: 1, b: 2}", "{a: 3}"]),
+        ("tiny=0..1e-7 lin 2", "", ["0", "0.0000001"]),
+    ],
+)
+def test_values(text: str, unit: str, values: list[str]) -> None:
+    assert texts(text) == values
+    assert parse_axis(text).unit == unit
+
+
+def test_numbers_are_in_the_unit_of_the_axis() -> None:
+    assert [value.number for value in parse_axis("d=100 ms, 1 s").values] == [100.0, 1000.0]
+    assert not parse_axis("c=nboc, 1 s").numeric  # of several kinds: words
+
+
+def test_drawn_values_have_a_range_and_a_count() -> None:
+    found = parse_axis("network.links.*.loss=0 %..50 % latin log 7".replace("0 %..", "1 %.."))
+    assert found == Axis("network.links.*.loss", "%", (), "latin", 1.0, 50.0, 7, "log")
+    assert found.sampled and found.numeric
+    assert found.at(0.0) == Value("1 %", 1.0)
+    assert found.at(1.0) == Value("50 %", 50.0)
+    assert found.at(0.5) == Value("7.07107 %", 7.07107)
+
+
+@given(st.integers(-999, 999), st.integers(1, 50), st.integers(1, 40))
+def test_a_range_has_every_step_and_both_ends(low: int, step: int, count: int) -> None:
+    found = parse_axis(f"k={low} mm..{low + step * count} mm/{step} mm")
+    assert [value.number for value in found.values] == [low + step * k for k in range(count + 1)]
+
+
+@given(st.text(max_size=40))
+def test_any_text_is_values_or_an_error(text: str) -> None:
+    try:
+        found = axis("key", text)
+    except ValuesError:
+        return
+    assert found.sampled or found.values
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("loss", "expected KEY=VALUES"),
+        ("=3", "expected KEY=VALUES"),
+        ("a b=3", "expected KEY=VALUES"),
+        ("loss=", "expected values, got nothing"),
+        ("loss=1 %,,2 %", "no value between two commas"),
+        ("loss=1 %, 1 %", "given twice"),
+        ("loss=0 %..90 %", "how many values?"),
+        ("loss=90 %..0 %/10 %", "the low end must be below"),
+        ("loss=0 %..90 %/1", "a step needs a unit"),
+        ("loss=0 %..90 %/0 %", "must be above 0"),
+        ("x=0..1e-7/5", "larger than the range"),
+        ("d=1 s..2 m/1 s", '"m" and "s" are no units of the same'),
+        ("d=0 s..2 s log 5", "begin above 0"),
+        ("d=1 s..2 s loog 5", 'unknown kind of range "loog"; did you mean "log"?'),
+        ("d=1 s..2 s lin 1", "a count must be from 2"),
+        ("d=0 ns..1 h/1 ns", "at most may be"),
+        ("d=soon..later/1", "expected a range such as"),
+    ],
+)
+def test_what_is_wrong_is_said(text: str, message: str) -> None:
+    with pytest.raises(ValuesError) as caught:
+        parse_axis(text)
+    assert message in str(caught.value)

@@ -10,6 +10,7 @@ from typing import IO
 from mcap.records import Attachment
 
 from fleet.errors import FleetError
+from fleet.logs.batch import Batch
 from fleet.logs.digest import Digest
 from fleet.logs.mcap_writer import McapWriter
 from fleet.logs.schemas import Schema
@@ -90,6 +91,13 @@ class LogFile:
             raise self._error(error) from error
         self._digest.add(self._topics[channel], log_ns, publish_ns, sequence, data)
         self.messages += 1
+
+    def batch(self, batch: Batch) -> None:
+        """Write messages that have their times in common."""
+        with self._refused():
+            self._writer.batch(batch)
+        self._digest.add_batch(batch.digested.tobytes())
+        self.messages += len(batch.channels)
 
     def flush(self, at_ns: int) -> None:
         """End the chunk if a new second of simulated time has begun at `at_ns` [ns].

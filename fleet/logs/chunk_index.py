@@ -10,7 +10,7 @@ from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
 _INDEX = Struct("<BQHI").pack  # opcode, length of the rest, channel, length of the entries
-_SUMMARY = Struct("<BQQQQQI").pack  # opcode, length of the rest, times, place and length of the chunk, length of offsets
+_CHUNK = Struct("<BQQQQQI").pack  # opcode, length of the rest, times, place and length of the chunk, length of offsets
 _SIZES = Struct("<QI4sQQ").pack  # length of the indexes, name of the compression, sizes
 _ENTRY = 16  # bytes: log time, place
 _OFFSET = np.dtype([("channel", "<u2"), ("offset", "<u8")])
@@ -37,7 +37,7 @@ class MessageIndexes(NamedTuple):
         offsets["offset"] = np.array(self.offsets, dtype=np.uint64) + np.uint64(place + length)
         times, map_bytes = (self.first_ns, self.last_ns), offsets.nbytes
         sizes = _SIZES(len(self.data), len(b"zstd"), b"zstd", compressed, uncompressed)
-        head = _SUMMARY(int(Opcode.CHUNK_INDEX), 36 + map_bytes + len(sizes), *times, place, length, map_bytes)
+        head = _CHUNK(int(Opcode.CHUNK_INDEX), 36 + map_bytes + len(sizes), *times, place, length, map_bytes)
         return head + offsets.tobytes() + sizes
 
 

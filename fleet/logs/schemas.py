@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from struct import Struct
 from typing import Any
 
@@ -175,6 +176,7 @@ def head(number: int, width: int | None) -> bytes:
     return varint(number << 3 | 1) if width is None else varint(number << 3 | 2) + varint(8 * width)
 
 
+@lru_cache(maxsize=4096)
 def varint(value: int) -> bytes:
     """A number as protobuf writes it, seven bits a byte."""
     out = b""
@@ -214,6 +216,12 @@ def _descriptor_set(file: FileDescriptor) -> bytes:
     add(file)
     descriptors = descriptor_pb2.FileDescriptorSet(file=files.values())
     return descriptors.SerializeToString(deterministic=True)
+
+
+def stamp_field(ns: int) -> bytes:
+    """A time as field 1 of a message, which it is in all messages of Foxglove's: a google.protobuf.Timestamp."""
+    stamp = stamp_of(ns).SerializeToString()
+    return b"\x0a" + varint(len(stamp)) + stamp
 
 
 def stamp_of(ns: int) -> Timestamp:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from agents.signals import Layout
 from fleet.logs.batch import HEAD, MESSAGE, STAMP_BYTES, Batch
-from fleet.logs.schemas import COMMAND, ERROR, STATE, Doubles, pose_parts, signal_columns, varint
+from fleet.logs.schemas import COMMAND, ERROR, STATE, Doubles, pose_parts, signal_columns
 from fleet.recorder.metrics import VehicleError
 from fleet.recorder.transforms import NED, quaternion
 from netem.wire.messages import Command, Frame
@@ -36,6 +36,8 @@ _PARTS = {
 # Where the pool has what is common to a tick's messages.
 _TIME, _SEQUENCE = range(8), range(8, 12)
 _TIMESTAMP, _NUMBERS = 12, 40  # a timestamp's length varies, and stays below 24 bytes
+_FRAMED = np.array([*_SEQUENCE, *_TIME, *_TIME])  # what follows the channel in a record
+_DIGESTED = np.array([*_TIME, *_TIME, *_SEQUENCE])  # what follows the topic in what is digested
 _STAMP = Struct("<QI").pack_into
 
 _MOST_PLACES = 4 * 1024 * 1024  # in the layouts that are kept, of 4 bytes each
@@ -64,6 +66,7 @@ class _Slot(NamedTuple):
     pack_into: Callable[..., None]
     place: int
     silence: tuple[float, ...]  # stands in for telemetry that is missing
+    agent: int  # what it reports: a number among those that differ
 
 
 class TickMessages:
@@ -76,16 +79,18 @@ class TickMessages:
             topics: of every topic group and vehicle.
             agents: what the agent of each vehicle reports.
         """
-        self._topics, self._agents = topics, agents
+        self._topics = topics
+        self._agents = list(dict.fromkeys(agents.values()))  # those that differ
+        number = {agent: k for k, agent in enumerate(self._agents)}
         self._slots: dict[int, _Slot] = {}
         place = _NUMBERS
         for i, agent in agents.items():
             doubles = Struct(f"<{_TELEMETRY + agent.size}d")
-            self._slots[i] = _Slot(doubles.pack_into, place, (0.0,) * agent.size)
+            self._slots[i] = _Slot(doubles.pack_into, place, (0.0,) * agent.size, number[agent])
             place += doubles.size
         self._pool = bytearray(place)
         self._constants: dict[bytes, int] = {}  # their places
-        self._parts: dict[tuple[str, Layout], list[bytes | int]] = {}  # of telemetry
+        self._encoded: dict[tuple[str, int, int], NDArray[np.int64]] = {}
         self._messages: dict[tuple[str, int, int], tuple[_Places, _Places]] = {}
         self._layouts: dict[tuple[Any, ...], _Layout] = {}
         self._kept = 0  # places in all layouts
@@ -97,13 +102,13 @@ class TickMessages:
         errors: Mapping[int, VehicleError],
         groups: Sequence[str],
         at_ns: int,
-        timestamp: bytes,
+        stamp: bytes,
     ) -> Batch:
         """The messages of a tick, group by group, in each the vehicles in ascending order.
 
         Args:
             groups: the topic groups that are due.
-            at_ns: the time of the tick; `timestamp` is the same as an encoded google.protobuf.Timestamp.
+            at_ns: the time of the tick; `stamp` is the same as `stamp_field` writes it.
         """
         pool, there = self._pool, []
         for row in frame.vehicles:
@@ -114,14 +119,13 @@ class TickMessages:
             if command is not None:
                 tau, applied, telemetry = command.tau, row.tau, command.telemetry
             e, e_norm, formation, formation_norm = errors[i]
-            pack_into, place, silence = self._slots[i]
+            pack_into, place, silence, _ = self._slots[i]
             pack_into(
                 pool, place, *eta, *row.nu, *(nav or _NO_NAV), *tau, *applied, *e, e_norm, *formation, formation_norm,
                 *quaternion(eta[3], eta[4]), *(telemetry or silence),
             )  # fmt: skip
             there.append((i, bool(nav), command is not None, bool(telemetry)))
         _STAMP(pool, 0, at_ns, frame.tick)
-        stamp = b"\x0a" + varint(len(timestamp)) + timestamp
         pool[_TIMESTAMP : _TIMESTAMP + len(stamp)] = stamp
         layout = self._layout(groups, len(stamp), there)
         found = np.frombuffer(pool, np.uint8)
@@ -160,28 +164,27 @@ class TickMessages:
         """Where the bytes of a message come from: of its record, and of what is digested."""
         key = group, i, stamp if group == "pose" else 0
         if key not in self._messages:
-            topic, slot = self._topics[group][i], self._slots[i]
-            data: list[int] = []
-            if group == "pose":
-                data += range(_TIMESTAMP, _TIMESTAMP + stamp)
-            for part in self._of(group, i):
-                data += self._constant(part) if isinstance(part, bytes) else _double(slot.place + 8 * part)
-            head = HEAD.pack(MESSAGE, STAMP_BYTES + len(data), topic.channel, 0, 0, 0)[:-20]
-            record = [*self._constant(head), *_SEQUENCE, *_TIME, *_TIME, *data]
+            channel, name = self._topics[group][i]
+            slot = self._slots[i]
+            data = self._data(group, slot.agent, key[2])
+            data = np.where(data < 0, slot.place + ~data, data)
+            head = self._constant(HEAD.pack(MESSAGE, STAMP_BYTES + len(data), channel, 0, 0, 0)[: -len(_FRAMED)])
             length = self._constant(pack("<I", len(data)))
-            digested = [*self._constant(topic.name.encode()), *_TIME, *_TIME, *_SEQUENCE, *length, *data]
-            self._messages[key] = np.array(record, np.int32), np.array(digested, np.int32)
+            record = np.concatenate((head, _FRAMED, data), dtype=np.int32)
+            digested = np.concatenate((self._constant(name.encode()), _DIGESTED, length, data), dtype=np.int32)
+            self._messages[key] = record, digested
         return self._messages[key]
 
-    def _of(self, group: str, i: int) -> list[bytes | int]:
-        """The parts of a message; those of telemetry are what the agent's law reports."""
-        if group in _PARTS:
-            return _PARTS[group]
-        agent = self._agents[i]
-        if (group, agent) not in self._parts:
-            columns = signal_columns(getattr(agent, group))
-            self._parts[group, agent] = Doubles(columns, _TELEMETRY + agent.group(group).start).parts
-        return self._parts[group, agent]
+    def _data(self, group: str, agent: int, stamp: int) -> NDArray[np.int64]:
+        """Where the bytes of the encoded message come from; ~k for byte k of the vehicle's doubles."""
+        key = group, agent, stamp
+        if key not in self._encoded:
+            parts = _PARTS.get(group) or _telemetry(group, self._agents[agent])
+            places = list(range(_TIMESTAMP, _TIMESTAMP + stamp))
+            for part in parts:
+                places += self._constant(part) if isinstance(part, bytes) else range(~(8 * part), ~(8 * part + 8), -1)
+            self._encoded[key] = np.array(places)
+        return self._encoded[key]
 
     def _constant(self, data: bytes) -> range:
         """Where these bytes are in the pool."""
@@ -192,5 +195,6 @@ class TickMessages:
         return range(place, place + len(data))
 
 
-def _double(place: int) -> range:
-    return range(place, place + 8)
+def _telemetry(group: str, agent: Layout) -> list[bytes | int]:
+    """The parts of a message of what an agent reports."""
+    return Doubles(signal_columns(getattr(agent, group)), _TELEMETRY + agent.group(group).start).parts

@@ -11,7 +11,6 @@ import platform
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from functools import partial
 from importlib.metadata import version
 from typing import Protocol
 
@@ -41,14 +40,14 @@ from fleet.logs.schemas import (
     foxglove_schema,
     pose_schema,
     signal_columns,
-    stamp_of,
+    stamp_field,
 )
-from fleet.recorder.log_file import SECOND_NS
 from fleet.recorder.metrics import VehicleError
+from fleet.recorder.packets import packet_data
 from fleet.recorder.scene import SCENE_UNITS, Scene
 from fleet.recorder.snapshot import TOPIC, Snapshot, Start
 from fleet.recorder.tick_messages import TickMessages, Topic
-from fleet.recorder.transforms import TRANSFORMS_UNITS, transforms
+from fleet.recorder.transforms import TRANSFORMS_UNITS, Transforms
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.sections.log_rates import without_snapshots
 from fleet.scenario.sections.timeline import Event
@@ -114,9 +113,9 @@ class LogWriter:
             {i: scenario.layout(i) for i in range(1, scenario.vehicles + 1)},
         )
         self._scene = Scene(scenario, None if start is None else start.snapshot)
-        self._drawn: dict[str, tuple[int, Callable[[Frame], bytes]]] = {}
+        self._drawn: dict[str, tuple[int, Callable[[Frame, bytes], bytes]]] = {}
         for group, drawn, draw in (
-            ("transforms", foxglove_schema(FrameTransforms, TRANSFORMS_UNITS), partial(transforms, scenario)),
+            ("transforms", foxglove_schema(FrameTransforms, TRANSFORMS_UNITS), Transforms(scenario).message),
             ("scene", foxglove_schema(SceneUpdate, SCENE_UNITS), self._scene.message),
         ):
             if self._every[group]:
@@ -128,7 +127,6 @@ class LogWriter:
         self._snapshot = snapshot.message
         self._snapshots = self._channel(TOPIC, snapshot)
         packet = flat_schema("Packet", PACKET)
-        self._packet = packet.message
         self._by_link = {(src, dst): self._channel(f"link/{src}-{dst}", packet) for src, dst in scenario.graph.links}
 
     def _schemas(self) -> dict[str, dict[int, Schema]]:
@@ -173,11 +171,11 @@ class LogWriter:
         at_ns = tick * self._tick_ns
         last = tick == self._scenario.ticks  # the state at the end is always logged, whatever the rate
         due = [group for group, every in self._every.items() if every and (last or tick % every == 0)]
-        self._scene.see(frame)
-        timestamp = stamp_of(at_ns).SerializeToString()
+        self._scene.see(frame, commands)
+        stamp = stamp_field(at_ns)
         flat = [group for group in due if group not in self._drawn]
         if flat:
-            batch = self._ticks(frame, commands, errors, flat, at_ns, timestamp)
+            batch = self._ticks(frame, commands, errors, flat, at_ns, stamp)
             self._sink.batch(batch)
             if self._tap is not None:
                 for message in batch.messages():
@@ -185,7 +183,7 @@ class LogWriter:
         for group in due:
             if group in self._drawn:
                 channel, draw = self._drawn[group]
-                self._add(channel, at_ns, at_ns, tick, draw(frame))
+                self._add(channel, at_ns, at_ns, tick, draw(frame, stamp))
         self._sink.flush(at_ns)
         if self._tap is not None:
             self._tap.flush()
@@ -194,19 +192,9 @@ class LogWriter:
         """Write one packet's final fate."""
         self._scene.settle(fate)
         tick_ns = self._tick_ns
-        message = self._packet(
-            seq=fate.seq,
-            copy=fate.copy,
-            sent=fate.sent_tick * tick_ns / SECOND_NS,
-            due=fate.due_tick * tick_ns / SECOND_NS,
-            delay=fate.delay_ns / SECOND_NS,
-            fate=fate.cause,
-            payload=fate.payload,
-            corrupted=fate.corrupted,
-        )
         final_ns = fate.final_tick * tick_ns
-        data = message.SerializeToString()
-        self._add(self._by_link[fate.src, fate.dst], final_ns, fate.sent_tick * tick_ns, fate.seq, data)
+        channel, data = self._by_link[fate.src, fate.dst], packet_data(fate, tick_ns)
+        self._add(channel, final_ns, fate.sent_tick * tick_ns, fate.seq, data)
         self._sink.flush(final_ns)
 
     def event(self, event: Event) -> None:

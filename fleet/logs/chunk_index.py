@@ -68,15 +68,16 @@ class ChunkEntries:
         """The indexes of all that were added, at least one."""
         single = np.array(self.single, dtype=np.uint64).reshape(-1, 3)
         lengths = [len(part) for part in self._channels]
-        channels = np.concatenate([single[:, 0].astype(np.uint16), *self._channels])
+        channels = np.concatenate([single[:, 0], *self._channels]).astype(np.int64)
         times = np.concatenate([single[:, 1], np.repeat(np.array(self._times, dtype=np.uint64), lengths)])
-        places = np.concatenate([single[:, 2], *self._places])
-        order = np.lexsort((places, channels))
+        places = np.concatenate([single[:, 2].astype(np.int64), *self._places])
+        order = (channels << 40 | places).argsort()  # by channel, then by place
+        channels = channels[order]
         entries = np.empty((len(order), 2), dtype="<u8")
         entries[:, 0], entries[:, 1] = times[order], places[order]
-        numbers, begins = np.unique(channels[order], return_index=True)
+        begins = np.flatnonzero(np.diff(channels, prepend=-1))
         ends = np.append(begins[1:], len(order))
-        groups = np.column_stack((numbers, begins, ends))[entries[begins, 1].argsort()]
+        groups = np.column_stack((channels[begins], begins, ends))[entries[begins, 1].argsort()]
         packed, data = entries.tobytes(), bytearray()
         offsets: list[int] = []
         counts: dict[int, int] = {}

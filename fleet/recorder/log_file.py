@@ -40,7 +40,7 @@ class LogFile:
         self.path = path
         self.messages = 0
         self._digest = Digest()
-        self._flushed_s = 0
+        self._flush_ns = SECOND_NS  # when the next second begins
         self._topics: dict[int, bytes] = {}
         self._schemas: dict[str, int] = {}
         with self._refused():
@@ -104,9 +104,8 @@ class LogFile:
 
         The borders of the chunks change the bytes of the file, so they depend on simulated time only.
         """
-        second = at_ns // SECOND_NS
-        if second > self._flushed_s:
-            self._flushed_s = second
+        if at_ns >= self._flush_ns:
+            self._flush_ns = (at_ns // SECOND_NS + 1) * SECOND_NS
             with self._refused():
                 self._writer.flush()
 

@@ -1,21 +1,21 @@
-"""The message of a packet, encoded by hand: a run has as many as its links send, and protobuf's object costs 3 us."""
+"""The message of a packet, encoded by hand: a run has as many as its links carry, and protobuf's object costs 3 us."""
 
 from __future__ import annotations
 
 from struct import Struct
 
 from fleet.logs.schemas import varint
+from netem.causes import Cause
 from netem.wire.messages import Fate
 
 _SECOND_NS = 1_000_000_000
 _double = Struct("<Bd").pack  # tag, value
+_FATES = {cause: b"\x32" + varint(len(cause)) + cause.encode() for cause in Cause}
 
 
 def packet_data(fate: Fate, tick_ns: int) -> bytes:
     """A fate as the message `Packet` of `fleet.logs.schemas.PACKET`; as in all of protobuf, zeros are left out."""
-    data = b""
-    if fate.seq:
-        data = b"\x08" + varint(fate.seq)
+    data = b"\x08" + varint(fate.seq) if fate.seq else b""
     if fate.copy:
         data += b"\x10" + varint(fate.copy)
     if fate.sent_tick:
@@ -24,10 +24,8 @@ def packet_data(fate: Fate, tick_ns: int) -> bytes:
         data += _double(0x21, fate.due_tick * tick_ns / _SECOND_NS)
     if fate.delay_ns:
         data += _double(0x29, fate.delay_ns / _SECOND_NS)
-    cause, payload = fate.cause.encode(), fate.payload
-    data += b"\x32" + varint(len(cause)) + cause
+    data += _FATES[fate.cause]
+    payload = fate.payload
     if payload:
         data += b"\x3a" + varint(len(payload)) + payload
-    if fate.corrupted:
-        data += b"\x40\x01"
-    return data
+    return data + b"\x40\x01" if fate.corrupted else data

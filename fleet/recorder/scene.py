@@ -47,6 +47,7 @@ HISTORY = 10  # packets of a link that count
 UNHEARD_OF = 5  # lost in a row: nothing arrives any more
 UNHEARD_NS = 500_000_000  # after so long without a command an agent counts as absent
 CUTS = frozenset({Cause.DOWN, Cause.PARTITION, Cause.MUTE, Cause.DEAF, Cause.DEAD_RECEIVER, Cause.DEAD_SENDER})
+_MARKS = {cause: "x" if cause in CUTS else "-" for cause in Cause} | {Cause.DELIVERED: "+", Cause.IN_FLIGHT: ""}
 
 # No black, which vanishes in a viewer's dark theme; vehicles 1 to 4 have the colours of our plots.
 HULLS = tuple(colour for colour in COLOURS if colour != "#000000")
@@ -62,18 +63,21 @@ LINKS = {  # state -> colour, width in pixels: the worse, the wider
 class LinkHistories:
     """What became of the last packets of each link: `+` arrived, `-` lost, `x` lost because the link was cut."""
 
-    def __init__(self, links: Iterable[Link], values: Iterable[Iterable[Any]] = ()) -> None:
+    def __init__(self, links: Iterable[Link], values: Iterable[Iterable[Any]] = (), begin: int = 0) -> None:
+        """Begin with what `values` gave, at tick `begin`."""
+        self._begin = begin
         self._of: dict[Link, deque[str]] = {link: deque(maxlen=HISTORY) for link in links}
         for src, dst, history in values:
             self._of[src, dst].extend(history)
 
     def settle(self, fate: Fate) -> None:
-        """Take one packet's fate; what is in flight at the end has none."""
-        if fate.cause == Cause.IN_FLIGHT:
-            return
-        arrived = fate.cause == Cause.DELIVERED and not fate.corrupted
-        mark = "+" if arrived else "x" if fate.cause in CUTS else "-"
-        self._of[fate.src, fate.dst].append(mark)
+        """Take one packet's fate; what is in flight at the end has none.
+
+        A run that goes on from a snapshot tells the fates of the round before once more: they are known.
+        """
+        mark = _MARKS[fate.cause]
+        if mark and fate.final_tick >= self._begin:
+            self._of[fate.src, fate.dst].append("-" if fate.corrupted and mark == "+" else mark)
 
     def state(self, link: Link) -> str:
         """`silent` before the first packet, `cut`, `losing` or `delivering`."""
@@ -95,8 +99,9 @@ class Scene:
     def __init__(self, scenario: Scenario, start: Snapshot | None = None) -> None:
         """`start`: the snapshot from which the run goes on."""
         self._scenario = scenario
-        self._begin = 0 if start is None else start.tick
-        self.links = LinkHistories(scenario.graph.links, () if start is None else start.drawn)
+        self.links = LinkHistories(scenario.graph.links)
+        if start is not None:
+            self.links = LinkHistories(scenario.graph.links, start.drawn, start.tick)
         self._both = frozenset(scenario.graph.links)
         self._seen: Frame | None = None  # the last at which they were asked
         self._commanded: dict[int, int] = {}  # at which tick last
@@ -111,11 +116,6 @@ class Scene:
         self._diameters = [diameter(mass) for mass in masses.values()]
         self._places: list[Vec3] = []  # where the vehicles should be in the message before
         self._formation = b""  # and how that is drawn
-
-    def settle(self, fate: Fate) -> None:
-        """Take one packet's fate. A run that goes on tells those of the round before once more: they are known."""
-        if fate.final_tick >= self._begin:
-            self.links.settle(fate)
 
     def see(self, frame: Frame, commands: Iterable[int]) -> None:
         """Take note of who commands its vehicle at a tick; at the end tick nobody is asked.

@@ -24,7 +24,9 @@ from netem.wire.messages import Command, Frame
 
 # The doubles of one vehicle: the number of each kind's first one. Telemetry comes last, since its size is the agent's.
 _STATE, _NAV, _COMMAND, _ERROR, _QUATERNION, _TELEMETRY = 0, 10, 20, 26, 34, 38
-_NO_NAV, _NO_TAU = (0.0,) * 10, (0.0,) * 3
+_VALUES = Struct(f"<{_TELEMETRY}d").pack_into  # all but telemetry
+_NO_NAV: tuple[float, ...] = (0.0,) * 10
+_NO_TAU: tuple[float, ...] = (0.0,) * 3
 _PARTS = {
     "pose": pose_parts(NED, _STATE, _QUATERNION),
     "state": Doubles(STATE, _STATE).parts,
@@ -63,9 +65,8 @@ class _Layout(NamedTuple):
 class _Slot(NamedTuple):
     """Where the doubles of a vehicle are in the pool."""
 
-    pack_into: Callable[..., None]
     place: int
-    silence: tuple[float, ...]  # stands in for telemetry that is missing
+    telemetry: Callable[..., None]  # packs it, behind the rest
     agent: int  # what it reports: a number among those that differ
 
 
@@ -85,9 +86,8 @@ class TickMessages:
         self._slots: dict[int, _Slot] = {}
         place = _NUMBERS
         for i, agent in agents.items():
-            doubles = Struct(f"<{_TELEMETRY + agent.size}d")
-            self._slots[i] = _Slot(doubles.pack_into, place, (0.0,) * agent.size, number[agent])
-            place += doubles.size
+            self._slots[i] = _Slot(place, Struct(f"<{agent.size}d").pack_into, number[agent])
+            place += 8 * (_TELEMETRY + agent.size)
         self._pool = bytearray(place)
         self._constants: dict[bytes, int] = {}  # their places
         self._encoded: dict[tuple[str, int, int], NDArray[np.int64]] = {}
@@ -111,19 +111,20 @@ class TickMessages:
             at_ns: the time of the tick; `stamp` is the same as `stamp_field` writes it.
         """
         pool, there = self._pool, []
+        reported = "guidance" in groups or "control" in groups
         for row in frame.vehicles:
             i, eta, nav = row.id, row.eta, row.nav
-            tau = applied = _NO_TAU
-            telemetry: tuple[float, ...] = ()
             command = commands.get(i)
-            if command is not None:
-                tau, applied, telemetry = command.tau, row.tau, command.telemetry
+            tau, applied = (_NO_TAU, _NO_TAU) if command is None else (command.tau, row.tau)
             e, e_norm, formation, formation_norm = errors[i]
-            pack_into, place, silence, _ = self._slots[i]
-            pack_into(
+            place, pack_telemetry, _ = self._slots[i]
+            _VALUES(
                 pool, place, *eta, *row.nu, *(nav or _NO_NAV), *tau, *applied, *e, e_norm, *formation, formation_norm,
-                *quaternion(eta[3], eta[4]), *(telemetry or silence),
+                *quaternion(eta[3], eta[4]),
             )  # fmt: skip
+            telemetry = reported and command is not None and command.telemetry
+            if telemetry:
+                pack_telemetry(pool, place + 8 * _TELEMETRY, *telemetry)
             there.append((i, bool(nav), command is not None, bool(telemetry)))
         _STAMP(pool, 0, at_ns, frame.tick)
         pool[_TIMESTAMP : _TIMESTAMP + len(stamp)] = stamp

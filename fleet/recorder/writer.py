@@ -190,7 +190,7 @@ class LogWriter:
 
     def packet(self, fate: Fate) -> None:
         """Write one packet's final fate."""
-        self._scene.settle(fate)
+        self._scene.links.settle(fate)
         tick_ns = self._tick_ns
         final_ns = fate.final_tick * tick_ns
         channel, data = self._by_link[fate.src, fate.dst], packet_data(fate, tick_ns)

@@ -118,7 +118,7 @@ class Scene:
         self._formation = b""  # and how that is drawn
 
     def see(self, frame: Frame, commands: Iterable[int]) -> None:
-        """Take note of who commands its vehicle at a tick; at the end tick nobody is asked.
+        """Take note of a tick, and of which vehicles have commands; at the end tick nobody is asked.
 
         On a wall clock one that was asked may miss ticks, and is silent when it has missed them for a while.
         """
@@ -129,7 +129,7 @@ class Scene:
 
     def message(self, frame: Frame, stamp: bytes) -> bytes:
         """A SceneUpdate message: hulls, then links, then where the vehicles should be; `stamp` is `stamp_field`'s."""
-        silent = self._silent()
+        silent = self.silent()
         found = [field(b"\x12", stamp + self._hulls[row.id, row.id in silent]) for row in frame.vehicles]
         t = frame.tick * self._scenario.tick_ns / 1e9
         origin = self._scenario.reference.at(t).position
@@ -142,8 +142,8 @@ class Scene:
         found.append(field(b"\x12", stamp + self._formation))
         return b"".join(found)
 
-    def _silent(self) -> frozenset[int]:
-        """Who does not command its vehicle."""
+    def silent(self) -> frozenset[int]:
+        """The vehicles that nobody commands."""
         if self._seen is None:
             return frozenset()
         since = self._seen.tick - UNHEARD_NS // self._scenario.tick_ns

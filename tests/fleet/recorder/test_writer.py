@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import random
 import tempfile
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -14,9 +13,11 @@ from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from plain_log import Entry, PlainLog, encoded
+from plain_messages import Copy, Entry, encoded
 from small_scenario import small
 
+from fleet.bench.plain_log import PlainLog
+from fleet.bench.recorder import Calls
 from fleet.logs.reader import LogReader
 from fleet.logs.schemas import COMMAND, ERROR, FAULT, PACKET, STATE, flat_schema, signal_columns, stamp_of
 from fleet.recorder import tick_messages
@@ -31,8 +32,6 @@ from fleet.scenario.sections.log_rates import LOG_GROUPS
 from fleet.scenario.sections.timeline import Event
 from netem.causes import Cause
 from netem.wire.messages import Command, Fate, Frame, VehicleFrame
-
-Call = tuple[str, tuple[Any, ...]]  # a method of the log writer, and its arguments
 
 # Every vehicle another law, whose signals are not the others'.
 LAWS = "per_vehicle={'1': {controller: boc}, '2': {controller: bsmc}, '3': {tracking: sliding-mode}}"
@@ -56,18 +55,19 @@ class Drawn:
         self._scenario, self._draw = scenario, random.Random(seed)
         self._whole = self._draw.random() < 0.5 if whole is None else whole
 
-    def calls(self) -> list[Call]:
+    def calls(self) -> Calls:
         """Ticks about the border of a second, or of the run; some with packets and faults before them."""
         draw = self._draw
         begin = draw.choice([0, 20, 90, 190, 288])
-        calls: list[Call] = []
+        calls = Calls()
         for tick in range(begin, min(TICKS + 1, begin + draw.randint(1, 25))):
-            calls += [("packet", (self._fate(tick),)) for _ in range(draw.choice([0, 0, 1, 4]))]
+            for _ in range(draw.choice([0, 0, 1, 4])):
+                calls.packet(self._fate(tick))
             if draw.random() < 0.1:
-                calls.append(("event", (Event(tick, "f", draw.choice(["begins", "ends"]), "kill 2"),)))
-            calls.append(("frame", self.frame(tick)))
+                calls.event(Event(tick, "f", draw.choice(["begins", "ends"]), "kill 2"))
+            calls.frame(*self.frame(tick))
             if draw.random() < 0.05:
-                calls.append(("snapshot", (Snapshot(tick, {"vehicles": []}, {}, []),)))
+                calls.snapshot(Snapshot(tick, {"vehicles": []}, {}, []))
         return calls
 
     def _some(self) -> bool:
@@ -104,18 +104,11 @@ class Drawn:
         return Fate(tick, src, dst, *numbers, *times, draw.choice(list(Cause)), draw.random() < 0.3, payload)
 
 
-def written(log: Any, scenario: Scenario, calls: list[Call], close: Callable[[], None]) -> None:
-    writer = LogWriter(log, scenario)
-    for name, arguments in calls:
-        getattr(writer, name)(*arguments)
-    close()
-
-
-def expected(scenario: Scenario, calls: list[Call]) -> list[Entry]:
+def expected(scenario: Scenario, calls: Calls) -> list[Entry]:
     """The messages, but for what is drawn and for snapshots, each encoded by itself."""
     found: list[Entry] = []
     packet, fault = flat_schema("Packet", PACKET).message, flat_schema("Fault", FAULT).message
-    for name, arguments in calls:
+    for name, arguments in calls.all:
         if name == "frame":
             found += frame_entries(scenario, *arguments)
         elif name == "packet":
@@ -188,14 +181,17 @@ def test_the_log_of_any_journal_is_the_one_written_message_by_message(
     with tempfile.TemporaryDirectory() as folder, pytest.MonkeyPatch.context() as patch:
         patch.setattr("fleet.logs.mcap_writer.CHUNK_BYTES", chunk_bytes)
         ours, plain, none = LogFile(Path(folder) / "ours"), PlainLog(Path(folder) / "plain", chunk_bytes), NoLog()
-        for log in (ours, plain, none):
-            written(log, scenario, calls, log.close)
+        copies = [Copy(), Copy(), Copy()]
+        for log, copy in zip((ours, plain, none), copies, strict=True):
+            calls.repeat(LogWriter(log, scenario, tap=copy))
+            log.close()
         assert (Path(folder) / "ours").read_bytes() == (Path(folder) / "plain").read_bytes()
         assert ours.digest == plain.digest == none.digest
-        assert ours.messages == none.messages == len(plain.entries)
+        entries = copies[0].entries
+        assert ours.messages == none.messages == plain.messages == len(entries)
     others = ("transforms", "scene", "snapshot")
-    assert [entry for entry in plain.entries if entry[0] not in others] == expected(scenario, calls)
-    for topic, _, _, _, data in plain.entries:
+    assert [entry for entry in entries if entry[0] not in others] == expected(scenario, calls)
+    for topic, _, _, _, data in entries:
         if topic in others[:2]:
             message = {"transforms": FrameTransforms, "scene": SceneUpdate}[topic].FromString(data)
             assert message.SerializeToString() == data

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
-from plain_log import encoded
+from plain_messages import encoded
 
 import fleet.run.execute
 import fleet.run.in_process

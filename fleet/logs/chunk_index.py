@@ -9,19 +9,19 @@ import numpy as np
 from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
-_INDEX = Struct("<BQHI").pack  # opcode, length of the rest, channel, length of the entries
+_HEAD = np.dtype([("opcode", "u1"), ("rest", "<u8"), ("channel", "<u2"), ("entries", "<u4")])  # lengths in bytes
+_ENTRY = np.dtype([("time", "<u8"), ("place", "<u8")])
+_OFFSET = np.dtype([("channel", "<u2"), ("offset", "<u8")])
 _CHUNK = Struct("<BQQQQQI").pack  # opcode, length of the rest, times, place and length of the chunk, length of offsets
 _SIZES = Struct("<QI4sQQ").pack  # length of the indexes, name of the compression, sizes
-_ENTRY = 16  # bytes: log time, place
-_OFFSET = np.dtype([("channel", "<u2"), ("offset", "<u8")])
 
 
 class MessageIndexes(NamedTuple):
     """The message indexes of one chunk, a record for each channel, in the order of the channels' first messages."""
 
     data: bytes
-    offsets: list[int]  # where in `data` each index begins
-    counts: dict[int, int]  # channel -> messages
+    offsets: NDArray[np.void]  # channels, and where in `data` the index of each begins
+    counts: list[tuple[int, int]]  # channels, and how many messages each has
     first_ns: int  # the earliest log time
     last_ns: int  # and the latest
 
@@ -30,11 +30,11 @@ class MessageIndexes(NamedTuple):
 
         Args:
             place: where in the file the chunk begins; the indexes follow it.
-            length: of the chunk [bytes]; then that of its messages as they are in the file, and as they were.
+            length: of the chunk [bytes].
+            compressed: length of its messages as they are in the file, and `uncompressed` as they were.
         """
-        offsets = np.empty(len(self.counts), dtype=_OFFSET)
-        offsets["channel"] = list(self.counts)
-        offsets["offset"] = np.array(self.offsets, dtype=np.uint64) + np.uint64(place + length)
+        offsets = self.offsets.copy()
+        offsets["offset"] += np.uint64(place + length)
         times, map_bytes = (self.first_ns, self.last_ns), offsets.nbytes
         sizes = _SIZES(len(self.data), len(b"zstd"), b"zstd", compressed, uncompressed)
         head = _CHUNK(int(Opcode.CHUNK_INDEX), 36 + map_bytes + len(sizes), *times, place, length, map_bytes)
@@ -71,20 +71,34 @@ class ChunkEntries:
         channels = np.concatenate([single[:, 0], *self._channels]).astype(np.int64)
         times = np.concatenate([single[:, 1], np.repeat(np.array(self._times, dtype=np.uint64), lengths)])
         places = np.concatenate([single[:, 2].astype(np.int64), *self._places])
+
         order = (channels << 40 | places).argsort()  # by channel, then by place
-        channels = channels[order]
-        entries = np.empty((len(order), 2), dtype="<u8")
-        entries[:, 0], entries[:, 1] = times[order], places[order]
-        begins = np.flatnonzero(np.diff(channels, prepend=-1))
-        ends = np.append(begins[1:], len(order))
-        groups = np.column_stack((channels[begins], begins, ends))[entries[begins, 1].argsort()]
-        packed, data = entries.tobytes(), bytearray()
-        offsets: list[int] = []
-        counts: dict[int, int] = {}
-        for channel, begin, end in groups.tolist():
-            offsets.append(len(data))
-            counts[channel] = end - begin
-            size = _ENTRY * (end - begin)
-            data += _INDEX(int(Opcode.MESSAGE_INDEX), 6 + size, channel, size)
-            data += packed[_ENTRY * begin : _ENTRY * end]
-        return MessageIndexes(bytes(data), offsets, counts, int(times.min()), int(times.max()))
+        channels, places = channels[order], places[order]
+        begins = np.flatnonzero(np.diff(channels, prepend=-1))  # where another channel begins
+        counts = np.diff(begins, append=len(order))
+        sizes = _HEAD.itemsize + _ENTRY.itemsize * counts
+        by_first = places[begins].argsort()
+        offsets = np.empty(len(begins), np.int64)  # of the record of each channel
+        offsets[by_first] = np.cumsum(sizes[by_first]) - sizes[by_first]
+
+        heads = np.empty(len(begins), _HEAD)
+        heads["opcode"], heads["channel"] = int(Opcode.MESSAGE_INDEX), channels[begins]
+        heads["entries"] = _ENTRY.itemsize * counts
+        heads["rest"] = sizes - 9  # without opcode and length
+        entries = np.empty(len(order), _ENTRY)
+        entries["time"], entries["place"] = times[order], places
+        data = np.empty(int(sizes.sum()), np.uint8)
+        _put(data, offsets, heads)
+        first = np.repeat(offsets + _HEAD.itemsize - _ENTRY.itemsize * begins, counts)
+        _put(data, first + _ENTRY.itemsize * np.arange(len(order)), entries)
+
+        found = np.empty(len(begins), _OFFSET)
+        found["channel"], found["offset"] = channels[begins][by_first], offsets[by_first]
+        pairs = zip(found["channel"].tolist(), counts[by_first].tolist(), strict=True)
+        return MessageIndexes(data.tobytes(), found, [*pairs], int(times.min()), int(times.max()))
+
+
+def _put(data: NDArray[np.uint8], places: NDArray[np.int64], records: NDArray[np.void]) -> None:
+    """Write each record at its place."""
+    size = records.dtype.itemsize
+    data[places[:, None] + np.arange(size)] = records.view(np.uint8).reshape(-1, size)

@@ -165,7 +165,7 @@ class McapWriter:
         self._target.write(indexes.data)
         self._chunks.append(indexes.chunk_index(offset, length, len(data), size))
         self._times += (indexes.first_ns, indexes.last_ns)
-        for channel, count in indexes.counts.items():
+        for channel, count in indexes.counts:
             self._counts[channel] = self._counts.get(channel, 0) + count
         self._chunk.clear()
         self._entries.clear()

@@ -1,7 +1,7 @@
 """Writing an MCAP file: chunks and their indexes packed here, every other record by `mcap.records`.
 
 The bytes are those that `mcap.writer.Writer` writes (a test compares them). That writer takes some thirty calls for
-a message; here it is one `struct` call and two appends, and for messages of one tick that are framed already less.
+a message; here it is one `struct` call and two appends, or less: a batch comes framed.
 """
 
 from __future__ import annotations

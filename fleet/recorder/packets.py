@@ -5,10 +5,10 @@ from __future__ import annotations
 from struct import Struct
 
 from fleet.logs.schemas import varint
+from fleet.recorder.log_file import SECOND_NS
 from netem.causes import Cause
 from netem.wire.messages import Fate
 
-_SECOND_NS = 1_000_000_000
 _double = Struct("<Bd").pack  # tag, value
 _FATES = {cause: b"\x32" + varint(len(cause)) + cause.encode() for cause in Cause}
 
@@ -19,11 +19,11 @@ def packet_data(fate: Fate, tick_ns: int) -> bytes:
     if fate.copy:
         data += b"\x10" + varint(fate.copy)
     if fate.sent_tick:
-        data += _double(0x19, fate.sent_tick * tick_ns / _SECOND_NS)
+        data += _double(0x19, fate.sent_tick * tick_ns / SECOND_NS)
     if fate.due_tick:
-        data += _double(0x21, fate.due_tick * tick_ns / _SECOND_NS)
+        data += _double(0x21, fate.due_tick * tick_ns / SECOND_NS)
     if fate.delay_ns:
-        data += _double(0x29, fate.delay_ns / _SECOND_NS)
+        data += _double(0x29, fate.delay_ns / SECOND_NS)
     data += _FATES[fate.cause]
     payload = fate.payload
     if payload:

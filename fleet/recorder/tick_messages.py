@@ -43,6 +43,7 @@ _DIGESTED = np.array([*_TIME, *_TIME, *_SEQUENCE])  # what follows the topic in 
 _STAMP = Struct("<QI").pack_into
 
 _MOST_PLACES = 4 * 1024 * 1024  # in the layouts that are kept, of 4 bytes each
+_KEY_PLACES = 32  # what a vehicle takes in the key of a layout, counted in places
 _Places = NDArray[np.int32]  # in the pool
 
 
@@ -93,7 +94,7 @@ class TickMessages:
         self._encoded: dict[tuple[str, int, int], NDArray[np.int64]] = {}
         self._messages: dict[tuple[str, int, int], tuple[_Places, _Places]] = {}
         self._layouts: dict[tuple[Any, ...], _Layout] = {}
-        self._kept = 0  # places in all layouts
+        self._kept = 0  # places in all layouts and their keys
 
     def __call__(
         self,
@@ -107,8 +108,10 @@ class TickMessages:
         """The messages of a tick, group by group, in each the vehicles in ascending order.
 
         Args:
+            errors: of every vehicle of the frame.
             groups: the topic groups that are due.
-            at_ns: the time of the tick; `stamp` is the same as `stamp_field` writes it.
+            at_ns: the time of the tick.
+            stamp: the same, as `fleet.logs.schemas.stamp_field` writes it.
         """
         pool, there = self._pool, []
         reported = "guidance" in groups or "control" in groups
@@ -157,7 +160,7 @@ class TickMessages:
         if self._kept > _MOST_PLACES:
             self._layouts.clear()
             self._kept = 0
-        self._kept += len(records) + len(digested)
+        self._kept += len(records) + len(digested) + _KEY_PLACES * len(there)
         self._layouts[key] = layout = _Layout(channels, bounds, records, digested)
         return layout
 

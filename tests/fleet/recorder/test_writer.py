@@ -171,7 +171,7 @@ def pose(at_ns: int, row: VehicleFrame) -> bytes:
     return before + b"\x1a" + bytes([len(places)]) + places
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=40, deadline=None)
 @given(scenarios(), st.integers(0, 2**32), st.sampled_from([300, 5000, 1024 * 1024]))
 def test_the_log_of_any_journal_is_the_one_written_message_by_message(
     scenario: Scenario, seed: int, chunk_bytes: int

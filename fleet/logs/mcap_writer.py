@@ -1,16 +1,17 @@
 """Writing an MCAP file: chunks and their indexes packed here, every other record by `mcap.records`.
 
 The bytes are those that `mcap.writer.Writer` writes (a test compares them). That writer takes some thirty calls for
-a message; here it is one `struct` call and two appends.
+a message; here it is one `struct` call and two appends, or less: a batch comes framed.
 """
 
 from __future__ import annotations
 
 import zlib
 from collections.abc import Iterable, Mapping
-from struct import Struct, pack
+from struct import Struct
 from typing import IO
 
+import numpy as np
 import zstandard
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
@@ -19,7 +20,6 @@ from mcap.records import (
     AttachmentIndex,
     Channel,
     Chunk,
-    ChunkIndex,
     DataEnd,
     Footer,
     Header,
@@ -31,12 +31,12 @@ from mcap.records import (
     SummaryOffset,
 )
 
+from fleet.logs.batch import HEAD, MESSAGE, STAMP_BYTES, Batch
+from fleet.logs.chunk_index import ChunkEntries
 from fleet.logs.records import MAGIC
 
 CHUNK_BYTES = 1024 * 1024  # a chunk ends when it is longer
-_MESSAGE, _INDEX = int(Opcode.MESSAGE), int(Opcode.MESSAGE_INDEX)
-_STAMP = 22  # bytes of a message's channel, sequence and times
-_HEAD = Struct("<BQHIQQ").pack  # opcode, length of the rest, channel, sequence, log time, publish time
+_HEAD = HEAD.pack
 _FOOTER = Struct("<BQQQ").pack  # opcode, length of the rest, where the summary and its offsets begin
 
 
@@ -55,10 +55,11 @@ class McapWriter:
         """
         self._target = target
         self._chunk = bytearray()
-        self._entries: dict[int, list[int]] = {}  # channel -> log time and place in the chunk of message after message
+        self._entries = ChunkEntries()
         self._schemas: list[Schema] = []
         self._channels: list[Channel] = []
-        self._chunks: list[ChunkIndex] = []
+        self._chunks: list[bytes] = []  # their records in the summary
+        self._times: list[int] = []  # the earliest and the latest of each chunk
         self._attachments: list[AttachmentIndex] = []
         self._metadata: list[MetadataIndex] = []
         self._counts: dict[int, int] = {}  # messages per channel, of the chunks that are written
@@ -83,13 +84,26 @@ class McapWriter:
     def message(self, channel: int, log_ns: int, publish_ns: int, sequence: int, data: bytes) -> None:
         """Write a message; both times in ns."""
         chunk = self._chunk
-        try:
-            self._entries[channel] += (log_ns, len(chunk))
-        except KeyError:
-            self._entries[channel] = [log_ns, len(chunk)]
-        chunk += _HEAD(_MESSAGE, _STAMP + len(data), channel, sequence, log_ns, publish_ns) + data
+        self._entries.single += (channel, log_ns, len(chunk))
+        chunk += _HEAD(MESSAGE, STAMP_BYTES + len(data), channel, sequence, log_ns, publish_ns) + data
         if len(chunk) > CHUNK_BYTES:
             self._end_chunk()
+
+    def batch(self, batch: Batch) -> None:
+        """Write messages that are framed already; chunks end where they would if the messages came one by one."""
+        bounds, records = batch.bounds, batch.records.data
+        first, begin, end = 0, 0, len(records)
+        while begin < end:
+            room = begin + CHUNK_BYTES - len(self._chunk)
+            full = end > room
+            last = max(first + 1, int(np.searchsorted(bounds, room, side="right"))) if full else len(bounds) - 1
+            upto = int(bounds[last])
+            places = bounds[first:last] + (len(self._chunk) - begin)
+            self._entries.add(batch.at_ns, batch.channels[first:last], places)
+            self._chunk += records[begin:upto]
+            first, begin = last, upto
+            if full:
+                self._end_chunk()
 
     def attachment(self, a: Attachment) -> None:
         """Write an attachment, before the messages of the chunk that is not ended yet."""
@@ -112,15 +126,14 @@ class McapWriter:
         begin = self._target.tell()
         summary = bytearray()
         offsets: list[SummaryOffset] = []
-        for opcode, records in (
-            (Opcode.SCHEMA, self._schemas),
-            (Opcode.CHANNEL, self._channels),
-            (Opcode.STATISTICS, [self._statistics()]),
-            (Opcode.CHUNK_INDEX, self._chunks),
-            (Opcode.ATTACHMENT_INDEX, self._attachments),
-            (Opcode.METADATA_INDEX, self._metadata),
+        for opcode, group in (
+            (Opcode.SCHEMA, _packed(self._schemas)),
+            (Opcode.CHANNEL, _packed(self._channels)),
+            (Opcode.STATISTICS, _packed([self._statistics()])),
+            (Opcode.CHUNK_INDEX, b"".join(self._chunks)),
+            (Opcode.ATTACHMENT_INDEX, _packed(self._attachments)),
+            (Opcode.METADATA_INDEX, _packed(self._metadata)),
         ):
-            group = _packed(records)
             offsets.append(SummaryOffset(opcode, begin + len(summary), len(group)))
             summary += group
         offset_begin = begin + len(summary)
@@ -143,24 +156,19 @@ class McapWriter:
 
     def _end_chunk(self) -> None:
         """Write the chunk and its indexes, unless it has no messages."""
-        entries = self._entries
-        if not entries:
+        if not self._entries:
             return
-        first = min(min(flat[::2]) for flat in entries.values())
-        last = max(max(flat[::2]) for flat in entries.values())
-        data = zstandard.compress(self._chunk)
-        size = len(self._chunk)
-        offset, length = self._write(Chunk("zstd", data, last, first, zlib.crc32(self._chunk), size))
-        index = bytearray()
-        offsets: dict[int, int] = {}
-        for channel, flat in entries.items():
-            offsets[channel] = offset + length + len(index)
-            index += pack(f"<BQHI{len(flat)}Q", _INDEX, 6 + 8 * len(flat), channel, 8 * len(flat), *flat)
-            self._counts[channel] = self._counts.get(channel, 0) + len(flat) // 2
-        self._target.write(index)
-        self._chunks.append(ChunkIndex(length, offset, "zstd", len(data), last, len(index), offsets, first, size))
+        indexes = self._entries.indexes()
+        data, size = zstandard.compress(self._chunk), len(self._chunk)
+        chunk = Chunk("zstd", data, indexes.last_ns, indexes.first_ns, zlib.crc32(self._chunk), size)
+        offset, length = self._write(chunk)
+        self._target.write(indexes.data)
+        self._chunks.append(indexes.chunk_index(offset, length, len(data), size))
+        self._times += (indexes.first_ns, indexes.last_ns)
+        for channel, count in indexes.counts:
+            self._counts[channel] = self._counts.get(channel, 0) + count
         self._chunk.clear()
-        entries.clear()
+        self._entries.clear()
 
     def _statistics(self) -> Statistics:
         return Statistics(
@@ -170,8 +178,8 @@ class McapWriter:
             chunk_count=len(self._chunks),
             message_count=sum(self._counts.values()),
             metadata_count=len(self._metadata),
-            message_start_time=min((chunk.message_start_time for chunk in self._chunks), default=0),
-            message_end_time=max((chunk.message_end_time for chunk in self._chunks), default=0),
+            message_start_time=min(self._times, default=0),
+            message_end_time=max(self._times, default=0),
             schema_count=len(self._schemas),
         )
 

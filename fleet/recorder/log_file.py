@@ -10,6 +10,7 @@ from typing import IO
 from mcap.records import Attachment
 
 from fleet.errors import FleetError
+from fleet.logs.batch import Batch
 from fleet.logs.digest import Digest
 from fleet.logs.mcap_writer import McapWriter
 from fleet.logs.schemas import Schema
@@ -39,7 +40,7 @@ class LogFile:
         self.path = path
         self.messages = 0
         self._digest = Digest()
-        self._flushed_s = 0
+        self._flush_ns = SECOND_NS  # when the next second begins
         self._topics: dict[int, bytes] = {}
         self._schemas: dict[str, int] = {}
         with self._refused():
@@ -91,14 +92,20 @@ class LogFile:
         self._digest.add(self._topics[channel], log_ns, publish_ns, sequence, data)
         self.messages += 1
 
+    def batch(self, batch: Batch) -> None:
+        """Write messages that have their times in common."""
+        with self._refused():
+            self._writer.batch(batch)
+        self._digest.add_batch(batch.digested.tobytes())
+        self.messages += len(batch.channels)
+
     def flush(self, at_ns: int) -> None:
         """End the chunk if a new second of simulated time has begun at `at_ns` [ns].
 
         The borders of the chunks change the bytes of the file, so they depend on simulated time only.
         """
-        second = at_ns // SECOND_NS
-        if second > self._flushed_s:
-            self._flushed_s = second
+        if at_ns >= self._flush_ns:
+            self._flush_ns = (at_ns // SECOND_NS + 1) * SECOND_NS
             with self._refused():
                 self._writer.flush()
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+from fleet.logs.batch import Batch
 from fleet.logs.digest import Digest
 from fleet.logs.schemas import Schema
 
@@ -38,6 +39,11 @@ class NoLog:
         """Count and digest a message; both times in ns of simulated time."""
         self._digest.add(self._topics[channel], log_ns, publish_ns, sequence, data)
         self.messages += 1
+
+    def batch(self, batch: Batch) -> None:
+        """Count and digest messages that have their times in common."""
+        self._digest.add_batch(batch.digested.tobytes())
+        self.messages += len(batch.channels)
 
     def flush(self, at_ns: int) -> None:
         """Nothing to do."""

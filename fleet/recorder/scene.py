@@ -8,7 +8,9 @@ the fleet, so that they hardly lag behind the hulls between two messages.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections import deque
+from collections.abc import Iterable, Sequence
+from functools import partial
 from math import pi, sqrt
 from typing import Any
 
@@ -21,15 +23,14 @@ from foxglove_schemas_protobuf.Point3_pb2 import Point3
 from foxglove_schemas_protobuf.Pose_pb2 import Pose
 from foxglove_schemas_protobuf.Quaternion_pb2 import Quaternion
 from foxglove_schemas_protobuf.SceneEntity_pb2 import SceneEntity
-from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from foxglove_schemas_protobuf.SpherePrimitive_pb2 import SpherePrimitive
 from foxglove_schemas_protobuf.TextPrimitive_pb2 import TextPrimitive
 from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
-from google.protobuf.timestamp_pb2 import Timestamp
 
 from fleet.palette import COLOURS
 from fleet.recorder.snapshot import Snapshot
-from fleet.recorder.transforms import NO_TURN, REFERENCE, enu, stamp_at
+from fleet.recorder.template import Template, field
+from fleet.recorder.transforms import NO_TURN, REFERENCE, enu
 from fleet.scenario.scenario import Scenario
 from netem.causes import Cause
 from netem.condition import Link
@@ -46,6 +47,7 @@ HISTORY = 10  # packets of a link that count
 UNHEARD_OF = 5  # lost in a row: nothing arrives any more
 UNHEARD_NS = 500_000_000  # after so long without a command an agent counts as absent
 CUTS = frozenset({Cause.DOWN, Cause.PARTITION, Cause.MUTE, Cause.DEAF, Cause.DEAD_RECEIVER, Cause.DEAD_SENDER})
+_MARKS = {cause: "x" if cause in CUTS else "-" for cause in Cause} | {Cause.DELIVERED: "+", Cause.IN_FLIGHT: ""}
 
 # No black, which vanishes in a viewer's dark theme; vehicles 1 to 4 have the colours of our plots.
 HULLS = tuple(colour for colour in COLOURS if colour != "#000000")
@@ -61,22 +63,25 @@ LINKS = {  # state -> colour, width in pixels: the worse, the wider
 class LinkHistories:
     """What became of the last packets of each link: `+` arrived, `-` lost, `x` lost because the link was cut."""
 
-    def __init__(self, links: Iterable[Link], values: Iterable[Iterable[Any]] = ()) -> None:
-        self._of: dict[Link, str] = dict.fromkeys(links, "")
-        self._of |= {(src, dst): history for src, dst, history in values}
+    def __init__(self, links: Iterable[Link], values: Iterable[Iterable[Any]] = (), begin: int = 0) -> None:
+        """Begin with what `values` gave, at tick `begin`."""
+        self._begin = begin
+        self._of: dict[Link, deque[str]] = {link: deque(maxlen=HISTORY) for link in links}
+        for src, dst, history in values:
+            self._of[src, dst].extend(history)
 
     def settle(self, fate: Fate) -> None:
-        """Take one packet's fate; what is in flight at the end has none."""
-        if fate.cause == Cause.IN_FLIGHT:
-            return
-        arrived = fate.cause == Cause.DELIVERED and not fate.corrupted
-        mark = "+" if arrived else "x" if fate.cause in CUTS else "-"
-        link = fate.src, fate.dst
-        self._of[link] = (self._of[link] + mark)[-HISTORY:]
+        """Take one packet's fate; what is in flight at the end has none.
+
+        A run that goes on from a snapshot tells the fates of the round before once more: they are known.
+        """
+        mark = _MARKS[fate.cause]
+        if mark and fate.final_tick >= self._begin:
+            self._of[fate.src, fate.dst].append("-" if fate.corrupted and mark == "+" else mark)
 
     def state(self, link: Link) -> str:
         """`silent` before the first packet, `cut`, `losing` or `delivering`."""
-        history = self._of[link]
+        history = "".join(self._of[link])
         if not history:
             return "silent"
         if history[-1] == "x" or (len(history) >= UNHEARD_OF and "+" not in history[-UNHEARD_OF:]):
@@ -85,7 +90,7 @@ class LinkHistories:
 
     def values(self) -> list[list[Any]]:
         """All of it as plain values."""
-        return [[src, dst, history] for (src, dst), history in self._of.items()]
+        return [[src, dst, "".join(history)] for (src, dst), history in self._of.items()]
 
 
 class Scene:
@@ -94,80 +99,92 @@ class Scene:
     def __init__(self, scenario: Scenario, start: Snapshot | None = None) -> None:
         """`start`: the snapshot from which the run goes on."""
         self._scenario = scenario
-        self._begin = 0 if start is None else start.tick
-        self.links = LinkHistories(scenario.graph.links, () if start is None else start.drawn)
+        self.links = LinkHistories(scenario.graph.links)
+        if start is not None:
+            self.links = LinkHistories(scenario.graph.links, start.drawn, start.tick)
         self._both = frozenset(scenario.graph.links)
-        self._silent: frozenset[int] = frozenset()
+        self._seen: Frame | None = None  # the last at which they were asked
         self._commanded: dict[int, int] = {}  # at which tick last
         masses = {i: scenario.controls[i - 1].vehicle.m for i in range(1, scenario.vehicles + 1)}
-        self._hulls = {(i, silent): hull(i, mass, silent) for i, mass in masses.items() for silent in (False, True)}
-        self._diameters = {i: diameter(mass) for i, mass in masses.items()}
+        self._hulls = {
+            (i, silent): hull(i, mass, silent).SerializeToString()
+            for i, mass in masses.items()
+            for silent in (False, True)
+        }
+        self._names = {link: _link(link).SerializeToString() for link in scenario.graph.links}
+        self._lines = {state: Template(partial(_line, state), 6) for state in LINKS}
+        self._diameters = [diameter(mass) for mass in masses.values()]
+        self._places: list[Vec3] = []  # where the vehicles should be in the message before
+        self._formation = b""  # and how that is drawn
 
-    def settle(self, fate: Fate) -> None:
-        """Take one packet's fate. A run that goes on tells those of the round before once more: they are known."""
-        if fate.final_tick >= self._begin:
-            self.links.settle(fate)
-
-    def see(self, frame: Frame) -> None:
-        """Who commands its vehicle at a tick; at the end tick nobody is asked.
+    def see(self, frame: Frame, commands: Iterable[int]) -> None:
+        """Take note of a tick, and of which vehicles have commands; at the end tick nobody is asked.
 
         On a wall clock one that was asked may miss ticks, and is silent when it has missed them for a while.
         """
         if frame.tick == self._scenario.ticks:
             return
-        self._commanded |= {row.id: frame.tick for row in frame.vehicles if row.command}
-        since = frame.tick - UNHEARD_NS // self._scenario.tick_ns
-        self._silent = frozenset(
-            row.id for row in frame.vehicles if not row.nav or self._commanded.get(row.id, 0) < since
-        )
+        self._commanded.update(dict.fromkeys(commands, frame.tick))
+        self._seen = frame
 
-    def message(self, frame: Frame) -> bytes:
-        """A SceneUpdate message: hulls, then links, then where the vehicles should be."""
-        stamp = stamp_at(self._scenario, frame.tick)
-        update = SceneUpdate()
-        for row in frame.vehicles:
-            entity = update.entities.add()
-            entity.CopyFrom(self._hulls[row.id, row.id in self._silent])
-            entity.timestamp.CopyFrom(stamp)
+    def message(self, frame: Frame, stamp: bytes) -> bytes:
+        """A SceneUpdate message: hulls, then links, then where the vehicles should be; `stamp` is `stamp_field`'s."""
+        silent = self.silent()
+        found = [field(b"\x12", stamp + self._hulls[row.id, row.id in silent]) for row in frame.vehicles]
         t = frame.tick * self._scenario.tick_ns / 1e9
         origin = self._scenario.reference.at(t).position
         places = {row.id: _relative(row.eta[:3], origin) for row in frame.vehicles}
-        update.entities.extend(self._link(link, places, stamp) for link in self._scenario.graph.links)
-        update.entities.append(self._formation(t, stamp))
-        return bytes(update.SerializeToString())
+        for link, name in self._names.items():
+            found.append(field(b"\x12", stamp + name + self._line(link, places, silent)))
+        wanted = [enu(plan.at(t).position) for plan in self._scenario.plans]
+        if wanted != self._places:
+            self._places, self._formation = wanted, _formation(wanted, self._diameters).SerializeToString()
+        found.append(field(b"\x12", stamp + self._formation))
+        return b"".join(found)
 
-    def _link(self, link: Link, places: dict[int, Vec3], stamp: Timestamp) -> SceneEntity:
+    def silent(self) -> frozenset[int]:
+        """The vehicles that nobody commands."""
+        if self._seen is None:
+            return frozenset()
+        since = self._seen.tick - UNHEARD_NS // self._scenario.tick_ns
+        rows = self._seen.vehicles
+        return frozenset(row.id for row in rows if not row.nav or self._commanded.get(row.id, 0) < since)
+
+    def _line(self, link: Link, places: dict[int, Vec3], silent: frozenset[int]) -> bytes:
         """The half of the line that is nearer to the receiver; all of it where nothing comes the other way."""
         src, dst = link
-        state = "silent" if src in self._silent else self.links.state(link)
-        colour, width = LINKS[state]
+        state = "silent" if src in silent else self.links.state(link)
         begin, end = places[src], places[dst]
         if (dst, src) in self._both:
             (x, y, z), (u, v, w) = begin, end
             begin = (x + u) / 2, (y + v) / 2, (z + w) / 2
-        line = LinePrimitive(
-            type=LinePrimitive.LINE_STRIP,
-            thickness=width,
-            scale_invariant=True,
-            points=[Point3(x=x, y=y, z=z) for x, y, z in (begin, end)],
-            color=_colour(colour),
-        )
-        return SceneEntity(
-            timestamp=stamp,
-            frame_id=REFERENCE,
-            id=f"link {src}-{dst}",
-            frame_locked=True,
-            metadata=[KeyValuePair(key="state", value=state)],
-            lines=[line],
-        )
+        return self._lines[state](*begin, *end)
 
-    def _formation(self, t: float, stamp: Timestamp) -> SceneEntity:
-        """A sphere twice as thick as the vehicle where each should be, and one in the origin, the reference point."""
-        spheres = [_sphere((0.0, 0.0, 0.0), max(self._diameters.values()), SILENT)]
-        for i, size in self._diameters.items():
-            place = enu(self._scenario.plans[i - 1].at(t).position)
-            spheres.append(_sphere(place, 2.0 * size, HULLS[(i - 1) % len(HULLS)], 0.5))
-        return SceneEntity(timestamp=stamp, frame_id=REFERENCE, id="formation", frame_locked=True, spheres=spheres)
+
+def _link(link: Link) -> SceneEntity:
+    """What comes first in the entity of a link."""
+    return SceneEntity(frame_id=REFERENCE, id=f"link {link[0]}-{link[1]}", frame_locked=True)
+
+
+def _line(state: str, *ends: float) -> SceneEntity:
+    """And what follows: its state, and a line between two points."""
+    colour, width = LINKS[state]
+    line = LinePrimitive(
+        type=LinePrimitive.LINE_STRIP,
+        thickness=width,
+        scale_invariant=True,
+        points=[Point3(x=x, y=y, z=z) for x, y, z in (ends[:3], ends[3:])],
+        color=_colour(colour),
+    )
+    return SceneEntity(metadata=[KeyValuePair(key="state", value=state)], lines=[line])
+
+
+def _formation(places: Sequence[Vec3], diameters: Sequence[float]) -> SceneEntity:
+    """A sphere twice as thick as the vehicle where each should be, and one in the origin, the reference point."""
+    spheres = [_sphere((0.0, 0.0, 0.0), max(diameters), SILENT)]
+    for number, (place, size) in enumerate(zip(places, diameters, strict=True)):
+        spheres.append(_sphere(place, 2.0 * size, HULLS[number % len(HULLS)], 0.5))
+    return SceneEntity(frame_id=REFERENCE, id="formation", frame_locked=True, spheres=spheres)
 
 
 def diameter(mass: float) -> float:

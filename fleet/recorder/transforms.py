@@ -15,12 +15,10 @@ from __future__ import annotations
 from math import cos, sin, sqrt
 
 from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
-from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
 from foxglove_schemas_protobuf.Quaternion_pb2 import Quaternion
 from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
-from google.protobuf.timestamp_pb2 import Timestamp
 
-from fleet.logs.schemas import stamp_of
+from fleet.recorder.template import Template, field
 from fleet.scenario.scenario import Scenario
 from netem.wire.messages import Frame
 from world.vectors import Vec3
@@ -34,33 +32,38 @@ NO_TURN = Quaternion(w=1.0)
 _UPSIDE_DOWN = Quaternion(x=sqrt(0.5), y=sqrt(0.5))  # half a turn about north-east: NED to east, north, up
 
 
-def transforms(scenario: Scenario, frame: Frame) -> bytes:
-    """A FrameTransforms message of all vehicles, and of the frames above them."""
-    stamp = stamp_at(scenario, frame.tick)
-    x, y, z = enu(scenario.reference.at(frame.tick * scenario.tick_ns / 1e9).position)
-    found = [
-        FrameTransform(timestamp=stamp, parent_frame_id=MAP, child_frame_id=NED, rotation=_UPSIDE_DOWN),
-        FrameTransform(
-            timestamp=stamp,
+class Transforms:
+    """The transforms of one run."""
+
+    def __init__(self, scenario: Scenario) -> None:
+        self._scenario = scenario
+        self._ned = FrameTransform(parent_frame_id=MAP, child_frame_id=NED, rotation=_UPSIDE_DOWN).SerializeToString()
+        self._vehicles = {
+            i: FrameTransform(parent_frame_id=NED, child_frame_id=f"uuv-{i}").SerializeToString()
+            for i in range(1, scenario.vehicles + 1)
+        }
+        self._moves = Template(_moved, 7)
+
+    def message(self, frame: Frame, stamp: bytes) -> bytes:
+        """A FrameTransforms message of all vehicles, and of the frames above them; `stamp` is `stamp_field`'s."""
+        x, y, z = enu(self._scenario.reference.at(frame.tick * self._scenario.tick_ns / 1e9).position)
+        reference = FrameTransform(
             parent_frame_id=MAP,
             child_frame_id=REFERENCE,
             translation=Vector3(x=x, y=y, z=z),
             rotation=NO_TURN,
-        ),
-    ]
-    for row in frame.vehicles:
-        x, y, z, theta, psi = row.eta
-        qx, qy, qz, qw = quaternion(theta, psi)
-        found.append(
-            FrameTransform(
-                timestamp=stamp,
-                parent_frame_id=NED,
-                child_frame_id=f"uuv-{row.id}",
-                translation=Vector3(x=x, y=y, z=z),
-                rotation=Quaternion(x=qx, y=qy, z=qz, w=qw),
-            )
         )
-    return bytes(FrameTransforms(transforms=found).SerializeToString())
+        found = [field(b"\x0a", stamp + self._ned), field(b"\x0a", stamp + reference.SerializeToString())]
+        moves, vehicles = self._moves, self._vehicles
+        for row in frame.vehicles:
+            x, y, z, theta, psi = row.eta
+            found.append(field(b"\x0a", stamp + vehicles[row.id] + moves(x, y, z, *quaternion(theta, psi))))
+        return b"".join(found)
+
+
+def _moved(x: float, y: float, z: float, qx: float, qy: float, qz: float, qw: float) -> FrameTransform:
+    """The rest of a transform, by the place of the child's origin and its quaternion."""
+    return FrameTransform(translation=Vector3(x=x, y=y, z=z), rotation=Quaternion(x=qx, y=qy, z=qz, w=qw))
 
 
 def enu(ned: Vec3) -> Vec3:
@@ -73,8 +76,3 @@ def quaternion(theta: float, psi: float) -> tuple[float, float, float, float]:
     """(x, y, z, w) of R = Rz(psi) Ry(theta), body to NED; roll is not modelled."""
     ct, st, cp, sp = cos(theta / 2), sin(theta / 2), cos(psi / 2), sin(psi / 2)
     return -sp * st, cp * st, sp * ct, cp * ct
-
-
-def stamp_at(scenario: Scenario, tick: int) -> Timestamp:
-    """The simulated time of a tick."""
-    return stamp_of(tick * scenario.tick_ns)

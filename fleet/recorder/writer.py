@@ -11,7 +11,6 @@ import platform
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from functools import partial
 from importlib.metadata import version
 from typing import Protocol
 
@@ -21,7 +20,8 @@ from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from agents.config import AgentConfig
 from agents.controllers import law_class, laws
 from agents.plugins.loading import fingerprint
-from agents.signals import Layout
+from agents.signals import Signal
+from fleet.logs.batch import Batch
 from fleet.logs.schemas import (
     ANEW,
     CLOCK,
@@ -35,25 +35,23 @@ from fleet.logs.schemas import (
     SNAPSHOT,
     START,
     STATE,
-    Column,
-    DoublesEncoder,
-    PoseEncoder,
     Schema,
     flat_schema,
     foxglove_schema,
     pose_schema,
     signal_columns,
-    stamp_of,
+    stamp_field,
 )
-from fleet.recorder.log_file import SECOND_NS
 from fleet.recorder.metrics import VehicleError
+from fleet.recorder.packets import packet_data
 from fleet.recorder.scene import SCENE_UNITS, Scene
 from fleet.recorder.snapshot import TOPIC, Snapshot, Start
-from fleet.recorder.transforms import NED, TRANSFORMS_UNITS, quaternion, transforms
+from fleet.recorder.tick_messages import TickMessages, Topic
+from fleet.recorder.transforms import TRANSFORMS_UNITS, Transforms
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.sections.log_rates import without_snapshots
 from fleet.scenario.sections.timeline import Event
-from netem.wire.messages import Command, Fate, Frame, VehicleFrame
+from netem.wire.messages import Command, Fate, Frame
 
 
 class Sink(Protocol):
@@ -63,6 +61,7 @@ class Sink(Protocol):
     def metadata(self, name: str, values: Mapping[str, str]) -> None: ...
     def channel(self, topic: str, schema: Schema) -> int: ...
     def message(self, channel: int, log_ns: int, publish_ns: int, sequence: int, data: bytes) -> None: ...
+    def batch(self, batch: Batch) -> None: ...
     def flush(self, at_ns: int) -> None: ...
 
 
@@ -106,18 +105,17 @@ class LogWriter:
         if start is not None:
             sink.attachment(START, "application/msgpack", start.snapshot.to_bytes())
         sink.metadata("run", run_metadata(scenario, start) | ({} if lockstep else {CLOCK: REAL}))
-        self._by_vehicle: dict[str, dict[int, int]] = {}  # group -> vehicle -> channel
-        self._encoders: dict[str, dict[int, DoublesEncoder]] = {}
-        for group, schemas in self._schemas().items():
-            self._by_vehicle[group] = {
-                i: self._channel(f"uuv/{i}/{group}", schema) for i, (schema, _) in schemas.items()
-            }
-            self._encoders[group] = {i: encoder for i, (_, encoder) in schemas.items() if encoder is not None}
-        self._pose = PoseEncoder(NED)
+        self._ticks = TickMessages(
+            {
+                group: {i: self._topic(f"uuv/{i}/{group}", schema) for i, schema in schemas.items()}
+                for group, schemas in self._schemas().items()
+            },
+            {i: scenario.layout(i) for i in range(1, scenario.vehicles + 1)},
+        )
         self._scene = Scene(scenario, None if start is None else start.snapshot)
-        self._drawn: dict[str, tuple[int, Callable[[Frame], bytes]]] = {}
+        self._drawn: dict[str, tuple[int, Callable[[Frame, bytes], bytes]]] = {}
         for group, drawn, draw in (
-            ("transforms", foxglove_schema(FrameTransforms, TRANSFORMS_UNITS), partial(transforms, scenario)),
+            ("transforms", foxglove_schema(FrameTransforms, TRANSFORMS_UNITS), Transforms(scenario).message),
             ("scene", foxglove_schema(SceneUpdate, SCENE_UNITS), self._scene.message),
         ):
             if self._every[group]:
@@ -129,27 +127,22 @@ class LogWriter:
         self._snapshot = snapshot.message
         self._snapshots = self._channel(TOPIC, snapshot)
         packet = flat_schema("Packet", PACKET)
-        self._packet = packet.message
         self._by_link = {(src, dst): self._channel(f"link/{src}-{dst}", packet) for src, dst in scenario.graph.links}
 
-    def _schemas(self) -> dict[str, dict[int, tuple[Schema, DoublesEncoder | None]]]:
-        """The schema and the encoder of every topic group and vehicle; vehicles that run the same share both."""
+    def _schemas(self) -> dict[str, dict[int, Schema]]:
+        """The schema of every topic group and vehicle; vehicles that run the same share it."""
         ids = range(1, self._scenario.vehicles + 1)
-
-        def same(schema: Schema, columns: tuple[Column, ...]) -> dict[int, tuple[Schema, DoublesEncoder | None]]:
-            return dict.fromkeys(ids, (schema, DoublesEncoder(columns)))
-
-        state = same(flat_schema("State", STATE), STATE)
-        found: dict[str, dict[int, tuple[Schema, DoublesEncoder | None]]] = {
-            "pose": dict.fromkeys(ids, (pose_schema(), None)),
+        state = dict.fromkeys(ids, flat_schema("State", STATE))
+        found: dict[str, dict[int, Schema]] = {
+            "pose": dict.fromkeys(ids, pose_schema()),
             "state": state,
             "nav": state,
-            "command": same(flat_schema("Command", COMMAND), COMMAND),
+            "command": dict.fromkeys(ids, flat_schema("Command", COMMAND)),
             "guidance": {},
             "control": {},
-            "error": same(flat_schema("Error", ERROR), ERROR),
+            "error": dict.fromkeys(ids, flat_schema("Error", ERROR)),
         }
-        made: dict[tuple[str, str, Layout], tuple[Schema, DoublesEncoder]] = {}
+        made: dict[tuple[str, tuple[Signal, ...]], Schema] = {}
         for i in ids:
             config = self._scenario.agent_config(i)
             layout = self._scenario.layout(i)
@@ -158,14 +151,13 @@ class LogWriter:
                 if not signals:
                     continue
                 name = schema_name(config, group)
-                if (group, name, layout) not in made:
-                    columns = signal_columns(signals)
-                    made[group, name, layout] = (
-                        flat_schema(name, columns),
-                        DoublesEncoder(columns, layout.group(group).start),
-                    )
-                found[group][i] = made[group, name, layout]
+                if (name, signals) not in made:
+                    made[name, signals] = flat_schema(name, signal_columns(signals))
+                found[group][i] = made[name, signals]
         return found
+
+    def _topic(self, name: str, schema: Schema) -> Topic:
+        return Topic(self._channel(name, schema), name)
 
     def _channel(self, topic: str, schema: Schema) -> int:
         number = self._sink.channel(topic, schema)
@@ -179,37 +171,30 @@ class LogWriter:
         at_ns = tick * self._tick_ns
         last = tick == self._scenario.ticks  # the state at the end is always logged, whatever the rate
         due = [group for group, every in self._every.items() if every and (last or tick % every == 0)]
-        self._scene.see(frame)
+        self._scene.see(frame, commands)
+        stamp = stamp_field(at_ns)
+        flat = [group for group in due if group not in self._drawn]
+        if flat:
+            batch = self._ticks(frame, commands, errors, flat, at_ns, stamp)
+            self._sink.batch(batch)
+            if self._tap is not None:
+                for message in batch.messages():
+                    self._tap.message(*message)
         for group in due:
             if group in self._drawn:
                 channel, draw = self._drawn[group]
-                self._add(channel, at_ns, at_ns, tick, draw(frame))
-                continue
-            channels = self._by_vehicle[group]
-            rows = [row for row in frame.vehicles if row.id in channels]
-            for i, data in self._encode(group, rows, commands, errors, at_ns):
-                self._add(channels[i], at_ns, at_ns, tick, data)
+                self._add(channel, at_ns, at_ns, tick, draw(frame, stamp))
         self._sink.flush(at_ns)
         if self._tap is not None:
             self._tap.flush()
 
     def packet(self, fate: Fate) -> None:
         """Write one packet's final fate."""
-        self._scene.settle(fate)
+        self._scene.links.settle(fate)
         tick_ns = self._tick_ns
-        message = self._packet(
-            seq=fate.seq,
-            copy=fate.copy,
-            sent=fate.sent_tick * tick_ns / SECOND_NS,
-            due=fate.due_tick * tick_ns / SECOND_NS,
-            delay=fate.delay_ns / SECOND_NS,
-            fate=fate.cause,
-            payload=fate.payload,
-            corrupted=fate.corrupted,
-        )
         final_ns = fate.final_tick * tick_ns
-        data = message.SerializeToString()
-        self._add(self._by_link[fate.src, fate.dst], final_ns, fate.sent_tick * tick_ns, fate.seq, data)
+        channel, data = self._by_link[fate.src, fate.dst], packet_data(fate, tick_ns)
+        self._add(channel, final_ns, fate.sent_tick * tick_ns, fate.seq, data)
         self._sink.flush(final_ns)
 
     def event(self, event: Event) -> None:
@@ -225,33 +210,6 @@ class LogWriter:
         snapshot = replace(snapshot, drawn=self._scene.links.values())
         message = self._snapshot(state=snapshot.to_bytes())
         self._add(self._snapshots, at_ns, at_ns, snapshot.tick, message.SerializeToString())
-
-    def _encode(
-        self,
-        group: str,
-        rows: list[VehicleFrame],
-        commands: Mapping[int, Command],
-        errors: Mapping[int, VehicleError],
-        at_ns: int,
-    ) -> list[tuple[int, bytes]]:
-        """(vehicle, message) of every vehicle that has a message in this group."""
-        if group == "pose":
-            stamp = stamp_of(at_ns).SerializeToString()
-            return [(row.id, self._pose(stamp, row.eta[:3], quaternion(*row.eta[3:]))) for row in rows]
-        encode = self._encoders[group]
-        match group:
-            case "state":
-                return [(row.id, encode[row.id](row.eta + row.nu)) for row in rows]
-            case "nav":
-                return [(row.id, encode[row.id](row.nav)) for row in rows if row.nav]
-            case "command":
-                return [(row.id, encode[row.id](commands[row.id].tau + row.tau)) for row in rows if row.id in commands]
-            case "error":
-                flat = [(row.id, errors[row.id]) for row in rows]
-                return [(i, encode[i]((*e.e, e.e_norm, *e.formation, e.formation_norm))) for i, e in flat]
-            case _:
-                telemetries = [(row.id, commands[row.id].telemetry) for row in rows if row.id in commands]
-                return [(i, encode[i](telemetry)) for i, telemetry in telemetries if telemetry]
 
 
 def _both(sink: Sink, tap: Tap) -> Callable[[int, int, int, int, bytes], None]:

@@ -16,7 +16,7 @@ from agents.signals import Layout
 from fleet.errors import FleetError
 from fleet.logs.decoder import Decoder
 from fleet.logs.reader import LogReader
-from fleet.logs.schemas import COMMAND, DoublesEncoder, signal_columns
+from fleet.logs.schemas import COMMAND, Doubles, signal_columns
 from fleet.recorder.snapshot import TOPIC, Snapshot
 from fleet.scenario.scenario import Scenario
 from netem.impairment import LinkModel
@@ -113,9 +113,9 @@ def recorded_agents(reader: LogReader, scenario: Scenario, last_ns: int, *, whol
     found = {i: RecordedAgent(i, scenario.layout(i), m, last_ns // tick_ns) for i in scenario.external}
     packets: dict[int, dict[int, tuple[int, bytes]]] = {i: {} for i in found}  # by vehicle and seq
     sure: set[tuple[int, int]] = set()  # those of which an undamaged copy was seen
-    decode, command = Decoder(reader).message, DoublesEncoder(COMMAND)
+    decode, command = Decoder(reader).message, Doubles(COMMAND)
     groups = {
-        (i, group): (DoublesEncoder(signal_columns(getattr(agent.layout, group))), agent.layout.group(group))
+        (i, group): (Doubles(signal_columns(getattr(agent.layout, group))), agent.layout.group(group))
         for i, agent in found.items()
         for group in ("guidance", "control")
         if getattr(agent.layout, group)

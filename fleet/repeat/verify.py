@@ -15,6 +15,7 @@ from pathlib import Path
 from agents.errors import AgentError
 from agents.plugins.trust import NOTHING, Trust
 from fleet.errors import FleetError, RunBroken
+from fleet.logs.batch import Batch
 from fleet.logs.decoder import Decoder
 from fleet.logs.first_difference import Difference, Side, side
 from fleet.logs.reader import GAPS, RECOVERY, LogReader, Record
@@ -206,6 +207,11 @@ class _Comparison:
         self._expected = next(self._recorded, None)
         if self._expected is None and not self._complete:
             raise _Over
+
+    def batch(self, batch: Batch) -> None:
+        """Compare messages that have their times in common. Raises _Over as `message` does."""
+        for message in batch.messages():
+            self.message(*message)
 
     def flush(self, at_ns: int) -> None:
         """Report how far the comparison has come."""

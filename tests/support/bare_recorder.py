@@ -14,48 +14,21 @@ import signal
 import sys
 import time
 from pathlib import Path
-from typing import Any
 
-from fleet.recorder.journal import Journal
+from fleet.bench.recorder import Calls
 from fleet.recorder.log_file import LogFile
 from fleet.recorder.writer import LogWriter
-from fleet.run.clock import Clock
-from fleet.run.in_process import InProcess
 from fleet.scenario.loading import load_scenario
 from fleet.scenario.scenario import Scenario
 
 OVERRIDES = ["vehicles=3", "duration=4 s", "checks={}", "network.links={'*': 'delay 200ms 50ms loss 30%'}"]
 
 
-class Can:
-    """A sink that keeps what the journal writes."""
-
-    def __init__(self) -> None:
-        self.calls: list[tuple[str, tuple[Any, ...]]] = []
-
-    def frame(self, *arguments: Any) -> None:
-        self.calls.append(("frame", arguments))
-
-    def packet(self, *arguments: Any) -> None:
-        self.calls.append(("packet", arguments))
-
-    def event(self, *arguments: Any) -> None:
-        self.calls.append(("event", arguments))
-
-
-def canned(scenario: Scenario) -> Can:
-    """Everything that a recorder is told in one run."""
-    can = Can()
-    clock = Clock.of(scenario)
-    InProcess(scenario, Journal(scenario, can)).serve(clock, lambda: None)
-    return can
-
-
-def record(path: Path, scenario: Scenario, can: Can, taken: mmap.mmap) -> None:
+def record(path: Path, scenario: Scenario, calls: Calls, taken: mmap.mmap) -> None:
     """Write it all; `taken` says the last tick that is."""
     file = LogFile(path)
     log = LogWriter(file, scenario)
-    for kind, arguments in can.calls:
+    for kind, arguments in calls.all:
         getattr(log, kind)(*arguments)
         if kind == "frame":
             taken[:8] = int(arguments[0].tick).to_bytes(8, "little")
@@ -64,18 +37,18 @@ def record(path: Path, scenario: Scenario, can: Can, taken: mmap.mmap) -> None:
 
 def main(folder: Path, kills: int, seed: int) -> None:
     scenario = load_scenario("paper", OVERRIDES)
-    can = canned(scenario)
+    calls = Calls.of(scenario)
     draw = random.Random(seed)
     taken = mmap.mmap(-1, 8)
     began = time.perf_counter()
-    record(folder / "whole.mcap", scenario, can, taken)
+    record(folder / "whole.mcap", scenario, calls, taken)
     whole_s = time.perf_counter() - began
     for number in range(kills):
         path = folder / f"{number}.mcap"
         taken[:8] = bytes(8)
         child = os.fork()
         if child == 0:
-            record(path, scenario, can, taken)
+            record(path, scenario, calls, taken)
             os._exit(0)
         time.sleep(draw.uniform(0.0, whole_s))
         os.kill(child, signal.SIGKILL)

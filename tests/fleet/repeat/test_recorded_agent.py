@@ -10,13 +10,14 @@ from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
+from plain_messages import encoded
 
 import fleet.run.execute
 import fleet.run.in_process
 from agents.agent import make_agent
 from agents.config import AgentConfig
 from fleet.cli.main import cli
-from fleet.logs.schemas import Column, DoublesEncoder
+from fleet.logs.schemas import Column, Doubles
 from fleet.repeat.recorded_agent import NotRecordedError
 from fleet.repeat.verify import verification_lines, verify
 from fleet.run.execute import execute
@@ -100,6 +101,6 @@ def test_thinned_commands_cannot_be_said_again(tmp_path: Path, monkeypatch: pyte
 def test_doubles_are_decoded_to_the_same_bits() -> None:
     columns = [Column("a", "", ""), Column("b", "", "", 3), Column("c", "", "", 40)]
     values = tuple((-1.0) ** k * 0.1 * k for k in range(44))
-    data = DoublesEncoder(columns)(values)
-    assert DoublesEncoder(columns).decode(data) == values
-    assert str(DoublesEncoder(columns).decode(data)[1]) == str(values[1])
+    data = encoded(columns, values)
+    assert Doubles(columns).decode(data) == values
+    assert str(Doubles(columns).decode(data)[1]) == str(values[1])

@@ -276,7 +276,7 @@ def test_verify(recorded: Path) -> None:
 
 
 def test_verify_of_a_log_that_is_not_reproduced(recorded: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("fleet.recorder.writer.quaternion", lambda *_: (0.6, 0.0, 0.0, 0.8))
+    monkeypatch.setattr("fleet.recorder.tick_messages.quaternion", lambda *_: (0.6, 0.0, 0.0, 0.8))
     result = invoke("verify", recorded, "--json")
     found = printed(Verified, result)
     assert (result.exit_code, found.reproduced) == (1, False)

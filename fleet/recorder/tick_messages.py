@@ -1,0 +1,204 @@
+"""All messages of a tick that hold doubles only, encoded, framed and laid out for the digest at once.
+
+A tick of four vehicles has 28 of them, of a hundred vehicles 700. They differ from those of the tick before by numbers
+alone. So the numbers of all vehicles go into one pool of bytes, in which everything else stands already: tags, lengths,
+channels, topics. A layout says where in the pool each byte comes from, and numpy gathers them. Which layout it is
+depends on which messages the tick has, and on the length of its timestamp.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from struct import Struct, pack
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agents.signals import Layout
+from fleet.logs.batch import HEAD, MESSAGE, STAMP_BYTES, Batch
+from fleet.logs.schemas import COMMAND, ERROR, STATE, Doubles, pose_parts, signal_columns
+from fleet.recorder.metrics import VehicleError
+from fleet.recorder.transforms import NED, quaternion
+from netem.wire.messages import Command, Frame
+
+# The doubles of one vehicle: the number of each kind's first one. Telemetry comes last, since its size is the agent's.
+_STATE, _NAV, _COMMAND, _ERROR, _QUATERNION, _TELEMETRY = 0, 10, 20, 26, 34, 38
+_VALUES = Struct(f"<{_TELEMETRY}d").pack_into  # all but telemetry
+_NO_NAV: tuple[float, ...] = (0.0,) * 10
+_NO_TAU: tuple[float, ...] = (0.0,) * 3
+_PARTS = {
+    "pose": pose_parts(NED, _STATE, _QUATERNION),
+    "state": Doubles(STATE, _STATE).parts,
+    "nav": Doubles(STATE, _NAV).parts,
+    "command": Doubles(COMMAND, _COMMAND).parts,
+    "error": Doubles(ERROR, _ERROR).parts,
+}
+
+# Where the pool has what is common to a tick's messages.
+_TIME, _SEQUENCE = range(8), range(8, 12)
+_TIMESTAMP, _NUMBERS = 12, 40  # a timestamp's length varies, and stays below 24 bytes
+_FRAMED = np.array([*_SEQUENCE, *_TIME, *_TIME])  # what follows the channel in a record
+_DIGESTED = np.array([*_TIME, *_TIME, *_SEQUENCE])  # what follows the topic in what is digested
+_STAMP = Struct("<QI").pack_into
+
+_MOST_PLACES = 4 * 1024 * 1024  # in the layouts that are kept, of 4 bytes each
+_KEY_PLACES = 32  # what a vehicle takes in the key of a layout, counted in places
+_Places = NDArray[np.int32]  # in the pool
+
+
+class Topic(NamedTuple):
+    """A topic of one vehicle."""
+
+    channel: int
+    name: str
+
+
+class _Layout(NamedTuple):
+    """Where the bytes of a tick's messages come from."""
+
+    channels: NDArray[np.uint16]
+    bounds: NDArray[np.int64]  # where in `records` each message begins, and behind them the end
+    records: _Places
+    digested: _Places
+
+
+class _Slot(NamedTuple):
+    """Where the doubles of a vehicle are in the pool."""
+
+    place: int
+    telemetry: Callable[..., None]  # packs it, behind the rest
+    agent: int  # what it reports: a number among those that differ
+
+
+class TickMessages:
+    """Makes the messages of one tick after the other. What it keeps does not grow with the run."""
+
+    def __init__(self, topics: Mapping[str, Mapping[int, Topic]], agents: Mapping[int, Layout]) -> None:
+        """Lay out the pool.
+
+        Args:
+            topics: of every topic group and vehicle.
+            agents: what the agent of each vehicle reports.
+        """
+        self._topics = topics
+        self._agents = list(dict.fromkeys(agents.values()))  # those that differ
+        number = {agent: k for k, agent in enumerate(self._agents)}
+        self._slots: dict[int, _Slot] = {}
+        place = _NUMBERS
+        for i, agent in agents.items():
+            self._slots[i] = _Slot(place, Struct(f"<{agent.size}d").pack_into, number[agent])
+            place += 8 * (_TELEMETRY + agent.size)
+        self._pool = bytearray(place)
+        self._constants: dict[bytes, int] = {}  # their places
+        self._encoded: dict[tuple[str, int, int], NDArray[np.int64]] = {}
+        self._messages: dict[tuple[str, int, int], tuple[_Places, _Places]] = {}
+        self._layouts: dict[tuple[Any, ...], _Layout] = {}
+        self._kept = 0  # places in all layouts and their keys
+
+    def __call__(
+        self,
+        frame: Frame,
+        commands: Mapping[int, Command],
+        errors: Mapping[int, VehicleError],
+        groups: Sequence[str],
+        at_ns: int,
+        stamp: bytes,
+    ) -> Batch:
+        """The messages of a tick, group by group, in each the vehicles in ascending order.
+
+        Args:
+            errors: of every vehicle of the frame.
+            groups: the topic groups that are due.
+            at_ns: the time of the tick.
+            stamp: the same, as `fleet.logs.schemas.stamp_field` writes it.
+        """
+        pool, there = self._pool, []
+        reported = "guidance" in groups or "control" in groups
+        for row in frame.vehicles:
+            i, eta, nav = row.id, row.eta, row.nav
+            command = commands.get(i)
+            tau, applied = (_NO_TAU, _NO_TAU) if command is None else (command.tau, row.tau)
+            e, e_norm, formation, formation_norm = errors[i]
+            place, pack_telemetry, _ = self._slots[i]
+            _VALUES(
+                pool, place, *eta, *row.nu, *(nav or _NO_NAV), *tau, *applied, *e, e_norm, *formation, formation_norm,
+                *quaternion(eta[3], eta[4]),
+            )  # fmt: skip
+            telemetry = reported and command is not None and command.telemetry
+            if telemetry:
+                pack_telemetry(pool, place + 8 * _TELEMETRY, *telemetry)
+            there.append((i, bool(nav), command is not None, bool(telemetry)))
+        _STAMP(pool, 0, at_ns, frame.tick)
+        pool[_TIMESTAMP : _TIMESTAMP + len(stamp)] = stamp
+        layout = self._layout(groups, len(stamp), there)
+        found = np.frombuffer(pool, np.uint8)
+        records, digested = found.take(layout.records), found.take(layout.digested)
+        return Batch(at_ns, frame.tick, layout.channels, layout.bounds, records, digested)
+
+    def _layout(self, groups: Sequence[str], stamp: int, there: Sequence[tuple[int, bool, bool, bool]]) -> _Layout:
+        """For the messages of these groups, with a timestamp of so many bytes.
+
+        Args:
+            there: vehicle after vehicle, and whether it has a measurement, a command, telemetry.
+        """
+        key = (tuple(groups), stamp, tuple(there))
+        if key in self._layouts:
+            return self._layouts[key]
+        messages: list[tuple[int, _Places, _Places]] = []
+        for group in groups:
+            topics = self._topics[group]
+            for i, nav, command, telemetry in there:
+                has = {"nav": nav, "command": command, "guidance": telemetry, "control": telemetry}
+                if i in topics and has.get(group, True):
+                    messages.append((topics[i].channel, *self._message(group, i, stamp)))
+        none = [np.empty(0, np.int32)]
+        records = np.concatenate([record for _, record, _ in messages] or none)
+        digested = np.concatenate([part for _, _, part in messages] or none)
+        channels = np.array([channel for channel, _, _ in messages], np.uint16)
+        bounds = np.cumsum([0, *(len(record) for _, record, _ in messages)])
+        if self._kept > _MOST_PLACES:
+            self._layouts.clear()
+            self._kept = 0
+        self._kept += len(records) + len(digested) + _KEY_PLACES * len(there)
+        self._layouts[key] = layout = _Layout(channels, bounds, records, digested)
+        return layout
+
+    def _message(self, group: str, i: int, stamp: int) -> tuple[_Places, _Places]:
+        """Where the bytes of a message come from: of its record, and of what is digested."""
+        key = group, i, stamp if group == "pose" else 0
+        if key not in self._messages:
+            channel, name = self._topics[group][i]
+            slot = self._slots[i]
+            data = self._data(group, slot.agent, key[2])
+            data = np.where(data < 0, slot.place + ~data, data)
+            head = self._constant(HEAD.pack(MESSAGE, STAMP_BYTES + len(data), channel, 0, 0, 0)[: -len(_FRAMED)])
+            length = self._constant(pack("<I", len(data)))
+            record = np.concatenate((head, _FRAMED, data), dtype=np.int32)
+            digested = np.concatenate((self._constant(name.encode()), _DIGESTED, length, data), dtype=np.int32)
+            self._messages[key] = record, digested
+        return self._messages[key]
+
+    def _data(self, group: str, agent: int, stamp: int) -> NDArray[np.int64]:
+        """Where the bytes of the encoded message come from; ~k for byte k of the vehicle's doubles."""
+        key = group, agent, stamp
+        if key not in self._encoded:
+            parts = _PARTS.get(group) or _telemetry(group, self._agents[agent])
+            places = list(range(_TIMESTAMP, _TIMESTAMP + stamp))
+            for part in parts:
+                places += self._constant(part) if isinstance(part, bytes) else range(~(8 * part), ~(8 * part + 8), -1)
+            self._encoded[key] = np.array(places)
+        return self._encoded[key]
+
+    def _constant(self, data: bytes) -> range:
+        """Where these bytes are in the pool."""
+        if data not in self._constants:
+            self._constants[data] = len(self._pool)
+            self._pool += data
+        place = self._constants[data]
+        return range(place, place + len(data))
+
+
+def _telemetry(group: str, agent: Layout) -> list[bytes | int]:
+    """The parts of a message of what an agent reports."""
+    return Doubles(signal_columns(getattr(agent, group)), _TELEMETRY + agent.group(group).start).parts

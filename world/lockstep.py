@@ -144,9 +144,7 @@ class Lockstep:
         whole = len(vehicles) == len(self.state.ids) and all(v.agent is not None for v in vehicles.values())
         return msgpack.packb({"vehicles": [vehicles[i] for i in self.state.ids]}) if whole else b""
 
-    def _pass(
-        self, i: int, k: int, tau: Vec3, alive_at: Vec3 | None, out: list[Out], *, paused: bool = False
-    ) -> None:
+    def _pass(self, i: int, k: int, tau: Vec3, alive_at: Vec3 | None, out: list[Out], *, paused: bool = False) -> None:
         """Take vehicle i over tick k; `alive_at` is where it is if it has an agent."""
         if k % self._round_ticks == 0:
             positions = self._positions.setdefault(k, {})

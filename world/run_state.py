@@ -35,7 +35,7 @@ class RunState:
         self._tumble_limits = {setup.id: setup.tumble_limit for setup in config.vehicles}
         self._tick_s = config.tick_ns / 1e9
         self._absent: set[int] = set()  # vehicles without an agent at the tick that they have reached
-        self.life = dict.fromkeys(self.ids, 0)  # which life of its agent each vehicle was in at the tick that it entered
+        self.life = dict.fromkeys(self.ids, 0)  # which life of its agent each vehicle was in when it entered its tick
         self._delayed: dict[int, dict[int, Vec3]] = {i: {} for i in self.ids}  # commands of slow agents, by tick
         self._diverged: set[int] = set()  # vehicles that are not integrated any more
         self._tumbled: set[int] = set()

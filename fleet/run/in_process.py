@@ -27,7 +27,7 @@ from netem.errors import MalformedMessage, OutOfPlace
 from netem.lives import Absence
 from netem.rounds import Rounds
 from netem.wire.codec import decode, encode
-from netem.wire.messages import Command, Frame, Frames, Inbox, LinkReport, Memory, Message, Nav, Round, Transmission
+from netem.wire.messages import Command, Frame, Inbox, LinkReport, Memory, Message, Nav, Round, Transmission
 from world.lockstep import Lockstep, NavTo
 
 WORLD, NETEM, CONSOLE = 0, -1, -2  # addresses; agents have their positive numbers
@@ -65,7 +65,8 @@ class InProcess:
         self.closing = Closing()
         self._dead: set[tuple[int, int]] = set()  # (vehicle, life) of agents that ended by themselves
         self._granted = 0
-        self._post: deque[tuple[int, int, bytes]] = deque()  # (from, to, message)
+        # (from, to, message); encoded but for what the console gets, where no agent has a say in it.
+        self._post: deque[tuple[int, int, bytes | Frame | LinkReport]] = deque()
 
     def serve(self, clock: Clock, progress: Callable[[], None]) -> None:
         """Run to the end.
@@ -88,9 +89,14 @@ class InProcess:
             if not self._post:
                 time.sleep(0.002)  # --speed: nothing to do until the wall clock moves on
             while self._post:
-                sender, receiver, data = self._post.popleft()
+                sender, receiver, sent = self._post.popleft()
                 try:
-                    self._deliver(sender, receiver, decode(data), data)
+                    if isinstance(sent, bytes):
+                        self._deliver(sender, receiver, decode(sent), sent)
+                    elif isinstance(sent, Frame):
+                        self._journal.frame(sent)
+                    else:
+                        self._journal.links(sent)
                 except ControllerError as error:
                     if scenario.spec.on_controller_error != "die" or scenario.spec.on_death == "abort":
                         raise
@@ -157,12 +163,14 @@ class InProcess:
             if isinstance(out, NavTo):
                 self._send(WORLD, out.id, out.nav)
             elif isinstance(out, Frame):
-                self._send(WORLD, CONSOLE, Frames((out,)))
+                self._post.append((WORLD, CONSOLE, out))
             elif not self._scenario.ideal:  # on an ideal network netem does not wait for the world
                 self._send(WORLD, NETEM, out)
 
     def _deliver(self, sender: int, receiver: int, message: Message, data: bytes) -> None:
         match message:
+            case Command():
+                self._from_world(self._world.command(sender, message, data))
             case Nav() | Inbox() if (receiver, message.incarnation) in self._dead:
                 return
             case Nav():
@@ -171,19 +179,12 @@ class InProcess:
                 self._answer(receiver, self._loop(receiver, message.incarnation).inbox(message))
             case Memory():
                 self._world.remember(sender, message)
-            case Command():
-                self._from_world(self._world.command(sender, message, data))
             case Transmission():
                 self.rounds.transmission(sender, message)
                 self._exchange()
             case Round():
                 self.rounds.round(message)
                 self._exchange()
-            case Frames():
-                for frame in message.frames:
-                    self._journal.frame(frame)
-            case LinkReport():
-                self._journal.links(message)
             case _:
                 raise AssertionError(f"no route for {message!r}")
 
@@ -201,7 +202,7 @@ class InProcess:
             inboxes, report = outcome
             for i, inbox in inboxes:
                 self._send(NETEM, i, inbox)
-            self._send(NETEM, CONSOLE, report)
+            self._post.append((NETEM, CONSOLE, report))
 
 
 def _over_the_wire(config: AgentConfig) -> AgentConfig:

@@ -18,7 +18,20 @@ _TWO_PI = 2.0 * math.pi
 
 def bits(seed: int, purpose: str, *key: int) -> int:
     """64 uniform bits for (seed, purpose, key); `seed` and every part of `key` in [-2^63, 2^63)."""
-    data = _packer(1 + len(key))(seed, *key) + purpose.encode()
+    return _hash(packed(seed, *key) + purpose.encode())
+
+
+def packed(*numbers: int) -> bytes:
+    """Numbers in [-2^63, 2^63) as they are hashed: a long key is its parts, one behind the other."""
+    return _packer(len(numbers))(*numbers)
+
+
+def unit(key: bytes, purpose: str) -> float:
+    """What `uniform` gives for a key that is packed already, the seed first: for who draws often."""
+    return (_hash(key + purpose.encode()) >> 11) * _UNIT
+
+
+def _hash(data: bytes) -> int:
     return int.from_bytes(blake2b(data, digest_size=8).digest(), "little")
 
 

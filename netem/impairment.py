@@ -20,11 +20,12 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import IntEnum
 from statistics import NormalDist
+from struct import Struct
 from typing import Any, NamedTuple
 
 from netem.causes import Cause
 from netem.condition import Condition, FourState, GilbertElliott, Link
-from netem.draws import bits, uniform
+from netem.draws import bits, packed, unit
 
 GOOD, BAD = 0, 1  # of Gilbert and Elliott
 
@@ -33,6 +34,7 @@ _PARETO_SHAPE, _PARETO_MEAN, _PARETO_SCALE, _PARETO_MOST = 3.0, 1.5, 4.0 / 3.0, 
 _PLACES = 2**20  # a number of 32 bits modulo a table of 4096 entries: where it lies within 1 / 2^20
 _NORMAL = NormalDist()
 _TINY = 2.0**-53
+_ONE, _TWO = Struct("<q").pack, Struct("<2q").pack  # as `packed`
 
 
 class LossState(IntEnum):
@@ -78,13 +80,15 @@ class LinkState:
 class LinkModel:
     """One directed link: its condition, which may change at any time, and what it remembers."""
 
-    __slots__ = ("_link", "_seed", "_seed_in_use", "_state", "_used", "condition")
+    __slots__ = ("_key", "_link", "_seed", "_seed_in_use", "_state", "_used", "condition")
 
     def __init__(self, condition: Condition, seed: int, link: Link, state: LinkState | None = None) -> None:
         self.condition = condition  # the link's own
         self._seed = seed
         self._link = link
         self._state = state or LinkState()
+        self._seed_in_use = seed
+        self._key = packed(seed, *link)  # the beginning of the key of all draws
         self._use(condition)
 
     @property
@@ -214,7 +218,7 @@ class LinkModel:
         last = self._state.last
         before = last.get(purpose)
         if before is None:
-            before = uniform(self._seed_in_use, f"{purpose}, first", *self._link)
+            before = unit(self._key, f"{purpose}, first")
         last[purpose] = x = (1.0 - correlation) * u + correlation * before
         return x
 
@@ -223,13 +227,12 @@ class LinkModel:
         self._used = condition
         # A condition that is put over the link's own must not seed it anew.
         own = self._seed if self.condition.seed is None else self.condition.seed
-        self._seed_in_use = own if condition.seed is None else condition.seed
+        seed = own if condition.seed is None else condition.seed
+        if seed != self._seed_in_use:
+            self._seed_in_use, self._key = seed, packed(seed, *self._link)
 
     def _draw(self, purpose: str, seq: int, copy: int) -> float:
-        src, dst = self._link
-        if copy:
-            return uniform(self._seed_in_use, purpose, src, dst, seq, copy)
-        return uniform(self._seed_in_use, purpose, src, dst, seq)
+        return unit(self._key + (_TWO(seq, copy) if copy else _ONE(seq)), purpose)
 
 
 def _uniform(q: float) -> float:

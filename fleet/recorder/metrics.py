@@ -74,6 +74,19 @@ class Series:
     payloads_rejected: int = 0
 
 
+class _Places(NamedTuple):
+    """Where an agent's telemetry has what the summary wants; None where it does not report it."""
+
+    u_cmd: int | None
+    failures: int | None
+    rejected: int | None
+
+    @classmethod
+    def of(cls, layout: Layout) -> _Places:
+        places = [layout.where(name) for name in ("u_cmd", "qp_failures", "payloads_rejected")]
+        return cls(*(None if place is None else place.start for place in places))
+
+
 class _Vehicle(NamedTuple):
     """What the errors of one vehicle are measured by."""
 
@@ -249,16 +262,3 @@ def _take(series: Series, places: _Places, telemetry: tuple[float, ...]) -> None
 def _count(value: float, before: int) -> int:
     # Telemetry comes from the agent; an external agent may send any double.
     return int(value) if isfinite(value) else before
-
-
-class _Places(NamedTuple):
-    """Where an agent's telemetry has what the summary wants; None where it does not report it."""
-
-    u_cmd: int | None
-    failures: int | None
-    rejected: int | None
-
-    @classmethod
-    def of(cls, layout: Layout) -> _Places:
-        places = [layout.where(name) for name in ("u_cmd", "qp_failures", "payloads_rejected")]
-        return cls(*(None if place is None else place.start for place in places))

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
-from functools import cached_property
 from math import dist
 
 from fleet.scenario.schema.motion import GraphSection
@@ -22,7 +21,7 @@ from world.vectors import Vec3
 _EDGE = re.compile(r"\s*(\d{1,9})\s*->\s*(\d{1,9})\s*", re.ASCII)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class Graph:
     """The links in order of (receiver, sender), and the weights b_1, b_2, ..."""
 
@@ -35,14 +34,7 @@ class Graph:
 
     def neighbours(self, i: int) -> tuple[tuple[int, float], ...]:
         """The vehicles from which i receives, in order, with a_ij."""
-        return tuple(self._heard.get(i, ()))
-
-    @cached_property
-    def _heard(self) -> dict[int, list[tuple[int, float]]]:
-        heard: dict[int, list[tuple[int, float]]] = {}
-        for (src, dst), weight in self.weights.items():
-            heard.setdefault(dst, []).append((src, weight))
-        return heard
+        return tuple((src, weight) for (src, dst), weight in self.weights.items() if dst == i)
 
 
 def parse_edge(text: str) -> Link | None:

@@ -111,7 +111,8 @@ class Agent(Brain):
         if self._failed:
             telemetry = known + (nan,) * (self.layout.size - HEARD_SIZE)
         self._last_tick = tick
-        return Decision(clip(demand, *self._tau_limits), telemetry)
+        low, high = self._tau_limits
+        return Decision(clip(demand, low, high), telemetry)
 
     def _standby_weight(self, tick: int) -> float:
         """b_i [1] of an agent on standby: 1 while it has heard none of the neighbours that it stands by for."""

@@ -62,6 +62,8 @@ class Brain:
 
     def take_notes(self) -> list[tuple[int, str]]:
         """(tick, text) of what a person should know since the last call."""
+        if not self._notes:
+            return []
         taken = self._notes.copy()
         self._notes.clear()
         return taken

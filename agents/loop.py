@@ -10,7 +10,7 @@ from typing import Any, Protocol
 
 import msgpack
 
-from agents.decision import Decision, Step
+from agents.decision import Decision
 from netem.errors import OutOfPlace
 from netem.wire.messages import Command, Delivery, Inbox, Memory, Nav, Receipt, Transmission
 
@@ -20,14 +20,11 @@ Answer = Memory | Transmission | Command | Receipt  # a receipt only on a wall c
 class AgentCore(Protocol):
     """What the lockstep needs of an agent."""
 
-    def step(self, nav: Nav, deliveries: list[Delivery], /) -> Step:
-        """Answer one sample; with payloads on a round tick."""
-
     def transmit(self, nav: Nav, /) -> tuple[bytes, ...]:
-        """The payloads of a round tick alone (ideal network)."""
+        """The payloads of a round tick; asked before the decision of that tick."""
 
     def decide(self, nav: Nav, deliveries: list[Delivery], /) -> Decision:
-        """The rest of a sample (ideal network)."""
+        """Answer one sample."""
 
     def state(self) -> dict[str, Any]:
         """All that the next samples depend on, as MessagePack values."""
@@ -137,14 +134,10 @@ class AgentLoop:
             return out
         if not self.ideal:
             out += self._memory(nav.tick)
-        decision: Decision | Step
-        if self.ideal:
-            decision = self.core.decide(nav, self._due(nav.tick))
-        else:
-            decision = step = self.core.step(nav, self._due(nav.tick))
             if sends:
-                out.append(Transmission(self.incarnation, nav.tick, step.payloads))
-        out.append(Command(self.incarnation, nav.tick, decision.tau, decision.telemetry))
+                out.append(Transmission(self.incarnation, nav.tick, self.core.transmit(nav)))
+        tau, telemetry = self.core.decide(nav, self._due(nav.tick))
+        out.append(Command(self.incarnation, nav.tick, tau, telemetry))
         self._nav, self._tick, self._transmitted = None, nav.tick, False
         return out
 
@@ -156,11 +149,14 @@ class AgentLoop:
 
     def _due(self, tick: int) -> list[Delivery]:
         # Deliveries of one inbox come sorted, and every later inbox is due later: the list stays sorted.
-        due = 0
-        while due < len(self._deliveries) and self._deliveries[due].due_tick <= tick:
+        waiting = self._deliveries
+        if not waiting or waiting[0].due_tick > tick:
+            return []
+        due = 1
+        while due < len(waiting) and waiting[due].due_tick <= tick:
             due += 1
-        taken, self._deliveries = self._deliveries[:due], self._deliveries[due:]
-        return taken
+        self._deliveries = waiting[due:]
+        return waiting[:due]
 
     def _is_mine(self, incarnation: int) -> bool:
         """Whether a message is for this life of the agent: one for the life before may come late."""

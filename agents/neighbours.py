@@ -33,6 +33,8 @@ from agents.trajectory import Reference
 from netem.wire.messages import Delivery
 from world.vectors import Vec3, minus, plus
 
+_REFUSED = (*CAUSES, "wrong_sender", "from_future")
+
 
 class NeighbourTable:
     """The newest state of each in-neighbour, by its sending tick."""
@@ -73,14 +75,15 @@ class NeighbourTable:
         self._age_cap = round(age_cap_s / tick_s) if age_cap_s else None
         self._drop_after = round(drop_after_s / tick_s) if drop_after_s else None
         self._newest: dict[int, StateMessage | None] = {n.id: None for n in self._neighbours}
-        self.counters = dict.fromkeys(
-            ("accepted", "duplicate", "superseded", *CAUSES, "wrong_sender", "from_future"), 0
-        )
+        self.counters = dict.fromkeys(("accepted", "duplicate", "superseded", *_REFUSED), 0)
+        self.rejected = 0  # payloads that were refused so far: damaged, not ours, or not from who the network names
 
     def absorb(self, deliveries: Iterable[Delivery], now: int) -> None:
         """Take what is due at tick `now`; payloads that cannot be used are counted and dropped."""
         for delivery in deliveries:
-            self.counters[self._absorb(delivery, now)] += 1
+            became = self._absorb(delivery, now)
+            self.counters[became] += 1
+            self.rejected += became in _REFUSED
 
     def _absorb(self, delivery: Delivery, now: int) -> str:
         try:
@@ -141,11 +144,6 @@ class NeighbourTable:
                 drift = (drift[0] + way * place[0], drift[1] + way * place[1], drift[2] + way * place[2])
         return drift
 
-    @property
-    def rejected(self) -> int:
-        """How many payloads were refused so far: damaged, not ours, or not from the sender that the network names."""
-        return sum(self.counters[cause] for cause in (*CAUSES, "wrong_sender", "from_future"))
-
     def state(self) -> dict[str, Any]:
         """Plain values of what has been heard and counted."""
         newest = [[*m[:2], *m.position, *m.velocity] for m in self._newest.values() if m is not None]
@@ -157,3 +155,4 @@ class NeighbourTable:
         for sender, sent_tick, x, y, z, vx, vy, vz in values["newest"]:
             self._newest[sender] = StateMessage(sender, sent_tick, (x, y, z), (vx, vy, vz))
         self.counters = dict(values["counters"])
+        self.rejected = sum(self.counters[cause] for cause in _REFUSED)

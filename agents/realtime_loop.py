@@ -48,11 +48,11 @@ class RealtimeLoop(AgentLoop):
             raise OutOfPlace("nav tick", self._tick + 1, nav.tick)
         self._tick = nav.tick
         taken = self._due(nav.tick)
-        step = self.core.step(nav, taken)
         out: list[Answer] = []
         if nav.tick % self.round_ticks == 0:
-            out.append(Transmission(self.incarnation, nav.tick, step.payloads))
-        out.append(Command(self.incarnation, nav.tick, step.tau, step.telemetry))
+            out.append(Transmission(self.incarnation, nav.tick, self.core.transmit(nav)))
+        tau, telemetry = self.core.decide(nav, taken)
+        out.append(Command(self.incarnation, nav.tick, tau, telemetry))
         if taken:
             arrivals = (Arrival(*name, self._at_ns.pop(name)) for name in ((d.src, d.seq, d.copy) for d in taken))
             out.append(Receipt(self.incarnation, nav.tick, tuple(arrivals)))

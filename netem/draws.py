@@ -7,8 +7,10 @@ shifts another draw. BLAKE2b is the hash, so that a draw is the same on every ma
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from functools import cache
 from hashlib import blake2b
-from struct import pack
+from struct import Struct
 
 _UNIT = 2.0**-53
 _TWO_PI = 2.0 * math.pi
@@ -16,8 +18,26 @@ _TWO_PI = 2.0 * math.pi
 
 def bits(seed: int, purpose: str, *key: int) -> int:
     """64 uniform bits for (seed, purpose, key); `seed` and every part of `key` in [-2^63, 2^63)."""
-    data = pack(f"<{1 + len(key)}q", seed, *key) + purpose.encode()
+    return _hash(packed(seed, *key) + purpose.encode())
+
+
+def packed(*numbers: int) -> bytes:
+    """Numbers in [-2^63, 2^63) as they are hashed: a long key is its parts, one behind the other."""
+    return _packer(len(numbers))(*numbers)
+
+
+def unit(key: bytes, purpose: str) -> float:
+    """What `uniform` gives for a key that is packed already, the seed first: for who draws often."""
+    return (_hash(key + purpose.encode()) >> 11) * _UNIT
+
+
+def _hash(data: bytes) -> int:
     return int.from_bytes(blake2b(data, digest_size=8).digest(), "little")
+
+
+@cache
+def _packer(numbers: int) -> Callable[..., bytes]:
+    return Struct(f"<{numbers}q").pack
 
 
 def uniform(seed: int, purpose: str, *key: int) -> float:

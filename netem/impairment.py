@@ -20,11 +20,12 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import IntEnum
 from statistics import NormalDist
+from struct import Struct
 from typing import Any, NamedTuple
 
 from netem.causes import Cause
 from netem.condition import Condition, FourState, GilbertElliott, Link
-from netem.draws import bits, uniform
+from netem.draws import bits, packed, unit
 
 GOOD, BAD = 0, 1  # of Gilbert and Elliott
 
@@ -33,6 +34,7 @@ _PARETO_SHAPE, _PARETO_MEAN, _PARETO_SCALE, _PARETO_MOST = 3.0, 1.5, 4.0 / 3.0, 
 _PLACES = 2**20  # a number of 32 bits modulo a table of 4096 entries: where it lies within 1 / 2^20
 _NORMAL = NormalDist()
 _TINY = 2.0**-53
+_ONE, _TWO = Struct("<q").pack, Struct("<2q").pack  # as `packed`
 
 
 class LossState(IntEnum):
@@ -78,14 +80,16 @@ class LinkState:
 class LinkModel:
     """One directed link: its condition, which may change at any time, and what it remembers."""
 
-    __slots__ = ("_link", "_seed", "_state", "_used", "condition")
+    __slots__ = ("_key", "_link", "_seed", "_seed_in_use", "_state", "_used", "condition")
 
     def __init__(self, condition: Condition, seed: int, link: Link, state: LinkState | None = None) -> None:
         self.condition = condition  # the link's own
-        self._used = condition
         self._seed = seed
         self._link = link
         self._state = state or LinkState()
+        self._seed_in_use = seed
+        self._key = packed(seed, *link)  # the beginning of the key of all draws
+        self._use(condition)
 
     @property
     def state(self) -> LinkState:
@@ -99,10 +103,10 @@ class LinkModel:
         A packet that is both duplicated and lost goes on as one, as in the kernel.
         """
         c = self.condition if over is None else over
-        self._used = c
+        self._use(c)
         if not c.up:
             return [LinkOutcome(0, Cause.DOWN, payload, False)]
-        copies = 2 if c.duplicate and self._chance("duplicate", c.duplicate, c.duplicate_correlation, seq, 0) else 1
+        copies = 2 if c.duplicate and self._random("duplicate", c.duplicate_correlation, seq, 0) < c.duplicate else 1
         lost = self._lost(seq, 0)
         if copies == 1:
             return [LinkOutcome(0, Cause.LOSS, payload, False) if lost else self._queue(now_ns, seq, 0, payload)]
@@ -115,8 +119,9 @@ class LinkModel:
 
     def _queue(self, now_ns: int, seq: int, copy: int, payload: bytes) -> LinkOutcome:
         c, leaving = self._used, self._state.leaving_ns
-        corrupted = bool(payload and c.corrupt) and self._chance("corrupt", c.corrupt, c.corrupt_correlation, seq, copy)
-        if corrupted:
+        corrupted = False
+        if c.corrupt and payload and self._random("corrupt", c.corrupt_correlation, seq, copy) < c.corrupt:
+            corrupted = True
             payload = self.flipped(payload, seq, copy)
         while leaving and leaving[0] <= now_ns:
             leaving.pop(0)
@@ -145,7 +150,7 @@ class LinkModel:
         c = self._used
         if not c.reorder or self._state.since_reordered < c.gap - 1:
             return False
-        return self._chance("reorder", c.reorder, c.reorder_correlation, seq, copy)
+        return self._random("reorder", c.reorder_correlation, seq, copy) < c.reorder
 
     def _delay(self, seq: int, copy: int) -> int:
         c = self._used
@@ -164,7 +169,7 @@ class LinkModel:
             state.loss_model, state.loss_state = type(c.loss_model).__name__, 0
         match c.loss_model:
             case None:
-                return c.loss > 0.0 and self._chance("loss", c.loss, c.loss_correlation, seq, copy)
+                return c.loss > 0.0 and self._random("loss", c.loss_correlation, seq, copy) < c.loss
             case GilbertElliott():
                 return self._gilbert_elliott(c.loss_model, seq, copy)
             case FourState():
@@ -206,9 +211,6 @@ class LinkModel:
         damaged[bit // 8] ^= 1 << bit % 8
         return bytes(damaged)
 
-    def _chance(self, purpose: str, probability: float, correlation: float, seq: int, copy: int) -> bool:
-        return self._random(purpose, correlation, seq, copy) < probability
-
     def _random(self, purpose: str, correlation: float, seq: int, copy: int) -> float:
         u = self._draw(purpose, seq, copy)
         if not correlation:
@@ -216,20 +218,21 @@ class LinkModel:
         last = self._state.last
         before = last.get(purpose)
         if before is None:
-            before = uniform(self._seed_in_use, f"{purpose}, first", *self._link)
+            before = unit(self._key, f"{purpose}, first")
         last[purpose] = x = (1.0 - correlation) * u + correlation * before
         return x
 
-    @property
-    def _seed_in_use(self) -> int:
+    def _use(self, condition: Condition) -> None:
+        """Let a condition decide from now on: the link's own, or one that is put over it."""
+        self._used = condition
         # A condition that is put over the link's own must not seed it anew.
         own = self._seed if self.condition.seed is None else self.condition.seed
-        return own if self._used.seed is None else self._used.seed
+        seed = own if condition.seed is None else condition.seed
+        if seed != self._seed_in_use:
+            self._seed_in_use, self._key = seed, packed(seed, *self._link)
 
     def _draw(self, purpose: str, seq: int, copy: int) -> float:
-        if copy:
-            return uniform(self._seed_in_use, purpose, *self._link, seq, copy)
-        return uniform(self._seed_in_use, purpose, *self._link, seq)
+        return unit(self._key + (_TWO(seq, copy) if copy else _ONE(seq)), purpose)
 
 
 def _uniform(q: float) -> float:

@@ -8,6 +8,7 @@ never changes afterwards. On an ideal network (`NetemConfig.ideal`) a packet is 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from operator import attrgetter
 from typing import Any, NamedTuple
 
 import msgspec
@@ -22,6 +23,9 @@ from netem.links import Links
 from netem.medium import IndependentLinks, Medium, Place, Round
 from netem.transit import Packet, Transit
 from netem.wire.messages import Delivery, Fate
+
+# The order of packet records in the log.
+fate_order = attrgetter("final_tick", "src", "dst", "seq", "copy")
 
 
 class Exchange(NamedTuple):
@@ -148,8 +152,3 @@ class Netem:
             transit.pending[packet.dst].append(packet)  # sorted, and a sorted list is a heap
         transit.announced, transit.lost = state.announced, state.unheard
         self._medium.restore(values)
-
-
-def fate_order(fate: Fate) -> tuple[int, int, int, int, int]:
-    """The order of packet records in the log: (final tick, src, dst, seq, copy)."""
-    return fate.final_tick, fate.src, fate.dst, fate.seq, fate.copy

@@ -75,7 +75,7 @@ class Rounds:
         tick = self._next
         speakers = self.config.vehicles if self.config.ideal else self._speakers(tick)
         have = self._transmissions.get(tick, {})
-        if speakers is None or any(i not in have for i in speakers):
+        if speakers is None or len(have) < len(speakers) or any(i not in have for i in speakers):
             return None
         memory = self._memory(tick)
         where = self._alive.pop(tick, None)

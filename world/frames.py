@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from operator import attrgetter
 from typing import TypeVar
 
 from netem.wire.messages import Frame, Life, Tumble, VehicleFrame
@@ -63,9 +64,9 @@ class FrameAssembly:
         while (rows := self._rows.get(self._next)) is not None and len(rows) == self._vehicles:
             tick, last = self._next, self._ticks
             del self._rows[tick]
-            rows.sort(key=lambda row: row.id)
-            lives = _in_order(self._lives.pop(tick, []))
-            tumbles = _in_order(self._tumbles.pop(tick, []))
+            rows.sort(key=attrgetter("id"))
+            lives = _in_order(self._lives.pop(tick, ()))
+            tumbles = _in_order(self._tumbles.pop(tick, ()))
             frames.append(Frame(tick, False, lives, tumbles, tuple(rows), memory(tick)))
             self._next = min(last, tick + self._every) if tick < last else last + 1
         return frames
@@ -77,4 +78,4 @@ class FrameAssembly:
 
 def _in_order(changes: Iterable[_Change]) -> tuple[_Change, ...]:
     """By tick and vehicle; the changes of one vehicle at one tick stay in their order: it began, and ended at once."""
-    return tuple(sorted(changes, key=lambda change: (change.tick, change.vehicle)))
+    return tuple(sorted(changes, key=attrgetter("tick", "vehicle")))

@@ -42,6 +42,7 @@ class Lockstep:
         self._positions: dict[int, dict[int, tuple[float, ...]]] = {}  # of those with an agent, by round tick
         self._paused: dict[int, list[int]] = {}  # round tick -> those that are suspended in it
         self._memories: dict[int, dict[int, VehicleMemory]] = {}  # by tick and vehicle, before that tick
+        self._memory_ticks, self._round_ticks = config.memory_ticks, config.round_ticks
         self._agents: dict[int, bytes] = {}  # what an agent remembers, sent before the command that it owes
 
     @property
@@ -57,7 +58,10 @@ class Lockstep:
     def grant(self, until: int) -> list[Out]:
         """Ticks below `until` may be started; a smaller grant than before changes nothing."""
         self.state.grant(until)
-        return [out for i in self.state.ids for out in self._start(i)] + self._frames()
+        out: list[Out] = []
+        for i in self.state.ids:
+            self._start(i, out)
+        return self._with_frames(out)
 
     def end(self, i: int, incarnation: int, until: int | None = None) -> list[Out]:
         """Vehicle i's agent has ended: from the first tick without a command it drifts.
@@ -75,7 +79,9 @@ class Lockstep:
             state.lives.end(i, tick)
         else:
             state.lives.add(Absence(i, tick, until))
-        return self._start(i) + self._frames()
+        out: list[Out] = []
+        self._start(i, out)
+        return self._with_frames(out)
 
     def command(self, i: int, command: Command, raw: bytes | None = None) -> list[Out]:
         """Take vehicle i's command, advance it by one tick and return what follows.
@@ -102,7 +108,10 @@ class Lockstep:
         if state.frames.due(k):
             sent = encode(command) if raw is None else raw
             state.frames.row(k, VehicleFrame(i, eta, nu, nav.eta + nav.nu, tau, sent))
-        return self._pass(i, k, tau, eta[:3]) + self._start(i) + self._frames()
+        out: list[Out] = []
+        self._pass(i, k, tau, eta[:3], out)
+        self._start(i, out)
+        return self._with_frames(out)
 
     def remember(self, i: int, memory: Memory) -> None:
         """Take what agent i remembers before the command that it owes.
@@ -121,8 +130,7 @@ class Lockstep:
 
     def _note_memory(self, i: int, k: int, *, asked: bool) -> None:
         """Note what vehicle i remembers before tick k, if it is time; an agent that is asked sends its own later."""
-        every = self.config.memory_ticks
-        if every and k % every == 0 and k:
+        if self._memory_ticks and k % self._memory_ticks == 0 and k:
             self._memories.setdefault(k, {})[i] = self.state.memory(i, None if asked else b"")
 
     def _complete_memory(self, i: int, k: int, agent: bytes) -> None:
@@ -136,12 +144,9 @@ class Lockstep:
         whole = len(vehicles) == len(self.state.ids) and all(v.agent is not None for v in vehicles.values())
         return msgpack.packb({"vehicles": [vehicles[i] for i in self.state.ids]}) if whole else b""
 
-    def _pass(
-        self, i: int, k: int, tau: Vec3, alive_at: tuple[float, ...] | None, *, paused: bool = False
-    ) -> list[Out]:
+    def _pass(self, i: int, k: int, tau: Vec3, alive_at: Vec3 | None, out: list[Out], *, paused: bool = False) -> None:
         """Take vehicle i over tick k; `alive_at` is where it is if it has an agent."""
-        out: list[Out] = []
-        if k % self.config.round_ticks == 0:
+        if k % self._round_ticks == 0:
             positions = self._positions.setdefault(k, {})
             if alive_at is not None:
                 positions[i] = alive_at
@@ -154,28 +159,28 @@ class Lockstep:
                 suspended = tuple(sorted(self._paused.pop(k, ())))
                 out.append(Round(k, alive, tuple(positions[j] for j in alive), suspended))
         self.state.integrate(i, k, tau)
-        return out
 
-    def _start(self, i: int) -> list[Out]:
+    def _start(self, i: int, out: list[Out]) -> None:
         """What vehicle i may do now: measure; or, when it has no agent or that is suspended, go on without it as far
         as the grant allows."""
         state, world = self.state, self.state.world
-        out: list[Out] = []
         k = world.tick(i)
         while k < state.granted and i not in self._awaiting:
             absent = state.enter_tick(i, k)
             self._note_memory(i, k, asked=not absent)
             if not absent and not world.paused(i, k):
-                nav = Nav(state.lives.incarnation(i, k), k, *world.sense(i))
-                self._awaiting[i] = nav
-                return [*out, NavTo(i, nav)]
+                eta, nu = world.sense(i)
+                self._awaiting[i] = nav = Nav(state.life[i], k, eta, nu)
+                out.append(NavTo(i, nav))
+                return
             eta, nu = world.state(i)
             tau = ZERO if absent else world.actuate(i, state.tau[i])
             if state.frames.due(k):
                 state.frames.row(k, VehicleFrame(i, eta, nu, (), tau, b""))
-            out += self._pass(i, k, tau, None if absent else eta[:3], paused=not absent)
+            self._pass(i, k, tau, None if absent else eta[:3], out, paused=not absent)
             k += 1
-        return out
 
-    def _frames(self) -> list[Out]:
-        return [*self.state.frames.complete(self._take_memory)]
+    def _with_frames(self, out: list[Out]) -> list[Out]:
+        """What follows, and behind it the frames that are complete now."""
+        out += self.state.frames.complete(self._take_memory)
+        return out

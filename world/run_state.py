@@ -35,7 +35,7 @@ class RunState:
         self._tumble_limits = {setup.id: setup.tumble_limit for setup in config.vehicles}
         self._tick_s = config.tick_ns / 1e9
         self._absent: set[int] = set()  # vehicles without an agent at the tick that they have reached
-        self._life = dict.fromkeys(self.ids, 0)  # which life of its agent each vehicle was in at the tick before
+        self.life = dict.fromkeys(self.ids, 0)  # which life of its agent each vehicle was in when it entered its tick
         self._delayed: dict[int, dict[int, Vec3]] = {i: {} for i in self.ids}  # commands of slow agents, by tick
         self._diverged: set[int] = set()  # vehicles that are not integrated any more
         self._tumbled: set[int] = set()
@@ -66,7 +66,7 @@ class RunState:
         Raises:
             OutOfPlace: it is not, or has not.
         """
-        self.lives.check(i, self.tick_of(i), command.incarnation)
+        self.lives.check(i, self.world.tick(i), command.incarnation)
         size = self._telemetry_size[i]
         if command.telemetry and size not in (None, len(command.telemetry)):
             raise OutOfPlace("telemetry values", size, len(command.telemetry))
@@ -82,8 +82,8 @@ class RunState:
         absent = diverged or self.lives.without_agent(i, k)
         changed = absent != (i in self._absent)
         life = self.lives.incarnation(i, k)
-        stillborn = absent and i in self._absent - self._diverged and life > self._life[i]  # it ended before it began
-        self._life[i] = life
+        stillborn = absent and i in self._absent - self._diverged and life > self.life[i]  # it ended before it began
+        self.life[i] = life
         if stillborn:
             self.frames.life(Life(k, i, True, False))
             self.frames.life(Life(k, i, False, False))
@@ -175,7 +175,7 @@ class RunState:
                 self._tumblings[i] = (tumbling.number, tumbling.since)
                 self._tumbled |= {i} if tumbling.tumbled else set()
         self._absent = self._diverged | {i for i in self.ids if self.lives.without_agent(i, tick - 1)}
-        self._life = {i: self.lives.incarnation(i, tick - 1) for i in self.ids}
+        self.life = {i: self.lives.incarnation(i, tick - 1) for i in self.ids}
         self.frames.resume(tick)
 
     def _watch_pitch(self, i: int, k: int, before: tuple[float, float], after: tuple[float, float]) -> None:

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from functools import lru_cache
 from math import isfinite
-from typing import Any, NamedTuple
+from typing import Any
 
 from netem.draws import uniform
 from world.config import NavNoise, VehicleSetup, WorldConfig
@@ -25,11 +25,23 @@ from world.vectors import Vec3, Vec5, plus
 Stages = tuple[tuple[Vec5, Vec5, Vec5], ...]  # the disturbance at start, middle and end of each RK4 step
 
 
-class _Vehicle(NamedTuple):
-    """What does not change about one vehicle."""
+class _Vehicle:
+    """One vehicle: its constants, its tick, and its state there."""
 
-    k: Coefficients
-    tau_max: Vec3
+    __slots__ = ("k", "state", "tau_max", "tick")
+
+    def __init__(self, setup: VehicleSetup) -> None:
+        self.k: Coefficients = coefficients(setup.params)
+        self.tau_max: Vec3 = setup.tau_max
+        self.tick: int = 0
+        self.state: State = _initial(setup)
+
+
+class _Vehicles(dict[int, _Vehicle]):
+    """The vehicles by number."""
+
+    def __missing__(self, i: int) -> _Vehicle:
+        raise UnknownVehicleError(i, tuple(self))
 
 
 class World:
@@ -37,10 +49,10 @@ class World:
 
     def __init__(self, config: WorldConfig) -> None:
         self.config = config
-        self.ids: tuple[int, ...] = tuple(sorted(setup.id for setup in config.vehicles))
-        self._fixed = {s.id: _Vehicle(coefficients(s.params), s.tau_max) for s in config.vehicles}
-        self._ticks = dict.fromkeys(self.ids, 0)
-        self._states: dict[int, State] = {s.id: _initial(s) for s in config.vehicles}
+        setups = sorted(config.vehicles, key=lambda setup: setup.id)
+        self._vehicles = _Vehicles({setup.id: _Vehicle(setup) for setup in setups})
+        self.ids: tuple[int, ...] = tuple(self._vehicles)
+        self._noise = None if config.noise.off else config.noise
         self.faults = config.faults
         self._held: dict[tuple[str, int], tuple[float, ...]] = {}  # (fault, vehicle): what froze or got stuck
         self._drifts: dict[str, GaussMarkov] = {}  # of the sea (""), and of faults by id
@@ -51,33 +63,30 @@ class World:
 
     def tick(self, i: int) -> int:
         """The tick up to which vehicle i has been integrated."""
-        self._check_known(i)
-        return self._ticks[i]
+        return self._vehicles[i].tick
 
     def state(self, i: int) -> tuple[Vec5, Vec5]:
         """True eta [m, rad] and nu [m/s, rad/s] of vehicle i at its tick."""
-        self._check_known(i)
-        x, y, z, theta, psi, u, v, w, q, r = self._states[i]
+        x, y, z, theta, psi, u, v, w, q, r = self._vehicles[i].state
         return (x, y, z, theta, psi), (u, v, w, q, r)
 
     def position(self, i: int) -> Vec3:
         """True x, y, z [m, NED] of vehicle i at its tick."""
-        self._check_known(i)
-        state = self._states[i]
+        state = self._vehicles[i].state
         return state[0], state[1], state[2]
 
     def pitch(self, i: int) -> tuple[float, float]:
         """True pitch theta [rad] and pitch rate q [rad/s] of vehicle i at its tick."""
-        self._check_known(i)
-        state = self._states[i]
+        state = self._vehicles[i].state
         return state[3], state[8]
 
     def sense(self, i: int) -> tuple[Vec5, Vec5]:
         """Measured eta [m, rad] and nu [m/s, rad/s] of vehicle i at its tick, with noise and faults of its sensor."""
-        eta, nu = self.state(i)
-        tick = self._ticks[i]
-        measured = measure(eta, nu, self.config.noise, self.config.seed, i, tick)
-        if not self.faults:
+        measured = self.state(i)
+        tick = self._vehicles[i].tick
+        if self._noise is not None:
+            measured = measure(*measured, self._noise, self.config.seed, i, tick)
+        if not self._faults:
             return measured
         for fault in self._active(i, tick):
             match fault.kind:
@@ -109,17 +118,17 @@ class World:
         Raises:
             CommandError: not three finite numbers.
         """
-        self._check_known(i)
+        vehicle = self._vehicles[i]
         if len(tau) != 3 or not all(map(isfinite, tau)):
-            raise CommandError(i, self._ticks[i], tau)
+            raise CommandError(i, vehicle.tick, tau)
         t1, t2, t3 = tau
-        l1, l2, l3 = self._fixed[i].tau_max
+        l1, l2, l3 = vehicle.tau_max
         applied = max(-l1, min(l1, t1)), max(-l2, min(l2, t2)), max(-l3, min(l3, t3))
-        return self._with_actuator_faults(i, applied) if self.faults else applied
+        return self._with_actuator_faults(i, vehicle.tick, applied) if self._faults else applied
 
-    def _with_actuator_faults(self, i: int, tau: Vec3) -> Vec3:
+    def _with_actuator_faults(self, i: int, tick: int, tau: Vec3) -> Vec3:
         """The force and moments [N, N m] that faulty actuators apply instead of `tau`."""
-        for fault in self._active(i, self._ticks[i]):
+        for fault in self._active(i, tick):
             match fault.kind:
                 case "efficiency":
                     f1, f2, f3 = fault.values
@@ -161,16 +170,15 @@ class World:
         Raises:
             NonFiniteStateError: the motion left the range of finite numbers; the state stays that of the tick before.
         """
-        self._check_known(i)
-        k = self._fixed[i].k
-        tick = self._ticks[i]
-        state = self._states[i]
-        current = self.config.current
-        if self.config.drift is not None:
-            current = plus(current, self._drift("", *self.config.drift).at(tick))
+        vehicle = self._vehicles[i]
+        k, tick, state = vehicle.k, vehicle.tick, vehicle.state
+        config = self.config
+        current = config.current
+        if config.drift is not None:
+            current = plus(current, self._drift("", *config.drift).at(tick))
         h = self._h
         forces = self._stage_forces(tick)
-        if self.faults:
+        if self._faults:
             current, forces = self._with_sea_faults(i, tick, current, forces)
         try:
             for d in forces:
@@ -180,8 +188,8 @@ class World:
             raise NonFiniteStateError("the motion left the finite numbers", state[3], i, tick) from None
         if not isfinite(sum(state)):
             raise NonFiniteStateError("the motion left the finite numbers", state[3], i, tick)
-        self._states[i] = state
-        self._ticks[i] = tick + 1
+        vehicle.state = state
+        vehicle.tick = tick + 1
 
     def _with_sea_faults(self, i: int, tick: int, current: Vec3, forces: Stages) -> tuple[Vec3, Stages]:
         """Current [m/s, NED] and disturbance [N, N m] with the faults of the sea added."""
@@ -212,18 +220,17 @@ class World:
 
     def paused(self, i: int, tick: int) -> bool:
         """Whether vehicle i's agent is suspended at a tick by a fault."""
-        return bool(self.faults) and any(fault.kind == "pause" for fault in self._active(i, tick))
+        return bool(self._faults) and any(fault.kind == "pause" for fault in self._active(i, tick))
 
     def slow(self, i: int, tick: int) -> int:
         """How many ticks later than usual the command of vehicle i's agent for a tick takes effect."""
-        if not self.faults:
+        if not self._faults:
             return 0
         return max((int(f.values[0]) for f in self._active(i, tick) if f.kind == "slow"), default=0)
 
     def hold(self, i: int) -> None:
         """Let a tick pass without integrating vehicle i, whose motion diverged: it stays where it was."""
-        self._check_known(i)
-        self._ticks[i] += 1
+        self._vehicles[i].tick += 1
 
     def memory(self, i: int) -> list[Any]:
         """All that vehicle i's next ticks depend on besides its faults.
@@ -232,19 +239,15 @@ class World:
             MessagePack values [tick, state, held], for `remember`.
         """
         held = [[fault, list(values)] for (fault, j), values in sorted(self._held.items()) if j == i]
-        return [self._ticks[i], list(self._states[i]), held]
+        vehicle = self._vehicles[i]
+        return [vehicle.tick, list(vehicle.state), held]
 
     def remember(self, i: int, values: list[Any]) -> None:
         """Continue vehicle i from what `memory` returned, perhaps in another run."""
-        self._check_known(i)
-        tick, (x, y, z, theta, psi, u, v, w, q, r), held = values
-        self._ticks[i] = tick
-        self._states[i] = (x, y, z, theta, psi, u, v, w, q, r)
+        vehicle = self._vehicles[i]
+        vehicle.tick, (x, y, z, theta, psi, u, v, w, q, r), held = values
+        vehicle.state = (x, y, z, theta, psi, u, v, w, q, r)
         self._held |= {(fault, i): tuple(known) for fault, known in held}
-
-    def _check_known(self, i: int) -> None:
-        if i not in self._fixed:
-            raise UnknownVehicleError(i, self.ids)
 
     def _stage_forces_at(self, tick: int) -> tuple[tuple[Vec5, Vec5, Vec5], ...]:
         """The disturbance at start, middle and end of each RK4 step of a tick."""

@@ -25,7 +25,7 @@ from typing import Any, ClassVar
 
 from agents.api import Command, Sample
 from agents.config import AgentConfig
-from agents.laws.filters import AngleRateFilter, RateFilter, wrap
+from agents.laws.filters import RateFilter, wrap
 from agents.laws.kinematics import flow_angles
 from agents.laws.shunting import shunting_step
 from agents.signals import Signal
@@ -56,7 +56,7 @@ class _Backstepping:
         self._exact = config.tracking.angles == "exact"
         self._m = (*p.inertia, p.beta_u, p.beta_v, p.beta_w, p.beta_q, p.beta_r, p.beta_b)
         # Rates of theta_cmd, psi_cmd, theta', psi', in this order.
-        self._filters = tuple(AngleRateFilter(config.tracking.tau_f) for _ in range(4))
+        self._filters = tuple(RateFilter(config.tracking.tau_f, angle=True) for _ in range(4))
 
     def step(self, sample: Sample, command: Command) -> tuple[Vec3, tuple[float, ...]]:
         """Answer one sample, eqs. (24)-(47).

@@ -31,15 +31,19 @@ def wrap(angle: float) -> float:
 
 
 class RateFilter:
-    """Filtered backward difference of one signal; its first sample gives 0.
+    """Filtered backward difference of one signal; its first sample gives 0."""
 
-    `tau_f` is the time constant [s]; 0 does not filter.
-    """
+    __slots__ = ("_alpha", "_angle", "_dt", "_tau_f", "rate", "value")
 
-    __slots__ = ("_alpha", "_dt", "_tau_f", "rate", "value")
+    def __init__(self, tau_f: float, *, angle: bool = False) -> None:
+        """Begin without a sample.
 
-    def __init__(self, tau_f: float) -> None:
+        Args:
+            tau_f: time constant [s]; 0 does not filter.
+            angle: the signal is an angle [rad], whose differences are wrapped.
+        """
         self._tau_f = tau_f
+        self._angle = angle
         self._dt = self._alpha = 0.0
         self.value: float | None = None
         self.rate = 0.0
@@ -62,11 +66,11 @@ class RateFilter:
             self._dt = dt
             self._alpha = exp(-dt / self._tau_f) if self._tau_f > 0.0 else 0.0
         alpha = self._alpha
-        self.rate = rate = alpha * self.rate + (1.0 - alpha) * self._difference(value, previous) / dt
+        difference = value - previous
+        if self._angle and not -pi < difference <= pi:
+            difference = wrap(difference)
+        self.rate = rate = alpha * self.rate + (1.0 - alpha) * difference / dt
         return rate
-
-    def _difference(self, value: float, previous: float) -> float:
-        return value - previous
 
     def state(self) -> list[float | None]:
         """Plain values of everything that the next sample depends on."""
@@ -76,13 +80,3 @@ class RateFilter:
         """Continue from `state()`."""
         self.value, rate = values
         self.rate = rate or 0.0
-
-
-class AngleRateFilter(RateFilter):
-    """The same for an angle [rad], whose differences are wrapped."""
-
-    __slots__ = ()
-
-    def _difference(self, value: float, previous: float) -> float:
-        difference = value - previous
-        return difference if -pi < difference <= pi else wrap(difference)

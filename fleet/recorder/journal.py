@@ -27,7 +27,7 @@ from netem.errors import OutOfPlace
 from netem.ledger import Ledger
 from netem.lives import Absence
 from netem.wire.codec import decode
-from netem.wire.messages import Command, Fate, Frame, Life, LinkReport, Tumble, VehicleFrame
+from netem.wire.messages import Command, Fate, Frame, LinkReport
 from world.run_memory import vehicle_memories
 
 
@@ -84,11 +84,8 @@ class Journal:
         self._frame_every = frame_every(scenario)
         self._round_ticks = scenario.round_ticks
         self._frames: deque[Frame] = deque()
-        self._rows: tuple[VehicleFrame, ...] = ()  # of a frame whose rest is still to come
-        self._lives: tuple[Life, ...] = ()
-        self._tumbles: tuple[Tumble, ...] = ()
+        self._parts: list[Frame] = []  # of a frame whose rest is still to come
         self._fates: deque[Fate] = deque()
-        self._memory = b""  # of a frame whose rest is still to come
         self._network: dict[int, bytes] = {}  # what the network remembers before a round
 
     def resume(self, snapshot: Snapshot) -> None:
@@ -130,17 +127,12 @@ class Journal:
         expected = 0 if self.framed < 0 else min(self.framed + self._frame_every, self._last)
         if frame.tick != expected:
             raise OutOfPlace("frame", expected, frame.tick)
-        self._rows += frame.vehicles
-        self._lives += frame.lives
-        self._tumbles += frame.tumbles
-        self._memory += frame.memory
+        self._parts.append(frame)
         if frame.more:
             return
         self.framed = frame.tick
-        self._frames.append(
-            structs.replace(frame, vehicles=self._rows, lives=self._lives, tumbles=self._tumbles, memory=self._memory)
-        )
-        self._rows, self._lives, self._tumbles, self._memory = (), (), (), b""
+        self._frames.append(frame if len(self._parts) == 1 else _joined(self._parts))
+        self._parts = []
         self._write()
 
     def links(self, report: LinkReport) -> None:
@@ -162,11 +154,12 @@ class Journal:
         self._write()
 
     def _write(self) -> None:
-        with self._whole:
-            self._write_complete()
-
-    def _write_complete(self) -> None:
         limit = min(self.framed, self.reported)
+        if limit > self.written:
+            with self._whole:
+                self._write_up_to(limit)
+
+    def _write_up_to(self, limit: int) -> None:
         while self._frames and self._frames[0].tick <= limit:
             frame = self._frames.popleft()
             self._write_fates(frame.tick - 1)
@@ -180,7 +173,7 @@ class Journal:
                 both = msgpack.unpackb(frame.memory), msgpack.unpackb(network)
                 self.log.snapshot(Snapshot(frame.tick, *both, self.ages.heard()))
         self._write_fates(limit)
-        self.written = max(self.written, limit)
+        self.written = limit
 
     def add_event(self, event: Event) -> None:
         """Take a fault that was injected, behind those of the same tick."""
@@ -261,13 +254,26 @@ class Journal:
             self.active.remove(event.fault)
 
     def _write_fates(self, until: int) -> None:
+        final = []
         while self._fates and self._fates[0].final_tick <= until:
-            fate = self._fates.popleft()
-            self.ledger.settle((fate,))
+            final.append(self._fates.popleft())
+        self.ledger.settle(final)
+        for fate in final:
             self.ages.settle(fate)
             if self.connectivity is not None:
                 self.connectivity.settle(fate)
             self.log.packet(fate)
+
+
+def _joined(parts: list[Frame]) -> Frame:
+    """The frame that came in parts."""
+    return structs.replace(
+        parts[-1],
+        vehicles=tuple(row for part in parts for row in part.vehicles),
+        lives=tuple(life for part in parts for life in part.lives),
+        tumbles=tuple(tumble for part in parts for tumble in part.tumbles),
+        memory=b"".join(part.memory for part in parts),
+    )
 
 
 def _command(data: bytes) -> Command:

@@ -17,6 +17,7 @@ from math import hypot, inf, isfinite, sqrt
 from statistics import median
 from typing import Any, NamedTuple
 
+from agents.offset import Offset
 from agents.signals import Layout
 from fleet.recorder.settling import below_from, least_s, settling_time, stayed
 from fleet.scenario.scenario import Scenario
@@ -62,7 +63,7 @@ class WorstAndMedian(NamedTuple):
 
 @dataclass(slots=True)
 class Series:
-    """What is kept of one vehicle: one value per frame."""
+    """What is kept of one vehicle: one value per frame, and sums over them."""
 
     e: array[float] = field(default_factory=lambda: array("d"))
     formation: array[float] = field(default_factory=lambda: array("d"))
@@ -73,45 +74,73 @@ class Series:
     payloads_rejected: int = 0
 
 
+class _Places(NamedTuple):
+    """Where an agent's telemetry has what the summary wants; None where it does not report it."""
+
+    u_cmd: int | None
+    failures: int | None
+    rejected: int | None
+
+    @classmethod
+    def of(cls, layout: Layout) -> _Places:
+        places = [layout.where(name) for name in ("u_cmd", "qp_failures", "payloads_rejected")]
+        return cls(*(None if place is None else place.start for place in places))
+
+
+class _Vehicle(NamedTuple):
+    """What the errors of one vehicle are measured by."""
+
+    plan: Offset  # p_i
+    b: float
+    neighbours: tuple[tuple[int, float], ...]  # j and a_ij
+    places: _Places
+    series: Series
+
+
 class Metrics:
     """Streams frames into errors, series and a summary."""
 
     def __init__(self, scenario: Scenario) -> None:
-        self._scenario = scenario
+        self._reference = scenario.reference
         self._tick_s = scenario.tick_ns / 1e9
-        self._neighbours = {i: scenario.graph.neighbours(i) for i in range(1, scenario.vehicles + 1)}
-        self._places = {i: _Places.of(scenario.layout(i)) for i in range(1, scenario.vehicles + 1)}
         self._disturbance = scenario.disturbance
         self.times = array("d")
         self.series = {i: Series() for i in range(1, scenario.vehicles + 1)}
+        self._vehicles = {
+            i: _Vehicle(
+                scenario.plans[i - 1],
+                scenario.b[i - 1],
+                scenario.graph.neighbours(i),
+                _Places.of(scenario.layout(i)),
+                series,
+            )
+            for i, series in self.series.items()
+        }
 
     def frame(self, frame: Frame, commands: Mapping[int, Command]) -> dict[int, VehicleError]:
         """Take one frame with its decoded commands; returns the errors of every vehicle in it."""
         t = frame.tick * self._tick_s
-        reference = self._scenario.reference.at(t).position
-        desired = {row.id: plus(reference, self._scenario.plans[row.id - 1].at(t).position) for row in frame.vehicles}
-        positions = {row.id: row.eta[:3] for row in frame.vehicles}
-        errors = {i: self._error(i, positions, desired) for i in positions}
-        elapsed = t - self.times[-1] if self.times else 0.0
-        self.times.append(t)
+        reference = self._reference.at(t).position
+        vehicles = self._vehicles
+        # Where each vehicle is and where it should be [m, NED].
+        spots: dict[int, tuple[tuple[float, ...], Vec3]] = {}
         for row in frame.vehicles:
-            series, error = self.series[row.id], errors[row.id]
+            plan = vehicles[row.id].plan
+            spots[row.id] = row.eta, plus(reference, plan.at(t).position if plan.changes else plan.start)
+        elapsed = (t - self.times[-1] if self.times else 0.0) or self._tick_s
+        self.times.append(t)
+        errors = {}
+        for row in frame.vehicles:
+            i, tau = row.id, row.tau
+            vehicle = vehicles[i]
+            series = vehicle.series
+            errors[i] = error = _error(i, vehicle, spots)
             series.e.append(error.e_norm)
             series.formation.append(error.formation_norm)
-            if row.tau:
-                series.effort_Ns += abs(row.tau[0]) * (elapsed or self._tick_s)
-            command = commands.get(row.id)
-            if command is not None and command.telemetry:
-                places, telemetry = self._places[row.id], command.telemetry
-                if places.u_cmd is not None and isfinite(telemetry[places.u_cmd]):
-                    series.u_cmd_max = max(series.u_cmd_max or 0.0, telemetry[places.u_cmd])
-                if places.failures is not None:
-                    count = _count(telemetry[places.failures], series.qp_counted)
-                    # An agent counts from its own start: what came before a restart stays counted.
-                    series.qp_failures += count if count < series.qp_counted else count - series.qp_counted
-                    series.qp_counted = count
-                if places.rejected is not None:
-                    series.payloads_rejected = _count(telemetry[places.rejected], series.payloads_rejected)
+            if tau:
+                series.effort_Ns += abs(tau[0]) * elapsed
+            if i in commands and (telemetry := commands[i].telemetry):
+                _take(series, vehicle.places, telemetry)
         return errors
 
     @property
@@ -122,21 +151,6 @@ class Metrics:
             return WorstAndMedian()
         worst = max(off, key=off.__getitem__)
         return WorstAndMedian(off[worst], worst, median(off.values()), len(off))
-
-    def _error(self, i: int, positions: dict[int, tuple[float, ...]], desired: dict[int, Vec3]) -> VehicleError:
-        """e_i = sum_j a_ij ((x_i - d_i) - (x_j - d_j)) + b_i (x_i - d_i): Delta_ij is d_i - d_j."""
-        x, y, z = positions[i]
-        dx, dy, dz = desired[i]
-        fx, fy, fz = x - dx, y - dy, z - dz
-        b = self._scenario.b[i - 1]
-        ex, ey, ez = b * fx, b * fy, b * fz
-        for j, a in self._neighbours[i]:
-            xj, yj, zj = positions[j]
-            px, py, pz = desired[j]
-            ex += a * (x - xj - (dx - px))
-            ey += a * (y - yj - (dy - py))
-            ez += a * (z - zj - (dz - pz))
-        return VehicleError((ex, ey, ez), hypot(ex, ey, ez), (fx, fy, fz), hypot(fx, fy, fz))
 
     def worst(self, what: str, after_s: float, vehicles: list[int] | None = None) -> tuple[float, int, float]:
         """The largest `e` or `formation` of any vehicle, or of some, from a time on: (value [m], vehicle, time [s]).
@@ -162,7 +176,7 @@ class Metrics:
 
     def qp_failures(self) -> dict[int, int]:
         """How often the gain's optimisation failed, of each vehicle whose law counts that."""
-        return {i: s.qp_failures for i, s in self.series.items() if self._places[i].failures is not None}
+        return {i: s.qp_failures for i, s in self.series.items() if self._vehicles[i].places.failures is not None}
 
     def settled(self, what: str, span: tuple[int, int], limit: float, vehicles: list[int] | None = None) -> Settled:
         """When `e` or `formation` of every vehicle, or of some, settled below a limit within a span of ticks.
@@ -215,19 +229,36 @@ class Metrics:
         return rows
 
 
+def _error(i: int, vehicle: _Vehicle, spots: Mapping[int, tuple[tuple[float, ...], Vec3]]) -> VehicleError:
+    """e_i = sum_j a_ij ((x_i - d_i) - (x_j - d_j)) + b_i (x_i - d_i): Delta_ij is d_i - d_j."""
+    (x, y, z, _, _), (dx, dy, dz) = spots[i]
+    fx, fy, fz = x - dx, y - dy, z - dz
+    b = vehicle.b
+    ex, ey, ez = b * fx, b * fy, b * fz
+    for j, a in vehicle.neighbours:
+        (xj, yj, zj, _, _), (px, py, pz) = spots[j]
+        ex += a * (x - xj - (dx - px))
+        ey += a * (y - yj - (dy - py))
+        ez += a * (z - zj - (dz - pz))
+    return VehicleError((ex, ey, ez), hypot(ex, ey, ez), (fx, fy, fz), hypot(fx, fy, fz))
+
+
+def _take(series: Series, places: _Places, telemetry: tuple[float, ...]) -> None:
+    """Take what an agent reported with one command."""
+    if places.u_cmd is not None:
+        speed = telemetry[places.u_cmd]
+        if isfinite(speed) and (series.u_cmd_max is None or speed > series.u_cmd_max):
+            series.u_cmd_max = max(0.0, speed)
+    # The counts hardly ever change.
+    if places.failures is not None and telemetry[places.failures] != series.qp_counted:
+        count = _count(telemetry[places.failures], series.qp_counted)
+        # An agent counts from its own start: what came before a restart stays counted.
+        series.qp_failures += count if count < series.qp_counted else count - series.qp_counted
+        series.qp_counted = count
+    if places.rejected is not None and telemetry[places.rejected] != series.payloads_rejected:
+        series.payloads_rejected = _count(telemetry[places.rejected], series.payloads_rejected)
+
+
 def _count(value: float, before: int) -> int:
     # Telemetry comes from the agent; an external agent may send any double.
     return int(value) if isfinite(value) else before
-
-
-class _Places(NamedTuple):
-    """Where an agent's telemetry has what the summary wants; None where it does not report it."""
-
-    u_cmd: int | None
-    failures: int | None
-    rejected: int | None
-
-    @classmethod
-    def of(cls, layout: Layout) -> _Places:
-        places = [layout.where(name) for name in ("u_cmd", "qp_failures", "payloads_rejected")]
-        return cls(*(None if place is None else place.start for place in places))

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from math import inf, nan
 from typing import Any
 
-from agents.decision import Decision, Step
+from agents.decision import Decision
 from agents.loop import AgentLoop
 from agents.signals import Layout
 from fleet.errors import FleetError
@@ -64,7 +64,10 @@ class _RecordedCore:
     def __init__(self, agent: RecordedAgent) -> None:
         self._agent = agent
 
-    def step(self, nav: Nav, deliveries: list[Delivery], /) -> Step:
+    def transmit(self, nav: Nav, /) -> tuple[bytes, ...]:
+        return tuple(self._agent.payloads.get(nav.tick, ()))
+
+    def decide(self, nav: Nav, deliveries: list[Delivery], /) -> Decision:
         """Raises NotRecordedError for a tick within the log of which it holds no command."""
         agent, tick = self._agent, nav.tick
         tau = agent.commands.get(tick)
@@ -72,14 +75,7 @@ class _RecordedCore:
             if tick < agent.last:
                 raise NotRecordedError(f"the log holds no command of vehicle {agent.vehicle} at tick {tick}")
             tau = ZERO  # of a log that ends within this tick: nothing that follows is compared
-        payloads = tuple(agent.payloads.get(tick, ())) if tick % agent.round_ticks == 0 else ()
-        return Step(tau, tuple(agent.telemetry.get(tick, ())), payloads)
-
-    def transmit(self, nav: Nav, /) -> tuple[bytes, ...]:
-        raise AssertionError("an ideal network has no external agents")
-
-    def decide(self, nav: Nav, deliveries: list[Delivery], /) -> Decision:
-        raise AssertionError("an ideal network has no external agents")
+        return Decision(tau, tuple(agent.telemetry.get(tick, ())))
 
     def state(self) -> dict[str, Any]:
         return {}

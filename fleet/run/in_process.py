@@ -1,4 +1,6 @@
-"""The whole fleet in one process: a plain loop over the same cores, through the same codec, without zenoh.
+"""The whole fleet in one process: a plain loop over the same cores, without zenoh.
+
+What agents say and hear passes through the same codec; the journal and netem take what the world says as it is.
 
 For debugging with pdb, for profiling and sweeps, and as the reference that proves the distributed run right.
 """
@@ -14,7 +16,7 @@ import msgpack
 from agents.agent import make_agent
 from agents.config import AgentConfig
 from agents.errors import ControllerError
-from agents.loop import AgentLoop, Answer
+from agents.loop import AgentLoop
 from fleet.errors import RunBroken
 from fleet.recorder.journal import Journal
 from fleet.recorder.snapshot import Start
@@ -27,10 +29,10 @@ from netem.errors import MalformedMessage, OutOfPlace
 from netem.lives import Absence
 from netem.rounds import Rounds
 from netem.wire.codec import decode, encode
-from netem.wire.messages import Command, Frame, Frames, Inbox, LinkReport, Memory, Message, Nav, Round, Transmission
+from netem.wire.messages import Command, Frame, Inbox, Memory, Nav, Round, Transmission
 from world.lockstep import Lockstep, NavTo
 
-WORLD, NETEM, CONSOLE = 0, -1, -2  # addresses; agents have their positive numbers
+WORLD, NETEM = 0, -1  # who speaks; agents have their positive numbers
 
 MakeLoop = Callable[[int, int], AgentLoop]  # (incarnation, begin) -> one life of an agent
 
@@ -65,7 +67,8 @@ class InProcess:
         self.closing = Closing()
         self._dead: set[tuple[int, int]] = set()  # (vehicle, life) of agents that ended by themselves
         self._granted = 0
-        self._post: deque[tuple[int, int, bytes]] = deque()  # (from, to, message)
+        self._speaker = WORLD  # whose message is being taken
+        self._post: deque[tuple[int, int, bytes]] = deque()  # (from, to, message) for agents
 
     def serve(self, clock: Clock, progress: Callable[[], None]) -> None:
         """Run to the end.
@@ -76,29 +79,23 @@ class InProcess:
             WorldError: the world failed.
         """
         began = time.monotonic()
-        scenario = self._scenario
-        for i in range(1, scenario.vehicles + 1):
+        for i in range(1, self._scenario.vehicles + 1):
             self._loops[i] = self._born(i, 0, 0)
         if self._begin is not None:
             self._resume(self._begin)
-        while not self._world.finished:
-            until = clock.until(self._journal.written, time.monotonic() - began)
-            self._granted = max(self._granted, until)
-            self._from_world(self._world.grant(until))
-            if not self._post:
-                time.sleep(0.002)  # --speed: nothing to do until the wall clock moves on
-            while self._post:
-                sender, receiver, data = self._post.popleft()
-                try:
-                    self._deliver(sender, receiver, decode(data), data)
-                except ControllerError as error:
-                    if scenario.spec.on_controller_error != "die" or scenario.spec.on_death == "abort":
-                        raise
-                    self._died(receiver, error)
-                except (MalformedMessage, OutOfPlace) as error:
-                    who = f"agent {sender}" if sender > 0 else {WORLD: "the world", NETEM: "netem"}[sender]
-                    raise RunBroken(f"{who} sent what cannot be used: {error}") from error
-            progress()
+        try:
+            while not self._world.finished:
+                until = clock.until(self._journal.written, time.monotonic() - began)
+                self._granted = max(self._granted, until)
+                self._from_world(self._world.grant(until))
+                if not self._post:
+                    time.sleep(0.002)  # --speed: nothing to do until the wall clock moves on
+                while self._post:
+                    self._deliver(*self._post.popleft())
+                progress()
+        except (MalformedMessage, OutOfPlace) as error:
+            who = {WORLD: "the world", NETEM: "netem"}.get(self._speaker, f"agent {self._speaker}")
+            raise RunBroken(f"{who} sent what cannot be used: {error}") from error
         self._journal.links(self.rounds.close(self._scenario.ticks))
         self.closing = Closing(entered=self.rounds.netem.entered)
 
@@ -146,62 +143,66 @@ class InProcess:
             self.rounds.lives.add(Absence(i, until - 1, until))
         self._from_world(self._world.end(i, self._loops[i].incarnation, until or None))
 
-    def _send(self, sender: int, receiver: int, message: Message) -> None:
-        self._post.append((sender, receiver, encode(message)))
+    def _deliver(self, sender: int, i: int, data: bytes) -> None:
+        """Give agent i a message, and its answers to the world and to netem."""
+        self._speaker = sender
+        message = decode(data)
+        assert isinstance(message, Nav | Inbox)
+        if (i, message.incarnation) in self._dead:
+            return
+        try:
+            loop = self._loop(i, message.incarnation)
+            answers = loop.nav(message) if isinstance(message, Nav) else loop.inbox(message)
+        except ControllerError as error:
+            spec = self._scenario.spec
+            if spec.on_controller_error != "die" or spec.on_death == "abort":
+                raise
+            self._died(i, error)
+            return
+        for tick, text in loop.core.take_notes():
+            self._note(tick, f"agent {i}", text)
+        for answer in answers:
+            self._from_agent(i, encode(answer))
+
+    def _from_agent(self, i: int, data: bytes) -> None:
+        self._speaker = i
+        match decode(data):
+            case Command() as command:
+                self._from_world(self._world.command(i, command, data))
+            case Memory() as memory:
+                self._world.remember(i, memory)
+            case Transmission() as transmission:
+                self.rounds.transmission(i, transmission)
+                self._exchange()
+            case message:
+                raise AssertionError(f"no route for {message!r}")
 
     def _from_world(self, outs: list[NavTo | Round | Frame]) -> None:
+        self._speaker = WORLD
         for i, tick, text in self._world.state.notes:
             self._note(tick, f"vehicle {i}", text)
         self._world.state.notes.clear()
+        navs = []
         for out in outs:
             if isinstance(out, NavTo):
-                self._send(WORLD, out.id, out.nav)
+                navs.append((WORLD, out.id, encode(out.nav)))
             elif isinstance(out, Frame):
-                self._send(WORLD, CONSOLE, Frames((out,)))
+                self._journal.frame(out)
             elif not self._scenario.ideal:  # on an ideal network netem does not wait for the world
-                self._send(WORLD, NETEM, out)
-
-    def _deliver(self, sender: int, receiver: int, message: Message, data: bytes) -> None:
-        match message:
-            case Nav() | Inbox() if (receiver, message.incarnation) in self._dead:
-                return
-            case Nav():
-                self._answer(receiver, self._loop(receiver, message.incarnation).nav(message))
-            case Inbox():
-                self._answer(receiver, self._loop(receiver, message.incarnation).inbox(message))
-            case Memory():
-                self._world.remember(sender, message)
-            case Command():
-                self._from_world(self._world.command(sender, message, data))
-            case Transmission():
-                self.rounds.transmission(sender, message)
+                self.rounds.round(out)
                 self._exchange()
-            case Round():
-                self.rounds.round(message)
-                self._exchange()
-            case Frames():
-                for frame in message.frames:
-                    self._journal.frame(frame)
-            case LinkReport():
-                self._journal.links(message)
-            case _:
-                raise AssertionError(f"no route for {message!r}")
-
-    def _answer(self, i: int, messages: list[Answer]) -> None:
-        for tick, text in self._loops[i].core.take_notes():
-            self._note(tick, f"agent {i}", text)
-        for message in messages:
-            self._send(i, NETEM if isinstance(message, Transmission) else WORLD, message)
-
-    def _note(self, tick: int, who: str, text: str) -> None:
-        self.notes.append(note_text(tick, self._scenario.tick_ns, who, text))
+        # First of all: a vehicle goes on as far as it can while what it needs is in the processor's caches.
+        self._post.extendleft(reversed(navs))
 
     def _exchange(self) -> None:
         while (outcome := self.rounds.exchange()) is not None:
+            self._speaker = NETEM
             inboxes, report = outcome
-            for i, inbox in inboxes:
-                self._send(NETEM, i, inbox)
-            self._send(NETEM, CONSOLE, report)
+            self._post.extend((NETEM, i, encode(inbox)) for i, inbox in inboxes)
+            self._journal.links(report)
+
+    def _note(self, tick: int, who: str, text: str) -> None:
+        self.notes.append(note_text(tick, self._scenario.tick_ns, who, text))
 
 
 def _over_the_wire(config: AgentConfig) -> AgentConfig:

@@ -25,7 +25,7 @@ from agents.errors import AgentError, ControllerError, PayloadError, UnknownName
 from agents.laws import gain_qp
 from agents.laws.backstepping import NeurodynamicTracking
 from agents.laws.consensus import consensus_error
-from agents.laws.filters import AngleRateFilter, wrap
+from agents.laws.filters import RateFilter, wrap
 from agents.laws.kinematics import earth_velocity, flow_angles
 from agents.laws.shunting import shunting_step
 from agents.laws.velocity_command import clip, direction_command, floor_speed, slew, virtual_control
@@ -66,13 +66,13 @@ def test_wrap_at_its_ends() -> None:
 
 def test_filter_agrees_with_an_independent_implementation() -> None:
     case = VECTORS["diff_angle"]
-    rate = AngleRateFilter(case["tau_f"])
+    rate = RateFilter(case["tau_f"], angle=True)
     assert [rate.step(s, case["Ts"]) for s in case["s"]] == pytest.approx(case["d"], abs=1e-9)
 
 
 def test_filter_settles_on_a_steady_turn_through_the_cut() -> None:
     """A heading that turns steadily, wrapped or not, has its rate."""
-    rate = AngleRateFilter(0.05)
+    rate = RateFilter(0.05, angle=True)
     for n in range(200):
         d = rate.step(wrap(2.0 + 0.03 * n), 0.01)
     assert d == pytest.approx(3.0, abs=1e-9)
@@ -80,7 +80,7 @@ def test_filter_settles_on_a_steady_turn_through_the_cut() -> None:
 
 def test_filter_knows_how_long_it_was_not_asked() -> None:
     """Missed samples: the difference is over the time that passed, not over one period."""
-    rate = AngleRateFilter(0.05)
+    rate = RateFilter(0.05, angle=True)
     for t in (0.0, 0.01, 0.02, 0.5, 0.51, 0.9):
         d = rate.step(0.3 * t, 0.01 if t < 0.4 else {0.5: 0.48, 0.51: 0.01, 0.9: 0.39}[t])
     assert d == pytest.approx(0.3, abs=1e-3)

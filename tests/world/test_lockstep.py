@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
+from agents.decision import Decision
 from agents.loop import AgentLoop
 from fleet.recorder.journal import Journal
 from fleet.recorder.log_file import LogFile
@@ -80,27 +81,18 @@ def test_commands_out_of_place_are_refused() -> None:
         lockstep.command(1, command(0))
 
 
-class Answer(NamedTuple):
-    tau: tuple[float, ...] = (1.0, 2.0, 3.0)
-    telemetry: tuple[float, ...] = ()
-    payloads: tuple[bytes, ...] = (b"here",)
-
-
 class Core:
     """Notes what it was given."""
 
     def __init__(self) -> None:
         self.seen: list[tuple[int, list[int]]] = []
 
-    def step(self, nav: Nav, deliveries: list[Delivery]) -> Answer:
-        self.seen.append((nav.tick, [d.due_tick for d in deliveries]))
-        return Answer()
-
     def transmit(self, nav: Nav) -> tuple[bytes, ...]:
         return (b"here",)
 
-    def decide(self, nav: Nav, deliveries: list[Delivery]) -> Answer:
-        return self.step(nav, deliveries)
+    def decide(self, nav: Nav, deliveries: list[Delivery]) -> Decision:
+        self.seen.append((nav.tick, [d.due_tick for d in deliveries]))
+        return Decision((1.0, 2.0, 3.0), ())
 
 
 def nav(tick: int, incarnation: int = 0) -> Nav:

@@ -27,7 +27,6 @@ import psutil
 from msgspec import Meta, Struct
 from rich.console import Console as Terminal
 
-import fleet
 from fleet.bench.errors import BenchError
 from fleet.bench.flame_graph import Frame, flame_graph
 from fleet.bench.soak import of_session, result_of
@@ -56,7 +55,7 @@ KINDS = {
     "netem/": "netem",
     "fleet/": "console's own",
 }
-_PACKAGES = f"{Path(fleet.__file__).parents[1]}/"  # of ours
+_PACKAGES = f"{Path(__file__).parents[2]}/"  # of ours
 _IMPORTING = ("<frozen importlib", "/importlib/")
 _IMPORT = Frame("(imports)", IMPORTS)
 _HINT = "in a container give it --cap-add SYS_PTRACE; elsewhere be root, or set kernel.yama.ptrace_scope to 0"

@@ -5,8 +5,8 @@ from __future__ import annotations
 from itertools import pairwise
 
 import pytest
-from bare_recorder import Can
 
+from fleet.bench.recorder import Calls
 from fleet.recorder.journal import Journal
 from fleet.recorder.metrics import SETTLE_M
 from fleet.run.clock import Clock
@@ -29,7 +29,7 @@ OVERRIDES = [
 def run() -> tuple[Scenario, Journal]:
     """A run that is over, with a link that is down for its last two seconds, and one that loses half."""
     scenario = load_scenario("paper", OVERRIDES)
-    journal = Journal(scenario, Can())
+    journal = Journal(scenario, Calls())
     InProcess(scenario, journal).serve(Clock.of(scenario), lambda: None)
     return scenario, journal
 
@@ -66,7 +66,7 @@ def test_the_worst_links_first(run: tuple[Scenario, Journal]) -> None:
 
 def test_before_the_first_frame_there_are_no_vehicles(run: tuple[Scenario, Journal]) -> None:
     scenario = run[0]
-    journal = Journal(scenario, Can())
+    journal = Journal(scenario, Calls())
     assert vehicle_rows(scenario, journal, []) == []
     assert [row["age_s"] for row in link_rows(scenario, journal)] == [0.0] * WORST_LINKS
 

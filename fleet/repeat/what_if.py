@@ -15,10 +15,11 @@ from typing import Any
 import numpy as np
 from msgspec.structs import astuple
 
-from agents.agent import Agent, make_agent
+from agents.agent import Agent
 from agents.controllers import BUILT_IN, laws
 from agents.errors import AgentError
 from agents.loop import restore
+from agents.make_agent import make_agent
 from agents.plugged_agent import PluggedAgent
 from agents.plugins.loading import admit
 from agents.plugins.trust import NOTHING, Permission, Trust

@@ -13,8 +13,8 @@ from click.testing import CliRunner
 
 import fleet.run.execute
 import fleet.run.in_process
-from agents.agent import make_agent
 from agents.config import AgentConfig
+from agents.make_agent import make_agent
 from fleet.cli.main import cli
 from fleet.logs.schemas import Column, DoublesEncoder
 from fleet.repeat.recorded_agent import NotRecordedError

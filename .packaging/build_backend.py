@@ -32,6 +32,7 @@ SWITCH = "UUV_FLEET_COMPILE"
 # The cores: what every tick and every packet passes. Left out is
 # - what msgspec or pickle make by its annotations, which are coarser in compiled classes: configurations,
 #   netem/network.py, netem/ledger.py, netem/lives.py, netem/transit.py, agents/trajectory.py;
+# - agents/laws/kinematics.py, which agents.api offers: a user may call it with other sequences than tuples;
 # - what was not faster: the recorder and netem/wire pack bytes by calls of C already;
 # - fleet/recorder/journal.py: mypyc makes a list of a generator, and one there never ends.
 MODULES = (
@@ -40,8 +41,7 @@ MODULES = (
     "agents/agent.py", "agents/brain.py", "agents/compact.py", "agents/controllers.py", "agents/loop.py",
     "agents/neighbours.py", "agents/payload.py", "agents/plugged_agent.py", "agents/realtime_loop.py",
     "agents/laws/backstepping.py", "agents/laws/consensus.py", "agents/laws/filters.py", "agents/laws/gain_qp.py",
-    "agents/laws/guidance.py", "agents/laws/kinematics.py", "agents/laws/shunting.py",
-    "agents/laws/velocity_command.py",
+    "agents/laws/guidance.py", "agents/laws/shunting.py", "agents/laws/velocity_command.py",
     "netem/ages.py", "netem/draws.py", "netem/histogram.py", "netem/impairment.py", "netem/rounds.py",
     "fleet/recorder/metrics.py", "fleet/run/in_process.py",
 )  # fmt: skip

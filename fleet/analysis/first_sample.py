@@ -44,4 +44,4 @@ def _first_sample(scenario: Scenario, i: int) -> None:
     config: AgentConfig = replace(scenario.agent_config(i), on_error="abort")
     agent = make_agent(config)
     if not scenario.ideal:
-        agent.step(Nav(0, 0, *scenario.initial[i - 1]), ())
+        agent.step(Nav(0, 0, *scenario.initial[i - 1]), [])

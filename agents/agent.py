@@ -29,7 +29,6 @@ from agents.laws.kinematics import earth_velocity
 from agents.laws.velocity_command import clip
 from agents.neighbours import NeighbourTable
 from agents.payload import StateMessage, encode
-from agents.plugged_agent import PluggedAgent
 from netem.wire.messages import Delivery, Nav
 from world.vectors import Vec3
 
@@ -162,13 +161,3 @@ class Agent(Brain):
         self._controller.restore(values["controller"])
         if self.config.standby_for:
             self._first_tick, self._leads = values.get("standby", (None, False))
-
-
-def make_agent(config: AgentConfig) -> Agent | PluggedAgent:
-    """Make the core of an agent: ours, or a user's whole agent where the configuration names one.
-
-    Raises:
-        PluginError: one of its laws cannot be used.
-        ControllerError: one of its laws cannot be made.
-    """
-    return Agent(config) if config.agent is None else PluggedAgent(config, config.agent)

@@ -6,6 +6,7 @@ ideal network the agent transmits first and decides once its inbox of the same t
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any, Protocol
 
 import msgpack
@@ -48,6 +49,7 @@ class AgentLoop:
         begin: int = 0,
         ideal: bool = False,
         memory_ticks: int = 0,
+        memories: Mapping[int, bytes] | None = None,
     ) -> None:
         """Begin one life of an agent.
 
@@ -58,12 +60,14 @@ class AgentLoop:
             begin: tick of its first nav.
             ideal: what is sent at a tick is received at the same tick, so the agent transmits before it decides.
             memory_ticks: the agent sends what it remembers every so many ticks; 0: never.
+            memories: what it sends instead, by tick; of an agent that is only recorded.
         """
         self.core = core
         self.round_ticks = round_ticks
         self.incarnation = incarnation
         self.ideal = ideal
         self.memory_ticks = memory_ticks
+        self._memories = memories
         # The inbox is known up to this tick: earlier messages are not for this life.
         self._known = begin - 1 if ideal else begin
         self._tick = begin - 1  # last tick answered, or before the first
@@ -142,6 +146,8 @@ class AgentLoop:
         return out
 
     def _memory(self, tick: int) -> list[Answer]:
+        if self._memories is not None:
+            return [Memory(self.incarnation, tick, self._memories[tick])] if tick in self._memories else []
         if not self.memory_ticks or tick % self.memory_ticks or tick == 0:
             return []
         waiting = [[d.due_tick, d.sent_tick, d.src, d.seq, d.copy, d.payload] for d in self._deliveries]

@@ -5,10 +5,10 @@ from __future__ import annotations
 from time import monotonic, sleep
 from typing import Any
 
-from agents.agent import make_agent
 from agents.config import AgentConfig
 from agents.errors import AgentError
 from agents.loop import AgentLoop
+from agents.make_agent import make_agent
 from agents.process import READY_TIMEOUT_S, RETRY_S, AgentProcess, _give_up
 from agents.realtime_loop import RealtimeLoop
 from netem.errors import BusError

@@ -26,8 +26,10 @@ def foreign() -> str:
 
 
 def damaged(error: ImportError) -> str:
-    """The same of an import that failed within one of the packages; "" if it was another import."""
+    """The same of an import that failed within one of the packages, compiled or not; "" if it was another import."""
     name = (error.name or "").partition(".")[0]
+    if name.endswith("__mypyc"):
+        return f"the compiled cores cannot be loaded: {error}; install {OURS} here, or with UUV_FLEET_COMPILE=no"
     if name not in _BEGINS:
         return ""
     return f"the package {name}{_place(find_spec(name))} is {_whose(name)}: {error}; {_DO}"

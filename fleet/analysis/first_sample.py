@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from agents.agent import make_agent
 from agents.config import AgentConfig, Law
 from agents.controllers import BUILT_IN, laws
 from agents.errors import ControllerError, PluginError
+from agents.make_agent import make_agent
 from fleet.errors import Problem, ScenarioError
 from fleet.scenario.scenario import Scenario
 from netem.wire.messages import Nav
@@ -44,4 +44,4 @@ def _first_sample(scenario: Scenario, i: int) -> None:
     config: AgentConfig = replace(scenario.agent_config(i), on_error="abort")
     agent = make_agent(config)
     if not scenario.ideal:
-        agent.step(Nav(0, 0, *scenario.initial[i - 1]), ())
+        agent.step(Nav(0, 0, *scenario.initial[i - 1]), [])

@@ -21,7 +21,7 @@ from fleet.recorder.snapshot import TOPIC, Snapshot
 from fleet.scenario.scenario import Scenario
 from netem.impairment import LinkModel
 from netem.links import PERFECT
-from netem.wire.messages import Delivery, Memory, Nav
+from netem.wire.messages import Delivery, Nav
 from world.vectors import ZERO, Vec3
 
 
@@ -45,19 +45,8 @@ class RecordedAgent:
 
     def loop(self, incarnation: int, begin: int) -> AgentLoop:
         """A life of it."""
-        return _RecordedLoop(self, self.round_ticks, incarnation=incarnation, begin=begin)
-
-
-class _RecordedLoop(AgentLoop):
-    """A recorded agent in the lockstep loop, with the memory that was recorded."""
-
-    def __init__(self, agent: RecordedAgent, round_ticks: int, *, incarnation: int, begin: int) -> None:
-        super().__init__(_RecordedCore(agent), round_ticks, incarnation=incarnation, begin=begin)
-        self._agent = agent
-
-    def _memory(self, tick: int) -> list[Any]:
-        memory = self._agent.memories.get(tick)
-        return [] if memory is None else [Memory(self.incarnation, tick, memory)]
+        core = _RecordedCore(self)
+        return AgentLoop(core, self.round_ticks, incarnation=incarnation, begin=begin, memories=self.memories)
 
 
 class _RecordedCore:

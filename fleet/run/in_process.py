@@ -13,10 +13,10 @@ from collections.abc import Callable, Mapping
 
 import msgpack
 
-from agents.agent import make_agent
 from agents.config import AgentConfig
 from agents.errors import ControllerError
 from agents.loop import AgentLoop
+from agents.make_agent import make_agent
 from fleet.errors import RunBroken
 from fleet.recorder.journal import Journal
 from fleet.recorder.snapshot import Start

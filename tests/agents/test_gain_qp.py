@@ -13,7 +13,6 @@ from hypothesis import strategies as st
 from repository import GOLDEN
 
 from agents.config import GuidanceParams
-from agents.laws import gain_qp
 from agents.laws.gain_qp import GainProblem, NoSolution, Solution, build_qp, solve
 from agents.profiles import PROFILES, profile
 from world.vectors import Vec3
@@ -168,11 +167,13 @@ def test_a_flat_cost_comes_back() -> None:
 def test_a_solver_that_gives_up_is_an_outcome(monkeypatch: pytest.MonkeyPatch) -> None:
     """Any other status of the solver carries the problem too; here it is not given enough iterations."""
 
+    solver_class = piqp.DenseSolver
+
     def hurried() -> piqp.DenseSolver:
-        solver = piqp.DenseSolver()
+        solver = solver_class()
         solver.settings.max_iter = 1
         return solver
 
-    monkeypatch.setattr(gain_qp, "_new_solver", hurried)
+    monkeypatch.setattr(piqp, "DenseSolver", hurried)
     problem = build_qp((0.3, -0.2, 0.1), 2.8, RHO_D, (0.6, 0.1, 0.0), (0.9, 1.0, 1.1), PAPER)
     assert solve(problem) == NoSolution(problem, "PIQP: max iter reached")

@@ -27,9 +27,10 @@ from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 from repository import ROOT
 
-from agents.agent import Agent, make_agent
+from agents.agent import Agent
 from agents.config import Law
 from agents.errors import ControllerError, PluginError
+from agents.make_agent import make_agent
 from agents.plugins import loading
 from agents.signals import COMMANDED, HEARD
 from fleet.cli.main import cli

@@ -29,10 +29,10 @@ from msgspec.structs import astuple
 from nowhere import Nowhere, serve
 
 import fleet
-from agents.agent import make_agent
 from agents.join import serve as serve_agent
 from agents.join_file import JoinError, JoinFile
 from agents.loop import AgentLoop
+from agents.make_agent import make_agent
 from agents.payload import StateMessage
 from agents.payload import encode as state_payload
 from fleet.cli.main import cli

@@ -38,3 +38,28 @@ class Law:
             {line}
         return (1.0, 0.0, 0.0), {{"a": 0.0}}
 """
+
+
+# Code that makes a law of ours compute NaN once, in vehicle 3, whether the laws are compiled or not.
+NAN_IN_THE_CORE = """
+    from math import nan
+    from agents.controllers import TRACKING
+    Ours = TRACKING["neurodynamic"]
+
+    class Failing:
+        signals, uses = Ours.signals, Ours.uses
+
+        def __init__(self, config):
+            self._id, self._law = config.id, Ours(config)
+
+        def __getattr__(self, name):
+            return getattr(self._law, name)
+
+        def step(self, sample, command):
+            demand, telemetry = self._law.step(sample, command)
+            if (self._id, sample.tick) == (3, 57):
+                return (nan, nan, nan), (*telemetry[:-3], nan, nan, nan)
+            return demand, telemetry
+
+    TRACKING["neurodynamic"] = Failing
+"""

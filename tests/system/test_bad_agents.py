@@ -14,11 +14,15 @@ from typing import Any
 
 import pytest
 from ended_runs import CHECKS, LONG
+from failing_laws import NAN_IN_THE_CORE
 from first_difference import assert_same_bytes
 from in_process_runs import Alone, log_of
 from live import LiveRun
 
+import agents.make_agent
+import fleet.run.in_process
 import fleet.run.launch
+from agents.controllers import TRACKING
 from agents.errors import ControllerError
 from fleet.logs.reader import LogReader
 from fleet.run.directory import RunDirectory
@@ -45,30 +49,27 @@ def sabotage(folder: Path, code: str) -> dict[str, str]:
     return {"PYTHONPATH": os.pathsep.join([str(folder), *filter(None, [os.environ.get("PYTHONPATH")])])}
 
 
-NAN_IN_THE_CORE = """
-    from agents.agent import Agent
-    control = Agent._control
-
-    def failing(self, sample):
-        demand, telemetry = control(self, sample)
-        if (self.config.id, sample.tick) == (3, 57):
-            nan = float("nan")
-            return (nan, nan, nan), (*telemetry[:-3], nan, nan, nan)
-        return demand, telemetry
-
-    Agent._control = failing
-"""
 NAN_COMMAND = """
-    from agents.agent import Agent, Decision
-    decide = Agent.decide
+    from math import nan
+    import agents.make_agent
+    make_agent = agents.make_agent.make_agent
 
-    def failing(self, nav, deliveries):
-        decision = decide(self, nav, deliveries)
-        if (self.config.id, nav.tick) == (3, 57):
-            return Decision((float("nan"), 0.0, 0.0), decision.telemetry)
-        return decision
+    class Careless:
+        def __init__(self, config):
+            self._id, self._core = config.id, make_agent(config)
 
-    Agent.decide = failing
+        def __getattr__(self, name):
+            method = getattr(self._core, name)
+            return self._failing(method) if name in ("step", "decide") else method
+
+        def _failing(self, method):
+            def failing(nav, deliveries):
+                answer = method(nav, deliveries)
+                return answer._replace(tau=(nan, 0.0, 0.0)) if (self._id, nav.tick) == (3, 57) else answer
+
+            return failing
+
+    agents.make_agent.make_agent = Careless
 """
 
 
@@ -88,9 +89,7 @@ def test_controller_that_computes_nan(tmp_path: Path) -> None:
 
 def test_controller_that_computes_nan_in_process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Likewise in the plain loop: a broken run with vehicle and tick, not a traceback."""
-    from agents.agent import Agent
-
-    monkeypatch.setattr(Agent, "_control", Agent._control)  # restored after the sabotage
+    monkeypatch.setitem(TRACKING, "neurodynamic", TRACKING["neurodynamic"])  # restored after the sabotage
     exec(dedent(NAN_IN_THE_CORE), {})
     result = execute(load_scenario("paper"), Options(tmp_path, in_process=True, quiet=True))
     assert result.status is Status.BROKEN
@@ -113,10 +112,9 @@ def test_nan_command_is_refused_by_the_world(tmp_path: Path) -> None:
 
 def test_nan_command_in_process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The plain loop has nobody to wait for: it ends at once, naming the vehicle."""
-    from agents.agent import Agent
-
-    monkeypatch.setattr(Agent, "decide", Agent.decide)  # restored after the sabotage
+    monkeypatch.setattr(agents.make_agent, "make_agent", agents.make_agent.make_agent)  # restored after the sabotage
     exec(dedent(NAN_COMMAND), {})
+    monkeypatch.setattr(fleet.run.in_process, "make_agent", agents.make_agent.make_agent)
     result = execute(load_scenario("paper"), Options(tmp_path, in_process=True, quiet=True))
     assert result.status is Status.BROKEN
     assert "nan" in result.reason
@@ -256,9 +254,17 @@ def test_controller_error_names_vehicle_and_tick() -> None:
 
 
 LONG_PAYLOADS = """
-    from agents.agent import Agent
-    transmit = Agent.transmit
-    Agent.transmit = lambda self, nav: tuple(p + b"x" * 30_000 for p in transmit(self, nav))
+    from msgspec.structs import replace
+    from netem.wire import codec
+    from netem.wire.messages import Transmission
+    encode = codec.encode
+
+    def longer(message):
+        if isinstance(message, Transmission):
+            message = replace(message, payloads=tuple(p + b"x" * 30_000 for p in message.payloads))
+        return encode(message)
+
+    codec.encode = longer
 """
 
 

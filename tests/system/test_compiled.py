@@ -18,7 +18,7 @@ from fleet.run.execute import execute
 from fleet.run.options import Options
 from fleet.scenario.loading import load_scenario
 
-pytestmark = [pytest.mark.slow, pytest.mark.timeout(500)]
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(900)]
 COPIED = (".packaging", "agents", "fleet", "netem", "world", "pyproject.toml", "README.md", "LICENSE", "NOTICE")
 # A law that fails at a tick, so that the line of its file has to be told.
 FAILING = """\
@@ -35,8 +35,43 @@ class Failing:
 """
 
 
-def build(tmp_path: Path, switch: str, **environment: str) -> Path:
-    """A folder with the content of a wheel that was built from a copy of the sources."""
+# A law as one writes it who does not think of types: numpy arrays and lists where we have tuples, and a subclass.
+LOOSE = """\
+import numpy as np
+from agents.api import Signal, earth_velocity, wrap
+
+
+class Base:
+    signals = (Signal("speed", "m/s", "speed over ground"),)
+
+    def __init__(self, config, gain=1):
+        self.config, self.gain = config, gain
+
+
+class Loose(Base):
+    def step(self, sample):
+        velocity = np.array(earth_velocity(np.array(sample.eta), list(sample.nu)))
+        assert np.array_equal(velocity, sample.velocity)
+        e = np.array(sample.desired.position) - sample.eta[:3]
+        turn = wrap(np.arctan2(e[1], e[0]) - sample.eta[4])
+        return np.array([self.gain, 0, turn]), {"speed": np.linalg.norm(velocity)}
+"""
+DEBUGGED = """\
+class Debugged:
+    signals = ()
+
+    def __init__(self, config):
+        self.config = config
+
+    def step(self, sample):
+        if (self.config.id, sample.tick) == (2, 7):
+            breakpoint()
+        return (1.0, 0.0, 0.0), {}
+"""
+
+
+def build(tmp_path: Path, **environment: str) -> tuple[Path, str]:
+    """A folder with the content of a wheel that was built from a copy of the sources, and what was said meanwhile."""
     sources = tmp_path / "sources"
     sources.mkdir()
     for name in COPIED:
@@ -45,23 +80,27 @@ def build(tmp_path: Path, switch: str, **environment: str) -> Path:
             shutil.copytree(place, sources / name, ignore=shutil.ignore_patterns("__pycache__", "*.so"))
         else:
             shutil.copy(place, sources)
-    subprocess.run(
-        [sys.executable, "-m", "pip", "wheel", "-q", "--no-deps", "-w", str(tmp_path), str(sources)],
-        env=os.environ | {"UUV_FLEET_COMPILE": switch} | environment,
+    ours = {key: value for key, value in os.environ.items() if key != "UUV_FLEET_COMPILE"}
+    done = subprocess.run(
+        [sys.executable, "-m", "pip", "wheel", "-v", "--no-deps", "-w", str(tmp_path), str(sources)],
+        env=ours | environment,
         check=True,
-        capture_output=True,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
         timeout=400,
     )
+    assert sorted(path.name for path in sources.iterdir() if path.suffix != ".egg-info") == sorted(COPIED)
     (wheel,) = tmp_path.glob("*.whl")
     part, unpacked = tmp_path / "part", tmp_path / "unpacked"
     with zipfile.ZipFile(wheel) as file:
         file.extractall(part)
-    return part.rename(unpacked)
+    return part.rename(unpacked), done.stdout
 
 
 @pytest.fixture(scope="module")
 def compiled(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Built once, also when several workers run these tests."""
+    """Built once as an ordinary install builds it, also when several workers run these tests."""
     if shutil.which("cc") is None:
         pytest.skip("there is no C compiler")
     base = tmp_path_factory.getbasetemp()
@@ -70,12 +109,13 @@ def compiled(tmp_path_factory: pytest.TempPathFactory) -> Path:
     with (place / "lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         done = place / "unpacked"
-        return done if done.is_dir() else build(place, "yes")
+        return done if done.is_dir() else build(place)[0]
 
 
-def fleet(packages: Path, *arguments: str, folder: Path) -> subprocess.CompletedProcess[str]:
+def fleet(packages: Path, *arguments: str, folder: Path, typed: str = "") -> subprocess.CompletedProcess[str]:
     return subprocess.run(
         [sys.executable, "-m", "fleet", *arguments],
+        input=typed,
         env=os.environ | {"PYTHONPATH": f"{packages}{os.pathsep}{folder}"},
         cwd=folder,
         capture_output=True,
@@ -149,9 +189,88 @@ def test_an_agent_of_the_user_runs(compiled: Path, tmp_path: Path) -> None:
     assert result.returncode == 0, result.stderr
 
 
-@pytest.mark.parametrize(("switch", "cc"), [("no", "cc"), ("auto", "false")])
-def test_without_a_compiler_it_is_plain_python(switch: str, cc: str, tmp_path: Path) -> None:
-    """Or without the wish for it."""
-    unpacked = build(tmp_path, switch, CC=cc)
+def test_a_law_may_use_and_return_any_sequence(compiled: Path, tmp_path: Path) -> None:
+    """Compiled code checks types; what a user's code gives to the interface is not held to them."""
+    (tmp_path / "loose.py").write_text(LOOSE)
+    law = "controller={law: 'loose:Loose', parameters: {gain: 2}}"
+    options = ["--set", law, "--set", "duration=1 s", "--set", "checks={}", "--in-process", "-q", "--trust"]
+    result = fleet(compiled, "run", "paper", *options, folder=tmp_path)
+    assert result.returncode == 0, result.stderr
+    result = fleet(compiled, "verify", result.stdout.strip(), "--trust", folder=tmp_path)
+    assert result.returncode == 0, result.stdout + result.stderr
+
+
+def test_a_law_can_be_debugged(compiled: Path, tmp_path: Path) -> None:
+    (tmp_path / "debugged.py").write_text(DEBUGGED)
+    options = ["--set", "controller=debugged:Debugged", "--in-process", "--quiet", "--trust"]
+    result = fleet(compiled, "run", "paper", *options, folder=tmp_path, typed="p sample.tick, sample.eta[0]\nw\nq\n")
+    said = result.stderr  # stdout is for the run's directory alone
+    assert re.search(r"\(7, -0\.99\d+\)", said) and "debugged.py(10)step()" in said, said
+    assert "Traceback" not in said
+
+
+def test_a_traceback_of_compiled_code_names_file_and_line(compiled: Path, tmp_path: Path) -> None:
+    code = "from world.sea import World; World(None)"
+    result = subprocess.run(
+        [sys.executable, "-c", code],
+        env=os.environ | {"PYTHONPATH": str(compiled)},
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    place = re.search(r'File "world/sea\.py", line (\d+), in __init__', result.stderr)
+    assert place is not None, result.stderr
+    assert (compiled / "world" / "sea.py").read_text().splitlines()[int(place[1]) - 1].strip()
+
+
+def test_what_cannot_be_loaded_here_is_told_in_a_line(compiled: Path, tmp_path: Path) -> None:
+    """As a wheel that was built with a newer C library."""
+    other = tmp_path / "other"
+    shutil.copytree(compiled, other)
+    (library,) = other.glob("*__mypyc.*.so")
+    library.write_bytes(b"of another machine")
+    result = fleet(other, "check", "paper", folder=tmp_path)
+    assert (result.returncode, len(result.stderr.splitlines())) == (3, 1), result.stderr
+    assert result.stderr.startswith(f"fleet: the compiled cores cannot be loaded: {library}: ")
+    assert "install uuv-fleet here, or with UUV_FLEET_COMPILE=no" in result.stderr
+
+
+def test_the_tests_of_the_cores_pass(compiled: Path, tmp_path: Path) -> None:
+    """The same tests on compiled modules: they must be found there, and not in the sources."""
+    for name in ("tests", "docs", "pyproject.toml"):
+        place = ROOT / name
+        if place.is_dir():
+            shutil.copytree(place, tmp_path / name, ignore=shutil.ignore_patterns("__pycache__", "_build"))
+        else:
+            shutil.copy(place, tmp_path)
+    for room in ("agents", "fleet", "netem", "world"):
+        (tmp_path / room).symlink_to(compiled / room)
+    rooms = ["tests/agents", "tests/netem", "tests/world"]
+    result = subprocess.run(
+        [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", *rooms],
+        env=os.environ | {"PYTHONPATH": str(compiled)},
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        timeout=850,
+        check=False,
+    )
+    assert result.returncode == 0, result.stdout[-3000:]
+
+
+@pytest.mark.parametrize(
+    ("environment", "said"),
+    [
+        ({"UUV_FLEET_COMPILE": "no"}, "UUV_FLEET_COMPILE=no"),
+        ({"CC": "no-such-compiler"}, "there is no C compiler (no-such-compiler)"),
+        ({"CC": "false"}, "'false'"),
+    ],
+)
+def test_without_a_compiler_it_is_plain_python(environment: dict[str, str], said: str, tmp_path: Path) -> None:
+    """Or without the wish for it; one line says so."""
+    unpacked, output = build(tmp_path, **environment)
+    lines = [line for line in output.splitlines() if "the cores are not compiled and run as plain Python" in line]
+    assert len(lines) == 1 and said in lines[0], output
     assert not list(unpacked.rglob("*.so"))
     assert fleet(unpacked, "--version", folder=tmp_path).stdout.endswith("cores: plain Python\n")

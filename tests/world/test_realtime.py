@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from realtime import PERIOD_NS, SHORT
 
-from agents.agent import make_agent
+from agents.make_agent import make_agent
 from agents.realtime_loop import RealtimeLoop
 from fleet.recorder.journal import Journal
 from fleet.recorder.log_file import LogFile

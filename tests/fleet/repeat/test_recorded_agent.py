@@ -14,8 +14,8 @@ from plain_messages import encoded
 
 import fleet.run.execute
 import fleet.run.in_process
-from agents.agent import make_agent
 from agents.config import AgentConfig
+from agents.make_agent import make_agent
 from fleet.cli.main import cli
 from fleet.logs.schemas import Column, Doubles
 from fleet.repeat.recorded_agent import NotRecordedError

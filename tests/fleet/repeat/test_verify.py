@@ -8,16 +8,19 @@ from dataclasses import replace
 from itertools import count
 from math import inf, nan
 from pathlib import Path
+from textwrap import dedent
 from typing import Any
 
 import pytest
 from click.testing import CliRunner, Result
+from failing_laws import NAN_IN_THE_CORE
 from live import LiveRun
 from mcap.records import Attachment, Metadata
 from tool import tool as op
 from waiting import wait_for
 
 import fleet.logs.deviation
+from agents.controllers import TRACKING
 from fleet.cli.main import cli
 from fleet.logs.decoder import Decoder
 from fleet.logs.deviation import compare
@@ -169,17 +172,8 @@ def test_an_interrupt_in_the_middle_of_a_message(number: int, tmp_path: Path, mo
 @pytest.mark.parametrize("then", ["die", "abort"])
 def test_a_run_with_a_controller_that_failed(then: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """What it left before is reproduced; what it would do next is not asked for, whether the run went on or not."""
-    from agents.agent import Agent
-
-    control = Agent._control
-
-    def failing(self: Agent, sample: Any) -> Any:
-        demand, telemetry = control(self, sample)
-        if (self.config.id, sample.tick) == (3, 57):
-            return (nan, nan, nan), (*telemetry[:-3], nan, nan, nan)
-        return demand, telemetry
-
-    monkeypatch.setattr(Agent, "_control", failing)
+    monkeypatch.setitem(TRACKING, "neurodynamic", TRACKING["neurodynamic"])  # restored after the sabotage
+    exec(dedent(NAN_IN_THE_CORE), {})
     scenario = load_scenario("paper", ["duration=2 s", "checks={}", f"on_controller_error={then}"])
     result = execute(scenario, Options(tmp_path, in_process=True, quiet=True))
     found = verify(result.directory)

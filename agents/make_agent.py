@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from agents.agent import Agent
 from agents.config import AgentConfig
-from agents.loop import AgentCore
 from agents.plugged_agent import PluggedAgent
 
 
-def make_agent(config: AgentConfig) -> AgentCore:
+def make_agent(config: AgentConfig) -> Agent | PluggedAgent:
     """Make the core of an agent: ours, or a user's whole agent where the configuration names one.
 
     Raises:

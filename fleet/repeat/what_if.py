@@ -15,10 +15,12 @@ from typing import Any
 import numpy as np
 from msgspec.structs import astuple
 
+from agents.agent import Agent
 from agents.controllers import BUILT_IN, laws
 from agents.errors import AgentError
-from agents.loop import AgentCore, restore
+from agents.loop import restore
 from agents.make_agent import make_agent
+from agents.plugged_agent import PluggedAgent
 from agents.plugins.loading import admit
 from agents.plugins.trust import NOTHING, Permission, Trust
 from fleet.errors import FleetError
@@ -129,7 +131,7 @@ def what_if(
         )
     if agent in recorded.external:
         result.notes.append(f"vehicle {agent} is external: what was recorded is what somebody else's agent commanded")
-    core: AgentCore | None = None
+    core: Agent | PluggedAgent | None = None
     life, waiting = -1, 0
     for done, (tick, measured) in enumerate(navs):
         incarnation = lives.incarnation(agent, tick)

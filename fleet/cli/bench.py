@@ -1,4 +1,4 @@
-"""The commands that measure this machine: `fleet bench`, `bench real`, `bench soak` and `bench stress`."""
+"""The commands that measure this machine: `fleet bench`, `bench real`, `bench scale`, `bench soak`, `bench stress`."""
 
 from __future__ import annotations
 
@@ -136,6 +136,35 @@ def soak(vehicles: int, duration: float, distributed: float, json_path: Path | N
     show_soak(rows, stdout())
     _write(json_path, [row.to_values() for row in rows])
     _end(soak_failures(rows))
+
+
+@bench.command()
+@_agents("4,20,100,300,1000")
+@click.option("--tick", metavar="TIME", default="100 ms", show_default=True, help="Of the scenario, with its unit.")
+@click.option(
+    "--picture", type=click.Path(path_type=Path, dir_okay=False), callback=_writable,
+    help="Also draw the curve here, as PNG.",
+)  # fmt: skip
+@_json
+def scale(agents: list[int], tick: str, picture: Path | None, json_path: Path | None) -> None:
+    """Measure what a tick of an agent costs by the size of the fleet, each row as soon as it is there.
+
+    \b
+    Examples:
+      fleet bench scale
+      fleet bench scale --agents 4,100 --tick '10 ms' --picture scale.png
+    """
+    from fleet.bench.scale import measure_scale
+    from fleet.bench.scale_picture import HEADING, draw, line
+
+    click.echo(HEADING)
+    rows = []
+    for row in measure_scale(agents, tick, _say):
+        click.echo(line(row))
+        rows.append(row)
+    _write(json_path, [row.to_values() for row in rows])
+    if picture is not None:
+        draw(rows, picture)
 
 
 def _end(wrong: list[str]) -> None:

@@ -16,7 +16,6 @@ pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 FLEET = [
     "vehicles=200",
     "tick=100 ms",
-    "guidance.qp_period=100 ms",
     "duration=2 s",
     "checks={ledger: balanced, tumbled: waived}",
 ]

@@ -102,7 +102,7 @@ class _Meter:
         return {role: self.cpu_s[role] * 1e6 / (self.passed * vehicles) for role in ROLES if role in self.cpu_s}
 
 
-def measure_scale(sizes: Sequence[int], tick: str, say: Callable[[str], None]) -> Iterator[ScaleRow]:
+def measure_scale(sizes: Sequence[int], tick: str, *, quick: bool, say: Callable[[str], None]) -> Iterator[ScaleRow]:
     """Each row as soon as it is measured.
 
     Args:
@@ -113,7 +113,7 @@ def measure_scale(sizes: Sequence[int], tick: str, say: Callable[[str], None]) -
         BenchError: a run did not come to its end.
     """
     for n in sizes:
-        ticks = min(max(AGENT_TICKS // n, LEAST_TICKS), MOST_TICKS)
+        ticks = LEAST_TICKS if quick else min(max(AGENT_TICKS // n, LEAST_TICKS), MOST_TICKS)
         settings = [f"vehicles={n}", f"tick={tick}", "log.snapshot=0 s", "checks={tumbled: waived}"]
         tick_ns = load_scenario("paper", settings).tick_ns
         scenario = load_scenario("paper", [*settings, f"duration={ticks * tick_ns / 1e9:g} s"])

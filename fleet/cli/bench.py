@@ -146,7 +146,8 @@ def soak(vehicles: int, duration: float, distributed: float, json_path: Path | N
     help="Also draw the curve here, as PNG.",
 )  # fmt: skip
 @_json
-def scale(agents: list[int], tick: str, picture: Path | None, json_path: Path | None) -> None:
+@_quick
+def scale(agents: list[int], tick: str, picture: Path | None, json_path: Path | None, quick: bool) -> None:
     """Measure what a tick of an agent costs by the size of the fleet, each row as soon as it is there.
 
     \b
@@ -157,10 +158,9 @@ def scale(agents: list[int], tick: str, picture: Path | None, json_path: Path | 
     from fleet.bench.scale import measure_scale
     from fleet.bench.scale_picture import HEADING, draw, line
 
-    click.echo(HEADING)
     rows = []
-    for row in measure_scale(agents, tick, _say):
-        click.echo(line(row))
+    for row in measure_scale(agents, tick, quick=quick, say=_say):
+        click.echo(line(row) if rows else f"{HEADING}\n{line(row)}")
         rows.append(row)
     _write(json_path, [row.to_values() for row in rows])
     if picture is not None:

@@ -147,7 +147,7 @@ def test_a_recorder_that_misses_messages_ends_the_benchmark(monkeypatch: pytest.
 def test_scale_gives_every_role_its_part(tmp_path: Path) -> None:
     """A row per size as soon as it is measured, the same in the file, and the curve as a picture."""
     figures, picture = tmp_path / "scale.json", tmp_path / "scale.png"
-    arguments = ["bench", "scale", "--agents", "2,3", "--json", str(figures), "--picture", str(picture)]
+    arguments = ["bench", "scale", "--quick", "--agents", "2,3", "--json", str(figures), "--picture", str(picture)]
     found = CliRunner().invoke(cli, arguments)
     assert found.exit_code == 0, found.output
     rows = json.loads(figures.read_text())

@@ -158,7 +158,7 @@ def scale(agents: list[int], tick: str, picture: Path | None, json_path: Path | 
     from fleet.bench.scale import measure_scale
     from fleet.bench.scale_picture import HEADING, draw, line
 
-    rows = []
+    rows: list[Any] = []
     for row in measure_scale(agents, tick, quick=quick, say=_say):
         click.echo(line(row) if rows else f"{HEADING}\n{line(row)}")
         rows.append(row)

@@ -138,7 +138,7 @@ def spacetime(runs: Sequence[Run], view: View) -> Figure:
     ax.grid(axis="y", visible=False)
     ax.set_ylabel("vehicle")
     marks_legend(figure, handles)
-    some = [] if len(vehicles) == every else [f"{len(vehicles)} of {every} vehicles: those about the worst link"]
+    some = [] if len(vehicles) == every else [f"{len(vehicles)} of {every} vehicles; others with --vehicles"]
     finish(figure, [ax], runs, some)
     return figure
 

@@ -23,8 +23,8 @@ from netem.wire.shell import Shell
 log = logging.getLogger(__name__)
 
 READY_TIMEOUT_S = 30.0
-RETRY_S = 0.02
-POLL_S = 0.001
+RETRY_S = 0.02  # and twice as long each further time: the probes of a thousand agents would fill all queues
+POLLS = 20  # looks at the queues between two probes
 CONTROLLER_FAILED = 70  # exit status: a law failed, and the scenario says that the run shall end
 
 
@@ -52,15 +52,17 @@ class AgentProcess:
         probe = encode(Hello("agent", self._vehicle, self._loop.incarnation, PROTOCOL_VERSION, False))
         unheard: dict[Channel | Stamped, Callable[[bytes], None]] = {self._navs: self._cmd, self._rx: self._tx}
         deadline = monotonic() + READY_TIMEOUT_S
+        patience = RETRY_S
         while unheard:
             for put in unheard.values():
                 put(probe)
-            retry = monotonic() + RETRY_S
+            retry = min(deadline, monotonic() + patience)
             while unheard and monotonic() < retry:
                 for channel in [c for c in unheard if c.poll() is not None]:
                     del unheard[channel]
-                sleep(POLL_S)
-            if monotonic() > deadline:
+                sleep(patience / POLLS)
+            patience *= 2
+            if monotonic() >= deadline:
                 raise BusError(f"no answer from world and netem within {READY_TIMEOUT_S:.0f} s")
         self._cmd(encode(Hello("agent", self._vehicle, self._loop.incarnation, PROTOCOL_VERSION, True)))
         self._bus.token(self._keys.alive(agent_role(self._vehicle)))

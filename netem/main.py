@@ -25,7 +25,7 @@ def run(endpoint: str, run_id: str, credentials: Credentials, config: NetemConfi
     """
     quiet_zenoh()
     keys = Keys(run_id)
-    bus = Bus.connect(endpoint, credentials)
+    bus = Bus.connect(endpoint, credentials, puts=[keys.rx("*")])
     end_with_link(bus, credentials)
     if realtime:
         RealtimeNetemProcess(bus, keys, config, RealtimeRounds(config)).serve()

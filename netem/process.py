@@ -50,7 +50,8 @@ class NetemProcess:
     def __init__(self, bus: Bus, keys: Keys, config: NetemConfig, rounds: Rounds | RealtimeRounds) -> None:
         self._round_key = keys.round
         self._rounds = rounds
-        self._shell = Shell(bus, NETEM, keys.note(NETEM), drop=isinstance(rounds, RealtimeRounds))
+        drop = isinstance(rounds, RealtimeRounds)
+        self._shell = Shell(bus, NETEM, keys.note(NETEM), senders=len(config.vehicles), drop=drop)
         self._inbox: dict[int, Callable[[bytes], None]] = {i: bus.publisher(keys.rx(i)) for i in config.vehicles}
         self._links = bus.publisher(keys.links)
         self._round_heard = False

@@ -19,7 +19,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from functools import reduce
 from math import inf
 from typing import Any
 
@@ -27,6 +26,7 @@ import numpy as np
 
 from fleet.analysis.border import MOST_DELAY_S, LinearFleet, Mode, linear_fleet
 from fleet.analysis.linear import NotLinear
+from fleet.analysis.spectrum import eigenvalues
 from fleet.quantities import vehicle_names
 from fleet.recorder.connectivity import Connectivity
 from fleet.scenario.scenario import Scenario
@@ -59,7 +59,7 @@ class Analysis:
 def analyse(scenario: Scenario) -> Analysis:
     """Connectivity, eigenvalues and violated limits of a scenario."""
     A, M = matrices(scenario)
-    eigenvalues = sorted(np.linalg.eigvals(M).tolist(), key=lambda v: (v.real, v.imag))
+    values = sorted(eigenvalues(M).tolist(), key=lambda v: (v.real, v.imag))
     largest = [_largest_gain(control) for control in scenario.controls]
     settled = [_settled_gain(scenario, i) for i in range(1, scenario.vehicles + 1)]
     unreached = _unreached(scenario)
@@ -73,8 +73,8 @@ def analyse(scenario: Scenario) -> Analysis:
     found = Analysis(
         components=_components(scenario),
         unreached=unreached,
-        eigenvalues=[complex(value) for value in eigenvalues],
-        spectral_radius_A=float(max(abs(np.linalg.eigvals(A)))),
+        eigenvalues=[complex(value) for value in values],
+        spectral_radius_A=float(max(abs(eigenvalues(A)))),
         gain_max=max((max(gain) for gain in largest if gain is not None), default=None),
         settled=_most(settled),
         at_most=at_most,
@@ -327,12 +327,13 @@ def _check_warnings(scenario: Scenario) -> list[str]:
 
 
 def _components(scenario: Scenario) -> list[list[int]]:
-    def join(parts: list[set[int]], link: tuple[int, int]) -> list[set[int]]:
-        touched = [part for part in parts if part & set(link)]
-        return [part for part in parts if part not in touched] + [set().union(*touched)]
-
-    parts: list[set[int]] = [{i} for i in range(1, scenario.vehicles + 1)]
-    return sorted(sorted(part) for part in reduce(join, scenario.graph.links, parts))
+    part_of = {i: {i} for i in range(1, scenario.vehicles + 1)}
+    for one, other in scenario.graph.links:
+        small, large = sorted((part_of[one], part_of[other]), key=len)
+        if small is not large:
+            large |= small
+            part_of.update(dict.fromkeys(small, large))
+    return sorted({min(part): sorted(part) for part in part_of.values()}.values())
 
 
 def _unreached(scenario: Scenario) -> list[int]:

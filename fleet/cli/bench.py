@@ -232,6 +232,36 @@ def soak(vehicles: int, duration: float, distributed: float, output: Path | None
     _end(failures, as_json=as_json)
 
 
+@bench.command()
+@_agents("4,20,100,300,1000")
+@click.option("--tick", metavar="TIME", default="100 ms", show_default=True, help="Of the scenario, with its unit.")
+@click.option(
+    "--picture", type=click.Path(path_type=Path, dir_okay=False), callback=_writable,
+    help="Also draw the curve here, as PNG.",
+)  # fmt: skip
+@_output
+@json_option
+@_quick
+def scale(agents: list[int], tick: str, picture: Path | None, output: Path | None, as_json: bool, quick: bool) -> None:
+    """Measure what a tick of an agent costs by the size of the fleet, each row as soon as it is there.
+
+    \b
+    Examples:
+      fleet bench scale
+      fleet bench scale --agents 4,100 --tick '10 ms' --picture scale.png
+    """
+    from fleet.bench.scale import Scaled, ScaleRow, measure_scale
+    from fleet.bench.scale_picture import HEADING, draw, line
+
+    rows: list[ScaleRow] = []
+    for row in measure_scale(agents, tick, quick=quick, say=_say):
+        click.echo(line(row) if rows else f"{HEADING}\n{line(row)}", err=as_json)
+        rows.append(row)
+    _give(Scaled(rows), output, as_json=as_json)
+    if picture is not None:
+        draw(rows, picture)
+
+
 def _give(document: Struct, output: Path | None, *, as_json: bool) -> None:
     """Print a document, or write it, or both."""
     if output is not None:

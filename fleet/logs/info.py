@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,6 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from fleet.logs.reader import LogReader, Tell, log_path
+
+MOST_TOPICS = 100  # in words one by one
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,6 +75,21 @@ def info_text(info: Info) -> str:
         lines += [f"  {key:<10} {value}" for key, value in info.run.items() if key != "graph"]
     else:
         lines.append("not a log of uuv-fleet: it says nothing of a run")
-    width = max((len(topic) for topic in info.topics), default=0)
-    lines += [f"  {topic:<{width}}  {count:>8}  {schema}" for topic, (schema, count) in info.topics.items()]
+    rows = _folded(info.topics) if len(info.topics) > MOST_TOPICS else info.topics
+    width = max((len(topic) for topic in rows), default=0)
+    lines += [f"  {topic:<{width}}  {count:>8}  {schema}" for topic, (schema, count) in rows.items()]
     return "\n".join(lines)
+
+
+def _folded(topics: dict[str, tuple[str, int]]) -> dict[str, tuple[str, int]]:
+    """Topics that differ by numbers alone, `uuv/1/pose` and `uuv/2/pose`, as one with all their messages."""
+    alike: dict[str, list[str]] = {}
+    for topic in topics:
+        alike.setdefault(re.sub(r"\d+", "*", topic), []).append(topic)
+    found = {}
+    for pattern, some in alike.items():
+        schemas = {topics[topic][0] for topic in some}
+        name = f"{pattern} ({len(some)} topics)" if len(some) > 1 else some[0]
+        schema = schemas.pop() if len(schemas) == 1 else f"{len(schemas)} schemas"
+        found[name] = schema, sum(topics[topic][1] for topic in some)
+    return found

@@ -26,6 +26,8 @@ from fleet.logs.topic import LogKeyError, Topic
 from netem.parsing import nearest
 
 if TYPE_CHECKING:
+    from mcap.records import Channel
+
     from fleet.scenario.scenario import Scenario
 
 MOST_EVENTS = 200_000  # of faults
@@ -266,6 +268,7 @@ class _Opening:
     ) -> None:
         self._path, self._progress, self._share, self._part, self._drawn = path, progress, share, part, drawn
         self._wanted = None if topics is None else [topics] if isinstance(topics, str) else list(topics)
+        self._channels: dict[str, Channel] = {}  # by topic, as far as declared
         self._topics: dict[str, Topic | None] = {}
         self._held: list[Topic] = []  # those that were fetched, the oldest first
         self._seen: Counter[str] = Counter()
@@ -298,7 +301,10 @@ class _Opening:
     def _made(self, reader: LogReader, name: str) -> Topic | None:
         if self._wanted is not None and not any(fnmatchcase(name, pattern) for pattern in self._wanted):
             return None
-        channel = next(channel for channel in reader.channels.values() if channel.topic == name)
+        if name not in self._channels:
+            for channel in reader.channels.values():
+                self._channels.setdefault(channel.topic, channel)
+        channel = self._channels[name]
         topic = Topic(name, channel, reader.schemas.get(channel.schema_id))
         topic.fetch = self._fetch
         return topic

@@ -46,6 +46,8 @@ FATES: dict[str, tuple[str, str]] = {
 _BINS = 300  # of the time axis of the ages, at most; twice as many where every tooth can be seen
 _ROUNDS = 12  # shown by the space-time diagram unless a window is given
 _MOST_NAMED = 36  # rows
+_MOST_VEHICLES = 20  # of the space-time diagram
+_MOST_LINKS = 100  # with a row among the ages; of more, the oldest have one
 _ROW_IN = 0.11  # height of a link's row among the ages, enough for its name
 
 
@@ -95,7 +97,9 @@ def spacetime(runs: Sequence[Run], view: View) -> Figure:
     view = view if view.window else View(view.vehicles, view.log_scale, _moment(run, packets))
     assert view.window is not None
     first, last = view.window
-    vehicles = sorted({i for link in links for i in link})
+    shown_ones, every = _about_the_worst(packets, view.window), len({i for link in links for i in link})
+    packets = {link: found for link, found in packets.items() if shown_ones.issuperset(link)}
+    vehicles = sorted(shown_ones)
     figure, (ax,) = over_time(1, runs, view, float(np.clip(0.42 * len(vehicles), 1.2, 6.0)) + 1.2)
     place = {i: k for k, i in enumerate(vehicles)}
     for i in vehicles:
@@ -134,8 +138,32 @@ def spacetime(runs: Sequence[Run], view: View) -> Figure:
     ax.grid(axis="y", visible=False)
     ax.set_ylabel("vehicle")
     marks_legend(figure, handles)
-    finish(figure, [ax], runs)
+    some = [] if len(vehicles) == every else [f"{len(vehicles)} of {every} vehicles; others with --vehicles"]
+    finish(figure, [ax], runs, some)
     return figure
+
+
+def _about_the_worst(packets: dict[Link, tuple[Array, Array, Array, Array]], window: tuple[float, float]) -> set[int]:
+    """The vehicles of these links; of too many those nearest to the link that lost most of its packets in a window."""
+    hears: dict[int, set[int]] = {}
+    lost: dict[Link, int] = {}
+    for (a, b), (sent, _, fate, _) in packets.items():
+        hears.setdefault(a, set()).add(b)
+        hears.setdefault(b, set()).add(a)
+        inside = (sent >= window[0]) & (sent <= window[1])
+        lost[a, b] = int((inside & (fate != Cause.DELIVERED) & (fate != Cause.IN_FLIGHT)).sum())
+    if len(hears) <= _MOST_VEHICLES:
+        return set(hears)
+    worst = max(lost, key=lambda link: lost[link])
+    found = dict.fromkeys(worst)
+    front = list(worst)
+    for i in front:  # it grows meanwhile
+        new = [j for j in sorted(hears[i]) if j not in found]
+        found.update(dict.fromkeys(new))
+        front += new
+        if len(found) >= _MOST_VEHICLES:
+            break
+    return set(list(found)[:_MOST_VEHICLES])
 
 
 def _moment(run: Run, packets: dict[Link, tuple[Array, Array, Array, Array]]) -> tuple[float, float]:
@@ -245,11 +273,16 @@ def ages(runs: Sequence[Run], view: View) -> Figure:
     else:
         axes[0].set_ylim(0.0, None)
     for ax, (run, links), table in zip(axes[1:], tables, peaks, strict=True):
+        which = run.label if len(runs) > 1 else ""
+        if len(links) > _MOST_LINKS:
+            which = f"{which}\n" * bool(which) + f"the {_MOST_NAMED} oldest of {len(links)}"
+            order = np.argsort(-np.nan_to_num(np.nanmean(table, axis=1)), kind="stable")[:_MOST_NAMED]
+            links, table = [links[k] for k in order], table[order]
         mesh = ax.pcolormesh(edges, np.arange(len(links) + 1) - 0.5, np.ma.masked_invalid(table), norm=norm,
                              cmap="cividis", rasterized=True)  # fmt: skip
         ax.set_ylim(len(links) - 0.5, -0.5)
         name_rows(ax, [f"{a}→{b}" for a, b in links], LABEL_PT)
-        ax.set_ylabel("link" if len(runs) == 1 else f"link\n{run.label}")
+        ax.set_ylabel(f"link\n{which}" if which else "link")
         ax.grid(False)
     bar = figure.colorbar(mesh, ax=axes[1:], location="right", aspect=18, pad=0.02)
     bar.set_label("age [s]")

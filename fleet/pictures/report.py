@@ -21,7 +21,7 @@ from fleet.logs.result_file import ResultError, read_result
 from fleet.logs.run_name import begun_at, run_name
 from fleet.pictures.gallery import PER_RUN, WHAT, draw
 from fleet.pictures.report_scenario import conditions_note, conditions_table, network_facts, scenario_facts
-from fleet.pictures.report_tables import Mark, Table, links_table, number, side_by_side
+from fleet.pictures.report_tables import Mark, Table, links_table, number, rest, side_by_side, worst
 from fleet.pictures.runs import Run, View
 from fleet.pictures.style import DPI
 from fleet.pictures.whole_file import whole_file
@@ -204,15 +204,17 @@ def _tables(run: Run, values: dict[str, Any]) -> list[tuple[str, Table]]:
             "effort_Ns": "surge effort [N s]", "u_cmd_max_mps": "max u_cmd [m/s]", "qp_failures": "QP failures",
             "payloads_rejected": "payloads rejected",
         }  # fmt: skip
-        measured = [(i, *(number(key, row[key]) for key in headings)) for i, row in values["vehicles"].items()]
+        vehicles = values["vehicles"]
+        shown = worst(vehicles, {i: row["formation_final_m"] or 0.0 for i, row in vehicles.items()})
+        measured = [(i, *(number(key, vehicles[i][key]) for key in headings)) for i in shown]
+        measured += rest(len(vehicles) - len(shown), "whose final formation error is smaller")
         tables.append(("Vehicles", Table(("UUV", *headings.values()), measured)))
     elif reported:
         errors = [(i, run.log[f"uuv/{i}/error"]) for i in reported]
-        final = [
-            (i, f"{e['e_norm'][-1]:.4f}", f"{e['formation_norm'][-1]:.4f}")
-            for i, e in errors
-            if not e.too_many and len(e)
-        ]
+        known = {i: e for i, e in errors if not e.too_many and len(e)}
+        shown = worst(known, {i: e["formation_norm"][-1] for i, e in known.items()})
+        final = [(i, *(f"{known[i][name][-1]:.4f}" for name in ("e_norm", "formation_norm"))) for i in shown]
+        final += rest(len(known) - len(shown), "whose formation error is smaller")
         headings_ = ("UUV", "consensus error [m]", "formation error [m]")
         tables.append(("Vehicles at the end of the log", Table(headings_, final)))
     ledger, ages, source = (values["ledger"], values["ages"], "") if values else (*_from_log(run), ", from the log")

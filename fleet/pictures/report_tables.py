@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 from fleet.pictures.runs import Run
 from netem.causes import Cause
 
-MOST_ROWS = 40  # of a table of links
+_Name = TypeVar("_Name", int, str)
+MOST_ROWS = 40  # of a table of vehicles or links
 _ONLY_IF_ANY = ("duplicated", "in flight", "corrupted")  # columns that are left out where every link has a 0
 
 
@@ -61,8 +62,7 @@ def links_table(ledger: Mapping[str, Any], ages: Mapping[str, Any]) -> Table:
     causes = sorted(
         {cause for account in ledger.values() for cause in account["lost"]}, key=lambda c: (c != Cause.REPLACED, c)
     )
-    names = sorted(ledger, key=lambda name: -ages[name]["max_s"] if name in ages else 0.0)
-    names = list(ledger) if len(ledger) <= MOST_ROWS else names[:MOST_ROWS]
+    names = worst(ledger, {name: age["max_s"] for name, age in ages.items()})
     counted = ("sent", "duplicated", "delivered", "in_flight", "corrupted")
     rows = []
     for name in ["*", *names]:
@@ -77,9 +77,20 @@ def links_table(ledger: Mapping[str, Any], ages: Mapping[str, Any]) -> Table:
                 "mean age [s]", "95 % [s]", "max [s]")  # fmt: skip
     kept = [k for k, heading in enumerate(headings) if heading not in _ONLY_IF_ANY or rows[0][k]]
     rows, headings = [tuple(row[k] for k in kept) for row in rows], tuple(headings[k] for k in kept)
-    if len(ledger) > len(names):
-        rows.append((f"{len(ledger) - len(names)} more, whose age stayed lower",))
+    rows += rest(len(ledger) - len(names), "whose age stayed lower")
     return Table(headings, rows)
+
+
+def worst(rows: Mapping[_Name, Any], how_bad: Mapping[_Name, float]) -> list[_Name]:
+    """The names of all rows, or of too many those of the worst, the worst first."""
+    if len(rows) <= MOST_ROWS:
+        return list(rows)
+    return sorted(rows, key=lambda name: -how_bad.get(name, 0.0))[:MOST_ROWS]
+
+
+def rest(count: int, which: str) -> list[tuple[str]]:
+    """A row that says how many rows are left out, and which; none if none are."""
+    return [(f"{count} more, {which}",)] if count else []
 
 
 def number(key: str, value: Any) -> str:

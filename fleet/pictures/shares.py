@@ -94,8 +94,10 @@ def fold(rows: list[Row]) -> list[Row]:
     """The rows as they are, or of too many the worst by what arrived, worst first, and one for all others."""
     if len(rows) <= MOST_ROWS:
         return rows
-    worst = sorted((row for row in rows if row.arrived < 1.0), key=lambda row: row.arrived)[:WORST]
-    others = [row for row in rows if row not in worst]
+    best = max(row.arrived for row in rows)
+    worst = sorted((row for row in rows if row.arrived < best), key=lambda row: row.arrived)[:WORST]
+    own = set(map(id, worst))
+    others = [row for row in rows if id(row) not in own]
     together: dict[str, Array] = {}
     for row in others:
         for fate, counts in row.bins.items():

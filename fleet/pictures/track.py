@@ -8,9 +8,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
+from mpl_toolkits.mplot3d.art3d import Line3DCollection
 
 from fleet.logs.records import Array
 from fleet.palette import COLOURS
@@ -22,11 +24,14 @@ from fleet.pictures.track_marks import Happening, directions, happenings, places
 
 SHAPES = 5  # moments at which the formation is drawn
 GREY = "0.6"
+CROWD = 40  # with more vehicles than this only the named ones are numbered and have marks
 _MOST_EDGES = 60  # of the graph that are drawn as the formation's shape
 _REFERENCE_POINTS = 400
 _TALL = 1.3  # times as high as wide: then the legend stands beside the tracks
 _EXAGGERATIONS = (1, 2, 5, 10, 20, 50, 100)
 _MARK = 3.5  # pt
+_FAINT: dict[str, Any] = {"linewidths": 0.3, "alpha": 0.4, "zorder": 2, "gid": "others"}
+_DOTS: dict[str, Any] = {"s": 1.5, "linewidths": 0, "zorder": 2, "gid": "ends"}
 
 
 class Track(NamedTuple):
@@ -62,7 +67,14 @@ def top(runs: Sequence[Run], view: View) -> Figure:
                 reference[:, 1], reference[:, 0], color="0.4", linewidth=THIN, linestyle=":", zorder=1, gid="reference"
             )
     many = len({track.vehicle for track in tracks}) > MOST_NAMED
-    for track in tracks:
+    others, distinct = _apart(tracks)
+    if others:
+        colours = [track.colour for track in others]
+        lines: Any = [track.positions[:, 1::-1] for track in others]
+        ax.add_collection(LineCollection(lines, colors=colours, **_FAINT))
+        last = _ends(others)
+        ax.scatter(last[:, 1], last[:, 0], c=colours, **_DOTS)
+    for track in distinct:
         p, colour, gid = track.positions, track.colour, f"vehicle-{track.vehicle}"
         above = 2.0 if colour == GREY else 2.5
         ax.plot(p[:, 1], p[:, 0], color=colour, linestyle=track.style, linewidth=THIN if many else NORMAL, zorder=above,
@@ -75,8 +87,9 @@ def top(runs: Sequence[Run], view: View) -> Figure:
         if many:
             ax.annotate(str(track.vehicle), (p[-1, 1], p[-1, 0]), xytext=(3, 1), textcoords="offset points",
                         fontsize=LABEL_PT, color="0.25", gid="number")  # fmt: skip
+    marked = {track.vehicle for track in distinct}
     for _, found in wanted:
-        for place in found.values():
+        for place in (place for i, place in found.items() if i in marked):
             ax.plot(place[1], place[0], "+", color="black", markersize=6, markeredgewidth=THIN, zorder=5, gid="place")
     happened = _happened(runs, view, tracks)
     for one, colour in happened:
@@ -111,7 +124,13 @@ def space(runs: Sequence[Run], view: View) -> Figure:
         reference = _reference(run, view)
         if reference is not None:
             ax.plot(*reference[:, [1, 0, 2]].T, color="0.4", linewidth=THIN, linestyle=":", gid="reference")
-    for track in tracks:
+    others, distinct = _apart(tracks)
+    if others:
+        colours = [track.colour for track in others]
+        lines = [track.positions[:, [1, 0, 2]] for track in others]
+        ax.add_collection3d(Line3DCollection(lines, colors=colours, **_FAINT))
+        ax.scatter(*_ends(others)[:, [1, 0, 2]].T, c=colours, **_DOTS)
+    for track in distinct:
         p, colour = track.positions, track.colour
         ax.plot(p[:, 1], p[:, 0], p[:, 2], color=colour, linestyle=track.style, linewidth=NORMAL,
                 gid=f"vehicle-{track.vehicle}")  # fmt: skip
@@ -189,6 +208,22 @@ def _worst(run: Run, shown: Sequence[int]) -> list[int]:
     errors = {i: run.series(i, "error", "formation_norm") for i in shown}
     known = {i: (one[0], one[1][:, 0]) for i, one in errors.items() if one is not None}
     return sorted(outliers([spread(known)], log=True)) if known else []
+
+
+def _apart(tracks: list[Track]) -> tuple[list[Track], list[Track]]:
+    """Those that are drawn together because they are many, and those that are drawn one by one.
+
+    Together are all that the legend does not name, and of several runs all.
+    """
+    if len({track.vehicle for track in tracks}) <= CROWD:
+        return [], tracks
+    named = [track for track in tracks if track.colour != GREY]
+    return ([track for track in tracks if track.colour == GREY], named) if len(named) < len(tracks) else (tracks, [])
+
+
+def _ends(tracks: Sequence[Track]) -> Array:
+    """Where each of them is at last (tracks, 3) [m, NED]."""
+    return np.array([track.positions[-1] for track in tracks])
 
 
 def _inside(t: Array, view: View) -> Array:

@@ -12,8 +12,8 @@ if CONSOLE_PID_VARIABLE in os.environ:
     die_with_parent(int(os.environ.pop(CONSOLE_PID_VARIABLE)))  # or processes that a law starts would see it
 
 gc.disable()  # what is imported stays: one collection at the end is enough
-# After the tie to the parent, because it takes a while.
-for name in ("agents.main", "netem.main", "world.main"):
+# After the tie to the parent, because it takes a while. The last is where each child begins.
+for name in ("agents.main", "netem.main", "world.main", "fleet.processes.children"):
     importlib.import_module(name)
 
 FORKSERVER_PID = os.getpid()

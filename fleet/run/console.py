@@ -119,7 +119,7 @@ class Console:
         """
         began = time.monotonic()
         try:
-            self._start()
+            self._start(progress)
             self._get_ready(progress)
             self.started_s = time.monotonic() - began
             try:
@@ -134,14 +134,17 @@ class Console:
 
     # The stages of a run.
 
-    def _start(self) -> None:
+    def _start(self, progress: Callable[[], None]) -> None:
         """Start the processes, connect to the router, and let the operator and external agents in."""
         launch = Launch(self._scenario, self._options, self._keys, self._directory, self._children)
         self._launch = launch
         own = launch.credentials[CONSOLE]
         if launch.joins_router:
             self._open(connect_to_router(launch.endpoint, own, self._keys, self._events))
-        for number, (role, target) in enumerate(launch.targets().items()):
+        targets = launch.targets()
+        for number, (role, target) in enumerate(targets.items()):
+            self.waiting = f"starting processes, {number} of {len(targets)}"
+            progress()
             launch.start(role, target)
             if number == 0:
                 self._children.watch()
@@ -178,6 +181,8 @@ class Console:
             elif time.monotonic() > deadline:
                 tails = last_lines(self._children.by_role)
                 raise RunBroken(f"not ready after {READY_S:.0f} s: waiting for {state.missing}", tails)
+            self.waiting = f"waiting for all to be ready, not yet {state.missing}"
+            progress()
             for event in self._events.take_for(POLL_S):
                 self._handle(*event)
 
@@ -243,12 +248,8 @@ class Console:
         try:
             with contextlib.suppress(MalformedMessage):
                 world = self._children.by_role.get(WORLD)
-                if (
-                    self._external.vehicles
-                    and self._session is not None
-                    and world is not None
-                    and world.process.is_alive()
-                ):
+                there = self._session is not None and world is not None and world.process.is_alive()
+                if there and self._external.vehicles:
                     self._supervisor.dismiss_external(RUN_OVER)
         finally:
             self._children.stop()

@@ -18,6 +18,8 @@ from fleet.processes.children import (
 )
 from netem.wire.access import NETEM, WORLD, agent_role
 
+MOST_NAMED = 8  # processes in a line
+
 
 def explain(exits: Sequence[Exit], children: Mapping[str, Child], notes: Sequence[str], at: str) -> RunBroken:
     """The error for processes that ended: which one ended first, how, and its last lines.
@@ -40,7 +42,8 @@ def explain(exits: Sequence[Exit], children: Mapping[str, Child], notes: Sequenc
         *(f"  {line}" for line in child.tail() or ["(nothing printed)"]),
     ]
     if others:
-        lines.append("also ended: " + ", ".join(f"{e.role} ({describe_exit(e.code)})" for e in others))
+        named = ", ".join(f"{e.role} ({describe_exit(e.code)})" for e in others[:MOST_NAMED])
+        lines.append("also ended: " + named + _more(len(others)))
     return RunBroken(reason, lines)
 
 
@@ -75,9 +78,15 @@ def who_waits(
         late = [i for i in missing if i in late] or late
     if not late:
         return "waiting for the log" if log_is_behind else "waiting"
-    named = [f"agent {i}" + (" (external)" if i in external else _condition(children[agent_role(i)])) for i in late[:8]]
-    more = f" and {len(late) - 8} more" if len(late) > 8 else ""
-    return "waiting for " + ", ".join(named) + more
+    named = [
+        f"agent {i}" + (" (external)" if i in external else _condition(children[agent_role(i)]))
+        for i in late[:MOST_NAMED]
+    ]
+    return "waiting for " + ", ".join(named) + _more(len(late))
+
+
+def _more(total: int) -> str:
+    return f" and {total - MOST_NAMED} more" if total > MOST_NAMED else ""
 
 
 def _condition(child: Child) -> str:

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from threading import Thread
 from typing import Any
@@ -36,13 +36,17 @@ class Bus:
         self.endpoint = endpoint
 
     @classmethod
-    def connect(cls, endpoint: str, credentials: Credentials, *, timeout_ms: int = 5000) -> Bus:
+    def connect(
+        cls, endpoint: str, credentials: Credentials, *, timeout_ms: int = 5000, puts: Sequence[str] = ()
+    ) -> Bus:
         """A client session to a run's router.
 
         Args:
             endpoint: address of the router; of several addresses, separated by commas, each is tried in turn.
             credentials: user, password and, for TLS, the certificates.
             timeout_ms: how long to try [ms].
+            puts: key expressions; the publishers on keys that one of them includes are declared to the router as one.
+                A thousand declarations at once stop zenoh: it waits for room in the socket, and for itself to make it.
 
         Raises:
             BusError: no router answers in time, or it refuses the credentials or the certificate.
@@ -50,6 +54,7 @@ class Bus:
         settings = {
             **client_settings(endpoint.split(","), credentials, timeout_ms),
             "transport/link/tx/lease": credentials.lease_ms,
+            "aggregation/publishers": [*puts],
             **client_tls(credentials),
         }
         try:

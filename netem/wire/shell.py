@@ -24,7 +24,8 @@ from netem.wire.queues import Quota
 log = logging.getLogger(__name__)
 
 
-ROOM = 64  # puts that wait in lockstep; each may hold half a megabyte, since zenoh keeps the buffer that it came in
+ROOM = 64  # puts that wait in lockstep, at least; each may hold 0.5 MB, since zenoh keeps the buffer that it came in
+ROOM_PER_SENDER = 3  # a transmission, and probes of one that gets ready
 
 
 class Item(NamedTuple):
@@ -38,15 +39,17 @@ class Item(NamedTuple):
 class Shell:
     """The queue of one process, with the bus that feeds it."""
 
-    def __init__(self, bus: Bus, role: str, note_key: str, *, drop: bool = False) -> None:
+    def __init__(self, bus: Bus, role: str, note_key: str, *, senders: int = 0, drop: bool = False) -> None:
         """Make the queue; `subscribe` and `answer` fill it.
 
         Args:
             note_key: key expression of the notes to the console.
+            senders: how many agents may each have something in the queue. With less room than they need the router
+                waits for this process, and this one, when it puts, for the router, and nothing moves any more.
             drop: drop and count what exceeds the quota of a key, as a realtime run must; otherwise the sender waits.
         """
         self._drop = drop
-        self._room = Semaphore(ROOM)
+        self._room = Semaphore(max(ROOM, ROOM_PER_SENDER * senders))
         self.bus = bus
         self.role = role
         self.queue: SimpleQueue[Item] = SimpleQueue()

@@ -9,6 +9,7 @@ from msgspec import Struct
 
 from fleet.bench.figures import ComparedFiles, Measured
 from fleet.bench.profile import Profiled
+from fleet.bench.scale import Scaled
 from fleet.bench.soak import Soaked
 from fleet.bench.stress import Stressed
 from fleet.bench.wall_clock import OnWallClock
@@ -24,6 +25,7 @@ DOCUMENTS: dict[str, type[Struct]] = {
     "bench compare": ComparedFiles,
     "bench profile": Profiled,
     "bench real": OnWallClock,
+    "bench scale": Scaled,
     "bench soak": Soaked,
     "bench stress": Stressed,
     "check": Checked,

@@ -23,7 +23,7 @@ def network_period(parts: Parts, report: Report) -> None:
 def qp_period(parts: Parts, report: Report) -> None:
     spec = parts.spec
     for entries, law, section, name in parts.guidance():
-        period = qp_period_ns(name, section)
+        period = qp_period_ns(name, section, spec.tick)
         if "qp_period" not in used("guidance", law) or period % spec.tick == 0:
             continue
         path = report.origin(entries, "guidance", "qp_period")

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
+from functools import cached_property
 from math import dist
 
 from fleet.scenario.schema.motion import GraphSection
@@ -21,7 +22,7 @@ from world.vectors import Vec3
 _EDGE = re.compile(r"\s*(\d{1,9})\s*->\s*(\d{1,9})\s*", re.ASCII)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Graph:
     """The links in order of (receiver, sender), and the weights b_1, b_2, ..."""
 
@@ -34,7 +35,14 @@ class Graph:
 
     def neighbours(self, i: int) -> tuple[tuple[int, float], ...]:
         """The vehicles from which i receives, in order, with a_ij."""
-        return tuple((src, weight) for (src, dst), weight in self.weights.items() if dst == i)
+        return tuple(self._by_receiver.get(i, ()))
+
+    @cached_property
+    def _by_receiver(self) -> dict[int, list[tuple[int, float]]]:
+        found: dict[int, list[tuple[int, float]]] = {}
+        for (src, dst), weight in self.weights.items():
+            found.setdefault(dst, []).append((src, weight))
+        return found
 
 
 def parse_edge(text: str) -> Link | None:

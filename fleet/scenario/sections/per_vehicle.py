@@ -150,16 +150,16 @@ def wrong_model(params: VehicleParams, errors: ModelErrorSection) -> VehiclePara
     return replace(params, **{key: getattr(params, key) * (1.0 + error) for key, error in given(errors).items()})
 
 
-def qp_period_ns(name: str, section: GuidanceSection) -> int:
-    """The time between two optimisations of the gains."""
-    return section.qp_period or profile(name)[0].qp_ticks * _PROFILE_TICK_NS
+def qp_period_ns(name: str, section: GuidanceSection, tick_ns: int) -> int:
+    """The time between two optimisations of the gains; a profile's is at least a tick."""
+    return section.qp_period or max(profile(name)[0].qp_ticks * _PROFILE_TICK_NS, tick_ns)
 
 
 def guidance_params(name: str, law: str, section: GuidanceSection, tick_ns: int) -> GuidanceParams:
     """The guidance parameters of profile `name` for a law, changed as the section says."""
     changes = _tuned(section)
     # At least 1: where no QP runs, nothing asks that the tick divides its period, or is no longer.
-    changes["qp_ticks"] = max(1, qp_period_ns(name, section) // tick_ns)
+    changes["qp_ticks"] = max(1, qp_period_ns(name, section, tick_ns) // tick_ns)
     changes.pop("qp_period", None)
     if "horizon" in changes:
         changes["horizon_s"] = changes.pop("horizon") / 1e9

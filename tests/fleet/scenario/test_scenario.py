@@ -146,6 +146,13 @@ def test_the_qp_period_is_a_time() -> None:
     assert small("tick=5 ms").controls[0].guidance.qp_ticks == 10
 
 
+def test_a_tick_longer_than_the_qp_period_of_the_profile_is_the_period() -> None:
+    """Otherwise a longer tick would need two settings; one that is given still has to be whole ticks."""
+    assert small("tick=100 ms", "network.period=100 ms").controls[0].guidance.qp_ticks == 1
+    assert "30 ms" in only_problem("tick=30 ms", "duration=900 ms", "network.period=90 ms")
+    assert "qp_period" in only_problem("tick=100 ms", "network.period=100 ms", "guidance.qp_period=50 ms")
+
+
 def test_log_groups() -> None:
     every = small("log.every=5 ticks", "log.pose=1 tick").log_every
     assert tuple(every) == (*LOG_GROUPS, *DRAWN_GROUPS)

@@ -1,0 +1,178 @@
+"""`fleet bench scale`: the CPU time that a tick of an agent takes, by the size of the fleet."""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated
+
+import psutil
+from msgspec import Meta, Struct
+
+from fleet.bench.errors import BenchError
+from fleet.bench.memory import pss_mb
+from fleet.errors import RunBroken
+from fleet.recorder.journal import Journal
+from fleet.recorder.log_file import LogFile
+from fleet.recorder.writer import LogWriter
+from fleet.run.clock import Clock
+from fleet.run.console import Console
+from fleet.run.directory import RunDirectory
+from fleet.run.in_process import InProcess
+from fleet.run.options import Options
+from fleet.scenario.loading import load_scenario
+from fleet.scenario.scenario import Scenario
+
+AGENT_TICKS = 20_000  # of a run, about
+LEAST_TICKS, MOST_TICKS = 30, 1000
+WEIGHED = 20  # agents whose memory is looked at
+ROLES = ("console", "world", "netem", "agents")
+
+
+class ScaleRow(Struct, frozen=True):
+    """One fleet size, with a log of every tick."""
+
+    vehicles: Annotated[int, Meta(description="Vehicles, each with an agent process.")]
+    tick_ms: Annotated[float, Meta(description="Length of a tick [ms].")]
+    in_process_us: Annotated[float, Meta(description="CPU time per agent and tick of a run in one process [us].")]
+    distributed_us: Annotated[
+        dict[str, float], Meta(description="The same of a distributed run, by role; agents: all of them together [us].")
+    ]
+    ready_s: Annotated[float, Meta(description="Wall time until every process was ready [s].")]
+    x_real_time: Annotated[float, Meta(description="Simulated time by wall time of the distributed run.")]
+    agent_mb: Annotated[float, Meta(description="Memory of an agent process: PSS, mean [MB].")]
+    all_mb: Annotated[float, Meta(description="Memory of all processes: PSS [MB].")]
+
+    @property
+    def total_us(self) -> float:
+        """CPU time of all processes of the distributed run per agent and tick."""
+        return sum(self.distributed_us.values())
+
+
+class Scaled(Struct):
+    """`fleet bench scale --json`: what a tick of an agent costs by the size of the fleet."""
+
+    rows: Annotated[list[ScaleRow], Meta(description="Each size.")]
+
+
+@dataclass(slots=True)
+class _Meter:
+    """Reads CPU times when a tenth of the ticks is there, and again at nine tenths; called as a run shows progress."""
+
+    journal: Journal
+    ticks: int
+    cpu_s: Counter[str] = field(default_factory=Counter)  # between the two
+    passed: int = 0  # ticks between them
+    wall_s: float = 0.0
+    agent_mb: float = 0.0
+    all_mb: float = 0.0
+    _first: tuple[int, float, Counter[str]] | None = None
+
+    def __call__(self) -> None:
+        framed = self.journal.framed
+        if self._first is None and framed >= self.ticks // 10:
+            found = _cpu_times()
+            self._first = framed, time.monotonic(), found
+        elif self._first is not None and not self.passed and framed >= self.ticks * 9 // 10:
+            begun, at, before = self._first
+            self.wall_s = time.monotonic() - at
+            self.cpu_s = Counter(_cpu_times())
+            self.cpu_s.subtract(before)
+            self.passed = framed - begun
+            self._weigh()
+
+    def _weigh(self) -> None:
+        sizes: dict[str, list[int]] = {}
+        for role, process in _processes():
+            sizes.setdefault(role, []).append(process.pid)
+        agents = sizes.pop("agents", [])
+        some = [pss_mb(pid) for pid in agents[:: max(1, len(agents) // WEIGHED)]]
+        self.agent_mb = sum(some) / len(some) if some else 0.0
+        others = sum(pss_mb(pid) for pids in sizes.values() for pid in pids)
+        self.all_mb = self.agent_mb * len(agents) + others
+
+    def per_agent_tick_us(self, vehicles: int) -> dict[str, float]:
+        """CPU time by role, in microseconds.
+
+        Raises:
+            BenchError: the run was over before it could be measured.
+        """
+        if not self.passed:
+            raise BenchError(f"the run with {vehicles} vehicles ended before it could be measured")
+        return {role: self.cpu_s[role] * 1e6 / (self.passed * vehicles) for role in ROLES if role in self.cpu_s}
+
+
+def measure_scale(sizes: Sequence[int], tick: str, *, quick: bool, say: Callable[[str], None]) -> Iterator[ScaleRow]:
+    """Each row as soon as it is measured.
+
+    Args:
+        tick: of the scenario, as text with a unit.
+
+    Raises:
+        ScenarioError: the paper's scenario cannot have this tick.
+        BenchError: a run did not come to its end.
+    """
+    for n in sizes:
+        ticks = LEAST_TICKS if quick else min(max(AGENT_TICKS // n, LEAST_TICKS), MOST_TICKS)
+        settings = [f"vehicles={n}", f"tick={tick}", "log.snapshot=0 s", "checks={tumbled: waived}"]
+        tick_ns = load_scenario("paper", settings).tick_ns
+        scenario = load_scenario("paper", [*settings, f"duration={ticks * tick_ns / 1e9:g} s"])
+        say(f"N = {n}: in process, {ticks} ticks")
+        alone, _ = _measured(scenario, in_process=True)
+        say(f"N = {n}: distributed, {ticks} ticks")
+        apart, ready_s = _measured(scenario, in_process=False)
+        yield ScaleRow(
+            vehicles=n,
+            tick_ms=tick_ns / 1e6,
+            in_process_us=sum(alone.per_agent_tick_us(n).values()),
+            distributed_us=apart.per_agent_tick_us(n),
+            ready_s=ready_s,
+            x_real_time=apart.passed * tick_ns / 1e9 / apart.wall_s,
+            agent_mb=apart.agent_mb,
+            all_mb=apart.all_mb,
+        )
+
+
+def _measured(scenario: Scenario, *, in_process: bool) -> tuple[_Meter, float]:
+    """What was measured, and how long it took until all were ready [s]."""
+    with tempfile.TemporaryDirectory(prefix="uuv-fleet-bench-") as out:
+        options = Options(Path(out), in_process=in_process, quiet=True)
+        with closing(RunDirectory(options.out, scenario.name, scenario.seed)) as directory:
+            file = LogFile(directory.log)
+            journal = Journal(scenario, LogWriter(file, scenario))
+            meter = _Meter(journal, scenario.ticks)
+            try:
+                if in_process:
+                    InProcess(scenario, journal).serve(Clock.of(scenario), meter)
+                    return meter, 0.0
+                console = Console(scenario, directory, journal, options, "5ca1e", lambda _: None)
+                console.serve(Clock.of(scenario), meter)
+                return meter, console.started_s
+            except RunBroken as error:
+                lines = "; ".join(error.lines[:3])
+                raise BenchError(f"the run with {scenario.vehicles} vehicles broke: {error.reason}; {lines}") from None
+            finally:
+                file.close()
+
+
+def _processes() -> Iterator[tuple[str, psutil.Process]]:
+    """The processes of the run by role, without the console."""
+    for process in psutil.Process().children(recursive=True):
+        title = " ".join(process.cmdline())
+        for role, begins in (("world", "fleet world"), ("netem", "fleet netem"), ("agents", "fleet agent")):
+            if title.startswith(begins):
+                yield role, process
+
+
+def _cpu_times() -> Counter[str]:
+    """CPU time so far [s], user and system, by role."""
+    found = Counter({"console": time.process_time()})
+    for role, process in _processes():
+        times = process.cpu_times()
+        found[role] += times.user + times.system
+    return found

@@ -188,7 +188,7 @@ def test_a_flood_fills_no_queue() -> None:
             self.say = handler
 
     wire = Wire()
-    shell = Shell(wire, "netem", "note/netem", drop=True)  # type: ignore[arg-type]
+    shell = Shell(wire, "netem", "note/netem")  # type: ignore[arg-type]
     shell.subscribe("run/tx/*")
     for _ in range(MOST_WAITING + 5):
         wire.say("run/tx/3", b"x")

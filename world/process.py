@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable
+from time import monotonic
 from typing import Any
 
 import msgpack
@@ -44,6 +45,7 @@ from world.turns import Turns
 log = logging.getLogger(__name__)
 
 FRAMES_PER_MESSAGE = 10
+FRAMES_WAIT_S = 0.02
 _ECHO = encode(Hello(WORLD, 0, 0, PROTOCOL_VERSION, True))
 _PROBE = encode(Hello(WORLD, 0, 0, PROTOCOL_VERSION, False))
 
@@ -70,13 +72,15 @@ class WorldProcess:
         self._run = run
         self._state = run.state
         self._ids = run.state.ids
-        self._turns = Turns(run.config.round_ticks, len(self._ids) if most_asked is None else most_asked)
+        self._round_ticks = run.config.round_ticks
+        self._turns = Turns(self._round_ticks, len(self._ids) if most_asked is None else most_asked)
         self._shell = Shell(bus, WORLD, keys.note(WORLD))
         self._nav: dict[int, Callable[[bytes], None]] = {i: bus.publisher(keys.nav(i)) for i in self._ids}
         self._round = bus.publisher(keys.round)
         self._frame = bus.publisher(keys.frame)
         self._frames: list[Frame] = []  # not yet published
         self._frames_bytes = 0
+        self._flushed_s = 0.0
         self._sent = dict.fromkeys(("nav", "round", "frame"), 0)
         self._received = {"cmd": 0}
         self._probes = Probes()
@@ -100,7 +104,9 @@ class WorldProcess:
         while True:
             item = poll()
             if item is None:
-                self._flush_frames()
+                # While agents compute, more frames are to come: a message for each would wake the console every tick.
+                if self._turns.idle or monotonic() > self._flushed_s + FRAMES_WAIT_S:
+                    self._flush_frames()
                 item = take()
             self._handle(*item)
 
@@ -179,9 +185,13 @@ class WorldProcess:
                 self._turns.passed(item.tick)
         while (turn := self._turns.take()) is not None:
             self._send_nav(*turn)
+        whole_round = False
         for item in out:
             if isinstance(item, Frame):
                 self._add_frame(item)
+                whole_round |= item.tick % self._round_ticks == 0
+        if whole_round:
+            self._flush_frames()  # the console can write them as soon as netem has reported
 
     def _ask(self, i: int, nav: Nav) -> None:
         self._turns.ask(i, nav)
@@ -194,17 +204,22 @@ class WorldProcess:
         lives, tumbles = frame.lives, frame.tumbles
         memory = pieces(frame.memory, PART_BYTES // 2)
         for rows, more in split(frame.vehicles, _row_bytes, PART_BYTES):
-            self._frames.append(Frame(frame.tick, more or bool(memory), lives, tumbles, tuple(rows), b""))
+            part = Frame(frame.tick, more or bool(memory), lives, tumbles, tuple(rows), b"")
+            self._add_part(part, sum(map(_row_bytes, rows)))
             lives, tumbles = (), ()
-            self._frames_bytes += sum(map(_row_bytes, rows))
-            if len(self._frames) >= FRAMES_PER_MESSAGE or self._frames_bytes > PART_BYTES // 2:
-                self._flush_frames()
         for number, piece in enumerate(memory, start=1):
             self._flush_frames()
-            self._frames.append(Frame(frame.tick, number < len(memory), (), (), (), piece))
+            self._add_part(Frame(frame.tick, number < len(memory), (), (), (), piece), len(piece))
+
+    def _add_part(self, part: Frame, size: int) -> None:
+        if len(self._frames) >= FRAMES_PER_MESSAGE or self._frames_bytes + size > PART_BYTES:
+            self._flush_frames()
+        self._frames.append(part)
+        self._frames_bytes += size
 
     def _flush_frames(self) -> None:
         if self._frames:
+            self._flushed_s = monotonic()
             self._sent["frame"] += 1
             self._frame(encode(Frames(tuple(self._frames))))
             self._frames.clear()

@@ -32,6 +32,11 @@ class Turns:
         self._early: deque[tuple[int, Nav]] = deque()  # for ticks after a round that not all have passed
         self._passed = -round_ticks  # the last round tick that all have passed
 
+    @property
+    def idle(self) -> bool:
+        """Whether nobody has a turn."""
+        return not self._holders
+
     def holds(self, i: int) -> bool:
         """Whether agent i has a turn: it has been asked and has not answered."""
         return i in self._holders

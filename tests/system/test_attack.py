@@ -79,7 +79,10 @@ def test_every_refusal_is_told(attacked: tuple[Attack, Result]) -> None:
         "refused a login with a wrong password",
         "refused a login of an unknown user",
         "agent-3: logged in twice",
-        *(f"refused agent-3: put on RUN/{key}" for key in ("cmd/2", "cmd/*", "frame", "links", "round", "cmd/grant")),
+        *(
+            f"refused agent-3: put on RUN/{key}"
+            for key in ("cmd/2", "cmd/*", "frame", "links", "tx/round", "cmd/grant")
+        ),
         *(
             f"refused agent-3: put on {key}"
             for key in ("RUN/nav/2", "RUN/cmd/4", "**", "@/router/config/access_control")

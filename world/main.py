@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from contextlib import suppress
 from pathlib import Path
 
 from netem.wire.access import WORLD as WORLD
@@ -116,4 +117,5 @@ def share_processor() -> None:
     if len(processors) == 2:
         one = {processors[os.getpid() % 2]}
         for thread in os.listdir("/proc/self/task"):
-            os.sched_setaffinity(int(thread), one)
+            with suppress(ProcessLookupError):  # it has ended meanwhile
+                os.sched_setaffinity(int(thread), one)

@@ -72,8 +72,7 @@ class WorldProcess:
         self._run = run
         self._state = run.state
         self._ids = run.state.ids
-        self._round_ticks = run.config.round_ticks
-        self._turns = Turns(self._round_ticks, len(self._ids) if most_asked is None else most_asked)
+        self._turns = Turns(run.config.round_ticks, len(self._ids) if most_asked is None else most_asked)
         self._shell = Shell(bus, WORLD, keys.note(WORLD))
         self._nav: dict[int, Callable[[bytes], None]] = {i: bus.publisher(keys.nav(i)) for i in self._ids}
         self._round = bus.publisher(keys.round)
@@ -176,21 +175,21 @@ class WorldProcess:
         for i, tick, text in self._state.notes:
             self._shell.note(i, tick, text)
         self._state.notes.clear()
+        round_over = False
         for item in out:
             if isinstance(item, NavTo):
                 self._ask(item.id, item.nav)
             elif isinstance(item, Round):
+                round_over = True
                 self._sent["round"] += 1
                 self._round(encode(item))
                 self._turns.passed(item.tick)
         while (turn := self._turns.take()) is not None:
             self._send_nav(*turn)
-        whole_round = False
         for item in out:
             if isinstance(item, Frame):
                 self._add_frame(item)
-                whole_round |= item.tick % self._round_ticks == 0
-        if whole_round:
+        if round_over:
             self._flush_frames()  # the console can write them as soon as netem has reported
 
     def _ask(self, i: int, nav: Nav) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable
+from threading import Lock
 from typing import Any
 
 import msgpack
@@ -35,7 +36,7 @@ from netem.wire.messages import (
     Transmission,
 )
 from netem.wire.parts import PART_BYTES, pieces, split
-from netem.wire.shell import Item, Probes, Shell
+from netem.wire.shell import Probes, Shell
 
 log = logging.getLogger(__name__)
 
@@ -50,36 +51,45 @@ class NetemProcess:
     def __init__(self, bus: Bus, keys: Keys, config: NetemConfig, rounds: Rounds | RealtimeRounds) -> None:
         self._round_key = keys.round
         self._rounds = rounds
-        drop = isinstance(rounds, RealtimeRounds)
-        self._shell = Shell(bus, NETEM, keys.note(NETEM), senders=len(config.vehicles), drop=drop)
+        self._shell = Shell(bus, NETEM, keys.note(NETEM))
         self._inbox: dict[int, Callable[[bytes], None]] = {i: bus.publisher(keys.rx(i)) for i in config.vehicles}
         self._links = bus.publisher(keys.links)
         self._round_heard = False
         self._probes = Probes()
         self._counts = {"sent": {"links": 0}, "received": {"round": 0}}
-        self._shell.subscribe(keys.tx("*"))
-        self._shell.subscribe(keys.round)
-        self._shell.answer(keys.ctl(NETEM))
+        self._lock = Lock()  # a control request comes on a thread of zenoh
+        self._listen(bus, keys)
         bus.token(keys.alive(NETEM))
 
-    def serve(self) -> None:
-        """Handle one item after the other, until the process is ended."""
-        take = self._shell.take
-        while True:
-            self._handle(take())
+    def _listen(self, bus: Bus, keys: Keys) -> None:
+        # Transmissions and rounds: an agent owes one at a time.
+        self._in = bus.channel(keys.tx("*"), capacity=max(64, 3 * len(self._inbox)))
+        bus.answer(keys.ctl(NETEM), self._query)
 
-    def _handle(self, item: Item) -> None:
+    def serve(self) -> None:
+        """Handle one message after the other, until the process is ended."""
+        take = self._in.get
+        while True:
+            key, data = take()
+            with self._lock:
+                self._put(key, data)
+
+    def _put(self, key: str, data: bytes) -> None:
         try:
-            if item.respond is not None:
-                self._control(item.data, item.respond)
-            elif item.key == self._round_key:
-                self._world_put(item.data)
+            if key == self._round_key:
+                self._world_put(data)
             else:
-                self._agent_put(vehicle_of(item.key), item.data)
+                self._agent_put(vehicle_of(key), data)
         except (MalformedMessage, OutOfPlace) as error:
-            self._shell.reject(item.key, self._rounds.tick, error)
-            if item.respond is not None:
-                item.respond(msgpack.packb({"error": str(error)}))
+            self._shell.reject(key, self._rounds.tick, error)
+
+    def _query(self, key: str, data: bytes, respond: Respond) -> None:
+        with self._lock:
+            try:
+                self._control(data, respond)
+            except (MalformedMessage, OutOfPlace) as error:
+                self._shell.reject(key, self._rounds.tick, error)
+                respond(msgpack.packb({"error": str(error)}))
 
     def _agent_put(self, i: int, data: bytes) -> None:
         """Handle a put of agent i: a Transmission, a Hello, or in real time a Receipt."""

@@ -9,13 +9,21 @@ from typing import cast
 
 from netem.process import NetemProcess
 from netem.realtime_rounds import RealtimeRounds
+from netem.wire.access import NETEM
+from netem.wire.bus import Bus
+from netem.wire.keys import Keys
 from netem.wire.messages import Message, Pace, Receipt, Round, Transmission
+from netem.wire.shell import Item
 
 
 class RealtimeNetemProcess(NetemProcess):
     """Exchanges when a tick is half over. The world sends the pace anew every round."""
 
     _pace = Pace(0, 0, 1)
+
+    def _listen(self, bus: Bus, keys: Keys) -> None:
+        self._shell.subscribe(keys.tx("*"))
+        self._shell.answer(keys.ctl(NETEM))
 
     def serve(self) -> None:
         """Tick by tick, until the process is ended."""
@@ -35,6 +43,12 @@ class RealtimeNetemProcess(NetemProcess):
             self._hand_out(inboxes)
             if report is not None:
                 self._report(report)
+
+    def _handle(self, item: Item) -> None:
+        if item.respond is None:
+            self._put(item.key, item.data)
+        else:
+            self._query(item.key, item.data, item.respond)
 
     def _middle_ns(self, tick: int) -> int:
         return self._begin_ns(tick) + self._pace.period_ns // 2

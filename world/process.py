@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable
+from time import monotonic
 from typing import Any
 
 import msgpack
@@ -28,6 +29,7 @@ from netem.wire.messages import (
     Hello,
     Memory,
     Message,
+    Nav,
     Restart,
     Round,
     VehicleFrame,
@@ -38,10 +40,12 @@ from netem.wire.shell import Probes, Shell
 from world.faults import WorldFault
 from world.lockstep import Lockstep, NavTo, Out
 from world.realtime import RealtimeRun
+from world.turns import Turns
 
 log = logging.getLogger(__name__)
 
 FRAMES_PER_MESSAGE = 10
+FRAMES_WAIT_S = 0.02
 _ECHO = encode(Hello(WORLD, 0, 0, PROTOCOL_VERSION, True))
 _PROBE = encode(Hello(WORLD, 0, 0, PROTOCOL_VERSION, False))
 
@@ -49,18 +53,33 @@ _PROBE = encode(Hello(WORLD, 0, 0, PROTOCOL_VERSION, False))
 class WorldProcess:
     """Passes what comes in to a run and publishes what comes out."""
 
-    def __init__(self, bus: Bus, keys: Keys, run: Lockstep | RealtimeRun, refusals: Refusals | None = None) -> None:
+    def __init__(
+        self,
+        bus: Bus,
+        keys: Keys,
+        run: Lockstep | RealtimeRun,
+        refusals: Refusals | None = None,
+        most_asked: int | None = None,
+    ) -> None:
+        """Connect a run.
+
+        Args:
+            refusals: what the router refuses, if it lives here.
+            most_asked: agents that are asked at a time; None: all.
+        """
         self._keys = keys
         self._grant_key = keys.grant
         self._run = run
         self._state = run.state
         self._ids = run.state.ids
+        self._turns = Turns(run.config.round_ticks, len(self._ids) if most_asked is None else most_asked)
         self._shell = Shell(bus, WORLD, keys.note(WORLD))
         self._nav: dict[int, Callable[[bytes], None]] = {i: bus.publisher(keys.nav(i)) for i in self._ids}
         self._round = bus.publisher(keys.round)
         self._frame = bus.publisher(keys.frame)
         self._frames: list[Frame] = []  # not yet published
         self._frames_bytes = 0
+        self._flushed_s = 0.0
         self._sent = dict.fromkeys(("nav", "round", "frame"), 0)
         self._received = {"cmd": 0}
         self._probes = Probes()
@@ -84,7 +103,9 @@ class WorldProcess:
         while True:
             item = poll()
             if item is None:
-                self._flush_frames()
+                # While agents compute, more frames are to come: a message for each would wake the console every tick.
+                if self._turns.idle or monotonic() > self._flushed_s + FRAMES_WAIT_S:
+                    self._flush_frames()
                 item = take()
             self._handle(*item)
 
@@ -110,9 +131,12 @@ class WorldProcess:
                 if message.tick:
                     state.lives.add(Absence(i, message.tick, message.until or None))
                     return
-                # A nav whose agent has ended was not lost on the way.
-                self._sent["nav"] -= dict(run.waiting_for).get(i) is not None
-                self._publish(run.end(i, message.incarnation, message.until or None))
+                out = run.end(i, message.incarnation, message.until or None)
+                if i not in dict(run.waiting_for):
+                    # A nav whose agent has ended was not lost on the way.
+                    self._sent["nav"] -= self._turns.holds(i)
+                    self._turns.forget(i)
+                self._publish(out)
             case Restart(vehicle=i) if i in self._ids:
                 state.lives.restart(i, message.begin, message.tick)
             case Hello():
@@ -126,7 +150,7 @@ class WorldProcess:
         if isinstance(message, Command):
             if len(data) > PART_BYTES:
                 raise MalformedMessage("cmd", f"{len(data)} bytes; at most {PART_BYTES} fit into a frame")
-            out = self._run.command(i, message, data)
+            out = self._take_command(i, message, data)
             self._received["cmd"] += 1
             self._publish(out)
         elif isinstance(message, Memory):
@@ -140,32 +164,61 @@ class WorldProcess:
                 self._probes.spend(i)
                 self._nav[i](_ECHO)
 
+    def _take_command(self, i: int, command: Command, data: bytes) -> list[Out]:
+        if not self._turns.holds(i):
+            raise OutOfPlace("tick", "no command (no nav is unanswered)", command.tick)
+        out = self._run.command(i, command, data)
+        self._turns.release(i)
+        return out
+
     def _publish(self, out: list[Out]) -> None:
         for i, tick, text in self._state.notes:
             self._shell.note(i, tick, text)
         self._state.notes.clear()
+        round_over = False
         for item in out:
             if isinstance(item, NavTo):
-                self._sent["nav"] += 1
-                self._nav[item.id](encode(item.nav))
-            elif isinstance(item, Frame):
-                lives, tumbles = item.lives, item.tumbles
-                memory = pieces(item.memory, PART_BYTES // 2)
-                for rows, more in split(item.vehicles, _row_bytes, PART_BYTES):
-                    self._frames.append(Frame(item.tick, more or bool(memory), lives, tumbles, tuple(rows), b""))
-                    lives, tumbles = (), ()
-                    self._frames_bytes += sum(map(_row_bytes, rows))
-                    if len(self._frames) >= FRAMES_PER_MESSAGE or self._frames_bytes > PART_BYTES // 2:
-                        self._flush_frames()
-                for number, piece in enumerate(memory, start=1):
-                    self._flush_frames()
-                    self._frames.append(Frame(item.tick, number < len(memory), (), (), (), piece))
+                self._ask(item.id, item.nav)
             elif isinstance(item, Round):
+                round_over = True
                 self._sent["round"] += 1
                 self._round(encode(item))
+                self._turns.passed(item.tick)
+        while (turn := self._turns.take()) is not None:
+            self._send_nav(*turn)
+        for item in out:
+            if isinstance(item, Frame):
+                self._add_frame(item)
+        if round_over:
+            self._flush_frames()  # the console can write them as soon as netem has reported
+
+    def _ask(self, i: int, nav: Nav) -> None:
+        self._turns.ask(i, nav)
+
+    def _send_nav(self, i: int, nav: Nav) -> None:
+        self._sent["nav"] += 1
+        self._nav[i](encode(nav))
+
+    def _add_frame(self, frame: Frame) -> None:
+        lives, tumbles = frame.lives, frame.tumbles
+        memory = pieces(frame.memory, PART_BYTES // 2)
+        for rows, more in split(frame.vehicles, _row_bytes, PART_BYTES):
+            part = Frame(frame.tick, more or bool(memory), lives, tumbles, tuple(rows), b"")
+            self._add_part(part, sum(map(_row_bytes, rows)))
+            lives, tumbles = (), ()
+        for number, piece in enumerate(memory, start=1):
+            self._flush_frames()
+            self._add_part(Frame(frame.tick, number < len(memory), (), (), (), piece), len(piece))
+
+    def _add_part(self, part: Frame, size: int) -> None:
+        if len(self._frames) >= FRAMES_PER_MESSAGE or self._frames_bytes + size > PART_BYTES:
+            self._flush_frames()
+        self._frames.append(part)
+        self._frames_bytes += size
 
     def _flush_frames(self) -> None:
         if self._frames:
+            self._flushed_s = monotonic()
             self._sent["frame"] += 1
             self._frame(encode(Frames(tuple(self._frames))))
             self._frames.clear()

@@ -10,8 +10,9 @@ from netem.wire.audit import Refusals
 from netem.wire.bus import Bus
 from netem.wire.codec import encode
 from netem.wire.keys import Keys, tail
-from netem.wire.messages import Pace
+from netem.wire.messages import Command, Nav, Pace
 from world.config import WorldConfig
+from world.lockstep import Out
 from world.process import WorldProcess
 from world.realtime import RealtimeRun
 from world.tick_schedule import TickSchedule
@@ -78,6 +79,12 @@ class RealtimeWorldProcess(WorldProcess):
         if k % self._realtime.config.round_ticks == 0:
             self._round(encode(Pace(k, schedule.at_ns(k), schedule.period_ns)))
         self._publish(self._realtime.begin())
+
+    def _ask(self, i: int, nav: Nav) -> None:
+        self._send_nav(i, nav)  # nobody waits for a turn
+
+    def _take_command(self, i: int, command: Command, data: bytes) -> list[Out]:
+        return self._realtime.command(i, command, data)
 
     def _wait(self, until_ns: int) -> None:
         """Take what comes in until `until_ns`; what is there already, in any case."""

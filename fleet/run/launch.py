@@ -24,6 +24,7 @@ from netem.wire.keys import Keys
 from netem.wire.settings import PENDING
 
 FORKSERVER_S = 0.2  # how long to wait for the end of a fork server that does not answer
+ASKED_PER_CPU = 3  # agents that the world asks at a time; more of them find colder caches, fewer leave processors idle
 
 Target = tuple[Callable[..., None], tuple[Any, ...]]  # a function that a process runs, and its arguments
 
@@ -104,7 +105,10 @@ class Launch:
         self._private.close()
 
     def _world(self) -> Target:
-        sea = self._scenario.world_config, frame_every(self._scenario), self._options.realtime_speed
+        scenario = self._scenario
+        # An agent elsewhere may take long to answer, and keep the turn of one that would not.
+        most_asked = scenario.vehicles if scenario.external else ASKED_PER_CPU * len(os.sched_getaffinity(0))
+        sea = scenario.world_config, frame_every(scenario), self._options.realtime_speed, most_asked
         if self.joins_router:
             return world.main.join, (self.endpoint, self._keys.run, self.credentials[WORLD], *sea)
         clients = {role: known for role, known in self.credentials.items() if role != WORLD}

@@ -126,10 +126,10 @@ def access_control(
     allow(
         NETEM,
         ("ingress", ["put"], [keys.rx("*"), keys.links, keys.note(NETEM)]),
-        ("ingress", ["declare_subscriber"], [keys.tx("*"), keys.round]),
+        ("ingress", ["declare_subscriber"], [keys.tx("*")]),
         ("ingress", ["declare_queryable", "reply"], [keys.ctl(NETEM)]),
         ("ingress", ["liveliness_token"], [keys.alive(NETEM)]),
-        ("egress", ["put"], [keys.tx("*"), keys.round]),
+        ("egress", ["put"], [keys.tx("*")]),
         ("egress", ["query"], [keys.ctl(NETEM)]),
         ("egress", ["declare_subscriber"], [keys.rx("*"), keys.links, keys.note("*")]),
     )
@@ -166,7 +166,7 @@ def access_control(
             ("ingress", ["declare_liveliness_subscriber", "liveliness_query"], [keys.alive("*")]),
             ("egress", ["put"], [keys.cmd("*")]),
             ("egress", ["query"], [keys.ctl(WORLD)]),
-            ("egress", ["declare_subscriber"], [keys.nav("*"), keys.round, keys.frame, keys.note("*")]),
+            ("egress", ["declare_subscriber"], [keys.nav("*"), keys.tx("*"), keys.frame, keys.note("*")]),
             ("egress", ["liveliness_token"], [keys.alive("*")]),
         )
     return {

@@ -60,8 +60,11 @@ class Keys:
 
     @property
     def round(self) -> str:
-        """World to netem: a round begins, with the vehicles alive and their positions."""
-        return f"fleet/{self.run}/round"
+        """World to netem: a round begins, with the vehicles alive and their positions.
+
+        It is below `tx`, so that netem receives rounds and the agents' transmissions in one channel.
+        """
+        return f"fleet/{self.run}/tx/round"
 
     @property
     def frame(self) -> str:
@@ -93,7 +96,7 @@ class Keys:
 
 
 def tail(key: str) -> str:
-    """The last two parts of a key: `tx/3` of `fleet/{run}/tx/3`, but `{run}/round` of `fleet/{run}/round`."""
+    """The last two parts of a key: `tx/3` of `fleet/{run}/tx/3`, but `{run}/links` of `fleet/{run}/links`."""
     return "/".join(key.rsplit("/", 2)[-2:])
 
 

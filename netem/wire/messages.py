@@ -220,7 +220,7 @@ class Inbox(Record, frozen=True, tag="rx"):
 class Round(Record, frozen=True, tag="round"):
     """All commands of a round tick have come: which vehicles are alive, and where."""
 
-    route: ClassVar[Route] = Route("round", "world", "netem")
+    route: ClassVar[Route] = Route("tx/round", "world", "netem")
 
     tick: Annotated[Uint, about("round tick", "tick")]
     alive: Annotated[tuple[Uint, ...], about("vehicles alive at the tick, ascending")]
@@ -231,7 +231,7 @@ class Round(Record, frozen=True, tag="round"):
 class Pace(Record, frozen=True, tag="pace"):
     """In a realtime run: when ticks begin; put before the Round of the same tick."""
 
-    route: ClassVar[Route] = Route("round", "world", "netem")
+    route: ClassVar[Route] = Route("tx/round", "world", "netem")
 
     tick: Annotated[Uint, about("round tick", "tick")]
     at_ns: Annotated[Uint, about("when it begins, by CLOCK_MONOTONIC of the world's host", "ns")]

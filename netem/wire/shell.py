@@ -1,4 +1,5 @@
-"""The shell round the core of each process of a run: a queue filled by zenoh's threads, and a count of rejects.
+"""The shell round the core of each process of a run: notes to the console, a count of rejects, and for who must not let
+senders wait a queue that zenoh's threads fill.
 
 A zenoh callback runs on a receive thread, so all it does is to put what came into the queue; the process's main
 thread takes it out, one item at a time, and is the only one that touches the core.
@@ -10,7 +11,6 @@ import logging
 from collections import Counter
 from collections.abc import Callable
 from queue import SimpleQueue
-from threading import Semaphore
 from time import monotonic
 from typing import NamedTuple
 
@@ -24,10 +24,6 @@ from netem.wire.queues import Quota
 log = logging.getLogger(__name__)
 
 
-ROOM = 64  # puts that wait in lockstep, at least; each may hold 0.5 MB, since zenoh keeps the buffer that it came in
-ROOM_PER_SENDER = 3  # a transmission, and probes of one that gets ready
-
-
 class Item(NamedTuple):
     """Something that came in: a put (`respond` is None) or a query."""
 
@@ -39,17 +35,12 @@ class Item(NamedTuple):
 class Shell:
     """The queue of one process, with the bus that feeds it."""
 
-    def __init__(self, bus: Bus, role: str, note_key: str, *, senders: int = 0, drop: bool = False) -> None:
+    def __init__(self, bus: Bus, role: str, note_key: str) -> None:
         """Make the queue; `subscribe` and `answer` fill it.
 
         Args:
             note_key: key expression of the notes to the console.
-            senders: how many agents may each have something in the queue. With less room than they need the router
-                waits for this process, and this one, when it puts, for the router, and nothing moves any more.
-            drop: drop and count what exceeds the quota of a key, as a realtime run must; otherwise the sender waits.
         """
-        self._drop = drop
-        self._room = Semaphore(max(ROOM, ROOM_PER_SENDER * senders))
         self.bus = bus
         self.role = role
         self.queue: SimpleQueue[Item] = SimpleQueue()
@@ -58,13 +49,11 @@ class Shell:
         self._note = bus.publisher(note_key)
 
     def subscribe(self, key: str) -> None:
-        """Queue every put on `key`, but never so many that they fill the memory."""
-        put, quota, room = self.queue.put, self._quota, self._room
+        """Queue every put on `key`; what exceeds the quota of a key is dropped and counted, so that nobody waits."""
+        put, quota = self.queue.put, self._quota
 
         def receive(k: str, data: bytes) -> None:
-            if not self._drop:
-                room.acquire()  # zenoh's thread waits, and with it the senders' links
-            elif not quota.admit(k):
+            if not quota.admit(k):
                 self.rejected[f"{tail(k)}: flood"] += 1
                 return
             put(Item(k, data, None))
@@ -79,10 +68,7 @@ class Shell:
         """
         item = self.queue.get(timeout=timeout_s)
         if item.respond is None:
-            if self._drop:
-                self._quota.release(item.key)
-            else:
-                self._room.release()
+            self._quota.release(item.key)
         return item
 
     def answer(self, key: str) -> None:

@@ -233,8 +233,7 @@ def test_no_agent_crashes_netem(put: list[tuple[tuple[int, bytes], bool]]) -> No
             state = state_payload(StateMessage(1, tick, (0.0,) * 3, (0.0,) * 3))
             items += [(KEYS.tx(i), encode(Transmission(0, tick, (state,)))) for i in alive]
             tick += SCENARIO.round_ticks
-    network._shell.queue = Nowhere()  # type: ignore[assignment]
-    network._shell.queue.queue.extend(Item(key, data, None) for key, data in items)  # type: ignore[attr-defined]
+    bus.queue.extend(items)
     serve(network)
     for _, data in bus.put:
         decode(data)
@@ -266,15 +265,13 @@ def test_a_huge_payload_is_no_end_of_netem(size: int) -> None:
     """With its header, a payload that an agent could just send no longer fits into an inbox: refused, not forwarded."""
     bus = Nowhere()
     network = NetemProcess(bus, KEYS, SCENARIO.netem_config, Rounds(SCENARIO.netem_config))  # type: ignore[arg-type]
-    items = Nowhere()
-    network._shell.queue = items  # type: ignore[assignment]
     everybody = tuple(range(1, N + 1))
     for tick in range(0, 5 * SCENARIO.round_ticks, SCENARIO.round_ticks):
         said = Round(tick, everybody, tuple((0.0, 0.0, float(i)) for i in everybody), ())
-        items.queue.append(Item(KEYS.round, encode(said), None))
+        bus.queue.append((KEYS.round, encode(said)))
         for i in everybody:
             wire = encode(Transmission(0, tick, (b"y" * (size if i == 1 else 63),)))
-            items.queue.append(Item(KEYS.tx(i), wire, None))
+            bus.queue.append((KEYS.tx(i), wire))
     serve(network)
     notes = [decode(data) for key, data in bus.put if key == KEYS.note("netem")]
     heard = [key for key, _ in bus.put if key == KEYS.rx(2)]
@@ -360,17 +357,14 @@ REQUESTS = st.one_of(
 @given(st.lists(REQUESTS, max_size=6))
 @fuzz
 def test_control_requests_are_answered(requests: list[bytes]) -> None:
-    """World and netem answer whatever is asked on ctl/*; a round afterwards is exchanged as ever."""
+    """World and netem answer whatever is asked on ctl/*."""
     bus = Nowhere()
     WorldProcess(bus, KEYS, Lockstep(SCENARIO.world_config, frame_every=1))  # type: ignore[arg-type]
-    network = NetemProcess(bus, KEYS, SCENARIO.netem_config, Rounds(SCENARIO.netem_config))  # type: ignore[arg-type]
-    items = Nowhere()
-    network._shell.queue = items  # type: ignore[assignment]
+    NetemProcess(bus, KEYS, SCENARIO.netem_config, Rounds(SCENARIO.netem_config))  # type: ignore[arg-type]
     answers: list[bytes] = []
     for wire in requests:
-        bus.answers[KEYS.ctl("world")](KEYS.ctl("world"), wire, respond_to(answers))
-        items.queue.append(Item(KEYS.ctl("netem"), wire, respond_to(answers)))
-    serve(network)
+        for role in ("world", "netem"):
+            bus.answers[KEYS.ctl(role)](KEYS.ctl(role), wire, respond_to(answers))
     assert len(answers) == 2 * len(requests)
     assert all(isinstance(msgpack.unpackb(answer), dict) for answer in answers)
 

@@ -62,7 +62,7 @@ WILD_PUTS = [KEYS.tx("*"), KEYS.cmd("*"), KEYS.rx("*"), KEYS.nav("*"), KEYS.note
 
 HEARD_BY = {
     WORLD: [KEYS.cmd("*")],
-    NETEM: [KEYS.tx("*"), KEYS.round],
+    NETEM: [KEYS.tx("*")],
     CONSOLE: [KEYS.frame, KEYS.links, KEYS.note("*")],
     **{agent_role(i): [KEYS.nav(i), KEYS.rx(i)] for i in VEHICLES},
 }

@@ -80,7 +80,10 @@ def test_every_refusal_is_told(attacked: tuple[Attack, Result]) -> None:
         "refused a login with a wrong password",
         "refused a login of an unknown user",
         "agent-3: logged in twice",
-        *(f"refused agent-3: put on RUN/{key}" for key in ("cmd/2", "cmd/*", "frame", "links", "round", "cmd/grant")),
+        *(
+            f"refused agent-3: put on RUN/{key}"
+            for key in ("cmd/2", "cmd/*", "frame", "links", "tx/round", "cmd/grant")
+        ),
         *(
             f"refused agent-3: put on {key}"
             for key in ("RUN/nav/2", "RUN/cmd/4", "**", "@/router/config/access_control")
@@ -189,7 +192,7 @@ def test_a_flood_fills_no_queue() -> None:
             self.say = handler
 
     wire = Wire()
-    shell = Shell(wire, "netem", "note/netem", drop=True)  # type: ignore[arg-type]
+    shell = Shell(wire, "netem", "note/netem")  # type: ignore[arg-type]
     shell.subscribe("run/tx/*")
     for _ in range(MOST_WAITING + 5):
         wire.say("run/tx/3", b"x")

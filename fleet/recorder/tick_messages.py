@@ -91,6 +91,7 @@ class TickMessages:
             place += 8 * (_TELEMETRY + agent.size)
         self._pool = bytearray(place)
         self._constants: dict[bytes, int] = {}  # their places
+        self._size, self._added = place, list[bytes]()  # of the pool with what is still to be put at its end
         self._encoded: dict[tuple[str, int, int], NDArray[np.int64]] = {}
         self._messages: dict[tuple[str, int, int], tuple[_Places, _Places]] = {}
         self._layouts: dict[tuple[Any, ...], _Layout] = {}
@@ -132,6 +133,10 @@ class TickMessages:
         _STAMP(pool, 0, at_ns, frame.tick)
         pool[_TIMESTAMP : _TIMESTAMP + len(stamp)] = stamp
         layout = self._layout(groups, len(stamp), there)
+        if self._added:
+            # Not in place: a profiler that keeps our frames keeps arrays that look into the pool.
+            self._pool = pool = pool + b"".join(self._added)
+            self._added.clear()
         found = np.frombuffer(pool, np.uint8)
         records, digested = found.take(layout.records), found.take(layout.digested)
         return Batch(at_ns, frame.tick, layout.channels, layout.bounds, records, digested)
@@ -193,8 +198,9 @@ class TickMessages:
     def _constant(self, data: bytes) -> range:
         """Where these bytes are in the pool."""
         if data not in self._constants:
-            self._constants[data] = len(self._pool)
-            self._pool += data
+            self._constants[data] = self._size
+            self._size += len(data)
+            self._added.append(data)
         place = self._constants[data]
         return range(place, place + len(data))
 

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import pytest
+from nowhere import Nowhere
+from small_scenario import small
 
 import agents.process
-from agents.agent import make_agent
 from agents.loop import AgentLoop
+from agents.make_agent import make_agent
 from agents.process import READY_TIMEOUT_S, AgentProcess
 from netem.errors import BusError
 from netem.wire.keys import Keys
-from tests.support.nowhere import Nowhere
-from tests.support.small_scenario import small
 
 KEYS = Keys("0a6e")
 

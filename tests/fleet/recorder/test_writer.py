@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import random
+import sys
 import tempfile
 from pathlib import Path
+from types import FrameType
 from typing import Any
 
 import pytest
@@ -220,3 +222,23 @@ def test_what_is_kept_does_not_grow_with_the_run(monkeypatch: pytest.MonkeyPatch
         writer.frame(*drawn.frame(tick))
         layouts = writer._ticks._layouts.values()
         assert sum(len(layout.records) + len(layout.digested) for layout in layouts) < 60_000
+
+
+def test_a_profiler_may_keep_the_frames_of_the_recorder() -> None:
+    """And with them arrays that look into its memory, as the sampling thread of a Dask worker does."""
+    calls = Drawn(small("duration=3 s", LAWS), 1).calls()
+    kept: list[FrameType] = []
+
+    def keep(frame: FrameType, event: str, _: Any) -> None:
+        if event == "return" and frame.f_code.co_filename == tick_messages.__file__:
+            kept.append(frame)
+
+    logs = [NoLog(), NoLog()]
+    calls.repeat(LogWriter(logs[0], small("duration=3 s", LAWS)))
+    sys.setprofile(keep)
+    try:
+        calls.repeat(LogWriter(logs[1], small("duration=3 s", LAWS)))
+    finally:
+        sys.setprofile(None)
+    assert kept
+    assert logs[0].digest == logs[1].digest

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import time
-from typing import Any
 
 from fleet.recorder.journal import Journal
 from fleet.run.clock import Clock
 from fleet.run.in_process import InProcess
 from fleet.scenario.loading import load_scenario
 from fleet.scenario.scenario import Scenario
+from netem.config import NetemConfig
 from netem.network import Netem
-from netem.rounds import Rounds
-from netem.wire.messages import Fate, Inbox, LinkReport
+from netem.wire.messages import Fate
 
 AGENTS = 100
 SHARE_AT = 20
@@ -49,16 +48,21 @@ def scenario(vehicles: int, condition: str, seconds: float) -> Scenario:
 def packets_per_second(condition: str, rounds: int) -> float:
     """How many packets one core takes, impairs and hands out in a second of CPU time."""
     config = scenario(AGENTS, condition, 10.0).netem_config
+    return rounds * len(config.links) / _exchanges_s(config, rounds)
+
+
+def _exchanges_s(config: NetemConfig, rounds: int) -> float:
+    """CPU time of so many rounds in which every agent sends [s]."""
     netem = Netem(config)
     payloads = dict.fromkeys(config.vehicles, (_PAYLOAD,))
     began = time.process_time()
     for k in range(rounds):
         netem.exchange(k * config.round_ticks, payloads)
-    return rounds * len(config.links) / (time.process_time() - began)
+    return time.process_time() - began
 
 
 def share_of_a_run(seconds: float) -> float:
-    """The part of an in-process run's CPU time, without a log, that is spent in `exchange`."""
+    """CPU time of a run's rounds in the network core alone, by that of the whole run in one process, without a log."""
     run = scenario(SHARE_AT, CONDITION, seconds)
 
     class Nowhere:
@@ -69,27 +73,7 @@ def share_of_a_run(seconds: float) -> float:
         def event(self, _: object) -> None: ...
         def snapshot(self, _: object) -> None: ...
 
-    fleet = InProcess(run, Journal(run, Nowhere()))
-    core = Timed(fleet.rounds)
-    fleet.rounds = core  # type: ignore[assignment]  # it passes everything on
     began = time.process_time()
-    fleet.serve(Clock.of(run), lambda: None)
-    return core.spent_s / (time.process_time() - began)
-
-
-class Timed:
-    """The place of the network in the lockstep, with a stopwatch around its exchanges."""
-
-    def __init__(self, rounds: Rounds) -> None:
-        self._rounds = rounds
-        self.spent_s = 0.0
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._rounds, name)
-
-    def exchange(self) -> tuple[list[tuple[int, Inbox]], LinkReport] | None:
-        began = time.process_time()
-        try:
-            return self._rounds.exchange()
-        finally:
-            self.spent_s += time.process_time() - began
+    InProcess(run, Journal(run, Nowhere())).serve(Clock.of(run), lambda: None)
+    whole_s = time.process_time() - began
+    return _exchanges_s(run.netem_config, run.ticks // run.round_ticks) / whole_s

@@ -43,7 +43,7 @@ MODULES = (
     "agents/laws/backstepping.py", "agents/laws/consensus.py", "agents/laws/filters.py", "agents/laws/gain_qp.py",
     "agents/laws/guidance.py", "agents/laws/shunting.py", "agents/laws/velocity_command.py",
     "netem/ages.py", "netem/draws.py", "netem/histogram.py", "netem/impairment.py", "netem/rounds.py",
-    "fleet/recorder/metrics.py", "fleet/run/in_process.py",
+    "fleet/recorder/metrics.py", "fleet/execution/in_process.py",
 )  # fmt: skip
 # Fused multiply-add and reordered sums would change the last bits of a result.
 FLAGS = ("-ffp-contract=off", "-fno-fast-math", "-w")

@@ -21,7 +21,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fleet.analysis.stability import analyse
-from fleet.run.in_memory import record
+from fleet.execution.in_memory import record
 from fleet.scenario.loading import parse_scenario
 from fleet.scenario.scenario import Scenario
 

@@ -20,7 +20,7 @@ from agents.laws.velocity_command import direction_command, floor_speed
 from agents.neighbours import NeighbourTable
 from agents.payload import StateMessage
 from agents.payload import encode as encode_payload
-from fleet.run.in_memory import record
+from fleet.execution.in_memory import record
 from fleet.scenario.loading import load_scenario
 from netem.wire.messages import Delivery, Nav
 

@@ -25,7 +25,7 @@ from fleet.bench.memory import sampled_pss
 from fleet.bench.network_core import SHARE, SHARE_GOAL, netem_figures
 from fleet.bench.start_up import COMMANDS, PYTHON, cpu_times
 from fleet.bench.steps import steps
-from fleet.run.options import Options
+from fleet.execution.options import Options
 from fleet.scenario.loading import load_scenario
 from fleet.scenario.scenario import Scenario
 

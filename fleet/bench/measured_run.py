@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from fleet.bench.errors import BenchError
-from fleet.run.execute import execute
-from fleet.run.options import Options
-from fleet.run.outcome import Result, Status
+from fleet.execution.execute import execute
+from fleet.execution.options import Options
+from fleet.execution.outcome import Result, Status
 from fleet.scenario.scenario import Scenario
 
 

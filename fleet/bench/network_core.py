@@ -5,8 +5,8 @@ from __future__ import annotations
 import time
 
 from fleet.recorder.journal import Journal
-from fleet.run.clock import Clock
-from fleet.run.in_process import InProcess
+from fleet.execution.clock import Clock
+from fleet.execution.in_process import InProcess
 from fleet.scenario.loading import load_scenario
 from fleet.scenario.scenario import Scenario
 from netem.config import NetemConfig

@@ -14,8 +14,8 @@ from fleet.recorder.log_file import LogFile
 from fleet.recorder.metrics import VehicleError
 from fleet.recorder.snapshot import Snapshot
 from fleet.recorder.writer import LogWriter
-from fleet.run.clock import Clock
-from fleet.run.in_process import InProcess
+from fleet.execution.clock import Clock
+from fleet.execution.in_process import InProcess
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.sections.timeline import Event
 from netem.wire.messages import Command, Fate, Frame

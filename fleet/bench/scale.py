@@ -20,11 +20,11 @@ from fleet.errors import RunBroken
 from fleet.recorder.journal import Journal
 from fleet.recorder.log_file import LogFile
 from fleet.recorder.writer import LogWriter
-from fleet.run.clock import Clock
-from fleet.run.console import Console
-from fleet.run.directory import RunDirectory
-from fleet.run.in_process import InProcess
-from fleet.run.options import Options
+from fleet.execution.clock import Clock
+from fleet.execution.console import Console
+from fleet.execution.directory import RunDirectory
+from fleet.execution.in_process import InProcess
+from fleet.execution.options import Options
 from fleet.scenario.loading import load_scenario
 from fleet.scenario.scenario import Scenario
 

@@ -12,8 +12,8 @@ from fleet.bench.agent_step import agent_steps
 from fleet.recorder.journal import Journal
 from fleet.recorder.log_file import LogFile
 from fleet.recorder.writer import LogWriter
-from fleet.run.clock import Clock
-from fleet.run.in_process import InProcess
+from fleet.execution.clock import Clock
+from fleet.execution.in_process import InProcess
 from fleet.scenario.loading import load_scenario
 from netem.wire.codec import decode, encode
 from netem.wire.messages import Command, Nav

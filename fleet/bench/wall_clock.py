@@ -16,8 +16,8 @@ from rich.console import Console as Terminal
 
 from fleet.analysis.punctuality import MOST_MISSED, missed_share, moved_share
 from fleet.bench.measured_run import measured_run
-from fleet.run.options import Options
-from fleet.run.outcome import Result
+from fleet.execution.options import Options
+from fleet.execution.outcome import Result
 from fleet.scenario.loading import load_scenario
 from fleet.scenario.scenario import Scenario
 from fleet.terminal.table import columns, show

@@ -51,7 +51,7 @@ def scenarios(context: click.Context, parameter: click.Parameter, typed: str) ->
 @_words
 def runs(context: click.Context) -> Iterable[str]:
     """Names of live runs."""
-    from fleet.run.connection import live_runs
+    from fleet.execution.connection import live_runs
 
     return [found.name for found in live_runs()]
 
@@ -59,8 +59,8 @@ def runs(context: click.Context) -> Iterable[str]:
 @_words
 def published_runs(context: click.Context) -> Iterable[str]:
     """Names of live runs that are published."""
-    from fleet.run.connection import published
-    from fleet.run.directory import OBSERVE
+    from fleet.execution.connection import published
+    from fleet.execution.directory import OBSERVE
 
     return [directory.name for directory in published(OBSERVE)]
 
@@ -68,7 +68,7 @@ def published_runs(context: click.Context) -> Iterable[str]:
 @_words
 def faults(context: click.Context) -> Iterable[str]:
     """Ids of the faults that are active in a live run."""
-    from fleet.run.connection import ask
+    from fleet.execution.connection import ask
 
     return [fault["id"] for fault in ask(_run(context), "faults")["faults"] if fault["active"]]
 
@@ -111,6 +111,6 @@ def _targets(context: click.Context) -> tuple[int, tuple[tuple[int, int], ...]]:
 
 
 def _run(context: click.Context) -> Any:
-    from fleet.run.connection import find
+    from fleet.execution.connection import find
 
     return find(context.params.get("run"))

@@ -14,7 +14,7 @@ from fleet.cli.documents.output import json_option, print_document
 from fleet.cli.log_argument import log_argument
 
 if TYPE_CHECKING:
-    from fleet.run.connection import LiveRun
+    from fleet.execution.connection import LiveRun
 
 F = TypeVar("F", bound=Callable[..., Any])
 D = TypeVar("D")
@@ -33,7 +33,7 @@ def which(command: F) -> F:
 
 def _ask(kind: type[D], run: str | None, op: str, **fields: Any) -> D:
     """The answer of the run that is meant, with its name. Errors as `answer`."""
-    from fleet.run.connection import find
+    from fleet.execution.connection import find
 
     return answer(kind, find(run), op, **fields)
 
@@ -46,7 +46,7 @@ def answer(kind: type[D], found: LiveRun, op: str, **fields: Any) -> D:
     """
     import msgspec
 
-    from fleet.run.connection import RemoteError, ask
+    from fleet.execution.connection import RemoteError, ask
 
     values = {"run": found.name, "directory": str(found.directory), **ask(found, op, **fields)}
     try:
@@ -65,7 +65,7 @@ def ps(as_json: bool) -> None:
       fleet ps
     """
     from fleet.cli.documents.live import LiveRunRow, LiveRuns
-    from fleet.run.connection import RemoteError, ask, live_runs
+    from fleet.execution.connection import RemoteError, ask, live_runs
 
     rows = []
     for found in live_runs():

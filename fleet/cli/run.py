@@ -20,7 +20,7 @@ from fleet.terminal.output import OutputError, give_up_output
 if TYPE_CHECKING:
     from agents.plugins.trust import Trust
     from fleet.recorder.snapshot import Start
-    from fleet.run.outcome import Result
+    from fleet.execution.outcome import Result
     from fleet.scenario.scenario import Scenario
     from fleet.scenario.text.overrides import Override
 
@@ -140,9 +140,9 @@ def run(
         return
     from rich.console import Console as Terminal
 
-    from fleet.run.execute import execute
-    from fleet.run.options import Options
-    from fleet.run.outcome import Status
+    from fleet.execution.execute import execute
+    from fleet.execution.options import Options
+    from fleet.execution.outcome import Status
     from fleet.scenario.scenario import timeline_lines
 
     terminal = Terminal(stderr=True)

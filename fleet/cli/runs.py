@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from rich.table import Table
 
-    from fleet.run.past_runs import PastRun
+    from fleet.execution.past_runs import PastRun
 
 WIDE = 100  # columns from which on there is room for what the name says already
 VERDICTS = ("pass", "fail", "broke", "stopped")
@@ -42,7 +42,7 @@ def ls(out: Path, as_json: bool) -> None:
       fleet ls --out /data/runs --json
     """
     from fleet.cli.documents.runs import RunRow, Runs
-    from fleet.run.past_runs import LIVE, past_runs
+    from fleet.execution.past_runs import LIVE, past_runs
 
     found, now = past_runs(out), _now()
     size = sum(run.size for run in found)
@@ -82,7 +82,7 @@ def prune(out: Path, keep: int | None, older_than: float | None, verdicts: tuple
       fleet prune --keep 20
       fleet prune --older-than '7 days' --verdict fail,broke --yes
     """
-    from fleet.run.past_runs import FINISHED, past_runs, remove, to_prune
+    from fleet.execution.past_runs import FINISHED, past_runs, remove, to_prune
 
     if keep is None and older_than is None and verdicts is None:
         raise click.UsageError("which runs? --keep N, --older-than AGE or --verdict LIST; --keep 0 means all of them")

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from fleet.cli.documents.live import FaultRow, LinkRow, Status, VehicleRow
-    from fleet.run.connection import LiveRun
+    from fleet.execution.connection import LiveRun
 
 EVERY_S = 1.0
 MOST_FAULTS = 5
@@ -40,7 +40,7 @@ def status(run: str | None, watch: bool, every: bool, as_json: bool) -> None:
     """
     if watch and as_json:
         raise click.UsageError("--json prints one document, and --watch many: give one of them")
-    from fleet.run.connection import find
+    from fleet.execution.connection import find
 
     found = find(run)
     if as_json:
@@ -65,7 +65,7 @@ def watch_run(found: LiveRun, every: bool, terminal: Console) -> None:
 
     from rich.live import Live
 
-    from fleet.run.connection import RemoteError, is_live
+    from fleet.execution.connection import RemoteError, is_live
 
     in_place = terminal.is_terminal and not terminal.is_dumb_terminal
     values = _status(found, every)
@@ -136,7 +136,7 @@ def _more(count: int, what: str) -> str:
 
 def _worst(vehicles: list[VehicleRow], most: int) -> list[VehicleRow]:
     """Those with the greatest formation errors, in their order."""
-    from fleet.run.live_status import badness
+    from fleet.execution.live_status import badness
 
     worst = sorted(vehicles, key=lambda row: -badness(row.formation_m))[:most]
     return sorted(worst, key=lambda row: row.vehicle)

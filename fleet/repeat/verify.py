@@ -26,9 +26,9 @@ from fleet.recorder.writer import LogWriter, run_metadata
 from fleet.repeat.recorded_agent import NotRecordedError, recorded_agents
 from fleet.repeat.recorded_run import Recorded, recorded
 from fleet.repeat.resume import start_of
-from fleet.run.clock import Clock
-from fleet.run.external_agents import named
-from fleet.run.in_process import InProcess
+from fleet.execution.clock import Clock
+from fleet.execution.external_agents import named
+from fleet.execution.in_process import InProcess
 from fleet.scenario.loading import parse_scenario
 from fleet.scenario.scenario import Scenario, frame_every
 from fleet.scenario.trust import Policy

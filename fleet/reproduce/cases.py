@@ -9,7 +9,7 @@ import numpy as np
 
 from agents.controllers import CONTROLLERS
 from fleet.reproduce.measures import vehicle_measures
-from fleet.run.in_memory import Array, record
+from fleet.execution.in_memory import Array, record
 from fleet.scenario.loading import load_scenario
 from fleet.scenario.scenario import Scenario
 

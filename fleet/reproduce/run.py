@@ -25,7 +25,7 @@ from fleet.reproduce.report import write
 from fleet.reproduce.verdicts import Claim
 
 if TYPE_CHECKING:
-    from fleet.run.outcome import Result
+    from fleet.execution.outcome import Result
 
 CHECK_S = 3  # simulated time of the distributed run that is compared with the in-process one
 
@@ -160,7 +160,7 @@ def _draw_all(
 
 def _go_on(result: Result) -> None:
     """End everything if a signal ended a run. Raises KeyboardInterrupt, or the HungUp among them."""
-    from fleet.run.outcome import Status
+    from fleet.execution.outcome import Status
 
     if result.status is Status.HUNG_UP:
         raise HungUp
@@ -170,9 +170,9 @@ def _go_on(result: Result) -> None:
 
 def _network_check(tell: Tell) -> str:
     """A few seconds of the network case as real processes over zenoh, against the same in this process."""
-    from fleet.run.execute import execute
-    from fleet.run.options import Options
-    from fleet.run.outcome import Status
+    from fleet.execution.execute import execute
+    from fleet.execution.options import Options
+    from fleet.execution.outcome import Status
     from fleet.scenario.loading import load_scenario
 
     tell("a distributed run, to compare with the in-process one", 0.0)

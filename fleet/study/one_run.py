@@ -9,8 +9,8 @@ from typing import Any, NamedTuple
 
 from agents.plugins.trust import Trust
 from fleet.errors import FleetError
-from fleet.run.judged import judged
-from fleet.run.outcome import Result
+from fleet.execution.judged import judged
+from fleet.execution.outcome import Result
 from fleet.scenario.loading import parse_scenario
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.trust import Policy

@@ -11,10 +11,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from agents.plugins.trust import NOTHING, Trust
-from fleet.run.execute import execute
-from fleet.run.judged import Changes, override_texts
-from fleet.run.options import Options
-from fleet.run.outcome import Result
+from fleet.execution.execute import execute
+from fleet.execution.judged import Changes, override_texts
+from fleet.execution.options import Options
+from fleet.execution.outcome import Result
 from fleet.scenario.loading import parse_scenario
 from fleet.scenario.text.overrides import Override
 from fleet.study.engine import Engine, local_engine, need_extra, remote_engine

@@ -19,8 +19,8 @@ from agents.payload import StateMessage, encode
 from fleet.analysis.seed import seeded
 from fleet.errors import ScenarioError
 from fleet.repeat.resume import continuation
-from fleet.run.execute import execute
-from fleet.run.options import Options
+from fleet.execution.execute import execute
+from fleet.execution.options import Options
 from fleet.scenario.loading import load_scenario
 from fleet.scenario.scenario import Scenario
 from netem.wire.messages import Nav

@@ -36,9 +36,9 @@ from agents.signals import COMMANDED, HEARD
 from fleet.cli.main import cli
 from fleet.cli.new import KINDS
 from fleet.errors import ScenarioError
-from fleet.run.execute import execute
-from fleet.run.options import Options
-from fleet.run.outcome import Result, Status
+from fleet.execution.execute import execute
+from fleet.execution.options import Options
+from fleet.execution.outcome import Result, Status
 from fleet.scenario.loading import load_scenario
 from fleet.scenario.scenario import Scenario
 

@@ -40,10 +40,10 @@ from fleet.errors import FleetError, ScenarioError
 from fleet.logs.reader import LogReader
 from fleet.logs.recover import recover
 from fleet.recorder.journal import Journal
-from fleet.run.clock import Clock, LiveClock
-from fleet.run.execute import execute
-from fleet.run.operator import Operator
-from fleet.run.options import Options
+from fleet.execution.clock import Clock, LiveClock
+from fleet.execution.execute import execute
+from fleet.execution.operator import Operator
+from fleet.execution.options import Options
 from fleet.scenario.catalogue import shipped_scenarios
 from fleet.scenario.loading import load_scenario, parse_scenario
 from fleet.scenario.trust import Policy

@@ -29,9 +29,9 @@ from fleet.hosts.rendezvous import HostsError, read_credentials
 from fleet.logs.result_file import ResultError, read_result, read_timing
 from fleet.pictures.report import page
 from fleet.pictures.runs import Run, View, load
-from fleet.run.connection import live_runs
-from fleet.run.execute import execute
-from fleet.run.options import Options
+from fleet.execution.connection import live_runs
+from fleet.execution.execute import execute
+from fleet.execution.options import Options
 from fleet.scenario.loading import load_scenario, parse_scenario
 from fleet.scenario.sections.modem_files import load_modem
 from fleet.scenario.sections.vehicle_files import load_vehicle

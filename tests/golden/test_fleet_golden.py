@@ -16,9 +16,9 @@ from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 from repository import GOLDEN
 
-from fleet.run.execute import execute
-from fleet.run.options import Options
-from fleet.run.outcome import Status
+from fleet.execution.execute import execute
+from fleet.execution.options import Options
+from fleet.execution.outcome import Status
 from fleet.scenario.loading import load_scenario
 
 EVERY = "log.every=10 ticks"  # the trajectories hold every tenth sample

@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 from repository import ROOT
 
-from fleet.run.execute import execute
-from fleet.run.options import Options
-from fleet.run.outcome import Status
+from fleet.execution.execute import execute
+from fleet.execution.options import Options
+from fleet.execution.outcome import Status
 from fleet.scenario.catalogue import list_scenarios
 from fleet.scenario.loading import load_scenario
 

@@ -20,9 +20,9 @@ from small_scenario import only_problem, small
 
 from fleet.logs.reader import digest
 from fleet.repeat.recorded_run import script
-from fleet.run.execute import execute
-from fleet.run.options import Options
-from fleet.run.outcome import Result, Status
+from fleet.execution.execute import execute
+from fleet.execution.options import Options
+from fleet.execution.outcome import Result, Status
 from fleet.scenario.loading import load_scenario, parse_scenario
 from netem.lives import WHENEVER, Absence, Lives
 from world.faults import WorldFault

@@ -14,8 +14,8 @@ import pytest
 from fleet.recorder.journal import Journal
 from fleet.recorder.log_file import LogFile
 from fleet.recorder.writer import LogWriter
-from fleet.run import in_process
-from fleet.run.clock import Clock
+from fleet.execution import in_process
+from fleet.execution.clock import Clock
 from fleet.scenario.loading import load_scenario
 from netem.wire.codec import encode
 from netem.wire.messages import Message

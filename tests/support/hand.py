@@ -7,7 +7,7 @@ from typing import Any
 
 from waiting import wait_for
 
-from fleet.run.connection import ask, find
+from fleet.execution.connection import ask, find
 
 
 class Hand:

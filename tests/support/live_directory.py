@@ -8,8 +8,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from fleet.run.directory import RunDirectory
-from fleet.run.registry import register
+from fleet.execution.directory import RunDirectory
+from fleet.execution.registry import register
 
 CONNECTION = {"endpoint": "tcp/127.0.0.1:1", "run": "a", "user": "u", "password": "p"}
 

@@ -22,15 +22,15 @@ from free_ports import free_port
 from live import LiveRun
 from waiting import wait_for
 
-import fleet.run.launch
+import fleet.execution.launch
 import netem.wire.access
 import netem.wire.bus
 from fleet.logs.reader import LogReader
 from fleet.processes.private_folder import PrivateFolder
-from fleet.run.directory import RunDirectory
-from fleet.run.execute import execute
-from fleet.run.options import Options
-from fleet.run.outcome import Status
+from fleet.execution.directory import RunDirectory
+from fleet.execution.execute import execute
+from fleet.execution.options import Options
+from fleet.execution.outcome import Status
 from fleet.scenario.loading import load_scenario
 from netem.errors import BusError
 from netem.wire.access import CONSOLE, LEASE_MS, NETEM, OPERATOR, Credentials, Listener, agent_role, generate
@@ -425,7 +425,7 @@ def test_no_secret_is_left_lying_about(tmp_path: Path, monkeypatch: pytest.Monke
             exposed.extend(f"{path}: {text!r}" for secret in secrets if secret in text)
 
     monkeypatch.setattr(tempfile, "mkdtemp", make_and_remember)
-    monkeypatch.setattr(fleet.run.launch, "generate", remember)
+    monkeypatch.setattr(fleet.execution.launch, "generate", remember)
     monkeypatch.setattr(RunDirectory, "write_connection", look_round)
     out = tmp_path / "runs"
     result = execute(load_scenario("paper", ["duration=1 s", "checks={}"]), Options(out, quiet=True))

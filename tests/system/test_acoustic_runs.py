@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 from first_difference import assert_same_bytes
 
-from fleet.run.execute import execute
-from fleet.run.options import Options
-from fleet.run.outcome import Result, Status
+from fleet.execution.execute import execute
+from fleet.execution.options import Options
+from fleet.execution.outcome import Result, Status
 from fleet.scenario.loading import load_scenario
 
 

@@ -20,15 +20,15 @@ from in_process_runs import Alone, log_of
 from live import LiveRun
 
 import agents.make_agent
-import fleet.run.in_process
-import fleet.run.launch
+import fleet.execution.in_process
+import fleet.execution.launch
 from agents.controllers import TRACKING
 from agents.errors import ControllerError
 from fleet.logs.reader import LogReader
-from fleet.run.directory import RunDirectory
-from fleet.run.execute import execute
-from fleet.run.options import Options
-from fleet.run.outcome import Result, Status
+from fleet.execution.directory import RunDirectory
+from fleet.execution.execute import execute
+from fleet.execution.options import Options
+from fleet.execution.outcome import Result, Status
 from fleet.scenario.loading import load_scenario
 from netem.wire.access import Credentials
 from netem.wire.bus import Bus
@@ -114,7 +114,7 @@ def test_nan_command_in_process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     """The plain loop has nobody to wait for: it ends at once, naming the vehicle."""
     monkeypatch.setattr(agents.make_agent, "make_agent", agents.make_agent.make_agent)  # restored after the sabotage
     exec(dedent(NAN_COMMAND), {})
-    monkeypatch.setattr(fleet.run.in_process, "make_agent", agents.make_agent.make_agent)
+    monkeypatch.setattr(fleet.execution.in_process, "make_agent", agents.make_agent.make_agent)
     result = execute(load_scenario("paper"), Options(tmp_path, in_process=True, quiet=True))
     assert result.status is Status.BROKEN
     assert "nan" in result.reason
@@ -137,7 +137,7 @@ class Intruder:
         self._over = Event()
         self._thread: Thread | None = None
         self.rounds = 0
-        generate, write = fleet.run.launch.generate, RunDirectory.write_connection
+        generate, write = fleet.execution.launch.generate, RunDirectory.write_connection
 
         def generate_and_leak(vehicles: tuple[int, ...]) -> dict[str, Credentials]:
             self._credentials = generate(vehicles)
@@ -148,7 +148,7 @@ class Intruder:
             self._thread = Thread(target=self._talk, args=(values["endpoint"], values["run"]))
             self._thread.start()
 
-        monkeypatch.setattr(fleet.run.launch, "generate", generate_and_leak)
+        monkeypatch.setattr(fleet.execution.launch, "generate", generate_and_leak)
         monkeypatch.setattr(RunDirectory, "write_connection", write_and_join)
 
     def _talk(self, endpoint: str, run: str) -> None:

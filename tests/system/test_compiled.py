@@ -14,8 +14,8 @@ from pathlib import Path
 import pytest
 from repository import ROOT
 
-from fleet.run.execute import execute
-from fleet.run.options import Options
+from fleet.execution.execute import execute
+from fleet.execution.options import Options
 from fleet.scenario.loading import load_scenario
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(900)]

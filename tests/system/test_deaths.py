@@ -23,9 +23,9 @@ from live import FORKSERVER, LiveRun, Stopwatch
 from waiting import wait_for
 
 from fleet.logs.reader import LogReader
-from fleet.run.execute import execute
-from fleet.run.options import Options
-from fleet.run.outcome import Status
+from fleet.execution.execute import execute
+from fleet.execution.options import Options
+from fleet.execution.outcome import Status
 from fleet.scenario.loading import load_scenario
 
 END_S = 5.0  # promised: 2 s

@@ -23,9 +23,9 @@ from fleet.logs.reader import LogReader
 from fleet.processes import children
 from fleet.processes.children import Children
 from fleet.processes.interrupts import DeferInterrupts, HungUp, holding_interrupts
-from fleet.run.execute import execute
-from fleet.run.options import Options
-from fleet.run.outcome import Status
+from fleet.execution.execute import execute
+from fleet.execution.options import Options
+from fleet.execution.outcome import Status
 from fleet.scenario.loading import load_scenario
 
 FLEET = [sys.executable, "-m", "fleet"]

@@ -13,9 +13,9 @@ from waiting import wait_for
 
 from fleet.logs.reader import digest
 from fleet.repeat.recorded_run import script
-from fleet.run.connection import RemoteError, ask
-from fleet.run.execute import execute
-from fleet.run.options import Options
+from fleet.execution.connection import RemoteError, ask
+from fleet.execution.execute import execute
+from fleet.execution.options import Options
 from fleet.scenario.loading import load_scenario
 from netem.lives import Absence
 from netem.wire.messages import Command, Frame

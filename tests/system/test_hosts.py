@@ -31,7 +31,7 @@ from fleet.hosts.rendezvous import (
     run_id,
     through_router,
 )
-from fleet.run.connection import ask, find
+from fleet.execution.connection import ask, find
 from netem.errors import BusError
 from netem.wire.access import Credentials, Listener, generate
 from netem.wire.bus import Bus

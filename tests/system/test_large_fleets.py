@@ -7,8 +7,8 @@ from pathlib import Path
 import psutil
 import pytest
 
-from fleet.run.execute import Status, execute
-from fleet.run.options import Options
+from fleet.execution.execute import Status, execute
+from fleet.execution.options import Options
 from fleet.scenario.loading import load_scenario
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]

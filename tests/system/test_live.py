@@ -16,9 +16,9 @@ from tool import tool
 
 from fleet.logs.reader import digest
 from fleet.repeat.recorded_run import script
-from fleet.run.clock import Clock, LiveClock
-from fleet.run.execute import execute
-from fleet.run.options import Options
+from fleet.execution.clock import Clock, LiveClock
+from fleet.execution.execute import execute
+from fleet.execution.options import Options
 from fleet.scenario.loading import parse_scenario
 
 TICK_NS = 10_000_000

@@ -21,8 +21,8 @@ from waiting import wait_for
 
 from fleet.hosts import certificates
 from fleet.repeat.verify import verify
-from fleet.run.execute import execute
-from fleet.run.options import Options
+from fleet.execution.execute import execute
+from fleet.execution.options import Options
 from fleet.scenario.loading import load_scenario
 
 pytest.importorskip("cryptography", reason="cryptography is not installed: pip install 'uuv-fleet[hosts]'")

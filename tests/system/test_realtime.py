@@ -19,10 +19,10 @@ from fleet.pictures.timing import punctuality
 from fleet.repeat.recorded_run import ScriptError
 from fleet.repeat.verify import verify
 from fleet.repeat.what_if import what_if
-from fleet.run.connection import RemoteError
-from fleet.run.execute import execute
-from fleet.run.options import Options
-from fleet.run.outcome import Status
+from fleet.execution.connection import RemoteError
+from fleet.execution.execute import execute
+from fleet.execution.options import Options
+from fleet.execution.outcome import Status
 from fleet.scenario.loading import load_scenario
 
 SLEEPER = """

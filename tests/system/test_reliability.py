@@ -14,8 +14,8 @@ from time import sleep
 import pytest
 from live import LiveRun
 
-from fleet.run.execute import execute
-from fleet.run.options import Options
+from fleet.execution.execute import execute
+from fleet.execution.options import Options
 from fleet.scenario.loading import load_scenario
 
 CHECKS = "checks={ledger: balanced, middleware_loss: {at_most: 0}, tumbled: waived, deaths: waived}"

@@ -24,14 +24,14 @@ from live import LiveRun
 from waiting import wait_for
 
 import fleet.processes.private_folder
-import fleet.run.launch
+import fleet.execution.launch
 from fleet.errors import RunBroken
 from fleet.processes.children import Children, Exit
 from fleet.processes.private_folder import PREFIX, PrivateFolder
-from fleet.run.directory import RunDirectory
-from fleet.run.execute import execute
-from fleet.run.options import Options
-from fleet.run.outcome import Result, Status
+from fleet.execution.directory import RunDirectory
+from fleet.execution.execute import execute
+from fleet.execution.options import Options
+from fleet.execution.outcome import Result, Status
 from fleet.scenario.loading import load_scenario
 from netem.wire.access import Credentials
 from netem.wire.audit import CUT_OFF
@@ -56,7 +56,7 @@ def attacked(
         thief.wait_until_up(keys, values["endpoint"])
         attack(thief, keys, values["endpoint"])
 
-    patch.setattr(fleet.run.launch, "generate", thief.generate)
+    patch.setattr(fleet.execution.launch, "generate", thief.generate)
     patch.setattr(RunDirectory, "write_connection", write_and_attack)
     try:
         return execute(load_scenario("paper", SCENARIO), Options(out, quiet=True, audit=audit))

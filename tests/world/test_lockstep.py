@@ -15,7 +15,7 @@ from agents.loop import AgentLoop
 from fleet.recorder.journal import Journal
 from fleet.recorder.log_file import LogFile
 from fleet.recorder.writer import LogWriter
-from fleet.run.clock import Clock
+from fleet.execution.clock import Clock
 from fleet.scenario.loading import load_scenario
 from netem.errors import OutOfPlace
 from netem.wire.messages import Command, Delivery, Frame, Inbox, LinkReport, Nav, Round, Transmission

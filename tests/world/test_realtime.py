@@ -17,8 +17,8 @@ from agents.realtime_loop import RealtimeLoop
 from fleet.recorder.journal import Journal
 from fleet.recorder.log_file import LogFile
 from fleet.recorder.writer import LogWriter
-from fleet.run.clock import Clock
-from fleet.run.in_process import InProcess
+from fleet.execution.clock import Clock
+from fleet.execution.in_process import InProcess
 from fleet.scenario.loading import load_scenario
 from fleet.scenario.scenario import Scenario, frame_every
 from netem.errors import OutOfPlace

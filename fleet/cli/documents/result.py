@@ -7,7 +7,7 @@ from typing import Annotated
 from msgspec import Meta, Struct, convert
 
 from fleet.cli.documents.live import Formation
-from fleet.run.outcome import Result
+from fleet.execution.outcome import Result
 
 Metres = float | None  # null: the motion left the finite numbers
 

@@ -8,8 +8,8 @@ import pytest
 from small_scenario import small
 
 from fleet.analysis.preflight import LARGE_MB, log_mb, warnings
-from fleet.run.execute import execute
-from fleet.run.options import Options
+from fleet.execution.execute import execute
+from fleet.execution.options import Options
 from fleet.scenario.catalogue import list_scenarios
 from fleet.scenario.loading import load_scenario
 

@@ -18,9 +18,9 @@ from fleet.cli.result_table import MOST_ROWS, show
 from fleet.errors import ScenarioError
 from fleet.recorder.journal import Journal
 from fleet.repeat.recorded_run import script
-from fleet.run.execute import execute
-from fleet.run.options import Options
-from fleet.run.outcome import Result, Status
+from fleet.execution.execute import execute
+from fleet.execution.options import Options
+from fleet.execution.outcome import Result, Status
 from fleet.scenario.loading import load_scenario, parse_scenario
 from fleet.scenario.scenario import Scenario, frame_every
 from netem.wire.messages import Fate, Frame, Life, LinkReport, Tumble, VehicleFrame
@@ -545,7 +545,7 @@ def test_what_was_replaced_is_not_called_lost(tmp_path: Path, capsys: pytest.Cap
     """Payloads that news overtook in the modem have a column of their own, and do not count on the progress line."""
     from rich.console import Console
 
-    from fleet.run.progress import ProgressLine
+    from fleet.execution.progress import ProgressLine
     from fleet.terminal.fitting import fit
     from fleet.terminal.status_line import StatusLine
 

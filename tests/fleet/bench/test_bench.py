@@ -24,7 +24,7 @@ from fleet.bench.tables import show
 from fleet.bench.wall_clock import measure_wall_clock as measure_real
 from fleet.bench.wall_clock import show_wall_clock
 from fleet.cli.main import cli
-from fleet.run.outcome import Result, Status
+from fleet.execution.outcome import Result, Status
 from fleet.scenario.loading import load_scenario
 
 

@@ -7,8 +7,8 @@ from pathlib import Path
 from small_scenario import small
 
 from fleet.bench.recorder import recorder_figures
-from fleet.run.execute import execute
-from fleet.run.options import Options
+from fleet.execution.execute import execute
+from fleet.execution.options import Options
 
 
 def test_what_is_measured_is_the_log_of_the_run(tmp_path: Path) -> None:

@@ -402,9 +402,9 @@ def test_quiet_prints_the_directory_alone(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("where", "error", "words"),
     [
-        ("fleet.run.publication.LivePublisher.open", PublishError("no port is free"), "no port is free"),
+        ("fleet.execution.publication.LivePublisher.open", PublishError("no port is free"), "no port is free"),
         (
-            "fleet.run.execute.LogFile",
+            "fleet.execution.execute.LogFile",
             LogError("cannot write the log: No space left on device"),
             "cannot write the log",
         ),

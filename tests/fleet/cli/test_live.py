@@ -14,7 +14,7 @@ from live_directory import live_directory
 
 from fleet.cli.documents.live import ClockSet, Faults, Healed, Injected, LiveRuns, Stopping
 from fleet.cli.main import cli
-from fleet.run.connection import RemoteError
+from fleet.execution.connection import RemoteError
 
 
 def invoke(*arguments: str) -> Result:
@@ -44,7 +44,7 @@ def answers(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
             raise given[op]
         return dict(given[op])
 
-    monkeypatch.setattr("fleet.run.connection.ask", ask)
+    monkeypatch.setattr("fleet.execution.connection.ask", ask)
     return given
 
 

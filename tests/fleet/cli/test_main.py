@@ -58,6 +58,6 @@ def test_a_run_in_one_process_imports_no_middleware_and_draws_nothing(tmp_path: 
     """The fork server's module above all, which would import the processes of a distributed run."""
     changes = ("--set", "checks={tumbled: waived}", "--duration", "100 ms", "--out", str(tmp_path))
     found = imported("run", "paper", "--in-process", *changes)
-    distributed = {"zenoh", "multiprocessing.forkserver", "fleet.processes.preload", "fleet.run.console"}
+    distributed = {"zenoh", "multiprocessing.forkserver", "fleet.processes.preload", "fleet.execution.console"}
     assert "numpy" in found
     assert found & (distributed | {"matplotlib", "jinja2"}) == set()

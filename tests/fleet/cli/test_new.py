@@ -11,9 +11,9 @@ from click.testing import CliRunner, Result
 
 from fleet.cli.main import cli
 from fleet.cli.new import write_scenario
-from fleet.run.execute import execute
-from fleet.run.options import Options
-from fleet.run.outcome import Status
+from fleet.execution.execute import execute
+from fleet.execution.options import Options
+from fleet.execution.outcome import Status
 from fleet.scenario.catalogue import shipped_scenarios
 from fleet.scenario.loading import load_scenario, parse_scenario
 

@@ -12,7 +12,7 @@ from screens import assert_screen
 
 from fleet.analysis.verdicts import Verdict
 from fleet.cli.result_table import show
-from fleet.run.outcome import Result, Status
+from fleet.execution.outcome import Result, Status
 
 CAUSES = {"loss": 23, "down": 40, "partition": 40, "deaf": 80, "dead receiver": 120}
 VERDICTS = [

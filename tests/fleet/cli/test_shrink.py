@@ -11,7 +11,7 @@ from small_scenario import SMALL
 from study_engine import Here
 
 from fleet.cli.main import cli
-from fleet.run.judged import run
+from fleet.execution.judged import run
 
 FAILING = """\
 faults:

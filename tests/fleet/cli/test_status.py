@@ -17,7 +17,7 @@ from rich.console import Console
 from fleet.cli.documents.live import Status
 from fleet.cli.main import cli
 from fleet.cli.status import screen, watch_run
-from fleet.run.connection import RemoteError, find
+from fleet.execution.connection import RemoteError, find
 
 
 def answer(vehicles: int = 4, links: int = 5, faults: int = 1, **more: Any) -> dict[str, Any]:
@@ -147,8 +147,8 @@ class Ends:
 
 def test_watching_ends_with_the_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Without a terminal: one block after the other, and no control character."""
-    monkeypatch.setattr("fleet.run.connection.ask", ask := Ends(3))
-    monkeypatch.setattr("fleet.run.connection.is_live", lambda run: False)
+    monkeypatch.setattr("fleet.execution.connection.ask", ask := Ends(3))
+    monkeypatch.setattr("fleet.execution.connection.is_live", lambda run: False)
     monkeypatch.setattr("fleet.cli.status.EVERY_S", 0.0)
     with live_directory(tmp_path) as run:
         result = CliRunner().invoke(cli, ["status", "-w", "--all"])
@@ -169,7 +169,7 @@ def test_a_terminal_is_left_as_it_was(tmp_path: Path, monkeypatch: pytest.Monkey
         return answer(100, 9)
 
     asked: list[str] = []
-    monkeypatch.setattr("fleet.run.connection.ask", ask)
+    monkeypatch.setattr("fleet.execution.connection.ask", ask)
     monkeypatch.setattr("fleet.cli.status.EVERY_S", 0.0)
     monkeypatch.setenv("TERM", "xterm")
     terminal = Console(file=io.StringIO(), force_terminal=True, width=80, height=24, highlight=False)
@@ -184,7 +184,7 @@ def test_a_terminal_is_left_as_it_was(tmp_path: Path, monkeypatch: pytest.Monkey
 
 
 def test_watching_a_run_that_only_does_not_answer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("fleet.run.connection.ask", Ends(1))
+    monkeypatch.setattr("fleet.execution.connection.ask", Ends(1))
     monkeypatch.setattr("fleet.cli.status.EVERY_S", 0.0)
     with live_directory(tmp_path):
         result = CliRunner().invoke(cli, ["status", "-w"])
@@ -192,7 +192,7 @@ def test_watching_a_run_that_only_does_not_answer(tmp_path: Path, monkeypatch: p
 
 
 def test_a_status_as_a_document(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("fleet.run.connection.ask", Ends(9))
+    monkeypatch.setattr("fleet.execution.connection.ask", Ends(9))
     with live_directory(tmp_path) as run:
         found = msgspec.json.decode(CliRunner().invoke(cli, ["status", "--json"]).stdout, type=Status)
         assert (found.run, found.directory, len(found.vehicles)) == (run.name, str(run), 4)

@@ -28,8 +28,8 @@ from fleet.logs.reader import LogReader, LogReadError
 from fleet.pictures.gallery import draw
 from fleet.pictures.runs import View, load
 from fleet.pictures.whole_file import whole_file
-from fleet.run.execute import execute
-from fleet.run.options import Options
+from fleet.execution.execute import execute
+from fleet.execution.options import Options
 from fleet.scenario.loading import load_scenario
 from fleet.terminal import progress
 

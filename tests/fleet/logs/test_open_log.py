@@ -21,8 +21,8 @@ import fleet
 from fleet.errors import ScenarioError
 from fleet.logs.open_log import FaultInterval, LogKeyError
 from fleet.logs.reader import LogReadError
-from fleet.run.execute import execute
-from fleet.run.options import Options
+from fleet.execution.execute import execute
+from fleet.execution.options import Options
 from fleet.scenario.loading import load_scenario
 
 

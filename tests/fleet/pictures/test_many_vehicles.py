@@ -14,8 +14,8 @@ from fleet.pictures import exchange, shares, track
 from fleet.pictures.report import _tables
 from fleet.pictures.report_tables import MOST_ROWS
 from fleet.pictures.runs import Run, View, load
-from fleet.run.execute import execute
-from fleet.run.options import Options
+from fleet.execution.execute import execute
+from fleet.execution.options import Options
 from fleet.scenario.loading import load_scenario
 
 N = 60

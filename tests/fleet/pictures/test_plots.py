@@ -31,8 +31,8 @@ from fleet.pictures.report import write as write_report
 from fleet.pictures.report_tables import links_table
 from fleet.pictures.runs import NothingToDraw, Run, View, load, with_gaps
 from fleet.pictures.style import panels, plain_decades
-from fleet.run.execute import execute
-from fleet.run.options import Options
+from fleet.execution.execute import execute
+from fleet.execution.options import Options
 from fleet.scenario.loading import load_scenario
 from netem.causes import LOSSES, Cause
 

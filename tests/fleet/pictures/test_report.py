@@ -15,8 +15,8 @@ from fleet.pictures.gallery import WHAT
 from fleet.pictures.report import page
 from fleet.pictures.report_scenario import network_facts
 from fleet.pictures.runs import View, load
-from fleet.run.execute import execute
-from fleet.run.options import Options
+from fleet.execution.execute import execute
+from fleet.execution.options import Options
 from fleet.scenario.loading import load_scenario
 
 

@@ -16,8 +16,8 @@ from fleet.pictures import signals
 from fleet.pictures.runs import Run, View, load
 from fleet.pictures.style import panels
 from fleet.pictures.thresholds import Threshold, draw_thresholds, thresholds
-from fleet.run.execute import execute
-from fleet.run.options import Options
+from fleet.execution.execute import execute
+from fleet.execution.options import Options
 from fleet.scenario.loading import load_scenario
 
 CHECKS = (

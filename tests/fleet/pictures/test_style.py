@@ -15,8 +15,8 @@ from fleet.logs.reader import digest
 from fleet.pictures.gallery import write
 from fleet.pictures.runs import View, load
 from fleet.pictures.style import COLUMN_IN, LABEL_PT, LEGEND_PT, TEXT_PT
-from fleet.run.execute import execute
-from fleet.run.options import Options
+from fleet.execution.execute import execute
+from fleet.execution.options import Options
 from fleet.scenario.loading import load_scenario
 
 

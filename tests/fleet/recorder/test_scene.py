@@ -23,9 +23,9 @@ from fleet.logs.reader import LogReader
 from fleet.recorder.scene import CUTS, HISTORY, LINKS, LinkHistories, Scene, diameter, hull
 from fleet.recorder.transforms import quaternion
 from fleet.repeat.resume import continuation
-from fleet.run.execute import execute
-from fleet.run.options import Options
-from fleet.run.outcome import Result
+from fleet.execution.execute import execute
+from fleet.execution.options import Options
+from fleet.execution.outcome import Result
 from fleet.scenario.loading import load_scenario
 from netem.causes import LOSSES, Cause
 from netem.wire.messages import Fate, Frame, VehicleFrame

@@ -13,8 +13,8 @@ from rich.console import Console as Terminal
 
 from fleet.cli.result_table import show
 from fleet.recorder.settling import least_s, settling_time
-from fleet.run.execute import execute
-from fleet.run.options import Options
+from fleet.execution.execute import execute
+from fleet.execution.options import Options
 from fleet.scenario.loading import load_scenario
 from world.config import Harmonic
 from world.disturbance import PAPER

@@ -12,17 +12,17 @@ import pytest
 from click.testing import CliRunner
 from plain_messages import encoded
 
-import fleet.run.execute
-import fleet.run.in_process
+import fleet.execution.execute
+import fleet.execution.in_process
 from agents.config import AgentConfig
 from agents.make_agent import make_agent
 from fleet.cli.main import cli
 from fleet.logs.schemas import Column, Doubles
 from fleet.repeat.recorded_agent import NotRecordedError
 from fleet.repeat.verify import verification_lines, verify
-from fleet.run.execute import execute
-from fleet.run.options import Options
-from fleet.run.outcome import Status
+from fleet.execution.execute import execute
+from fleet.execution.options import Options
+from fleet.execution.outcome import Status
 from fleet.scenario.loading import load_scenario
 
 EXTERNAL = "per_vehicle={3: {external: true}}"
@@ -43,7 +43,7 @@ def log(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.Monk
     """The log of a case, in this process as if somebody had joined; from then on there is no agent 3 of ours."""
     name, overrides = CASES[request.param]
     with monkeypatch.context() as patch:
-        patch.setattr(fleet.run.execute, "refuse", lambda *_: None)
+        patch.setattr(fleet.execution.execute, "refuse", lambda *_: None)
         scenario = load_scenario(name, ["checks={}", EXTERNAL, *overrides])
         result = execute(scenario, Options(tmp_path, in_process=True, quiet=True))
     assert result.status is Status.PASS, result.reason
@@ -52,7 +52,7 @@ def log(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.Monk
         assert config.id != 3
         return make_agent(config)
 
-    monkeypatch.setattr(fleet.run.in_process, "make_agent", others)
+    monkeypatch.setattr(fleet.execution.in_process, "make_agent", others)
     return result.directory / "run.mcap"
 
 
@@ -91,7 +91,7 @@ def test_nothing_goes_on_from_it_and_whatif_says_whose_it_is(log: Path) -> None:
 
 
 def test_thinned_commands_cannot_be_said_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(fleet.run.execute, "refuse", lambda *_: None)
+    monkeypatch.setattr(fleet.execution.execute, "refuse", lambda *_: None)
     scenario = load_scenario("paper", ["duration=1 s", "checks={}", EXTERNAL, "log.every=10 ticks"])
     result = execute(scenario, Options(tmp_path, in_process=True, quiet=True))
     with pytest.raises(NotRecordedError, match=r"has every 10th command only: .*\(log\.command: 1 tick\)$"):

@@ -20,9 +20,9 @@ from fleet.recorder.snapshot import Snapshot, SnapshotError, Start, find
 from fleet.repeat.recorded_run import script
 from fleet.repeat.resume import continuation, parse_from
 from fleet.repeat.verify import verification_lines, verify
-from fleet.run.execute import _clock, execute
-from fleet.run.options import Options
-from fleet.run.outcome import Result, Status
+from fleet.execution.execute import _clock, execute
+from fleet.execution.options import Options
+from fleet.execution.outcome import Result, Status
 from fleet.scenario.loading import load_scenario
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.text.overrides import FAULT, NET, Override

@@ -30,9 +30,9 @@ from fleet.logs.recover import Copy, Recovered, recover
 from fleet.logs.salvage import Item, Salvage
 from fleet.repeat.resume import continuation
 from fleet.repeat.verify import Verification, verification_lines, verify
-from fleet.run.execute import execute
-from fleet.run.options import Options
-from fleet.run.outcome import Status
+from fleet.execution.execute import execute
+from fleet.execution.options import Options
+from fleet.execution.outcome import Status
 from fleet.scenario.loading import load_scenario
 
 Part = Item | Message

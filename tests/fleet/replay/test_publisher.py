@@ -17,8 +17,8 @@ from waiting import wait_for
 from fleet.logs.reader import Record
 from fleet.replay.attachment import unpack
 from fleet.replay.capture_format import zenoh_encoding
-from fleet.run.execute import execute
-from fleet.run.options import Options
+from fleet.execution.execute import execute
+from fleet.execution.options import Options
 from fleet.scenario.loading import load_scenario
 from netem.errors import BusError
 from netem.wire.access import Credentials

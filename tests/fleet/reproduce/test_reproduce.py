@@ -24,8 +24,8 @@ from fleet.reproduce.run import _network_check, _ours_alone, _pool
 from fleet.reproduce.table1 import HEADINGS, chosen, table_1
 from fleet.reproduce.topology import topology
 from fleet.reproduce.verdicts import Claim, ClaimCheck
-from fleet.run.in_memory import record
-from fleet.run.outcome import Result, Status
+from fleet.execution.in_memory import record
+from fleet.execution.outcome import Result, Status
 from fleet.scenario.loading import load_scenario
 
 
@@ -424,7 +424,7 @@ def test_a_signal_in_the_distributed_run_ends_it_all(
     status: Status, raised: type[BaseException], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """It came as a run with that status, after which all the other runs were made."""
-    monkeypatch.setattr("fleet.run.execute.execute", lambda *_: Result(status, Path(), ""))
+    monkeypatch.setattr("fleet.execution.execute.execute", lambda *_: Result(status, Path(), ""))
     with pytest.raises(KeyboardInterrupt) as caught:
         _network_check(lambda *_: None)
     assert caught.type is raised

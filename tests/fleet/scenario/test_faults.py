@@ -19,9 +19,9 @@ from small_scenario import only_problem, small
 
 from fleet.analysis.stability import analyse
 from fleet.errors import ScenarioError
-from fleet.run.execute import execute
-from fleet.run.options import Options
-from fleet.run.outcome import Result, Status
+from fleet.execution.execute import execute
+from fleet.execution.options import Options
+from fleet.execution.outcome import Result, Status
 from fleet.scenario.loading import load_scenario, parse_scenario
 from fleet.scenario.schema.faults import ACTIONS, DrawnKind
 from fleet.scenario.sections.partitions import PartitionError, partition

@@ -18,9 +18,9 @@ from small_scenario import SMALL, only_problem, places, small
 
 from fleet.analysis.stability import analyse
 from fleet.errors import ScenarioError
-from fleet.run.execute import execute
-from fleet.run.options import Options
-from fleet.run.outcome import Status
+from fleet.execution.execute import execute
+from fleet.execution.options import Options
+from fleet.execution.outcome import Status
 from fleet.scenario.loading import load_scenario, parse_scenario
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.schema.motion import FormationShape, GraphSection

@@ -12,7 +12,7 @@ from small_scenario import SMALL
 from study_engine import Here
 
 from fleet.errors import ScenarioError
-from fleet.run.judged import run
+from fleet.execution.judged import run
 from fleet.scenario.text.overrides import SET, Override
 from fleet.study.errors import StudyError
 from fleet.study.plan import Plan

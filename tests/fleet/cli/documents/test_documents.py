@@ -29,7 +29,7 @@ from fleet.cli.documents.result import Ran
 from fleet.cli.documents.what_if import OtherCommands
 from fleet.cli.main import cli
 from fleet.logs.reader import digest
-from fleet.run.supervisor import Supervisor
+from fleet.execution.supervisor import Supervisor
 from fleet.scenario.catalogue import shipped_scenarios
 
 S = TypeVar("S", bound=msgspec.Struct)

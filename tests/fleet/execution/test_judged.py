@@ -11,10 +11,10 @@ from failing_laws import module as module
 from small_scenario import SMALL, small
 
 from fleet.errors import ScenarioError
-from fleet.run.execute import execute
-from fleet.run.judged import override_texts, run
-from fleet.run.options import Options
-from fleet.run.outcome import Status
+from fleet.execution.execute import execute
+from fleet.execution.judged import override_texts, run
+from fleet.execution.options import Options
+from fleet.execution.outcome import Status
 from fleet.scenario.loading import parse_scenario
 
 FAILING = {"checks": {"formation_error": {"below": "1 mm", "after": "0 s"}}}

@@ -11,8 +11,8 @@ import msgspec
 
 from fleet.errors import FleetError
 from fleet.logs.run_name import RUN_NAME
-from fleet.run.directory import CONNECTION, in_use
-from fleet.run.registry import registered
+from fleet.execution.directory import CONNECTION, in_use
+from fleet.execution.registry import registered
 from netem.errors import BusError
 from netem.private_file import DamagedFile, parse_json
 from netem.whole_file import read_file
@@ -164,7 +164,7 @@ def ask(run: LiveRun, op: str, **fields: Any) -> dict[str, Any]:
     """Ask the console of a run.
 
     Args:
-        op: what `fleet.run.operator.Operator.handle` understands.
+        op: what `fleet.execution.operator.Operator.handle` understands.
 
     Returns:
         Its answer.

@@ -10,9 +10,9 @@ from typing import Any
 import msgpack
 
 from fleet.errors import RunBroken
-from fleet.run.events import EventKind, EventQueue
-from fleet.run.external_agents import ExternalAgents
-from fleet.run.notes import Notes
+from fleet.execution.events import EventKind, EventQueue
+from fleet.execution.external_agents import ExternalAgents
+from fleet.execution.notes import Notes
 from netem.errors import BusError
 from netem.wire.access import Credentials, agent_role
 from netem.wire.bus import Bus, Respond

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from fleet.run.notes import MOST_NOTES, Notes, tick_text
+from fleet.execution.notes import MOST_NOTES, Notes, tick_text
 from netem.wire.codec import encode
 from netem.wire.messages import Note
 

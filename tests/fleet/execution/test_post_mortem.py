@@ -7,7 +7,7 @@ from types import SimpleNamespace
 from typing import Any
 
 from fleet.processes.children import Child, Exit
-from fleet.run.post_mortem import explain
+from fleet.execution.post_mortem import explain
 
 
 def test_of_many_that_ended_few_are_named(tmp_path: Path) -> None:

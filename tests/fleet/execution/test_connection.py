@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 from live_directory import live_directory
 
-from fleet.run.connection import RemoteError, choose, find, is_live, live_runs
-from fleet.run.directory import CONNECTION, OBSERVE, RunDirectory
+from fleet.execution.connection import RemoteError, choose, find, is_live, live_runs
+from fleet.execution.directory import CONNECTION, OBSERVE, RunDirectory
 
 
 @pytest.fixture

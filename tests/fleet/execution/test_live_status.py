@@ -9,9 +9,9 @@ import pytest
 from fleet.bench.recorder import Calls
 from fleet.recorder.journal import Journal
 from fleet.recorder.metrics import SETTLE_M
-from fleet.run.clock import Clock
-from fleet.run.in_process import InProcess
-from fleet.run.live_status import WORST_LINKS, WORST_VEHICLES, link_rows, vehicle_rows
+from fleet.execution.clock import Clock
+from fleet.execution.in_process import InProcess
+from fleet.execution.live_status import WORST_LINKS, WORST_VEHICLES, link_rows, vehicle_rows
 from fleet.scenario.loading import load_scenario
 from fleet.scenario.scenario import Scenario
 

@@ -16,8 +16,8 @@ from fleet.processes.children import Children, forkserver_death
 from fleet.processes.open_files import allow_open_files
 from fleet.processes.ports import free_port
 from fleet.processes.private_folder import PrivateFolder
-from fleet.run.directory import RunDirectory
-from fleet.run.options import Options
+from fleet.execution.directory import RunDirectory
+from fleet.execution.options import Options
 from fleet.scenario.scenario import Scenario, frame_every
 from netem.wire.access import LEASE_MS, NETEM, OPERATOR, WORLD, Credentials, Listener, agent_role, generate
 from netem.wire.keys import Keys

@@ -14,7 +14,7 @@ from msgspec.structs import replace
 
 from agents.join_file import JoinFile
 from fleet.errors import FleetError
-from fleet.run.directory import RunDirectory
+from fleet.execution.directory import RunDirectory
 from fleet.scenario.scenario import Scenario
 from netem.wire.access import Credentials, agent_role
 from netem.wire.messages import PROTOCOL_VERSION

@@ -15,8 +15,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from live_directory import live_directory
 
-from fleet.run.directory import RunDirectory, RunDirectoryError
-from fleet.run.past_runs import (
+from fleet.execution.directory import RunDirectory, RunDirectoryError
+from fleet.execution.past_runs import (
     BROKE,
     FAIL,
     FINISHED,

@@ -16,8 +16,8 @@ from fleet.errors import RunBroken
 from fleet.recorder.journal import Journal
 from fleet.recorder.metrics import VehicleError
 from fleet.recorder.snapshot import Snapshot
-from fleet.run.clock import Clock
-from fleet.run.in_process import InProcess
+from fleet.execution.clock import Clock
+from fleet.execution.in_process import InProcess
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.sections.timeline import Event
 from netem.wire.messages import Command, Fate, Frame

@@ -20,16 +20,16 @@ from fleet.recorder.log_file import LogError, LogFile
 from fleet.recorder.no_log import NoLog
 from fleet.recorder.writer import LogWriter
 from fleet.replay.publisher import PublishError
-from fleet.run.clock import WINDOW_NS, Clock
-from fleet.run.directory import RunDirectory
-from fleet.run.external_agents import ExternalError, refuse
-from fleet.run.in_process import InProcess
-from fleet.run.options import Options
-from fleet.run.outcome import Result, Status, judge_run, outcome_values, settle
-from fleet.run.progress import ProgressLine
-from fleet.run.publication import NoPublication, Publication
-from fleet.run.registry import RegistryError, register
-from fleet.run.runner import Runner
+from fleet.execution.clock import WINDOW_NS, Clock
+from fleet.execution.directory import RunDirectory
+from fleet.execution.external_agents import ExternalError, refuse
+from fleet.execution.in_process import InProcess
+from fleet.execution.options import Options
+from fleet.execution.outcome import Result, Status, judge_run, outcome_values, settle
+from fleet.execution.progress import ProgressLine
+from fleet.execution.publication import NoPublication, Publication
+from fleet.execution.registry import RegistryError, register
+from fleet.execution.runner import Runner
 from fleet.scenario.scenario import Scenario
 from fleet.terminal.status_line import StatusLine
 from world.errors import WorldError
@@ -111,7 +111,7 @@ def _prepare(
     if in_process:
         runner = InProcess(scenario, journal, options.start)
     else:
-        from fleet.run.console import Console  # and with it zenoh and multiprocessing
+        from fleet.execution.console import Console  # and with it zenoh and multiprocessing
 
         runner = Console(scenario, directory, journal, options, number, line.print)
     result = Result(Status.PASS, directory.path)

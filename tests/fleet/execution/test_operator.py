@@ -10,9 +10,9 @@ import pytest
 from small_scenario import small
 
 from fleet.recorder.journal import Journal
-from fleet.run.clock import Clock, LiveClock
-from fleet.run.fleet import Fleet
-from fleet.run.operator import Operator
+from fleet.execution.clock import Clock, LiveClock
+from fleet.execution.fleet import Fleet
+from fleet.execution.operator import Operator
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,6 @@
 """The console of a distributed run: start the processes, wait until all are ready, grant the clock, record.
 
-Everything that happens is an event of one queue (`fleet.run.events`), which the main thread takes one by one.
+Everything that happens is an event of one queue (`fleet.execution.events`), which the main thread takes one by one.
 """
 
 from __future__ import annotations
@@ -17,20 +17,20 @@ from fleet.errors import RunBroken, StoppedError
 from fleet.processes.children import Children
 from fleet.processes.interrupts import deferring_interrupts
 from fleet.recorder.journal import Journal
-from fleet.run.accounts import lost_messages
-from fleet.run.clock import Clock, LiveClock
-from fleet.run.directory import RunDirectory
-from fleet.run.events import EXPECTED, EventKind, EventQueue
-from fleet.run.external_agents import ExternalAgents
-from fleet.run.launch import Launch
-from fleet.run.notes import Notes, tick_text
-from fleet.run.operator import Operator
-from fleet.run.options import Options
-from fleet.run.post_mortem import explain, last_lines, who_waits
-from fleet.run.readiness import readiness
-from fleet.run.runner import Closing
-from fleet.run.session import Session, connect_to_router, connect_to_world
-from fleet.run.supervisor import Supervisor
+from fleet.execution.accounts import lost_messages
+from fleet.execution.clock import Clock, LiveClock
+from fleet.execution.directory import RunDirectory
+from fleet.execution.events import EXPECTED, EventKind, EventQueue
+from fleet.execution.external_agents import ExternalAgents
+from fleet.execution.launch import Launch
+from fleet.execution.notes import Notes, tick_text
+from fleet.execution.operator import Operator
+from fleet.execution.options import Options
+from fleet.execution.post_mortem import explain, last_lines, who_waits
+from fleet.execution.readiness import readiness
+from fleet.execution.runner import Closing
+from fleet.execution.session import Session, connect_to_router, connect_to_world
+from fleet.execution.supervisor import Supervisor
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.sections.timeline import Kill
 from netem.errors import MalformedMessage, OutOfPlace

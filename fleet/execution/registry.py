@@ -13,7 +13,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from fleet.errors import FleetError
-from fleet.run.directory import RunDirectory, in_use, remove_secrets
+from fleet.execution.directory import RunDirectory, in_use, remove_secrets
 
 NAME = "uuv-fleet"
 FALLBACK = Path("/tmp")

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fleet.run.clock import WINDOW_NS
-from fleet.run.in_memory import record
+from fleet.execution.clock import WINDOW_NS
+from fleet.execution.in_memory import record
 from fleet.scenario.loading import load_scenario
 
 SHORT = ["duration=4 s", "checks={}"]

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
-from fleet.run.clock import Clock
+from fleet.execution.clock import Clock
 from netem.condition import Link
 
 

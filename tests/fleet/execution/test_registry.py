@@ -14,12 +14,12 @@ from live_directory import live_directory
 from small_scenario import SMALL
 
 from fleet.cli.main import cli
-from fleet.run import registry
-from fleet.run.connection import find
-from fleet.run.directory import RunDirectory, in_use
-from fleet.run.execute import execute
-from fleet.run.options import Options
-from fleet.run.registry import RegistryError, folder, register, registered
+from fleet.execution import registry
+from fleet.execution.connection import find
+from fleet.execution.directory import RunDirectory, in_use
+from fleet.execution.execute import execute
+from fleet.execution.options import Options
+from fleet.execution.registry import RegistryError, folder, register, registered
 from fleet.scenario.loading import parse_scenario
 
 

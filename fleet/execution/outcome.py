@@ -13,7 +13,7 @@ from fleet.analysis.verdicts import Verdict, judge, judge_expected
 from fleet.recorder.journal import Journal, Spell
 from fleet.recorder.log_file import LogError, LogFile
 from fleet.recorder.no_log import NoLog
-from fleet.run.runner import Runner
+from fleet.execution.runner import Runner
 from fleet.scenario.scenario import Scenario
 from netem.condition import Link
 

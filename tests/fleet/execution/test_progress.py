@@ -12,8 +12,8 @@ from screens import assert_screen
 from small_scenario import small
 
 from fleet.recorder.metrics import WorstAndMedian
-from fleet.run import progress
-from fleet.run.progress import ProgressLine
+from fleet.execution import progress
+from fleet.execution.progress import ProgressLine
 from fleet.terminal.status_line import StatusLine
 from netem.causes import Cause
 from netem.ledger import Account

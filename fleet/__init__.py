@@ -6,6 +6,8 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from fleet.execution.judged import run as run
+    from fleet.execution.outcome import Result as Result
     from fleet.logs.open_log import Log as Log
     from fleet.logs.open_log import open_log as open_log
     from fleet.study.study import Study as Study
@@ -13,13 +15,15 @@ if TYPE_CHECKING:
     from fleet.study.study import sweep as sweep
 
 _OFFERED = {
+    "Result": "fleet.execution.outcome",
+    "run": "fleet.execution.judged",
     "Log": "fleet.logs.open_log",
     "open_log": "fleet.logs.open_log",
     "Study": "fleet.study.study",
     "open_study": "fleet.study.study",
     "sweep": "fleet.study.study",
 }
-__all__ = ["Log", "Study", "open_log", "open_study", "sweep"]
+__all__ = ["Log", "Result", "Study", "open_log", "open_study", "run", "sweep"]
 
 
 def __getattr__(name: str) -> Any:

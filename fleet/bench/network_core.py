@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import time
 
-from fleet.recorder.journal import Journal
 from fleet.execution.clock import Clock
 from fleet.execution.in_process import InProcess
+from fleet.recorder.journal import Journal
 from fleet.scenario.loading import load_scenario
 from fleet.scenario.scenario import Scenario
 from netem.config import NetemConfig

@@ -9,13 +9,13 @@ from pathlib import Path
 from typing import Any
 
 from fleet.bench.plain_log import PlainLog
+from fleet.execution.clock import Clock
+from fleet.execution.in_process import InProcess
 from fleet.recorder.journal import Journal
 from fleet.recorder.log_file import LogFile
 from fleet.recorder.metrics import VehicleError
 from fleet.recorder.snapshot import Snapshot
 from fleet.recorder.writer import LogWriter
-from fleet.execution.clock import Clock
-from fleet.execution.in_process import InProcess
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.sections.timeline import Event
 from netem.wire.messages import Command, Fate, Frame

@@ -17,14 +17,14 @@ from msgspec import Meta, Struct
 from fleet.bench.errors import BenchError
 from fleet.bench.memory import pss_mb
 from fleet.errors import RunBroken
-from fleet.recorder.journal import Journal
-from fleet.recorder.log_file import LogFile
-from fleet.recorder.writer import LogWriter
 from fleet.execution.clock import Clock
 from fleet.execution.console import Console
 from fleet.execution.directory import RunDirectory
 from fleet.execution.in_process import InProcess
 from fleet.execution.options import Options
+from fleet.recorder.journal import Journal
+from fleet.recorder.log_file import LogFile
+from fleet.recorder.writer import LogWriter
 from fleet.scenario.loading import load_scenario
 from fleet.scenario.scenario import Scenario
 

@@ -9,11 +9,11 @@ from pathlib import Path
 from statistics import median
 
 from fleet.bench.agent_step import agent_steps
+from fleet.execution.clock import Clock
+from fleet.execution.in_process import InProcess
 from fleet.recorder.journal import Journal
 from fleet.recorder.log_file import LogFile
 from fleet.recorder.writer import LogWriter
-from fleet.execution.clock import Clock
-from fleet.execution.in_process import InProcess
 from fleet.scenario.loading import load_scenario
 from netem.wire.codec import decode, encode
 from netem.wire.messages import Command, Nav

@@ -224,9 +224,9 @@ def _session(connect: str | None, listen: str | None, credentials: Any) -> Any:
 
 def _observer(run: str) -> tuple[str, Any, str]:
     """Endpoint, credentials and key prefix of a live run that was started with --publish."""
-    from fleet.replay.observed import read_observed
     from fleet.execution.connection import RemoteError, choose
     from fleet.execution.directory import OBSERVE
+    from fleet.replay.observed import read_observed
     from netem.private_file import DamagedFile
     from netem.wire.access import Credentials
     from netem.wire.keys import Keys

@@ -10,8 +10,8 @@ from rich.text import Text
 
 from fleet.analysis.preflight import large_log_hint
 from fleet.analysis.punctuality import summary
-from fleet.recorder.metrics import WorstAndMedian
 from fleet.execution.outcome import Result, Status
+from fleet.recorder.metrics import WorstAndMedian
 from fleet.terminal import table
 from fleet.terminal.folding import INDENT, fold
 from fleet.terminal.table import Column, width

@@ -19,8 +19,8 @@ from fleet.terminal.output import OutputError, give_up_output
 
 if TYPE_CHECKING:
     from agents.plugins.trust import Trust
-    from fleet.recorder.snapshot import Start
     from fleet.execution.outcome import Result
+    from fleet.recorder.snapshot import Start
     from fleet.scenario.scenario import Scenario
     from fleet.scenario.text.overrides import Override
 

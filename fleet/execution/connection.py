@@ -10,9 +10,9 @@ from typing import Annotated, Any
 import msgspec
 
 from fleet.errors import FleetError
-from fleet.logs.run_name import RUN_NAME
 from fleet.execution.directory import CONNECTION, in_use
 from fleet.execution.registry import registered
+from fleet.logs.run_name import RUN_NAME
 from netem.errors import BusError
 from netem.private_file import DamagedFile, parse_json
 from netem.whole_file import read_file

@@ -14,9 +14,6 @@ from typing import Any
 import msgpack
 
 from fleet.errors import RunBroken, StoppedError
-from fleet.processes.children import Children
-from fleet.processes.interrupts import deferring_interrupts
-from fleet.recorder.journal import Journal
 from fleet.execution.accounts import lost_messages
 from fleet.execution.clock import Clock, LiveClock
 from fleet.execution.directory import RunDirectory
@@ -31,6 +28,9 @@ from fleet.execution.readiness import readiness
 from fleet.execution.runner import Closing
 from fleet.execution.session import Session, connect_to_router, connect_to_world
 from fleet.execution.supervisor import Supervisor
+from fleet.processes.children import Children
+from fleet.processes.interrupts import deferring_interrupts
+from fleet.recorder.journal import Journal
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.sections.timeline import Kill
 from netem.errors import MalformedMessage, OutOfPlace

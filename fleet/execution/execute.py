@@ -13,13 +13,6 @@ from agents.errors import AgentError
 from fleet.analysis import punctuality
 from fleet.cores import cores
 from fleet.errors import RunBroken, StoppedError
-from fleet.processes.interrupts import DeferInterrupts, HungUp
-from fleet.processes.ports import free_port
-from fleet.recorder.journal import Journal
-from fleet.recorder.log_file import LogError, LogFile
-from fleet.recorder.no_log import NoLog
-from fleet.recorder.writer import LogWriter
-from fleet.replay.publisher import PublishError
 from fleet.execution.clock import WINDOW_NS, Clock
 from fleet.execution.directory import RunDirectory
 from fleet.execution.external_agents import ExternalError, refuse
@@ -30,6 +23,13 @@ from fleet.execution.progress import ProgressLine
 from fleet.execution.publication import NoPublication, Publication
 from fleet.execution.registry import RegistryError, register
 from fleet.execution.runner import Runner
+from fleet.processes.interrupts import DeferInterrupts, HungUp
+from fleet.processes.ports import free_port
+from fleet.recorder.journal import Journal
+from fleet.recorder.log_file import LogError, LogFile
+from fleet.recorder.no_log import NoLog
+from fleet.recorder.writer import LogWriter
+from fleet.replay.publisher import PublishError
 from fleet.scenario.scenario import Scenario
 from fleet.terminal.status_line import StatusLine
 from world.errors import WorldError

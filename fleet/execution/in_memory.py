@@ -13,11 +13,11 @@ import numpy as np
 
 from agents.errors import AgentError
 from fleet.errors import RunBroken
+from fleet.execution.clock import Clock
+from fleet.execution.in_process import InProcess
 from fleet.recorder.journal import Journal
 from fleet.recorder.metrics import VehicleError
 from fleet.recorder.snapshot import Snapshot
-from fleet.execution.clock import Clock
-from fleet.execution.in_process import InProcess
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.sections.timeline import Event
 from netem.wire.messages import Command, Fate, Frame

@@ -18,11 +18,11 @@ from agents.errors import ControllerError
 from agents.loop import AgentLoop
 from agents.make_agent import make_agent
 from fleet.errors import RunBroken
-from fleet.recorder.journal import Journal
-from fleet.recorder.snapshot import Start
 from fleet.execution.clock import Clock
 from fleet.execution.notes import note_text
 from fleet.execution.runner import Closing
+from fleet.recorder.journal import Journal
+from fleet.recorder.snapshot import Start
 from fleet.scenario.scenario import Scenario, frame_every
 from fleet.scenario.sections.timeline import MOST_RESTARTS
 from netem.errors import MalformedMessage, OutOfPlace

@@ -12,12 +12,12 @@ from agents.errors import AgentError
 from agents.plugins.trust import NOTHING, Trust
 from fleet.cores import cores
 from fleet.errors import RunBroken
-from fleet.recorder.journal import Journal
-from fleet.recorder.no_log import NoLog
-from fleet.recorder.writer import LogWriter
 from fleet.execution.clock import Clock
 from fleet.execution.in_process import InProcess
 from fleet.execution.outcome import Result, Status, judge_run, outcome_values, settle
+from fleet.recorder.journal import Journal
+from fleet.recorder.no_log import NoLog
+from fleet.recorder.writer import LogWriter
 from fleet.scenario.loading import load_scenario, parse_scenario
 from fleet.scenario.scenario import Scenario
 from world.errors import WorldError

@@ -11,13 +11,13 @@ import agents.main
 import netem.main
 import world.main
 from fleet.errors import RunBroken
+from fleet.execution.directory import RunDirectory
+from fleet.execution.options import Options
 from fleet.hosts.rendezvous import Rendezvous
 from fleet.processes.children import Children, forkserver_death
 from fleet.processes.open_files import allow_open_files
 from fleet.processes.ports import free_port
 from fleet.processes.private_folder import PrivateFolder
-from fleet.execution.directory import RunDirectory
-from fleet.execution.options import Options
 from fleet.scenario.scenario import Scenario, frame_every
 from netem.wire.access import LEASE_MS, NETEM, OPERATOR, WORLD, Credentials, Listener, agent_role, generate
 from netem.wire.keys import Keys

@@ -14,10 +14,10 @@ from typing import Any
 from pydantic import TypeAdapter, ValidationError
 
 from fleet.errors import FleetError
-from fleet.recorder.journal import Journal
 from fleet.execution.clock import LiveClock
 from fleet.execution.fleet import Fleet
 from fleet.execution.live_status import link_rows, vehicle_rows
+from fleet.recorder.journal import Journal
 from fleet.scenario.rules.faults import fault_problems
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.schema.faults import FaultEntry, FaultSection

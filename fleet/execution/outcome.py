@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import Any
 
 from fleet.analysis.verdicts import Verdict, judge, judge_expected
+from fleet.execution.runner import Runner
 from fleet.recorder.journal import Journal, Spell
 from fleet.recorder.log_file import LogError, LogFile
 from fleet.recorder.no_log import NoLog
-from fleet.execution.runner import Runner
 from fleet.scenario.scenario import Scenario
 from netem.condition import Link
 

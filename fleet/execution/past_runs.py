@@ -13,8 +13,8 @@ from pathlib import Path
 import msgspec
 
 from fleet.errors import FleetError
-from fleet.logs.run_name import RUN_NAME, begun_at
 from fleet.execution.directory import LATEST, RESULT, SCENARIO, RunDirectoryError, in_use, link_latest
+from fleet.logs.run_name import RUN_NAME, begun_at
 from netem.private_file import DamagedFile, parse_json
 from netem.whole_file import read_file
 

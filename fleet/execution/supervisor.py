@@ -12,11 +12,11 @@ import time
 
 import agents.process
 from fleet.errors import RunBroken
-from fleet.processes.children import FORKSERVER_LOST, Children, Exit, describe_exit
-from fleet.recorder.journal import Journal
 from fleet.execution.external_agents import ExternalAgents
 from fleet.execution.fleet import Fleet
 from fleet.execution.notes import Notes, tick_text
+from fleet.processes.children import FORKSERVER_LOST, Children, Exit, describe_exit
+from fleet.recorder.journal import Journal
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.sections.timeline import MOST_RESTARTS, Kill
 from netem.lives import Absence, Lives

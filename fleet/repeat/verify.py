@@ -15,6 +15,9 @@ from pathlib import Path
 from agents.errors import AgentError
 from agents.plugins.trust import NOTHING, Trust
 from fleet.errors import FleetError, RunBroken
+from fleet.execution.clock import Clock
+from fleet.execution.external_agents import named
+from fleet.execution.in_process import InProcess
 from fleet.logs.batch import Batch
 from fleet.logs.decoder import Decoder
 from fleet.logs.first_difference import Difference, Side, side
@@ -26,9 +29,6 @@ from fleet.recorder.writer import LogWriter, run_metadata
 from fleet.repeat.recorded_agent import NotRecordedError, recorded_agents
 from fleet.repeat.recorded_run import Recorded, recorded
 from fleet.repeat.resume import start_of
-from fleet.execution.clock import Clock
-from fleet.execution.external_agents import named
-from fleet.execution.in_process import InProcess
 from fleet.scenario.loading import parse_scenario
 from fleet.scenario.scenario import Scenario, frame_every
 from fleet.scenario.trust import Policy

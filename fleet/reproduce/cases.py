@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from agents.controllers import CONTROLLERS
-from fleet.reproduce.measures import vehicle_measures
 from fleet.execution.in_memory import Array, record
+from fleet.reproduce.measures import vehicle_measures
 from fleet.scenario.loading import load_scenario
 from fleet.scenario.scenario import Scenario
 

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from agents.laws.kinematics import earth_velocity
+from fleet.execution.in_memory import Array, Recording
 from fleet.recorder.metrics import SETTLE_FRACTION, SETTLE_M
 from fleet.recorder.settling import settling_time
-from fleet.execution.in_memory import Array, Recording
 from world.tumble import LIMIT_RAD
 
 CALM_LATE_S = 10.0  # undisturbed, "late" is this long

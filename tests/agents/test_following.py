@@ -18,9 +18,9 @@ from agents.offset import Change, Offset
 from agents.payload import StateMessage, encode
 from fleet.analysis.seed import seeded
 from fleet.errors import ScenarioError
-from fleet.repeat.resume import continuation
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
+from fleet.repeat.resume import continuation
 from fleet.scenario.loading import load_scenario
 from fleet.scenario.scenario import Scenario
 from netem.wire.messages import Nav

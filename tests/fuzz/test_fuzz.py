@@ -37,13 +37,13 @@ from agents.payload import StateMessage
 from agents.payload import encode as state_payload
 from fleet.cli.main import cli
 from fleet.errors import FleetError, ScenarioError
-from fleet.logs.reader import LogReader
-from fleet.logs.recover import recover
-from fleet.recorder.journal import Journal
 from fleet.execution.clock import Clock, LiveClock
 from fleet.execution.execute import execute
 from fleet.execution.operator import Operator
 from fleet.execution.options import Options
+from fleet.logs.reader import LogReader
+from fleet.logs.recover import recover
+from fleet.recorder.journal import Journal
 from fleet.scenario.catalogue import shipped_scenarios
 from fleet.scenario.loading import load_scenario, parse_scenario
 from fleet.scenario.trust import Policy

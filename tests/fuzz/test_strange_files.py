@@ -23,15 +23,15 @@ from agents.join_file import JoinError, JoinFile
 from fleet.analysis.stability import oldest_s
 from fleet.cli.main import cli
 from fleet.errors import ScenarioError
+from fleet.execution.connection import live_runs
+from fleet.execution.execute import execute
+from fleet.execution.options import Options
 from fleet.hosts.certificates import CertsError
 from fleet.hosts.certificates import _read as read_pem
 from fleet.hosts.rendezvous import HostsError, read_credentials
 from fleet.logs.result_file import ResultError, read_result, read_timing
 from fleet.pictures.report import page
 from fleet.pictures.runs import Run, View, load
-from fleet.execution.connection import live_runs
-from fleet.execution.execute import execute
-from fleet.execution.options import Options
 from fleet.scenario.loading import load_scenario, parse_scenario
 from fleet.scenario.sections.modem_files import load_modem
 from fleet.scenario.sections.vehicle_files import load_vehicle

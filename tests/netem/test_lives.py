@@ -18,11 +18,11 @@ from live import LiveRun
 from msgspec.structs import astuple
 from small_scenario import only_problem, small
 
-from fleet.logs.reader import digest
-from fleet.repeat.recorded_run import script
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
 from fleet.execution.outcome import Result, Status
+from fleet.logs.reader import digest
+from fleet.repeat.recorded_run import script
 from fleet.scenario.loading import load_scenario, parse_scenario
 from netem.lives import WHENEVER, Absence, Lives
 from world.faults import WorldFault

@@ -11,11 +11,11 @@ from typing import Any
 
 import pytest
 
+from fleet.execution import in_process
+from fleet.execution.clock import Clock
 from fleet.recorder.journal import Journal
 from fleet.recorder.log_file import LogFile
 from fleet.recorder.writer import LogWriter
-from fleet.execution import in_process
-from fleet.execution.clock import Clock
 from fleet.scenario.loading import load_scenario
 from netem.wire.codec import encode
 from netem.wire.messages import Message

@@ -25,12 +25,12 @@ from waiting import wait_for
 import fleet.execution.launch
 import netem.wire.access
 import netem.wire.bus
-from fleet.logs.reader import LogReader
-from fleet.processes.private_folder import PrivateFolder
 from fleet.execution.directory import RunDirectory
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
 from fleet.execution.outcome import Status
+from fleet.logs.reader import LogReader
+from fleet.processes.private_folder import PrivateFolder
 from fleet.scenario.loading import load_scenario
 from netem.errors import BusError
 from netem.wire.access import CONSOLE, LEASE_MS, NETEM, OPERATOR, Credentials, Listener, agent_role, generate

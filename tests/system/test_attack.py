@@ -20,11 +20,11 @@ from in_process_runs import Alone, log_of
 from waiting import wait_for
 
 import fleet.execution.launch
-from fleet.logs.reader import LogReader
 from fleet.execution.directory import RunDirectory
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
 from fleet.execution.outcome import Result, Status
+from fleet.logs.reader import LogReader
 from fleet.scenario.loading import load_scenario
 from netem.wire.access import OBSERVER, OPERATOR, Credentials, generate
 from netem.wire.bus import Bus

@@ -22,10 +22,10 @@ from in_process_runs import Alone, log_of
 from live import FORKSERVER, LiveRun, Stopwatch
 from waiting import wait_for
 
-from fleet.logs.reader import LogReader
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
 from fleet.execution.outcome import Status
+from fleet.logs.reader import LogReader
 from fleet.scenario.loading import load_scenario
 
 END_S = 5.0  # promised: 2 s

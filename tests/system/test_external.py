@@ -23,10 +23,10 @@ from waiting import wait_for
 
 from agents.join_file import JoinError, JoinFile
 from fleet.cli.main import cli
-from fleet.logs.reader import digest
 from fleet.execution.execute import execute
 from fleet.execution.external_agents import ExternalError
 from fleet.execution.options import Options
+from fleet.logs.reader import digest
 from fleet.scenario.loading import load_scenario, parse_scenario
 from netem.wire.messages import PROTOCOL_VERSION
 

@@ -11,11 +11,11 @@ from hand import Hand
 from live import LiveRun
 from waiting import wait_for
 
-from fleet.logs.reader import digest
-from fleet.repeat.recorded_run import script
 from fleet.execution.connection import RemoteError, ask
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
+from fleet.logs.reader import digest
+from fleet.repeat.recorded_run import script
 from fleet.scenario.loading import load_scenario
 from netem.lives import Absence
 from netem.wire.messages import Command, Frame

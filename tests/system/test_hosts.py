@@ -24,6 +24,7 @@ from waiting import wait_for
 
 from agents.join_file import JoinFile
 from fleet.cli.main import cli
+from fleet.execution.connection import ask, find
 from fleet.hosts import certificates, router_config
 from fleet.hosts.rendezvous import (
     HostsError,
@@ -31,7 +32,6 @@ from fleet.hosts.rendezvous import (
     run_id,
     through_router,
 )
-from fleet.execution.connection import ask, find
 from netem.errors import BusError
 from netem.wire.access import Credentials, Listener, generate
 from netem.wire.bus import Bus

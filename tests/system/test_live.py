@@ -14,11 +14,11 @@ from hand import Hand
 from live import LiveRun
 from tool import tool
 
-from fleet.logs.reader import digest
-from fleet.repeat.recorded_run import script
 from fleet.execution.clock import Clock, LiveClock
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
+from fleet.logs.reader import digest
+from fleet.repeat.recorded_run import script
 from fleet.scenario.loading import parse_scenario
 
 TICK_NS = 10_000_000

@@ -19,10 +19,10 @@ import pytest
 from live import LiveRun
 from waiting import wait_for
 
-from fleet.hosts import certificates
-from fleet.repeat.verify import verify
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
+from fleet.hosts import certificates
+from fleet.repeat.verify import verify
 from fleet.scenario.loading import load_scenario
 
 pytest.importorskip("cryptography", reason="cryptography is not installed: pip install 'uuv-fleet[hosts]'")

@@ -14,15 +14,15 @@ from hand import Hand
 from live import LiveRun
 
 from fleet.cli.main import cli
+from fleet.execution.connection import RemoteError
+from fleet.execution.execute import execute
+from fleet.execution.options import Options
+from fleet.execution.outcome import Status
 from fleet.pictures.runs import NothingToDraw, View, load
 from fleet.pictures.timing import punctuality
 from fleet.repeat.recorded_run import ScriptError
 from fleet.repeat.verify import verify
 from fleet.repeat.what_if import what_if
-from fleet.execution.connection import RemoteError
-from fleet.execution.execute import execute
-from fleet.execution.options import Options
-from fleet.execution.outcome import Status
 from fleet.scenario.loading import load_scenario
 
 SLEEPER = """

@@ -23,15 +23,15 @@ from free_ports import free_port
 from live import LiveRun
 from waiting import wait_for
 
-import fleet.processes.private_folder
 import fleet.execution.launch
+import fleet.processes.private_folder
 from fleet.errors import RunBroken
-from fleet.processes.children import Children, Exit
-from fleet.processes.private_folder import PREFIX, PrivateFolder
 from fleet.execution.directory import RunDirectory
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
 from fleet.execution.outcome import Result, Status
+from fleet.processes.children import Children, Exit
+from fleet.processes.private_folder import PREFIX, PrivateFolder
 from fleet.scenario.loading import load_scenario
 from netem.wire.access import Credentials
 from netem.wire.audit import CUT_OFF

@@ -12,10 +12,10 @@ from msgspec.structs import replace
 
 from agents.decision import Decision
 from agents.loop import AgentLoop
+from fleet.execution.clock import Clock
 from fleet.recorder.journal import Journal
 from fleet.recorder.log_file import LogFile
 from fleet.recorder.writer import LogWriter
-from fleet.execution.clock import Clock
 from fleet.scenario.loading import load_scenario
 from netem.errors import OutOfPlace
 from netem.wire.messages import Command, Delivery, Frame, Inbox, LinkReport, Nav, Round, Transmission

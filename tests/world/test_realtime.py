@@ -14,11 +14,11 @@ from realtime import PERIOD_NS, SHORT
 
 from agents.make_agent import make_agent
 from agents.realtime_loop import RealtimeLoop
+from fleet.execution.clock import Clock
+from fleet.execution.in_process import InProcess
 from fleet.recorder.journal import Journal
 from fleet.recorder.log_file import LogFile
 from fleet.recorder.writer import LogWriter
-from fleet.execution.clock import Clock
-from fleet.execution.in_process import InProcess
 from fleet.scenario.loading import load_scenario
 from fleet.scenario.scenario import Scenario, frame_every
 from netem.errors import OutOfPlace

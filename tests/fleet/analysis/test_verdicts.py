@@ -16,11 +16,11 @@ from fleet.analysis.stability import analyse
 from fleet.analysis.verdicts import Verdict, judge
 from fleet.cli.result_table import MOST_ROWS, show
 from fleet.errors import ScenarioError
-from fleet.recorder.journal import Journal
-from fleet.repeat.recorded_run import script
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
 from fleet.execution.outcome import Result, Status
+from fleet.recorder.journal import Journal
+from fleet.repeat.recorded_run import script
 from fleet.scenario.loading import load_scenario, parse_scenario
 from fleet.scenario.scenario import Scenario, frame_every
 from netem.wire.messages import Fate, Frame, Life, LinkReport, Tumble, VehicleFrame

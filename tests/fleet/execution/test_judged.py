@@ -10,6 +10,7 @@ from failing_laws import failing
 from failing_laws import module as module
 from small_scenario import SMALL, small
 
+import fleet
 from fleet.errors import ScenarioError
 from fleet.execution.execute import execute
 from fleet.execution.judged import override_texts, run
@@ -62,3 +63,8 @@ def test_changes_are_read_as_options_are() -> None:
         run("paper", set="duration=3 s")
     with pytest.raises(ScenarioError, match="expected a time"):
         run("paper", set={"duration": 3})
+
+
+def test_the_package_offers_it() -> None:
+    assert fleet.run is run
+    assert isinstance(run(small()), fleet.Result)

@@ -7,11 +7,11 @@ from itertools import pairwise
 import pytest
 
 from fleet.bench.recorder import Calls
-from fleet.recorder.journal import Journal
-from fleet.recorder.metrics import SETTLE_M
 from fleet.execution.clock import Clock
 from fleet.execution.in_process import InProcess
 from fleet.execution.live_status import WORST_LINKS, WORST_VEHICLES, link_rows, vehicle_rows
+from fleet.recorder.journal import Journal
+from fleet.recorder.metrics import SETTLE_M
 from fleet.scenario.loading import load_scenario
 from fleet.scenario.scenario import Scenario
 

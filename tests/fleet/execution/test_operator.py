@@ -9,10 +9,10 @@ from unittest.mock import MagicMock
 import pytest
 from small_scenario import small
 
-from fleet.recorder.journal import Journal
 from fleet.execution.clock import Clock, LiveClock
 from fleet.execution.fleet import Fleet
 from fleet.execution.operator import Operator
+from fleet.recorder.journal import Journal
 
 
 @pytest.mark.parametrize(

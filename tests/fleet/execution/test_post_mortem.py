@@ -6,8 +6,8 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-from fleet.processes.children import Child, Exit
 from fleet.execution.post_mortem import explain
+from fleet.processes.children import Child, Exit
 
 
 def test_of_many_that_ended_few_are_named(tmp_path: Path) -> None:

@@ -11,9 +11,9 @@ from rich.console import Console as Terminal
 from screens import assert_screen
 from small_scenario import small
 
-from fleet.recorder.metrics import WorstAndMedian
 from fleet.execution import progress
 from fleet.execution.progress import ProgressLine
+from fleet.recorder.metrics import WorstAndMedian
 from fleet.terminal.status_line import StatusLine
 from netem.causes import Cause
 from netem.ledger import Account

@@ -9,11 +9,11 @@ from typing import Any
 import pytest
 
 from fleet.errors import RunBroken
-from fleet.processes.children import FORKSERVER_LOST, Exit
-from fleet.recorder.journal import Journal
 from fleet.execution import supervisor as module
 from fleet.execution.notes import Notes
 from fleet.execution.supervisor import CONTROLLER_FAILED, Supervisor
+from fleet.processes.children import FORKSERVER_LOST, Exit
+from fleet.recorder.journal import Journal
 from fleet.scenario.loading import load_scenario
 from netem.lives import Absence
 from netem.wire.messages import Death, Restart

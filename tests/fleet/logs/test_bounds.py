@@ -23,13 +23,13 @@ from waiting import wait_for
 
 import fleet
 from fleet.cli.main import cli
+from fleet.execution.execute import execute
+from fleet.execution.options import Options
 from fleet.logs import columns, decoder, deviation, export, open_log, reader, records, tape, topic
 from fleet.logs.reader import LogReader, LogReadError
 from fleet.pictures.gallery import draw
 from fleet.pictures.runs import View, load
 from fleet.pictures.whole_file import whole_file
-from fleet.execution.execute import execute
-from fleet.execution.options import Options
 from fleet.scenario.loading import load_scenario
 from fleet.terminal import progress
 

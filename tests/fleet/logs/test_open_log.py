@@ -19,10 +19,10 @@ from repository import ROOT
 
 import fleet
 from fleet.errors import ScenarioError
-from fleet.logs.open_log import FaultInterval, LogKeyError
-from fleet.logs.reader import LogReadError
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
+from fleet.logs.open_log import FaultInterval, LogKeyError
+from fleet.logs.reader import LogReadError
 from fleet.scenario.loading import load_scenario
 
 

@@ -26,11 +26,11 @@ from mcap.writer import Writer
 from repository import SUPPORT
 
 from fleet.cli.main import cli
+from fleet.execution.execute import execute
+from fleet.execution.options import Options
 from fleet.logs.reader import GAPS, LOST, RECOVERY, LogReader, LogReadError, Record
 from fleet.logs.records import MAGIC, MOST_BYTES
 from fleet.logs.recover import Recovered, RecoverError, recover
-from fleet.execution.execute import execute
-from fleet.execution.options import Options
 from fleet.scenario.loading import load_scenario
 
 # Three chunks, as small as they get.

@@ -9,13 +9,13 @@ import pytest
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
+from fleet.execution.execute import execute
+from fleet.execution.options import Options
 from fleet.logs.info import info_text, read_info
 from fleet.pictures import exchange, shares, track
 from fleet.pictures.report import _tables
 from fleet.pictures.report_tables import MOST_ROWS
 from fleet.pictures.runs import Run, View, load
-from fleet.execution.execute import execute
-from fleet.execution.options import Options
 from fleet.scenario.loading import load_scenario
 
 N = 60

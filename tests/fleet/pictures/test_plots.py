@@ -22,6 +22,8 @@ from repository import ROOT
 import fleet
 from fleet.cli.logs import KINDS, PARTS
 from fleet.cli.main import cli
+from fleet.execution.execute import execute
+from fleet.execution.options import Options
 from fleet.logs.export import ExportError, columns, export
 from fleet.logs.run_name import run_name
 from fleet.pictures import exchange, signals
@@ -31,8 +33,6 @@ from fleet.pictures.report import write as write_report
 from fleet.pictures.report_tables import links_table
 from fleet.pictures.runs import NothingToDraw, Run, View, load, with_gaps
 from fleet.pictures.style import panels, plain_decades
-from fleet.execution.execute import execute
-from fleet.execution.options import Options
 from fleet.scenario.loading import load_scenario
 from netem.causes import LOSSES, Cause
 

@@ -11,12 +11,12 @@ import pytest
 from click.testing import CliRunner
 
 from fleet.cli.main import cli
+from fleet.execution.execute import execute
+from fleet.execution.options import Options
 from fleet.pictures.gallery import WHAT
 from fleet.pictures.report import page
 from fleet.pictures.report_scenario import network_facts
 from fleet.pictures.runs import View, load
-from fleet.execution.execute import execute
-from fleet.execution.options import Options
 from fleet.scenario.loading import load_scenario
 
 

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from matplotlib.colors import to_hex
 
+from fleet.execution.execute import execute
+from fleet.execution.options import Options
 from fleet.pictures.exchange import FATES
 from fleet.pictures.runs import Run, View, load
 from fleet.pictures.shares import LATE, MOST_ROWS, Row, fold, strips, time_bins, timeline
-from fleet.execution.execute import execute
-from fleet.execution.options import Options
 from fleet.scenario.loading import load_scenario
 from netem.causes import Cause
 

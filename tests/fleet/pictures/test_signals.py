@@ -11,13 +11,13 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_rgb
 
+from fleet.execution.execute import execute
+from fleet.execution.options import Options
 from fleet.logs.open_log import FaultInterval
 from fleet.pictures import signals
 from fleet.pictures.runs import Run, View, load
 from fleet.pictures.style import panels
 from fleet.pictures.thresholds import Threshold, draw_thresholds, thresholds
-from fleet.execution.execute import execute
-from fleet.execution.options import Options
 from fleet.scenario.loading import load_scenario
 
 CHECKS = (

@@ -11,12 +11,12 @@ import pytest
 from PIL import Image
 from repository import ROOT
 
+from fleet.execution.execute import execute
+from fleet.execution.options import Options
 from fleet.logs.reader import digest
 from fleet.pictures.gallery import write
 from fleet.pictures.runs import View, load
 from fleet.pictures.style import COLUMN_IN, LABEL_PT, LEGEND_PT, TEXT_PT
-from fleet.execution.execute import execute
-from fleet.execution.options import Options
 from fleet.scenario.loading import load_scenario
 
 

@@ -18,14 +18,14 @@ from repository import ROOT
 from small_scenario import only_problem, small
 
 import fleet
+from fleet.execution.execute import execute
+from fleet.execution.options import Options
+from fleet.execution.outcome import Result
 from fleet.logs.decoder import _unit
 from fleet.logs.reader import LogReader
 from fleet.recorder.scene import CUTS, HISTORY, LINKS, LinkHistories, Scene, diameter, hull
 from fleet.recorder.transforms import quaternion
 from fleet.repeat.resume import continuation
-from fleet.execution.execute import execute
-from fleet.execution.options import Options
-from fleet.execution.outcome import Result
 from fleet.scenario.loading import load_scenario
 from netem.causes import LOSSES, Cause
 from netem.wire.messages import Fate, Frame, VehicleFrame

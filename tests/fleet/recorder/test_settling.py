@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 from rich.console import Console as Terminal
 
 from fleet.cli.result_table import show
-from fleet.recorder.settling import least_s, settling_time
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
+from fleet.recorder.settling import least_s, settling_time
 from fleet.scenario.loading import load_scenario
 from world.config import Harmonic
 from world.disturbance import PAPER

@@ -17,12 +17,12 @@ import fleet.execution.in_process
 from agents.config import AgentConfig
 from agents.make_agent import make_agent
 from fleet.cli.main import cli
-from fleet.logs.schemas import Column, Doubles
-from fleet.repeat.recorded_agent import NotRecordedError
-from fleet.repeat.verify import verification_lines, verify
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
 from fleet.execution.outcome import Status
+from fleet.logs.schemas import Column, Doubles
+from fleet.repeat.recorded_agent import NotRecordedError
+from fleet.repeat.verify import verification_lines, verify
 from fleet.scenario.loading import load_scenario
 
 EXTERNAL = "per_vehicle={3: {external: true}}"

@@ -14,11 +14,11 @@ from traffic import log as log
 from traffic import records as records
 from waiting import wait_for
 
+from fleet.execution.execute import execute
+from fleet.execution.options import Options
 from fleet.logs.reader import Record
 from fleet.replay.attachment import unpack
 from fleet.replay.capture_format import zenoh_encoding
-from fleet.execution.execute import execute
-from fleet.execution.options import Options
 from fleet.scenario.loading import load_scenario
 from netem.errors import BusError
 from netem.wire.access import Credentials

@@ -14,6 +14,8 @@ from click.testing import CliRunner
 
 from agents.controllers import CONTROLLERS
 from fleet.cli.main import cli
+from fleet.execution.in_memory import record
+from fleet.execution.outcome import Result, Status
 from fleet.processes.interrupts import HungUp
 from fleet.reproduce.cases import CASES, NAMES, D, Outcome, U, run_case
 from fleet.reproduce.claims import CORRECTED, NO_K_MAX, PRINTED, judge
@@ -24,8 +26,6 @@ from fleet.reproduce.run import _network_check, _ours_alone, _pool
 from fleet.reproduce.table1 import HEADINGS, chosen, table_1
 from fleet.reproduce.topology import topology
 from fleet.reproduce.verdicts import Claim, ClaimCheck
-from fleet.execution.in_memory import record
-from fleet.execution.outcome import Result, Status
 from fleet.scenario.loading import load_scenario
 
 

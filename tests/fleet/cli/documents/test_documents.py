@@ -28,8 +28,8 @@ from fleet.cli.documents.page import page, schema
 from fleet.cli.documents.result import Ran
 from fleet.cli.documents.what_if import OtherCommands
 from fleet.cli.main import cli
-from fleet.logs.reader import digest
 from fleet.execution.supervisor import Supervisor
+from fleet.logs.reader import digest
 from fleet.scenario.catalogue import shipped_scenarios
 
 S = TypeVar("S", bound=msgspec.Struct)

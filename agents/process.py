@@ -24,6 +24,7 @@ log = logging.getLogger(__name__)
 
 READY_TIMEOUT_S = 30.0
 RETRY_S = 0.02  # and twice as long each further time: the probes of a thousand agents would fill all queues
+RAREST_S = 5.0  # between two probes
 POLLS = 20  # looks at the queues between two probes
 CONTROLLER_FAILED = 70  # exit status: a law failed, and the scenario says that the run shall end
 
@@ -61,7 +62,7 @@ class AgentProcess:
                 for channel in [c for c in unheard if c.poll() is not None]:
                     del unheard[channel]
                 sleep(patience / POLLS)
-            patience *= 2
+            patience = min(2 * patience, RAREST_S)
             if monotonic() >= deadline:
                 raise BusError(f"no answer from world and netem within {READY_TIMEOUT_S:.0f} s")
         self._cmd(encode(Hello("agent", self._vehicle, self._loop.incarnation, PROTOCOL_VERSION, True)))

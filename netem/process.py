@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import logging
+import os
+import sys
+import traceback
 from collections.abc import Callable
 from threading import Lock
 from typing import Any
@@ -90,6 +93,10 @@ class NetemProcess:
             except (MalformedMessage, OutOfPlace) as error:
                 self._shell.reject(key, self._rounds.tick, error)
                 respond(msgpack.packb({"error": str(error)}))
+            except Exception:  # of ours: it must end this process, as on the main thread, and not this thread alone
+                traceback.print_exc()
+                sys.stderr.flush()
+                os._exit(1)
 
     def _agent_put(self, i: int, data: bytes) -> None:
         """Handle a put of agent i: a Transmission, a Hello, or in real time a Receipt."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable
+from threading import Lock
 from time import monotonic
 from typing import Any
 
@@ -79,6 +80,7 @@ class WorldProcess:
         self._frame = bus.publisher(keys.frame)
         self._frames: list[Frame] = []  # not yet published
         self._frames_bytes = 0
+        self._frames_lock = Lock()  # the console's question who is waited for comes on another thread
         self._flushed_s = 0.0
         self._sent = dict.fromkeys(("nav", "round", "frame"), 0)
         self._received = {"cmd": 0}
@@ -105,7 +107,8 @@ class WorldProcess:
             if item is None:
                 # While agents compute, more frames are to come: a message for each would wake the console every tick.
                 if self._turns.idle or monotonic() > self._flushed_s + FRAMES_WAIT_S:
-                    self._flush_frames()
+                    with self._frames_lock:
+                        self._flush_frames()
                 item = take()
             self._handle(*item)
 
@@ -186,14 +189,19 @@ class WorldProcess:
                 self._turns.passed(item.tick)
         while (turn := self._turns.take()) is not None:
             self._send_nav(*turn)
-        for item in out:
-            if isinstance(item, Frame):
-                self._add_frame(item)
-        if round_over:
-            self._flush_frames()  # the console can write them as soon as netem has reported
+        with self._frames_lock:
+            for item in out:
+                if isinstance(item, Frame):
+                    self._add_frame(item)
+            if round_over:
+                self._flush_frames()  # the console can write them as soon as netem has reported
 
     def _ask(self, i: int, nav: Nav) -> None:
         self._turns.ask(i, nav)
+
+    def _asked(self, i: int) -> bool:
+        """Whether agent i has been asked, and not only waits for its turn."""
+        return self._turns.holds(i)
 
     def _send_nav(self, i: int, nav: Nav) -> None:
         self._sent["nav"] += 1
@@ -233,7 +241,7 @@ class WorldProcess:
             self._shell.note(i, state.tick_of(i), "its session ended")
 
     def _control(self, key: str, data: bytes, respond: Respond) -> None:
-        """Answer the console, on a zenoh thread: this only reads, and must work while the main thread waits."""
+        """Answer the console, on a zenoh thread, while the main thread may wait: of the run this only reads."""
         try:
             request = read_map(data)
         except MalformedMessage as error:
@@ -245,7 +253,9 @@ class WorldProcess:
                 self._frame(_ECHO)
                 respond(msgpack.packb({"ready": sorted(map(list, self._ready.copy())), "grant": self._grant_heard}))
             case "waiting":
-                waiting = [list(pair) for pair in self._run.waiting_for]
+                with self._frames_lock:
+                    self._flush_frames()  # who asks sees no progress, and nothing may hold it back
+                waiting = [list(pair) for pair in self._run.waiting_for if self._asked(pair[0])]
                 respond(msgpack.packb({"waiting": waiting}))
             case "ticks":
                 respond(msgpack.packb({"ticks": [[i, self._state.tick_of(i)] for i in self._ids]}))

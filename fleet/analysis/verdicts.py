@@ -31,7 +31,7 @@ class Verdict:
     passed: bool
     asked: str
     found: str
-    value: float | None = None  # what is compared with the limit; None where nothing was found
+    value: float | None = None  # what is compared with the limit; None where there was nothing to judge
     limit: float | None = None
     unit: str = ""
 
@@ -86,11 +86,11 @@ def _below(name: str, check: Below, journal: Journal) -> Verdict:
     value, vehicle, at_s = journal.metrics.worst(what, after_s, who)
     asked = f"below {check.below:g} m after {after_s:g} s{_of(check.vehicles)}"
     if vehicle == 0:
-        found, passed, value = f"the run ended at {at_s:g} s, before the check begins", False, inf
-    else:
-        found, passed = f"at most {value:.4g} m (vehicle {vehicle}, {at_s:g} s)", value < check.below
-        if len(journal.metrics.series if who is None else who) > 1:
-            found += f", the median vehicle {journal.metrics.median_worst(what, after_s, who):.4g} m"
+        found = f"the run ended at {at_s:g} s, before the check begins"
+        return Verdict(name, False, asked, found, None, check.below, "m")
+    found, passed = f"at most {value:.4g} m (vehicle {vehicle}, {at_s:g} s)", value < check.below
+    if len(journal.metrics.series if who is None else who) > 1:
+        found += f", the median vehicle {journal.metrics.median_worst(what, after_s, who):.4g} m"
     return Verdict(name, passed, asked, found, value, check.below, "m")
 
 
@@ -118,8 +118,8 @@ def _asked_recovery(check: Recovery) -> str:
     )
 
 
-def _no_recovery(check: Recovery, found: str) -> Verdict:
-    return Verdict("recovery_time", False, _asked_recovery(check), found, None, check.below / 1e9, "s")
+def _no_recovery(check: Recovery, found: str, took_s: float | None = None) -> Verdict:
+    return Verdict("recovery_time", False, _asked_recovery(check), found, took_s, check.below / 1e9, "s")
 
 
 def _recovery_time(check: Recovery, scenario: Scenario, journal: Journal) -> Verdict:
@@ -141,9 +141,9 @@ def _recovery_time(check: Recovery, scenario: Scenario, journal: Journal) -> Ver
         return _no_recovery(check, f"{until}, before any frame of the log")
     if at_s is None and off_m < check.within:
         found = f"{off_m:.4g} m (vehicle {vehicle}) when {until}, and not within {check.within:g} m for the last"
-        return _no_recovery(check, f"{found} {least_s:.3g} s")
+        return _no_recovery(check, f"{found} {least_s:.3g} s", inf)
     if at_s is None:
-        return _no_recovery(check, f"{off_m:.4g} m (vehicle {vehicle}) when {until}")
+        return _no_recovery(check, f"{off_m:.4g} m (vehicle {vehicle}) when {until}", inf)
     took = round(at_s / tick_s) - end
     passed = took * scenario.tick_ns < check.below
     found = f"{took * tick_s:g} s (vehicle {vehicle} the last)"

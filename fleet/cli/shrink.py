@@ -69,6 +69,8 @@ def shrink(
 
     scenario, folder = _scenario(failing, [*overrides, *net, *fault], trust)
     path = out or Path(f"{scenario.name}-least.yaml")
+    if not path.parent.is_dir():
+        raise StudyError(f"{path} cannot be written: there is no folder {path.parent}")
     if path.exists() and not force:
         raise StudyError(f"{path} is there already: choose another file with --out, or --force")
     modules = modules_of([scenario], folder)

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
+from click.core import ParameterSource
 
 from fleet.cli.completion import scenarios
 from fleet.cli.trust import TrustingCommand, trust_option
@@ -79,6 +80,7 @@ def sweep(
     from fleet.study.measures import chosen
 
     need_extra()
+    from fleet.scenario.catalogue import shipped_scenarios
     from fleet.scenario.text.overrides import SET, Override
     from fleet.study.plan import Plan, parse_seeds
     from fleet.study.store import Store
@@ -87,8 +89,10 @@ def sweep(
     from fleet.study.values import parse_axis
 
     shown = chosen(measures)
-    if Path(scenario).is_dir():
-        if vary or overrides or fault or net or zipped:
+    if Path(scenario).is_dir() and scenario not in shipped_scenarios():
+        given = click.get_current_context().get_parameter_source
+        said = [name for name in ("seeds", "draw", "out") if given(name) is not ParameterSource.DEFAULT]
+        if vary or overrides or fault or net or zipped or said:
             raise click.UsageError(f"{scenario} is a study: what it runs is settled; only the missing runs are made")
         store = Store.open(Path(scenario))
         modules = modules_again(store, trust)

@@ -180,7 +180,7 @@ class Console:
                 deadline = time.monotonic() + READY_S
             elif time.monotonic() > deadline:
                 tails = last_lines(self._children.by_role)
-                raise RunBroken(f"not ready after {READY_S:.0f} s: waiting for {state.missing}", tails)
+                raise RunBroken(f"not ready after {time.monotonic() - began:.0f} s: waiting for {state.missing}", tails)
             self.waiting = f"waiting for all to be ready, not yet {state.missing}"
             progress()
             for event in self._events.take_for(POLL_S):

@@ -66,6 +66,7 @@ class InProcess:
         self.deaths: dict[int, list[str]] = {}
         self.closing = Closing()
         self._dead: set[tuple[int, int]] = set()  # (vehicle, life) of agents that ended by themselves
+        self._failures: dict[tuple[int, int], ControllerError] = {}  # by tick and vehicle: what ends the run
         self._granted = 0
         self._speaker = WORLD  # whose message is being taken
         self._post: deque[tuple[int, int, bytes]] = deque()  # (from, to, message) for agents
@@ -92,6 +93,10 @@ class InProcess:
                     time.sleep(0.002)  # --speed: nothing to do until the wall clock moves on
                 while self._post:
                     self._deliver(*self._post.popleft())
+                if (
+                    self._failures
+                ):  # an agent goes on to the next round before the others do: the first in simulated time
+                    raise self._failures[min(self._failures)]
                 progress()
         except (MalformedMessage, OutOfPlace) as error:
             who = {WORLD: "the world", NETEM: "netem"}.get(self._speaker, f"agent {self._speaker}")
@@ -156,8 +161,10 @@ class InProcess:
         except ControllerError as error:
             spec = self._scenario.spec
             if spec.on_controller_error != "die" or spec.on_death == "abort":
-                raise
-            self._died(i, error)
+                self._failures[error.tick, i] = error
+                self._dead.add((i, message.incarnation))
+            else:
+                self._died(i, error)
             return
         for tick, text in loop.core.take_notes():
             self._note(tick, f"agent {i}", text)

@@ -13,6 +13,7 @@ from agents.plugins.trust import NOTHING, Trust
 from fleet.cores import cores
 from fleet.errors import RunBroken
 from fleet.execution.clock import Clock
+from fleet.execution.external_agents import refuse
 from fleet.execution.in_process import InProcess
 from fleet.execution.outcome import Result, Status, judge_run, outcome_values, settle
 from fleet.recorder.journal import Journal
@@ -50,6 +51,7 @@ def run(
 
     Raises:
         ScenarioError: with every mistake that was found.
+        ExternalError: somebody else is to start an agent.
     """
     changes = override_texts(set)
     if seed is not None:
@@ -63,6 +65,7 @@ def run(
 
 def judged(scenario: Scenario, progress: Callable[[float], None] | None = None) -> Result:
     """The result of a scenario that is loaded; see `run`."""
+    refuse(scenario, "a run in one process")
     log = NoLog()
     journal = Journal(scenario, LogWriter(log, scenario))
     runner = InProcess(scenario, journal)

@@ -24,6 +24,7 @@ from typing import Any
 import setproctitle
 
 from fleet.processes.interrupts import blocked, deferring_interrupts
+from fleet.processes.open_files import allow_most_open_files
 from fleet.processes.parent_death import CONSOLE_PID_VARIABLE
 from netem.errors import BusError
 
@@ -145,6 +146,7 @@ def start_forkserver() -> None:
     Raises:
         OSError: there is no room for another process.
     """
+    allow_most_open_files()  # how many vehicles there will be is not known yet
     _set_preload()
     with deferring_interrupts(), _forkserver_starting():
         multiprocessing.forkserver.ensure_running()

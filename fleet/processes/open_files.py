@@ -10,6 +10,19 @@ from fleet.errors import RunBroken
 FILES, FILES_PER_VEHICLE = 48, 2
 
 
+MOST_VEHICLES = 1000
+
+
+def allow_most_open_files() -> None:
+    """Raise the soft limit as far as the largest run needs it and the hard limit allows; children inherit it."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    wanted = FILES + FILES_PER_VEHICLE * MOST_VEHICLES
+    if hard != resource.RLIM_INFINITY:
+        wanted = min(wanted, hard)
+    if soft != resource.RLIM_INFINITY and soft < wanted:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (wanted, hard))
+
+
 def allow_open_files(vehicles: int, others: int = 0) -> None:
     """Raise the soft limit as far as a run needs it; children inherit it.
 

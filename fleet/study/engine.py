@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from importlib.metadata import version
 from importlib.util import find_spec
 from itertools import islice
+from math import isfinite, nan
 from typing import TYPE_CHECKING, Any
 
 from fleet.cores import cores
@@ -84,7 +85,7 @@ class Engine:
                 batch = under_way.pop(future)
                 if future.status == "finished":
                     rows = future.result()
-                    slowest = max((row["wall_s"] for row in rows if row["wall_s"] is not None), default=_BATCH_S)
+                    slowest = max((row["wall_s"] for row in rows if isfinite(row["wall_s"])), default=_BATCH_S)
                     size = max(1, min(_LARGEST_BATCH, int(_BATCH_S / max(slowest, 1e-3))))
                     take(rows)
                 elif len(batch) > 1:  # which of them killed the worker is not known
@@ -97,7 +98,7 @@ class Engine:
 def make_batch(tasks: list[Task]) -> list[Row]:
     """Make some runs; this is what a worker does."""
     of_worker = {"version": version("uuv-fleet"), "cores": cores()}
-    return [{"wall_s": None} | make_run(task) | of_worker for task in tasks]
+    return [{"wall_s": nan} | make_run(task) | of_worker for task in tasks]
 
 
 @contextmanager
@@ -166,7 +167,8 @@ def remote_engine(scheduler: str | Any, security: Any = None) -> Iterator[Engine
             raise StudyError(f"the scheduler at {scheduler} has no worker: start some with dask worker") from None
         check_versions(client)
         threads = sum(client.nthreads().values())
-        yield Engine(client, threads, client.dashboard_link)
+        with client.as_current():
+            yield Engine(client, threads, client.dashboard_link)
 
 
 def versions() -> dict[str, str]:
@@ -197,6 +199,7 @@ def check_versions(client: Client) -> None:
 
 def _finished(under_way: dict[Future[Any], list[Task]], wait: Callable[[], None]) -> list[Future[Any]]:
     """Those that ended, at least one."""
+    from distributed import CancelledError
     from distributed import wait as until
 
     while True:
@@ -204,6 +207,8 @@ def _finished(under_way: dict[Future[Any], list[Task]], wait: Callable[[], None]
             return list(until(list(under_way), timeout=0.2, return_when="FIRST_COMPLETED").done)
         except TimeoutError:
             wait()
+        except CancelledError as error:
+            raise StudyError(f"the scheduler is gone: {error!s:.200}") from None
 
 
 def _lost(task: Task, future: Future[Any]) -> Row:

@@ -69,8 +69,8 @@ def _measured(result: Result) -> dict[str, Any]:
     for verdict in result.verdicts:  # of several of one check the worst, which are those that failed
         name = verdict.check
         row[f"check.{name}"] = row.get(f"check.{name}", True) and verdict.passed
-        if verdict.value is not None and not row.get(f"value.{name}", -1.0) >= verdict.value:
-            row[f"value.{name}"] = verdict.value
+        if verdict.value is not None:
+            row[f"value.{name}"] = max(row.get(f"value.{name}", verdict.value), verdict.value)
     for measure in MEASURES.values():
-        row[measure.name] = measure.of(values) if values["vehicles"] else nan
+        row[measure.name] = measure.of(values) if values["vehicles"] or measure.name == "wall_s" else nan
     return row

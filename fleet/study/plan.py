@@ -7,12 +7,17 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import product
+from math import prod
 
 from fleet.scenario.text.overrides import SET, Override
 from fleet.study.errors import StudyError
+from fleet.study.measures import MEASURES
 from fleet.study.values import Axis, Value
 
 MOST_RUNS = 10_000_000
+# Columns that every study has besides those of checks; `seed` has an error of its own.
+TAKEN = frozenset({"key", "point", "scenario", "status", "reason", "passed", "digest", "version", "cores", *MEASURES})
+_SEED = re.compile(r"[0-9]{1,19}")
 _NAME = re.compile(r"\{([A-Za-z_][A-Za-z0-9_]*)\}")
 
 
@@ -55,13 +60,18 @@ class Plan:
         keys = [axis.key for axis in self.axes]
         if twice := next((key for key in keys if keys.count(key) > 1), None):
             raise StudyError(f"{twice} is varied twice: give all its values at once")
+        if taken := next((key for key in keys if key in TAKEN), None):
+            raise StudyError(f"{taken} is a column of every study: choose another name for the template")
         if "seed" in keys:
             raise StudyError("seeds are varied with --seeds, so that all points have the same ones")
         self._check_names(set(keys))
+        lengths = [len(axis.values) for axis in self.axes if not axis.sampled]
+        points = max(lengths, default=1) if self.zipped else prod(lengths)
+        points *= next((axis.count for axis in self.axes if axis.sampled), 1)
+        if points * len(self.seeds) > MOST_RUNS:
+            raise StudyError(f"these are {points * len(self.seeds)} runs, and {MOST_RUNS} at most may be")
         combinations = self._combinations()
         object.__setattr__(self, "points", tuple(self._point(n, row) for n, row in enumerate(combinations)))
-        if len(self) > MOST_RUNS:
-            raise StudyError(f"these are {len(self)} runs, and {MOST_RUNS} at most may be")
 
     def __len__(self) -> int:
         return len(self.points) * len(self.seeds)
@@ -125,17 +135,18 @@ def parse_seeds(text: str) -> tuple[int, ...]:
     Raises:
         StudyError: it is none of them.
     """
-    try:
+    words = re.split(r"\.\.|,", text)
+    numbers = [int(word) for word in words if _SEED.fullmatch(word.strip())]
+    seeds: Sequence[int] = ()
+    if len(numbers) == len(words) and max(numbers) < 2**63:
         if ".." in text:
-            low, high = (int(part) for part in text.split(".."))
-            seeds = range(low, high + 1)
+            if "," not in text and len(numbers) == 2 and numbers[1] - numbers[0] < MOST_RUNS:
+                seeds = range(numbers[0], numbers[1] + 1)
         elif "," in text:
-            return tuple(dict.fromkeys(int(part) for part in text.split(",")))
-        else:
-            seeds = range(1, int(text) + 1)
-    except ValueError:
-        seeds = range(0)
-    if not 1 <= len(seeds) <= MOST_RUNS or seeds[0] < 0:
+            seeds = list(dict.fromkeys(numbers))
+        elif numbers[0] <= MOST_RUNS:
+            seeds = range(1, numbers[0] + 1)
+    if not seeds:
         raise StudyError(f"expected a number of seeds such as 20, or seeds such as 5..24 or 3,7,9, got '{text[:40]}'")
     return tuple(seeds)
 

@@ -17,6 +17,7 @@ from math import inf, isfinite
 from typing import Any, NamedTuple
 
 from fleet.errors import ScenarioError
+from fleet.execution.external_agents import refuse
 from fleet.quantities import show_time, time_ns
 from fleet.scenario.loading import parse_scenario
 from fleet.scenario.scenario import Scenario
@@ -25,7 +26,7 @@ from fleet.study.ddmin import ddmin
 from fleet.study.engine import Engine, Row
 from fleet.study.errors import StudyError
 from fleet.study.modules import NO_MODULES, Modules
-from fleet.study.one_run import Task
+from fleet.study.one_run import FAILED, Task
 from fleet.study.plan import run_key
 from netem.parsing import NUMBER
 
@@ -34,6 +35,7 @@ _SHARES = (Fraction(1, 4), Fraction(1, 2), Fraction(3, 4), Fraction(9, 10))  # o
 _TIMES = frozenset({"at", "for", "id"})
 # Kinds whose every number makes them stronger. (A smaller efficiency or saturation is stronger; others have none.)
 _MILDER = ("link", "noise", "bias", "dropout", "slow", "gust", "current", "wrench")
+_MORE_IS_WORSE = ("delay", "loss", "duplicate", "corrupt", "reorder")  # words of a link's condition
 _NUMBER = re.compile(rf"(?<![\w.])({NUMBER.pattern})(?=\s*[^\W\d_]|\s*%|\s+[-+.\d]|\s*$)", re.ASCII)
 
 Tree = dict[str, Any]  # a scenario as plain values
@@ -78,8 +80,9 @@ class Shrinker:
         """
         self._name, self._engine, self._tell, self._modules = scenario.name, engine, tell, modules
         self._rows: dict[str, Row] = {}  # by key of the run
-        self._doing = ""
+        self._doing, self._left = "", 1  # runs that may still be made
         self._check = ""
+        refuse(scenario, "a run of a study")
         self._tree = _tree(scenario)
 
     def shrink(self, check: str | None = None, most_runs: int = 10_000) -> Shrunk:
@@ -91,6 +94,7 @@ class Shrinker:
         Raises:
             StudyError: it does not fail, or not this check.
         """
+        self._left = most_runs
         first = self._run([self._tree])[0]
         self._check = self._failed(first, check)
         steps: list[Step] = []
@@ -101,9 +105,7 @@ class Shrinker:
                 for what in step():
                     steps.append(Step(what, len(self._rows) - runs))
                     runs = len(self._rows)
-                if len(self._rows) >= most_runs:
-                    break
-            if json.dumps(self._tree) == before or len(self._rows) >= most_runs:
+            if json.dumps(self._tree) == before:
                 break
         last = self._run([self._tree])[0]
         return Shrunk(self._scenario(self._tree), self._check, (_found(first, self._check), _found(last, self._check)),
@@ -183,8 +185,7 @@ class Shrinker:
             if kind not in _MILDER:
                 continue
             self._doing = f"fault {fault.get('id', k + 1)} milder"
-            count = sum(len(_NUMBER.findall(text)) for text in _texts(fault[kind]))
-            for place in range(count):
+            for place in _places(fault[kind]):
                 while (tree := self._least(list(self._weaker(k, kind, place)))) is not None:
                     self._tree = tree
             now = self._tree["faults"][k]
@@ -204,18 +205,19 @@ class Shrinker:
         return next((tree for tree, failed in zip(candidates, self._fail(candidates), strict=True) if failed), None)
 
     def _fail(self, trees: Sequence[Tree]) -> list[bool]:
-        """Whether the run of each comes to its end and fails the check, and not only because it ended too early."""
+        """Whether the run of each comes to its end and fails the check, and not because there was nothing to judge."""
+        rows = self._run(trees)
         return [
-            row.get(f"check.{self._check}") is False
-            and (self._check == "recovery_time" or isfinite(row.get(f"value.{self._check}", inf)))
-            for row in self._run(trees)
+            row.get(f"check.{self._check}") is False and row.get(f"value.{self._check}") is not None for row in rows
         ]
 
     def _run(self, trees: Sequence[Tree]) -> list[Row]:
         """The row of each; of one that is no valid scenario the row of a run that failed."""
         texts = [json.dumps(tree) for tree in trees]
         keys = [run_key(text) for text in texts]
-        wanted = {key: text for key, text in zip(keys, texts, strict=True) if key not in self._rows}
+        new = {key: text for key, text in zip(keys, texts, strict=True) if key not in self._rows}
+        wanted = dict(list(new.items())[: self._left])
+        self._left -= len(wanted)
         tasks = (Task(key, 0, self._tree["seed"], self._name, text, inf, self._modules) for key, text in wanted.items())
 
         def take(rows: list[Row]) -> None:
@@ -223,7 +225,7 @@ class Shrinker:
             self._tell(self._doing, len(self._rows))
 
         self._engine.make(tasks, take, lambda: self._tell(self._doing, len(self._rows)))
-        return [self._rows[key] for key in keys]
+        return [self._rows.get(key, {"status": FAILED, "reason": "the runs are used up"}) for key in keys]
 
     def _scenario(self, tree: Tree) -> Scenario:
         return parse_scenario(json.dumps(tree), self._name)
@@ -257,6 +259,18 @@ def _without_vehicles(tree: Tree, n: int) -> Tree:
     if isinstance(made.get("initial"), list):
         made["initial"] = made["initial"][:n]
     return made
+
+
+def _places(value: Any) -> list[int]:
+    """The numbers of a value that make the fault stronger, counted over all its texts."""
+    found, count = [], 0
+    for text in _texts(value):
+        for match in _NUMBER.finditer(text):
+            words = re.findall(r"[a-z]{4,}", text[: match.start()])
+            if not words or (words[-1] in _MORE_IS_WORSE and "gemodel" not in text and "state" not in text):
+                found.append(count)
+            count += 1
+    return found
 
 
 def _texts(value: Any) -> list[str]:

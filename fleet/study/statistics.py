@@ -14,6 +14,7 @@ import numpy as np
 
 CONFIDENCE = 0.95
 _RESAMPLES = 2000
+_MOST_BCA = 1000
 _SEED = 1  # of the bootstrap, so that a table reads the same each time
 
 
@@ -54,7 +55,8 @@ def pass_rate(passed: int, runs: int, confidence: float = CONFIDENCE) -> Estimat
 
 
 def median(values: Sequence[float], confidence: float = CONFIDENCE) -> Estimate:
-    """The median of the finite values, with its bootstrapped interval: BCa, or percentile where BCa is not defined."""
+    """The median of the finite values, with its bootstrapped interval: BCa, or percentile where
+    BCa is not defined, or there are more than 1000 values."""
     finite = np.array([value for value in values if isfinite(value)])
     if len(finite) == 0:
         return Estimate(nan, nan, nan, 0)
@@ -68,12 +70,13 @@ def median(values: Sequence[float], confidence: float = CONFIDENCE) -> Estimate:
     from scipy.stats import bootstrap
 
     found = None
-    for method in ("BCa", "percentile"):
+    # BCa leaves out each value once, which takes the square of their number in memory.
+    for method in ("BCa", "percentile") if len(finite) <= _MOST_BCA else ("percentile",):
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # BCa is not defined for such data: its interval is NaN then
             found = bootstrap(
                 (finite,), np.median, confidence_level=confidence, n_resamples=_RESAMPLES, method=method,
-                vectorized=True, axis=-1, rng=np.random.default_rng(_SEED),
+                vectorized=True, axis=-1, batch=100, rng=np.random.default_rng(_SEED),
             ).confidence_interval  # fmt: skip
         if isfinite(found.low) and isfinite(found.high):
             break

@@ -22,6 +22,7 @@ import msgspec
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from fleet.errors import printable
 from fleet.study.errors import StudyError
 from fleet.study.measures import MEASURES
 from fleet.study.values import Axis, Value
@@ -32,7 +33,8 @@ if TYPE_CHECKING:
 
 VERSION = 1
 _STUDY, _POINTS, _RUNS = "study.json", "points.parquet", "runs"
-_MOST_BYTES = 50_000_000
+_MOST_BYTES = 200_000_000
+MOST_ROWS = 100_000  # of a file
 _TEXT, _BOOL, _NUMBER, _WHOLE = pa.string(), pa.bool_(), pa.float64(), pa.int64()
 
 
@@ -53,6 +55,7 @@ class StudyRecord(msgspec.Struct):
     seeds: list[int]
     checks: list[str]  # of the scenario, by name
     made_by: str  # the version of the package
+    folder: str | None = None  # of the scenario's file: where laws are looked for, which need trust all the same
 
 
 class Store:
@@ -60,7 +63,7 @@ class Store:
 
     def __init__(self, directory: Path, record: StudyRecord) -> None:
         self.directory, self.record = directory, record
-        self._parts = _next_part(directory)
+        self._parts = 1
 
     @classmethod
     def create(cls, directory: Path, record: StudyRecord, points: Sequence[Mapping[str, Any]]) -> Store:
@@ -79,11 +82,10 @@ class Store:
             for axis in record.axes:
                 columns[axis.key] = _column(axis, [point["values"][axis.key] for point in points])
             columns["scenario"] = pa.array([point["scenario"] for point in points], _TEXT)
-            fields = [pa.field("point", _WHOLE), *map(_axis_field, record.axes), pa.field("scenario", _TEXT)]
-            _write(directory / _POINTS, pa.table(columns, schema=pa.schema(fields)))
+            _write(directory / _POINTS, pa.table(columns, schema=store._point_schema))
             write_whole(directory / _STUDY, msgspec.json.format(msgspec.json.encode(record), indent=1) + b"\n")
         except FileExistsError:
-            raise StudyError(f"{directory} is there already; fleet sweep {directory} goes on with it") from None
+            raise StudyError(f"{directory} is there already: choose another place") from None
         except OSError as error:
             raise StudyError(f"cannot make the study {directory}: {error.strerror}") from None
         return store
@@ -103,6 +105,14 @@ class Store:
             raise StudyError(f"cannot read {directory / _STUDY}: {error.strerror}") from None
         except (msgspec.MsgspecError, UnicodeDecodeError) as error:
             raise StudyError(f"{directory / _STUDY} is damaged: {error!s:.200}") from None
+        texts = [
+            record.scenario,
+            record.command,
+            *record.checks,
+            *(text for axis in record.axes for text in (axis.key, axis.unit or "")),
+        ]
+        if any(printable(text) != text for text in texts):  # a study may come from anybody, and is shown on a terminal
+            raise StudyError(f"{directory / _STUDY} is damaged: a text in it has control characters")
         if record.version != VERSION:
             raise StudyError(f"{directory}: a study of version {record.version}; this fleet reads version {VERSION}")
         return cls(directory, record)
@@ -122,10 +132,16 @@ class Store:
                 raise StudyError(f"another fleet runs the study {self.directory}") from None
             except OSError as error:
                 raise StudyError(f"cannot lock {self.directory}: {error.strerror}") from None
+            self._parts = _next_part(self.directory)  # another program may have written some since it was opened
             with suppress(OSError):
                 for left in (self.directory / _RUNS).glob("*.part"):
                     left.unlink()
             yield
+
+    @property
+    def _point_schema(self) -> pa.Schema:
+        fields = [pa.field("point", _WHOLE), *map(_axis_field, self.record.axes), pa.field("scenario", _TEXT)]
+        return pa.schema(fields)
 
     @property
     def schema(self) -> pa.Schema:
@@ -144,6 +160,11 @@ class Store:
         )  # fmt: skip
 
     @property
+    def folder(self) -> Path | None:
+        """Where laws are looked for besides the current directory."""
+        return None if self.record.folder is None else Path(self.record.folder)
+
+    @property
     def point_count(self) -> int:
         """How many points there are. Raises StudyError."""
         return int(_read(self.directory / _POINTS, ["point"]).num_rows)
@@ -155,7 +176,12 @@ class Store:
 
     def points(self) -> list[dict[str, Any]]:
         """Every point: `point`, its values by key, and `scenario`. Raises StudyError."""
-        rows: list[dict[str, Any]] = _read(self.directory / _POINTS).to_pylist()
+        table = _read(self.directory / _POINTS)
+        if not table.schema.equals(self._point_schema):
+            raise StudyError(f"{self.directory / _POINTS} has other columns than {self.directory / _STUDY} says")
+        rows: list[dict[str, Any]] = table.to_pylist()
+        if any(None in row.values() for row in rows):
+            raise StudyError(f"{self.directory / _POINTS} has a point without a value")
         return rows
 
     def done(self) -> set[tuple[int, int]]:
@@ -236,6 +262,11 @@ def _write(path: Path, table: pa.Table) -> None:
 
 def _read(path: Path, columns: list[str] | None = None) -> pa.Table:
     try:
+        about = pq.read_metadata(path)
+        groups = [about.row_group(k) for k in range(about.num_row_groups)]
+        size = sum(group.total_byte_size for group in groups)  # a small file may hold much
+        if size > _MOST_BYTES or about.num_rows > MOST_ROWS:
+            raise StudyError(f"{path} holds {about.num_rows} rows and {size} bytes, more than a study writes")
         return pq.read_table(path, columns=columns)
     except FileNotFoundError:
         raise StudyError(f"{path} is missing") from None

@@ -17,9 +17,11 @@ from fleet.execution.options import Options
 from fleet.execution.outcome import Result
 from fleet.scenario.loading import parse_scenario
 from fleet.scenario.text.overrides import Override
+from fleet.scenario.trust import Policy
 from fleet.study.engine import Engine, local_engine, need_extra, remote_engine
 from fleet.study.errors import StudyError
 from fleet.study.measures import chosen
+from fleet.study.one_run import A_STUDY
 from fleet.study.plan import Plan, parse_seeds
 from fleet.study.store import Store
 from fleet.study.summary import PointSummary, summarise
@@ -97,16 +99,20 @@ class Study:
         """
         return summarise(self._store, chosen(measures))
 
-    def rerun(self, point: int | Mapping[str, Any], seed: int, out: Path = Path("runs")) -> Result:
+    def rerun(
+        self, point: int | Mapping[str, Any], seed: int, out: Path = Path("runs"), trust: Trust = NOTHING
+    ) -> Result:
         """Make one of its runs again with its log; the digest is that of the row.
 
         Args:
             point: its number, or its values by key.
             seed: of the run.
             out: where the run's directory is made.
+            trust: which modules may run that are not installed.
 
         Raises:
             StudyError: there is no such point.
+            ScenarioError: a law of the scenario may not run.
         """
         rows = self._store.points()
         if isinstance(point, Mapping):
@@ -118,7 +124,9 @@ class Study:
             row = rows[point]
         else:
             raise StudyError(f"there is no point {point}: they are 0 to {len(rows) - 1}")
-        scenario = parse_scenario(row["scenario"], self._store.record.scenario, [f"seed={seed}"])
+        record = self._store.record
+        policy = Policy(trust, A_STUDY)
+        scenario = parse_scenario(row["scenario"], record.scenario, [f"seed={seed}"], self._store.folder, policy)
         return execute(scenario, Options(out, in_process=True, quiet=True))
 
 
@@ -158,7 +166,7 @@ def sweep(
         set, net, fault: what is changed for every run, as by the options; `{key}` stands for a varied value.
         zipped: values go together, first with first, instead of each with each.
         draw: the seed of values that are drawn.
-        out: the study's directory; None: a new one below `studies`. One that is there is gone on with.
+        out: the directory of the new study; None: one below `studies`.
         workers: processes of this machine; None: one per core.
         scheduler: of a Dask cluster that is there: an address or a cluster object; None: workers of this machine.
         timeout_s: of wall time, for one run.
@@ -171,7 +179,7 @@ def sweep(
     """
     need_extra()
     axes = tuple(_axis(key, values) for key, values in vary.items())
-    chosen_seeds = parse_seeds(str(seeds)) if isinstance(seeds, int) else tuple(seeds)
+    chosen_seeds = parse_seeds(str(seeds) if isinstance(seeds, int) else ",".join(map(str, [*seeds, *seeds[:1]])))
     texts = [("--set", text) for text in override_texts(set)]
     texts += [("--net", text) for text in net] + [("--fault", text) for text in fault]
     changes = tuple(Override(option, text) for option, text in texts)

@@ -13,10 +13,12 @@ from typing import Any
 
 from agents.plugins.trust import NOTHING, Trust
 from fleet.errors import Problem, ScenarioError
+from fleet.execution.external_agents import refuse
 from fleet.scenario.loading import load_scenario, parse_scenario
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.trust import Policy
 from fleet.study.engine import Engine, Row
+from fleet.study.errors import StudyError
 from fleet.study.modules import NO_MODULES, Modules, modules_of
 from fleet.study.one_run import A_STUDY, FAILED, Task
 from fleet.study.plan import Plan, Point, run_key
@@ -67,7 +69,10 @@ def prepare(plan: Plan, directory: Path, trust: Trust = NOTHING) -> tuple[Store,
                 mistakes.setdefault(problem, []).append(point)
     if mistakes:
         raise ScenarioError([_with_points(problem, points, len(plan.points)) for problem, points in mistakes.items()])
-    first = scenarios[0]
+    for scenario in scenarios:
+        refuse(scenario, "a run of a study")
+    first, path = scenarios[0], Path(plan.scenario)
+    folder = path.parent.resolve() if path.exists() else None
     record = StudyRecord(
         version=1,
         scenario=first.name,
@@ -76,13 +81,18 @@ def prepare(plan: Plan, directory: Path, trust: Trust = NOTHING) -> tuple[Store,
         seeds=list(plan.seeds),
         checks=check_names(scenarios),
         made_by=version("uuv-fleet"),
+        folder=None if folder is None else str(folder),
     )
-    rows = [
+    rows: list[dict[str, Any]] = [
         {"values": point.values, "scenario": scenario.to_yaml()}
         for point, scenario in zip(plan.points, scenarios, strict=True)
     ]
-    path = Path(plan.scenario)
-    return Store.create(directory, record, rows), modules_of(scenarios, path.parent if path.exists() else None)
+    texts: dict[str, Point] = {}
+    for point, row in zip(plan.points, rows, strict=True):
+        if (other := texts.setdefault(row["scenario"], point)) is not point:
+            what = f"{other.shown} and {point.shown}"
+            raise StudyError(f"two points are the same scenario, {what}: does another option overrule what varies?")
+    return Store.create(directory, record, rows), modules_of(scenarios, folder)
 
 
 def modules_again(store: Store, trust: Trust) -> Modules:
@@ -93,8 +103,11 @@ def modules_again(store: Store, trust: Trust) -> Modules:
         StudyError: the study is damaged.
     """
     policy = Policy(trust, A_STUDY)
-    scenarios = [parse_scenario(row["scenario"], store.record.scenario, policy=policy) for row in store.points()]
-    return modules_of(scenarios, None)
+    name, folder = store.record.scenario, store.folder
+    scenarios = [parse_scenario(row["scenario"], name, folder=folder, policy=policy) for row in store.points()]
+    for scenario in scenarios:
+        refuse(scenario, "a run of a study")
+    return modules_of(scenarios, folder)
 
 
 def _with_points(problem: Problem, points: list[Point], of: int) -> Problem:

@@ -39,7 +39,7 @@ def _quantity(name: str) -> str:
 
 _RANGE = re.compile(
     rf"\s*{_quantity('low')}\s*\.\.\s*{_quantity('high')}\s*"
-    rf"(?:/\s*{_quantity('step')}|(?P<how>[a-z][a-z ]*?)\s+(?P<count>\d+))?\s*",
+    rf"(?:/\s*{_quantity('step')}|(?P<how>[a-z][a-z ]*?)\s+(?P<count>\d{{1,9}}))?\s*",
     re.ASCII,
 )
 _SINGLE = re.compile(_quantity("value"), re.ASCII)
@@ -133,18 +133,15 @@ def _listed(key: str, text: str) -> Axis:
         twice = next(text for text in texts if texts.count(text) > 1)
         raise ValuesError(f"the value {twice[:40]} is given twice")
     matches = [_SINGLE.fullmatch(text) for text in texts]
-    numbers: list[Fraction] = []
-    unit = ""
-    for match in matches:
+    unit = next((match["value_unit"] for match in matches if match and match["value_unit"]), "")
+    values = []
+    for text, match in zip(texts, matches, strict=True):
         number = exact_number(match["value"]) if match else None
-        if match is None or number is None:
+        factor = _factor(match["value_unit"] or "", unit) if match else None
+        if number is None or factor is None:  # values of several kinds are words
             return Axis(key, "", tuple(map(Value, texts)))
-        unit = unit or match["value_unit"] or ""
-        factor = _factor(match["value_unit"] or "", unit)
-        if factor is None:  # a text of several kinds is words
-            return Axis(key, "", tuple(map(Value, texts)))
-        numbers.append(number * factor)
-    return Axis(key, unit, tuple(Value(text, float(n)) for text, n in zip(texts, numbers, strict=True)))
+        values.append(Value(text, _float(number * factor)))
+    return Axis(key, unit, tuple(values))
 
 
 def _range(key: str, text: str) -> Axis:
@@ -174,7 +171,7 @@ def _range(key: str, text: str) -> Axis:
     count = (high - low) // step + 1
     if count > MOST_VALUES:
         raise ValuesError(f"these are {count} values, and {MOST_VALUES} at most may be")
-    return Axis(key, unit, tuple(_value(float(low + k * step), unit) for k in range(count)))
+    return Axis(key, unit, tuple(_value(_float(low + k * step), unit) for k in range(count)))
 
 
 def _counted(key: str, unit: str, low: Fraction, high: Fraction, how: str, count: int) -> Axis:
@@ -187,7 +184,9 @@ def _counted(key: str, unit: str, low: Fraction, high: Fraction, how: str, count
         raise ValuesError(f"a count must be from 2 to {MOST_VALUES}, got {count}")
     if logarithmic and low <= 0:
         raise ValuesError("a range at equal ratios must begin above 0")
-    made = Axis(key, unit, (), kind, float(low), float(high), count, "log" if logarithmic else "lin")
+    made = Axis(key, unit, (), kind, _float(low), _float(high), count, "log" if logarithmic else "lin")
+    if logarithmic and made.low == 0.0:
+        raise ValuesError("the low end is too small")
     if made.sampled:
         return made
     values = tuple(made.at(k / (count - 1)) for k in range(count))
@@ -213,6 +212,13 @@ def _factor(own: str, unit: str) -> Fraction | None:
         if own in sizes and unit in sizes:
             return sizes[own] / sizes[unit]
     return None
+
+
+def _float(number: Fraction) -> float:
+    try:
+        return float(number)
+    except OverflowError:
+        raise ValuesError("the number is too large") from None
 
 
 def _value(number: float, unit: str) -> Value:

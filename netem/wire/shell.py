@@ -2,7 +2,7 @@
 senders wait a queue that zenoh's threads fill.
 
 A zenoh callback runs on a receive thread, so all it does is to put what came into the queue; the process's main
-thread takes it out, one item at a time, and is the only one that touches the core.
+thread takes it out, one item at a time. Only netem in lockstep touches its core on another thread, too, under a lock.
 """
 
 from __future__ import annotations
@@ -93,7 +93,7 @@ class Shell:
 class Probes:
     """Bounds how many probes of each agent are answered, so that a flood of them makes no flood of answers."""
 
-    BURST, PER_S = 60, 60.0  # an agent that gets ready asks every 20 ms
+    BURST, PER_S = 60, 60.0  # an agent that gets ready asks after 20 ms, then more rarely
 
     def __init__(self, now: Callable[[], float] = monotonic) -> None:
         self._now = now

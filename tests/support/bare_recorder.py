@@ -21,7 +21,7 @@ from fleet.recorder.writer import LogWriter
 from fleet.scenario.loading import load_scenario
 from fleet.scenario.scenario import Scenario
 
-OVERRIDES = ["vehicles=3", "duration=4 s", "checks={}", "network.links={'*': 'delay 200ms 50ms loss 30%'}"]
+OVERRIDES = ["vehicles=3", "duration=12 s", "checks={}", "network.links={'*': 'delay 200ms 50ms loss 30%'}"]
 
 
 def record(path: Path, scenario: Scenario, calls: Calls, taken: mmap.mmap) -> None:

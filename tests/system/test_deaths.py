@@ -106,6 +106,8 @@ def appeared(run: LiveRun, role: str) -> psutil.Process | None:
 def test_death_before_everyone_is_ready(victim: str, tmp_path: Path) -> None:
     """A process that dies while the others are still starting is explained as well, and not waited for."""
     with LiveRun(tmp_path / "runs", "paper", *LONG) as run:
+        if victim == FORKSERVER:  # it starts before the scenario is read, and until it has a child nobody needs it
+            wait_for(lambda: appeared(run, "world"), 30.0, "world")
         found = wait_for(lambda: appeared(run, victim), 30.0, victim)
         watch = Stopwatch()
         found.kill()

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import msgpack
 import pytest
+from nowhere import Nowhere, serve
 
 from fleet.scenario.loading import load_scenario
 from netem.wire.codec import decode, encode
 from netem.wire.keys import Keys
 from netem.wire.messages import Command, Frames, Grant, Nav, Note, Round
-from tests.support.nowhere import Nowhere, serve
 from world import process
 from world.lockstep import Lockstep
 from world.process import WorldProcess
@@ -83,3 +84,19 @@ def test_who_was_not_asked_cannot_answer() -> None:
         fleet.answer(i)
     assert turns[:6] == [(1, 0), (2, 0), (3, 0), (4, 0), (1, 1), (1, 2)]
     assert sorted(turns) == [(i, tick) for i in (1, 2, 3, 4) for tick in range(25)]
+
+
+def test_who_has_not_been_asked_is_not_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    """And what is held back for the end of the round leaves when the console asks why nothing moves."""
+    monkeypatch.setattr(process, "monotonic", lambda: 0.0)
+    fleet = Fleet(most_asked=1)
+    fleet.put(KEYS.grant, Grant(25))
+    for _ in range(4):  # the round tick 0, one after the other
+        fleet.answer(min(fleet.asked))
+    for _ in range(3):
+        fleet.answer(min(fleet.asked))
+    (asked,) = fleet.asked
+    answers: list[bytes] = []
+    fleet.bus.answers[KEYS.ctl("world")](KEYS.ctl("world"), msgpack.packb({"op": "waiting"}), answers.append)
+    assert [i for i, _ in msgpack.unpackb(answers[0])["waiting"]] == [asked]
+    assert fleet.world._frames == []

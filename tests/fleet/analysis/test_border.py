@@ -72,6 +72,7 @@ def fleets(draw: st.DrawFn) -> LinearFleet:
     return LinearFleet(tuple(members), draw(st.integers(1, 5)), 0.04)
 
 
+@pytest.mark.filterwarnings("ignore:Generating overly large repr")  # of a large matrix
 @given(fleets(), st.floats(0.2, 5.0))
 @settings(max_examples=60, deadline=None)
 def test_as_many_modes_grow_as_the_matrix_has_eigenvalues_outside(fleet: LinearFleet, gain: float) -> None:

@@ -14,7 +14,7 @@ from study_engine import Here
 from fleet.cli.main import cli
 from fleet.study.store import Store
 
-VARY = ["--vary", "network.links.*.loss=0 %,80 %", "--net", "* loss 1%", "--seeds", "2"]
+VARY = ["--vary", "network.links.*.loss=0 %,80 %", "--set", "network.links={'*': loss 1%}", "--seeds", "2"]
 
 
 @pytest.fixture(autouse=True)
@@ -69,10 +69,14 @@ def test_a_study_that_is_whole_starts_no_worker(engines: list[Here]) -> None:
     [
         (["small.yaml", "--vary", "loss"], "expected KEY=VALUES"),
         (["small.yaml", "--vary", "loss=0 %..9 %/1 %"], "unknown key"),
+        (["small.yaml", *VARY, "--net", "* loss 1%"], "two points are the same scenario, network.links.*.loss=0 % and"),
+        (["small.yaml", "--set", "per_vehicle={3: {external: true}}"], "somebody else"),
+        (["small.yaml", "--vary", "status=0 %,9 %", "--net", "* loss {status}"], "status is a column of every study"),
         (["small.yaml", "--seeds", "none"], "expected a number of seeds"),
         (["small.yaml", "--measure", "e_rms"], 'did you mean "e_rms_m"?'),
         (["nosuch", "--seeds", "1"], "there is no such shipped scenario"),
-        ([".", "--seeds", "1"], "is no study: it has no study.json"),
+        (["."], "is no study: it has no study.json"),
+        ([".", "--seeds", "1"], "what it runs is settled"),
         ([".", "--vary", "a=1,2"], "what it runs is settled"),
     ],
 )

@@ -55,7 +55,23 @@ def test_seeds(text: str, seeds: tuple[int, ...]) -> None:
     assert parse_seeds(text) == seeds
 
 
-@pytest.mark.parametrize("text", ["0", "-1", "", "x", "7..5", "1..2..3", "99999999999999"])
+@pytest.mark.parametrize(
+    "text",
+    [
+        "0",
+        "-1",
+        "",
+        "x",
+        "7..5",
+        "1..2..3",
+        "99999999999999",
+        "9" * 30,
+        f"0..{'9' * 30}",
+        "3,-7",
+        "99999999999999999999,2",
+        "1,2..3",
+    ],
+)
 def test_what_are_no_seeds(text: str) -> None:
     with pytest.raises(StudyError, match="expected a number of seeds"):
         parse_seeds(text)
@@ -66,6 +82,8 @@ def test_what_are_no_seeds(text: str) -> None:
     [
         ((LOSS, LOSS), (), False, "loss is varied twice"),
         ((parse_axis("seed=1,2"),), (), False, "seeds are varied with --seeds"),
+        ((parse_axis("a=0..1 lin 20000"), parse_axis("b=0..1 lin 20000")), (), False, "400000000 runs"),
+        ((parse_axis("wall_s=1,2"),), ("k={wall_s}",), False, "wall_s is a column of every study"),
         ((LOSS,), ("k={los}",), False, "{los} stands for the value of --vary los"),
         ((LOSS, parse_axis("c=a,b,c")), (), True, "as many values as each other: loss 2, c 3"),
         ((parse_axis("a=0..1 latin 5"), parse_axis("b=0..1 latin 6")), (), False, "need the same count: a 5, b 6"),

@@ -8,7 +8,7 @@ from study_engine import Here
 
 from fleet.execution.judged import judged
 from fleet.study.errors import StudyError
-from fleet.study.shrink import Shrinker
+from fleet.study.shrink import Shrinker, _places
 
 FAULTS = (
     "faults=["
@@ -39,6 +39,25 @@ def test_what_is_not_needed_goes_and_what_is_left_fails() -> None:
     assert not judged(found.scenario).passed
     again = shrinker(FAULTS, CHECK, engine=Here(backwards=True)).shrink()
     assert again.scenario == found.scenario  # whoever made the runs, in whatever order
+
+
+def test_a_check_without_anything_to_judge_does_not_count() -> None:
+    """Without a fault there is no recovery that could be too slow."""
+    every = "checks={recovery_time: [{fault: every, within: 1 mm, below: 100 ms, error: formation}], tumbled: waived}"
+    found = shrinker(FAULTS, every).shrink("recovery_time")
+    assert len(found.scenario.spec.faults) == 1
+
+
+def test_only_what_makes_a_fault_stronger_is_made_less() -> None:
+    assert _places({"*": "delay 300ms 20ms loss 60% rate 1kbit", "1->2": "loss gemodel 1% 10%"}) == [0, 1, 2]
+    assert _places({"vehicles": "2", "position_noise": "1 cm"}) == [0]
+
+
+def test_the_runs_may_be_used_up() -> None:
+    engine = Here()
+    found = shrinker(FAULTS, CHECK, engine=engine).shrink(most_runs=4)
+    assert len(engine.tasks) <= 4
+    assert not judged(found.scenario).passed
 
 
 @pytest.mark.parametrize(

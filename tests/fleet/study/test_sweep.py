@@ -7,19 +7,21 @@ from pathlib import Path
 
 import pyarrow.parquet as pq
 import pytest
+from failing_laws import failing
 from pandas.testing import assert_frame_equal
 from small_scenario import SMALL
 from study_engine import Here
 
+from agents.plugins.trust import Trust
 from fleet.errors import ScenarioError
 from fleet.execution.judged import run
 from fleet.scenario.text.overrides import SET, Override
 from fleet.study.errors import StudyError
 from fleet.study.plan import Plan
-from fleet.study.store import Store
+from fleet.study.store import MOST_ROWS, Store
 from fleet.study.study import Study, open_study
 from fleet.study.summary import summarise
-from fleet.study.sweep import Progress, prepare, run_study
+from fleet.study.sweep import Progress, modules_again, prepare, run_study
 from fleet.study.values import parse_axis
 
 CHECKS = Override(SET, "checks={formation_error: {below: 0.9 m, after: 0.9 s}}")
@@ -101,6 +103,48 @@ def test_a_study_is_run_by_one_program_at_a_time(small_file: str, tmp_path: Path
         pass
 
 
+def test_rows_of_another_program_are_kept(small_file: str, tmp_path: Path) -> None:
+    """One opens the study while another one runs it, and goes on when that one was interrupted."""
+    first, _ = prepare(plan(small_file), tmp_path / "study")
+    second = Store.open(tmp_path / "study")
+    with pytest.raises(KeyboardInterrupt):
+        run_study(first, Here(most=3), lambda progress: None)  # type: ignore[arg-type]
+    run_study(second, Here(), lambda progress: None)  # type: ignore[arg-type]
+    assert (second.missing, len(second.done())) == (0, 8)
+
+
+def test_a_run_without_a_frame_is_a_row(small_file: str, tmp_path: Path) -> None:
+    """As when a law fails at the first tick."""
+    Path("bad_law.py").write_text(failing(0, "raise RuntimeError('no')"), "utf-8")
+    Path("bad.yaml").write_text(f"{SMALL}controller: bad_law:Law\n", "utf-8")
+    bad = Plan("bad.yaml", (CHECKS,), (parse_axis("duration=1 s, 2 s"),))
+    store, modules = prepare(bad, tmp_path / "study")
+    progress = run_study(store, Here(), lambda progress: None, modules=modules)  # type: ignore[arg-type]
+    assert progress.new == 2
+    (row, _) = store.table().to_pylist()
+    assert row["status"] == "broken"
+    assert "no" in row["reason"]
+    assert row["wall_s"] > 0
+    assert modules_again(store, Trust(everything=True)).fingerprints == modules.fingerprints
+
+
+def test_a_strangers_study_cannot_fill_the_memory_or_the_terminal(small_file: str, tmp_path: Path) -> None:
+    store = made(small_file, tmp_path / "study")
+    part = next((store.directory / "runs").glob("*.parquet"))
+    many = pq.read_table(part).slice(0, 1).take([0] * (MOST_ROWS + 1))
+    pq.write_table(many, part)
+    with pytest.raises(StudyError, match="more than a study writes"):
+        Study(store).to_pandas()
+    points = store.directory / "points.parquet"
+    pq.write_table(pq.read_table(points).drop_columns(["scenario"]), points)
+    with pytest.raises(StudyError, match="other columns"):
+        store.points()
+    file = store.directory / "study.json"
+    file.write_text(file.read_text("utf-8").replace('"small"', '"\\u001b]0;x"'), "utf-8")
+    with pytest.raises(StudyError, match="control characters"):
+        open_study(store.directory)
+
+
 def test_every_mistake_of_every_point_is_told_before_anything_is_made(small_file: str, tmp_path: Path) -> None:
     wrong = plan(small_file, "network.links.*.loss=0 %, 130 %", "duration=1 s, 2 m, 3 s")
     with pytest.raises(ScenarioError) as caught:
@@ -160,7 +204,7 @@ def test_a_run_is_made_again_with_its_log(small_file: str, tmp_path: Path) -> No
 
 def test_bad_directories_are_said(small_file: str, tmp_path: Path) -> None:
     store = made(small_file, tmp_path / "study")
-    with pytest.raises(StudyError, match="is there already; fleet sweep"):
+    with pytest.raises(StudyError, match="is there already: choose"):
         prepare(plan(small_file), store.directory)
     with pytest.raises(StudyError, match="it has no study"):
         open_study(tmp_path)

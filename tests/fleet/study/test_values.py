@@ -39,6 +39,7 @@ def test_values(text: str, unit: str, values: list[str]) -> None:
 
 def test_numbers_are_in_the_unit_of_the_axis() -> None:
     assert [value.number for value in parse_axis("d=100 ms, 1 s").values] == [100.0, 1000.0]
+    assert [value.number for value in parse_axis("l=0.5, 10 %").values] == [50.0, 10.0]  # a ratio may have no unit
     assert not parse_axis("c=nboc, 1 s").numeric  # of several kinds: words
 
 
@@ -85,6 +86,10 @@ def test_any_text_is_values_or_an_error(text: str) -> None:
         ("d=1 s..2 s loog 5", 'unknown kind of range "loog"; did you mean "log"?'),
         ("d=1 s..2 s lin 1", "a count must be from 2"),
         ("d=0 ns..1 h/1 ns", "at most may be"),
+        ("x=0..1e400 lin 3", "too large"),
+        ("x=1e400, 2", "too large"),
+        ("x=1e-400..1 log 3", "too small"),
+        (f"x=0..1 lin {'9' * 5000}", "expected a range such as"),
         ("d=soon..later/1", "expected a range such as"),
     ],
 )

@@ -97,14 +97,3 @@ def compare(first: Sequence[float], second: Sequence[float], confidence: float =
 
         p = float(wilcoxon(differences).pvalue)
     return Comparison(median(differences.tolist(), confidence), better, p)
-
-
-def compare_rates(first: Sequence[bool], second: Sequence[bool]) -> float:
-    """McNemar's exact test on two series of verdicts over the same seeds: the p-value; 1 if no pair differs."""
-    gained = sum(b and not a for a, b in zip(first, second, strict=True))
-    lost = sum(a and not b for a, b in zip(first, second, strict=True))
-    if gained + lost == 0:
-        return 1.0
-    from scipy.stats import binomtest
-
-    return float(binomtest(gained, gained + lost).pvalue)

@@ -23,6 +23,7 @@ from fleet.study.errors import StudyError
 from fleet.study.measures import chosen
 from fleet.study.one_run import A_STUDY
 from fleet.study.plan import Plan, parse_seeds
+from fleet.study.statistics import Comparison, compare
 from fleet.study.store import Store
 from fleet.study.summary import PointSummary, summarise
 from fleet.study.sweep import Progress, prepare, run_study
@@ -98,6 +99,28 @@ class Study:
             StudyError: there is no such measure, or the study is damaged.
         """
         return summarise(self._store, chosen(measures))
+
+    def compare(self, key: str, first: float | str, second: float | str, measure: str) -> Comparison:
+        """Compare two values of a key run by run: at the same values of all other keys, and with the same seed.
+
+        Args:
+            key: that is varied.
+            first, second: two of its values, as `to_pandas` has them.
+            measure: `passed`, or the name of a measure; with `passed` a smaller one is a run that failed.
+
+        Raises:
+            StudyError: there is no such key, value or measure.
+        """
+        if key not in self.axes:
+            raise StudyError(f"{key} is not varied; {', '.join(self.axes) or 'nothing'} is")
+        if measure != "passed":
+            chosen([measure])
+        frame = self._store.frame()
+        if missing := [value for value in (first, second) if value not in set(frame[key])]:
+            raise StudyError(f"{key} has no value {missing[0]}; it has {', '.join(map(str, frame[key].unique()))}")
+        others = [other for other in self.axes if other != key]
+        table = frame.pivot(index=[*others, "seed"], columns=key, values=measure).astype(float)
+        return compare(table[first].tolist(), table[second].tolist())
 
     def rerun(
         self, point: int | Mapping[str, Any], seed: int, out: Path = Path("runs"), trust: Trust = NOTHING

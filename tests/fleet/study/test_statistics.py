@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fleet.study.statistics import compare, compare_rates, median, pass_rate
+from fleet.study.statistics import compare, median, pass_rate
 
 
 def test_the_interval_of_a_pass_rate_is_wilsons() -> None:
@@ -54,8 +54,3 @@ def test_two_series_are_compared_in_pairs() -> None:
     assert found.p == pytest.approx(2 / 2**6)  # all six differences of one sign
     assert compare(first, first).better == 0.5
     assert isnan(compare(first, first).p)
-
-
-def test_verdicts_are_compared_in_pairs() -> None:
-    assert compare_rates([True] * 9, [True] * 9) == 1.0
-    assert compare_rates([False] * 6 + [True] * 4, [True] * 10) == pytest.approx(2 / 2**6)

@@ -178,6 +178,20 @@ def test_the_summary_has_intervals(small_file: str, tmp_path: Path) -> None:
         study.summary("formation")
 
 
+def test_two_values_are_compared_run_by_run(small_file: str, tmp_path: Path) -> None:
+    study = Study(made(small_file, tmp_path / "study"))
+    found = study.compare("network.links.*.loss", 0.0, 80.0, "loss_share")
+    assert found.difference.runs == 4  # two seeds at each of two extrapolations
+    assert found.difference.value > 0.5
+    assert found.better == 0.0
+    assert (
+        study.compare("neighbours.extrapolate", "hold", "neighbour", "packets_lost").better == 0.5
+    )  # the same network
+    for key, value, measure in (("speed", 1.0, "passed"), ("network.links.*.loss", 1.0, "passed"), ("seed", 1, "x")):
+        with pytest.raises(StudyError, match=r"is not varied|has no value"):
+            study.compare(key, value, 80.0, measure)
+
+
 def test_arrays_have_the_keys_as_dimensions_and_units(small_file: str, tmp_path: Path) -> None:
     found = Study(made(small_file, tmp_path / "study")).to_xarray()
     assert dict(found.sizes) == {"network.links.*.loss": 2, "neighbours.extrapolate": 2, "seed": 2}

@@ -30,7 +30,7 @@ from fleet.study.one_run import FAILED, Task
 from fleet.study.plan import run_key
 from netem.parsing import NUMBER
 
-MOST_ROUNDS = 5
+MOST_ROUNDS = 5  # over everything, and over each number
 _SHARES = (Fraction(1, 4), Fraction(1, 2), Fraction(3, 4), Fraction(9, 10))  # of a number that is made less
 _TIMES = frozenset({"at", "for", "id"})
 # Kinds whose every number makes them stronger. (A smaller efficiency or saturation is stronger; others have none.)
@@ -186,7 +186,10 @@ class Shrinker:
                 continue
             self._doing = f"fault {fault.get('id', k + 1)} milder"
             for place in _places(fault[kind]):
-                while (tree := self._least(list(self._weaker(k, kind, place)))) is not None:
+                for _ in range(MOST_ROUNDS):
+                    tree = self._least(list(self._weaker(k, kind, place)))
+                    if tree is None:
+                        break
                     self._tree = tree
             now = self._tree["faults"][k]
             if now != fault:
@@ -241,7 +244,7 @@ def _tree(scenario: Scenario) -> Tree:
 
 def _found(row: Row, check: str) -> str:
     value = row.get(f"value.{check}")
-    return "never" if value is None or not isfinite(value) else f"{value:.4g}"
+    return "no finite value" if value is None or not isfinite(value) else f"{value:.4g}"
 
 
 def _with_fault(tree: Tree, k: int, changes: Tree) -> Tree:

@@ -10,10 +10,14 @@ from typing import cast
 from netem.process import NetemProcess
 from netem.realtime_rounds import RealtimeRounds
 from netem.wire.access import NETEM
-from netem.wire.bus import Bus
+from netem.wire.bus import Bus, Respond
+from netem.wire.control import read_map
 from netem.wire.keys import Keys
 from netem.wire.messages import Message, Pace, Receipt, Round, Transmission
 from netem.wire.shell import Item
+
+REST_S = 0.1
+MOST_REST = 10_000
 
 
 class RealtimeNetemProcess(NetemProcess):
@@ -49,6 +53,24 @@ class RealtimeNetemProcess(NetemProcess):
             self._put(item.key, item.data)
         else:
             self._query(item.key, item.data, item.respond)
+
+    def _control(self, data: bytes, respond: Respond) -> None:
+        if read_map(data).get("op") == "close":
+            self._put_rest()
+        super()._control(data, respond)
+
+    def _put_rest(self) -> None:
+        """Take puts until none comes any more: the last rounds may be behind the question to close."""
+        held = []
+        with suppress(Empty):
+            for _ in range(MOST_REST):
+                item = self._shell.take(REST_S)
+                if item.respond is None:
+                    self._put(item.key, item.data)
+                else:
+                    held.append(item)
+        for item in held:
+            self._shell.queue.put(item)
 
     def _middle_ns(self, tick: int) -> int:
         return self._begin_ns(tick) + self._pace.period_ns // 2

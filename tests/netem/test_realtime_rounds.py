@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from queue import Empty
+from typing import Any
+
+import msgpack
 import numpy as np
 import pytest
 from hypothesis import given
@@ -64,15 +68,26 @@ def advance(rounds: RealtimeRounds, until: int) -> dict[int, list[tuple[int, Del
     return got
 
 
+class Quiet(Nowhere):
+    """A queue to which nothing comes any more."""
+
+    def get(self, timeout: float | None = None) -> Any:
+        if timeout is not None and not self.queue:
+            raise Empty
+        return super().get(timeout)
+
+
 def test_a_network_that_is_late_exchanges_nothing_after_the_end() -> None:
-    """The end may be among what a tick that is overdue still takes in."""
-    config, bus, items = SHORT.netem_config, Nowhere(), Nowhere()
+    """The end may be among what a tick that is overdue still takes in, and in front of the last of it."""
+    config, bus, items = SHORT.netem_config, Nowhere(), Quiet()
     network = RealtimeNetemProcess(bus, KEYS, config, RealtimeRounds(config))  # type: ignore[arg-type]
     network._shell.queue = items  # type: ignore[assignment]
-    for said in (Pace(0, 0, 1000), Round(0, (1, 2, 3, 4), ((0.0,) * 3,) * 4, ())):
-        items.queue.append(Item(KEYS.round, encode(said), None))
-    items.queue.append(Item(KEYS.ctl("netem"), request("close", tick=10), lambda _: None))
+    items.queue.append(Item(KEYS.round, encode(Pace(0, 0, 1000)), None))
+    answers: list[bytes] = []
+    items.queue.append(Item(KEYS.ctl("netem"), request("close", tick=10), answers.append))
+    items.queue.append(Item(KEYS.round, encode(Round(0, (1, 2, 3, 4), ((0.0,) * 3,) * 4, ())), None))
     serve(network)
+    assert msgpack.unpackb(answers[0])["counts"]["received"] == {"round": 1}
     reports = [report for key, data in bus.put if key == KEYS.links and isinstance(report := decode(data), LinkReport)]
     assert [(report.until, report.closing) for report in reports] == [(10, True)]
 

@@ -116,7 +116,7 @@ def test_death_before_everyone_is_ready(victim: str, tmp_path: Path) -> None:
         print(f"{victim} killed at the start: over after {watch.s:.2f} s")
         assert watch.s < 2 * END_S
         assert "run broke: " in run.said
-        assert "SIGKILL" in run.said
+        assert "SIGKILL" in run.said or (victim == FORKSERVER and "could not be started" in run.said)
         assert "Traceback" not in run.said
 
 

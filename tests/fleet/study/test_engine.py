@@ -73,20 +73,23 @@ def test_a_worker_that_is_killed_costs_no_run(engine: Engine) -> None:
 def test_a_law_of_the_users_runs_there_and_one_that_kills_its_workers_costs_its_run(
     engine: Engine, tmp_path: Path
 ) -> None:
-    laws = {"good_law": "pass", "deadly_law": "__import__('os')._exit(1)", "other_law": "pass  # another file"}
+    laws = {"good_law": "pass", "deadly_law": "__import__('os')._exit(1)"}
     scenarios = []
     for name, line in laws.items():
         (tmp_path / f"{name}.py").write_text(failing(3, line), "utf-8")
         text = f"{SMALL}controller: {name}:Law\n"
         scenarios.append(parse_scenario(text, "small.yaml", folder=tmp_path, policy=Policy(stranger="")))
-    modules = modules_of(scenarios[:2], tmp_path)
+    modules = modules_of(scenarios, tmp_path)
+    strange = tmp_path / "strange"  # where nothing was ever let in
+    strange.mkdir()
+    (strange / "strange_law.py").write_text(failing(3, "pass  # another file"), "utf-8")
     assert len(modules.files) == len(modules.fingerprints) == 2
-    good, deadly, other = (scenario.to_yaml() for scenario in scenarios)
+    good, deadly = (scenario.to_yaml() for scenario in scenarios)
     chosen = [
         Task("a", 0, 1, NAME, good, inf, modules),
         Task("b", 1, 1, NAME, deadly, inf, modules),
         Task("c", 0, 2, NAME, good, inf, modules),
-        Task("d", 2, 1, NAME, other, inf, modules),
+        Task("d", 2, 1, NAME, good.replace("good_law", "strange_law"), inf, modules._replace(folder=str(strange))),
     ]
     rows = {row["key"]: row for row in made(engine, iter(chosen))}
     assert {rows[key]["status"] for key in "ac"} <= DONE

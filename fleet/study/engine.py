@@ -132,7 +132,7 @@ def local_engine(workers: int, *, dashboard: bool = False) -> Iterator[Engine]:
                         host="127.0.0.1",
                         protocol="tls://",
                         security=security,
-                        dashboard_address="127.0.0.1:0" if dashboard else None,
+                        dashboard_address="127.0.0.1:0",  # None would be the fixed port 8787 of all addresses
                         silence_logs=logging.CRITICAL,
                     )
                 )

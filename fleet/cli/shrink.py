@@ -78,14 +78,14 @@ def shrink(
 
         def tell(doing: str, runs: int) -> None:
             if line.due():
-                line.show([Piece(0, [f"{runs} runs"]), Piece(1, [doing or "the run as it is"])])
+                line.show([Piece(0, [f"{runs} runs"]), Piece(1, [doing])])
 
         found = Shrinker(scenario, engine, tell, modules).shrink(check, most_runs)
     path.write_text(found.scenario.to_yaml(), "utf-8")
     first, last = found.found
     say(f"{scenario.name} fails {found.check} with {first}, the least scenario with {last}; {found.runs} runs")
     for step in found.steps:
-        say(f"  {step.what}")
+        say(f"  {step}")
     if not found.steps:
         say("  nothing can be left out")
     say(f"fleet run {path} fails it, too", err=True)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from datetime import timedelta
 from math import inf, isfinite
 from pathlib import Path
@@ -33,7 +35,8 @@ if TYPE_CHECKING:
 @OVERRIDES
 @disturbances
 @click.option("--measure", "measures", metavar="NAME", multiple=True,
-              help="What the table shows; repeatable. All measures are in the rows: see below.")  # fmt: skip
+              help="What the table shows; repeatable. All measures are in the rows; "
+              "an unknown name lists them.")  # fmt: skip
 @click.option("--out", metavar="DIR", type=click.Path(path_type=Path, file_okay=False), default=Path("studies"),
               show_default=True, help="Where studies go, each in a directory of its own.")  # fmt: skip
 @click.option("--workers", metavar="N", type=click.IntRange(1, 1024), help="Runs at a time; by default one per core.")
@@ -95,17 +98,19 @@ def sweep(
         if vary or overrides or fault or net or zipped or said:
             raise click.UsageError(f"{scenario} is a study: what it runs is settled; only the missing runs are made")
         store = Store.open(Path(scenario))
-        modules = modules_again(store, trust)
+        modules = None  # those of a study that is whole are not needed
     else:
         changes = (*(Override(SET, text) for text in overrides), *net, *fault)
         plan = Plan(scenario, changes, tuple(map(parse_axis, vary)), zipped, parse_seeds(seeds), draw)
         store, modules = prepare(plan, new_directory(scenario, out), trust)
-    record = store.record
+    points, seed_count, missing = store.point_count, len(store.record.seeds), store.missing
     if not quiet:
-        runs = store.point_count * len(record.seeds)
-        made = f", {runs - store.missing} of them made" if store.missing < runs else ""
-        say(f"{store.directory}: {store.point_count} points x {len(record.seeds)} seeds = {runs} runs{made}", err=True)
-    if store.missing:
+        runs = points * seed_count
+        made = f", {runs - missing} of them made" if missing < runs else ""
+        say(f"{store.directory}: {points} points x {seed_count} seeds = {runs} runs{made}", err=True)
+    if missing:
+        if modules is None:
+            modules = modules_again(store, trust)
         with _showing(quiet) as tell, engine_of(workers, scheduler, dashboard=dashboard) as engine:
             if engine.dashboard and not quiet:
                 say(f"Dask's page: {engine.dashboard}", err=True)
@@ -120,41 +125,35 @@ def sweep(
         _show(store, shown)
 
 
-def _showing(quiet: bool) -> Any:
-    """A context with a function that shows where a study is."""
-    from contextlib import contextmanager
-
+@contextmanager
+def _showing(quiet: bool) -> Iterator[Callable[[Progress], None]]:
+    """A function that shows where a study is; call it as often as you like."""
     from rich.console import Console as Terminal
 
     from fleet.terminal.fitting import Piece
     from fleet.terminal.status_line import BAR, StatusLine, bar
 
-    @contextmanager
-    def showing() -> Any:
-        with StatusLine(Terminal(stderr=True), quiet=quiet) as line:
+    with StatusLine(Terminal(stderr=True), quiet=quiet) as line:
 
-            def tell(progress: Progress) -> None:
-                if not line.due():
-                    return
-                share = progress.made / max(1, progress.runs)
-                left = f"{timedelta(seconds=round(progress.left_s))} left" if isfinite(progress.left_s) else ""
-                rate = f"{progress.rate:.2g} runs/s"
-                failed = f"{progress.failed} without result" if progress.failed else ""
-                passed = f"{progress.passed} of {progress.new} passed"
-                line.show(
-                    [
-                        Piece(0, [f"{progress.made} / {progress.runs} runs"]),
-                        Piece(5, [bar(share), bar(share, BAR // 2), ""] if line.live else [""]),
-                        Piece(3, [rate, ""] if progress.new else [""]),
-                        Piece(2, [left, ""] if left else [""]),
-                        Piece(4, [passed, ""]),
-                        Piece(1, [failed, ""] if failed else [""]),
-                    ]
-                )
+        def tell(progress: Progress) -> None:
+            if not line.due():
+                return
+            share = progress.made / max(1, progress.runs)
+            left = f"{timedelta(seconds=round(progress.left_s))} left" if isfinite(progress.left_s) else ""
+            rate = f"{progress.rate:.2g} runs/s" if progress.new else ""
+            failed = f"{progress.failed} without result" if progress.failed else ""
+            line.show(
+                [
+                    Piece(0, [f"{progress.made} / {progress.runs} runs"]),
+                    Piece(5, [bar(share), bar(share, BAR // 2), ""] if line.live else [""]),
+                    Piece(3, [rate, ""]),
+                    Piece(2, [left, ""]),
+                    Piece(4, [f"{progress.passed} of {progress.new} passed", ""]),
+                    Piece(1, [failed, ""]),
+                ]
+            )
 
-            yield tell
-
-    return showing()
+        yield tell
 
 
 def _show(store: Store, measures: Any) -> None:
@@ -177,13 +176,8 @@ def _show(store: Store, measures: Any) -> None:
         unit = MEASURES[name].unit
         heading = f"{name.removesuffix('_' + unit)}\nmedian" + (f" [{unit}]" if unit else "")
         columns.append(Column(heading, [_number(row.medians[name]) for row in rows], rank))
-    terminal = stdout()
-    show(
-        columns,
-        f"{store.record.scenario}, {len(store.record.seeds)} seeds per point",
-        terminal,
-        "fleet.open_study has all",
-    )
+    title = f"{store.record.scenario}, {len(store.record.seeds)} seeds per point"
+    show(columns, title, stdout(), "fleet.open_study has all")
     say(str(store.directory))
 
 

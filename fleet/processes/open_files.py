@@ -8,19 +8,12 @@ from fleet.errors import RunBroken
 
 # Measured: the console holds 16 and two per agent, the world 14 and one per agent; more while they start.
 FILES, FILES_PER_VEHICLE = 48, 2
-
-
 MOST_VEHICLES = 1000
 
 
 def allow_most_open_files() -> None:
     """Raise the soft limit as far as the largest run needs it and the hard limit allows; children inherit it."""
-    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
-    wanted = FILES + FILES_PER_VEHICLE * MOST_VEHICLES
-    if hard != resource.RLIM_INFINITY:
-        wanted = min(wanted, hard)
-    if soft != resource.RLIM_INFINITY and soft < wanted:
-        resource.setrlimit(resource.RLIMIT_NOFILE, (wanted, hard))
+    _raise_to(FILES + FILES_PER_VEHICLE * MOST_VEHICLES)
 
 
 def allow_open_files(vehicles: int, others: int = 0) -> None:
@@ -33,14 +26,20 @@ def allow_open_files(vehicles: int, others: int = 0) -> None:
         RunBroken: the hard limit is too low.
     """
     needed = FILES + FILES_PER_VEHICLE * vehicles
-    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
-    wanted = needed + others
-    if soft == resource.RLIM_INFINITY or soft >= wanted:
-        return
-    if hard != resource.RLIM_INFINITY and hard < needed:
+    limit = _raise_to(needed + others)
+    if limit < needed:
         raise RunBroken(
-            f"{vehicles} vehicles need {needed} open files per process, and the limit here is {hard}; raise it "
+            f"{vehicles} vehicles need {needed} open files per process, and the limit here is {limit}; raise it "
             f"(ulimit -n {needed}, or LimitNOFILE= of a systemd unit), or take --in-process, which needs none of them"
         )
+
+
+def _raise_to(wanted: int) -> int:
+    """Raise the soft limit to so many files, or to the hard limit if that is lower; returns how many may be open."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    if soft == resource.RLIM_INFINITY or soft >= wanted:
+        return wanted
     limit = wanted if hard == resource.RLIM_INFINITY else min(wanted, hard)
-    resource.setrlimit(resource.RLIMIT_NOFILE, (limit, hard))
+    if limit > soft:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (limit, hard))
+    return limit

@@ -133,6 +133,7 @@ def local_engine(workers: int, *, dashboard: bool = False) -> Iterator[Engine]:
                         protocol="tls://",
                         security=security,
                         dashboard_address="127.0.0.1:0",  # None would be the fixed port 8787 of all addresses
+                        scheduler_kwargs={"dashboard": dashboard},  # or bokeh is loaded where it is installed
                         silence_logs=logging.CRITICAL,
                     )
                 )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from math import isfinite, nan
+from math import isfinite
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -72,5 +72,5 @@ def _measured(result: Result) -> dict[str, Any]:
         if verdict.value is not None:
             row[f"value.{name}"] = max(row.get(f"value.{name}", verdict.value), verdict.value)
     for measure in MEASURES.values():
-        row[measure.name] = measure.of(values) if values["vehicles"] or measure.name == "wall_s" else nan
+        row[measure.name] = measure.of(values)
     return row

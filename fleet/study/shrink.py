@@ -41,13 +41,6 @@ _NUMBER = re.compile(rf"(?<![\w.])({NUMBER.pattern})(?=\s*[^\W\d_]|\s*%|\s+[-+.\
 Tree = dict[str, Any]  # a scenario as plain values
 
 
-class Step(NamedTuple):
-    """What was made less, in words, and how many runs it took."""
-
-    what: str
-    runs: int
-
-
 class Shrunk(NamedTuple):
     """The least scenario that was found.
 
@@ -55,14 +48,14 @@ class Shrunk(NamedTuple):
         check: the check that fails.
         found: what the verdict of that check says, of the first scenario and of the least one.
         runs: that were made.
-        steps: what was made less, in order.
+        steps: what was made less, in words and in order.
     """
 
     scenario: Scenario
     check: str
     found: tuple[str, str]
     runs: int
-    steps: list[Step]
+    steps: list[str]
 
 
 class Shrinker:
@@ -80,7 +73,7 @@ class Shrinker:
         """
         self._name, self._engine, self._tell, self._modules = scenario.name, engine, tell, modules
         self._rows: dict[str, Row] = {}  # by key of the run
-        self._doing, self._left = "", 1  # runs that may still be made
+        self._doing, self._left = "the run as it is", 1  # what is tried; runs that may still be made
         self._check = ""
         refuse(scenario, "a run of a study")
         self._tree = _tree(scenario)
@@ -97,14 +90,11 @@ class Shrinker:
         self._left = most_runs
         first = self._run([self._tree])[0]
         self._check = self._failed(first, check)
-        steps: list[Step] = []
+        steps: list[str] = []
         for _ in range(MOST_ROUNDS):
             before = json.dumps(self._tree)
             for step in (self._fewer_faults, self._shorter, self._fewer_vehicles, self._shorter_faults, self._milder):
-                runs = len(self._rows)
-                for what in step():
-                    steps.append(Step(what, len(self._rows) - runs))
-                    runs = len(self._rows)
+                steps += step()
             if json.dumps(self._tree) == before:
                 break
         last = self._run([self._tree])[0]

@@ -22,7 +22,7 @@ from fleet.study.errors import StudyError
 from fleet.study.modules import NO_MODULES, Modules, modules_of
 from fleet.study.one_run import A_STUDY, FAILED, Task
 from fleet.study.plan import Plan, Point, run_key
-from fleet.study.store import Store, StudyRecord, axis_record
+from fleet.study.store import VERSION, Store, StudyRecord, axis_record
 
 _WRITE_S, _WRITE_ROWS = 10.0, 1000  # rows wait at most so long, or until there are so many
 
@@ -69,12 +69,10 @@ def prepare(plan: Plan, directory: Path, trust: Trust = NOTHING) -> tuple[Store,
                 mistakes.setdefault(problem, []).append(point)
     if mistakes:
         raise ScenarioError([_with_points(problem, points, len(plan.points)) for problem, points in mistakes.items()])
-    for scenario in scenarios:
-        refuse(scenario, "a run of a study")
     first, path = scenarios[0], Path(plan.scenario)
     folder = path.parent.resolve() if path.exists() else None
     record = StudyRecord(
-        version=1,
+        version=VERSION,
         scenario=first.name,
         command=" ".join(change.name for change in plan.changes),
         axes=[axis_record(axis) for axis in plan.axes],
@@ -92,7 +90,8 @@ def prepare(plan: Plan, directory: Path, trust: Trust = NOTHING) -> tuple[Store,
         if (other := texts.setdefault(row["scenario"], point)) is not point:
             what = f"{other.shown} and {point.shown}"
             raise StudyError(f"two points are the same scenario, {what}: does another option overrule what varies?")
-    return Store.create(directory, record, rows), modules_of(scenarios, folder)
+    modules = _modules(scenarios, folder)
+    return Store.create(directory, record, rows), modules
 
 
 def modules_again(store: Store, trust: Trust) -> Modules:
@@ -105,6 +104,10 @@ def modules_again(store: Store, trust: Trust) -> Modules:
     policy = Policy(trust, A_STUDY)
     name, folder = store.record.scenario, store.folder
     scenarios = [parse_scenario(row["scenario"], name, folder=folder, policy=policy) for row in store.points()]
+    return _modules(scenarios, folder)
+
+
+def _modules(scenarios: Sequence[Scenario], folder: Path | None) -> Modules:
     for scenario in scenarios:
         refuse(scenario, "a run of a study")
     return modules_of(scenarios, folder)

@@ -34,7 +34,7 @@ def test_what_is_not_needed_goes_and_what_is_left_fails() -> None:
     assert fault.wrench is not None
     assert 0.0 < fault.wrench.force[0] < 400.0
     assert found.scenario.vehicles == 2
-    assert next(step.what for step in found.steps) == "1 of 5 faults are needed"
+    assert found.steps[0] == "1 of 5 faults are needed"
     assert found.scenario.duration_ns > 800_000_000  # a run that only ended too early does not count
     assert not judged(found.scenario).passed
     again = shrinker(FAULTS, CHECK, engine=Here(backwards=True)).shrink()

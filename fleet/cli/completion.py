@@ -48,6 +48,15 @@ def scenarios(context: click.Context, parameter: click.Parameter, typed: str) ->
     return found or [CompletionItem(typed, type="file")]
 
 
+def studies(context: click.Context, parameter: click.Parameter, typed: str) -> list[CompletionItem]:
+    """Complete shipped studies and scenarios; without one, files."""
+    from fleet.study.catalogue import shipped_studies
+
+    found = [CompletionItem(name) for name in shipped_studies() if name.startswith(typed)]
+    others = scenarios(context, parameter, typed)
+    return found + [item for item in others if item.type != "file" or not found]
+
+
 @_words
 def runs(context: click.Context) -> Iterable[str]:
     """Names of live runs."""

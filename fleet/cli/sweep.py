@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from datetime import timedelta
-from math import inf, isfinite
+from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 from click.core import ParameterSource
 
-from fleet.cli.completion import scenarios
+from fleet.cli.completion import studies
 from fleet.cli.trust import TrustingCommand, trust_option
 from fleet.cli.types import OVERRIDES, Duration, disturbances
 from fleet.terminal.folding import say, stdout
@@ -26,12 +26,12 @@ if TYPE_CHECKING:
 
 
 @click.command(cls=TrustingCommand)
-@click.argument("scenario", metavar="SCENARIO|DIR", shell_complete=scenarios)
+@click.argument("scenario", metavar="SCENARIO|STUDY|DIR", shell_complete=studies)
 @click.option("--vary", metavar="KEY=VALUES", multiple=True, help="What varies over which values; repeatable.")
 @click.option("--zip", "zipped", is_flag=True, help="Values go together, first with first; else each with each.")
 @click.option("--seeds", metavar="SEEDS", default="10", show_default=True,
               help="How many runs each point has, or their seeds: 20, 5..24 or 3,7,9.")  # fmt: skip
-@click.option("--draw", type=click.IntRange(0), default=1, show_default=True, help="Seed of values that are drawn.")
+@click.option("--draw", metavar="N", type=click.IntRange(0), default=1, show_default=True, help="Seed of values that are drawn.")
 @OVERRIDES
 @disturbances
 @click.option("--measure", "measures", metavar="NAME", multiple=True,
@@ -44,6 +44,7 @@ if TYPE_CHECKING:
 @click.option("--timeout", metavar="TIME", type=Duration(1), help="Wall time that one run may take, e.g. '5 min'.")
 @click.option("--dashboard", is_flag=True, help="Let Dask serve its own page, and say where.")
 @trust_option
+@click.option("--show-config", is_flag=True, help="Print the study as a file, with the options in it, and stop.")
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing but the study's directory, and failures on stderr.")
 def sweep(
     scenario: str,
@@ -61,6 +62,7 @@ def sweep(
     timeout: int | None,
     dashboard: bool,
     trust: Trust,
+    show_config: bool,
     quiet: bool,
 ) -> None:
     """Run SCENARIO at every combination of some values, several times each, and say how sure the answer is.
@@ -80,29 +82,49 @@ def sweep(
       fleet sweep studies/rough-sea-20261122-101500
     """
     from fleet.study.engine import need_extra
-    from fleet.study.measures import chosen
 
     need_extra()
+    from fleet.quantities import show_time
     from fleet.scenario.catalogue import shipped_scenarios
-    from fleet.scenario.text.overrides import SET, Override
-    from fleet.study.plan import Plan, parse_seeds
+    from fleet.study.catalogue import shipped_studies
+    from fleet.study.errors import StudyError
+    from fleet.study.measures import chosen
+    from fleet.study.spec import StudySpec, set_values, varied
     from fleet.study.store import Store
     from fleet.study.study import engine_of, new_directory
-    from fleet.study.sweep import modules_again, prepare, run_study
-    from fleet.study.values import parse_axis
+    from fleet.study.study_file import NamedStudy, study_named
+    from fleet.study.sweep import load_points, modules_again, prepare, run_study
 
-    shown = chosen(measures)
-    if Path(scenario).is_dir() and scenario not in shipped_scenarios():
-        given = click.get_current_context().get_parameter_source
-        said = [name for name in ("seeds", "draw", "out") if given(name) is not ParameterSource.DEFAULT]
-        if vary or overrides or fault or net or zipped or said:
+    chosen_keys = {key: value for key, value in (("seeds", seeds), ("draw", draw)) if _is_given(key)}
+    later = {"measures": list(measures) or None, "timeout": None if timeout is None else show_time(timeout)}
+    modules = None  # those of a study that is whole are not needed
+    if Path(scenario).is_dir() and scenario not in (*shipped_scenarios(), *shipped_studies()):
+        if vary or overrides or fault or net or zipped or chosen_keys or _is_given("out"):
             raise click.UsageError(f"{scenario} is a study: what it runs is settled; only the missing runs are made")
         store = Store.open(Path(scenario))
-        modules = None  # those of a study that is whole are not needed
+        if show_config and store.record.spec is None:
+            raise StudyError(f"{scenario}: the fleet that made this study did not write down what was asked")
+        spec = (store.record.spec or StudySpec(store.record.scenario)).changed(**later)
     else:
-        changes = (*(Override(SET, text) for text in overrides), *net, *fault)
-        plan = Plan(scenario, changes, tuple(map(parse_axis, vary)), zipped, parse_seeds(seeds), draw)
-        store, modules = prepare(plan, new_directory(scenario, out), trust)
+        study = study_named(scenario) or NamedStudy(StudySpec(scenario))
+        spec = study.spec.changed(
+            vary=varied(vary),
+            set=set_values(overrides),
+            net=[change.text for change in net],
+            fault=[change.text for change in fault],
+            zip=zipped,
+            **chosen_keys,
+            **later,
+        )
+        plan = spec.plan(study.stranger)
+        if show_config:
+            load_points(plan, trust, refused=[])
+        else:
+            store, modules = prepare(plan, new_directory(scenario, out), trust, spec)
+    if show_config:
+        click.echo(spec.to_yaml(), nl=False)
+        return
+    shown = chosen(spec.measures)
     points, seed_count, missing = store.point_count, len(store.record.seeds), store.missing
     if not quiet:
         runs = points * seed_count
@@ -115,7 +137,7 @@ def sweep(
             if engine.dashboard and not quiet:
                 say(f"Dask's page: {engine.dashboard}", err=True)
             try:
-                run_study(store, engine, tell, modules=modules, timeout_s=inf if timeout is None else timeout / 1e9)
+                run_study(store, engine, tell, modules=modules, timeout_s=spec.timeout_s)
             except KeyboardInterrupt:
                 say(f"{store.missing} runs are missing; fleet sweep {store.directory} makes them", err=True)
                 raise
@@ -123,6 +145,10 @@ def sweep(
         click.echo(store.directory)
     else:
         _show(store, shown)
+
+
+def _is_given(name: str) -> bool:
+    return click.get_current_context().get_parameter_source(name) is not ParameterSource.DEFAULT
 
 
 @contextmanager

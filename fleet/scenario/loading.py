@@ -27,6 +27,7 @@ def load_scenario(
     *,
     imports: bool = True,
     refused: list[Problem] | None = None,
+    foreign: str = "",
 ) -> Scenario:
     """The scenario of a shipped name or of a file, with overrides applied.
 
@@ -34,12 +35,14 @@ def load_scenario(
         trust: which modules may run that are neither installed nor the user's own; see `fleet.scenario.trust`.
         imports: whether the laws that the file names are imported, to check that they can be used.
         refused: a list to which the laws that may not run are appended; None: such a law is an error.
+        foreign: why laws need trust, whoever wrote the file, because others wrote the overrides; empty: the user did.
 
     Raises:
         ScenarioError: with every mistake that was found, in the order of the file.
     """
     shown, text, folder = _text(str(name_or_path))
-    policy = Policy(trust, "" if folder is None else stranger(Path(shown)), imports, refused)
+    why = foreign or ("" if folder is None else stranger(Path(shown)))
+    policy = Policy(trust, why, imports, refused, own_changes=not foreign)
     return parse_scenario(text, shown, overrides, folder, policy)
 
 

@@ -25,13 +25,14 @@ class Policy:
     stranger: str = A_LOG  # why only installed modules may be named; "": the user's own scenario
     imports: bool = True  # False: a law that the text names is taken by its name, and nothing is imported
     refused: list[Problem] | None = None  # collects the laws that may not run; None: they are errors
+    own_changes: bool = True  # the user wrote what overrides the text, and so named the laws in it
 
     def admit(self, kind: str, law: Law, folder: Path | None, *, typed: bool) -> None:
         """Let the module of a law be imported if it may run.
 
         Args:
             folder: where the scenario's file lies, if it is one.
-            typed: the user named the law on the command line.
+            typed: what overrides the text names the law: options, which the user wrote, or the file of a study.
 
         Raises:
             UntrustedError: it may not.
@@ -39,7 +40,7 @@ class Policy:
         """
         beside = () if folder is None else (folder,)
         own = () if self.stranger else beside
-        if typed:
+        if typed and self.own_changes:
             own = (Path(), *own)
         because = self.stranger or "the scenario is not beside it"
         admit(kind, law.name, Permission(self.trust, own, (*beside, Path()), because))

@@ -46,6 +46,7 @@ class Plan:
         zipped: whether the axes go together, first with first, instead of every value with every other.
         seeds: of the runs of each point; the same ones, so that points can be compared in pairs.
         draw: the seed of sampled axes.
+        stranger: why laws that are not installed need trust, whoever wrote the scenario; empty: the user wrote it.
     """
 
     scenario: str
@@ -54,6 +55,7 @@ class Plan:
     zipped: bool = False
     seeds: tuple[int, ...] = (1,)
     draw: int = 1
+    stranger: str = ""
     points: tuple[Point, ...] = field(init=False)
 
     def __post_init__(self) -> None:

@@ -25,6 +25,7 @@ import pyarrow.parquet as pq
 from fleet.errors import printable
 from fleet.study.errors import StudyError
 from fleet.study.measures import MEASURES
+from fleet.study.spec import StudySpec
 from fleet.study.values import Axis, Value
 from netem.whole_file import read_file, write_whole
 
@@ -56,6 +57,7 @@ class StudyRecord(msgspec.Struct):
     checks: list[str]  # of the scenario, by name
     made_by: str  # the version of the package
     folder: str | None = None  # of the scenario's file: where laws are looked for, which need trust all the same
+    spec: StudySpec | None = None  # as people write it; of studies of older versions None
 
 
 class Store:
@@ -109,6 +111,7 @@ class Store:
             record.scenario,
             record.command,
             *record.checks,
+            msgspec.json.encode(record.spec).decode(),
             *(text for axis in record.axes for text in (axis.key, axis.unit or "")),
         ]
         if any(printable(text) != text for text in texts):  # a study may come from anybody, and is shown on a terminal

@@ -22,6 +22,7 @@ from fleet.study.errors import StudyError
 from fleet.study.modules import NO_MODULES, Modules, modules_of
 from fleet.study.one_run import A_STUDY, FAILED, Task
 from fleet.study.plan import Plan, Point, run_key
+from fleet.study.spec import StudySpec
 from fleet.study.store import VERSION, Store, StudyRecord, axis_record
 
 _WRITE_S, _WRITE_ROWS = 10.0, 1000  # rows wait at most so long, or until there are so many
@@ -49,26 +50,45 @@ class Progress:
         return (self.runs - self.made) / self.rate if self.new else inf
 
 
-def prepare(plan: Plan, directory: Path, trust: Trust = NOTHING) -> tuple[Store, Modules]:
+def load_points(plan: Plan, trust: Trust = NOTHING, *, refused: list[Problem] | None = None) -> list[Scenario]:
+    """The scenario of each point.
+
+    Args:
+        refused: a list to which the laws that may not run are appended; None: such a law is an error.
+
+    Raises:
+        ScenarioError: with the mistakes of all points, each once.
+    """
+    scenarios: list[Scenario] = []
+    mistakes: dict[Problem, list[Point]] = {}
+    for point in plan.points:
+        try:
+            scenario = load_scenario(plan.scenario, point.changes, trust, refused=refused, foreign=plan.stranger)
+            scenarios.append(scenario)
+        except ScenarioError as error:
+            for problem in error.problems:
+                mistakes.setdefault(problem, []).append(point)
+    if mistakes:
+        raise ScenarioError([_with_points(problem, points, len(plan.points)) for problem, points in mistakes.items()])
+    return scenarios
+
+
+def prepare(
+    plan: Plan, directory: Path, trust: Trust = NOTHING, spec: StudySpec | None = None
+) -> tuple[Store, Modules]:
     """Check every point, and make the directory of the study.
+
+    Args:
+        spec: of which the plan was made; the directory keeps it.
 
     Returns:
         The study, and the modules of laws that its runs need.
 
     Raises:
         ScenarioError: with the mistakes of all points, each once.
-        StudyError: the directory cannot be made.
+        StudyError: two points are the same, or the directory cannot be made.
     """
-    scenarios: list[Scenario] = []
-    mistakes: dict[Problem, list[Point]] = {}
-    for point in plan.points:
-        try:
-            scenarios.append(load_scenario(plan.scenario, point.changes, trust))
-        except ScenarioError as error:
-            for problem in error.problems:
-                mistakes.setdefault(problem, []).append(point)
-    if mistakes:
-        raise ScenarioError([_with_points(problem, points, len(plan.points)) for problem, points in mistakes.items()])
+    scenarios = load_points(plan, trust)
     first, path = scenarios[0], Path(plan.scenario)
     folder = path.parent.resolve() if path.exists() else None
     record = StudyRecord(
@@ -80,6 +100,7 @@ def prepare(plan: Plan, directory: Path, trust: Trust = NOTHING) -> tuple[Store,
         checks=check_names(scenarios),
         made_by=version("uuv-fleet"),
         folder=None if folder is None else str(folder),
+        spec=spec,
     )
     rows: list[dict[str, Any]] = [
         {"values": point.values, "scenario": scenario.to_yaml()}

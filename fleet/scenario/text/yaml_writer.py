@@ -84,15 +84,21 @@ def _entry(key: str, value: Any, depth: int) -> list[str]:
             lines += _entry(inner_key, inner, depth + 1)
         return lines
     if isinstance(value, list) and value:
-        return [head, *(f"{indent}  - {_inline(item)}" for item in value)]
-    return [f"{head} {_inline(value)}"]
+        return [head, *(f"{indent}  - {inline(item)}" for item in value)]
+    return [f"{head} {inline(value)}"]
 
 
-def _inline(value: Any) -> str:
+def yaml_text(values: dict[str, Any]) -> str:
+    """The text of plain values; what is inside a list stands on one line."""
+    return "\n".join(line for key, value in values.items() for line in _entry(key, value, 0)) + "\n"
+
+
+def inline(value: Any) -> str:
+    """The text of a plain value on one line."""
     if isinstance(value, dict):
-        return "{" + ", ".join(f"{_scalar(k)}: {_inline(v)}" for k, v in value.items()) + "}"
+        return "{" + ", ".join(f"{_scalar(k)}: {inline(v)}" for k, v in value.items()) + "}"
     if isinstance(value, list):
-        return "[" + ", ".join(_inline(item) for item in value) + "]"
+        return "[" + ", ".join(inline(item) for item in value) + "]"
     return _scalar(value)
 
 

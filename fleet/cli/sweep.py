@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 @click.option("--zip", "zipped", is_flag=True, help="Values go together, first with first; else each with each.")
 @click.option("--seeds", metavar="SEEDS", default="10", show_default=True,
               help="How many runs each point has, or their seeds: 20, 5..24 or 3,7,9.")  # fmt: skip
-@click.option("--draw", metavar="N", type=click.IntRange(0), default=1, show_default=True, help="Seed of values that are drawn.")
+@click.option("--draw", type=click.IntRange(0), default=1, show_default=True, help="Seed of values that are drawn.")
 @OVERRIDES
 @disturbances
 @click.option("--measure", "measures", metavar="NAME", multiple=True,
@@ -86,17 +86,19 @@ def sweep(
     need_extra()
     from fleet.quantities import show_time
     from fleet.scenario.catalogue import shipped_scenarios
-    from fleet.study.catalogue import shipped_studies
+    from fleet.study.catalogue import NamedStudy, shipped_studies, study_named
     from fleet.study.errors import StudyError
     from fleet.study.measures import chosen
     from fleet.study.spec import StudySpec, set_values, varied
     from fleet.study.store import Store
     from fleet.study.study import engine_of, new_directory
-    from fleet.study.study_file import NamedStudy, study_named
     from fleet.study.sweep import load_points, modules_again, prepare, run_study
 
-    chosen_keys = {key: value for key, value in (("seeds", seeds), ("draw", draw)) if _is_given(key)}
-    later = {"measures": list(measures) or None, "timeout": None if timeout is None else show_time(timeout)}
+    chosen_keys: dict[str, Any] = {key: value for key, value in (("seeds", seeds), ("draw", draw)) if _is_given(key)}
+    later: dict[str, Any] = {
+        "measures": list(measures) or None,
+        "timeout": None if timeout is None else show_time(timeout),
+    }
     modules = None  # those of a study that is whole are not needed
     if Path(scenario).is_dir() and scenario not in (*shipped_scenarios(), *shipped_studies()):
         if vary or overrides or fault or net or zipped or chosen_keys or _is_given("out"):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from math import inf
 from pathlib import Path
 from typing import Any
@@ -155,19 +155,25 @@ def varied(texts: Iterable[str]) -> dict[str, str]:
     return found
 
 
+def seeds_text(seeds: int | Sequence[int]) -> str:
+    """The text of how many seeds there are, or which."""
+    if isinstance(seeds, int):
+        return str(seeds)
+    return ",".join(map(str, [*seeds, *seeds[:1]]))  # one alone would be how many
+
+
 def values_text(values: object) -> str:
-    """The text of VALUES that were given as a text, a number or a list."""
-    if isinstance(values, str):
-        return values
-    if isinstance(values, Iterable) and not isinstance(values, Mapping):
-        return ", ".join(_listed(value) for value in values)
-    return inline(values)
+    """The text of VALUES that are given as a text, a number or a list of them."""
+    if isinstance(values, Iterable) and not isinstance(values, str | Mapping):
+        return ", ".join(_value_text(value, listed=True) for value in values)
+    return _value_text(values)
 
 
-def _listed(value: object) -> str:
-    if isinstance(value, str):
-        return f'"{value}"' if "," in value and not _NESTED.match(value) and '"' not in value else value
-    return inline(value)
+def _value_text(value: object, *, listed: bool = False) -> str:
+    if isinstance(value, bool | Mapping | list | None):
+        return inline(value)
+    text = str(value)
+    return f'"{text}"' if listed and "," in text and not re.search("[\\[{\"']", text) else text
 
 
 def _nested(text: str) -> Any:

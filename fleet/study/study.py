@@ -15,19 +15,19 @@ from fleet.execution.execute import execute
 from fleet.execution.judged import Changes, override_texts
 from fleet.execution.options import Options
 from fleet.execution.outcome import Result
+from fleet.quantities import show_time
 from fleet.scenario.loading import parse_scenario
-from fleet.scenario.text.overrides import Override
 from fleet.scenario.trust import Policy
+from fleet.study.catalogue import NamedStudy, study_named
 from fleet.study.engine import Engine, local_engine, need_extra, remote_engine
 from fleet.study.errors import StudyError
 from fleet.study.measures import chosen
 from fleet.study.one_run import A_STUDY
-from fleet.study.plan import Plan, parse_seeds
+from fleet.study.spec import StudySpec, seeds_text, set_values, values_text
 from fleet.study.statistics import Comparison, compare
 from fleet.study.store import Store
 from fleet.study.summary import PointSummary, summarise
 from fleet.study.sweep import Progress, prepare, run_study
-from fleet.study.values import Axis, axis
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -165,51 +165,57 @@ def open_study(directory: str | Path) -> Study:
 
 def sweep(
     scenario: str | Path,
-    vary: Mapping[str, str | Iterable[Any]],
+    vary: Mapping[str, str | Iterable[Any]] = {},
     *,
-    seeds: int | Sequence[int] = 10,
+    seeds: int | Sequence[int] | None = None,
     set: Changes = (),
     net: Iterable[str] = (),
     fault: Iterable[str] = (),
     zipped: bool = False,
-    draw: int = 1,
+    draw: int | None = None,
     out: str | Path | None = None,
     workers: int | None = None,
     scheduler: Any = None,
-    timeout_s: float = inf,
+    timeout_s: float | None = None,
     trust: Trust = NOTHING,
     progress: Callable[[Progress], None] = lambda _: None,
 ) -> Study:
     """Run a scenario at every combination of some values, each with several seeds.
 
     Args:
-        scenario: a shipped name or a file.
+        scenario: a shipped name or a file; or a study, which the other arguments change as options do.
         vary: by key the values, as text of the grammar of `fleet sweep --vary` or as a list.
-        seeds: how many, from 1 on, or which.
+        seeds: how many, from 1 on, or which; by default 10.
         set, net, fault: what is changed for every run, as by the options; `{key}` stands for a varied value.
         zipped: values go together, first with first, instead of each with each.
-        draw: the seed of values that are drawn.
+        draw: the seed of values that are drawn; by default 1.
         out: the directory of the new study; None: one below `studies`.
         workers: processes of this machine; None: one per core.
         scheduler: of a Dask cluster that is there: an address or a cluster object; None: workers of this machine.
-        timeout_s: of wall time, for one run.
+        timeout_s: of wall time, for one run; by default any.
         trust: which modules may run that are neither installed nor the user's own.
         progress: called several times a second.
 
     Raises:
-        ScenarioError: with the mistakes of all points.
+        ScenarioError: with the mistakes of all points, or of the file of the study.
         StudyError: the study cannot be made or run.
     """
     need_extra()
-    axes = tuple(_axis(key, values) for key, values in vary.items())
-    chosen_seeds = parse_seeds(str(seeds) if isinstance(seeds, int) else ",".join(map(str, [*seeds, *seeds[:1]])))
-    texts = [("--set", text) for text in override_texts(set)]
-    texts += [("--net", text) for text in net] + [("--fault", text) for text in fault]
-    changes = tuple(Override(option, text) for option, text in texts)
-    plan = Plan(str(scenario), changes, axes, zipped, chosen_seeds, draw)
-    store, modules = prepare(plan, new_directory(plan.scenario) if out is None else Path(out), trust)
+    study = study_named(str(scenario)) or NamedStudy(StudySpec(str(scenario)))
+    spec = study.spec.changed(
+        vary={key: values_text(values) for key, values in vary.items()},
+        set=set_values(override_texts(set)),
+        net=net,
+        fault=fault,
+        zip=zipped,
+        seeds=None if seeds is None else seeds_text(seeds),
+        draw=draw,
+        timeout=None if timeout_s is None or timeout_s == inf else show_time(round(timeout_s * 1e9)),
+    )
+    directory = new_directory(str(scenario)) if out is None else Path(out)
+    store, modules = prepare(spec.plan(study.stranger), directory, trust, spec)
     with engine_of(workers, scheduler) as engine:
-        run_study(store, engine, progress, modules=modules, timeout_s=timeout_s)
+        run_study(store, engine, progress, modules=modules, timeout_s=spec.timeout_s)
     return Study(store)
 
 
@@ -223,8 +229,3 @@ def engine_of(workers: int | None, scheduler: Any, *, dashboard: bool = False) -
 def new_directory(scenario: str, out: Path = Path("studies")) -> Path:
     """Where a new study of a scenario goes."""
     return out / f"{Path(scenario).stem}-{time.strftime(STAMP, time.gmtime())}"
-
-
-def _axis(key: str, values: str | Iterable[Any]) -> Axis:
-    text = values if isinstance(values, str) else ", ".join(str(value) for value in values)
-    return axis(key, text)

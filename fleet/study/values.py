@@ -19,6 +19,7 @@ from fractions import Fraction
 from math import exp, log
 from typing import Literal, NamedTuple
 
+from fleet.errors import printable
 from fleet.quantities import DIMENSIONS
 from fleet.study.errors import ValuesError
 from netem.grammar import RATE_UNITS
@@ -108,13 +109,15 @@ def parse_axis(text: str) -> Axis:
         ValuesError: it has no key, or its values are none.
     """
     key, equals, values = text.partition("=")
-    if not equals or not _KEY.fullmatch(key.strip()):
+    if not equals:
         raise ValuesError(f"expected KEY=VALUES such as 'network.links.*.loss=0 %..90 %/10 %', got '{text[:80]}'")
     return axis(key.strip(), values)
 
 
 def axis(key: str, text: str) -> Axis:
     """The axis of a key and its values as text. Raises ValuesError."""
+    if not _KEY.fullmatch(key):
+        raise ValuesError(f"expected a key such as network.links.*.loss, got '{printable(key[:80])}'")
     try:
         if ".." in text and not any(mark in text for mark in "{[\"'"):
             return _range(key, text)

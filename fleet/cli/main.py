@@ -132,22 +132,35 @@ def _say_what_is_expected(loaded: Scenario, found: Analysis, refused: list[Probl
 @cli.command(name="list")
 @json_option
 def list_(as_json: bool) -> None:
-    """List the scenarios that ship with the package."""
+    """List the scenarios and the studies that ship with the package.
+
+    The cost of a study is the time that all its runs take one core, roughly, on compiled cores.
+    """
     from fleet.scenario.catalogue import list_scenarios
+    from fleet.study.catalogue import list_studies
 
+    scenarios, studies = list_scenarios(), list_studies()
     if as_json:
-        from fleet.cli.documents.listing import ScenarioRow, Scenarios
+        from fleet.cli.documents.listing import ScenarioRow, Scenarios, StudyRow
 
-        print_document(Scenarios([ScenarioRow(*row) for row in list_scenarios()]))
+        print_document(Scenarios([ScenarioRow(*row) for row in scenarios], [StudyRow(*row) for row in studies]))
         return
     from rich.table import Table
 
+    terminal = stdout()
     table = Table(box=None, pad_edge=False)
     for heading in ("scenario", "UUVs", "time", "expect", "what one learns"):
         table.add_column(heading, no_wrap=heading != "what one learns")
-    for name, title, vehicles, duration_s, expect in list_scenarios():
+    for name, title, vehicles, duration_s, expect in scenarios:
         table.add_row(name, str(vehicles), f"{duration_s:g} s", expect, title)
-    stdout().print(table)
+    terminal.print(table)
+    terminal.print()
+    table = Table(box=None, pad_edge=False)
+    for heading in ("study", "runs", "cost", "what it asks"):
+        table.add_column(heading, no_wrap=heading != "what it asks")
+    for study in studies:
+        table.add_row(study.name, str(study.runs), f"{study.core_s / 60:.0f} min", study.title)
+    terminal.print(table)
 
 
 _MODULES = (

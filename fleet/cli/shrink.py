@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from fleet.cli.completion import scenarios
+from fleet.cli.documents.output import json_option, print_document
 from fleet.cli.trust import TrustingCommand, trust_option
 from fleet.cli.types import OVERRIDES, disturbances
 from fleet.terminal.folding import say
@@ -32,6 +33,7 @@ MOST_RUNS = 2000
               help="Stop making it less after so many runs.")  # fmt: skip
 @click.option("--workers", metavar="N", type=click.IntRange(1, 1024), help="Runs at a time; by default one per core.")
 @trust_option
+@json_option
 def shrink(
     failing: str,
     overrides: tuple[str, ...],
@@ -43,6 +45,7 @@ def shrink(
     most_runs: int,
     workers: int | None,
     trust: Trust,
+    as_json: bool,
 ) -> None:
     """Make a run that fails a check as small as it can be: what is the least that breaks it?
 
@@ -82,14 +85,19 @@ def shrink(
 
         found = Shrinker(scenario, engine, tell, modules).shrink(check, most_runs)
     path.write_text(found.scenario.to_yaml(), "utf-8")
-    first, last = found.found
-    say(f"{scenario.name} fails {found.check} with {first}, the least scenario with {last}; {found.runs} runs")
-    for step in found.steps:
-        say(f"  {step}")
-    if not found.steps:
-        say("  nothing can be left out")
+    if as_json:
+        from fleet.cli.documents.study import less
+
+        print_document(less(found, scenario, path))
+    else:
+        first, last = found.found
+        say(f"{scenario.name} fails {found.check} with {first}, the least scenario with {last}; {found.runs} runs")
+        for step in found.steps:
+            say(f"  {step}")
+        if not found.steps:
+            say("  nothing can be left out")
+        click.echo(path)
     say(f"fleet run {path} fails it, too", err=True)
-    click.echo(path)
 
 
 def _scenario(name: str, changes: list[str | Override], trust: Trust) -> tuple[Scenario, Path | None]:

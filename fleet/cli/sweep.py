@@ -13,6 +13,7 @@ import click
 from click.core import ParameterSource
 
 from fleet.cli.completion import studies
+from fleet.cli.documents.output import json_option, print_document
 from fleet.cli.trust import TrustingCommand, trust_option
 from fleet.cli.types import OVERRIDES, Duration, disturbances
 from fleet.terminal.folding import say, stdout
@@ -45,6 +46,7 @@ if TYPE_CHECKING:
 @click.option("--dashboard", is_flag=True, help="Let Dask serve its own page, and say where.")
 @trust_option
 @click.option("--show-config", is_flag=True, help="Print the study as a file, with the options in it, and stop.")
+@json_option
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing but the study's directory, and failures on stderr.")
 def sweep(
     scenario: str,
@@ -63,11 +65,13 @@ def sweep(
     dashboard: bool,
     trust: Trust,
     show_config: bool,
+    as_json: bool,
     quiet: bool,
 ) -> None:
     """Run SCENARIO at every combination of some values, several times each, and say how sure the answer is.
 
-    With the directory of a study instead, go on with what is missing of it: a study may be interrupted at any time.
+    A study that ships (fleet list) or a file with the key `study` says all this itself; options add to it, and overrule
+    it. With the directory of a study, go on with what is missing: a study may be interrupted at any time.
 
     \b
     VALUES are a list (nboc,bc), a range with a step (0 %..90 %/10 %), with a count
@@ -79,8 +83,12 @@ def sweep(
       fleet sweep rough-sea --vary 'network.links.*.loss=0 %..90 %/30 %' --seeds 5
       fleet sweep paper --vary 'loss=0 %,30 %' --vary 'delay=0 s,1 s' --net '* loss {loss} delay {delay}'
       fleet sweep rough-sea --vary controller=nboc,bc --seeds 20 --measure e_rms_m
+      fleet sweep loss-delay --seeds 2
+      fleet sweep paper --vary 'network.period=100 ms,1 s' --show-config > my-study.yaml
       fleet sweep studies/rough-sea-20261122-101500
     """
+    if as_json and show_config:
+        raise click.UsageError("--show-config prints YAML: not together with --json")
     from fleet.study.engine import need_extra
 
     need_extra()
@@ -92,6 +100,7 @@ def sweep(
     from fleet.study.spec import StudySpec, set_values, varied
     from fleet.study.store import Store
     from fleet.study.study import engine_of, new_directory
+    from fleet.study.summary import DEFAULT
     from fleet.study.sweep import load_points, modules_again, prepare, run_study
 
     chosen_keys: dict[str, Any] = {key: value for key, value in (("seeds", seeds), ("draw", draw)) if _is_given(key)}
@@ -99,7 +108,7 @@ def sweep(
         "measures": list(measures) or None,
         "timeout": None if timeout is None else show_time(timeout),
     }
-    modules = None  # those of a study that is whole are not needed
+    store, stranger = None, ""
     if Path(scenario).is_dir() and scenario not in (*shipped_scenarios(), *shipped_studies()):
         if vary or overrides or fault or net or zipped or chosen_keys or _is_given("out"):
             raise click.UsageError(f"{scenario} is a study: what it runs is settled; only the missing runs are made")
@@ -108,8 +117,8 @@ def sweep(
             raise StudyError(f"{scenario}: the fleet that made this study did not write down what was asked")
         spec = (store.record.spec or StudySpec(store.record.scenario)).changed(**later)
     else:
-        study = study_named(scenario) or NamedStudy(StudySpec(scenario))
-        spec = study.spec.changed(
+        spec, stranger = study_named(scenario) or NamedStudy(StudySpec(scenario))
+        spec = spec.changed(
             vary=varied(vary),
             set=set_values(overrides),
             net=[change.text for change in net],
@@ -118,15 +127,15 @@ def sweep(
             **chosen_keys,
             **later,
         )
-        plan = spec.plan(study.stranger)
-        if show_config:
-            load_points(plan, trust, refused=[])
-        else:
-            store, modules = prepare(plan, new_directory(scenario, out), trust, spec)
+    shown = chosen(spec.measures or DEFAULT)
     if show_config:
+        if store is None:
+            load_points(spec.plan(stranger), trust, refused=[])
         click.echo(spec.to_yaml(), nl=False)
         return
-    shown = chosen(spec.measures)
+    modules = None  # those of a study that is whole are not needed
+    if store is None:
+        store, modules = prepare(spec.plan(stranger), new_directory(scenario, out), trust, spec)
     points, seed_count, missing = store.point_count, len(store.record.seeds), store.missing
     if not quiet:
         runs = points * seed_count
@@ -143,7 +152,11 @@ def sweep(
             except KeyboardInterrupt:
                 say(f"{store.missing} runs are missing; fleet sweep {store.directory} makes them", err=True)
                 raise
-    if quiet:
+    if as_json:
+        from fleet.cli.documents.study import swept
+
+        print_document(swept(store, shown))
+    elif quiet:
         click.echo(store.directory)
     else:
         _show(store, shown)

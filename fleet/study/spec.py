@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from math import inf
 from pathlib import Path
 from typing import Any
@@ -96,6 +96,12 @@ class StudySpec(msgspec.Struct, frozen=True, omit_defaults=True):
         changes += [Override(NET, text) for text in self.net] + [Override(FAULT, text) for text in self.fault]
         axes = tuple(axis(key, text) for key, text in self.vary.items())
         return Plan(self.scenario, tuple(changes), axes, self.zip, parse_seeds(self.seeds), self.draw, stranger)
+
+    def texts(self) -> Iterator[str]:
+        """Every text in it."""
+        yield from (self.scenario, self.title, self.run_takes, self.seeds, self.timeout)
+        yield from (*self.vary, *self.vary.values(), *self.set, *self.set.values())
+        yield from (*self.net, *self.fault, *self.measures)
 
     @property
     def timeout_s(self) -> float:

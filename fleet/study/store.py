@@ -23,6 +23,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from fleet.errors import printable
+from fleet.quantities import QuantityError, time_ns
 from fleet.study.errors import StudyError
 from fleet.study.measures import MEASURES
 from fleet.study.spec import StudySpec
@@ -57,7 +58,7 @@ class StudyRecord(msgspec.Struct):
     checks: list[str]  # of the scenario, by name
     made_by: str  # the version of the package
     folder: str | None = None  # of the scenario's file: where laws are looked for, which need trust all the same
-    spec: StudySpec | None = None  # as people write it; of studies of older versions None
+    spec: StudySpec | None = None  # as people write it; older versions of fleet did not keep it
 
 
 class Store:
@@ -101,17 +102,19 @@ class Store:
         """
         try:
             record = msgspec.json.decode(read_file(directory / _STUDY, _MOST_BYTES), type=StudyRecord)
+            if record.spec is not None and record.spec.timeout:
+                time_ns(record.spec.timeout)
         except FileNotFoundError:
             raise StudyError(f"{directory} is no study: it has no {_STUDY}") from None
         except OSError as error:
             raise StudyError(f"cannot read {directory / _STUDY}: {error.strerror}") from None
-        except (msgspec.MsgspecError, UnicodeDecodeError) as error:
+        except (msgspec.MsgspecError, UnicodeDecodeError, QuantityError) as error:
             raise StudyError(f"{directory / _STUDY} is damaged: {error!s:.200}") from None
         texts = [
             record.scenario,
             record.command,
             *record.checks,
-            msgspec.json.encode(record.spec).decode(),
+            *(() if record.spec is None else record.spec.texts()),
             *(text for axis in record.axes for text in (axis.key, axis.unit or "")),
         ]
         if any(printable(text) != text for text in texts):  # a study may come from anybody, and is shown on a terminal

@@ -109,7 +109,7 @@ def parse_axis(text: str) -> Axis:
         ValuesError: it has no key, or its values are none.
     """
     key, equals, values = text.partition("=")
-    if not equals:
+    if not equals or not _KEY.fullmatch(key.strip()):
         raise ValuesError(f"expected KEY=VALUES such as 'network.links.*.loss=0 %..90 %/10 %', got '{text[:80]}'")
     return axis(key.strip(), values)
 

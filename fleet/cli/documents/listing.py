@@ -23,7 +23,18 @@ class ScenarioRow(Struct):
     expect: Expect
 
 
+class StudyRow(Struct):
+    """One study that ships with the package."""
+
+    name: Annotated[str, Meta(description="Name of the study.")]
+    title: Annotated[str, Meta(description="What it asks.")]
+    scenario: Annotated[str, Meta(description="Name of the scenario that is run.")]
+    runs: Annotated[int, Meta(description="Number of its runs.")]
+    core_s: Annotated[float, Meta(description="Time that all of them take one compiled core, roughly [s].")]
+
+
 class Scenarios(Struct):
-    """`fleet list --json`: the scenarios that ship with the package."""
+    """`fleet list --json`: the scenarios and the studies that ship with the package."""
 
     scenarios: Annotated[list[ScenarioRow], Meta(description="By name.")]
+    studies: Annotated[list[StudyRow], Meta(description="By name.")]

@@ -41,20 +41,24 @@ def _for_the_shell(word: str) -> str:
 
 
 def scenarios(context: click.Context, parameter: click.Parameter, typed: str) -> list[CompletionItem]:
-    """Complete shipped scenarios; without one, files. (bash takes one kind at a time.)"""
+    """Complete shipped scenarios; without one, files."""
     from fleet.scenario.catalogue import shipped_scenarios
 
-    found = [CompletionItem(name) for name in shipped_scenarios() if name.startswith(typed)]
-    return found or [CompletionItem(typed, type="file")]
+    return _names_or_files(shipped_scenarios(), typed)
 
 
 def studies(context: click.Context, parameter: click.Parameter, typed: str) -> list[CompletionItem]:
     """Complete shipped studies and scenarios; without one, files."""
+    from fleet.scenario.catalogue import shipped_scenarios
     from fleet.study.catalogue import shipped_studies
 
-    found = [CompletionItem(name) for name in shipped_studies() if name.startswith(typed)]
-    others = scenarios(context, parameter, typed)
-    return found + [item for item in others if item.type != "file" or not found]
+    return _names_or_files([*shipped_studies(), *shipped_scenarios()], typed)
+
+
+def _names_or_files(names: Iterable[str], typed: str) -> list[CompletionItem]:
+    """Not both: bash takes one kind at a time."""
+    found = [CompletionItem(name) for name in names if name.startswith(typed)]
+    return found or [CompletionItem(typed, type="file")]
 
 
 @_words

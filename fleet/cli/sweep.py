@@ -94,6 +94,7 @@ def sweep(
     need_extra()
     from fleet.quantities import show_time
     from fleet.scenario.catalogue import shipped_scenarios
+    from fleet.scenario.trust import TYPED
     from fleet.study.catalogue import NamedStudy, shipped_studies, study_named
     from fleet.study.errors import StudyError
     from fleet.study.measures import chosen
@@ -108,7 +109,7 @@ def sweep(
         "measures": list(measures) or None,
         "timeout": None if timeout is None else show_time(timeout),
     }
-    store, stranger = None, ""
+    store, origin = None, TYPED
     if Path(scenario).is_dir() and scenario not in (*shipped_scenarios(), *shipped_studies()):
         if vary or overrides or fault or net or zipped or chosen_keys or _is_given("out"):
             raise click.UsageError(f"{scenario} is a study: what it runs is settled; only the missing runs are made")
@@ -117,7 +118,7 @@ def sweep(
             raise StudyError(f"{scenario}: the fleet that made this study did not write down what was asked")
         spec = (store.record.spec or StudySpec(store.record.scenario)).changed(**later)
     else:
-        spec, stranger = study_named(scenario) or NamedStudy(StudySpec(scenario))
+        spec, origin = study_named(scenario) or NamedStudy(StudySpec(scenario))
         spec = spec.changed(
             vary=varied(vary),
             set=set_values(overrides),
@@ -130,12 +131,12 @@ def sweep(
     shown = chosen(spec.measures or DEFAULT)
     if show_config:
         if store is None:
-            load_points(spec.plan(stranger), trust, refused=[])
+            load_points(spec.plan(origin), trust, refused=[])
         click.echo(spec.to_yaml(), nl=False)
         return
     modules = None  # those of a study that is whole are not needed
     if store is None:
-        store, modules = prepare(spec.plan(stranger), new_directory(scenario, out), trust, spec)
+        store, modules = prepare(spec.plan(origin), new_directory(scenario, out), trust, spec)
     points, seed_count, missing = store.point_count, len(store.record.seeds), store.missing
     if not quiet:
         runs = points * seed_count

@@ -12,7 +12,7 @@ from fleet.scenario.catalogue import shipped_scenarios, shipped_text
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.text.overrides import Override, apply
 from fleet.scenario.text.yaml_reader import Mapping, Scalar, Source, read
-from fleet.scenario.trust import READING, Policy, stranger
+from fleet.scenario.trust import READING, TYPED, Origin, Policy, stranger
 from fleet.scenario.validation import validate
 from netem.parsing import nearest
 from netem.whole_file import read_bounded, read_file
@@ -27,7 +27,7 @@ def load_scenario(
     *,
     imports: bool = True,
     refused: list[Problem] | None = None,
-    foreign: str = "",
+    origin: Origin = TYPED,
 ) -> Scenario:
     """The scenario of a shipped name or of a file, with overrides applied.
 
@@ -35,14 +35,14 @@ def load_scenario(
         trust: which modules may run that are neither installed nor the user's own; see `fleet.scenario.trust`.
         imports: whether the laws that the file names are imported, to check that they can be used.
         refused: a list to which the laws that may not run are appended; None: such a law is an error.
-        foreign: why laws need trust, whoever wrote the file, because others wrote the overrides; empty: the user did.
+        origin: where the overrides come from.
 
     Raises:
         ScenarioError: with every mistake that was found, in the order of the file.
     """
     shown, text, folder = _text(str(name_or_path))
-    why = foreign or ("" if folder is None else stranger(Path(shown)))
-    policy = Policy(trust, why, imports, refused, own_changes=not foreign)
+    why = origin.stranger or ("" if folder is None else stranger(Path(shown)))
+    policy = Policy(trust, why, imports, refused, origin.typed)
     return parse_scenario(text, shown, overrides, folder, policy)
 
 

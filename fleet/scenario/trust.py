@@ -25,14 +25,14 @@ class Policy:
     stranger: str = A_LOG  # why only installed modules may be named; "": the user's own scenario
     imports: bool = True  # False: a law that the text names is taken by its name, and nothing is imported
     refused: list[Problem] | None = None  # collects the laws that may not run; None: they are errors
-    own_changes: bool = True  # the user wrote what overrides the text, and so named the laws in it
+    typed: bool = True  # what overrides the text was typed on the command line
 
     def admit(self, kind: str, law: Law, folder: Path | None, *, typed: bool) -> None:
         """Let the module of a law be imported if it may run.
 
         Args:
             folder: where the scenario's file lies, if it is one.
-            typed: what overrides the text names the law: options, which the user wrote, or the file of a study.
+            typed: an override names the law.
 
         Raises:
             UntrustedError: it may not.
@@ -40,7 +40,7 @@ class Policy:
         """
         beside = () if folder is None else (folder,)
         own = () if self.stranger else beside
-        if typed and self.own_changes:
+        if typed and self.typed:
             own = (Path(), *own)
         because = self.stranger or "the scenario is not beside it"
         admit(kind, law.name, Permission(self.trust, own, (*beside, Path()), because))
@@ -48,6 +48,23 @@ class Policy:
 
 READING = Policy(imports=False)
 RECORDS = ("run.mcap", "result.json")  # in the directory of a run; one of them may not be there
+
+
+@dataclass(frozen=True, slots=True)
+class Origin:
+    """Where overrides come from: the command line, or the file of a study."""
+
+    stranger: str = ""  # why only installed modules may be named, in the scenario, too; "": the user's own
+    typed: bool = True  # a law that they name may lie in the current directory
+
+
+TYPED = Origin()
+
+
+def origin(file: Path) -> Origin:
+    """That of the overrides in a file, which obeys the rules of a scenario's file."""
+    why = stranger(file)
+    return Origin(why, not why and file.parent.resolve() == Path().resolve())
 
 
 def stranger(file: Path) -> str:

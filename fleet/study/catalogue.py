@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from fleet.quantities import time_ns
 from fleet.scenario.catalogue import shipped_scenarios
 from fleet.scenario.text.yaml_reader import Source
-from fleet.scenario.trust import stranger
+from fleet.scenario.trust import TYPED, Origin, origin
 from fleet.study.errors import StudyError
 from fleet.study.spec import StudySpec
 from fleet.study.study_file import is_study, parse_study
@@ -23,14 +23,10 @@ _MAX_BYTES = 4_000_000  # as many as the characters that yaml_reader takes can h
 
 
 class NamedStudy(NamedTuple):
-    """A study that somebody wrote down.
-
-    Attributes:
-        stranger: why laws that are not installed need trust; empty: it ships, or is the user's own.
-    """
+    """A study that somebody wrote down, and where it comes from."""
 
     spec: StudySpec
-    stranger: str = ""
+    origin: Origin = TYPED
 
 
 class Listed(NamedTuple):
@@ -72,7 +68,7 @@ def study_named(name: str) -> NamedStudy | None:
         source = Source(name, read_file(path, _MAX_BYTES).decode("utf-8-sig"))
     except (OSError, ValueError):  # who reads it as a scenario says what is wrong
         return None
-    return NamedStudy(parse_study(source, path.parent), stranger(path)) if is_study(source) else None
+    return NamedStudy(parse_study(source, path.parent), origin(path)) if is_study(source) else None
 
 
 def _shipped(name: str) -> StudySpec:

@@ -10,11 +10,13 @@ from itertools import product
 from math import prod
 
 from fleet.scenario.text.overrides import SET, Override
+from fleet.scenario.trust import TYPED, Origin
 from fleet.study.errors import StudyError
 from fleet.study.measures import MEASURES
 from fleet.study.values import Axis, Value
 
 MOST_RUNS = 10_000_000
+MOST_POINTS = 100_000  # which are one file, and are all checked before the first run
 # Columns that every study has besides those of checks; `seed` has an error of its own.
 TAKEN = frozenset({"key", "point", "scenario", "status", "reason", "passed", "digest", "version", "cores", *MEASURES})
 _SEED = re.compile(r"[0-9]{1,19}")
@@ -46,7 +48,7 @@ class Plan:
         zipped: whether the axes go together, first with first, instead of every value with every other.
         seeds: of the runs of each point; the same ones, so that points can be compared in pairs.
         draw: the seed of sampled axes.
-        stranger: why laws that are not installed need trust, whoever wrote the scenario; empty: the user wrote it.
+        origin: where changes and axes come from, and so which laws they may name.
     """
 
     scenario: str
@@ -55,7 +57,7 @@ class Plan:
     zipped: bool = False
     seeds: tuple[int, ...] = (1,)
     draw: int = 1
-    stranger: str = ""
+    origin: Origin = TYPED
     points: tuple[Point, ...] = field(init=False)
 
     def __post_init__(self) -> None:
@@ -70,6 +72,8 @@ class Plan:
         lengths = [len(axis.values) for axis in self.axes if not axis.sampled]
         points = max(lengths, default=1) if self.zipped else prod(lengths)
         points *= next((axis.count for axis in self.axes if axis.sampled), 1)
+        if points > MOST_POINTS:
+            raise StudyError(f"these are {points} points, and {MOST_POINTS} at most may be")
         if points * len(self.seeds) > MOST_RUNS:
             raise StudyError(f"these are {points * len(self.seeds)} runs, and {MOST_RUNS} at most may be")
         combinations = self._combinations()

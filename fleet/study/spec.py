@@ -16,6 +16,7 @@ from fleet.scenario.text.overrides import FAULT, NET, SET, Override
 from fleet.scenario.text.yaml_reader import Items, Source, plain, read
 from fleet.scenario.text.yaml_reader import Mapping as Tree
 from fleet.scenario.text.yaml_writer import inline, yaml_text
+from fleet.scenario.trust import TYPED, Origin
 from fleet.study.errors import StudyError
 from fleet.study.plan import Plan, parse_seeds
 from fleet.study.values import axis, parse_axis
@@ -83,11 +84,11 @@ class StudySpec(msgspec.Struct, frozen=True, omit_defaults=True):
             **{key: value for key, value in given.items() if value is not None},
         )
 
-    def plan(self, stranger: str = "") -> Plan:
+    def plan(self, origin: Origin = TYPED) -> Plan:
         """What it runs.
 
         Args:
-            stranger: why laws that are not installed need trust; empty: it is the user's own.
+            origin: where it comes from.
 
         Raises:
             StudyError: the values are none, or do not fit together.
@@ -95,7 +96,7 @@ class StudySpec(msgspec.Struct, frozen=True, omit_defaults=True):
         changes = [Override(SET, f"{key}={text}") for key, text in self.set.items()]
         changes += [Override(NET, text) for text in self.net] + [Override(FAULT, text) for text in self.fault]
         axes = tuple(axis(key, text) for key, text in self.vary.items())
-        return Plan(self.scenario, tuple(changes), axes, self.zip, parse_seeds(self.seeds), self.draw, stranger)
+        return Plan(self.scenario, tuple(changes), axes, self.zip, parse_seeds(self.seeds), self.draw, origin)
 
     def texts(self) -> Iterator[str]:
         """Every text in it."""
@@ -113,14 +114,13 @@ class StudySpec(msgspec.Struct, frozen=True, omit_defaults=True):
         values = msgspec.to_builtins(self)
         if is_file(self.scenario):
             values["scenario"] = str(Path(self.scenario).resolve())
-        if self.seeds.isdecimal():
-            values["seeds"] = int(self.seeds)
+        values["seeds"] = int(self.seeds) if self.seeds.isdecimal() else self.seeds
         if self.set:
             values["set"] = {key: _nested(text) for key, text in self.set.items()}
         for key in ("net", "fault"):
             if len(values.get(key, ())) == 1:
                 (values[key],) = values[key]
-        return yaml_text({"study": values})
+        return yaml_text({"study": {key: values[key] for key in self.__struct_fields__ if key in values}})
 
 
 def is_file(scenario: str, folder: Path = Path()) -> bool:

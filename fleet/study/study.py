@@ -213,7 +213,7 @@ def sweep(
         timeout=None if timeout_s is None or timeout_s == inf else show_time(round(timeout_s * 1e9)),
     )
     directory = new_directory(str(scenario)) if out is None else Path(out)
-    store, modules = prepare(spec.plan(study.stranger), directory, trust, spec)
+    store, modules = prepare(spec.plan(study.origin), directory, trust, spec)
     with engine_of(workers, scheduler) as engine:
         run_study(store, engine, progress, modules=modules, timeout_s=spec.timeout_s)
     return Study(store)

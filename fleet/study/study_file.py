@@ -101,8 +101,8 @@ class _Reader:
         self.tell(node.place, f"{key}: expected {what}, got {describe_value(plain(node))}")
 
     def _text(self, node: Node, key: str) -> str:
-        if isinstance(node, Scalar) and isinstance(node.value, str) and printable(node.value) == node.value:
-            return node.value
+        if isinstance(node, Scalar) and isinstance(node.value, str):
+            return self._line(node, key, node.value)
         self.expected("a text", node, key)
         return ""
 

@@ -63,7 +63,7 @@ def load_points(plan: Plan, trust: Trust = NOTHING, *, refused: list[Problem] | 
     mistakes: dict[Problem, list[Point]] = {}
     for point in plan.points:
         try:
-            scenario = load_scenario(plan.scenario, point.changes, trust, refused=refused, foreign=plan.stranger)
+            scenario = load_scenario(plan.scenario, point.changes, trust, refused=refused, origin=plan.origin)
             scenarios.append(scenario)
         except ScenarioError as error:
             for problem in error.problems:

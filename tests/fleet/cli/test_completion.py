@@ -31,6 +31,8 @@ def live(tmp_path: Path) -> Iterator[str]:
 
 def test_words_that_need_no_run(monkeypatch: pytest.MonkeyPatch) -> None:
     assert offered(monkeypatch, "run", "partition-") == ["partition-heal"]
+    assert offered(monkeypatch, "sweep", "ro") == ["rough-sea"]
+    assert offered(monkeypatch, "sweep", "loss") == ["loss-delay", "lossy"]
     assert offered(monkeypatch, "inject", "ef") == ["efficiency"]
     assert offered(monkeypatch, "inject", "slow", "b") == ["by="]
     assert offered(monkeypatch, "inject", "mute", "1") == []  # there is no run to ask for its vehicles

@@ -5,11 +5,13 @@ from __future__ import annotations
 from contextlib import nullcontext
 from pathlib import Path
 
+import msgspec
 import pytest
 from click.testing import CliRunner, Result
 from small_scenario import SMALL
 from study_engine import Here
 
+from fleet.cli.documents.study import Less
 from fleet.cli.main import cli
 from fleet.execution.judged import run
 
@@ -44,6 +46,18 @@ def test_the_least_scenario_is_written_and_fails(tmp_path: Path) -> None:
     assert again.exit_code == 2
     assert "small-least.yaml is there already" in again.stderr
     assert call("shrink", "small-least.yaml", "--out", "small-least.yaml", "--force").exit_code == 0
+
+
+def test_json_says_what_was_removed() -> None:
+    result = call("shrink", "small.yaml", "--json")
+    found = msgspec.json.decode(result.stdout, type=Less)
+    assert (found.file, found.scenario, found.check) == ("small-least.yaml", "small", "formation_error")
+    assert found.steps[0] == "1 of 2 faults are needed"
+    assert (found.before.faults, found.after.faults) == (2, 1)
+    assert (found.before.vehicles, found.before.duration_s) == (3, 1.0)
+    assert found.after.duration_s <= 1.0
+    assert found.runs > 5
+    assert Path(found.file).exists()
 
 
 def test_a_log_is_shrunk_as_it_happened() -> None:

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import json
 from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import pytest
 from click.testing import CliRunner, Result
 from small_scenario import SMALL
 from study_engine import Here
 
+from fleet.cli.documents.study import Swept
 from fleet.cli.main import cli
 from fleet.study.store import Store
 
@@ -85,6 +88,82 @@ def test_mistakes_are_usage(args: list[str], message: str) -> None:
     assert result.exit_code == 2
     assert message in result.stderr
     assert not Path("studies").exists()
+
+
+STUDY = """\
+study:
+  scenario: small.yaml
+  vary: {loss: "0 %, 80 %"}
+  net: "* loss {loss}"
+  seeds: 2
+  measures: loss_share
+"""
+
+
+def test_the_file_of_a_study_is_the_same_as_its_options(engines: list[Here]) -> None:
+    Path("below").mkdir()
+    Path("below/my-study.yaml").write_text(STUDY.replace("small.yaml", "../small.yaml"), "utf-8")
+    options = ["--vary", "loss=0 %, 80 %", "--net", "* loss {loss}", "--seeds", "2", "--measure", "loss_share"]
+    found = [
+        Store.open(Path(sweep(*args, "-q").stdout.strip()))
+        for args in (["below/my-study.yaml"], ["small.yaml", *options])
+    ]
+    assert found[0].directory.name.startswith("my-study-")
+    assert found[0].points() == found[1].points()
+    assert {name: row["digest"] for name, row in enumerate(found[0].table().to_pylist())} == {
+        name: row["digest"] for name, row in enumerate(found[1].table().to_pylist())
+    }
+
+
+def test_a_study_is_shown_as_a_file_with_the_options_in_it_and_not_run(engines: list[Here]) -> None:
+    Path("my-study.yaml").write_text(STUDY, "utf-8")
+    options = ["--seeds", "3", "--set", "duration=2 s", "--vary", "loss=0 %,9 %", "--timeout", "90 s"]
+    shown = sweep("my-study.yaml", *options, "--show-config")
+    assert (shown.exit_code, shown.stderr) == (0, "")
+    assert not Path("studies").exists()
+    Path("shown.yaml").write_text(shown.stdout, "utf-8")
+    again = sweep("shown.yaml", "--show-config")
+    assert again.stdout == shown.stdout
+    assert "timeout: 90 s" in shown.stdout
+    made = sweep("shown.yaml", "-q", "--set", "duration=100 ms").stdout.strip()
+    assert sweep(made, "--show-config").stdout == shown.stdout.replace("2 s", "100 ms")
+    assert Store.open(Path(made)).record.seeds == [1, 2, 3]
+
+
+def test_show_config_tells_mistakes_of_the_points(engines: list[Here]) -> None:
+    result = sweep("small.yaml", "--vary", "network.period=50 ms, 51 us", "--show-config")
+    assert result.exit_code == 2
+    assert "in 1 of 2 points" in result.stderr
+    assert "not together with --json" in sweep("small.yaml", "--show-config", "--json").stderr
+
+
+def test_a_study_of_a_version_that_kept_no_file_says_so(engines: list[Here]) -> None:
+    directory = Path(sweep("small.yaml", *VARY, "-q").stdout.strip())
+    record = json.loads((directory / "study.json").read_text("utf-8"))
+    spec = record.pop("spec")
+    (directory / "study.json").write_text(json.dumps(record), "utf-8")
+    assert "did not write down what was asked" in sweep(str(directory), "--show-config").stderr
+    assert sweep(str(directory), "-q").exit_code == 0
+    for damaged in (spec | {"timeout": "soon"}, spec | {"title": "\x1b[31m"}, spec | {"vary": 3}):
+        (directory / "study.json").write_text(json.dumps(record | {"spec": damaged}), "utf-8")
+        assert "study.json is damaged" in sweep(str(directory), "--show-config").stderr
+
+
+def test_json_is_one_document_with_intervals(engines: list[Here]) -> None:
+    result = sweep("small.yaml", *VARY, "--measure", "loss_share", "--json")
+    document = msgspec.json.decode(result.stdout, type=Swept)
+    assert Path(document.directory).is_dir()
+    assert document.missing == 0
+    assert document.units == {"network.links.*.loss": "%", "loss_share": ""}
+    first, second = document.points
+    assert (first.values, second.values) == ({"network.links.*.loss": 0.0}, {"network.links.*.loss": 80.0})
+    assert first.medians["loss_share"].value == 0.0
+    share = second.medians["loss_share"]
+    assert share.value is not None
+    assert 0.6 < share.value < 0.95
+    assert (share.low, share.runs) == (None, 2)  # two runs are too few
+    assert second.passed.runs == 2
+    assert sweep(document.directory, "--json", "--measure", "loss_share").stdout == result.stdout
 
 
 def test_without_the_extra_one_line_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:

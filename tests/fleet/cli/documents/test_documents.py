@@ -31,6 +31,7 @@ from fleet.cli.main import cli
 from fleet.execution.supervisor import Supervisor
 from fleet.logs.reader import digest
 from fleet.scenario.catalogue import shipped_scenarios
+from fleet.study.catalogue import shipped_studies
 
 S = TypeVar("S", bound=msgspec.Struct)
 QUICK = ["paper", "--in-process", "--duration", "300 ms"]
@@ -133,7 +134,9 @@ def test_numbers_that_are_not_finite_and_names_that_are_no_text_are_printed(caps
 
 def test_list() -> None:
     result = invoke("list", "--json")
-    assert [row.name for row in printed(Scenarios, result).scenarios] == shipped_scenarios()
+    found = printed(Scenarios, result)
+    assert [row.name for row in found.scenarios] == shipped_scenarios()
+    assert [row.name for row in found.studies] == shipped_studies()
 
 
 def test_check() -> None:

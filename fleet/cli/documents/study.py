@@ -1,0 +1,105 @@
+"""What `fleet sweep` and `fleet shrink` print with `--json`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from msgspec import Meta, Struct
+
+from fleet.scenario.scenario import Scenario, timeline
+from fleet.study.measures import Measure
+
+if TYPE_CHECKING:  # these need the extra `study`, and `fleet schema` does not
+    from fleet.study.shrink import Shrunk
+    from fleet.study.statistics import Estimate
+    from fleet.study.store import Store
+
+
+class Interval(Struct):
+    """A number of several runs, and its interval of 95 %."""
+
+    value: Annotated[float | None, Meta(description="The number; null: no run has it.")]
+    low: Annotated[float | None, Meta(description="Lower end of the interval; null: too few runs.")]
+    high: Annotated[float | None, Meta(description="Upper end; null: too few runs.")]
+    runs: Annotated[int, Meta(description="Number of runs behind it.")]
+
+
+class PointRow(Struct):
+    """One point of a study."""
+
+    values: Annotated[
+        dict[str, float | str], Meta(description="By key that is varied; numbers have the unit of the key.")
+    ]
+    runs: Annotated[int, Meta(description="Runs that were made.")]
+    failed: Annotated[int, Meta(description="Of those, without a result.")]
+    passed: Annotated[Interval, Meta(description="Share of runs that passed, and its Wilson score interval.")]
+    medians: Annotated[dict[str, Interval], Meta(description="By measure: the median, and its bootstrapped interval.")]
+
+
+class Swept(Struct):
+    """`fleet sweep --json`: a study, and what it came to."""
+
+    directory: Annotated[str, Meta(description="The study's directory, as it is reached from here.")]
+    scenario: Annotated[str, Meta(description="Name of the scenario.")]
+    seeds: Annotated[list[int], Meta(description="Seeds of every point.")]
+    units: Annotated[
+        dict[str, str | None],
+        Meta(description="Unit by key that is varied, and by measure; empty: a plain number; null: words."),
+    ]
+    missing: Annotated[int, Meta(description="Runs that were not made.")]
+    points: Annotated[list[PointRow], Meta(description="Every point that has a run, in order.")]
+
+
+class Size(Struct):
+    """How much there is in a scenario."""
+
+    faults: Annotated[int, Meta(description="Number of faults, drawn ones included.")]
+    vehicles: Annotated[int, Meta(description="Number of vehicles.")]
+    duration_s: Annotated[float, Meta(description="Simulated time [s].")]
+
+
+class Less(Struct):
+    """`fleet shrink --json`: the least scenario that fails, and what was removed."""
+
+    file: Annotated[str, Meta(description="The least scenario.")]
+    scenario: Annotated[str, Meta(description="Name of the scenario.")]
+    check: Annotated[str, Meta(description="The check that fails.")]
+    found: Annotated[list[str], Meta(description="What the check found: at first, and in the least scenario.")]
+    runs: Annotated[int, Meta(description="Runs that were made.")]
+    steps: Annotated[list[str], Meta(description="What was made less, in words and in order.")]
+    before: Annotated[Size, Meta(description="The first scenario.")]
+    after: Annotated[Size, Meta(description="The least one.")]
+
+
+def swept(store: Store, measures: Sequence[Measure]) -> Swept:
+    """The document of a study. Raises StudyError."""
+    from fleet.study.summary import summarise
+
+    record, rows = store.record, summarise(store, measures)
+    units = {axis.key: axis.unit for axis in record.axes} | {measure.name: measure.unit for measure in measures}
+    points = [
+        PointRow(
+            row.values, row.runs, row.failed, _interval(row.passed),
+            {name: _interval(found) for name, found in row.medians.items()},
+        )
+        for row in rows
+    ]  # fmt: skip
+    return Swept(str(store.directory), record.scenario, record.seeds, units, store.missing, points)
+
+
+def less(found: Shrunk, before: Scenario, file: Path) -> Less:
+    """The document of a scenario that was made less."""
+    return Less(
+        str(file), before.name, found.check, list(found.found), found.runs, found.steps,
+        _size(before), _size(found.scenario),
+    )  # fmt: skip
+
+
+def _interval(found: Estimate) -> Interval:
+    return Interval(found.value, found.low, found.high, found.runs)
+
+
+def _size(scenario: Scenario) -> Size:
+    return Size(len(timeline(scenario)), scenario.vehicles, scenario.duration_ns / 1e9)

@@ -1,0 +1,141 @@
+"""A study as people write it: its text read again is the same study, and options add to it."""
+
+from __future__ import annotations
+
+from math import inf
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from fleet.errors import printable
+from fleet.scenario.text.overrides import FAULT, NET, SET, Override
+from fleet.scenario.text.yaml_reader import Source
+from fleet.study.errors import StudyError
+from fleet.study.spec import StudySpec, is_file, seeds_text, set_values, values_text, varied
+from fleet.study.study_file import parse_study
+from fleet.study.values import axis
+
+TEXTS = st.text(max_size=30).filter(lambda text: printable(text) == text) | st.sampled_from(
+    ["20", "1e-3", "true", "null", "~", "", "- a", "a: b", "#", "{a: 1}", "{a: {b: [1, x y]}}", "[1, 2]", "{name}"]
+)
+VALUES = st.sampled_from(
+    ["nboc, bc", "0 %..90 %/10 %", "100 ms..2 s log 8", "7", "{a: 1}, {a: 2}", '"a, b", c', "0..1 latin 5", "1e-7, 2"]
+)
+KEYS = st.text(st.characters(exclude_categories=["C", "Z"], exclude_characters="="), min_size=1, max_size=20)
+SPECS = st.builds(
+    StudySpec,
+    scenario=st.sampled_from(["paper", "nosuch", "/tmp/of my own.yaml"]),
+    title=TEXTS,
+    run_takes=st.sampled_from(["", "1.5 s"]),
+    vary=st.dictionaries(KEYS, VALUES, max_size=3),
+    zip=st.booleans(),
+    seeds=st.sampled_from(["10", "3,7,9", "5..24", "7,7"]),
+    draw=st.integers(0, 10**9),
+    set=st.dictionaries(KEYS, TEXTS, max_size=3),
+    net=st.lists(TEXTS, max_size=2),
+    fault=st.lists(TEXTS, max_size=2),
+    measures=st.lists(st.sampled_from(["e_rms_m", "tumbles"]), max_size=2),
+    timeout=st.sampled_from(["", "5 min", "100 ms"]),
+)
+
+
+@given(SPECS)
+def test_a_study_that_is_printed_is_read_as_the_same(spec: StudySpec) -> None:
+    assert parse_study(Source("printed", spec.to_yaml())) == spec
+
+
+def test_what_is_printed_reads_well() -> None:
+    spec = StudySpec("paper", vary={"a": "1 s, 2 s"}, set=set_values(["log={every: 10 ticks}"]), net=["* loss {a}"])
+    assert spec.to_yaml().splitlines() == [
+        "study:",
+        "  scenario: paper",
+        "  vary:",
+        '    a: "1 s, 2 s"',
+        "  seeds: 10",
+        "  set:",
+        "    log:",
+        "      every: 10 ticks",
+        '  net: "* loss {a}"',
+    ]
+
+
+def test_the_file_of_a_scenario_is_printed_so_that_it_is_found_from_everywhere(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert not is_file("paper")
+    assert f'scenario: "{tmp_path}/my.yaml"' in StudySpec("my.yaml").to_yaml()
+
+
+def test_options_add_to_a_study_and_overrule_it() -> None:
+    spec = StudySpec(
+        "paper",
+        vary={"loss": "0 %, 9 %", "profile": "paper, hardened"},
+        set={"duration": "9 s", "controller": "bc"},
+        net=["* loss {loss}"],
+        seeds="20",
+        measures=["tumbles"],
+        timeout="1 s",
+    )
+    found = spec.changed(
+        vary={"loss": "1 %", "controller": "nboc, bc"},
+        set={"profile": "hardened", "duration": "8 s"},
+        net=["1->2 loss 5%"],
+        fault=["at 1s off 1"],
+        seeds="3",
+        measures=None,
+    )
+    assert found == StudySpec(
+        "paper",
+        vary={"loss": "1 %", "controller": "nboc, bc"},  # profile is set now
+        set={"profile": "hardened", "duration": "8 s"},  # controller is varied now
+        net=["* loss {loss}", "1->2 loss 5%"],
+        fault=["at 1s off 1"],
+        seeds="3",
+        measures=["tumbles"],
+        timeout="1 s",
+    )
+    assert spec.changed(zip=True).zip
+    assert spec.changed(zip=True).changed().zip
+
+
+def test_a_plan_has_all_that_the_study_says() -> None:
+    spec = StudySpec(
+        "paper", vary={"x": "1, 2"}, set={"a": "{x}"}, net=["* loss 1%"], fault=["at 1s off 1"], seeds="4,2", draw=7
+    )
+    plan = spec.plan()
+    assert plan.changes == (Override(SET, "a={x}"), Override(NET, "* loss 1%"), Override(FAULT, "at 1s off 1"))
+    assert (plan.scenario, plan.axes, plan.seeds, plan.draw) == ("paper", (axis("x", "1, 2"),), (4, 2), 7)
+    assert spec.timeout_s == inf
+    assert spec.changed(timeout="1.5 s").timeout_s == 1.5
+
+
+@pytest.mark.parametrize(
+    ("values", "text"),
+    [
+        ("0 %..9 %/1 %", "0 %..9 %/1 %"),
+        (7, "7"),
+        ([1.0, 2.5], "1.0, 2.5"),
+        ([True, None], "true, null"),
+        (["0 %", "10 %"], "0 %, 10 %"),
+        ([{"a": 1, "b": "x"}, [1, 2]], "{a: 1, b: x}, [1, 2]"),
+        (["delay 1s, loss 2%", "{a: 1, b: 2}"], '"delay 1s, loss 2%", {a: 1, b: 2}'),
+        ((n for n in (1, 2)), "1, 2"),
+    ],
+)
+def test_values_of_a_list_are_values_as_text(values: object, text: str) -> None:
+    assert values_text(values) == text
+
+
+def test_seeds_as_text() -> None:
+    assert [seeds_text(20), seeds_text([7]), seeds_text([3, 9])] == ["20", "7,7", "3,9,3"]
+
+
+def test_of_a_key_that_is_set_twice_the_last_counts() -> None:
+    assert list(set_values(["a.b=1", "a={c: 1}", "a.b=2"]).items()) == [("a", "{c: 1}"), ("a.b", "2")]
+    with pytest.raises(StudyError, match="--set duration: expected KEY=VALUE"):
+        set_values(["duration"])
+    with pytest.raises(StudyError, match="a is varied twice"):
+        varied(["a=1,2", "a=3"])

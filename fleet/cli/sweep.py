@@ -36,8 +36,16 @@ if TYPE_CHECKING:
 @OVERRIDES
 @disturbances
 @click.option("--measure", "measures", metavar="NAME", multiple=True,
-              help="What the table shows; repeatable. All measures are in the rows; "
-              "an unknown name lists them.")  # fmt: skip
+              help="What the table shows; repeatable. An unknown name lists all that are measured; 'p95 control.load' "
+              "and the like measure a signal.")  # fmt: skip
+@click.option("--until", metavar="'pass ±5 %'",
+              help="Add seeds to each point until half its interval is no wider, e.g. 'e_rms_m ±10 %'.")  # fmt: skip
+@click.option("--most-seeds", metavar="N", type=click.IntRange(1, 1_000_000), default=1000, show_default=True,
+              help="How many a point may have with --until.")  # fmt: skip
+@click.option("--budget", metavar="TIME", type=Duration(1),
+              help="Wall time after which no run is made any more, e.g. '10 min'.")  # fmt: skip
+@click.option("--keep-logs", type=click.Choice(["none", "failed", "all"]), default="none", show_default=True,
+              help="Keep the logs of runs that failed, or of all, below the study.")  # fmt: skip
 @click.option("--out", metavar="DIR", type=click.Path(path_type=Path, file_okay=False), default=Path("studies"),
               show_default=True, help="Where studies go, each in a directory of its own.")  # fmt: skip
 @click.option("--workers", metavar="N", type=click.IntRange(1, 1024), help="Runs at a time; by default one per core.")
@@ -58,6 +66,10 @@ def sweep(
     fault: tuple[Override, ...],
     net: tuple[Override, ...],
     measures: tuple[str, ...],
+    until: str | None,
+    most_seeds: int,
+    budget: int | None,
+    keep_logs: str,
     out: Path,
     workers: int | None,
     scheduler: str | None,
@@ -82,7 +94,8 @@ def sweep(
     Examples:
       fleet sweep rough-sea --vary 'network.links.*.loss=0 %..90 %/30 %' --seeds 5
       fleet sweep paper --vary 'loss=0 %,30 %' --vary 'delay=0 s,1 s' --net '* loss {loss} delay {delay}'
-      fleet sweep rough-sea --vary controller=nboc,bc --seeds 20 --measure e_rms_m
+      fleet sweep rough-sea --vary controller=nboc,bc --seeds 20 --measure e_rms_m --measure 'p95 |error.e|'
+      fleet sweep rough-sea --vary 'network.links.*.loss=0 %..90 %/30 %' --until 'pass ±10 %' --budget '20 min'
       fleet sweep loss-delay --seeds 2
       fleet sweep paper --vary 'network.period=100 ms,1 s' --show-config > my-study.yaml
       fleet sweep studies/rough-sea-20261122-101500
@@ -97,17 +110,20 @@ def sweep(
     from fleet.scenario.trust import TYPED
     from fleet.study.catalogue import NamedStudy, shipped_studies, study_named
     from fleet.study.errors import StudyError
-    from fleet.study.measures import chosen
+    from fleet.study.signals import find_columns
     from fleet.study.spec import StudySpec, set_values, varied
     from fleet.study.store import Store
     from fleet.study.study import engine_of, new_directory
     from fleet.study.summary import DEFAULT
-    from fleet.study.sweep import load_points, modules_again, prepare, run_study
+    from fleet.study.sweep import declared, load_points, logs_to_make, modules_again, prepare, run_study
 
-    chosen_keys: dict[str, Any] = {key: value for key, value in (("seeds", seeds), ("draw", draw)) if _is_given(key)}
+    keys = {"seeds": seeds, "draw": draw, "until": until, "most_seeds": most_seeds}
+    chosen_keys: dict[str, Any] = {key: value for key, value in keys.items() if _is_given(key)}
     later: dict[str, Any] = {
         "measures": list(measures) or None,
         "timeout": None if timeout is None else show_time(timeout),
+        "budget": None if budget is None else show_time(budget),
+        "keep_logs": keep_logs if _is_given("keep_logs") else None,
     }
     store, origin = None, TYPED
     if Path(scenario).is_dir() and scenario not in (*shipped_scenarios(), *shipped_studies()):
@@ -116,7 +132,7 @@ def sweep(
         store = Store.open(Path(scenario))
         if show_config and store.record.spec is None:
             raise StudyError(f"{scenario}: the fleet that made this study did not write down what was asked")
-        spec = (store.record.spec or StudySpec(store.record.scenario)).changed(**later)
+        spec = (store.record.spec or StudySpec(store.record.scenario)).changed(**{"budget": ""} | later)
     else:
         spec, origin = study_named(scenario) or NamedStudy(StudySpec(scenario))
         spec = spec.changed(
@@ -128,31 +144,35 @@ def sweep(
             **chosen_keys,
             **later,
         )
-    shown = chosen(spec.measures or DEFAULT)
+    if _is_given("most_seeds") and not spec.until:
+        raise click.UsageError("--most-seeds is for studies that add seeds: give --until, too")
     if show_config:
         if store is None:
-            load_points(spec.plan(origin), trust, refused=[])
+            declared(spec.plan(origin), load_points(spec.plan(origin), trust, refused=[]))
         click.echo(spec.to_yaml(), nl=False)
         return
     modules = None  # those of a study that is whole are not needed
     if store is None:
         store, modules = prepare(spec.plan(origin), new_directory(scenario, out), trust, spec)
-    points, seed_count, missing = store.point_count, len(store.record.seeds), store.missing
+    shown = find_columns(spec.measures or DEFAULT, store.record.columns)
+    missing = store.missing
     if not quiet:
-        runs = points * seed_count
-        made = f", {runs - missing} of them made" if missing < runs else ""
-        say(f"{store.directory}: {points} points x {seed_count} seeds = {runs} runs{made}", err=True)
-    if missing:
+        say(_announced(store, missing), err=True)
+    if missing or logs_to_make(store, spec.keep_logs):
         if modules is None:
             modules = modules_again(store, trust)
         with _showing(quiet) as tell, engine_of(workers, scheduler, dashboard=dashboard) as engine:
             if engine.dashboard and not quiet:
                 say(f"Dask's page: {engine.dashboard}", err=True)
             try:
-                run_study(store, engine, tell, modules=modules, timeout_s=spec.timeout_s)
+                run_study(
+                    store, engine, tell, modules=modules, timeout_s=spec.timeout_s, budget_s=spec.budget_s,
+                    logs=spec.keep_logs,
+                )  # fmt: skip
             except KeyboardInterrupt:
-                say(f"{store.missing} runs are missing; fleet sweep {store.directory} makes them", err=True)
+                _tell_what_is_missing(store, spec.keep_logs)
                 raise
+        _tell_what_is_missing(store, spec.keep_logs)
     if as_json:
         from fleet.cli.documents.study import swept
 
@@ -161,6 +181,26 @@ def sweep(
         click.echo(store.directory)
     else:
         _show(store, shown)
+
+
+def _announced(store: Store, missing: int) -> str:
+    """What is going to be run."""
+    points, seeds, until = store.point_count, len(store.record.seeds), store.record.settings.until
+    made = sum(store.needed().values()) - missing
+    runs = f"= {points * seeds} runs" if until is None else f"at first, until {until}"
+    return f"{store.directory}: {points} points x {seeds} seeds {runs}" + (f", {made} of them made" if made else "")
+
+
+def _tell_what_is_missing(store: Store, logs: Any) -> None:
+    from fleet.study.sweep import logs_to_make
+
+    if missing := store.missing:
+        say(f"{missing} runs are missing; fleet sweep {store.directory} makes them", err=True)
+    elif left := len(logs_to_make(store, logs)):
+        say(f"{left} logs are missing; fleet sweep {store.directory} --keep-logs {logs} makes them", err=True)
+    if short := store.short():
+        most, until = len(store.seeds), store.record.settings.until
+        say(f"{short} points have {most} seeds, and are not yet known to {until}; see --most-seeds", err=True)
 
 
 def _is_given(name: str) -> bool:
@@ -182,15 +222,15 @@ def _showing(quiet: bool) -> Iterator[Callable[[Progress], None]]:
                 return
             share = progress.made / max(1, progress.runs)
             left = f"{timedelta(seconds=round(progress.left_s))} left" if isfinite(progress.left_s) else ""
-            rate = f"{progress.rate:.2g} runs/s" if progress.new else ""
+            rate = f"{progress.rate:.2g} {progress.doing}/s" if progress.new else ""
             failed = f"{progress.failed} without result" if progress.failed else ""
             line.show(
                 [
-                    Piece(0, [f"{progress.made} / {progress.runs} runs"]),
+                    Piece(0, [f"{progress.made} / {progress.runs} {progress.doing}"]),
                     Piece(5, [bar(share), bar(share, BAR // 2), ""] if line.live else [""]),
                     Piece(3, [rate, ""]),
                     Piece(2, [left, ""]),
-                    Piece(4, [f"{progress.passed} of {progress.new} passed", ""]),
+                    Piece(4, [f"passed {_share(progress.passing)}", f"passed {progress.passing.value:.0%}", ""]),
                     Piece(1, [failed, ""]),
                 ]
             )
@@ -200,7 +240,6 @@ def _showing(quiet: bool) -> Iterator[Callable[[Progress], None]]:
 
 def _show(store: Store, measures: Any) -> None:
     """The table of a study, and where it is."""
-    from fleet.study.measures import MEASURES
     from fleet.study.summary import summarise
     from fleet.terminal.table import Column, show
 
@@ -214,11 +253,12 @@ def _show(store: Store, measures: Any) -> None:
     if any(row.failed for row in rows):
         columns.append(Column("without\nresult", [str(row.failed) for row in rows], 0))
     columns.append(Column("passed\n95 % interval", [_share(row.passed) for row in rows], 0))
-    for rank, name in enumerate(rows[0].medians if rows else (), start=4):
-        unit = MEASURES[name].unit
+    for rank, (name, unit) in enumerate(((measure.name, measure.unit) for measure in measures), start=4):
         heading = f"{name.removesuffix('_' + unit)}\nmedian" + (f" [{unit}]" if unit else "")
-        columns.append(Column(heading, [_number(row.medians[name]) for row in rows], rank))
-    title = f"{store.record.scenario}, {len(store.record.seeds)} seeds per point"
+        columns.append(Column(heading, [_number(row.medians[name], row.passed.runs) for row in rows], rank))
+    counts = sorted({row.runs for row in rows}) or [0]
+    seeds = f"{counts[0]} to {counts[-1]}" if len(counts) > 1 else f"{counts[0]}"
+    title = f"{store.record.scenario}, {seeds} seeds per point"
     show(columns, title, stdout(), "fleet.open_study has all")
     say(str(store.directory))
 
@@ -233,11 +273,14 @@ def _share(rate: Estimate) -> str:
     return f"{100 * rate.value:.0f} %  {100 * rate.low:3.0f}..{100 * rate.high:3.0f} %"
 
 
-def _number(found: Estimate) -> str:
+def _number(found: Estimate, of: int) -> str:
+    """A median; with the number of runs behind it, where some have no such number."""
     if found.runs == 0:
         return "-"
     text = f"{found.value:.3g}"
-    return text if found.low == found.high or not isfinite(found.low) else f"{text}  {found.low:.3g}..{found.high:.3g}"
+    if found.low != found.high and isfinite(found.low):
+        text += f"  {found.low:.3g}..{found.high:.3g}"
+    return text if found.runs == of else f"{text} ({found.runs} runs)"
 
 
 COMMANDS = (sweep,)

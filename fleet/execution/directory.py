@@ -21,7 +21,13 @@ from fleet.logs.run_name import STAMP
 from netem.whole_file import open_file, write_whole
 
 LATEST = "latest"
-SCENARIO, RESULT, CONNECTION, OBSERVE = "scenario.yaml", "result.json", "connection.json", "observe.json"
+LOG, SCENARIO, RESULT, CONNECTION, OBSERVE = (
+    "run.mcap",
+    "scenario.yaml",
+    "result.json",
+    "connection.json",
+    "observe.json",
+)
 
 
 class RunDirectoryError(FleetError):
@@ -63,7 +69,7 @@ class RunDirectory:
 
     @property
     def log(self) -> Path:
-        return self.path / "run.mcap"
+        return self.path / LOG
 
     @property
     def connection(self) -> Path:

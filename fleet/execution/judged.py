@@ -1,4 +1,4 @@
-"""A run that is judged and not recorded: one function for scripts and studies, in one process, without a file."""
+"""A run that is judged: one function for scripts and studies, in one process; a log is written only if it is wanted."""
 
 from __future__ import annotations
 
@@ -17,7 +17,9 @@ from fleet.execution.external_agents import refuse
 from fleet.execution.in_process import InProcess
 from fleet.execution.outcome import Result, Status, judge_run, outcome_values, settle
 from fleet.recorder.journal import Journal
+from fleet.recorder.log_file import LogFile
 from fleet.recorder.no_log import NoLog
+from fleet.recorder.watched import WatchedLog, Watcher
 from fleet.recorder.writer import LogWriter
 from fleet.scenario.loading import load_scenario, parse_scenario
 from fleet.scenario.scenario import Scenario
@@ -63,11 +65,25 @@ def run(
     return judged(scenario, progress)
 
 
-def judged(scenario: Scenario, progress: Callable[[float], None] | None = None) -> Result:
-    """The result of a scenario that is loaded; see `run`."""
+def judged(
+    scenario: Scenario,
+    progress: Callable[[float], None] | None = None,
+    watcher: Watcher | None = None,
+    log: LogFile | None = None,
+) -> Result:
+    """The result of a scenario that is loaded; see `run`.
+
+    Args:
+        watcher: sees every frame.
+        log: where the run is recorded; None: nowhere.
+
+    Raises:
+        LogError: the log cannot be written.
+    """
     refuse(scenario, "a run in one process")
-    log = NoLog()
-    journal = Journal(scenario, LogWriter(log, scenario))
+    file = log or NoLog()
+    writer = LogWriter(file, scenario)
+    journal = Journal(scenario, writer if watcher is None else WatchedLog(writer, watcher))
     runner = InProcess(scenario, journal)
     result = Result(Status.PASS)
     tick_s = scenario.tick_ns / 1e9
@@ -85,9 +101,9 @@ def judged(scenario: Scenario, progress: Callable[[float], None] | None = None) 
     except (AgentError, WorldError) as error:
         result.status, result.reason = Status.BROKEN, str(error)
     wall_s = time.monotonic() - began
-    settle(journal, log, runner, result)
+    settle(journal, file, runner, result)
     judge_run(scenario, journal, result, lost=0)
-    result.values = outcome_values(scenario, journal, log, result, lost=0)
+    result.values = outcome_values(scenario, journal, file, result, lost=0)
     result.values["wall"] = {"in_process": True, "run_s": wall_s, "cores": cores()}
     result.values["deaths"] = {str(i): how for i, how in runner.deaths.items()}
     result.values["notes"] = list(runner.notes)

@@ -10,20 +10,21 @@ import logging
 import os
 import signal
 import sys
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from importlib.metadata import version
 from importlib.util import find_spec
 from itertools import islice
-from math import isfinite, nan
+from math import isfinite
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
-from fleet.cores import cores
 from fleet.processes.interrupts import blocked
 from fleet.study.errors import StudyError
-from fleet.study.one_run import FAILED, Task, make_run
+from fleet.study.modules import Modules, get_ready, packed
+from fleet.study.one_run import FAILED, Task, TimedOut, make_run
 
 if TYPE_CHECKING:
     from distributed import Client, Future
@@ -53,11 +54,26 @@ class Engine:
     Attributes:
         workers: how many runs go on at once.
         dashboard: the address of Dask's own page; empty: it has none.
+        here: whether they are processes of this machine, of this user.
     """
 
     client: Client
     workers: int
     dashboard: str
+    here: bool
+    notes: str = ""  # a folder where workers of this machine say that a run took too long; empty: they do not
+
+    def carry(self, modules: Modules) -> Modules:
+        """The modules of laws as runs on these workers need them.
+
+        Raises:
+            StudyError: a worker cannot import them.
+        """
+        if self.here or not modules.names:
+            return modules
+        ready = packed(modules)
+        check_modules(self.client, ready)
+        return ready
 
     def make(self, tasks: Iterator[Task], take: Callable[[list[Row]], None], wait: Callable[[], None]) -> None:
         """Make every run, whoever dies meanwhile.
@@ -69,11 +85,12 @@ class Engine:
         """
         waiting: deque[list[Task]] = deque()
         under_way: dict[Future[Any], list[Task]] = {}
+        died: Counter[str] = Counter()  # under which run how many workers did, by key
         size = 1
 
         def submit() -> None:
             while len(under_way) < _AHEAD * self.workers:
-                batch = waiting.popleft() if waiting else list(islice(tasks, size))
+                batch = waiting.popleft() if waiting else list(map(self._noted, islice(tasks, size)))
                 if not batch:
                     return
                 future = self.client.submit(make_batch, batch, pure=False)
@@ -88,17 +105,36 @@ class Engine:
                     slowest = max((row["wall_s"] for row in rows if isfinite(row["wall_s"])), default=_BATCH_S)
                     size = max(1, min(_LARGEST_BATCH, int(_BATCH_S / max(slowest, 1e-3))))
                     take(rows)
-                elif len(batch) > 1:  # which of them killed the worker is not known
-                    waiting.extend([task] for task in batch)
-                else:
-                    take([_lost(batch[0], future)])
+                    continue
+                for task in batch:
+                    died[task.key] += len(batch) == 1  # which of several killed the worker is not known
+                    if task.note and _written(task.note):
+                        take([_lost(task, str(TimedOut(task)))])
+                    elif len(batch) == 1 and died[task.key] >= self._most_deaths:
+                        take([_lost(task, _reason(future))])
+                    else:
+                        waiting.append([task])
             submit()
+
+    @property
+    def _most_deaths(self) -> int:
+        """After so many of them a run is given up. A scheduler that is there has its own limit."""
+        return 3 if self.here else 1
+
+    def _noted(self, task: Task) -> Task:
+        if not self.notes or not isfinite(task.timeout_s):
+            return task
+        return task._replace(note=os.path.join(self.notes, f"{task.key}-{task.point}"))
 
 
 def make_batch(tasks: list[Task]) -> list[Row]:
     """Make some runs; this is what a worker does."""
-    of_worker = {"version": version("uuv-fleet"), "cores": cores()}
-    return [{"wall_s": nan} | make_run(task) | of_worker for task in tasks]
+    return [make_run(task) for task in tasks]
+
+
+def processors() -> int:
+    """How many workers this machine has room for."""
+    return len(os.sched_getaffinity(0))
 
 
 @contextmanager
@@ -133,14 +169,16 @@ def local_engine(workers: int, *, dashboard: bool = False) -> Iterator[Engine]:
                         protocol="tls://",
                         security=security,
                         dashboard_address="127.0.0.1:0",  # None would be the fixed port 8787 of all addresses
-                        scheduler_kwargs={"dashboard": dashboard},  # or bokeh is loaded where it is installed
+                        # or bokeh is loaded where it is installed; deaths of workers are counted here
+                        scheduler_kwargs={"dashboard": dashboard, "allowed_failures": 0},
                         silence_logs=logging.CRITICAL,
                     )
                 )
                 client = stack.enter_context(Client(cluster, security=security))
         except (OSError, TimeoutError, RuntimeError) as error:
             raise StudyError(f"the workers do not start: {error!s:.200}") from None
-        yield Engine(client, workers, client.dashboard_link if dashboard else "")
+        notes = stack.enter_context(TemporaryDirectory(prefix="uuv-fleet-study-", ignore_cleanup_errors=True))
+        yield Engine(client, workers, client.dashboard_link if dashboard else "", here=True, notes=notes)
 
 
 @contextmanager
@@ -169,7 +207,7 @@ def remote_engine(scheduler: str | Any, security: Any = None) -> Iterator[Engine
         check_versions(client)
         threads = sum(client.nthreads().values())
         with client.as_current():
-            yield Engine(client, threads, client.dashboard_link)
+            yield Engine(client, threads, client.dashboard_link, here=False)
 
 
 def versions() -> dict[str, str]:
@@ -198,6 +236,19 @@ def check_versions(client: Client) -> None:
         raise StudyError("the cluster cannot be used: " + "; ".join(problems[:5]))
 
 
+def check_modules(client: Client, modules: Modules) -> None:
+    """Raises StudyError: a worker cannot import the modules of laws."""
+    found = client.run(get_ready, modules, on_error="return")
+    problems = []
+    for worker, error in found.items():
+        if isinstance(error, ModuleNotFoundError):
+            problems.append(f"worker {worker} lacks {error.name}")
+        elif isinstance(error, BaseException):
+            problems.append(f"worker {worker}: {error!s:.200}")
+    if problems:
+        raise StudyError("the laws cannot be used there: " + "; ".join(problems[:5]))
+
+
 def _finished(under_way: dict[Future[Any], list[Task]], wait: Callable[[], None]) -> list[Future[Any]]:
     """Those that ended, at least one."""
     from distributed import CancelledError
@@ -212,9 +263,19 @@ def _finished(under_way: dict[Future[Any], list[Task]], wait: Callable[[], None]
             raise StudyError(f"the scheduler is gone: {error!s:.200}") from None
 
 
-def _lost(task: Task, future: Future[Any]) -> Row:
+def _reason(future: Future[Any]) -> str:
     error = future.exception()
-    killed = type(error).__name__ == "KilledWorker"
-    reason = LOST if killed else f"{type(error).__name__}: {error!s:.500}"
+    return LOST if type(error).__name__ == "KilledWorker" else f"{type(error).__name__}: {error!s:.500}"
+
+
+def _written(note: str) -> bool:
+    """Whether a worker ended itself because a run took too long."""
+    try:
+        return os.path.getsize(note) > 0
+    except OSError:
+        return False
+
+
+def _lost(task: Task, reason: str) -> Row:
     return {"key": task.key, "point": task.point, "seed": task.seed, "status": FAILED, "reason": reason,
             "version": version("uuv-fleet")}  # fmt: skip

@@ -1,39 +1,55 @@
 """What a study measures of each run: numbers by name, from the same values that `result.json` has.
 
-A number that a run does not have is NaN: the time after which vehicles settled that did not, the age of what never
-came. So it is no number in a table, and counts as missing in a median.
+A number that a run does not have is NaN, so it is no number in a table. In a median some of them count as larger than
+every number: the time after which vehicles settled that did not, the age of what was never heard, the error of what
+diverged. A point whose runs hardly ever settle must not look as fast as those that did. Any other one is left out.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from math import isfinite, nan
+from math import inf, isfinite, nan
 from statistics import fmean, median
 from typing import Any
 
-from fleet.study.errors import StudyError
-from netem.parsing import nearest
+import msgspec
 
 Join = Callable[[list[float]], float]
 Values = Mapping[str, Any]  # of a run, as result.json has them
 
 
-@dataclass(frozen=True, slots=True)
-class Measure:
-    """A number of a run.
+class Column(msgspec.Struct, frozen=True):
+    """A number that every row of a study has.
 
     Attributes:
-        name: with the unit behind it, as in `e_rms_m`.
+        name: with the unit behind it, as in `e_rms_m`; of a signal's measure as it is asked for: `p95 control.load`.
         unit: as people write it.
-        what: in words.
-        of: computes it.
+        missing_is_largest: where there is no number, it counts as larger than every number.
     """
 
     name: str
     unit: str
-    what: str
-    of: Callable[[Values], float]
+    missing_is_largest: bool = False
+
+    def number(self, value: float | None) -> float:
+        """A value of the column as statistics take it: inf or NaN where it is missing."""
+        if value is not None and isfinite(value):
+            return value
+        return inf if self.missing_is_largest else nan
+
+
+@dataclass(frozen=True, slots=True)
+class Measure:
+    """A number of a run that every study has."""
+
+    column: Column
+    what: str  # in words
+    of: Callable[[Values], float]  # computes it
+
+    @property
+    def name(self) -> str:
+        return self.column.name
 
 
 def _over_vehicles(key: str, join: Join) -> Callable[[Values], float]:
@@ -103,26 +119,19 @@ _RUN: tuple[tuple[str, str, str, Callable[[Values], float]], ...] = (
     ("sim_s", "s", "simulated time", lambda values: float(values["sim_s"])),
     ("wall_s", "s", "wall time of the run", lambda values: float(values["wall"]["run_s"])),
 )
+_LARGEST = frozenset(  # where they are missing; else nothing is known
+    {
+        *("formation_final_m", "formation_median_m", "e_final_m", "e_rms_m", "settle_5cm_s", "settle_10pct_s"),
+        *(name for name, *_ in _LINKS),
+    }
+)
 MEASURES: dict[str, Measure] = {
-    measure.name: measure
-    for measure in (
-        *(Measure(name, unit, what, _over_vehicles(key, join)) for name, key, unit, what, join in _VEHICLES),
-        *(Measure(name, unit, what, _over_links(key, max)) for name, key, unit, what in _LINKS),
-        *(Measure(name, unit, what, compute) for name, unit, what, compute in _RUN),
+    name: Measure(Column(name, unit, name in _LARGEST), what, of)
+    for name, unit, what, of in (
+        *((name, unit, what, _over_vehicles(key, join)) for name, key, unit, what, join in _VEHICLES),
+        *((name, unit, what, _over_links(key, max)) for name, key, unit, what in _LINKS),
+        *_RUN,
     )
 }
-
-
-def chosen(names: Iterable[str]) -> list[Measure]:
-    """The measures of these names.
-
-    Raises:
-        StudyError: there is none of a name.
-    """
-    found = []
-    for name in names:
-        if name not in MEASURES:
-            hint = nearest(name, MEASURES) or f"there are {', '.join(MEASURES)}"
-            raise StudyError(f'there is no measure "{name[:60]}"; {hint}')
-        found.append(MEASURES[name])
-    return found
+SEPARATION = Column("separation_min_m", "m")  # least distance of two vehicles
+STANDING = (*(measure.column for measure in MEASURES.values()), SEPARATION)  # of every study

@@ -1,15 +1,31 @@
-"""The modules of laws that the runs of a study import and that are not installed, and how workers get them."""
+"""The modules of laws that the runs of a study import and that are not installed, and how workers get them.
+
+Workers of this machine import them where they lie. To other machines they travel with the runs, as bytes, and are
+written to a folder that exists as long as the worker. Only what was let in here when the scenarios were read travels:
+the files of the laws, and what these imported from the same folder.
+"""
 
 from __future__ import annotations
 
+import atexit
 import hashlib
+import shutil
+import sys
+import tempfile
+import threading
 from collections.abc import Iterable
-from pathlib import Path
+from functools import lru_cache
+from importlib import import_module
+from pathlib import Path, PurePosixPath
 from typing import NamedTuple
 
 from agents.controllers import BUILT_IN, laws
-from agents.plugins.trust import find
+from agents.plugins.trust import Permission, Place, Trust, find, permit
 from fleet.scenario.scenario import Scenario
+from fleet.study.errors import StudyError
+
+MOST_BYTES = 4_000_000  # of all files that travel: they go with each batch of runs
+_writing = threading.Lock()
 
 
 class Modules(NamedTuple):
@@ -18,12 +34,17 @@ class Modules(NamedTuple):
     Attributes:
         folder: of the scenario's file on this machine, in which they may lie; else they lie in the current one.
         files: of the modules.
-        fingerprints: SHA-256 of each file, by which workers let them in, too.
+        fingerprints: SHA-256 of the files of the laws, by which workers let them in, too.
+        names: of the modules of laws.
+        carried: path below the folder where the search for modules begins, and content, of each file; empty: they
+            are imported where they lie.
     """
 
     folder: str | None = None
     files: tuple[str, ...] = ()
     fingerprints: tuple[str, ...] = ()
+    names: tuple[str, ...] = ()
+    carried: tuple[tuple[str, bytes], ...] = ()
 
 
 NO_MODULES = Modules()
@@ -43,7 +64,90 @@ def modules_of(scenarios: Iterable[Scenario], folder: Path | None) -> Modules:
         if law.name not in BUILT_IN[kind] and ":" in law.name  # others are entry points, which are installed
     }
     beside = () if folder is None else (folder,)
-    places = [place for name in sorted(names) if (place := find(name, [*beside, Path()])) is not None]
-    files = tuple(dict.fromkeys(file for place in places if not place.installed for file in place.files))
+    places = {name: place for name in sorted(names) if (place := find(name, [*beside, Path()])) is not None}
+    own = {name: place for name, place in places.items() if not place.installed}
+    files = tuple(dict.fromkeys(file for place in own.values() for file in place.files))
     digests = tuple(hashlib.sha256(Path(file).read_bytes()).hexdigest() for file in files)
-    return Modules(None if folder is None else str(folder.resolve()), files, digests)
+    return Modules(None if folder is None else str(folder.resolve()), files, digests, tuple(names))
+
+
+def packed(modules: Modules) -> Modules:
+    """The same with the content of the files, for workers of other machines.
+
+    Raises:
+        StudyError: a file cannot be read or sent.
+    """
+    beside = [] if modules.folder is None else [Path(modules.folder)]
+    places = [place for name in modules.names if (place := find(name, [*beside, Path()])) and not place.installed]
+    found: dict[str, bytes] = {}
+    for place in places:
+        for file in [*place.files, *_imported_from(place)]:
+            try:
+                data = Path(file).read_bytes()
+            except OSError as error:
+                raise StudyError(f"cannot read {file}, which workers need: {error.strerror}") from None
+            path = Path(file).resolve().relative_to(Path(place.folder).resolve()).as_posix()
+            if found.setdefault(path, data) != data:
+                raise StudyError(f"two files {path} in different folders cannot both go to the workers: rename one")
+    if (size := sum(map(len, found.values()))) > MOST_BYTES:
+        raise StudyError(f"the laws take {size} bytes, and {MOST_BYTES} can go to the workers: install them there")
+    return modules._replace(folder=None, carried=tuple(sorted(found.items())))
+
+
+def _imported_from(place: Place) -> list[str]:
+    """The files of modules that were imported from a folder of the user's: what its laws need."""
+    folder = Path(place.folder).resolve()
+    found = []
+    for name, module in list(sys.modules.items()):
+        path, stem = getattr(module, "__file__", None), name.replace(".", "/")
+        if path is not None and Path(path).resolve() in (folder / f"{stem}.py", folder / stem / "__init__.py"):
+            found.append(path)
+    return found
+
+
+def folder_of(modules: Modules) -> Path | None:
+    """Where the modules are looked for on this worker, besides the current folder.
+
+    Raises:
+        StudyError: this worker would import another module of that name.
+    """
+    if not modules.carried:
+        return None if modules.folder is None else Path(modules.folder)
+    with _writing:
+        folder = _written(modules.carried)
+    contents = {data for _, data in modules.carried}
+    for path, _ in modules.carried:
+        name = path.removesuffix(".py").removesuffix("/__init__").replace("/", ".")
+        place = find(name, [folder])
+        if place is None or not contents.issuperset(Path(file).read_bytes() for file in place.files):
+            raise StudyError(f"another module {name} is installed there, or was imported before: restart the worker")
+    return folder
+
+
+def get_ready(modules: Modules) -> None:
+    """Import the modules on this worker.
+
+    Raises:
+        StudyError: it would import another module of that name.
+        PluginError: a module may not run.
+        Exception: whatever importing it raises.
+    """
+    folder = folder_of(modules)
+    beside = () if folder is None else (folder,)
+    permission = Permission(Trust(fingerprints=frozenset(modules.fingerprints)), elsewhere=(*beside, Path()))
+    for name in modules.names:
+        permit("law", name, name, permission)
+        import_module(name)
+
+
+@lru_cache
+def _written(files: tuple[tuple[str, bytes], ...]) -> Path:
+    folder = Path(tempfile.mkdtemp(prefix="uuv-fleet-laws-"))
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    for path, data in files:
+        if PurePosixPath(path).is_absolute() or ".." in PurePosixPath(path).parts:
+            raise ValueError(path)
+        target = folder / path
+        target.parent.mkdir(parents=True, exist_ok=True)
+        target.write_bytes(data)
+    return folder

@@ -2,23 +2,38 @@
 
 from __future__ import annotations
 
+import ctypes
+import faulthandler
+import json
+import os
+import shutil
+import threading
 import time
-from math import isfinite
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from importlib.metadata import version
+from math import isfinite, nan
 from pathlib import Path
+from secrets import token_hex
 from typing import Any, NamedTuple
 
 from agents.plugins.trust import Trust
+from fleet.cores import cores
 from fleet.errors import FleetError
+from fleet.execution.directory import LOG, RESULT, SCENARIO
 from fleet.execution.judged import judged
 from fleet.execution.outcome import Result
+from fleet.recorder.log_file import LogFile
 from fleet.scenario.loading import parse_scenario
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.trust import Policy
 from fleet.study.measures import MEASURES
-from fleet.study.modules import NO_MODULES, Modules
+from fleet.study.modules import NO_MODULES, Modules, folder_of
+from fleet.study.signals import Samples
 
 A_STUDY = "a study names it"  # why a law that is not installed needs trust
 FAILED = "failed"  # the status of a run that has no result
+_GRACE_S = 1.0  # a law may end its tick so long after the time that the run may take
 
 
 class Task(NamedTuple):
@@ -31,35 +46,112 @@ class Task(NamedTuple):
     text: str  # the whole scenario but for its seed
     timeout_s: float  # of wall time; inf: none
     modules: Modules = NO_MODULES  # that may run besides installed ones
+    signals: tuple[str, ...] = ()  # measures of signals, by name
+    log: str = ""  # the run directory that is to be made; empty: none
+    note: str = ""  # a file: see `_ending_itself`
 
 
-class _TimeoutError(FleetError):
+class TimedOut(FleetError):
     """A run took too long."""
+
+    def __init__(self, task: Task) -> None:
+        super().__init__(f"took longer than {task.timeout_s:g} s")
+
+
+class _AbandonedError(BaseException):
+    """Ends the thread of a run that took too long; no law may take it for an error of its own."""
 
 
 def make_run(task: Task) -> dict[str, Any]:
     """Make a run; returns its row: `key`, `point`, `seed`, `status`, `reason`, `digest`, verdicts and measures."""
+    about = {"key": task.key, "point": task.point, "seed": task.seed, "wall_s": nan}
+    row = _in_time(task) if isfinite(task.timeout_s) else _made(task)
+    return about | row | {"version": version("uuv-fleet"), "cores": cores()}
+
+
+def _in_time(task: Task) -> dict[str, Any]:
+    """The row of a run that may take so long and no longer.
+
+    It is made in a thread of its own. Where a law hangs within a tick, that thread is ended at its next line of Python,
+    and left alone if there is none. Where it lets no other thread run, the process ends.
+    """
+    rows: list[dict[str, Any]] = []
+
+    def make() -> None:
+        with suppress(_AbandonedError):
+            rows.append(_made(task))
+
+    thread = threading.Thread(target=make, daemon=True)
+    with _ending_itself(task):
+        thread.start()
+        thread.join(task.timeout_s + _GRACE_S)
+    if thread.is_alive():
+        ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(thread.ident or 0), ctypes.py_object(_AbandonedError))
+    return rows[0] if rows else _failed(TimedOut(task))
+
+
+@contextmanager
+def _ending_itself(task: Task) -> Iterator[None]:
+    """While a law lets no other thread run, in a long regular expression for example, only a process can end itself.
+
+    Before it does, it writes something into the file `note` of the task, so that the run is not made once more.
+    """
+    if not task.note:  # more than one run may go on in this process
+        yield
+        return
+    with open(task.note, "wb") as file:
+        faulthandler.dump_traceback_later(task.timeout_s + 3 * _GRACE_S, exit=True, file=file)
+        try:
+            yield
+        finally:
+            faulthandler.cancel_dump_traceback_later()
+    os.unlink(task.note)
+
+
+def _made(task: Task) -> dict[str, Any]:
     began = time.monotonic()
 
     def check(_: float) -> None:
         if time.monotonic() - began > task.timeout_s:
-            raise _TimeoutError(f"took longer than {task.timeout_s:g} s")
+            raise TimedOut(task)
 
-    row: dict[str, Any] = {"key": task.key, "point": task.point, "seed": task.seed}
     try:
         scenario = _scenario(task)
-        result = judged(scenario, check if isfinite(task.timeout_s) else None)
+        samples = Samples(scenario, task.signals)
+        if task.log:
+            result = _recorded(scenario, Path(task.log), check, samples)
+        else:
+            result = judged(scenario, check if isfinite(task.timeout_s) else None, samples)
+        return _measured(result) | samples.numbers()
     except Exception as error:  # a law of a user's may raise anything: the study says so and goes on
-        reason = str(error) if isinstance(error, FleetError) else f"{type(error).__name__}: {error}"
-        return row | {"status": FAILED, "reason": reason[:2000]}
-    return row | _measured(result)
+        return _failed(error)
+
+
+def _failed(error: Exception) -> dict[str, Any]:
+    """What the row of a run without a result says."""
+    reason = str(error) if isinstance(error, FleetError) else f"{type(error).__name__}: {error}"
+    return {"status": FAILED, "reason": reason[:2000]}
+
+
+def _recorded(scenario: Scenario, directory: Path, check: Callable[[float], None], samples: Samples) -> Result:
+    """Make a run, and the directory that `fleet run` would have made; it is there as a whole or not at all."""
+    part = directory.with_name(f".{directory.name}-{token_hex(4)}")
+    part.mkdir(parents=True)
+    try:
+        (part / SCENARIO).write_text(scenario.to_yaml(), "utf-8")
+        result = judged(scenario, check, samples, LogFile(part / LOG))
+        (part / RESULT).write_text(json.dumps(result.values, indent=2) + "\n", "utf-8")
+        shutil.rmtree(directory, ignore_errors=True)  # of a study that was killed before it had the row
+        os.replace(part, directory)
+    finally:
+        shutil.rmtree(part, ignore_errors=True)
+    return result
 
 
 def _scenario(task: Task) -> Scenario:
     modules = task.modules
     policy = Policy(Trust(fingerprints=frozenset(modules.fingerprints)), stranger=A_STUDY)
-    folder = None if modules.folder is None else Path(modules.folder)
-    return parse_scenario(task.text, task.name, [f"seed={task.seed}"], folder, policy)
+    return parse_scenario(task.text, task.name, [f"seed={task.seed}"], folder_of(modules), policy)
 
 
 def _measured(result: Result) -> dict[str, Any]:

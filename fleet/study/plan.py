@@ -12,13 +12,16 @@ from math import prod
 from fleet.scenario.text.overrides import SET, Override
 from fleet.scenario.trust import TYPED, Origin
 from fleet.study.errors import StudyError
-from fleet.study.measures import MEASURES
+from fleet.study.measures import STANDING
+from fleet.study.settings import NOTHING_MORE, Settings
 from fleet.study.values import Axis, Value
 
 MOST_RUNS = 10_000_000
 MOST_POINTS = 100_000  # which are one file, and are all checked before the first run
 # Columns that every study has besides those of checks; `seed` has an error of its own.
-TAKEN = frozenset({"key", "point", "scenario", "status", "reason", "passed", "digest", "version", "cores", *MEASURES})
+TAKEN = frozenset({"key", "point", "scenario", "status", "reason", "passed", "digest", "version", "cores"}) | {
+    column.name for column in STANDING
+}
 _SEED = re.compile(r"[0-9]{1,19}")
 _NAME = re.compile(r"\{([A-Za-z_][A-Za-z0-9_]*)\}")
 
@@ -49,6 +52,7 @@ class Plan:
         seeds: of the runs of each point; the same ones, so that points can be compared in pairs.
         draw: the seed of sampled axes.
         origin: where changes and axes come from, and so which laws they may name.
+        settings: what it wants besides.
     """
 
     scenario: str
@@ -58,6 +62,7 @@ class Plan:
     seeds: tuple[int, ...] = (1,)
     draw: int = 1
     origin: Origin = TYPED
+    settings: Settings = NOTHING_MORE
     points: tuple[Point, ...] = field(init=False)
 
     def __post_init__(self) -> None:
@@ -74,8 +79,14 @@ class Plan:
         points *= next((axis.count for axis in self.axes if axis.sampled), 1)
         if points > MOST_POINTS:
             raise StudyError(f"these are {points} points, and {MOST_POINTS} at most may be")
-        if points * len(self.seeds) > MOST_RUNS:
-            raise StudyError(f"these are {points * len(self.seeds)} runs, and {MOST_RUNS} at most may be")
+        seeds = len(self.seeds)
+        if self.settings.until is not None:
+            most = self.settings.most_seeds
+            if seeds > most:
+                raise StudyError(f"each point begins with {seeds} seeds, and {most} at most are allowed")
+            seeds = most
+        if points * seeds > MOST_RUNS:
+            raise StudyError(f"these are {points * seeds} runs, and {MOST_RUNS} at most may be")
         combinations = self._combinations()
         object.__setattr__(self, "points", tuple(self._point(n, row) for n, row in enumerate(combinations)))
 

@@ -19,6 +19,7 @@ from fleet.scenario.text.yaml_writer import inline, yaml_text
 from fleet.scenario.trust import TYPED, Origin
 from fleet.study.errors import StudyError
 from fleet.study.plan import Plan, parse_seeds
+from fleet.study.settings import MOST_SEEDS, KeepLogs, Settings
 from fleet.study.values import axis, parse_axis
 
 _NESTED = re.compile(r"\s*[\[{]")
@@ -38,7 +39,11 @@ class StudySpec(msgspec.Struct, frozen=True, omit_defaults=True):
         set: values by key, as for `--set`.
         net, fault: as the options.
         measures: what the table shows.
+        until: seeds are added to each point until this holds; empty: none is added.
+        most_seeds: of a point, if seeds are added.
+        keep_logs: which logs are kept: none, those of runs that failed, or all.
         timeout: wall time that one run may take; empty: any.
+        budget: wall time after which no run is made any more; empty: none.
     """
 
     scenario: str
@@ -52,7 +57,11 @@ class StudySpec(msgspec.Struct, frozen=True, omit_defaults=True):
     net: list[str] = []
     fault: list[str] = []
     measures: list[str] = []
+    until: str = ""
+    most_seeds: int = MOST_SEEDS
+    keep_logs: KeepLogs = "none"
     timeout: str = ""
+    budget: str = ""
 
     def changed(
         self,
@@ -96,11 +105,13 @@ class StudySpec(msgspec.Struct, frozen=True, omit_defaults=True):
         changes = [Override(SET, f"{key}={text}") for key, text in self.set.items()]
         changes += [Override(NET, text) for text in self.net] + [Override(FAULT, text) for text in self.fault]
         axes = tuple(axis(key, text) for key, text in self.vary.items())
-        return Plan(self.scenario, tuple(changes), axes, self.zip, parse_seeds(self.seeds), self.draw, origin)
+        return Plan(
+            self.scenario, tuple(changes), axes, self.zip, parse_seeds(self.seeds), self.draw, origin, self.settings
+        )
 
     def texts(self) -> Iterator[str]:
         """Every text in it."""
-        yield from (self.scenario, self.title, self.run_takes, self.seeds, self.timeout)
+        yield from (self.scenario, self.title, self.run_takes, self.seeds, self.until, self.timeout, self.budget)
         yield from (*self.vary, *self.vary.values(), *self.set, *self.set.values())
         yield from (*self.net, *self.fault, *self.measures)
 
@@ -108,6 +119,21 @@ class StudySpec(msgspec.Struct, frozen=True, omit_defaults=True):
     def timeout_s(self) -> float:
         """Wall time that one run may take [s]."""
         return time_ns(self.timeout) / 1e9 if self.timeout else inf
+
+    @property
+    def budget_s(self) -> float:
+        """Wall time after which no run is made any more [s]."""
+        return time_ns(self.budget) / 1e9 if self.budget else inf
+
+    @property
+    def settings(self) -> Settings:
+        """What it wants besides its runs."""
+        return Settings(
+            measures=tuple(self.measures),
+            until=self.until or None,
+            most_seeds=self.most_seeds,
+            keep_logs=self.keep_logs,
+        )
 
     def to_yaml(self) -> str:
         """The text of the study as a file, which may stand anywhere on this machine."""

@@ -7,7 +7,7 @@ controller. So two controllers are compared seed by seed, which needs far fewer 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import isfinite, nan
+from math import copysign, inf, isfinite, isnan, nan
 from typing import NamedTuple
 
 import numpy as np
@@ -15,16 +15,17 @@ import numpy as np
 CONFIDENCE = 0.95
 _RESAMPLES = 2000
 _MOST_BCA = 1000
+_HUGE = 1e300  # stands for infinity while medians are computed
 _SEED = 1  # of the bootstrap, so that a table reads the same each time
 
 
 class Estimate(NamedTuple):
     """A number of several runs and its interval; NaN where there are too few."""
 
-    value: float
+    value: float  # inf: half of the runs or more have none, and that counts as larger than every number
     low: float
     high: float
-    runs: int  # behind it
+    runs: int  # behind it, those with inf included
 
     @property
     def half(self) -> float:
@@ -55,12 +56,14 @@ def pass_rate(passed: int, runs: int, confidence: float = CONFIDENCE) -> Estimat
 
 
 def median(values: Sequence[float], confidence: float = CONFIDENCE) -> Estimate:
-    """The median of the finite values, with its bootstrapped interval: BCa, or percentile where
-    BCa is not defined, or there are more than 1000 values."""
-    finite = np.array([value for value in values if isfinite(value)])
-    if len(finite) == 0:
+    """The median of the values that are not NaN, with its bootstrapped interval: BCa, or percentile where BCa is not
+    defined (one of them is infinite, or nearly all are the same), or there are more than 1000 values."""
+    there = np.array([value for value in values if not isnan(value)])
+    if len(there) == 0:
         return Estimate(nan, nan, nan, 0)
-    middle = float(np.median(finite))
+    bounded = bool(np.isfinite(there).all())
+    finite = np.clip(there, -_HUGE, _HUGE)
+    middle = _unbounded(float(np.median(finite)))
     if len(finite) < 3:
         return Estimate(middle, nan, nan, len(finite))
     if np.ptp(finite) == 0.0:
@@ -71,7 +74,7 @@ def median(values: Sequence[float], confidence: float = CONFIDENCE) -> Estimate:
 
     found = None
     # BCa leaves out each value once, which takes the square of their number in memory.
-    for method in ("BCa", "percentile") if len(finite) <= _MOST_BCA else ("percentile",):
+    for method in ("BCa", "percentile") if bounded and len(finite) <= _MOST_BCA else ("percentile",):
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # BCa is not defined for such data: its interval is NaN then
             found = bootstrap(
@@ -81,13 +84,21 @@ def median(values: Sequence[float], confidence: float = CONFIDENCE) -> Estimate:
         if isfinite(found.low) and isfinite(found.high):
             break
     assert found is not None
-    return Estimate(middle, float(found.low), float(found.high), len(finite))
+    return Estimate(middle, _unbounded(float(found.low)), _unbounded(float(found.high)), len(finite))
+
+
+def _unbounded(value: float) -> float:
+    """An infinite number again: one that is no less than half of what stands for infinity."""
+    return value if abs(value) < _HUGE / 3 else copysign(inf, value)
 
 
 def compare(first: Sequence[float], second: Sequence[float], confidence: float = CONFIDENCE) -> Comparison:
-    """Compare two series of the same length, each pair with the same seed; pairs with NaN are left out."""
-    pairs = [(a, b) for a, b in zip(first, second, strict=True) if isfinite(a) and isfinite(b)]
-    differences = np.array([b - a for a, b in pairs])
+    """Compare two series of the same length, each pair with the same seed; pairs with NaN are left out.
+
+    What is infinite in both is a tie; in one, the largest of differences.
+    """
+    pairs = [(a, b) for a, b in zip(first, second, strict=True) if not (isnan(a) or isnan(b))]
+    differences = np.array([0.0 if a == b else b - a for a, b in pairs])
     if len(pairs) == 0:
         return Comparison(Estimate(nan, nan, nan, 0), nan, nan)
     better = float(np.mean((differences < 0) + 0.5 * (differences == 0)))
@@ -95,5 +106,5 @@ def compare(first: Sequence[float], second: Sequence[float], confidence: float =
     if np.count_nonzero(differences) >= 5:
         from scipy.stats import wilcoxon
 
-        p = float(wilcoxon(differences).pvalue)
+        p = float(wilcoxon(np.clip(differences, -_HUGE, _HUGE)).pvalue)
     return Comparison(median(differences.tolist(), confidence), better, p)

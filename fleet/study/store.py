@@ -4,6 +4,7 @@
 DIR/study.json         what the study is: scenario, axes with units, seeds, versions
 DIR/points.parquet     one row per point: its values and its whole scenario
 DIR/runs/*.parquet     one row per run, in the order in which they ended
+DIR/logs/point-3-seed-7/    with --keep-logs: what `fleet run` would have written
 ```
 
 A file is written beside its name and then renamed, so whatever ends the program, what stands there is whole.
@@ -23,18 +24,20 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from fleet.errors import printable
-from fleet.quantities import QuantityError, time_ns
+from fleet.quantities import QuantityError
 from fleet.study.errors import StudyError
-from fleet.study.measures import MEASURES
+from fleet.study.measures import Column
+from fleet.study.settings import Settings
 from fleet.study.spec import StudySpec
+from fleet.study.stopping import Rule, parse_until, seed_sequence, seeds_needed
 from fleet.study.values import Axis, Value
 from netem.whole_file import read_file, write_whole
 
 if TYPE_CHECKING:
     import pandas as pd
 
-VERSION = 1
-_STUDY, _POINTS, _RUNS = "study.json", "points.parquet", "runs"
+VERSION = 2
+_STUDY, _POINTS, _RUNS, _LOGS = "study.json", "points.parquet", "runs", "logs"
 _MOST_BYTES = 200_000_000
 MOST_ROWS = 100_000  # of a file
 _TEXT, _BOOL, _NUMBER, _WHOLE = pa.string(), pa.bool_(), pa.float64(), pa.int64()
@@ -47,6 +50,10 @@ class AxisRecord(msgspec.Struct):
     unit: str | None
 
 
+class _Version(msgspec.Struct):
+    version: int
+
+
 class StudyRecord(msgspec.Struct):
     """study.json."""
 
@@ -54,8 +61,10 @@ class StudyRecord(msgspec.Struct):
     scenario: str  # its name
     command: str  # the changes of every run, for people
     axes: list[AxisRecord]
-    seeds: list[int]
+    seeds: list[int]  # of every point; the first ones, if seeds are added
     checks: list[str]  # of the scenario, by name
+    columns: list[Column]  # of measures
+    settings: Settings
     made_by: str  # the version of the package
     folder: str | None = None  # of the scenario's file: where laws are looked for, which need trust all the same
     spec: StudySpec | None = None  # as people write it; older versions of fleet did not keep it
@@ -101,27 +110,34 @@ class Store:
             StudyError: there is none, or it is damaged.
         """
         try:
-            record = msgspec.json.decode(read_file(directory / _STUDY, _MOST_BYTES), type=StudyRecord)
-            if record.spec is not None and record.spec.timeout:
-                time_ns(record.spec.timeout)
+            data = read_file(directory / _STUDY, _MOST_BYTES)
+            if (found := msgspec.json.decode(data, type=_Version).version) != VERSION:
+                raise StudyError(f"{directory}: a study of version {found}; this fleet reads version {VERSION}")
+            record = msgspec.json.decode(data, type=StudyRecord)
+            if record.spec is not None:
+                _ = record.spec.timeout_s, record.spec.budget_s
         except FileNotFoundError:
             raise StudyError(f"{directory} is no study: it has no {_STUDY}") from None
         except OSError as error:
             raise StudyError(f"cannot read {directory / _STUDY}: {error.strerror}") from None
-        except (msgspec.MsgspecError, UnicodeDecodeError, QuantityError) as error:
+        except (msgspec.MsgspecError, OverflowError, UnicodeDecodeError, QuantityError) as error:
             raise StudyError(f"{directory / _STUDY} is damaged: {error!s:.200}") from None
         texts = [
             record.scenario,
             record.command,
             *record.checks,
             *(() if record.spec is None else record.spec.texts()),
+            *(text for column in record.columns for text in (column.name, column.unit)),
+            *record.settings.measures,
+            record.settings.until or "",
             *(text for axis in record.axes for text in (axis.key, axis.unit or "")),
         ]
         if any(printable(text) != text for text in texts):  # a study may come from anybody, and is shown on a terminal
             raise StudyError(f"{directory / _STUDY} is damaged: a text in it has control characters")
-        if record.version != VERSION:
-            raise StudyError(f"{directory}: a study of version {record.version}; this fleet reads version {VERSION}")
-        return cls(directory, record)
+        store = cls(directory, record)
+        if not record.seeds or (store.rule and len(record.seeds) > record.settings.most_seeds):
+            raise StudyError(f"{directory / _STUDY} is damaged: its seeds")
+        return store
 
     @contextmanager
     def locked(self) -> Iterator[None]:
@@ -160,10 +176,14 @@ class Store:
                 pa.field("status", _TEXT), pa.field("reason", _TEXT), pa.field("passed", _BOOL),
                 *(pa.field(f"check.{name}", _BOOL) for name in checks),
                 *(pa.field(f"value.{name}", _NUMBER) for name in checks),
-                *(_unit_field(measure.name, _NUMBER, measure.unit) for measure in MEASURES.values()),
+                *(_unit_field(column.name, _NUMBER, column.unit) for column in self.record.columns),
                 pa.field("digest", _TEXT), pa.field("version", _TEXT), pa.field("cores", _TEXT),
             ]
         )  # fmt: skip
+
+    def log_of(self, point: int, seed: int) -> Path:
+        """The run directory of one of its runs; it is there only if its log was kept."""
+        return self.directory.resolve() / _LOGS / f"point-{point}-seed-{seed}"
 
     @property
     def folder(self) -> Path | None:
@@ -176,9 +196,52 @@ class Store:
         return int(_read(self.directory / _POINTS, ["point"]).num_rows)
 
     @property
+    def rule(self) -> Rule | None:
+        """When a point has enough seeds; None: no seed is added. Raises StudyError."""
+        until = self.record.settings.until
+        return None if until is None else parse_until(until, self.record.columns)
+
+    @property
+    def seeds(self) -> list[int]:
+        """All seeds that a point may have, in the order in which it gets them."""
+        first, settings = self.record.seeds, self.record.settings
+        return list(first) if settings.until is None else seed_sequence(first, settings.most_seeds)
+
+    def needed(self, before: Mapping[int, int] | None = None) -> dict[int, int]:
+        """How many seeds each point needs, as far as its rows show.
+
+        Args:
+            before: what was needed earlier, which saves the way there.
+
+        Raises:
+            StudyError: the study is damaged.
+        """
+        first = dict.fromkeys(range(self.point_count), len(self.record.seeds)) | dict(before or {})
+        if (rule := self.rule) is None:
+            return first
+        by_point, seeds = self._rows_of(rule), self.seeds
+        return {n: seeds_needed(rule, by_point.get(n, {}), seeds, needed) for n, needed in first.items()}
+
+    def short(self) -> int:
+        """How many points may have no more seeds, though more would be needed. Raises StudyError."""
+        rule, seeds = self.rule, self.seeds
+        if rule is None:
+            return 0
+        ended = self._rows_of(rule)
+        full = [list(rows.values()) for rows in ended.values() if len(rows) == len(seeds)]
+        return sum(not rule.met(rule.estimate(rows)) for rows in full)
+
+    def _rows_of(self, rule: Rule) -> dict[int, dict[int, dict[str, Any]]]:
+        """What a rule looks at, by point and seed."""
+        by_point: dict[int, dict[int, dict[str, Any]]] = {}
+        for row in self.table(["point", "seed", "status", "passed", *rule.columns]).to_pylist():
+            by_point.setdefault(row["point"], {})[row["seed"]] = row
+        return by_point
+
+    @property
     def missing(self) -> int:
-        """How many runs have no row yet. Raises StudyError."""
-        return self.point_count * len(self.record.seeds) - len(self.done())
+        """How many runs have no row yet, of those that are known to be needed. Raises StudyError."""
+        return sum(self.needed().values()) - len(self.done())
 
     def points(self) -> list[dict[str, Any]]:
         """Every point: `point`, its values by key, and `scenario`. Raises StudyError."""

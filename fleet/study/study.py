@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager
@@ -19,10 +18,11 @@ from fleet.quantities import show_time
 from fleet.scenario.loading import parse_scenario
 from fleet.scenario.trust import Policy
 from fleet.study.catalogue import NamedStudy, study_named
-from fleet.study.engine import Engine, local_engine, need_extra, remote_engine
+from fleet.study.engine import Engine, local_engine, need_extra, processors, remote_engine
 from fleet.study.errors import StudyError
-from fleet.study.measures import chosen
-from fleet.study.one_run import A_STUDY
+from fleet.study.one_run import A_STUDY, FAILED
+from fleet.study.settings import KeepLogs
+from fleet.study.signals import find_columns
 from fleet.study.spec import StudySpec, seeds_text, set_values, values_text
 from fleet.study.statistics import Comparison, compare
 from fleet.study.store import Store
@@ -54,8 +54,13 @@ class Study:
 
     @property
     def seeds(self) -> list[int]:
-        """The seeds of every point."""
-        return list(self._store.record.seeds)
+        """The seeds that a point may have, in their order; all points have the same ones if no seed is added."""
+        return self._store.seeds
+
+    @property
+    def missing(self) -> int:
+        """How many runs are still to be made, as far as is known. Raises StudyError."""
+        return self._store.missing
 
     def to_pandas(self) -> pd.DataFrame:
         """One row per run, ordered by point and seed; `attrs["units"]` has the unit of each column that has one.
@@ -98,7 +103,7 @@ class Study:
         Raises:
             StudyError: there is no such measure, or the study is damaged.
         """
-        return summarise(self._store, chosen(measures))
+        return summarise(self._store, find_columns(measures, self._store.record.columns))
 
     def compare(self, key: str, first: float | str, second: float | str, measure: str) -> Comparison:
         """Compare two values of a key run by run: at the same values of all other keys, and with the same seed.
@@ -113,13 +118,16 @@ class Study:
         """
         if key not in self.axes:
             raise StudyError(f"{key} is not varied; {', '.join(self.axes) or 'nothing'} is")
-        if measure != "passed":
-            chosen([measure])
         frame = self._store.frame()
+        values = frame["passed"]
+        if measure != "passed":
+            (column,) = find_columns([measure], self._store.record.columns)
+            values = frame[column.name].map(column.number).where(frame["status"] != FAILED)
         if missing := [value for value in (first, second) if value not in set(frame[key])]:
             raise StudyError(f"{key} has no value {missing[0]}; it has {', '.join(map(str, frame[key].unique()))}")
         others = [other for other in self.axes if other != key]
-        table = frame.pivot(index=[*others, "seed"], columns=key, values=measure).astype(float)
+        pairs = frame[[*others, "seed", key]].assign(_values=values)
+        table = pairs.pivot(index=[*others, "seed"], columns=key, values="_values").astype(float)
         return compare(table[first].tolist(), table[second].tolist())
 
     def rerun(
@@ -177,6 +185,11 @@ def sweep(
     workers: int | None = None,
     scheduler: Any = None,
     timeout_s: float | None = None,
+    measures: Iterable[str] | None = None,
+    until: str | None = None,
+    most_seeds: int | None = None,
+    budget_s: float | None = None,
+    keep_logs: KeepLogs | None = None,
     trust: Trust = NOTHING,
     progress: Callable[[Progress], None] = lambda _: None,
 ) -> Study:
@@ -193,6 +206,13 @@ def sweep(
         workers: processes of this machine; None: one per core.
         scheduler: of a Dask cluster that is there: an address or a cluster object; None: workers of this machine.
         timeout_s: of wall time, for one run; by default any.
+        measures: what `summary` shows by default; measures of signals, such as `p95 control.load`, are made if they
+            stand here.
+        until: seeds are added to each point until this holds, such as `pass ±5 %` or `e_rms_m ±0.05 m`.
+        most_seeds: of a point, if seeds are added; by default 1000.
+        budget_s: of wall time, after which no run is made any more; `missing` says how many are.
+        keep_logs: which logs of runs are kept below the study: `none`, as by default, those of runs that `failed`, or
+            `all`.
         trust: which modules may run that are neither installed nor the user's own.
         progress: called several times a second.
 
@@ -210,12 +230,17 @@ def sweep(
         zip=zipped,
         seeds=None if seeds is None else seeds_text(seeds),
         draw=draw,
-        timeout=None if timeout_s is None or timeout_s == inf else show_time(round(timeout_s * 1e9)),
+        timeout=_time_text(timeout_s),
+        measures=None if measures is None else [*measures],
+        until=until,
+        most_seeds=most_seeds,
+        budget=_time_text(budget_s),
+        keep_logs=keep_logs,
     )
     directory = new_directory(str(scenario)) if out is None else Path(out)
     store, modules = prepare(spec.plan(study.origin), directory, trust, spec)
     with engine_of(workers, scheduler) as engine:
-        run_study(store, engine, progress, modules=modules, timeout_s=spec.timeout_s)
+        run_study(store, engine, progress, modules=modules, timeout_s=spec.timeout_s, budget_s=spec.budget_s)
     return Study(store)
 
 
@@ -223,9 +248,13 @@ def engine_of(workers: int | None, scheduler: Any, *, dashboard: bool = False) -
     """The engine that was asked for. Raises StudyError."""
     if scheduler is not None:
         return remote_engine(scheduler)
-    return local_engine(workers or len(os.sched_getaffinity(0)), dashboard=dashboard)
+    return local_engine(workers or processors(), dashboard=dashboard)
 
 
 def new_directory(scenario: str, out: Path = Path("studies")) -> Path:
     """Where a new study of a scenario goes."""
     return out / f"{Path(scenario).stem}-{time.strftime(STAMP, time.gmtime())}"
+
+
+def _time_text(seconds: float | None) -> str | None:
+    return None if seconds is None or seconds == inf else show_time(round(seconds * 1e9))

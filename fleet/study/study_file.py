@@ -12,9 +12,11 @@ from fleet.quantities import QuantityError, describe_value, time_ns
 from fleet.scenario.text.yaml_reader import Items, Mapping, Node, Place, Scalar, Source, plain, read
 from fleet.scenario.text.yaml_writer import inline
 from fleet.study.errors import StudyError
-from fleet.study.measures import chosen
 from fleet.study.plan import parse_seeds
+from fleet.study.settings import KEEP_LOGS, MOST_ALLOWED
+from fleet.study.signals import check_name
 from fleet.study.spec import StudySpec, is_file, seeds_text, values_text
+from fleet.study.stopping import check_until
 from fleet.study.values import axis
 from netem.parsing import nearest
 
@@ -73,7 +75,11 @@ class _Reader:
             "net": self._texts,
             "fault": self._texts,
             "measures": self._measures,
+            "until": self._until,
+            "most_seeds": self._count,
+            "keep_logs": self._keep_logs,
             "timeout": self._time,
+            "budget": self._time,
         }
 
     def tell(self, place: Place, message: str, hint: str = "") -> None:
@@ -137,8 +143,27 @@ class _Reader:
     def _measures(self, node: Node, key: str) -> list[str]:
         names = self._texts(node, key)
         for name, item in zip(names, node.items if isinstance(node, Items) else [node], strict=True):
-            self._tried(item, partial(chosen, [name] if name else []))
+            if name:
+                self._tried(item, partial(check_name, name))
         return names
+
+    def _until(self, node: Node, key: str) -> str:
+        text = self._text(node, key)
+        if text:
+            self._tried(node, partial(check_until, text))
+        return text
+
+    def _count(self, node: Node, key: str) -> int:
+        if isinstance(node, Scalar) and type(node.value) is int and 1 <= node.value <= MOST_ALLOWED:
+            return node.value
+        self.expected(f"a whole number from 1 to {MOST_ALLOWED}", node, key)
+        return 1
+
+    def _keep_logs(self, node: Node, key: str) -> str:
+        if isinstance(node, Scalar) and node.value in KEEP_LOGS:
+            return str(node.value)
+        self.expected(f"one of {', '.join(KEEP_LOGS)}", node, key)
+        return KEEP_LOGS[0]
 
     def _seeds(self, node: Node, key: str) -> str:
         value = plain(node)

@@ -6,8 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from fleet.study.measures import MEASURES, Measure
+from fleet.study.measures import Column
 from fleet.study.one_run import FAILED
+from fleet.study.signals import find_columns
 from fleet.study.statistics import Estimate, median, pass_rate
 from fleet.study.store import Store
 
@@ -25,11 +26,18 @@ class PointSummary:
     medians: dict[str, Estimate]  # by measure
 
 
-def summarise(store: Store, measures: Sequence[Measure] = ()) -> list[PointSummary]:
-    """The summary of each point that has a run, in the order of the points. Raises StudyError."""
+def summarise(store: Store, measures: Sequence[Column] = ()) -> list[PointSummary]:
+    """The summary of each point that has a run, in the order of the points.
+
+    Args:
+        measures: whose medians; none: those that were named when the study was made, or else `DEFAULT`.
+
+    Raises:
+        StudyError: the study is damaged.
+    """
     keys = [axis.key for axis in store.record.axes]
-    chosen = list(measures) or [MEASURES[name] for name in DEFAULT]
-    table = store.table(["point", "seed", "status", "passed", *keys, *(measure.name for measure in chosen)])
+    chosen = list(measures) or find_columns(store.record.settings.measures or DEFAULT, store.record.columns)
+    table = store.table(["point", "seed", "status", "passed", *keys, *(column.name for column in chosen)])
     by_point: dict[int, list[dict[str, Any]]] = {}
     for row in table.to_pylist():
         by_point.setdefault(row["point"], []).append(row)
@@ -42,11 +50,7 @@ def summarise(store: Store, measures: Sequence[Measure] = ()) -> list[PointSumma
                 len(rows),
                 len(rows) - len(judged),
                 pass_rate(sum(row["passed"] is True for row in judged), len(judged)),
-                {measure.name: median([_number(row[measure.name]) for row in judged]) for measure in chosen},
+                {column.name: median([column.number(row[column.name]) for row in judged]) for column in chosen},
             )
         )
     return found
-
-
-def _number(value: float | None) -> float:
-    return float("nan") if value is None else value

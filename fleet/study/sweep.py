@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import nullcontext, suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from importlib.metadata import version
@@ -11,18 +12,25 @@ from math import inf
 from pathlib import Path
 from typing import Any
 
+import msgspec
+
 from agents.plugins.trust import NOTHING, Trust
 from fleet.errors import Problem, ScenarioError
 from fleet.execution.external_agents import refuse
 from fleet.scenario.loading import load_scenario, parse_scenario
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.trust import Policy
-from fleet.study.engine import Engine, Row
+from fleet.study.engine import Engine, Row, local_engine, processors
 from fleet.study.errors import StudyError
+from fleet.study.measures import STANDING, Column
 from fleet.study.modules import NO_MODULES, Modules, modules_of
 from fleet.study.one_run import A_STUDY, FAILED, Task
 from fleet.study.plan import Plan, Point, run_key
+from fleet.study.settings import KeepLogs, Settings
+from fleet.study.signals import find_columns, is_signal, signal_columns_of
 from fleet.study.spec import StudySpec
+from fleet.study.statistics import Estimate, pass_rate
+from fleet.study.stopping import parse_until, watched_by
 from fleet.study.store import VERSION, Store, StudyRecord, axis_record
 
 _WRITE_S, _WRITE_ROWS = 10.0, 1000  # rows wait at most so long, or until there are so many
@@ -35,14 +43,26 @@ class Progress:
     runs: int  # all of them
     made: int  # that have a row, also from before
     new: int = 0  # made by this program
-    passed: int = 0  # of the new ones
+    judged: int = 0  # of those that are made: with a result
+    passed: int = 0  # of these
     failed: int = 0  # of the new ones: without a result
     began: float = 0.0
+    doing: str = "runs"  # what is made
 
     @property
     def rate(self) -> float:
         """Runs per second of wall time."""
         return self.new / max(1e-9, time.monotonic() - self.began)
+
+    @property
+    def passing(self) -> Estimate:
+        """The share of all runs so far, of whatever point, that passed."""
+        return pass_rate(self.passed, self.judged)
+
+    def count(self, row: Mapping[str, Any]) -> None:
+        """Count a row whose run is made."""
+        self.judged += row["status"] != FAILED
+        self.passed += row["passed"] is True
 
     @property
     def left_s(self) -> float:
@@ -91,6 +111,7 @@ def prepare(
     scenarios = load_points(plan, trust)
     first, path = scenarios[0], Path(plan.scenario)
     folder = path.parent.resolve() if path.exists() else None
+    settings, columns = declared(plan, scenarios)
     record = StudyRecord(
         version=VERSION,
         scenario=first.name,
@@ -98,6 +119,8 @@ def prepare(
         axes=[axis_record(axis) for axis in plan.axes],
         seeds=list(plan.seeds),
         checks=check_names(scenarios),
+        columns=columns,
+        settings=settings,
         made_by=version("uuv-fleet"),
         folder=None if folder is None else str(folder),
         spec=spec,
@@ -113,6 +136,17 @@ def prepare(
             raise StudyError(f"two points are the same scenario, {what}: does another option overrule what varies?")
     modules = _modules(scenarios, folder)
     return Store.create(directory, record, rows), modules
+
+
+def declared(plan: Plan, scenarios: Sequence[Scenario]) -> tuple[Settings, list[Column]]:
+    """The settings with the names of measures as columns have them, and the columns. Raises StudyError."""
+    settings = plan.settings
+    names = [*settings.measures, *([] if settings.until is None else watched_by(settings.until))]
+    columns = [*STANDING, *signal_columns_of(filter(is_signal, names), scenarios)]
+    measures = tuple(column.name for column in find_columns(settings.measures, columns))
+    if settings.until is not None:
+        parse_until(settings.until, columns)
+    return msgspec.structs.replace(settings, measures=measures), columns
 
 
 def modules_again(store: Store, trust: Trust) -> Modules:
@@ -161,30 +195,62 @@ def run_study(
     *,
     modules: Modules = NO_MODULES,
     timeout_s: float = inf,
+    budget_s: float = inf,
+    logs: KeepLogs | None = None,
 ) -> Progress:
-    """Make every run that has no row yet.
+    """Make every run that has no row yet; then the logs that are kept.
 
     Args:
         tell: called several times a second.
         modules: that the runs need, and that are let in.
         timeout_s: of wall time, for one run.
+        budget_s: of wall time; then no run is made any more, and those under way are given up.
+        logs: which are kept; None: as the study says.
 
     Raises:
         StudyError: rows cannot be written. What was written before stays.
         KeyboardInterrupt: at any time; rows that were made are written.
     """
-    task = partial(Task, name=store.record.scenario, timeout_s=timeout_s, modules=modules)
+    kept = store.record.settings.keep_logs if logs is None else logs
+    work = _Work(store, engine, tell, time.monotonic() + budget_s)
+    signals = tuple(column.name for column in store.record.columns if is_signal(column.name))
     with store.locked():
-        return _run_missing(store, engine, tell, task)
+        task = partial(Task, name=store.record.scenario, timeout_s=timeout_s, signals=signals)
+        with suppress(_BudgetSpent):
+            _make_missing(work, partial(task, modules=engine.carry(modules)))
+            _keep_logs(work, partial(task, modules=modules, timeout_s=inf), kept)
+    return work.progress
 
 
-def _run_missing(store: Store, engine: Engine, tell: Callable[[Progress], None], task: Callable[..., Task]) -> Progress:
-    done = store.done()
-    points, seeds = store.points(), store.record.seeds
-    progress = Progress(len(points) * len(seeds), len(done), began=time.monotonic())
+class _BudgetSpent(Exception):
+    """The wall time that a program may take is over."""
+
+
+class _Work:
+    """A study that is being made."""
+
+    def __init__(self, store: Store, engine: Engine, tell: Callable[[Progress], None], until: float) -> None:
+        self.store, self.engine, self.until, self._tell = store, engine, until, tell
+        self.progress = Progress(0, 0, began=time.monotonic())
+
+    def wait(self) -> None:
+        """Show where it is. Raises _BudgetSpent."""
+        self._tell(self.progress)
+        if time.monotonic() > self.until:
+            raise _BudgetSpent
+
+
+def _make_missing(work: _Work, task: Callable[..., Task]) -> None:
+    """Round by round, until no point needs more seeds."""
+    store, progress = work.store, work.progress
+    points, needed, done = store.points(), store.needed(), set[tuple[int, int]]()
+    for row in store.table(["point", "seed", "status", "passed"]).to_pylist():
+        done.add((row["point"], row["seed"]))
+        progress.count(row)
+    progress.runs, progress.made = sum(needed.values()), len(done)
+    values = [{axis.key: point[axis.key] for axis in store.record.axes} for point in points]
     rows: list[Row] = []
     written = time.monotonic()
-    values = [{axis.key: point[axis.key] for axis in store.record.axes} for point in points]
 
     def write() -> None:
         nonlocal written
@@ -195,8 +261,9 @@ def _run_missing(store: Store, engine: Engine, tell: Callable[[Progress], None],
 
     def take(made: list[Row]) -> None:
         for row in made:
+            done.add((row["point"], row["seed"]))
             rows.append(values[row["point"]] | row)
-            progress.passed += row.get("passed") is True
+            progress.count({"passed": None} | row)
             progress.failed += row["status"] == FAILED
         progress.made += len(made)
         progress.new += len(made)
@@ -205,20 +272,70 @@ def _run_missing(store: Store, engine: Engine, tell: Callable[[Progress], None],
     def wait() -> None:
         if len(rows) >= _WRITE_ROWS or time.monotonic() - written > _WRITE_S:
             write()
-        tell(progress)
+        work.wait()
 
-    try:
-        engine.make(_tasks(store, points, done, task), take, wait)
-    finally:
-        write()
-    return progress
+    while len(done) < progress.runs:
+        tasks = _tasks(store, points, needed, frozenset(done), task)
+        try:
+            work.engine.make(tasks, take, wait)
+        finally:
+            write()
+        needed = store.needed(needed)
+        progress.runs = sum(needed.values())
 
 
 def _tasks(
-    store: Store, points: list[dict[str, Any]], done: set[tuple[int, int]], task: Callable[..., Task]
+    store: Store,
+    points: list[dict[str, Any]],
+    needed: Mapping[int, int],
+    done: frozenset[tuple[int, int]],
+    task: Callable[..., Task],
 ) -> Iterator[Task]:
-    for seed in store.record.seeds:
+    for n, seed in enumerate(store.seeds):
         for point in points:
-            number, text = point["point"], point["scenario"]
-            if (number, seed) not in done:
-                yield task(key=run_key(f"{text}\nseed {seed}"), point=number, seed=seed, text=text)
+            number = point["point"]
+            if n < needed[number] and (number, seed) not in done:
+                yield _task(point, seed, task)
+
+
+def _task(point: Mapping[str, Any], seed: int, task: Callable[..., Task], log: str = "") -> Task:
+    text = point["scenario"]
+    return task(key=run_key(f"{text}\nseed {seed}"), point=point["point"], seed=seed, text=text, log=log)
+
+
+def logs_to_make(store: Store, kept: KeepLogs) -> dict[tuple[int, int], str]:
+    """The digest of each run whose log is to be kept and not there yet, by point and seed. Raises StudyError."""
+    found: dict[tuple[int, int], str] = {}
+    if kept == "none":
+        return found
+    for row in store.table(["point", "seed", "passed", "digest"]).to_pylist():
+        wanted = row["digest"] is not None and (kept == "all" or not row["passed"])
+        if wanted and not store.log_of(row["point"], row["seed"]).exists():
+            found[row["point"], row["seed"]] = row["digest"]
+    return found
+
+
+def _keep_logs(work: _Work, task: Callable[..., Task], kept: KeepLogs) -> None:
+    """Make the runs again whose logs are kept and not there yet, on this machine, wherever they were made.
+
+    A disk that is full meanwhile costs no row. To write all logs at once and to delete those of runs that passed
+    would cost less only where more than a few runs fail.
+    """
+    store, progress = work.store, work.progress
+    digests, points = logs_to_make(store, kept), store.points()
+    progress.doing, progress.runs, progress.made, progress.new = "logs", len(digests), 0, 0
+    progress.began = time.monotonic()
+
+    def take(made: list[Row]) -> None:
+        for row in made:
+            if row.get("digest") != digests[row["point"], row["seed"]]:
+                why = row.get("reason") or "it came out differently: does a law not do the same each time?"
+                raise StudyError(f"the log of point {row['point']} with seed {row['seed']} cannot be kept: {why}")
+        progress.made += len(made)
+        progress.new += len(made)
+        work.wait()
+
+    if digests:
+        with nullcontext(work.engine) if work.engine.here else local_engine(processors()) as engine:
+            again = (_task(points[n], seed, task, str(store.log_of(n, seed))) for n, seed in digests)
+            engine.make(again, take, work.wait)

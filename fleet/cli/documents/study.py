@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 from msgspec import Meta, Struct
 
 from fleet.scenario.scenario import Scenario, timeline
-from fleet.study.measures import Measure
+from fleet.study.measures import Column
 
 if TYPE_CHECKING:  # these need the extra `study`, and `fleet schema` does not
     from fleet.study.shrink import Shrunk
@@ -73,7 +73,7 @@ class Less(Struct):
     after: Annotated[Size, Meta(description="The least one.")]
 
 
-def swept(store: Store, measures: Sequence[Measure]) -> Swept:
+def swept(store: Store, measures: Sequence[Column]) -> Swept:
     """The document of a study. Raises StudyError."""
     from fleet.study.summary import summarise
 

@@ -232,8 +232,8 @@ def test_bad_directories_are_said(small_file: str, tmp_path: Path) -> None:
         Study(store).to_pandas()
     file = store.directory / "study.json"
     text = file.read_text("utf-8")
-    file.write_text(text.replace('"version": 1', '"version": 99'), "utf-8")
-    with pytest.raises(StudyError, match="version 99; this fleet reads version 1"):
+    file.write_text(text.replace('"version": 2', '"version": 99'), "utf-8")
+    with pytest.raises(StudyError, match="version 99; this fleet reads version 2"):
         open_study(store.directory)
     file.write_text(text[:50], "utf-8")
     with pytest.raises(StudyError, match="is damaged"):

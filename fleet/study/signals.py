@@ -1,0 +1,286 @@
+"""Measures by signal: `p95 control.load` is a number of every run, computed from the samples that its log would have.
+
+A signal is named as `fleet diff` names it, by topic and field: `uuv/3/error.e_norm`, or `error.e_norm` for all
+vehicles. `command.tau_0` is the first component of a vector, as in exported tables; `|...|` is the absolute value, of a
+vector its Euclidean norm.
+"""
+
+from __future__ import annotations
+
+import re
+from array import array
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from math import hypot, nan
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fleet.logs.schemas import COMMAND, ERROR, STATE, signal_columns
+from fleet.quantities import QuantityError, show_time, time_ns
+from fleet.recorder.metrics import VehicleError
+from fleet.recorder.separation import Separation
+from fleet.scenario.scenario import Scenario
+from fleet.study.errors import StudyError
+from fleet.study.measures import SEPARATION, STANDING, Column
+from netem.parsing import nearest
+from netem.wire.messages import Command, Frame, VehicleFrame
+
+_EXAMPLE = '"p95 control.load", "max |error.e|", "final uuv/3/state.z" or "mean error.e_norm after 20 s"'
+_GRAMMAR = re.compile(
+    r"(?P<how>\w[\w.]*)\s+(?P<bar>\|)?\s*(?:uuv/(?P<vehicle>\*|[1-9]\d{0,5})/)?(?P<name>[A-Za-z]\w*\.\w+)\s*(?(bar)\|)"
+    r"(?:\s+after\s+(?P<after>\S.*))?",
+    re.ASCII,
+)
+_PERCENTILE = re.compile(r"p(\d{1,2}(?:\.\d{1,3})?|100)", re.ASCII)
+_HOW: dict[str, Callable[[NDArray[np.float64]], float]] = {
+    "min": lambda values: float(values.min()),
+    "mean": lambda values: float(values.mean()),
+    "max": lambda values: float(values.max()),
+    "rms": lambda values: float(np.sqrt(np.mean(values**2))),
+    "final": lambda values: float(values[-1]),
+}
+_STATIC = {"state": STATE, "nav": STATE, "command": COMMAND, "error": ERROR}
+
+
+@dataclass(frozen=True, slots=True)
+class SignalMeasure:
+    """One number of a signal.
+
+    Attributes:
+        how: `min`, `mean`, `max`, `rms`, `final`, or a percentile such as `p95`.
+        name: of the signal: topic group, dot, field.
+        absolute: of the absolute value, of a vector of its Euclidean norm.
+        vehicle: None: of each vehicle that reports it, and then the largest, with `min` the least.
+        after_ns: samples before that do not count [ns].
+    """
+
+    how: str
+    name: str
+    absolute: bool = False
+    vehicle: int | None = None
+    after_ns: int = 0
+
+    def __str__(self) -> str:
+        signal = self.name if self.vehicle is None else f"uuv/{self.vehicle}/{self.name}"
+        after = f" after {show_time(self.after_ns)}" if self.after_ns else ""
+        return f"{self.how} {f'|{signal}|' if self.absolute else signal}{after}"
+
+    def of(self, values: NDArray[np.float64]) -> float:
+        """The number of these samples of one vehicle, at least one."""
+        if percentile := _PERCENTILE.fullmatch(self.how):
+            return float(np.percentile(values, float(percentile[1])))
+        return _HOW[self.how](values)
+
+
+class _Place(NamedTuple):
+    """Where a signal is among the values of its topic group."""
+
+    values: slice
+    unit: str
+
+
+def is_signal(name: str) -> bool:
+    """Whether the name of a measure is one of a signal's."""
+    return " " in name.strip()
+
+
+def parse_signal(text: str) -> SignalMeasure:
+    """A measure as the user writes it.
+
+    Raises:
+        StudyError: it is none.
+    """
+    found = _GRAMMAR.fullmatch(text.strip())
+    if found is None:
+        raise StudyError(f'"{text[:60]}" is no measure of a signal: expected one such as {_EXAMPLE}')
+    how, vehicle, after = found["how"], found["vehicle"], found["after"]
+    if how not in _HOW and not _PERCENTILE.fullmatch(how):
+        raise StudyError(f'"{text[:60]}": expected {", ".join(_HOW)} or a percentile such as p95, got "{how[:20]}"')
+    try:
+        after_ns = time_ns(after) if after else 0
+    except QuantityError as error:
+        raise StudyError(f'"{text[:60]}": {error}') from None
+    who = None if vehicle in (None, "*") else int(vehicle)
+    return SignalMeasure(how, found["name"], found["bar"] is not None, who, max(0, after_ns))
+
+
+def signal_columns_of(texts: Iterable[str], scenarios: Sequence[Scenario]) -> list[Column]:
+    """The column of each measure of a signal: its name and unit.
+
+    Args:
+        scenarios: of all points. A signal has to be one of some vehicle in one of them; elsewhere it is missing.
+
+    Raises:
+        StudyError: a text is no measure, or there is no such signal.
+    """
+    measures = [parse_signal(text) for text in dict.fromkeys(texts)]
+    if not measures:
+        return []
+    fleets = {
+        (scenario.vehicles, tuple(scenario.layout(i) for i in range(1, scenario.vehicles + 1))): scenario
+        for scenario in scenarios
+    }
+    return [_column(measure, list(fleets.values())) for measure in dict.fromkeys(measures)]
+
+
+def check_name(name: str) -> None:
+    """Raises StudyError: no study can have a measure of this name."""
+    if is_signal(name):
+        parse_signal(name)
+    else:
+        find_columns([name])
+
+
+def find_columns(names: Iterable[str], columns: Iterable[Column] = STANDING) -> list[Column]:
+    """The columns of the measures of these names.
+
+    Args:
+        names: also of measures of signals.
+        columns: those that there are.
+
+    Raises:
+        StudyError: there is none of a name.
+    """
+    known = {column.name: column for column in columns}
+    found = []
+    for name in names:
+        wanted = str(parse_signal(name)) if is_signal(name) else name
+        if wanted not in known:
+            hint = nearest(wanted, known) or f"there are {', '.join(known)}"
+            if is_signal(name):
+                hint = "a measure of a signal is named when the study is made"
+            raise StudyError(f'there is no measure "{name[:60]}"; {hint}')
+        found.append(known[wanted])
+    return found
+
+
+def _column(measure: SignalMeasure, scenarios: Sequence[Scenario]) -> Column:
+    units: set[str] = set()
+    known: dict[str, int] = {}  # every name, and its width
+    most = max(scenario.vehicles for scenario in scenarios)
+    if measure.vehicle is not None and measure.vehicle > most:
+        raise StudyError(f'"{measure}": there is no vehicle {measure.vehicle}; they are 1 to {most}')
+    for scenario in scenarios:
+        for i in _vehicles(measure, scenario):
+            columns = _columns(scenario, i)
+            known |= {name: place.values.stop - place.values.start for name, place in columns.items()}
+            if measure.name in columns:
+                units.add(columns[measure.name].unit)
+    if not units:
+        raise StudyError(f'"{measure}": there is no signal {measure.name}; {_hint(measure.name, known)}')
+    width, unit = known[measure.name], ", ".join(units)
+    if width > 1 and not measure.absolute:
+        name = measure.name
+        raise StudyError(f'"{measure}": {name} has {width} values: choose {name}_0 to {name}_{width - 1}, or |{name}|')
+    if len(units) > 1 or ", " in unit:
+        raise StudyError(f'"{measure}": {measure.name} has several units, {unit}: choose one')
+    return Column(str(measure), "" if unit == "1" else unit)
+
+
+def _hint(name: str, known: Mapping[str, int]) -> str:
+    group, _, field = name.partition(".")
+    beside = [other.partition(".")[2] for other in known if other.startswith(f"{group}.")]
+    if not beside:
+        return nearest(name, known) or f"there are {', '.join(dict.fromkeys(n.partition('.')[0] for n in known))}"
+    return nearest(field, beside) or f"{group} has {', '.join(beside)}"
+
+
+def _vehicles(measure: SignalMeasure, scenario: Scenario) -> range:
+    if measure.vehicle is None:
+        return range(1, scenario.vehicles + 1)
+    return range(measure.vehicle, min(measure.vehicle, scenario.vehicles) + 1)
+
+
+def _columns(scenario: Scenario, i: int) -> dict[str, _Place]:
+    """Every signal of a vehicle, vectors and their components, by name."""
+    layout = scenario.layout(i)
+    groups = {
+        group: (signal_columns(getattr(layout, group)), layout.group(group).start) for group in ("guidance", "control")
+    }
+    found: dict[str, _Place] = {}
+    for group, (columns, start) in ({group: (columns, 0) for group, columns in _STATIC.items()} | groups).items():
+        for column in columns:
+            name, width = f"{group}.{column.name}", column.width or 1
+            units = column.unit.split(", ") if ", " in column.unit else [column.unit] * width
+            found[name] = _Place(slice(start, start + width), column.unit)
+            if column.width:
+                for k, unit in enumerate(units):
+                    found.setdefault(f"{name}_{k}", _Place(slice(start + k, start + k + 1), unit))
+            start += width
+    return found
+
+
+class _Kept(NamedTuple):
+    """The samples of one measure and vehicle."""
+
+    measure: SignalMeasure
+    group: str
+    values: slice
+    every: int  # ticks between two samples
+    first: int  # tick
+    samples: array[float]
+
+
+class Samples:
+    """Watches one run for measures of signals, and for the least distance of its vehicles.
+
+    A signal is sampled at the ticks at which the log would have it; all samples are kept until the end, 8 bytes each.
+    """
+
+    def __init__(self, scenario: Scenario, names: Iterable[str] = ()) -> None:
+        """`names`: of the measures."""
+        self._last = scenario.ticks
+        self._names = {name: parse_signal(name) for name in names}
+        self._separation = Separation(range(1, scenario.vehicles + 1))
+        self._kept: dict[int, list[_Kept]] = {}
+        for measure in self._names.values():
+            for i in _vehicles(measure, scenario):
+                if (place := _columns(scenario, i).get(measure.name)) is not None:
+                    group = measure.name.partition(".")[0]
+                    first = -(-measure.after_ns // scenario.tick_ns)
+                    kept = _Kept(measure, group, place.values, scenario.log_every[group], first, array("d"))
+                    self._kept.setdefault(i, []).append(kept)
+
+    def frame(self, frame: Frame, commands: Mapping[int, Command], errors: Mapping[int, VehicleError]) -> None:
+        """Take one frame."""
+        self._separation.frame(frame)
+        if not self._kept:
+            return
+        tick = frame.tick
+        for row in frame.vehicles:
+            for measure, group, place, every, first, samples in self._kept.get(row.id, ()):
+                if tick < first or (tick % every and tick != self._last):
+                    continue
+                values = _values(group, row, commands.get(row.id), errors[row.id])[place]
+                if values:
+                    samples.append(hypot(*values) if measure.absolute else values[0])
+
+    def numbers(self) -> dict[str, float]:
+        """Every measure by name; NaN where no vehicle reported it."""
+        found = {name: self._number(measure) for name, measure in self._names.items()}
+        least = self._separation.least
+        return found | {SEPARATION.name: nan if least is None else least.distance_m}
+
+    def _number(self, measure: SignalMeasure) -> float:
+        """What the agents did not report, because they were dead or had nothing to say, is NaN, and left out."""
+        every = [np.array(kept.samples) for rows in self._kept.values() for kept in rows if kept.measure == measure]
+        there = [values[~np.isnan(values)] for values in every]
+        join = min if measure.how == "min" else max
+        return join((measure.of(values) for values in there if len(values)), default=nan)
+
+
+def _values(group: str, row: VehicleFrame, command: Command | None, error: VehicleError) -> tuple[float, ...]:
+    """What a topic group has of a vehicle, flat; empty: nothing."""
+    match group:
+        case "state":
+            return (*row.eta, *row.nu)
+        case "nav":
+            return tuple(row.nav)
+        case "error":
+            return (*error.e, error.e_norm, *error.formation, error.formation_norm)
+        case "command":
+            return () if command is None else (*command.tau, *row.tau)
+        case _:
+            return () if command is None else tuple(command.telemetry)

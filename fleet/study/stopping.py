@@ -1,0 +1,132 @@
+"""When a point of a study has enough seeds: as soon as the interval of what is asked for is narrow enough.
+
+Seeds are added in rounds, to each point half as many as it has, and are looked at when all of a round are there. What
+is decided depends on the rows of one point and on nothing else: not on workers, nor on when they were made. So a study
+that was interrupted goes on as it would have, and the seeds of all points are a prefix of one sequence, which can be
+compared in pairs.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from itertools import count, islice
+from typing import Any, NamedTuple
+
+from fleet.study.errors import StudyError
+from fleet.study.measures import STANDING, Column
+from fleet.study.one_run import FAILED
+from fleet.study.signals import find_columns, is_signal, parse_signal
+from fleet.study.statistics import Estimate, median, pass_rate
+from netem.parsing import NUMBER
+
+_RULE = re.compile(rf"(?P<what>\S.*?)\s*(?:±|\+/?-)\s*(?P<number>{NUMBER.pattern})\s*(?P<unit>\S.*?)?", re.ASCII)
+_PASS = ("pass", "passed")
+
+Row = Mapping[str, Any]
+
+
+class Rule(NamedTuple):
+    """When a point has enough: half the width of the 95 % interval is at most `margin`.
+
+    Attributes:
+        text: as the user wrote it.
+        column: whose median it is; None: the share of runs that passed.
+        margin: in the unit of the column; of the share, or relative, 1.
+        relative: to the median.
+    """
+
+    text: str
+    column: Column | None
+    margin: float
+    relative: bool
+
+    @property
+    def columns(self) -> list[str]:
+        """What it looks at besides whether runs passed."""
+        return [] if self.column is None else [self.column.name]
+
+    def estimate(self, rows: Iterable[Row]) -> Estimate:
+        """Of the rows of one point."""
+        judged = [row for row in rows if row["status"] != FAILED]
+        if self.column is None:
+            return pass_rate(sum(row["passed"] is True for row in judged), len(judged))
+        return median([self.column.number(row[self.column.name]) for row in judged])
+
+    def met(self, found: Estimate) -> bool:
+        """Whether an estimate is narrow enough."""
+        margin = self.margin * abs(found.value) if self.relative else self.margin
+        return found.low == found.high or found.half <= margin
+
+
+def watched_by(text: str) -> list[str]:
+    """The name of the measure that a rule looks at; none: whether runs passed. Raises StudyError."""
+    what = _parts(text)["what"]
+    return [] if what in _PASS else [what]
+
+
+def parse_until(text: str, columns: Sequence[Column]) -> Rule:
+    """`pass ±5 %`, `e_rms_m ±0.05 m`, `e_rms_m ±10 %`; `+-` is the same as `±`.
+
+    Args:
+        columns: measures that there are.
+
+    Raises:
+        StudyError: it is none of them.
+    """
+    found = _parts(text)
+    unit, margin = found["unit"] or "", float(found["number"])
+    column = next(iter(find_columns(watched_by(text), columns)), None)
+    units = ("%", "") if column is None else ("%", "", column.unit)
+    if unit not in units:
+        raise StudyError(f'"{text[:60]}": expected a margin in {" or ".join(filter(None, units))}, got "{unit[:20]}"')
+    if unit == "%":
+        margin /= 100.0
+    if not 0.0 < margin < (0.5 if column is None else float("inf")):
+        least = "above 0 and below 50 %" if column is None else "above 0"
+        raise StudyError(f'"{text[:60]}": expected a margin {least}')
+    return Rule(text.strip(), column, margin, column is not None and unit == "%")
+
+
+def check_until(text: str) -> None:
+    """Raises StudyError: no study can have this rule."""
+    unit = _parts(text)["unit"] or ""
+    signals = [Column(str(parse_signal(name)), unit) for name in watched_by(text) if is_signal(name)]
+    parse_until(text, [*STANDING, *signals])
+
+
+def _parts(text: str) -> re.Match[str]:
+    found = _RULE.fullmatch(text.strip())
+    if found is None:
+        expected = 'expected "pass ±5 %", "e_rms_m ±0.05 m", "e_rms_m ±10 %" or the like'
+        raise StudyError(f'{expected}, got "{text[:60]}"')
+    return found
+
+
+def seed_sequence(first: Sequence[int], most: int) -> list[int]:
+    """The seeds that points may have: those of the plan, then the numbers behind the largest of them.
+
+    Args:
+        most: how many; not fewer than the plan has.
+    """
+    return [*first, *islice(count(max(first) + 1), max(0, most - len(first)))]
+
+
+def seeds_needed(rule: Rule, rows: Mapping[int, Row], seeds: Sequence[int], first: int) -> int:
+    """How many of the seeds a point needs, as far as its rows show.
+
+    Args:
+        rows: of the point, by seed.
+        seeds: that it may have.
+        first: how many it needs in any case.
+    """
+    needed = first
+    while needed < len(seeds):
+        there = [rows[seed] for seed in seeds[:needed] if seed in rows]
+        if len(there) < needed:
+            break
+        found = rule.estimate(there)
+        if rule.met(found) or found.runs == 0:  # more of nothing is nothing
+            break
+        needed = min(len(seeds), needed + max(1, needed // 2))
+    return needed

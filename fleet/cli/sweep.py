@@ -108,12 +108,13 @@ def sweep(
     from fleet.quantities import show_time
     from fleet.scenario.catalogue import shipped_scenarios
     from fleet.scenario.trust import TYPED
-    from fleet.study.catalogue import NamedStudy, shipped_studies, study_named
+    from fleet.study.catalogue import shipped_studies
     from fleet.study.errors import StudyError
     from fleet.study.signals import find_columns
     from fleet.study.spec import StudySpec, set_values, varied
     from fleet.study.store import Store
     from fleet.study.study import engine_of, new_directory
+    from fleet.study.study_file import NamedStudy, study_named
     from fleet.study.summary import DEFAULT
     from fleet.study.sweep import declared, load_points, logs_to_make, modules_again, prepare, run_study
 

@@ -13,9 +13,9 @@ import msgspec
 from fleet.quantities import time_ns
 from fleet.scenario.catalogue import shipped_scenarios
 from fleet.scenario.text.overrides import FAULT, NET, SET, Override
+from fleet.scenario.text.plain_yaml import inline, yaml_text
 from fleet.scenario.text.yaml_reader import Items, Source, plain, read
 from fleet.scenario.text.yaml_reader import Mapping as Tree
-from fleet.scenario.text.yaml_writer import inline, yaml_text
 from fleet.scenario.trust import TYPED, Origin
 from fleet.study.errors import StudyError
 from fleet.study.plan import Plan, parse_seeds
@@ -192,20 +192,6 @@ def seeds_text(seeds: int | Sequence[int]) -> str:
     if isinstance(seeds, int):
         return str(seeds)
     return ",".join(map(str, [*seeds, *seeds[:1]]))  # one alone would be how many
-
-
-def values_text(values: object) -> str:
-    """The text of VALUES that are given as a text, a number or a list of them."""
-    if isinstance(values, Iterable) and not isinstance(values, str | Mapping):
-        return ", ".join(_value_text(value, listed=True) for value in values)
-    return _value_text(values)
-
-
-def _value_text(value: object, *, listed: bool = False) -> str:
-    if isinstance(value, bool | Mapping | list | None):
-        return inline(value)
-    text = str(value)
-    return f'"{text}"' if listed and "," in text and not re.search("[\\[{\"']", text) else text
 
 
 def _nested(text: str) -> Any:

@@ -17,17 +17,18 @@ from fleet.execution.outcome import Result
 from fleet.quantities import show_time
 from fleet.scenario.loading import parse_scenario
 from fleet.scenario.trust import Policy
-from fleet.study.catalogue import NamedStudy, study_named
 from fleet.study.engine import Engine, local_engine, need_extra, processors, remote_engine
 from fleet.study.errors import StudyError
 from fleet.study.one_run import A_STUDY, FAILED
 from fleet.study.settings import KeepLogs
 from fleet.study.signals import find_columns
-from fleet.study.spec import StudySpec, seeds_text, set_values, values_text
+from fleet.study.spec import StudySpec, seeds_text, set_values
 from fleet.study.statistics import Comparison, compare
 from fleet.study.store import Store
+from fleet.study.study_file import NamedStudy, study_named
 from fleet.study.summary import PointSummary, summarise
 from fleet.study.sweep import Progress, prepare, run_study
+from fleet.study.values import values_text
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -5,22 +5,56 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from fleet.errors import Problem, ScenarioError, printable
 from fleet.quantities import QuantityError, describe_value, time_ns
+from fleet.scenario.catalogue import shipped_scenarios
+from fleet.scenario.text.plain_yaml import inline
 from fleet.scenario.text.yaml_reader import Items, Mapping, Node, Place, Scalar, Source, plain, read
-from fleet.scenario.text.yaml_writer import inline
+from fleet.scenario.trust import TYPED, Origin, origin
+from fleet.study.catalogue import shipped_studies, study_text
 from fleet.study.errors import StudyError
 from fleet.study.plan import parse_seeds
 from fleet.study.settings import KEEP_LOGS, MOST_ALLOWED
 from fleet.study.signals import check_name
-from fleet.study.spec import StudySpec, is_file, seeds_text, values_text
+from fleet.study.spec import StudySpec, is_file, seeds_text
 from fleet.study.stopping import check_until
-from fleet.study.values import axis
+from fleet.study.values import axis, values_text
 from netem.parsing import nearest
+from netem.whole_file import read_file
 
 _KEY = "study"
+_MAX_BYTES = 4_000_000  # as many as the characters that yaml_reader takes can have
+
+
+class NamedStudy(NamedTuple):
+    """A study that somebody wrote down, and where it comes from."""
+
+    spec: StudySpec
+    origin: Origin = TYPED
+
+
+def study_named(name: str) -> NamedStudy | None:
+    """The study of a shipped name or of a file; None: it may be the name of a scenario.
+
+    Raises:
+        ScenarioError: with every mistake in the file.
+        StudyError: the name is nearly that of a study.
+    """
+    if name in shipped_studies():
+        return NamedStudy(parse_study(Source(f"{name}.yaml", study_text(name))))
+    path = Path(name)
+    if not path.is_file():
+        close = nearest(name, shipped_studies())
+        if close and name not in shipped_scenarios() and not path.suffix:
+            raise StudyError(f"there is no study or scenario {name}; {close}")
+        return None
+    try:
+        source = Source(name, read_file(path, _MAX_BYTES).decode("utf-8-sig"))
+    except (OSError, ValueError):  # who reads it as a scenario says what is wrong
+        return None
+    return NamedStudy(parse_study(source, path.parent), origin(path)) if is_study(source) else None
 
 
 def is_study(source: Source) -> bool:

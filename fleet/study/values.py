@@ -13,7 +13,7 @@ A unit that only one end has holds for both. Values in a range have at most six 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from fractions import Fraction
 from math import exp, log
@@ -21,6 +21,7 @@ from typing import Literal, NamedTuple
 
 from fleet.errors import printable
 from fleet.quantities import DIMENSIONS
+from fleet.scenario.text.plain_yaml import inline
 from fleet.study.errors import ValuesError
 from netem.grammar import RATE_UNITS
 from netem.parsing import LONGEST_NUMBER, NUMBER, exact_number, nearest
@@ -124,6 +125,20 @@ def axis(key: str, text: str) -> Axis:
         return _listed(key, text)
     except ValuesError as error:
         raise ValuesError(f"{key}={text.strip()[:80]}: {error}") from None
+
+
+def values_text(values: object) -> str:
+    """The text of VALUES that are given as a text, a number or a list of them."""
+    if isinstance(values, Iterable) and not isinstance(values, str | Mapping):
+        return ", ".join(_value_text(value, listed=True) for value in values)
+    return _value_text(values)
+
+
+def _value_text(value: object, *, listed: bool = False) -> str:
+    if isinstance(value, bool | Mapping | list | None):
+        return inline(value)
+    text = str(value)
+    return f'"{text}"' if listed and "," in text and not re.search("[\\[{\"']", text) else text
 
 
 def _listed(key: str, text: str) -> Axis:

@@ -6,8 +6,6 @@ later `--set profile=...`, because an explicit value wins over the profile.
 
 from __future__ import annotations
 
-import json
-import re
 from typing import Any
 
 from fleet.scenario.schema.spec import ScenarioSpec
@@ -23,10 +21,7 @@ from fleet.scenario.sections.per_vehicle import (
     vehicle,
 )
 from fleet.scenario.sections.vehicle_files import LIMITS
-from fleet.scenario.text.yaml_reader import resolve
-
-# Plain scalars: nothing that could begin or end a YAML construct. Anything else is quoted.
-_PLAIN = re.compile(r"(?:[A-Za-z0-9]|-?[0-9.])(?:[A-Za-z0-9 ._/%^<>+-]*[A-Za-z0-9._/%^])?")
+from fleet.scenario.text.plain_yaml import entry, scalar
 
 
 def scenario_yaml(spec: ScenarioSpec) -> str:
@@ -47,12 +42,12 @@ def scenario_yaml(spec: ScenarioSpec) -> str:
     lines: list[str] = []
     supplied = _supplied(spec)
     for key, value in values.items():
-        lines += _entry(key, value, 0) if value != {} else [f"{key}:"]
+        lines += entry(key, value, 0) if value != {} else [f"{key}:"]
         origin, given = supplied.get(key, ("", {}))
         rest = {k: v for k, v in given.items() if k not in value and v is not None}
         if rest:
             lines.append(f"  # from {origin}:")
-            lines += [f"  # {k}: {_scalar(v)}" for k, v in rest.items()]
+            lines += [f"  # {k}: {scalar(v)}" for k, v in rest.items()]
     return "\n".join(lines) + "\n"
 
 
@@ -73,43 +68,3 @@ def _supplied(spec: ScenarioSpec) -> dict[str, tuple[str, dict[str, Any]]]:
         supplied["guidance"] = f"{profile}, law {guidance}", shown_guidance
         supplied["tracking"] = f"{profile}, law {tracking}", shown_tracking
     return supplied
-
-
-def _entry(key: str, value: Any, depth: int) -> list[str]:
-    indent = "  " * depth
-    head = f"{indent}{_scalar(key)}:"
-    if isinstance(value, dict) and value:
-        lines = [head]
-        for inner_key, inner in value.items():
-            lines += _entry(inner_key, inner, depth + 1)
-        return lines
-    if isinstance(value, list) and value:
-        return [head, *(f"{indent}  - {inline(item)}" for item in value)]
-    return [f"{head} {inline(value)}"]
-
-
-def yaml_text(values: dict[str, Any]) -> str:
-    """The text of plain values; what is inside a list stands on one line."""
-    return "\n".join(line for key, value in values.items() for line in _entry(key, value, 0)) + "\n"
-
-
-def inline(value: Any) -> str:
-    """The text of a plain value on one line."""
-    if isinstance(value, dict):
-        return "{" + ", ".join(f"{_scalar(k)}: {inline(v)}" for k, v in value.items()) + "}"
-    if isinstance(value, list):
-        return "[" + ", ".join(inline(item) for item in value) + "]"
-    return _scalar(value)
-
-
-def _scalar(value: Any) -> str:
-    if isinstance(value, bool) or value is None:
-        return json.dumps(value)
-    if isinstance(value, float):
-        return repr(value).removesuffix(".0")
-    if isinstance(value, int):
-        return str(value)
-    text = str(value)
-    if _PLAIN.fullmatch(text) and isinstance(resolve(text), str):
-        return text
-    return json.dumps(text, ensure_ascii=False)

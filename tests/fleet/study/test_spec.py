@@ -13,7 +13,7 @@ from fleet.errors import printable
 from fleet.scenario.text.overrides import FAULT, NET, SET, Override
 from fleet.scenario.text.yaml_reader import Source
 from fleet.study.errors import StudyError
-from fleet.study.spec import StudySpec, is_file, seeds_text, set_values, values_text, varied
+from fleet.study.spec import StudySpec, is_file, seeds_text, set_values, varied
 from fleet.study.study_file import parse_study
 from fleet.study.values import axis
 
@@ -110,23 +110,6 @@ def test_a_plan_has_all_that_the_study_says() -> None:
     assert (plan.scenario, plan.axes, plan.seeds, plan.draw) == ("paper", (axis("x", "1, 2"),), (4, 2), 7)
     assert spec.timeout_s == inf
     assert spec.changed(timeout="1.5 s").timeout_s == 1.5
-
-
-@pytest.mark.parametrize(
-    ("values", "text"),
-    [
-        ("0 %..9 %/1 %", "0 %..9 %/1 %"),
-        (7, "7"),
-        ([1.0, 2.5], "1.0, 2.5"),
-        ([True, None], "true, null"),
-        (["0 %", "10 %"], "0 %, 10 %"),
-        ([{"a": 1, "b": "x"}, [1, 2]], "{a: 1, b: x}, [1, 2]"),
-        (["delay 1s, loss 2%", "{a: 1, b: 2}"], '"delay 1s, loss 2%", {a: 1, b: 2}'),
-        ((n for n in (1, 2)), "1, 2"),
-    ],
-)
-def test_values_of_a_list_are_values_as_text(values: object, text: str) -> None:
-    assert values_text(values) == text
 
 
 def test_seeds_as_text() -> None:

@@ -9,10 +9,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from agents.plugins.trust import Trust
 from fleet.errors import ScenarioError
 from fleet.scenario.text.yaml_reader import Source
+from fleet.study.errors import StudyError
 from fleet.study.spec import StudySpec
-from fleet.study.study_file import is_study, parse_study
+from fleet.study.study_file import is_study, parse_study, study_named
+from fleet.study.sweep import load_points
 
 
 def parse(text: str, folder: Path | None = None) -> StudySpec:
@@ -155,3 +158,40 @@ def test_any_text_is_a_study_or_a_mistake(text: str) -> None:
     if is_study(source):
         with suppress(ScenarioError):
             assert isinstance(parse_study(source), StudySpec)
+
+
+def test_what_is_no_study_is_left_to_others(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("scenario.yaml").write_text("vehicles: 3\n", "utf-8")
+    Path("log.mcap").write_bytes(b"\x89MCAP0\r\n\xff\xfe")
+    for name in ("paper", "nosuch", "nosuch.yaml", "scenario.yaml", "log.mcap", ".", "/dev/null", "a\0b", ""):
+        assert study_named(name) is None, name
+    with pytest.raises(StudyError, match='no study or scenario los-delay; did you mean "loss-delay"'):
+        study_named("los-delay")
+
+
+@pytest.mark.parametrize(
+    ("file", "runs"),
+    [("here.yaml", True), ("below/it.yaml", False), ("../stranger/it.yaml", False)],
+)
+def test_laws_of_a_study_obey_the_rules_of_scenarios(
+    file: str, runs: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    here = tmp_path / "here"
+    for folder in (here, here / "below", tmp_path / "stranger"):
+        folder.mkdir()
+    monkeypatch.chdir(here)
+    module = f"law_for_{'here' if runs else Path(file).parent.name}"
+    Path(f"{module}.py").write_text("from pathlib import Path\nPath('it_ran').touch()\n", "utf-8")
+    text = f"study: {{scenario: paper, set: {{controller: {{law: '{module}:Law'}}}}}}"
+    Path(file).write_text(text, "utf-8")
+    named = study_named(file)
+    assert named is not None
+    with pytest.raises(ScenarioError) as caught:
+        load_points(named.spec.plan(named.origin))
+    assert Path("it_ran").exists() is runs
+    assert ("has no 'Law'" if runs else f"would run {module}.py, which is not installed") in str(caught.value)
+    if not runs:
+        with pytest.raises(ScenarioError, match="has no 'Law'"):
+            load_points(named.spec.plan(named.origin), Trust(everything=True))
+        assert Path("it_ran").exists()

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fleet.study.errors import ValuesError
-from fleet.study.values import Axis, Value, axis, parse_axis
+from fleet.study.values import Axis, Value, axis, parse_axis, values_text
 
 
 def texts(text: str) -> list[str]:
@@ -97,3 +97,20 @@ def test_what_is_wrong_is_said(text: str, message: str) -> None:
     with pytest.raises(ValuesError) as caught:
         parse_axis(text)
     assert message in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("values", "text"),
+    [
+        ("0 %..9 %/1 %", "0 %..9 %/1 %"),
+        (7, "7"),
+        ([1.0, 2.5], "1.0, 2.5"),
+        ([True, None], "true, null"),
+        (["0 %", "10 %"], "0 %, 10 %"),
+        ([{"a": 1, "b": "x"}, [1, 2]], "{a: 1, b: x}, [1, 2]"),
+        (["delay 1s, loss 2%", "{a: 1, b: 2}"], '"delay 1s, loss 2%", {a: 1, b: 2}'),
+        ((n for n in (1, 2)), "1, 2"),
+    ],
+)
+def test_values_of_a_list_are_values_as_text(values: object, text: str) -> None:
+    assert values_text(values) == text

@@ -1,0 +1,55 @@
+"""Studies from scripts."""
+
+from __future__ import annotations
+
+from contextlib import nullcontext
+from pathlib import Path
+
+import pytest
+from small_scenario import SMALL
+from study_engine import Here
+
+import fleet
+from fleet.errors import ScenarioError
+from fleet.study.store import Store
+
+STUDY = """\
+study:
+  scenario: small.yaml
+  vary: {loss: [0 %, 80 %], profile: "paper, hardened"}
+  net: "* loss {loss}"
+  seeds: 5
+  timeout: 90 s
+"""
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("fleet.study.study.engine_of", lambda *_: nullcontext(Here()))
+    monkeypatch.chdir(tmp_path)
+    Path("small.yaml").write_text(SMALL, "utf-8")
+
+
+def test_a_script_runs_the_file_of_a_study_with_changes() -> None:
+    Path("my-study.yaml").write_text(STUDY, "utf-8")
+    study = fleet.sweep("my-study.yaml", {"loss": ["0 %", "50 %"]}, seeds=[7], set={"profile": "hardened"}, draw=3)
+    assert study.directory.name.startswith("my-study-")
+    assert study.axes == {"loss": "%"}  # profile is set now
+    assert study.seeds == [7]
+    assert list(study.to_pandas()["loss"]) == [0.0, 50.0]
+    spec = Store.open(study.directory).record.spec
+    assert spec is not None
+    assert (spec.timeout, spec.draw, spec.seeds, spec.set) == ("90 s", 3, "7,7", {"profile": "hardened"})
+
+
+def test_mistakes_in_the_file_are_raised() -> None:
+    Path("my-study.yaml").write_text(STUDY.replace("seeds", "sees"), "utf-8")
+    with pytest.raises(ScenarioError, match='unknown key "sees"'):
+        fleet.sweep("my-study.yaml")
+
+
+def test_a_time_limit_is_kept_with_the_study() -> None:
+    study = fleet.sweep("small.yaml", seeds=1, timeout_s=1.5)
+    spec = Store.open(study.directory).record.spec
+    assert spec is not None
+    assert (spec.timeout, spec.seeds) == ("1.5 s", "1")

@@ -10,6 +10,7 @@ from netem.wire.access import WORLD as WORLD
 from netem.wire.access import Credentials, Listener
 from netem.wire.audit import Refusals, listen
 from netem.wire.bus import Bus
+from netem.wire.certificate_router import CertificateRouter, new_session_id
 from netem.wire.keys import Keys
 from netem.wire.link_loss import end_with_link
 from netem.wire.session import quiet_zenoh
@@ -28,6 +29,7 @@ def run(
     speed: float | None,
     most_asked: int,
     listener: Listener | None = None,
+    certified: Listener | None = None,
     audit: bool = False,
 ) -> None:
     """Host the router and serve the sea of a run until the process is ended.
@@ -42,10 +44,11 @@ def run(
         speed: how fast ticks begin, times real time; None: lockstep.
         most_asked: agents that are asked at a time, in lockstep.
         listener: where the router listens besides; None: only at `endpoint`.
+        certified: where a second router listens for agents without a password; None: nowhere.
         audit: report also which messages the router refuses, not only which logins.
     """
     keys = Keys(run_id)
-    bus, refusals = host(endpoint, keys, credentials, private, config, listener, audit=audit)
+    bus, refusals = host(endpoint, keys, credentials, private, config, listener, certified, audit=audit)
     _process(bus, keys, config, frame_every, speed, most_asked, refusals).serve()
 
 
@@ -56,15 +59,22 @@ def host(
     private: Path,
     config: WorldConfig,
     listener: Listener | None,
+    certified: Listener | None,
     *,
     audit: bool,
 ) -> tuple[Bus, Refusals]:
-    """The run's router, and what it refuses."""
+    """The run's router, with the one for agents without a password if there is one, and what they refuse."""
     refusals = Refusals()
     listen(refusals, decisions=audit)
-    bus = Bus.host(endpoint, keys, tuple(setup.id for setup in config.vehicles), credentials, private, listener)
+    vehicles = tuple(setup.id for setup in config.vehicles)
+    bus = Bus.host(endpoint, keys, vehicles, credentials, private, listener)
     if audit:
         bus.watch_ends(refusals.end)
+    if certified is not None:
+        refusals.expect_universal(session_id := new_session_id())
+        second = CertificateRouter(bus, keys, vehicles, certified, session_id)
+        if audit:
+            second.watch_ends(refusals.end)
     return bus, refusals
 
 

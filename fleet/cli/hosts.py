@@ -35,6 +35,8 @@ def hosts_options(command: F) -> F:
         click.option("--advertise", metavar="HOST", multiple=True,
                      help="With --listen: how agents reach this host; repeatable."),
         click.option("--certs", metavar="DIR", type=folder, help="Certificates for tls, made by fleet certs."),
+        click.option("--listen-certified", metavar="ENDPOINT",
+                     help="Also listen for agents that have a certificate and no password (zenoh-pico)."),
         click.option("--listen", metavar="ENDPOINT",
                      help="Also listen for agents on other hosts, e.g. tls/0.0.0.0:7447."),
     ):  # fmt: skip
@@ -48,17 +50,33 @@ def meeting(scenario: Scenario, options: dict[str, Any], *, in_process: bool) ->
     Raises:
         FleetError: they do not go together, or with the scenario.
     """
-    given = [name for name in ("listen", "router", "certs", "advertise", "mutual_tls", "credentials") if options[name]]
+    names = ("listen", "listen_certified", "router", "certs", "advertise", "mutual_tls", "credentials")
+    given = [name for name in names if options[name]]
     if not given:
         return None
-    from fleet.hosts.rendezvous import HostsError, check_free, listening, through_router
+    from fleet.hosts.rendezvous import (
+        CERTIFIED,
+        HostsError,
+        Rendezvous,
+        check_free,
+        listening,
+        listening_for_certificates,
+        through_router,
+    )
 
     listen, router, lease_ms = options["listen"], options["router"], options["lease"] // 1_000_000
+    certified = options["listen_certified"]
     spelt = "--" + given[0].replace("_", "-")
     if in_process:
         raise HostsError(f"{spelt}: a run in one process has no router that others could join")
-    if bool(listen) == bool(router):
-        raise HostsError("either --listen or --router, not both" if listen else f"{spelt} needs --listen or --router")
+    if certified and router:
+        raise HostsError(f"{CERTIFIED} is for a run that hosts its router: the one of --router asks for passwords")
+    if listen and router:
+        raise HostsError("either --listen or --router, not both")
+    if not (listen or router or certified):
+        raise HostsError(f"{spelt} needs --listen or --router")
+    if options["mutual_tls"] and not (listen or router):
+        raise HostsError(f"--mutual-tls is for --listen or --router: {CERTIFIED} always asks for certificates")
     common = {name: options[name] for name in ("certs",)} | {
         "external": scenario.external, "mutual": options["mutual_tls"], "lease_ms": lease_ms
     }  # fmt: skip
@@ -67,14 +85,20 @@ def meeting(scenario: Scenario, options: dict[str, Any], *, in_process: bool) ->
             f"--lease {lease_ms / 1000:g} s is no shorter than stall_timeout {scenario.stall_timeout_s:g} s: "
             f"the run would break before a silent link ends: --set stall_timeout='{lease_ms / 500:g} s'"
         )
-    if listen:
+    if not router:
         if options["credentials"]:
             raise HostsError("--credentials is for --router: a router of its own makes fresh ones")
-        found = listening(listen, advertise=options["advertise"], **common)
-        check_free(listen)
+        found = Rendezvous()
+        if listen:
+            found = listening(listen, advertise=options["advertise"], **common)
+            check_free(listen)
+        if certified:
+            del common["mutual"]
+            found = listening_for_certificates(found, certified, advertise=options["advertise"], **common)
+            check_free(certified, CERTIFIED)
         if not scenario.external:
             nobody = (
-                "--listen: no vehicle is external, so nobody can join; say who: --set external=true for all of them"
+                f"{spelt}: no vehicle is external, so nobody can join; say who: --set external=true for all of them"
             )
             found = replace(found, warnings=(*found.warnings, nobody))
         return found

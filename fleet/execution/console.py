@@ -153,7 +153,7 @@ class Console:
                 # The world may have died meanwhile: that is the better explanation.
                 self._open(connect_to_world(launch.endpoint, own, partial(self._take, POLL_S)))
         self._directory.write_connection(launch.connection)
-        self._external.open(launch.external_endpoint, self._keys.run, launch.external_credentials)
+        self._external.open(launch.external_endpoint, self._keys, launch.external_credentials, launch.join_folders)
 
     def _open(self, bus: Bus) -> None:
         self._session = session = Session(bus, self._keys)

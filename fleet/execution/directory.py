@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import IO, Any
 
 from fleet.errors import FleetError
+from fleet.hosts.join_folder import remove
 from fleet.logs.run_name import STAMP
 from netem.whole_file import open_file, write_whole
 
@@ -84,6 +85,10 @@ class RunDirectory:
     def join(self, i: int) -> Path:
         """What the external agent i needs to join; mode 0600; it exists only while the run lives."""
         return self.path / f"join-{i}.json"
+
+    def join_folder(self, i: int) -> Path:
+        """What the external agent i needs to join with a certificate alone; as `join`, mode 0700."""
+        return self.path / f"join-{i}"
 
     def process_log(self, role: str) -> Path:
         return self.path / "log" / f"{role}.log"
@@ -153,6 +158,8 @@ def remove_secrets(directory: Path) -> None:
     with suppress(OSError):
         for path in (directory / CONNECTION, directory / OBSERVE, *directory.glob("join-*.json")):
             path.unlink(missing_ok=True)
+        for folder in directory.glob("join-*"):
+            remove(folder)
 
 
 def _make_unique(out: Path, base: str) -> Path:

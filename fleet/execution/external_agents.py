@@ -15,8 +15,10 @@ from msgspec.structs import replace
 from agents.join_file import JoinFile
 from fleet.errors import FleetError
 from fleet.execution.directory import RunDirectory
+from fleet.hosts.join_folder import JoinFolder, remove
 from fleet.scenario.scenario import Scenario
 from netem.wire.access import Credentials, agent_role
+from netem.wire.keys import Keys
 from netem.wire.messages import PROTOCOL_VERSION
 
 
@@ -59,6 +61,7 @@ class ExternalAgents:
         self.vehicles = scenario.external
         self._scenario, self._directory, self._print_line = scenario, directory, print_line
         self._files: dict[int, JoinFile] = {}
+        self._folders: Mapping[int, JoinFolder] = {}
         self._awaited: dict[int, JoinFile] = {}
         self._present: set[int] = set()  # vehicles whose agent holds its token
 
@@ -67,20 +70,24 @@ class ExternalAgents:
         """The vehicles whose agent is awaited, ascending."""
         return sorted(self._awaited)
 
-    def open(self, endpoint: str, run: str, credentials: Mapping[str, Credentials]) -> None:
+    def open(
+        self, endpoint: str, keys: Keys, credentials: Mapping[str, Credentials], folders: Mapping[int, JoinFolder]
+    ) -> None:
         """Write the join files; from now on the agents may join.
 
         Args:
             endpoint: of the run's router, for external agents.
-            run: the run's id.
+            keys: of the run.
             credentials: by role.
+            folders: with what agents join that have a certificate and no password, by vehicle.
 
         Raises:
             ExternalError: a join file cannot be written.
         """
+        self._keys, self._folders = keys, folders
         for i in self.vehicles:
             known = credentials[agent_role(i)]
-            self._files[i] = JoinFile(endpoint, run, i, **known.to_values(), scenario=self._scenario.name)
+            self._files[i] = JoinFile(endpoint, keys.run, i, **known.to_values(), scenario=self._scenario.name)
             self.expect(i, 0, 0)
 
     def expect(self, i: int, incarnation: int, begin: int) -> None:
@@ -93,15 +100,20 @@ class ExternalAgents:
         Raises:
             ExternalError: the join file cannot be written.
         """
-        path = self._directory.join(i)
+        path, folder = self._directory.join(i), self._directory.join_folder(i)
         joining = self._files[i] = replace(self._files[i], incarnation=incarnation, begin=begin)
         try:
             joining.write(path)
+            if i in self._folders:
+                self._folders[i].write(folder, self._keys, incarnation, begin)
         except OSError as error:
-            raise ExternalError(f"cannot write {path}: {error.strerror}") from error
+            raise ExternalError(f"cannot write {error.filename or path}: {error.strerror}") from error
         self._awaited[i] = joining
         from_tick = f", from tick {begin} on" if begin else ""
-        self._print_line(f"waiting for agent {i} (external){from_tick}: fleet agent --join {shlex.quote(str(path))}")
+        alone = f"; with its certificate alone: {shlex.quote(str(folder))}" if i in self._folders else ""
+        self._print_line(
+            f"waiting for agent {i} (external){from_tick}: fleet agent --join {shlex.quote(str(path))}{alone}"
+        )
 
     def token(self, i: int, alive: bool) -> None:
         """Record that a liveliness token appeared or disappeared."""
@@ -140,3 +152,4 @@ class ExternalAgents:
         """Remove the join files."""
         for i in self._files:
             self._directory.join(i).unlink(missing_ok=True)
+            remove(self._directory.join_folder(i))

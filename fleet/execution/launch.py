@@ -13,6 +13,7 @@ import world.main
 from fleet.errors import RunBroken
 from fleet.execution.directory import RunDirectory
 from fleet.execution.options import Options
+from fleet.hosts.join_folder import JoinFolder
 from fleet.hosts.rendezvous import Rendezvous
 from fleet.processes.children import Children, forkserver_death
 from fleet.processes.open_files import allow_open_files
@@ -46,7 +47,8 @@ class Launch:
         self.credentials = self._rendezvous.credentials or generate(tuple(range(1, scenario.vehicles + 1)))  # by role
         self.joins_router = self._rendezvous.router is not None  # one that is there already; else the world hosts one
         self._listener = self._other_endpoints()
-        allow_open_files(scenario.vehicles, others=PENDING if self._listener else 0)
+        others = self._listener or self._rendezvous.certified
+        allow_open_files(scenario.vehicles, others=PENDING if others else 0)
         self._private = PrivateFolder()
         self.endpoint = self._rendezvous.router or self._private.endpoint  # for the run's own processes
 
@@ -59,6 +61,11 @@ class Launch:
     def external_credentials(self) -> dict[str, Credentials]:
         """For agents that somebody else starts, by role."""
         return {role: self._rendezvous.external_credentials(role, known) for role, known in self.credentials.items()}
+
+    @property
+    def join_folders(self) -> dict[int, JoinFolder]:
+        """For agents that somebody else starts and that may join with a certificate alone, by vehicle."""
+        return self._rendezvous.folders
 
     @property
     def connection(self) -> dict[str, Any]:
@@ -112,8 +119,8 @@ class Launch:
         if self.joins_router:
             return world.main.join, (self.endpoint, self._keys.run, self.credentials[WORLD], *sea)
         clients = {role: known for role, known in self.credentials.items() if role != WORLD}
-        listener, audit = self._listener, self._options.audit
-        return world.main.run, (self.endpoint, self._keys.run, clients, self._private.path, *sea, listener, audit)
+        listening = self._listener, self._rendezvous.certified, self._options.audit
+        return world.main.run, (self.endpoint, self._keys.run, clients, self._private.path, *sea, *listening)
 
     def _netem(self) -> Target:
         network = self._scenario.netem_config, self._options.realtime_speed is not None

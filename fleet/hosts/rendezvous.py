@@ -7,15 +7,27 @@ import ipaddress
 import re
 import socket
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any
 
 import msgspec
 
 from fleet.errors import FleetError
-from fleet.hosts.certificates import ALWAYS, OWN, SERVER, CertsError, Pair, host_name, read_ca, read_client, read_server
+from fleet.hosts.certificates import (
+    ALWAYS,
+    OWN,
+    SERVER,
+    CertsError,
+    Pair,
+    ServerCertificate,
+    host_name,
+    read_ca,
+    read_client,
+    read_server,
+)
 from fleet.hosts.certificates import path as certificate_path
+from fleet.hosts.join_folder import JoinFolder
 from netem.private_file import DamagedFile, ExposedFile, parse_json, read_private
 from netem.wire.access import Credentials, Listener, agent_role, generate
 from netem.wire.keys import Keys
@@ -25,6 +37,7 @@ from netem.wire.listening import probe_address
 # it begins, and TCP's next attempt may come as late again as the pull was long.
 LEASE_MS = 20_000
 MOST_BYTES = 1_000_000  # of a credentials file
+CERTIFIED = "--listen-certified"  # the option, for errors
 RUN_ID = r"^(?=.*[A-Za-z0-9])[A-Za-z0-9_-]{1,64}$"  # one piece of a key expression
 IN_CLEAR = (
     "{endpoint} is not encrypted and is for other hosts: whoever sees the traffic reads every state and can take over "
@@ -71,6 +84,8 @@ class Rendezvous:
     reached: str = ""  # endpoints for join files, with commas between them; empty: those of this host
     ca: str = ""  # PEM: goes into join files
     certificates: dict[str, Pair] = field(default_factory=dict)  # of external agents, by role
+    certified: Listener | None = None  # where the run listens for agents that have a certificate and no password
+    folders: dict[int, JoinFolder] = field(default_factory=dict)  # what these join with, by vehicle
     lease_ms: int | None = None  # between hosts; None on one host
     warnings: tuple[str, ...] = ()
 
@@ -143,34 +158,78 @@ def listening(
     if certs is None:
         raise HostsError(f"{endpoint} needs certificates: make them with fleet certs DIR --host NAME, then --certs DIR")
     server = read_server(certs)
-    if not hosts:
-        others = [host for host in server.hosts if host not in ALWAYS]
-        hosts = (others or list(server.hosts)) if endpoint.wildcard else [endpoint.host]
-    _covered(hosts, server.hosts, certs)
     roles = [agent_role(i) for i in external] if mutual else []
     return Rendezvous(
         listener=Listener(
             (str(endpoint),), lease_ms, server.ca, server.pair.certificate, server.pair.key, certified=frozenset(roles)
         ),
-        reached=",".join(str(Endpoint("tls", host, endpoint.port)) for host in hosts),
+        reached=",".join(_reached(endpoint, hosts, server, certs)),
         ca=server.ca,
         certificates={role: read_client(certs, role) for role in roles},
         lease_ms=lease_ms,
     )
 
 
-def check_free(listen: str) -> None:
+def listening_for_certificates(
+    rendezvous: Rendezvous,
+    listen: str,
+    certs: Path | None,
+    advertise: Sequence[str] = (),
+    *,
+    external: Sequence[int] = (),
+    lease_ms: int = LEASE_MS,
+) -> Rendezvous:
+    """The same rendezvous, where the run also listens for agents that have a certificate and no password.
+
+    Args:
+        rendezvous: of a run that hosts its router.
+        listen: an endpoint of its own, for tls; the others as for `listening`.
+
+    Raises:
+        HostsError: these do not go together.
+        CertsError: the certificates cannot be used, or an external agent has none.
+    """
+    endpoint = parse_endpoint(listen, CERTIFIED)
+    if endpoint.protocol != "tls":
+        safe = Endpoint("tls", endpoint.host, endpoint.port)
+        raise HostsError(f"{CERTIFIED}: certificates are shown with tls only: {CERTIFIED} {safe}")
+    if certs is None:
+        raise HostsError(
+            f"{CERTIFIED} needs certificates: make them with fleet certs DIR --host NAME --agents N, then --certs DIR"
+        )
+    if rendezvous.listener and any(parse_endpoint(e, "").port == endpoint.port for e in rendezvous.listener.endpoints):
+        raise HostsError(f"--listen and {CERTIFIED} are two routers: give them a port each, not both {endpoint.port}")
+    server = read_server(certs)
+    reached = _reached(endpoint, [_advertised(host) for host in advertise], server, certs)
+    return replace(
+        rendezvous,
+        certified=Listener(
+            (str(endpoint),),
+            lease_ms,
+            server.ca,
+            server.pair.certificate,
+            server.pair.key,
+            certified=frozenset(map(agent_role, external)),
+        ),
+        folders={i: JoinFolder(i, reached, lease_ms, server.ca, read_client(certs, agent_role(i))) for i in external},
+    )
+
+
+def check_free(listen: str, option: str = "--listen") -> None:
     """Check that the world will be able to listen there.
+
+    Args:
+        option: where it was given, for the error.
 
     Raises:
         HostsError: the port is taken or not for us, or the address is not of this host.
     """
-    endpoint = parse_endpoint(listen, "--listen")
+    endpoint = parse_endpoint(listen, option)
     try:
         probe_address(endpoint.host, endpoint.port)
     except OSError as error:
         raise HostsError(
-            f"--listen: {listen} cannot be used ({error.strerror}); choose another address or port"
+            f"{option}: {listen} cannot be used ({error.strerror}); choose another address or port"
         ) from None
 
 
@@ -276,8 +335,16 @@ def _advertised(host: str) -> str:
         raise HostsError(f"--advertise: {error}") from None
 
 
-def _covered(hosts: list[str], named: tuple[str, ...], certs: Path) -> None:
-    """Refuse names that the certificate does not hold: every agent would refuse them later."""
+def _reached(endpoint: Endpoint, hosts: list[str], server: ServerCertificate, certs: Path) -> tuple[str, ...]:
+    """The endpoints under which agents reach a tls listener, at `hosts` or else at those of its certificate.
+
+    Raises:
+        HostsError: a name that the certificate does not hold: every agent would refuse it later.
+    """
+    named = server.hosts
+    if not hosts:
+        others = [host for host in named if host not in ALWAYS]
+        hosts = (others or list(named)) if endpoint.wildcard else [endpoint.host]
     for host in hosts:
         wild = "*." + host.partition(".")[2]
         if host not in named and wild not in named:
@@ -287,6 +354,7 @@ def _covered(hosts: list[str], named: tuple[str, ...], certs: Path) -> None:
                 f"{' '.join(f'--host {name}' for name in (*named, host) if name not in ALWAYS)} --force; "
                 "or --advertise one of those"
             )
+    return tuple(str(Endpoint("tls", host, endpoint.port)) for host in hosts)
 
 
 def _own_address() -> str:

@@ -25,6 +25,7 @@ def agent_role(i: int) -> str:
 
 
 LEASE_MS = 3_600_000  # between processes of one host
+Grant = tuple[str, list[str], list[str]]  # flow, messages, key expressions
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,45 +85,16 @@ def access_control(
         prefix: of the user names and of the rules' names, where several runs share a router.
         world: the world is a client, too.
     """
-    rules: list[dict[str, Any]] = []
-    policies: list[dict[str, Any]] = []
-    subjects: list[dict[str, Any]] = []
+    listed = _List(prefix)
 
-    def allow(role: str, *grants: tuple[str, list[str], list[str]]) -> None:
-        names = []
-        for number, (flow, messages, key_exprs) in enumerate(grants):
-            name = f"{prefix}{role}:{number}"
-            rules.append(
-                {
-                    "id": name,
-                    "permission": "allow",
-                    "flows": [flow],
-                    "messages": messages,
-                    "key_exprs": key_exprs,
-                }
-            )
-            names.append(name)
-        subject: dict[str, Any] = {"id": prefix + role, "usernames": [prefix + role]}
+    def allow(role: str, *grants: Grant) -> None:
+        subject: dict[str, Any] = {"usernames": [prefix + role]}
         if role in certified:
             subject["cert_common_names"] = [*certified[role]]
-        subjects.append(subject)
-        policies.append({"rules": names, "subjects": [prefix + role]})
+        listed.allow(role, subject, *grants)
 
     for i in vehicles:
-        role = agent_role(i)
-        allow(
-            role,
-            ("ingress", ["put"], [keys.tx(i), keys.cmd(i), keys.note(role)]),
-            ("ingress", ["declare_subscriber"], [keys.rx(i), keys.nav(i)]),
-            ("ingress", ["query"], [keys.cfg(i)]),
-            ("ingress", ["liveliness_token"], [keys.alive(role)]),
-            ("egress", ["put"], [keys.rx(i), keys.nav(i)]),
-            ("egress", ["reply"], [keys.cfg(i)]),
-            # The router tells a publisher which key expressions are subscribed to; ours are the starred
-            # ones, and a publisher that hears of none stays silent.
-            ("egress", ["declare_subscriber"], [keys.tx("*"), keys.cmd("*"), keys.note("*")]),
-            ("egress", ["declare_queryable"], [keys.cfg("*")]),
-        )
+        allow(agent_role(i), *_agent_grants(keys, i))
     allow(
         NETEM,
         ("ingress", ["put"], [keys.rx("*"), keys.links, keys.note(NETEM)]),
@@ -169,33 +141,74 @@ def access_control(
             ("egress", ["declare_subscriber"], [keys.nav("*"), keys.tx("*"), keys.frame, keys.note("*")]),
             ("egress", ["liveliness_token"], [keys.alive("*")]),
         )
-    return {
-        "enabled": True,
-        "default_permission": "deny",
-        "rules": rules,
-        "subjects": subjects,
-        "policies": policies,
-    }
+    return listed.values()
+
+
+def certificate_control(keys: Keys, vehicles: tuple[int, ...]) -> dict[str, Any]:
+    """The list for the router of agents without a password: a certificate's common name says which agent it is."""
+    listed = _List()
+    for i in vehicles:
+        role = agent_role(i)
+        listed.allow(role, {"cert_common_names": [role]}, *_agent_grants(keys, i))
+    return listed.values()
 
 
 def observer_control(keys: Keys) -> dict[str, Any]:
     """The list for the router of a published run: the observer may listen to the journal and ask for schemas, and
     put nothing."""
-    log, schemas = keys.log("**"), keys.schema("**")
-    grants = [
+    log, schemas = [keys.log("**")], [keys.schema("**")]
+    listed = _List()
+    listed.allow(
+        OBSERVER,
+        {"usernames": [OBSERVER]},
         ("ingress", ["declare_subscriber"], log),
         ("egress", ["put"], log),
         ("ingress", ["query"], schemas),
         ("egress", ["reply", "declare_queryable"], schemas),
+    )
+    return listed.values()
+
+
+def _agent_grants(keys: Keys, i: int) -> list[Grant]:
+    role = agent_role(i)
+    return [
+        ("ingress", ["put"], [keys.tx(i), keys.cmd(i), keys.note(role)]),
+        ("ingress", ["declare_subscriber"], [keys.rx(i), keys.nav(i)]),
+        ("ingress", ["query"], [keys.cfg(i)]),
+        ("ingress", ["liveliness_token"], [keys.alive(role)]),
+        ("egress", ["put"], [keys.rx(i), keys.nav(i)]),
+        ("egress", ["reply"], [keys.cfg(i)]),
+        # The router tells a publisher which key expressions are subscribed to; ours are the starred
+        # ones, and a publisher that hears of none stays silent.
+        ("egress", ["declare_subscriber"], [keys.tx("*"), keys.cmd("*"), keys.note("*")]),
+        ("egress", ["declare_queryable"], [keys.cfg("*")]),
     ]
-    rules = [
-        {"id": f"{OBSERVER}:{n}", "permission": "allow", "flows": [flow], "messages": messages, "key_exprs": [key]}
-        for n, (flow, messages, key) in enumerate(grants)
-    ]
-    return {
-        "enabled": True,
-        "default_permission": "deny",
-        "rules": rules,
-        "subjects": [{"id": OBSERVER, "usernames": [OBSERVER]}],
-        "policies": [{"rules": [rule["id"] for rule in rules], "subjects": [OBSERVER]}],
-    }
+
+
+class _List:
+    """Zenoh's `access_control` block: deny by default, and what is allowed."""
+
+    def __init__(self, prefix: str = "") -> None:
+        self._prefix = prefix
+        self._rules: list[dict[str, Any]] = []
+        self._policies: list[dict[str, Any]] = []
+        self._subjects: list[dict[str, Any]] = []
+
+    def allow(self, role: str, subject: dict[str, Any], *grants: Grant) -> None:
+        """Let the sessions that have everything that `subject` names do what `grants` say."""
+        names = [f"{self._prefix}{role}:{number}" for number in range(len(grants))]
+        for name, (flow, messages, key_exprs) in zip(names, grants, strict=True):
+            self._rules.append(
+                {"id": name, "permission": "allow", "flows": [flow], "messages": messages, "key_exprs": key_exprs}
+            )
+        self._subjects.append({"id": self._prefix + role} | subject)
+        self._policies.append({"rules": names, "subjects": [self._prefix + role]})
+
+    def values(self) -> dict[str, Any]:
+        return {
+            "enabled": True,
+            "default_permission": "deny",
+            "rules": self._rules,
+            "subjects": self._subjects,
+            "policies": self._policies,
+        }

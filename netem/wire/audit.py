@@ -30,7 +30,7 @@ log = logging.getLogger(__name__)
 
 LOGINS = (
     "error,zenoh_transport::unicast::establishment::accept=debug,zenoh_transport::unicast::manager=debug,"
-    "zenoh_transport::unicast::lowlatency::link=debug"
+    "zenoh_transport::unicast::lowlatency::link=debug,zenoh_link_tls::unicast=warn"
 )
 DECISIONS = LOGINS + ",zenoh::net::routing::interceptor::access_control=trace"
 MOST_ENDED = 1000  # sessions that are remembered
@@ -50,13 +50,15 @@ _DECISION = re.compile(
     r"access_control: (Using cached result: )?([0-9a-f]+)(.*?) is (un)?authorized to ([\w/ ]+?) \((in|e)gress\) on (.+)"
 )
 _STAMP = re.compile(r"\d{4}-\d\d-\d\dT[\d:.]+Z ")
-_OPENED = re.compile(r"New transport opened between \w+ and (\w+) - .* lowlatency: false")
+_OPENED = re.compile(r"New transport opened between (\w+) and (\w+) - .* lowlatency: false")
+_TLS = re.compile(r"zenoh_link_tls::unicast: (.+?)\. Hint: ")
 CUT_OFF = f"cut off, as what came is no message or one of more than {PIECE_BYTES} bytes"
 # A session that closes may say so as if it were not low-latency: two bytes of length, 2, and a byte 3, which read as a
 # length are 196,610. Nothing is wrong then.
 _TOO_LONG = re.compile(r"Rx task finished with result Err\(Batch len is invalid\. Received (?!196610 )")
 _CUT_OFF = re.compile(r"<on rx exit> finalizing transport with peer: (\w+)")
-_USER = re.compile(r"Username\(([^)]*)\)")
+# A certificate counts where there is no password: the router for agents with certificates only.
+_USER = re.compile(r"(?:Username|CertCommonName)\(([^)]*)\)")
 _LOGINS = {
     "Invalid password": "a login with a wrong password",
     "Invalid user": "a login of an unknown user",
@@ -76,6 +78,7 @@ class Refusals:
         self._skip: dict[str, int] = {}  # by thread: decisions in advance still to come
         self._too_long: set[str] = set()  # threads that have logged a piece too long, and will log whose it is
         self._fragmenting: dict[str, None] = {}  # zenoh ids of sessions that are not low-latency, the oldest first
+        self._universal: set[str] = set()  # zenoh ids of routers of ours whose sessions need not be
 
     def report_to(self, report: Callable[[str], None]) -> None:
         """Call `report` with the first refusal of each kind, past ones included, on a thread of its own."""
@@ -88,6 +91,10 @@ class Refusals:
         self._reporter = threading.Thread(target=serve, name="refusals", daemon=True)
         self._reporter.start()
 
+    def expect_universal(self, router: str) -> None:
+        """A router of ours, by its zenoh id, speaks zenoh's universal transport: that is nothing to report."""
+        self._universal.add(router)
+
     def line(self, line: str) -> bool:
         """Take one line; False if it is about something else, and worth keeping."""
         line = _COLOUR.sub("", line)
@@ -99,8 +106,12 @@ class Refusals:
                 self._refuse(_LOGINS.get(login[1], f"a login ({login[1]})"))
             return True
         if "unicast::manager: " in line:
-            if (opened := _OPENED.search(line)) is not None:
-                self._fragments(opened[1])
+            if (opened := _OPENED.search(line)) is not None and opened[1] not in self._universal:
+                self._fragments(opened[2])
+            return "ERROR" not in line
+        if "zenoh_link_tls::unicast: " in line:
+            if (tls := _TLS.search(line)) is not None:
+                self._refuse(f"a TLS connection: {tls[1]}")
             return "ERROR" not in line
         if "lowlatency::link: " in line:
             self._link(line)
@@ -208,7 +219,7 @@ def _follow(source: int, stdout: int, refusals: Refusals) -> None:
         for line in lines:
             head = line[:MOST_LINE]
             at = head.find(b"authorized to ")
-            if at > 0 and head[at - 1 : at] == b" " and b"Username" not in head:
+            if at > 0 and head[at - 1 : at] == b" " and not any(who in head for who in (b"Username", b"CertCommonName")):
                 continue  # nearly all of them, when decisions are logged
             if not refusals.line(head.decode("utf-8", "replace")):
                 # Whatever becomes of the line (the disk may be full), zenoh would wait if this thread did not read on.

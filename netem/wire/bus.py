@@ -107,7 +107,7 @@ class Bus:
         finally:
             users.unlink(missing_ok=True)
         if listener is not None:
-            bus._watch(zenoh.SampleKind.PUT, lambda _: never_linger())
+            bus.watch_begins(lambda _: never_linger())
         return bus
 
     def on_lost(self, handler: Callable[[], None]) -> None:
@@ -202,9 +202,17 @@ class Bus:
             parts.append(reply.ok.payload.to_bytes())
         return b"".join(parts) if parts else None
 
-    def token(self, key: str) -> None:
-        """Declare a liveliness token on `key`: it exists until the session closes."""
-        self._held.append(self._session.liveliness().declare_token(key))
+    def token(self, key: str) -> Callable[[], None]:
+        """Declare a liveliness token on `key`: it exists until the function that is returned is called, or the session
+        closes."""
+        token = self._session.liveliness().declare_token(key)
+        self._held.append(token)
+
+        def withdraw() -> None:
+            self._held.remove(token)
+            token.undeclare()  # type: ignore[no-untyped-call]
+
+        return withdraw
 
     def watch_tokens(self, key: str, handler: Callable[[str, bool], None]) -> None:
         """Call `handler(key, alive)` on a zenoh thread when a token appears or disappears, and for each that exists."""
@@ -213,6 +221,10 @@ class Bus:
             handler(str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT)
 
         self._held.append(self._session.liveliness().declare_subscriber(key, receive, history=True))
+
+    def watch_begins(self, handler: Callable[[str], None]) -> None:
+        """Call `handler(zenoh id)` on a zenoh thread when a link to another session begins."""
+        self._watch(zenoh.SampleKind.PUT, handler)
 
     def watch_ends(self, handler: Callable[[str], None]) -> None:
         """Call `handler(zenoh id)` on a zenoh thread when the link to another session has ended."""

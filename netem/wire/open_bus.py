@@ -12,7 +12,7 @@ from netem.errors import BusError
 from netem.wire.access import Credentials, observer_control
 from netem.wire.keys import Keys
 from netem.wire.session import open_session, reason, users_file
-from netem.wire.settings import OTHERS, client_settings, listening
+from netem.wire.settings import OTHERS, UNIVERSAL, client_settings, listening
 
 
 class ZenohSample(NamedTuple):
@@ -104,11 +104,7 @@ class OpenBus:
 
     @classmethod
     def _open(cls, mode: Literal["client", "router"], endpoint: str, settings: dict[str, Any], problem: str) -> OpenBus:
-        universal = {
-            "transport/unicast/lowlatency": False,
-            "transport/unicast/qos/enabled": True,
-            "transport/link/tx/lease": 10_000,
-        }
+        universal = UNIVERSAL | {"transport/unicast/qos/enabled": True, "transport/link/tx/lease": 10_000}
         try:
             return cls(open_session(mode, universal | settings), endpoint)
         except zenoh.ZError as error:

@@ -48,6 +48,9 @@ BASE: dict[str, Any] = {
     "adminspace/enabled": False,
 }
 
+# Zenoh's own transport: it sends from a task of its own, and cuts long messages into pieces.
+UNIVERSAL: dict[str, Any] = {"transport/unicast/lowlatency": False}
+
 # Traffic of others that is played or recorded: a message may be an image or a point cloud.
 OTHERS = {"transport/link/rx/max_message_size": 64 << 20}
 

@@ -1,0 +1,103 @@
+"""A second router, for agents that have a certificate and nothing else: no password, no low-latency transport.
+
+Zenoh asks for a password on every listener of a session or on none, and so a router that takes certificates alone is
+a session of its own. Its access-control list knows each agent by the common name of its certificate. What an agent may
+say and hear is passed on between its router and the run's, key by key; nothing else goes from one to the other.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import suppress
+from secrets import randbits
+
+import zenoh
+
+from netem.errors import BusError
+from netem.wire.access import Listener, agent_role, certificate_control
+from netem.wire.bus import Bus, Respond
+from netem.wire.keys import Keys
+from netem.wire.linger import never_linger
+from netem.wire.session import open_session, reason
+from netem.wire.settings import UNIVERSAL, listening, router_settings, server_tls
+
+
+def new_session_id() -> str:
+    """A zenoh id for a session: hexadecimal, not beginning with 0."""
+    return f"{1 << 127 | randbits(127):x}"
+
+
+class CertificateRouter:
+    """Listens with mutual TLS, and passes on what the agents of `listener.certified` say and hear."""
+
+    def __init__(self, run: Bus, keys: Keys, vehicles: tuple[int, ...], listener: Listener, session_id: str) -> None:
+        """Open the router.
+
+        Args:
+            run: the session that hosts the router of the run.
+            vehicles: the vehicle numbers; those whose role is in `listener.certified` may join here.
+            listener: the endpoints, with the certificates.
+            session_id: of the router's session.
+
+        Raises:
+            BusError: an endpoint is in use, or this process may not listen on it.
+        """
+        agents = tuple(i for i in vehicles if agent_role(i) in listener.certified)
+        settings = {
+            **router_settings(len(agents), listener.lease_ms),
+            **UNIVERSAL,
+            "id": session_id,
+            **listening([*listener.endpoints]),
+            **server_tls(listener),
+            "access_control": certificate_control(keys, agents),
+        }
+        try:
+            self._bus = Bus(open_session("router", settings), listener.endpoints[0])
+        except zenoh.ZError as error:
+            raise BusError(f"cannot listen on {' and '.join(listener.endpoints)}: {reason(error)}") from None
+        self._bus.watch_begins(lambda _: never_linger())
+        self._run, self._keys = run, keys
+        self._withdraw: dict[str, Callable[[], None]] = {}  # by key of the token
+        for i in agents:
+            self._connect(i)
+
+    def watch_ends(self, handler: Callable[[str], None]) -> None:
+        """Call `handler(zenoh id)` on a zenoh thread when the link to an agent has ended."""
+        self._bus.watch_ends(handler)
+
+    def close(self) -> None:
+        """Close the router; waits as `Bus.close` does."""
+        self._bus.close()
+
+    def _connect(self, i: int) -> None:
+        """Pass on what agent i says and hears. Each subscriber has a thread of its own, so one that waits for room
+        keeps back the messages of its own key only."""
+        role = agent_role(i)
+        for key in (self._keys.tx(i), self._keys.cmd(i), self._keys.note(role)):
+            _pass_on(key, self._bus, self._run)
+        for key in (self._keys.nav(i), self._keys.rx(i)):
+            _pass_on(key, self._run, self._bus)
+        self._bus.answer(self._keys.cfg(i), self._ask)
+        self._bus.watch_tokens(self._keys.alive(role), self._hold)
+
+    def _ask(self, key: str, request: bytes, respond: Respond) -> None:
+        answer = self._run.ask(key, request)
+        if answer is not None:  # otherwise the query ends without a reply, as on the run's own router
+            respond(answer)
+
+    def _hold(self, key: str, alive: bool) -> None:
+        """An agent's token here is one there."""
+        if alive:
+            self._withdraw[key] = self._run.token(key)
+        elif key in self._withdraw:
+            self._withdraw.pop(key)()
+
+
+def _pass_on(key: str, source: Bus, target: Bus) -> None:
+    put = target.publisher(key)
+
+    def receive(_: str, data: bytes) -> None:
+        with suppress(BusError):  # too long for the run's router, or the session has closed
+            put(data)
+
+    source.subscribe(key, receive)

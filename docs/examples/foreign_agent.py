@@ -61,7 +61,7 @@ def law(t, eta, nu, heard):
             sent, position, speed = heard[other["id"]]
             e += other["weight"] * (eta[k] - position[k] - speed[k] * (t - sent) - other["offset"]["start"][k])
         want.append(line["velocity"][k] - max(-0.5, min(0.5, 0.3 * e)))
-    level, turn = math.hypot(*want[:2]), math.remainder(math.atan2(want[1], want[0]) - psi, math.tau)
+    level, turn = abs(complex(*want[:2])), math.remainder(math.atan2(want[1], want[0]) - psi, math.tau)  # C: hypot
     tau = 40 * (level * math.cos(turn) - u), 15 * (math.atan2(-want[2], level) - theta) - 10 * q, 15 * turn - 10 * r
     return [float(max(-top, min(top, value))) for value, top in zip(tau, own["tau_max"])], velocity
 

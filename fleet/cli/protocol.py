@@ -44,7 +44,20 @@ def protocol(context: click.Context) -> None:
               help="Where to write the join file; by default join-<i>.json here.")  # fmt: skip
 @click.option("--timeout", type=Duration(), default="300 s", show_default=True, help="How long to wait for the agent.")
 @click.option("--port", type=click.IntRange(1, 65535), help="Loopback port of the router; by default a free one.")
-def check(vehicle: int, scenario: str, trust: Trust, join_file: Path | None, timeout: int, port: int | None) -> None:
+@click.option("--listen-certified", metavar="ENDPOINT",
+              help="Also listen for an agent that has a certificate and no password (zenoh-pico).")  # fmt: skip
+@click.option("--certs", metavar="DIR", type=click.Path(path_type=Path, file_okay=False),
+              help="With --listen-certified: certificates, made by fleet certs.")  # fmt: skip
+def check(
+    vehicle: int,
+    scenario: str,
+    trust: Trust,
+    join_file: Path | None,
+    timeout: int,
+    port: int | None,
+    listen_certified: str | None,
+    certs: Path | None,
+) -> None:
     """Play world and netem against an agent of another make, and judge everything that it sends.
 
     Writes a join file, waits for the agent, and runs a canned exchange: the handshake, ticks and round ticks, inboxes
@@ -54,16 +67,23 @@ def check(vehicle: int, scenario: str, trust: Trust, join_file: Path | None, tim
     Examples:
       fleet protocol check --id 3
       fleet protocol check --id 2 --scenario rough-sea --join-file /tmp/join-2.json
+      fleet protocol check --id 3 --listen-certified tls/127.0.0.1:7448 --certs certs
     """
     from fleet.errors import printable
+    from fleet.hosts.rendezvous import CERTIFIED, HostsError, Rendezvous, check_free, listening_for_certificates
     from fleet.protocol.conformance import Examination
     from fleet.scenario.loading import load_scenario
     from netem.wire.session import quiet_zenoh
 
     quiet_zenoh()
-    examination = Examination(
-        load_scenario(scenario, trust=trust), vehicle, join_file or Path(f"join-{vehicle}.json"), port=port
-    )
+    meeting = None
+    if certs and not listen_certified:
+        raise HostsError("--certs is for --listen-certified ENDPOINT, such as tls/127.0.0.1:7448")
+    if listen_certified:
+        meeting = listening_for_certificates(Rendezvous(), listen_certified, certs, external=(vehicle,))
+        check_free(listen_certified, CERTIFIED)
+    file = join_file or Path(f"join-{vehicle}.json")
+    examination = Examination(load_scenario(scenario, trust=trust), vehicle, file, port=port, meeting=meeting)
     found = examination.run(timeout / 1e9, lambda text: click.echo(text, err=True))
     for text in examination.notes:
         click.echo(f"note  the agent says: {printable(text)}")

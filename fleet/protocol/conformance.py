@@ -21,6 +21,8 @@ import msgpack
 from agents import payload
 from agents.join_file import JoinFile
 from fleet.errors import FleetError
+from fleet.hosts.join_folder import remove
+from fleet.hosts.rendezvous import Rendezvous
 from fleet.processes.ports import free_port
 from fleet.protocol.emulated_fleet import EmulatedFleet
 from fleet.scenario.scenario import Scenario
@@ -96,7 +98,15 @@ class _BrokenOffError(Exception):
 class Examination:
     """One exchange with one agent."""
 
-    def __init__(self, scenario: Scenario, vehicle: int, file: Path, *, port: int | None = None) -> None:
+    def __init__(
+        self,
+        scenario: Scenario,
+        vehicle: int,
+        file: Path,
+        *,
+        port: int | None = None,
+        meeting: Rendezvous | None = None,
+    ) -> None:
         """Prepare the exchange; `run` carries it out.
 
         Args:
@@ -104,6 +114,7 @@ class Examination:
             vehicle: number of that vehicle.
             file: where the join file goes.
             port: TCP port of the router on the loopback interface; None: any free one.
+            meeting: where the agent may join with a certificate alone; its folder goes beside `file`.
 
         Raises:
             ConformanceError: there is no such vehicle, the network is ideal, or the file exists.
@@ -114,14 +125,16 @@ class Examination:
             )
         if scenario.ideal:
             raise ConformanceError("nobody can join an ideal network: take a scenario with another")
-        if file.exists():
-            raise ConformanceError(f"{file} is there already: choose another place with --join-file FILE")
+        for path in (file, file.with_suffix("")):
+            if path.exists():
+                raise ConformanceError(f"{path} is there already: choose another place with --join-file FILE")
         self._m = scenario.round_ticks
         self._config = replace(scenario.agent_config(vehicle), memory_ticks=2 * self._m)
         self._telemetry = scenario.layout(vehicle).size
         self._state = scenario.initial[vehicle - 1]
         self._neighbours = [neighbour.id for neighbour in self._config.neighbours]
         self._i, self._file, self._port = vehicle, file, port
+        self._meeting = meeting or Rendezvous()
         self._keys = Keys(token_hex(4))
         self._reached: set[str] = set()
         self._failed: dict[str, tuple[str, str]] = {}
@@ -148,21 +161,29 @@ class Examination:
         answer = {"agent": self._config.to_values(), "incarnation": LIFE, "begin": begin, "version": PROTOCOL_VERSION}
         with tempfile.TemporaryDirectory(prefix="uuv-fleet-") as private:
             try:
-                self._fleet = EmulatedFleet(endpoint, self._keys, i, user, Path(private), answer)
+                self._fleet = EmulatedFleet(
+                    endpoint, self._keys, i, user, Path(private), answer, self._meeting.certified
+                )
             except BusError as error:
                 raise ConformanceError(str(error)) from None
+        folder = self._file.with_suffix("")
         try:
             joining.write(self._file)
-            file = shlex.quote(str(self._file))
-            show(f"waiting for agent {i}: start it with {file}; ours would be: fleet agent --join {file}")
+            file, alone = shlex.quote(str(self._file)), ""
+            if i in self._meeting.folders:
+                self._meeting.folders[i].write(folder, self._keys, LIFE, begin)
+                alone = f"; with its certificate alone: {shlex.quote(str(folder))}"
+            show(f"waiting for agent {i}: start it with {file}; ours would be: fleet agent --join {file}{alone}")
             with contextlib.suppress(_BrokenOffError):
                 self._examine(timeout_s, begin)
             self.notes = self._fleet.notes
             return self._verdicts()
         except OSError as error:
-            raise ConformanceError(f"cannot write {self._file}: {error.strerror}") from None
+            raise ConformanceError(f"cannot write {error.filename or self._file}: {error.strerror}") from None
         finally:
             self._file.unlink(missing_ok=True)
+            if i in self._meeting.folders:
+                remove(folder)
             self._fleet.close()
 
     def _take(self, deadline: float) -> tuple[str, Message | None] | None:

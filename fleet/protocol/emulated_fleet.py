@@ -11,8 +11,9 @@ from typing import Any
 import msgpack
 
 from netem.errors import MalformedMessage
-from netem.wire.access import Credentials, agent_role
+from netem.wire.access import Credentials, Listener, agent_role
 from netem.wire.bus import Bus, Respond
+from netem.wire.certificate_router import CertificateRouter, new_session_id
 from netem.wire.codec import decode, encode
 from netem.wire.keys import Keys
 from netem.wire.messages import PROTOCOL_VERSION, Command, Hello, Memory, Message, Note, Transmission
@@ -26,18 +27,27 @@ class EmulatedFleet:
     """Answers every cfg query and hello of the agent, keeps its notes, and hands out the rest in order."""
 
     def __init__(
-        self, endpoint: str, keys: Keys, vehicle: int, user: Credentials, private: Path, answer: dict[str, Any]
+        self,
+        endpoint: str,
+        keys: Keys,
+        vehicle: int,
+        user: Credentials,
+        private: Path,
+        answer: dict[str, Any],
+        certified: Listener | None = None,
     ) -> None:
         """Open the router and subscribe to what the agent puts.
 
         Args:
             private: a directory of mode 0700, as for `Bus.host`.
             answer: to the query of cfg.
+            certified: where the agent may join with a certificate alone; None: nowhere.
 
         Raises:
             BusError: the endpoint is taken.
         """
         bus = self._bus = Bus.host(endpoint, keys, (vehicle,), {user.user: user}, private)
+        self._second = CertificateRouter(bus, keys, (vehicle,), certified, new_session_id()) if certified else None
         self._vehicle, self._probes = vehicle, {"cmd": Probes(), "tx": Probes()}
         came: SimpleQueue[tuple[str, bytes]] = SimpleQueue()
         put = came.put
@@ -59,7 +69,7 @@ class EmulatedFleet:
         for key in (keys.cmd("*"), keys.tx("*")):
             bus.subscribe(key, lambda *_: None)
         # Both in one, because only what one subscriber gets comes in the order in which it was put.
-        bus.subscribe(f"{keys.prefix}/*/{vehicle}", receive)
+        bus.subscribe(keys.every(vehicle), receive)
         bus.subscribe(keys.note("*"), lambda _, data: put(("note", data)))
         bus.answer(keys.cfg("*"), configure)
         token = keys.alive(agent_role(vehicle))
@@ -101,4 +111,6 @@ class EmulatedFleet:
 
     def close(self) -> None:
         """Close the router."""
+        if self._second is not None:
+            self._second.close()
         self._bus.close()

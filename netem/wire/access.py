@@ -149,7 +149,8 @@ def certificate_control(keys: Keys, vehicles: tuple[int, ...]) -> dict[str, Any]
     listed = _List()
     for i in vehicles:
         role = agent_role(i)
-        listed.allow(role, {"cert_common_names": [role]}, *_agent_grants(keys, i))
+        subscribed = ("egress", ["declare_subscriber"], [keys.every(i)])  # there tx and cmd are one subscription
+        listed.allow(role, {"cert_common_names": [role]}, *_agent_grants(keys, i), subscribed)
     return listed.values()
 
 

@@ -219,7 +219,11 @@ def _follow(source: int, stdout: int, refusals: Refusals) -> None:
         for line in lines:
             head = line[:MOST_LINE]
             at = head.find(b"authorized to ")
-            if at > 0 and head[at - 1 : at] == b" " and not any(who in head for who in (b"Username", b"CertCommonName")):
+            if (
+                at > 0
+                and head[at - 1 : at] == b" "
+                and not any(who in head for who in (b"Username", b"CertCommonName"))
+            ):
                 continue  # nearly all of them, when decisions are logged
             if not refusals.line(head.decode("utf-8", "replace")):
                 # Whatever becomes of the line (the disk may be full), zenoh would wait if this thread did not read on.

@@ -146,13 +146,17 @@ class Bus:
 
         return put
 
-    def subscribe(self, key: str, handler: Handler) -> None:
-        """Call `handler(key, bytes)` on a zenoh thread for every put; it must be short: only put them into a queue."""
+    def subscribe(self, key: str, handler: Handler, *, of_others: bool = False) -> None:
+        """Call `handler(key, bytes)` on a zenoh thread for every put; it must be short: only put them into a queue.
+
+        With `of_others`, puts of this session do not count.
+        """
 
         def receive(sample: zenoh.Sample) -> None:
             handler(str(sample.key_expr), sample.payload.to_bytes())
 
-        self._held.append(self._session.declare_subscriber(key, receive))
+        origin = zenoh.Locality.REMOTE if of_others else zenoh.Locality.ANY
+        self._held.append(self._session.declare_subscriber(key, receive, allowed_origin=origin))
 
     def channel(self, key: str, capacity: int = 4096) -> Channel:
         """A queue of every put on `key`, filled by zenoh without a Python callback.

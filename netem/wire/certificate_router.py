@@ -71,14 +71,14 @@ class CertificateRouter:
 
     def _connect(self, i: int) -> None:
         """Pass on what agent i says and hears. Each subscriber has a thread of its own, so one that waits for room
-        keeps back the messages of its own key only."""
-        role = agent_role(i)
-        for key in (self._keys.tx(i), self._keys.cmd(i), self._keys.note(role)):
-            _pass_on(key, self._bus, self._run)
-        for key in (self._keys.nav(i), self._keys.rx(i)):
-            _pass_on(key, self._run, self._bus)
-        self._bus.answer(self._keys.cfg(i), self._ask)
-        self._bus.watch_tokens(self._keys.alive(role), self._hold)
+        keeps back its own messages only; and only what one subscriber gets stays in order, as tx and cmd must."""
+        keys, role = self._keys, agent_role(i)
+        _pass_on(self._bus, self._run, keys.every(i), (keys.tx(i), keys.cmd(i)), of_others=True)
+        _pass_on(self._bus, self._run, keys.note(role), (keys.note(role),), of_others=True)
+        for key in (keys.nav(i), keys.rx(i)):
+            _pass_on(self._run, self._bus, key, (key,), of_others=False)
+        self._bus.answer(keys.cfg(i), self._ask)
+        self._bus.watch_tokens(keys.alive(role), self._hold)
 
     def _ask(self, key: str, request: bytes, respond: Respond) -> None:
         answer = self._run.ask(key, request)
@@ -93,11 +93,13 @@ class CertificateRouter:
             self._withdraw.pop(key)()
 
 
-def _pass_on(key: str, source: Bus, target: Bus) -> None:
-    put = target.publisher(key)
+def _pass_on(source: Bus, target: Bus, expression: str, keys: tuple[str, ...], *, of_others: bool) -> None:
+    """Put in `target` what is put on `keys` in `source`; `expression` includes them, and perhaps others."""
+    puts = {key: target.publisher(key) for key in keys}
 
-    def receive(_: str, data: bytes) -> None:
-        with suppress(BusError):  # too long for the run's router, or the session has closed
-            put(data)
+    def receive(key: str, data: bytes) -> None:
+        if key in puts:
+            with suppress(BusError):  # too long for the run's router, or the session has closed
+                puts[key](data)
 
-    source.subscribe(key, receive)
+    source.subscribe(expression, receive, of_others=of_others)

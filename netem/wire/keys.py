@@ -34,6 +34,10 @@ class Keys:
         """Netem to agent i: the payloads that will be delivered to it."""
         return f"fleet/{self.run}/rx/{i}"
 
+    def every(self, i: int) -> str:
+        """All keys that end with the number of vehicle i."""
+        return f"fleet/{self.run}/*/{i}"
+
     def cfg(self, i: int | str) -> str:
         """Query of agent i to the console: its own part of the scenario."""
         return f"fleet/{self.run}/cfg/{i}"

@@ -27,6 +27,7 @@ from fleet.hosts.rendezvous import (
     HostsError,
     Rendezvous,
     listening,
+    listening_for_certificates,
     parse_endpoint,
     read_credentials,
 )
@@ -66,9 +67,8 @@ def test_listening_for_nobody_is_warned_of(made: Path) -> None:
             "mutual_tls": False,
             "lease": 2000,
         }
-        found = meeting(
-            load_scenario("paper", overrides), options | {"router": None, "credentials": None}, in_process=False
-        )
+        others = {"router": None, "credentials": None, "listen_certified": None}
+        found = meeting(load_scenario("paper", overrides), options | others, in_process=False)
         assert found and ["no vehicle is external" in warning for warning in found.warnings] == [True] * warned
 
 
@@ -78,6 +78,27 @@ def test_mutual_tls_takes_the_external_agents_certificates(made: Path) -> None:
     assert found.certificates["agent-2"].certificate == (made / "agent-2.pem").read_text()
     with pytest.raises(CertsError, match=r"agent-3\.pem is missing; make it: fleet certs .* --agents 3"):
         listening("tls/0.0.0.0:1", made, external=[3], mutual=True)
+
+
+def test_agents_may_come_with_certificates_alone(made: Path) -> None:
+    """Beside the listener for passwords, or without one: then these stay on this host."""
+    both = listening("tls/0.0.0.0:1", made)
+    found = listening_for_certificates(both, "tls/0.0.0.0:2", made, external=[2])
+    assert (found.listener, found.reached) == (both.listener, both.reached)
+    assert found.certified and (found.certified.endpoints, found.certified.certified) == (
+        ("tls/0.0.0.0:2",),
+        {"agent-2"},
+    )
+    assert found.folders[2].endpoints == ("tls/sea.example.org:2", "tls/192.0.2.7:2", "tls/[2001:db8::7]:2")
+    alone = listening_for_certificates(Rendezvous(), "tls/127.0.0.1:2", made, external=[2])
+    assert (alone.listener, alone.lease_ms, alone.folders[2].endpoints) == (None, None, ("tls/127.0.0.1:2",))
+    assert "PRIVATE KEY" not in repr(alone)
+    with pytest.raises(CertsError, match=r"agent-3\.pem is missing; make it: fleet certs .* --agents 3"):
+        listening_for_certificates(Rendezvous(), "tls/127.0.0.1:2", made, external=[2, 3])
+    with pytest.raises(HostsError, match="two routers: give them a port each, not both 1"):
+        listening_for_certificates(both, "tls/127.0.0.1:1", made)
+    with pytest.raises(HostsError, match="not for other"):
+        listening_for_certificates(both, "tls/0.0.0.0:2", made, ["other"])
 
 
 @pytest.mark.parametrize(
@@ -97,6 +118,15 @@ def test_mutual_tls_takes_the_external_agents_certificates(made: Path) -> None:
         (["--listen", "tcp/127.0.0.1:1", "--in-process"], "a run in one process has no router"),
         (["--listen", "tcp/127.0.0.1:1", "--lease", "1 s"], "expected 2 s to 1800 s"),
         (["--listen", "tcp/127.0.0.1:1", "--lease", "60 s"], "--set stall_timeout"),
+        (
+            ["--listen-certified", "tls/127.0.0.1:1"],
+            "--listen-certified needs certificates: make them with fleet certs",
+        ),
+        (["--listen-certified", "tcp/127.0.0.1:1"], "shown with tls only: --listen-certified tls/127.0.0.1:1"),
+        (["--listen-certified", "tls/a:1", "--router", "tcp/a:2"], "the one of --router asks for passwords"),
+        (["--listen-certified", "tls/a:1", "--mutual-tls"], "--listen-certified always asks for certificates"),
+        (["--listen-certified", "tls/a:1", "--in-process"], "a run in one process has no router"),
+        (["--listen-certified", "tls/a:0"], "--listen-certified: expected tls/HOST:PORT"),
     ],
 )
 def test_options_that_do_not_go_together_are_refused(arguments: list[str], words: str, tmp_path: Path) -> None:

@@ -104,6 +104,24 @@ def test_who_sends_too_much_is_named() -> None:
     assert refusals(opened, known) == {f"somebody: {pieces}": 1, f"agent-1: {pieces}": 1}
     assert refusals(opened.replace("lowlatency: false", "lowlatency: true")) == {}
     assert not Refusals().line(f"{manager.replace('DEBUG', 'ERROR')}something else")
+    found = Refusals()
+    found.expect_universal("8706")  # the router for agents with certificates, where they need not be
+    found.line(opened)
+    assert found.counts == {}
+
+
+def test_who_has_a_certificate_and_no_password_is_named_by_it() -> None:
+    tls = STAMP.replace("TRACE", "WARN") + "zenoh_link_tls::unicast: "
+    hint = ". Hint: increase the system open file limit."
+    assert refusals(
+        f"{ACL}{Z} on Interface(lo)+CertCommonName(agent-3)+Transport(Tls)+{Z} is unauthorized to Put (ingress) on k",
+        f"{tls}peer sent no certificates{hint}",
+        f"{tls}invalid peer certificate: UnknownIssuer{hint}",
+    ) == {
+        "refused agent-3: put on k": 1,
+        "refused a TLS connection: peer sent no certificates": 1,
+        "refused a TLS connection: invalid peer certificate: UnknownIssuer": 1,
+    }  # fmt: skip
 
 
 def test_telling_holds_up_nobody() -> None:

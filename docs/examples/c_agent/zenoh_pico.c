@@ -59,7 +59,7 @@ static void all_replied(void *context) {
 static bool connect(z_owned_session_t *session, const struct join *join) {
     z_owned_config_t config;
     z_config_default(&config);
-    /* The endpoint first: zenoh-pico 1.6 takes the value of another key for it otherwise. */
+    /* The endpoint before all others: users of zenoh-pico report that it is not found otherwise. */
     zp_config_insert(z_loan_mut(config), Z_CONFIG_CONNECT_KEY, join->endpoint);
     zp_config_insert(z_loan_mut(config), Z_CONFIG_MODE_KEY, Z_CONFIG_MODE_CLIENT);
     zp_config_insert(z_loan_mut(config), Z_CONFIG_TLS_ENABLE_MTLS_KEY, "true");

@@ -77,9 +77,7 @@ def meeting(scenario: Scenario, options: dict[str, Any], *, in_process: bool) ->
         raise HostsError(f"{spelt} needs --listen or --router")
     if options["mutual_tls"] and not (listen or router):
         raise HostsError(f"--mutual-tls is for --listen or --router: {CERTIFIED} always asks for certificates")
-    common = {name: options[name] for name in ("certs",)} | {
-        "external": scenario.external, "mutual": options["mutual_tls"], "lease_ms": lease_ms
-    }  # fmt: skip
+    common = {"certs": options["certs"], "external": scenario.external, "lease_ms": lease_ms}
     if lease_ms >= scenario.spec.stall_timeout / 1e6:
         raise HostsError(
             f"--lease {lease_ms / 1000:g} s is no shorter than stall_timeout {scenario.stall_timeout_s:g} s: "
@@ -90,10 +88,9 @@ def meeting(scenario: Scenario, options: dict[str, Any], *, in_process: bool) ->
             raise HostsError("--credentials is for --router: a router of its own makes fresh ones")
         found = Rendezvous()
         if listen:
-            found = listening(listen, advertise=options["advertise"], **common)
+            found = listening(listen, advertise=options["advertise"], mutual=options["mutual_tls"], **common)
             check_free(listen)
         if certified:
-            del common["mutual"]
             found = listening_for_certificates(found, certified, advertise=options["advertise"], **common)
             check_free(certified, CERTIFIED)
         if not scenario.external:
@@ -106,7 +103,7 @@ def meeting(scenario: Scenario, options: dict[str, Any], *, in_process: bool) ->
         raise HostsError("--advertise is for --listen: agents are told the endpoint of --router")
     if not options["credentials"]:
         raise HostsError("--router needs --credentials FILE, which fleet acl SCENARIO -o DIR writes")
-    return through_router(router, options["credentials"], scenario.vehicles, **common)
+    return through_router(router, options["credentials"], scenario.vehicles, mutual=options["mutual_tls"], **common)
 
 
 @click.command()

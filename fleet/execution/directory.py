@@ -11,13 +11,13 @@ import fcntl
 import json
 import os
 import secrets
+import shutil
 import time
 from contextlib import suppress
 from pathlib import Path
 from typing import IO, Any
 
 from fleet.errors import FleetError
-from fleet.hosts.join_folder import remove
 from fleet.logs.run_name import STAMP
 from netem.whole_file import open_file, write_whole
 
@@ -159,7 +159,7 @@ def remove_secrets(directory: Path) -> None:
         for path in (directory / CONNECTION, directory / OBSERVE, *directory.glob("join-*.json")):
             path.unlink(missing_ok=True)
         for folder in directory.glob("join-*"):
-            remove(folder)
+            shutil.rmtree(folder, ignore_errors=True)
 
 
 def _make_unique(out: Path, base: str) -> Path:

@@ -7,6 +7,7 @@ and the answer to its question for a configuration say which life it is, from wh
 from __future__ import annotations
 
 import shlex
+import shutil
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
@@ -15,7 +16,7 @@ from msgspec.structs import replace
 from agents.join_file import JoinFile
 from fleet.errors import FleetError
 from fleet.execution.directory import RunDirectory
-from fleet.hosts.join_folder import JoinFolder, remove
+from fleet.hosts.join_folder import JoinFolder
 from fleet.scenario.scenario import Scenario
 from netem.wire.access import Credentials, agent_role
 from netem.wire.keys import Keys
@@ -152,4 +153,4 @@ class ExternalAgents:
         """Remove the join files."""
         for i in self._files:
             self._directory.join(i).unlink(missing_ok=True)
-            remove(self._directory.join_folder(i))
+            shutil.rmtree(self._directory.join_folder(i), ignore_errors=True)

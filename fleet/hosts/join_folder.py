@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -58,8 +57,3 @@ class JoinFolder:
         write_whole(path / CERTIFICATE, self.pair.certificate.encode())
         write_whole(path / KEY, self.pair.key.encode())
         write_whole(path / CONF, "".join(f"{name} {value}\n" for name, value in lines).encode())
-
-
-def remove(path: Path) -> None:
-    """Remove the folder, if it is there."""
-    shutil.rmtree(path, ignore_errors=True)

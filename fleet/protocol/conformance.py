@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import shlex
+import shutil
 import tempfile
 import time
 from collections.abc import Callable
@@ -21,7 +22,6 @@ import msgpack
 from agents import payload
 from agents.join_file import JoinFile
 from fleet.errors import FleetError
-from fleet.hosts.join_folder import remove
 from fleet.hosts.rendezvous import Rendezvous
 from fleet.processes.ports import free_port
 from fleet.protocol.emulated_fleet import EmulatedFleet
@@ -183,7 +183,7 @@ class Examination:
         finally:
             self._file.unlink(missing_ok=True)
             if i in self._meeting.folders:
-                remove(folder)
+                shutil.rmtree(folder, ignore_errors=True)
             self._fleet.close()
 
     def _take(self, deadline: float) -> tuple[str, Message | None] | None:

@@ -244,6 +244,10 @@ class Bus:
         # Without history: zenoh 1.10 panics when it lists transports that are `lowlatency`.
         self._held.append(self._session.info.declare_transport_events_listener(receive, history=False))
 
+    def keep(self, what: object) -> None:
+        """Hold `what` until the session closes."""
+        self._held.append(what)
+
     def close(self) -> None:
         """Close the session with all its publishers, subscribers and tokens. Waits for at most CLOSE_S = 3 s."""
         self._held.clear()

@@ -60,6 +60,7 @@ class CertificateRouter:
         self._withdraw: dict[str, Callable[[], None]] = {}  # by key of the token
         for i in agents:
             self._connect(i)
+        run.keep(self)
 
     def watch_ends(self, handler: Callable[[str], None]) -> None:
         """Call `handler(zenoh id)` on a zenoh thread when the link to an agent has ended."""
@@ -87,9 +88,9 @@ class CertificateRouter:
 
     def _hold(self, key: str, alive: bool) -> None:
         """An agent's token here is one there."""
-        if alive:
+        if alive and key not in self._withdraw:
             self._withdraw[key] = self._run.token(key)
-        elif key in self._withdraw:
+        elif not alive and key in self._withdraw:
             self._withdraw.pop(key)()
 
 

@@ -186,8 +186,9 @@ def test_without_the_list_it_could(made: Path, tmp_path: Path, monkeypatch: pyte
 
 
 def test_another_certificate_opens_nothing_and_none_is_refused(run: Run, tmp_path: Path) -> None:
+    overheard: set[str] = set()
     for who in ("agent-2", "fleet"):
-        stranger, overheard = run.certified(who), set()
+        stranger = run.certified(who)
         stranger.subscribe(KEYS.nav(1), lambda key, _: overheard.add(key))
         for key in (KEYS.cmd(1), KEYS.tx(1), KEYS.cmd(2)):
             stranger._session.put(key, b"forged")
@@ -195,7 +196,7 @@ def test_another_certificate_opens_nothing_and_none_is_refused(run: Run, tmp_pat
         assert asked(stranger, KEYS.cfg(1)) is None  # it is behind everything, as above
         run.world._session.put(KEYS.nav(1), b"secret")
         assert asked(stranger, KEYS.cfg(2)) is None
-        assert (run.heard, run.tokens, overheard) == ([], set(), set())
+    assert (run.heard, run.tokens, overheard) == ([], set(), set())
     certificates.make(tmp_path / "other", agents=1)
     for who, certs in ((None, None), ("agent-1", tmp_path / "other")):
         with pytest.raises(zenoh.ZError):

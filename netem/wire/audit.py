@@ -111,7 +111,7 @@ class Refusals:
             return "ERROR" not in line
         if "zenoh_link_tls::unicast: " in line:
             if (tls := _TLS.search(line)) is not None:
-                self._refuse(f"a TLS connection: {tls[1]}")
+                self._count(f"a TLS handshake failed: {tls[1]}")
             return "ERROR" not in line
         if "lowlatency::link: " in line:
             self._link(line)

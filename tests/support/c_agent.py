@@ -76,7 +76,7 @@ class CAgent:
         replies = list(self._session.get(keys["cfg"], consolidation=zenoh.ConsolidationMode.NONE))
         put = {letter: self._session.declare_publisher(keys[name]).put for letter, name in (("c", "cmd"), ("t", "tx"))}
         self._process = subprocess.Popen(
-            [str(program), keys["vehicle"]], stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE
+            [str(program), str(folder)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE
         )
         self._give("g", b"".join(reply.ok.payload.to_bytes() for reply in replies if reply.ok is not None))
         self._held = [

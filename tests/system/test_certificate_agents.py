@@ -26,6 +26,7 @@ from live import LiveRun
 from repository import ROOT
 from waiting import wait_for
 
+from fleet.hosts.certificates import Pair
 from fleet.hosts.join_folder import JoinFolder
 from fleet.hosts.rendezvous import Rendezvous, listening_for_certificates
 from fleet.protocol.conformance import CHECKS, Examination
@@ -77,9 +78,9 @@ def test_the_agent_in_c_in_a_real_run(made: Path, program: Path, tmp_path: Path)
         assert not folder.exists()
         assert not heard
         result = json.loads((run.directory / "result.json").read_text())
-    refused = "refused a TLS connection: peer sent no certificates"
-    assert result["rejected"].keys() == {refused}
-    assert [note for note in result["notes"] if refused not in note] == []
+    assert "a TLS handshake failed: peer sent no certificates" in result["rejected"]
+    # A handshake may also end because the session without a certificate gives up.
+    assert [said for said in (*result["rejected"], *result["notes"]) if "a TLS handshake failed: " not in said] == []
     said = [one for one in agent.frames if one[0] in "ct" and not _probe(one)]
     assert len(said) > 200
     assert said == _said_in_python(agent.frames, join)
@@ -160,11 +161,12 @@ def test_the_agent_in_c_passes_the_protocol_check(made: Path, program: Path, tmp
     assert list(tmp_path.iterdir()) == []
 
 
-def test_the_agent_in_c_survives_garbage(program: Path) -> None:
+def test_the_agent_in_c_survives_garbage(program: Path, tmp_path: Path) -> None:
     """Cut, changed and invented messages: nothing is read or written where it should not be, which the sanitizers of
     the compiler watch."""
-    scenario = load_scenario("paper")
-    slice_ = scenario.agent_config(2).to_values()
+    JoinFolder(2, ("tls/a:1", "tls/b:1"), 1, "", Pair("", "")).write(tmp_path / "join-2", Keys("ab"), 0, 0)
+    command = [str(program), str(tmp_path / "join-2")]
+    slice_ = load_scenario("paper").agent_config(2).to_values()
     answer = msgpack.packb({"agent": slice_, "incarnation": 0, "begin": 0, "version": 1})
     nav = msgpack.packb(["nav", 0, 0, [0.0] * 5, [0.1] * 5])
     rx = msgpack.packb(["rx", 0, 10, False, [[10, 0, 1, 0, 0, bytes(63)]] * 3])
@@ -180,12 +182,17 @@ def test_the_agent_in_c_survives_garbage(program: Path) -> None:
         sent.append(frame("n", bytes(message)))
     sent.append(frame("n", nav))
     sent.append(frame("n", msgpack.packb(["end", 0, 0, "over"])))
-    done = subprocess.run([str(program), "2"], input=b"".join(sent), capture_output=True, timeout=LIMIT_S, check=False)
+    done = subprocess.run(command, input=b"".join(sent), capture_output=True, timeout=LIMIT_S, check=False)
     assert (done.returncode, done.stderr) == (0, b"")
     assert done.stdout.endswith(frame("e", b"over"))
+    for entry in ("", "vehicle 2\n" * 9, f"endpoint {'x' * 999}\n"):
+        (tmp_path / "join-2" / "join.conf").write_text(entry)
+        refused = subprocess.run(command, input=b"", capture_output=True, timeout=LIMIT_S, check=False)
+        assert (refused.returncode, refused.stderr[:6]) == (2, b"usage:")
+    JoinFolder(2, ("tls/a:1",), 1, "", Pair("", "")).write(tmp_path / "join-2", Keys("ab"), 0, 0)
     for cut in range(0, len(answer), 150):
         refused = subprocess.run(
-            [str(program), "2"], input=frame("g", answer[:cut]), capture_output=True, timeout=LIMIT_S, check=False
+            command, input=frame("g", answer[:cut]), capture_output=True, timeout=LIMIT_S, check=False
         )
         assert refused.returncode == 2
         assert refused.stderr.startswith(b"cfg: ")

@@ -1,13 +1,13 @@
-/* The agent with stdin and stdout in place of a network: `agent_pipes VEHICLE`.
+/* The agent with stdin and stdout in place of a network: `agent_pipes runs/latest/join-3`.
 
    A frame is one letter, the size in 4 bytes, little endian, and so many bytes. In come `g` the answer to cfg, `h` say
    hello now, `n` and `r` a message on nav and rx; out go `c` and `t` a message for cmd and tx, `j` hold the token from
    now on, `e` the end with its reason. Whatever carries the frames is the transport: tests do, where zenoh-pico is not. */
 #include <stdio.h>
-#include <stdlib.h>
 #include <string.h>
 
 #include "agent.h"
+#include "join.h"
 #include "msgpack.h"
 
 #define MOST_BYTES 65535
@@ -28,8 +28,9 @@ static void put(void *context, enum agent_key key, const uint8_t *data, size_t s
 int main(int count, char **words) {
     static struct agent agent;
     static uint8_t data[MOST_BYTES];
-    if (count != 2) {
-        fprintf(stderr, "usage: %s VEHICLE\n", words[0]);
+    struct join join;
+    if (count != 2 || !join_read(&join, words[1])) {
+        fprintf(stderr, "usage: %s FOLDER, the join-<i> that a run wrote\n", words[0]);
         return 2;
     }
     uint8_t head[5];
@@ -40,7 +41,7 @@ int main(int count, char **words) {
             return 2;
         }
         if (head[0] == 'g') {
-            if (!agent_configure(&agent, strtoull(words[1], NULL, 10), data, size)) {
+            if (!agent_configure(&agent, join.vehicle, data, size)) {
                 fprintf(stderr, "%s\n", agent.why);
                 return 2;
             }

@@ -119,8 +119,8 @@ def test_who_has_a_certificate_and_no_password_is_named_by_it() -> None:
         f"{tls}invalid peer certificate: UnknownIssuer{hint}",
     ) == {
         "refused agent-3: put on k": 1,
-        "refused a TLS connection: peer sent no certificates": 1,
-        "refused a TLS connection: invalid peer certificate: UnknownIssuer": 1,
+        "a TLS handshake failed: peer sent no certificates": 1,
+        "a TLS handshake failed: invalid peer certificate: UnknownIssuer": 1,
     }  # fmt: skip
 
 

@@ -13,7 +13,8 @@ from matplotlib.patches import Patch
 
 from fleet.palette import COLOURS
 from fleet.pictures.runs import NothingToDraw
-from fleet.pictures.style import COLUMN_IN, LABEL_PT, PAGE_IN, panels, plain_decades
+from fleet.pictures.shades import text_width_pt
+from fleet.pictures.style import COLUMN_IN, LABEL_PT, PAGE_IN, TEXT_PT, panels, plain_decades
 from fleet.study.pictures.layout import Layout, Panel
 from fleet.study.pictures.marks import (
     BAND,
@@ -21,18 +22,18 @@ from fleet.study.pictures.marks import (
     Lacks,
     axis_label,
     legend,
+    quantity_label,
     room,
     scale,
     text,
-    wrapped,
-)  # fmt: skip
+)
 from fleet.study.pictures.points import Cell, Quantity, Value
 
 MOST_ROWS = 60
 _ROW_IN = 0.24
 _LACK = 0.06  # width of the hatched part, of the axis
 _SPREAD = 0.28  # of the points, across
-_WORDS = 54  # characters of a line below the axis
+_WORDS = 50  # characters of a line below the axis
 
 
 def boxes(quantity: Quantity, layout: Layout, shown: Sequence[Panel], log_scale: bool | None) -> Figure:
@@ -50,7 +51,8 @@ def boxes(quantity: Quantity, layout: Layout, shown: Sequence[Panel], log_scale:
         raise NothingToDraw(f"{count} boxes do not fit into a picture: {MOST_ROWS} do")
     columns = min(2, len(shown))
     rows = -(-len(shown) // columns)
-    height = rows * (_ROW_IN * count + 0.55) + 0.2
+    label = axis_label(layout.dimensions[layout.axes[0]]) if layout.axes else ""
+    height = rows * max(_ROW_IN * count + 0.55, text_width_pt(label, TEXT_PT) / 72.0 + 0.1) + 0.3
     figure, axes = panels(rows, columns, COLUMN_IN if columns == 1 else PAGE_IN, height, share=False)
     lacks = Lacks()
     for k, ax in enumerate(axes):
@@ -81,12 +83,11 @@ def boxes(quantity: Quantity, layout: Layout, shown: Sequence[Panel], log_scale:
             plain_decades(ax.xaxis)
         if lacking:
             room(ax, "x", _LACK + 0.01)
-        if k % columns == 0 and layout.axes:
-            ax.set_ylabel(axis_label(layout.dimensions[layout.axes[0]]))
-        if k + columns >= len(shown):
-            ax.set_xlabel(wrapped(quantity.what, _WORDS))
+        if k % columns == 0:
+            ax.set_ylabel(label)
         if shown[k].title:
             ax.set_title(shown[k].title)
+    figure.supxlabel(quantity_label(quantity, _WORDS if columns == 1 else 2 * _WORDS), fontsize=TEXT_PT)
     lacks.draw(lambda ax: ax.get_yaxis_transform())
     coloured = [
         Patch(color=COLOURS[k], alpha=2 * BAND, linewidth=0, label=text(str(name)))

@@ -18,18 +18,18 @@ from fleet.study.pictures.marks import (
     INTERVAL,
     Lacks,
     axis_label,
+    columns_of,
     legend,
     logarithmic,
+    quantity_label,
     room,
     scale,
     text,
-    wrapped,
-)  # fmt: skip
+)
 from fleet.study.pictures.points import Quantity, Value
 
 _MARKERS = "osD^vP*"
 _STRIP = 0.07  # height of the hatched strip of a line, of the axis
-_MOST_COLUMNS = 3
 
 
 def curves(quantity: Quantity, layout: Layout, shown: Sequence[Panel], log_scale: bool | None) -> Figure:
@@ -38,7 +38,7 @@ def curves(quantity: Quantity, layout: Layout, shown: Sequence[Panel], log_scale
     along = layout.dimensions[x]
     places = np.array(along.values, float)
     logs = logarithmic(places.tolist())
-    columns = min(_MOST_COLUMNS, len(shown))
+    columns = columns_of(len(shown))
     rows = -(-len(shown) // columns)
     figure, axes = panels(rows, columns, COLUMN_IN if columns == 1 else PAGE_IN, 2.1 * rows + 0.2, share=False)
     names: tuple[Value | None, ...] = (None,) if layout.lines is None else layout.dimensions[layout.lines].values
@@ -80,7 +80,7 @@ def curves(quantity: Quantity, layout: Layout, shown: Sequence[Panel], log_scale
             ax.set_xlim(edges[0], edges[-1])
             room(ax, "y", strips * _STRIP + 0.02)
         if k % columns == 0:
-            ax.set_ylabel(wrapped(quantity.what))
+            ax.set_ylabel(quantity_label(quantity))
         if k + columns >= len(shown):
             ax.set_xlabel(axis_label(along))
         if shown[k].title:

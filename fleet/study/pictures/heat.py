@@ -8,7 +8,7 @@ from math import isfinite
 import numpy as np
 from matplotlib import colormaps
 from matplotlib.axes import Axes
-from matplotlib.colors import Colormap, LogNorm, Normalize
+from matplotlib.colors import Colormap, LinearSegmentedColormap, LogNorm, Normalize
 from matplotlib.figure import Figure
 
 from fleet.logs.records import Array
@@ -21,23 +21,24 @@ from fleet.study.pictures.marks import (
     Digits,
     Lacks,
     axis_label,
+    columns_of,
     few_ticks,
     legend,
+    quantity_label,
     scale,
-    wrapped,
-)  # fmt: skip
+)
 from fleet.study.pictures.points import Cell, Quantity
 from fleet.study.statistics import Estimate
 
 _BAR = 48  # characters of a line above the bar
 _SMALL_PT = 5.0  # of intervals
-_MOST_COLUMNS = 3
 _MARGIN_PT, _TICKS_PT = 20.0, 26.0  # of a page, and of each panel: what is left of the cells
 _MOST_WORDS = 1000  # cells
 _STRIP = 0.1  # of the width of a cell: hatched where some of its runs lack the number
 _CELL_PT = 21.0  # height of a cell with a value and an interval
 
 
+_WIDTHS = LinearSegmentedColormap.from_list("widths", ("0.92", "black"))  # white: there is no interval
 Tables = list[list[list[Cell | None]]]  # of each panel the rows, from below
 Drawing = tuple[Callable[[Estimate], float], Normalize, Colormap, str]  # what is drawn, how, and what the bar says
 Colour = tuple[float, float, float, float]
@@ -46,7 +47,7 @@ Colour = tuple[float, float, float, float]
 def heat(quantity: Quantity, layout: Layout, shown: Sequence[Panel], log_scale: bool | None) -> Figure:
     """Draw some panels of a layout with two axes."""
     x, y = (layout.dimensions[k] for k in layout.axes)
-    columns = min(_MOST_COLUMNS, len(shown))
+    columns = columns_of(len(shown))
     rows = -(-len(shown) // columns)
     width = COLUMN_IN if columns == 1 else PAGE_IN
     cell_pt = (width * 72.0 - _MARGIN_PT) / columns - _TICKS_PT
@@ -55,7 +56,10 @@ def heat(quantity: Quantity, layout: Layout, shown: Sequence[Panel], log_scale: 
     digits = Digits(_each(tables, lambda estimate: estimate.value), scale(quantity))
     fits = _room(tables, cell_pt, digits)
     both = 1 if fits == 2 else 2
-    height = rows * max(1.1, min(len(y.values) * (_CELL_PT if fits == 2 else 12.0) / 72.0, 4.0) + 0.45) + 0.5
+    height = (
+        rows * max(1.1, min(len(y.values) * (_CELL_PT if fits == 2 else 12.0) / 72.0, 4.0) + 0.35 + _title_in(shown))
+        + 0.5
+    )
     figure, axes = panels(rows * both, columns, width, both * height, share=False)
     lacks = Lacks()
     drawings: list[Drawing] = [_values(quantity, tables, log_scale)]
@@ -92,6 +96,11 @@ def heat(quantity: Quantity, layout: Layout, shown: Sequence[Panel], log_scale: 
     return figure
 
 
+def _title_in(shown: Sequence[Panel]) -> float:
+    """The height of the titles of panels [inches]."""
+    return max(panel.title.count("\n") + bool(panel.title) for panel in shown) * 0.13
+
+
 def _table(quantity: Quantity, layout: Layout, panel: Panel) -> list[list[Cell | None]]:
     """The cells of a panel, row by row from below; None: there is no such point."""
     x, y = layout.axes
@@ -102,7 +111,7 @@ def _table(quantity: Quantity, layout: Layout, panel: Panel) -> list[list[Cell |
 def _values(quantity: Quantity, tables: Tables, log_scale: bool | None) -> Drawing:
     factor = scale(quantity)
     found = [factor * v for v in _each(tables, lambda estimate: estimate.value)] or [0.0]
-    label = wrapped(quantity.what, _BAR * (1 if len(tables) == 1 else 2))
+    label = quantity_label(quantity, _BAR * (1 if len(tables) == 1 else 2))
 
     def value(estimate: Estimate) -> float:
         return factor * estimate.value
@@ -122,7 +131,7 @@ def _widths(quantity: Quantity, tables: Tables) -> Drawing:
     factor = scale(quantity)
     found = [2.0 * factor * v for v in _each(tables, lambda estimate: estimate.half)] or [1.0]
     norm = Normalize(0.0, max(found) or 1.0)
-    return lambda estimate: 2.0 * factor * estimate.half, norm, colormaps["Greys"], f"width of the {INTERVAL}"
+    return lambda estimate: 2.0 * factor * estimate.half, norm, _WIDTHS, f"width of the {INTERVAL}"
 
 
 def _each(tables: Tables, of: Callable[[Estimate], float]) -> list[float]:
@@ -163,8 +172,9 @@ def _words(ax: Axes, at: tuple[int, int], cell: Cell, digits: Digits, bold: bool
     if not isfinite(estimate.value):
         return
     certain = bold and (estimate.low > 0.0 or estimate.high < 0.0)
-    lines = [(0.18 if fits == 2 else 0.0, digits.value(estimate), LABEL_PT, "bold" if certain else "normal")]
-    if fits == 2 and isfinite(estimate.low):
+    both = fits == 2 and isfinite(estimate.low)
+    lines = [(0.18 if both else 0.0, digits.value(estimate), LABEL_PT, "bold" if certain else "normal")]
+    if both:
         lines.append((-0.2, digits.interval(estimate), _SMALL_PT, "normal"))
     dark = 0.299 * colour[0] + 0.587 * colour[1] + 0.114 * colour[2] < 0.5
     left = _STRIP / 2 if any(cell.lack) else 0.0

@@ -52,6 +52,19 @@ def wrapped(words: str, width: int = WRAPPED) -> str:
     return "\n".join(textwrap.wrap(text(words, 4 * width), width))
 
 
+def quantity_label(quantity: Quantity, width: int = WRAPPED) -> str:
+    """What a picture shows, in lines."""
+    label = wrapped(quantity.what, width)
+    if quantity.kind == "difference":
+        label += f"\n{text(quantity.pair, width) if quantity.pair else 'difference of pairs'}"
+    return label
+
+
+def columns_of(panels: int) -> int:
+    """How many panels stand side by side."""
+    return 2 if panels == 4 else min(3, panels)
+
+
 def scale(quantity: Quantity) -> float:
     """What numbers are multiplied with before they are shown."""
     return 100.0 if quantity.kind == "share" else 1.0

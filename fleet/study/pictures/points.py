@@ -75,6 +75,7 @@ class Quantity:
     Attributes:
         kind: a `share` (of runs that passed), the median of a `number`, or that of a `difference` of pairs of runs.
         what: in words, with the unit.
+        pair: which difference, if there is only one; else "".
     """
 
     name: str
@@ -82,6 +83,7 @@ class Quantity:
     what: str
     dimensions: tuple[Dimension, ...]
     cells: Mapping[Key, Cell]
+    pair: str = ""
 
 
 @dataclass(frozen=True)
@@ -136,8 +138,8 @@ class Points:
             key: _cell("difference", *(np.concatenate(each) for each in zip(*rows, strict=True)))
             for key, rows in gathered.items()
         }
-        what = f"{words(name)}, {both.values[0] if len(others) == 1 else 'difference of pairs'}"
-        return Quantity(name, "difference", what, tuple(dimensions), cells)
+        only = str(both.values[0]) if len(others) == 1 else ""
+        return Quantity(name, "difference", words(name), tuple(dimensions), cells, only)
 
 
 def factors(points: Points) -> list[int]:

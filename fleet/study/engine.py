@@ -198,7 +198,7 @@ def remote_engine(scheduler: str | Any, security: Any = None) -> Iterator[Engine
     from distributed.security import Security
 
     if str(scheduler).startswith("tls://") and security is None:
-        configured = Security()
+        configured: Any = Security()
         if not (configured.tls_ca_file and configured.tls_client_cert):
             raise StudyError(
                 f"{scheduler} needs certificates: set DASK_DISTRIBUTED__COMM__TLS__CA_FILE, ..._CLIENT__CERT and "

@@ -19,6 +19,7 @@ PAGE = ROOT / "docs" / "guide" / "study-example.md"
 BLOCK = re.compile(r"```python\n(?P<code>.*?)```\n(?:\n```text\n(?P<printed>.*?)```\n)?", re.DOTALL)
 
 
+@pytest.mark.timeout(400)  # 10 s of one core, on a machine that is busy
 def test_the_notebook_page_shows_what_its_code_prints_and_draws(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

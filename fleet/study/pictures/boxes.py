@@ -103,7 +103,7 @@ def boxes(quantity: Quantity, layout: Layout, shown: Sequence[Panel], log_scale:
 def _one(ax: Axes, quantity: Quantity, cell: Cell, at: float, width: float, colour: str) -> None:
     """One row: its box and points, or the share that passed, and the interval."""
     estimate, factor = cell.estimate, scale(quantity)
-    if not isfinite(estimate.value):
+    if not cell.values:
         return
     if quantity.kind == "share":
         ax.barh(at, factor * estimate.value, 0.7 * width, color=colour, alpha=2 * BAND, linewidth=0, gid="share")
@@ -120,7 +120,9 @@ def _one(ax: Axes, quantity: Quantity, cell: Cell, at: float, width: float, colo
         size = 5.0 if len(values) < 100 else 1.0
         ax.scatter(values, at + 2.0 * _SPREAD * width * turns, s=size, color=colour, linewidth=0, zorder=2, gid="runs")
     if isfinite(estimate.low):
-        ends = [factor * estimate.low, factor * estimate.high]
+        high = estimate.high if isfinite(estimate.high) else max(cell.values)
+        ends = [factor * estimate.low, factor * high]
         ax.plot(ends, [at, at], color="black", linewidth=1.2, zorder=3, gid="interval")
-    size = 3.0 + 10.0 * width
-    ax.plot([factor * estimate.value], [at], color="black", marker="|", markersize=size, zorder=3, gid="middle")
+    if isfinite(estimate.value):
+        size = 3.0 + 10.0 * width
+        ax.plot([factor * estimate.value], [at], color="black", marker="|", markersize=size, zorder=3, gid="middle")

@@ -56,6 +56,9 @@ def curves(quantity: Quantity, layout: Layout, shown: Sequence[Panel], log_scale
             cells = [quantity.cells.get(layout.key(shown[k], fixed | {x: value})) for value in along.values]
             there = [cell.estimate if cell is not None else (np.nan,) * 3 for cell in cells]
             found = factor * np.array([each[:3] for each in there], float)
+            highest = found[np.isfinite(found)].max(initial=-np.inf)
+            found[:, 2][np.isposinf(found[:, 2])] = highest  # half of the runs or more may lack the number
+            found[~np.isfinite(found)] = np.nan
             colour = COLOURS[number]
             ax.fill_between(places, found[:, 1], found[:, 2], color=colour, alpha=BAND, linewidth=0, gid="band")
             ax.plot(places, found[:, 0], color=colour, linestyle=STYLES[number], marker=_MARKERS[number],

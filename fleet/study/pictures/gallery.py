@@ -19,7 +19,7 @@ from fleet.study.pictures.curves import curves
 from fleet.study.pictures.heat import heat
 from fleet.study.pictures.layout import MOST_PANELS, layout_of
 from fleet.study.pictures.parallel import parallel
-from fleet.study.pictures.points import PASSED, Points, Quantity, factors, load, words
+from fleet.study.pictures.points import PASSED, Points, Quantity, factors, load
 from fleet.study.store import Store, StudyRecord
 
 _MOST_PAGES = 8  # pictures of one quantity
@@ -44,14 +44,14 @@ def draw(points: Points, log_scale: bool | None = None, share: Tell = lambda _: 
     measures = [name for name in points.numbers if name != PASSED]
     todo: list[tuple[str, str, Callable[[], Iterator[Figure]]]] = []
     if points.product:
-        todo = [(name, _title(name), _pages(points, name, log_scale)) for name in points.numbers]
+        todo = [(name, points.words(name), _pages(points, name, log_scale)) for name in points.numbers]
     else:
         whole = "Every run as a line through what was varied and what came of it"
         todo.append(("parallel", whole, lambda: iter([parallel(points, measures, log_scale)])))
     for place in factors(points):
         for name in measures:
             key = printable(points.dimensions[place].key)
-            title = f"{words(name)}, values of {key} in pairs of runs with the same seed"
+            title = f"{points.words(name)}, values of {key} in pairs of runs with the same seed"
             todo.append((f"compare-{_slug(key)}-{name}", title, _pairs(points, place, name)))
     for number, (name, title, make) in enumerate(todo):
         share(number / len(todo))
@@ -60,10 +60,6 @@ def draw(points: Points, log_scale: bool | None = None, share: Tell = lambda _: 
                 yield Picture(f"{name}-{page + 1}" if page else name, title, figure)
         except NothingToDraw as reason:
             yield Picture(name, title, str(reason))
-
-
-def _title(name: str) -> str:
-    return "Runs that passed" if name == PASSED else words(name)
 
 
 def _pages(points: Points, name: str, log_scale: bool | None) -> Callable[[], Iterator[Figure]]:
@@ -78,7 +74,8 @@ def _drawn(quantity: Quantity, log_scale: bool | None) -> Iterator[Figure]:
     numbers = [value for cell in quantity.cells.values() for value in cell.values]
     if not numbers and not any(sum(cell.lack) for cell in quantity.cells.values()):
         raise NothingToDraw("there is no pair of runs")
-    if quantity.kind == "difference" and numbers and not any(numbers):
+    equal = not any(numbers) and not any(cell.lack.without for cell in quantity.cells.values())
+    if quantity.kind == "difference" and numbers and equal:
         raise NothingToDraw("the runs of every pair are equal in it")
     layout = layout_of(quantity)
     for page in range(0, len(layout.panels), MOST_PANELS):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from math import isfinite
+from math import isfinite, isnan
 
 import numpy as np
 from matplotlib import colormaps
@@ -71,7 +71,8 @@ def heat(quantity: Quantity, layout: Layout, shown: Sequence[Panel], log_scale: 
             ax.set_visible(False)
         for k, (ax, panel, table) in enumerate(zip(part, shown, tables, strict=False)):
             image = [[np.nan if cell is None else of(cell.estimate) for cell in row] for row in table]
-            _cells(ax, np.array(image), norm, colours)
+            found = np.array(image)
+            _cells(ax, np.where(np.isfinite(found), found, np.nan), norm, colours)
             for row, line in enumerate(table):
                 for column, cell in enumerate(line):
                     if cell is not None:
@@ -159,9 +160,9 @@ def _room(tables: Tables, cell_pt: float, digits: Digits) -> int:
     for cell in (cell for table in tables for row in table for cell in row if cell is not None):
         estimate = cell.estimate
         strip = _STRIP if any(cell.lack) else strip
-        if isfinite(estimate.value):
+        if not isnan(estimate.value):
             widest[0] = max(widest[0], text_width_pt(digits.value(estimate), LABEL_PT))
-        if isfinite(estimate.low):
+        if not isnan(estimate.low):
             widest[1] = max(widest[1], text_width_pt(digits.interval(estimate), _SMALL_PT))
     return 0 if widest[0] > cell_pt - 2.0 else 1 if widest[1] > (1.0 - strip) * cell_pt - 2.0 else 2
 
@@ -169,14 +170,14 @@ def _room(tables: Tables, cell_pt: float, digits: Digits) -> int:
 def _words(ax: Axes, at: tuple[int, int], cell: Cell, digits: Digits, bold: bool, colour: Colour, fits: int) -> None:
     """The value and the interval in a cell; `bold`: the value, if the interval does not hold 0."""
     estimate = cell.estimate
-    if not isfinite(estimate.value):
+    if isnan(estimate.value):
         return
     certain = bold and (estimate.low > 0.0 or estimate.high < 0.0)
-    both = fits == 2 and isfinite(estimate.low)
+    both = fits == 2 and not isnan(estimate.low)
     lines = [(0.18 if both else 0.0, digits.value(estimate), LABEL_PT, "bold" if certain else "normal")]
     if both:
         lines.append((-0.2, digits.interval(estimate), _SMALL_PT, "normal"))
-    dark = 0.299 * colour[0] + 0.587 * colour[1] + 0.114 * colour[2] < 0.5
+    dark = isfinite(estimate.value) and 0.299 * colour[0] + 0.587 * colour[1] + 0.114 * colour[2] < 0.5
     left = _STRIP / 2 if any(cell.lack) else 0.0
     for above, words, size, weight in lines:
         ax.text(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Callable, Iterable, Sequence
-from math import floor, log10
+from math import floor, isinf, log10
 from typing import Literal
 
 import numpy as np
@@ -90,6 +90,8 @@ class Digits:
         self._most = 0 if factor != 1.0 else min(4, _decimals(usual))
 
     def _shown(self, value: float) -> str:
+        if isinf(value):
+            return "∞" if value > 0.0 else "-∞"
         value *= self._factor
         return f"{value:.{min(self._most, _decimals(value))}f}"
 

@@ -16,7 +16,7 @@ from fleet.palette import COLOURS
 from fleet.pictures.runs import NothingToDraw
 from fleet.pictures.style import COLUMN_IN, LABEL_PT, PAGE_IN, THIN, panels
 from fleet.study.pictures.marks import axis_label, legend, logarithmic, rough, text, wrapped
-from fleet.study.pictures.points import NOT_MADE, PASSED, Dimension, Points, words
+from fleet.study.pictures.points import NO_RESULT, NOT_MADE, PASSED, Dimension, Points
 
 MOST_AXES = 12
 _WIDE = 5  # axes: more need the width of a page
@@ -35,7 +35,7 @@ def parallel(points: Points, measures: Sequence[str], log_scale: bool | None) ->
     count = len(dimensions) + len(measures)
     if count > MOST_AXES:
         raise NothingToDraw(f"{count} axes do not fit into a picture: {MOST_AXES} do; choose fewer with --measure")
-    made = np.argwhere(points.state != NOT_MADE)
+    made = np.argwhere(points.state >= NO_RESULT)
     if not len(made):
         raise NothingToDraw("no run has been made yet")
     made = made[:: -(-len(made) // _LINES)]
@@ -56,7 +56,7 @@ def parallel(points: Points, measures: Sequence[str], log_scale: bool | None) ->
         handles.append(_draw(ax, lines[np.isnan(verdicts)], f"{none} {_NONE[0]}", *_NONE[1:]))
     if left := int((points.state == NOT_MADE).sum()):
         handles.append(Line2D([], [], color="none", label=f"{left} not made yet"))
-    labels = [axis_label(each) for _, each in dimensions] + [wrapped(words(name), 18) for name in measures]
+    labels = [axis_label(each) for _, each in dimensions] + [wrapped(points.words(name), 18) for name in measures]
     ax.set_xticks(range(count), labels=labels, fontsize=LABEL_PT)
     ax.set_yticks([])
     ax.set_xlim(-0.25, count - 0.6)
@@ -90,6 +90,7 @@ def _measure(ax: Axes, at: int, values: Array, log_scale: bool | None) -> Array:
 
 
 def _numbers(ax: Axes, at: int, values: Array, logs: bool) -> Array:
+    values = np.where(np.isfinite(values), values, np.nan)
     known = values[np.isfinite(values)]
     if not len(known):
         _axis(ax, at, [(0.5, "no run has it")])

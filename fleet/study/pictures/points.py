@@ -17,15 +17,15 @@ from fleet.study.errors import StudyError
 from fleet.study.measures import MEASURES
 from fleet.study.one_run import FAILED
 from fleet.study.plan import MOST_RUNS
+from fleet.study.signals import find_columns
 from fleet.study.statistics import Estimate, median, pass_rate
 from fleet.study.store import Store
 from fleet.study.summary import DEFAULT
-from netem.parsing import nearest
 
 PASSED = "passed"
 Value = float | str
 Key = tuple[Value, ...]  # of a point: the values of the dimensions
-NOT_MADE, NO_RESULT, MADE = range(3)  # the states of a run
+NOT_NEEDED, NOT_MADE, NO_RESULT, MADE = range(4)  # the states of a run
 
 
 class Lack(NamedTuple):
@@ -88,12 +88,16 @@ class Quantity:
 
 @dataclass(frozen=True)
 class Points:
-    """The runs of a study as arrays of (points, seeds); NaN where a run does not have the number."""
+    """The runs of a study as arrays of (points, seeds); NaN where a run does not have the number.
+
+    Infinite: it does not have it, and that counts as larger than every number, as a time that never came.
+    """
 
     dimensions: tuple[Dimension, ...]
     keys: tuple[Key, ...]  # of the points
     state: Array
     numbers: Mapping[str, Array]  # by column: `passed` as 0 or 1, and measures
+    units: Mapping[str, str]  # of the measures
     _known: dict[str, Quantity] = field(default_factory=dict, repr=False)
 
     @cached_property
@@ -103,14 +107,20 @@ class Points:
         found = {tuple(key[k] for k in places) for key in self.keys}
         return len(found) == prod(len(self.dimensions[k].values) for k in places)
 
+    def words(self, name: str) -> str:
+        """A column in words, with its unit."""
+        if name == PASSED:
+            return "runs that passed [%]"
+        what = MEASURES[name].what if name in MEASURES else name
+        return f"{what} [{self.units[name]}]" if self.units[name] else what
+
     def quantity(self, name: str) -> Quantity:
         """A column at every point."""
         kind: Literal["share", "number"] = "share" if name == PASSED else "number"
-        what = "runs that passed [%]" if name == PASSED else words(name)
         if name not in self._known:  # intervals take a while
             rows = zip(self.keys, self.state, self.numbers[name], strict=True)
             cells = {key: _cell(kind, *row) for key, *row in rows}
-            self._known[name] = Quantity(name, kind, what, self.dimensions, cells)
+            self._known[name] = Quantity(name, kind, self.words(name), self.dimensions, cells)
         return self._known[name]
 
     def pairs(self, place: int) -> list[tuple[Key, int, int]]:
@@ -130,7 +140,9 @@ class Points:
         kept = [k for k, each in enumerate(self.dimensions) if self.product or each.unit is None]
         for key, k, base in self.pairs(place):
             named = (*key[:place], minus(key[place], first), *key[place + 1 :])
-            pair = np.minimum(self.state[k], self.state[base]), column[k] - column[base]
+            with np.errstate(invalid="ignore"):
+                difference = np.where(column[k] == column[base], 0.0, column[k] - column[base])
+            pair = np.minimum(self.state[k], self.state[base]), difference
             gathered.setdefault(tuple(named[i] for i in kept), []).append(pair)
         both = Dimension(dimension.key, None, tuple(minus(other, first) for other in others))
         dimensions = [both if k == place else self.dimensions[k] for k in kept]
@@ -139,7 +151,7 @@ class Points:
             for key, rows in gathered.items()
         }
         only = str(both.values[0]) if len(others) == 1 else ""
-        return Quantity(name, "difference", words(name), tuple(dimensions), cells, only)
+        return Quantity(name, "difference", self.words(name), tuple(dimensions), cells, only)
 
 
 def factors(points: Points) -> list[int]:
@@ -153,56 +165,43 @@ def load(store: Store, measures: Sequence[str] = ()) -> Points:
     Raises:
         StudyError: there is no such measure, or the study is damaged.
     """
-    names = [PASSED, *dict.fromkeys(measures or DEFAULT)]
-    axes, seeds = store.record.axes, store.record.seeds
-    _check_columns(store, names[1:])
+    asked = measures or store.record.settings.measures or DEFAULT
+    columns = {column.name: column for column in find_columns(asked, store.record.columns)}
+    axes, seeds = store.record.axes, store.seeds
+    if twice := next((name for name, count in Counter(store.schema.names).items() if count > 1), None):
+        raise StudyError(f"{store.directory} is damaged: it has two columns {twice[:60]}")
     rows = store.points()
     keys = tuple(tuple(row[axis.key] for axis in axes) for row in rows)
     if [row["point"] for row in rows] != list(range(len(rows))) or len(set(keys)) < len(keys):
         raise StudyError(f"{store.directory} is damaged: its points are not numbered, or one is there twice")
-    if not rows or not seeds or len(rows) * len(seeds) > MOST_RUNS:
-        raise StudyError(f"{store.directory} is damaged: it has {len(rows)} points and {len(seeds)} seeds")
     if not all(isfinite(value) for key in keys for value in key if not isinstance(value, str)):
         raise StudyError(f"{store.directory} is damaged: a value of a point is no number")
-    table = store.table(["point", "seed", "status", *names])
+    table = store.table(["point", "seed", "status", PASSED, *columns])
     place = {seed: k for k, seed in enumerate(seeds)}
     at = np.array([place.get(seed, -1) for seed in table["seed"].to_pylist()], int)
     point = np.array([-1 if k is None else k for k in table["point"].to_pylist()], int)
     if len(at) and (min(at.min(), point.min()) < 0 or point.max() >= len(rows)):
         raise StudyError(f"{store.directory} is damaged: it has runs of points or seeds that are not its own")
-    state = np.full((len(rows), len(seeds)), NOT_MADE)
+    wanted = store.needed()
+    needed = np.array([wanted[k] for k in range(len(rows))], int)
+    most = max(int(needed.max(initial=0)), int(at.max(initial=-1)) + 1)
+    if not most or len(rows) * most > MOST_RUNS:
+        raise StudyError(f"{store.directory} is damaged: it has {len(rows)} points and {most} seeds")
+    state = np.where(np.arange(most) < needed[:, None], NOT_MADE, NOT_NEEDED)
     state[point, at] = np.where(np.array(table["status"].to_pylist(), object) == FAILED, NO_RESULT, MADE)
     numbers = {}
-    for name in names:
+    for name in (PASSED, *columns):
         numbers[name] = np.full(state.shape, np.nan)
         numbers[name][point, at] = table[name].cast(pa.float64()).to_numpy(zero_copy_only=False)
         numbers[name][~np.isfinite(numbers[name])] = np.nan
+        if name in columns and columns[name].missing_is_largest:
+            numbers[name][np.isnan(numbers[name]) & (state == MADE)] = np.inf
     dimensions = tuple(
         Dimension(axis.key, axis.unit, tuple(_distinct([key[k] for key in keys], axis.unit is not None)))
         for k, axis in enumerate(axes)
     )
-    return Points(dimensions, keys, state, numbers)
-
-
-def _check_columns(store: Store, names: Sequence[str]) -> None:
-    """Raises StudyError: the study has one of these columns not at all, or has one twice."""
-    columns = Counter(store.schema.names)
-    if twice := next((name for name, count in columns.items() if count > 1), None):
-        raise StudyError(f"{store.directory} is damaged: it has two columns {twice[:60]}")
-    axes = {axis.key for axis in store.record.axes}
-    known = [field.name for field in store.schema if field.type == pa.float64() and field.name not in axes]
-    for name in names:
-        if name not in known:
-            hint = nearest(name, known) or f"there are {', '.join(known)}"
-            raise StudyError(f'there is no measure "{name[:60]}"; {hint}')
-
-
-def words(name: str) -> str:
-    """A measure in words, with its unit."""
-    measure = MEASURES.get(name)
-    if measure is None:
-        return name
-    return f"{measure.what} [{measure.unit}]" if measure.unit else measure.what
+    units = {name: column.unit for name, column in columns.items()}
+    return Points(dimensions, keys, state, numbers, units)
 
 
 def _distinct(values: Sequence[Any], ordered: bool) -> Sequence[Any]:
@@ -216,9 +215,9 @@ def minus(value: Value, first: Value) -> str:
 
 
 def _cell(kind: str, state: Array, values: Array) -> Cell:
-    have = values[np.isfinite(values)]
-    made = int((state == MADE).sum())
-    lack = Lack(int((state == NOT_MADE).sum()), int((state == NO_RESULT).sum()), made - len(have))
-    found = tuple(map(float, have))
-    estimate = pass_rate(round(sum(found)), len(found)) if kind == "share" else median(found)
-    return Cell(estimate, found, lack)
+    finite, made = values[np.isfinite(values)], int((state == MADE).sum())
+    lack = Lack(int((state == NOT_MADE).sum()), int((state == NO_RESULT).sum()), made - len(finite))
+    found = tuple(map(float, finite))
+    if kind == "share":
+        return Cell(pass_rate(round(sum(found)), len(found)), found, lack)
+    return Cell(median(values[~np.isnan(values)].tolist()), found, lack)

@@ -20,7 +20,7 @@ from fleet.pictures.report_tables import Mark, Table, rest
 from fleet.pictures.style import COLUMN_IN
 from fleet.study.one_run import FAILED
 from fleet.study.pictures.gallery import draw
-from fleet.study.pictures.points import NOT_MADE, PASSED, Dimension, Points, Quantity, factors, load, minus, words
+from fleet.study.pictures.points import NOT_MADE, NOT_NEEDED, PASSED, Dimension, Points, Quantity, factors, load, minus
 from fleet.study.statistics import Estimate, compare
 from fleet.study.store import Store
 
@@ -76,8 +76,8 @@ def page(store: Store, points: Points, log_scale: bool | None = None, share: Tel
 
 
 def _facts(store: Store, points: Points, rows: Sequence[dict[str, Any]]) -> list[tuple[str, Any]]:
-    record, planned = store.record, points.state.size
-    seeds = record.seeds
+    record, planned = store.record, int((points.state != NOT_NEEDED).sum())
+    seeds = store.seeds[: points.state.shape[1]]
     whole = seeds == list(range(seeds[0], seeds[0] + len(seeds))) if seeds else False
     listed = f"{seeds[0]} to {seeds[-1]}" if whole and len(seeds) > 1 else _some(list(map(str, seeds)))
     made = Counter(f"uuv-fleet {row['version']}, {row['cores']} cores" for row in rows)
@@ -182,9 +182,8 @@ def _comparisons(points: Points) -> list[tuple[str, Table]]:
                 if name == PASSED:
                     only = [sum(a == win and b == 1 - win for a, b in zip(one, two, strict=True)) for win in (1.0, 0.0)]
                     difference, smaller = f"only {first}: {only[0]}, only {other}: {only[1]}", ""
-                what = "runs that passed" if name == PASSED else words(name)
                 p = f"{result.p:.2g}" if isfinite(result.p) else "-"
-                rows.append((minus(other, first), what, result.difference.runs, difference, smaller, p))
+                rows.append((minus(other, first), points.words(name), result.difference.runs, difference, smaller, p))
         found.append((dimension.key, Table(_COMPARED, rows)))
     return found
 

@@ -101,7 +101,7 @@ def points(rows: int, *dimensions: Dimension, seeds: int = 3) -> Points:
     keys = tuple(product(*(each.values for each in dimensions)))
     assert len(keys) == rows
     numbers = {name: np.linspace(0.0, 1.0, rows * seeds).reshape(rows, seeds) for name in ("passed", "e_rms_m")}
-    return Points(dimensions, keys, np.full((rows, seeds), MADE), numbers)
+    return Points(dimensions, keys, np.full((rows, seeds), MADE), numbers, {"e_rms_m": "m"})
 
 
 ACROSS = Dimension("network.links.*.loss", "%", tuple(map(float, range(0, 95, 5))))

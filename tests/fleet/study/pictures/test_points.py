@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from math import inf
 from pathlib import Path
 
 import pyarrow as pa
@@ -32,7 +33,8 @@ def test_runs_that_lack_a_number_are_counted_by_reason(tmp_path: Path) -> None:
     cells = points.quantity("formation_final_m").cells
     assert cells[(0.0,)].lack == Lack(not_made=1, failed=0, without=1)
     assert cells[(30.0,)].lack == Lack(not_made=1, failed=2, without=0)
-    assert cells[(0.0,)].estimate.runs == 1
+    assert cells[(0.0,)].values == pytest.approx((0.21,))
+    assert cells[(0.0,)].estimate.value == inf  # of one that has it and one that is larger than every number
     assert points.quantity(PASSED).cells[(0.0,)].lack == Lack(1, 0, 0)
 
 
@@ -47,8 +49,8 @@ def test_differences_are_of_runs_with_the_same_seed_and_all_else_equal(tmp_path:
     assert cell.lack == Lack(not_made=1, failed=0, without=1)
     assert found.cells[(30.0, "bsmc - nboc")].lack == Lack(1, 2, 0)
     expected = Study(store).compare("controller", "nboc", "boc", "formation_final_m").difference
-    values = [v for key, cell in found.cells.items() if key[1] == "boc - nboc" for v in cell.values]
-    assert len(values) == expected.runs
+    pairs = [cell for key, cell in found.cells.items() if key[1] == "boc - nboc"]
+    assert sum(cell.estimate.runs for cell in pairs) == expected.runs == 4
 
 
 def test_a_sample_is_no_product_and_its_pairs_are_one_cell(tmp_path: Path) -> None:

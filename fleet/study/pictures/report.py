@@ -157,10 +157,8 @@ def _share(rate: Estimate) -> str:
 def _estimate(found: Estimate) -> str:
     if found.runs == 0:
         return "-"
-    text = f"{found.value:.3g}"
-    return (
-        text if not isfinite(found.low) or found.low == found.high else f"{text}, {found.low:.3g} to {found.high:.3g}"
-    )
+    interval = f"   {found.low:.3g}..{found.high:.3g}" if found.low < found.high else ""
+    return f"{found.value:.3g}{interval}"
 
 
 def _comparisons(points: Points) -> list[tuple[str, Table]]:

@@ -11,12 +11,15 @@ import click
 
 from fleet.cli.documents.output import json_option, print_document
 from fleet.cli.log_argument import log_argument, newest_log
+from fleet.cli.study_pictures import check_options, is_study, measure_option, plot_study, report_study
 from fleet.cli.types import Vehicles, Window, Words
 from fleet.terminal.folding import say
 
 KINDS = ("track", "error", "velocity", "inputs", "commands", "gains", "links", "messages", "ages", "timing")
 PARTS = ("track-3d", "formation")  # single pictures of track and error
 FORMATS = ("png", "svg", "pdf")
+_OF_LOGS = {name: f"--{name}" for name in ("what", "compare", "vehicles", "window")}
+_OF_STUDIES = {"measures": "--measure"}
 
 
 _vehicles = click.option("--vehicles", metavar="LIST", type=Vehicles(), help="Only these, e.g. 1,3-5.")
@@ -51,6 +54,7 @@ _window = click.option(
     "--compare", metavar="LOG2", type=click.Path(path_type=Path), multiple=True,
     help="Another run on the same axes; repeatable.",
 )  # fmt: skip
+@measure_option
 @_vehicles
 @_log_scale
 @_window
@@ -60,6 +64,7 @@ def plot(
     what: tuple[str, ...],
     formats: tuple[str, ...],
     compare: tuple[Path, ...],
+    measures: tuple[str, ...],
     vehicles: tuple[int, ...] | None,
     log_scale: bool | None,
     window: tuple[float, float] | None,
@@ -70,13 +75,22 @@ def plot(
     their limits, shares of packets by fate, messages in space and time, ages of information; faults are shaded.
     Prints the files.
 
+    Of the directory of a study: pass rate and measures with intervals as heat maps, curves or boxes, a sample as
+    parallel coordinates, and differences in pairs of runs with the same seed. Hatched: runs without the number.
+
     \b
     Examples:
       fleet plot
       fleet plot --what error,inputs --format svg,pdf --linear
       fleet plot --what messages --window 20s..22s
       fleet plot runs/a --compare runs/b --what error -o compared
+      fleet plot studies/rough-sea-20261122-101500 --measure e_rms_m
     """
+    if is_study(log):
+        check_options(log, _OF_LOGS, "logs")
+        _print(plot_study(log, out, measures, formats, log_scale))
+        return
+    check_options(log, _OF_STUDIES, "studies")
     from fleet.logs.reader import log_path
     from fleet.pictures.gallery import write
     from fleet.pictures.runs import View, check_view, load
@@ -91,6 +105,10 @@ def plot(
         paths = write(what, runs, view, out or log_path(log).parent / "plots", formats, said.append, tell)
     for note in dict.fromkeys([*(f"{r.label}: {r.log.missing}" for r in runs if r.log.missing), *_notes(runs), *said]):
         say(f"fleet: {note}", err=True)
+    _print(paths)
+
+
+def _print(paths: Sequence[Path]) -> None:
     for path in paths:
         click.echo(path)
     if not paths:
@@ -156,6 +174,7 @@ def export(log: Path, csv: Path | None, parquet: Path | None, topics: tuple[str,
     show_default=True, help="The page.",
 )  # fmt: skip
 @click.option("--force", is_flag=True, help="Replace what is there.")
+@measure_option
 @_vehicles
 @_log_scale
 @_window
@@ -163,6 +182,7 @@ def report(
     logs: tuple[Path, ...],
     out: Path,
     force: bool,
+    measures: tuple[str, ...],
     vehicles: tuple[int, ...] | None,
     log_scale: bool | None,
     window: tuple[float, float] | None,
@@ -172,17 +192,30 @@ def report(
     Scenario, conditions of the links, faults; verdicts, vehicles, ledger and ages from result.json beside the log;
     pictures, and how to repeat the run. The page needs no network and no other file.
 
+    Of the directory of a study: what was run and at which cost, pictures, every point with intervals, comparisons in
+    pairs, the reasons of runs without a result, and how to make a run again.
+
     \b
     Examples:
       fleet report
       fleet report runs/a runs/b -o compared.html --log-scale
+      fleet report studies/rough-sea-20261122-101500 -o study.html
     """
-    from fleet.pictures.report import check_place, write
+    from fleet.pictures.page import check_place
+    from fleet.pictures.report import write
     from fleet.pictures.runs import View, check_view, load
     from fleet.terminal.progress import showing
 
     check_place(out, force=force)
     chosen = logs or (newest_log(),)
+    if study := next(filter(is_study, chosen), None):
+        if len(chosen) > 1:
+            raise click.UsageError(f"{study} is a study: a page is about one study, or about logs")
+        check_options(study, _OF_LOGS, "logs")
+        report_study(study, out, measures, log_scale)
+        click.echo(out)
+        return
+    check_options(chosen[0], _OF_STUDIES, "studies")
     with showing("reading") as tell:
         runs = load(chosen, tell)
     view = View(vehicles, log_scale, window)

@@ -2,38 +2,26 @@
 
 from __future__ import annotations
 
-import base64
 import shlex
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
-from importlib.metadata import version
-from importlib.resources import files
-from io import BytesIO
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
-from matplotlib.figure import Figure
-
-from fleet.errors import FleetError
 from fleet.logs.reader import Tell, digest
 from fleet.logs.result_file import ResultError, read_result
 from fleet.logs.run_name import begun_at, run_name
 from fleet.pictures.gallery import PER_RUN, WHAT, draw
+from fleet.pictures.page import Picture, Pictures, png, render, write_page
 from fleet.pictures.report_scenario import conditions_note, conditions_table, network_facts, scenario_facts
 from fleet.pictures.report_tables import Mark, Table, links_table, number, rest, side_by_side, worst
 from fleet.pictures.runs import Run, View
-from fleet.pictures.style import DPI
-from fleet.pictures.whole_file import whole_file
 from netem.ages import Ages
 from netem.causes import Cause
 from netem.wire.messages import Fate
 
 TEMPLATE = "report.html"
-
-
-class ReportError(FleetError):
-    """The report cannot be written."""
 
 
 @dataclass(slots=True)
@@ -43,20 +31,6 @@ class RunResult:
     values: dict[str, Any] | None
     why_none: str
     digest: str
-
-
-class Picture(NamedTuple):
-    """One picture of the page; `png` in base 64."""
-
-    title: str
-    png: str
-
-
-class Pictures(NamedTuple):
-    """The pictures of a section, and what could not be drawn, with the reason."""
-
-    drawn: list[Picture]
-    missing: list[str]
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,19 +58,6 @@ class Section:
     scenario_text: str
 
 
-def check_place(path: Path, *, force: bool) -> None:
-    """Refuse a place that holds a file already.
-
-    Args:
-        force: whether it shall be replaced.
-
-    Raises:
-        ReportError: there is a file.
-    """
-    if path.is_file() and not force:
-        raise ReportError(f"{path} already exists; choose another place with -o FILE, or replace it with --force")
-
-
 def write(path: Path, runs: Sequence[Run], view: View, share: Tell = lambda _: None) -> None:
     """Write the page; `share` is called with the share that is done of a digest or of the pictures.
 
@@ -104,21 +65,11 @@ def write(path: Path, runs: Sequence[Run], view: View, share: Tell = lambda _: N
         ReportError: the place cannot be written.
         LogReadError: a log has gone meanwhile.
     """
-    try:
-        with whole_file(path) as part:
-            part.open("a").close()  # before the pictures, which take a while
-            part.write_text(page(runs, view, share), "utf-8", errors="replace")  # of a name that is no text
-    except OSError as error:
-        raise ReportError(f"cannot write {path}: {error.strerror}; choose another place with -o FILE") from error
+    write_page(path, lambda: page(runs, view, share))
 
 
 def page(runs: Sequence[Run], view: View, share: Tell = lambda _: None) -> str:
     """The whole page as HTML."""
-    # Here, since every command that draws would pay for the import.
-    from jinja2 import Environment, StrictUndefined
-
-    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, keep_trailing_newline=True)
-    template = environment.from_string(files("fleet.pictures").joinpath(TEMPLATE).read_text("utf-8"))
     results = [_result(run, share) for run in runs]
     together = None
     if len(runs) > 1:
@@ -128,9 +79,10 @@ def page(runs: Sequence[Run], view: View, share: Tell = lambda _: None) -> str:
         }
     kinds = list(WHAT) if len(runs) == 1 else sorted(PER_RUN)
     numbered = enumerate(zip(runs, results, strict=True), start=1 if len(runs) > 1 else 0)
-    return template.render(
+    return render(
+        "fleet.pictures",
+        TEMPLATE,
         title="uuv-fleet: " + ", ".join(run_name(run.log.path) for run in runs),
-        version=version("uuv-fleet"),
         together=together,
         runs=[_section(n, run, result, kinds, view, share) for n, (run, result) in numbered],
     )
@@ -264,11 +216,5 @@ def _pictures(kinds: Sequence[str], runs: Sequence[Run], view: View, share: Tell
         if isinstance(figure, str):
             missing.append(f"{name}: {figure}")
         else:
-            drawn.append(Picture(title, _png(figure)))
+            drawn.append(Picture(title, png(figure)))
     return Pictures(drawn, missing + [note for run in runs for note in run.notes])
-
-
-def _png(figure: Figure) -> str:
-    file = BytesIO()
-    figure.savefig(file, format="png", dpi=DPI, metadata={"Software": None})
-    return base64.b64encode(file.getvalue()).decode("ascii")

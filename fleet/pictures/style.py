@@ -17,7 +17,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 from fleet.palette import COLOURS
 from fleet.pictures.whole_file import whole_file
 
-STYLES = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)), (0, (1, 1)), (0, (7, 2)))
+STYLES: tuple[Any, ...] = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)), (0, (1, 1)), (0, (7, 2)))
 STYLE_NAMES = ("solid", "dashed", "dash-dot", "dotted", "dash-dot-dot", "densely dotted", "long dashes")
 COLUMN_IN, PAGE_IN = 3.5, 7.0  # widths of a column and of a page of a journal
 DPI = 300

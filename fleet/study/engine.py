@@ -190,11 +190,20 @@ def remote_engine(scheduler: str | Any, security: Any = None) -> Iterator[Engine
         security: a `distributed.security.Security`; None: as Dask's configuration says.
 
     Raises:
-        StudyError: it cannot be reached, has no worker, or a worker has another version of something.
+        StudyError: it cannot be reached, has no worker, or a worker has another version of something; or it speaks TLS,
+            and there are no certificates.
     """
     need_extra()
     from distributed import Client
+    from distributed.security import Security
 
+    if str(scheduler).startswith("tls://") and security is None:
+        configured: Any = Security()
+        if not (configured.tls_ca_file and configured.tls_client_cert):
+            raise StudyError(
+                f"{scheduler} needs certificates: set DASK_DISTRIBUTED__COMM__TLS__CA_FILE, ..._CLIENT__CERT and "
+                "..._CLIENT__KEY, or the same in Dask's configuration"
+            )
     try:
         client = Client(scheduler, security=security, timeout=_CONNECT_S, set_as_default=False)
     except (OSError, TimeoutError, ValueError) as error:

@@ -131,6 +131,25 @@ class Study:
         table = pairs.pivot(index=[*others, "seed"], columns=key, values="_values").astype(float)
         return compare(table[first].tolist(), table[second].tolist())
 
+    def plot(self, *measures: str, folder: str | Path | None = None, formats: Sequence[str] = ("png",)) -> list[Path]:
+        """Draw pictures of the pass rate and of some measures, as `fleet plot` does.
+
+        Args:
+            measures: none: those that `fleet sweep` shows.
+            folder: where the pictures go; None: `plots` in the directory of the study.
+            formats: some of `png`, `svg` and `pdf`.
+
+        Returns:
+            The files.
+
+        Raises:
+            StudyError: there is no such measure, or the study is damaged.
+            PictureError: the folder cannot be written.
+        """
+        from fleet.study.pictures.gallery import write  # here, since matplotlib takes a while to load
+
+        return write(self._store, measures, self.directory / "plots" if folder is None else Path(folder), formats)
+
     def rerun(
         self, point: int | Mapping[str, Any], seed: int, out: Path = Path("runs"), trust: Trust = NOTHING
     ) -> Result:

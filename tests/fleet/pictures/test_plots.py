@@ -28,7 +28,8 @@ from fleet.logs.export import ExportError, columns, export
 from fleet.logs.run_name import run_name
 from fleet.pictures import exchange, signals
 from fleet.pictures.gallery import PER_RUN, WHAT, draw
-from fleet.pictures.report import ReportError, _from_log, page
+from fleet.pictures.page import ReportError
+from fleet.pictures.report import _from_log, page
 from fleet.pictures.report import write as write_report
 from fleet.pictures.report_tables import links_table
 from fleet.pictures.runs import NothingToDraw, Run, View, load, with_gaps

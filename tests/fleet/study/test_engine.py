@@ -137,6 +137,8 @@ def test_no_scheduler_and_no_extra_are_said(monkeypatch: pytest.MonkeyPatch) -> 
     monkeypatch.setattr("fleet.study.engine._CONNECT_S", 0.3)
     with pytest.raises(StudyError, match="no Dask scheduler answers at tcp://127"), remote_engine("tcp://127.0.0.1:1"):
         pass
+    with pytest.raises(StudyError, match="needs certificates: set DASK_"), remote_engine("tls://127.0.0.1:1"):
+        pass
     monkeypatch.setattr("fleet.study.engine.NEEDED", ("dask", "no_such_library"))
     with pytest.raises(StudyError, match=r"studies need no_such_library: pip install 'uuv-fleet\[study\]'"):
         need_extra()

@@ -1,0 +1,87 @@
+"""Pictures and reports of a study, for the commands that take a log or a study."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+from click.core import ParameterSource
+
+from fleet.terminal.folding import say
+
+if TYPE_CHECKING:
+    from fleet.study.store import Store
+
+measure_option = click.option(
+    "--measure", "measures", metavar="NAME", multiple=True,
+    help="Of a study: what is shown besides the pass rate; repeatable. An unknown name lists them.",
+)  # fmt: skip
+
+
+def is_study(path: Path) -> bool:
+    """Whether it is the directory of a study."""
+    return (path / "study.json").is_file()
+
+
+def check_options(subject: Path, options: Mapping[str, str], only_for: str) -> None:
+    """Refuse options that were given, but do not belong to what is shown.
+
+    Args:
+        subject: what is shown.
+        options: of the command, by the name of their parameter.
+        only_for: what they belong to.
+
+    Raises:
+        click.UsageError: one of them was given.
+    """
+    source = click.get_current_context().get_parameter_source
+    given = [option for name, option in options.items() if source(name) not in (None, ParameterSource.DEFAULT)]
+    if given:
+        raise click.UsageError(f"{', '.join(given)}: only for {only_for}; {subject} is none")
+
+
+def plot_study(
+    directory: Path, out: Path | None, measures: Sequence[str], formats: Sequence[str], log_scale: bool | None
+) -> list[Path]:
+    """Draw a study; returns the files, and tells what could not be drawn.
+
+    Raises:
+        StudyError: it is damaged, there is no such measure, or the extra `study` is not installed.
+        PictureError: the place cannot be written.
+    """
+    store = _open(directory)
+    from fleet.study.pictures.gallery import write
+    from fleet.terminal.progress import showing
+
+    said: list[str] = []
+    with showing("drawing") as tell:
+        paths = write(store, measures, out or directory / "plots", formats, log_scale, said.append, tell)
+    for note in said:
+        say(f"fleet: {note}", err=True)
+    return paths
+
+
+def report_study(directory: Path, out: Path, measures: Sequence[str], log_scale: bool | None) -> None:
+    """Write the page about a study.
+
+    Raises:
+        StudyError: it is damaged, there is no such measure, or the extra `study` is not installed.
+        ReportError: the place cannot be written.
+    """
+    store = _open(directory)
+    from fleet.study.pictures.report import write
+    from fleet.terminal.progress import showing
+
+    with showing("drawing and adding up") as tell:
+        write(out, store, measures, log_scale, tell)
+
+
+def _open(directory: Path) -> Store:
+    from fleet.study.engine import need_extra
+
+    need_extra()
+    from fleet.study.store import Store
+
+    return Store.open(directory)

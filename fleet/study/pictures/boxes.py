@@ -1,0 +1,128 @@
+"""Boxes by factor: every run as a point, the box of the middle half, and the median with its interval."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import isfinite
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+
+from fleet.palette import COLOURS
+from fleet.pictures.runs import NothingToDraw
+from fleet.pictures.shades import text_width_pt
+from fleet.pictures.style import COLUMN_IN, LABEL_PT, PAGE_IN, TEXT_PT, panels, plain_decades
+from fleet.study.pictures.layout import Layout, Panel
+from fleet.study.pictures.marks import (
+    BAND,
+    INTERVAL,
+    Lacks,
+    axis_label,
+    legend,
+    quantity_label,
+    room,
+    scale,
+    text,
+)
+from fleet.study.pictures.points import Cell, Quantity, Value
+
+MOST_ROWS = 60
+_ROW_IN = 0.24
+_LACK = 0.06  # width of the hatched part, of the axis
+_SPREAD = 0.28  # of the points, across
+_WORDS = 50  # characters of a line below the axis
+
+
+def boxes(quantity: Quantity, layout: Layout, shown: Sequence[Panel], log_scale: bool | None) -> Figure:
+    """Draw some panels of a layout over words: a row for each value, from above.
+
+    Raises:
+        NothingToDraw: there are too many values.
+    """
+    names: tuple[Value | None, ...] = (None,)
+    if layout.axes:
+        names = layout.dimensions[layout.axes[0]].values
+    colours: tuple[Value | None, ...] = (None,) if layout.lines is None else layout.dimensions[layout.lines].values
+    count = len(names) * len(colours)
+    if count > MOST_ROWS:
+        raise NothingToDraw(f"{count} boxes do not fit into a picture: {MOST_ROWS} do")
+    columns = min(2, len(shown))
+    rows = -(-len(shown) // columns)
+    label = axis_label(layout.dimensions[layout.axes[0]]) if layout.axes else ""
+    height = rows * max(_ROW_IN * count + 0.55, text_width_pt(label, TEXT_PT) / 72.0 + 0.1) + 0.3
+    figure, axes = panels(rows, columns, COLUMN_IN if columns == 1 else PAGE_IN, height, share=False)
+    lacks = Lacks()
+    for k, ax in enumerate(axes):
+        if k >= len(shown):
+            ax.set_visible(False)
+            continue
+        lacking = False
+        if quantity.kind == "difference":
+            ax.axvline(0.0, color="0.45", linewidth=0.7, linestyle=(0, (4, 3)))
+        for row, name in enumerate(names):
+            for number, colour in enumerate(colours):
+                values = {} if name is None else {layout.axes[0]: name}
+                if layout.lines is not None and colour is not None:
+                    values[layout.lines] = colour
+                cell = quantity.cells.get(layout.key(shown[k], values))
+                if cell is not None:
+                    at = row + (number + 0.5) / len(colours) - 0.5
+                    _one(ax, quantity, cell, at, 1.0 / len(colours), COLOURS[number])
+                    lacks.add(ax, cell, (1.0 - _LACK, at + 0.45 / len(colours), _LACK, -0.9 / len(colours)))
+                    lacking |= any(cell.lack)
+        ax.set_yticks(range(len(names)), labels=[text("all runs" if name is None else str(name)) for name in names])
+        ax.set_ylim(len(names) - 0.45, -0.55)
+        ax.grid(visible=False, axis="y")
+        if quantity.kind == "share":
+            ax.set_xlim(-3.0, 103.0)
+        elif log_scale and quantity.kind == "number":
+            ax.set_xscale("log")
+            plain_decades(ax.xaxis)
+        if lacking:
+            room(ax, "x", _LACK + 0.01)
+        if k % columns == 0:
+            ax.set_ylabel(label)
+        if shown[k].title:
+            ax.set_title(shown[k].title)
+    figure.supxlabel(quantity_label(quantity, _WORDS if columns == 1 else 2 * _WORDS), fontsize=TEXT_PT)
+    lacks.draw(lambda ax: ax.get_yaxis_transform())
+    coloured = [
+        Patch(color=COLOURS[k], alpha=2 * BAND, linewidth=0, label=text(str(name)))
+        for k, name in enumerate(colours)
+        if name is not None
+    ]
+    of = "share" if quantity.kind == "share" else "median"
+    middle = Line2D([], [], color="black", marker="|", markersize=5.0, linewidth=1.2, label=f"{of}, {INTERVAL}")
+    legend(figure, [*coloured, middle, *lacks.handles()])
+    return figure
+
+
+def _one(ax: Axes, quantity: Quantity, cell: Cell, at: float, width: float, colour: str) -> None:
+    """One row: its box and points, or the share that passed, and the interval."""
+    estimate, factor = cell.estimate, scale(quantity)
+    if not cell.values:
+        return
+    if quantity.kind == "share":
+        ax.barh(at, factor * estimate.value, 0.7 * width, color=colour, alpha=2 * BAND, linewidth=0, gid="share")
+        words = f"{sum(cell.values):.0f} of {len(cell.values)}"
+        ax.annotate(
+            words, (1.0, at), xycoords=ax.get_yaxis_transform(), xytext=(3.0, 0.0), textcoords="offset points",
+            va="center", fontsize=LABEL_PT, annotation_clip=False,
+        )  # fmt: skip
+    else:
+        values = np.array(cell.values)
+        low, high = np.percentile(values, (25.0, 75.0))
+        ax.barh(at, high - low, 0.7 * width, left=low, color=colour, alpha=2 * BAND, linewidth=0, gid="box")
+        turns = (np.arange(len(values)) * 0.618034) % 1.0 - 0.5  # even, and the same each time
+        size = 5.0 if len(values) < 100 else 1.0
+        ax.scatter(values, at + 2.0 * _SPREAD * width * turns, s=size, color=colour, linewidth=0, zorder=2, gid="runs")
+    if isfinite(estimate.low):
+        high = estimate.high if isfinite(estimate.high) else max(cell.values)
+        ends = [factor * estimate.low, factor * high]
+        ax.plot(ends, [at, at], color="black", linewidth=1.2, zorder=3, gid="interval")
+    if isfinite(estimate.value):
+        size = 3.0 + 10.0 * width
+        ax.plot([factor * estimate.value], [at], color="black", marker="|", markersize=size, zorder=3, gid="middle")

@@ -1,0 +1,129 @@
+"""Every picture of a study: which there are, drawn and written."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from matplotlib.figure import Figure
+
+from fleet.errors import printable
+from fleet.logs.reader import Tell
+from fleet.pictures.gallery import PictureError
+from fleet.pictures.runs import NothingToDraw
+from fleet.pictures.style import Origin, save
+from fleet.study.pictures.boxes import boxes
+from fleet.study.pictures.curves import curves
+from fleet.study.pictures.heat import heat
+from fleet.study.pictures.layout import MOST_PANELS, layout_of
+from fleet.study.pictures.parallel import parallel
+from fleet.study.pictures.points import PASSED, Points, Quantity, factors, load
+from fleet.study.store import Store, StudyRecord
+
+_MOST_PAGES = 8  # pictures of one quantity
+_DRAW = {"heat": heat, "curve": curves, "boxes": boxes}
+
+
+class Picture(NamedTuple):
+    """A picture, or why there is none."""
+
+    name: str  # of its file
+    title: str
+    figure: Figure | str
+
+
+def draw(points: Points, log_scale: bool | None = None, share: Tell = lambda _: None) -> Iterator[Picture]:
+    """The pictures of a study, the share that passed first, then the measures, then pairs of runs.
+
+    Args:
+        log_scale: whether numbers have a logarithmic axis.
+        share: called before each with the share that is done.
+    """
+    measures = [name for name in points.numbers if name != PASSED]
+    todo: list[tuple[str, str, Callable[[], Iterator[Figure]]]] = []
+    if points.product:
+        todo = [(name, points.words(name), _pages(points, name, log_scale)) for name in points.numbers]
+    else:
+        whole = "Every run as a line through what was varied and what came of it"
+        todo.append(("parallel", whole, lambda: iter([parallel(points, measures, log_scale)])))
+    for place in factors(points):
+        for name in measures:
+            key = printable(points.dimensions[place].key)
+            title = f"{points.words(name)}, values of {key} in pairs of runs with the same seed"
+            todo.append((f"compare-{_slug(key)}-{name}", title, _pairs(points, place, name)))
+    for number, (name, title, make) in enumerate(todo):
+        share(number / len(todo))
+        try:
+            for page, figure in enumerate(make()):
+                yield Picture(f"{name}-{page + 1}" if page else name, title, figure)
+        except NothingToDraw as reason:
+            yield Picture(name, title, str(reason))
+
+
+def _pages(points: Points, name: str, log_scale: bool | None) -> Callable[[], Iterator[Figure]]:
+    return lambda: _drawn(points.quantity(name), log_scale)
+
+
+def _pairs(points: Points, place: int, name: str) -> Callable[[], Iterator[Figure]]:
+    return lambda: _drawn(points.differences(place, name), None)
+
+
+def _drawn(quantity: Quantity, log_scale: bool | None) -> Iterator[Figure]:
+    numbers = [value for cell in quantity.cells.values() for value in cell.values]
+    if not numbers and not any(sum(cell.lack) for cell in quantity.cells.values()):
+        raise NothingToDraw("there is no pair of runs")
+    equal = not any(numbers) and not any(cell.lack.without for cell in quantity.cells.values())
+    if quantity.kind == "difference" and numbers and equal:
+        raise NothingToDraw("the runs of every pair are equal in it")
+    layout = layout_of(quantity)
+    for page in range(0, len(layout.panels), MOST_PANELS):
+        if page >= _MOST_PAGES * MOST_PANELS:
+            raise NothingToDraw(f"only {page} of {len(layout.panels)} combinations are shown")
+        yield _DRAW[layout.kind](quantity, layout, layout.panels[page : page + MOST_PANELS], log_scale)
+
+
+def write(
+    store: Store,
+    measures: Sequence[str],
+    folder: Path,
+    formats: Sequence[str] = ("png",),
+    log_scale: bool | None = None,
+    tell: Callable[[str], None] = lambda _: None,
+    share: Tell = lambda _: None,
+) -> list[Path]:
+    """Draw into a folder, which is made if need be; returns the files.
+
+    Args:
+        measures: to show besides the share of runs that passed; none: those of the table of `fleet sweep`.
+        tell: called with a sentence about each picture that could not be drawn.
+
+    Raises:
+        StudyError: there is no such measure, or the study is damaged.
+        PictureError: the folder cannot be written.
+    """
+    points = load(store, measures)
+    paths: list[Path] = []
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for name, title, figure in draw(points, log_scale, share):
+            if isinstance(figure, str):
+                tell(f"{name}: not drawn: {figure}")
+            else:
+                paths += save(figure, folder / name, formats, Origin(title, _facts(store.record)))
+    except OSError as error:
+        raise PictureError(
+            f"cannot write pictures to {folder}: {error.strerror}; choose another place with -o DIR"
+        ) from error
+    return paths
+
+
+def _facts(record: StudyRecord) -> tuple[tuple[str, str], ...]:
+    axes = ", ".join(axis.key for axis in record.axes)
+    return ("scenario", record.scenario), ("axes", axes or "none"), ("seeds", str(len(record.seeds)))
+
+
+def _slug(key: str) -> str:
+    """A key as part of a file name."""
+    return re.sub(r"[^\w.]+", "-", key).strip("-.")[:60] or "key"

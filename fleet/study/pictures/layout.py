@@ -1,0 +1,73 @@
+"""How a study is shown best: which of its dimensions are axes, lines or panels."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import product
+from typing import Literal
+
+from fleet.palette import COLOURS
+from fleet.study.pictures.marks import text
+from fleet.study.pictures.points import Dimension, Key, Quantity, Value
+
+MOST_PANELS = 12  # of one picture; more go to further ones
+
+
+@dataclass(frozen=True, slots=True)
+class Panel:
+    """One part of a picture: the values of the dimensions that are neither axes nor lines."""
+
+    title: str
+    fixed: dict[int, Value]  # by place of the dimension
+
+
+@dataclass(frozen=True, slots=True)
+class Layout:
+    """Which dimension, by its place, is which part of a picture; those with one value are none.
+
+    Attributes:
+        kind: a `heat` map over two numbers, a `curve` over one, or `boxes` over words.
+        axes: the dimensions along the axes: x, or x and y.
+        lines: whose values are lines, or colours of boxes.
+        panels: in the order of the page.
+    """
+
+    kind: Literal["heat", "curve", "boxes"]
+    dimensions: tuple[Dimension, ...]
+    axes: tuple[int, ...]
+    lines: int | None
+    panels: tuple[Panel, ...]
+
+    def key(self, panel: Panel, values: dict[int, Value]) -> Key:
+        """The key of a point of a panel."""
+        given = panel.fixed | values
+        return tuple(given.get(k, each.values[0]) for k, each in enumerate(self.dimensions))
+
+
+def layout_of(quantity: Quantity) -> Layout:
+    """The layout of a quantity whose dimensions are a product."""
+    dimensions = quantity.dimensions
+    left = [k for k, dimension in enumerate(dimensions) if len(dimension.values) > 1]
+    numbers = [k for k in left if dimensions[k].unit is not None]
+    kind: Literal["heat", "curve", "boxes"] = "heat" if len(numbers) > 1 else "curve" if numbers else "boxes"
+    if kind == "boxes":
+        axes = tuple(left[:1])
+    else:
+        axes = tuple(sorted(numbers, key=lambda k: -len(dimensions[k].values))[:2])
+        axes = tuple(sorted(axes))
+    left = [k for k in left if k not in axes]
+    lines = None
+    if kind != "heat":
+        lines = next((k for k in left if len(dimensions[k].values) <= len(COLOURS)), None)
+        left = [k for k in left if k != lines]
+    return Layout(kind, dimensions, axes, lines, tuple(_panels(dimensions, left)))
+
+
+def _panels(dimensions: tuple[Dimension, ...], places: list[int]) -> Iterator[Panel]:
+    for values in product(*(dimensions[k].values for k in places)):
+        fixed = dict(zip(places, values, strict=True))
+        title = ", ".join(
+            f"{text(dimensions[k].name)} {text(dimensions[k].shown(value))}" for k, value in fixed.items()
+        )
+        yield Panel(title, fixed)

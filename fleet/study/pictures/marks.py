@@ -1,0 +1,181 @@
+"""What the pictures of a study share: safe texts, colours, and hatching where runs lack a number."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Callable, Iterable, Sequence
+from math import floor, isinf, log10
+from typing import Literal
+
+import numpy as np
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.axis import Axis
+from matplotlib.collections import PolyCollection
+from matplotlib.colors import LinearSegmentedColormap
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
+from matplotlib.transforms import Transform
+
+from fleet.errors import printable
+from fleet.palette import COLOURS
+from fleet.pictures.style import LEGEND_PT
+from fleet.study.pictures.points import Cell, Dimension, Quantity
+from fleet.study.statistics import Estimate
+
+LONGEST_NAME = 30  # characters
+WRAPPED = 36  # characters of a line along an axis
+BAND = 0.2  # opacity
+INTERVAL = "95 % interval"
+NOTHING, _INK = "0.93", "0.45"  # the greys behind a hatch, and of its lines
+_HATCHES = ("////", "xxxx", "....")
+REASONS = ("not made yet", "without a result", "without this number")  # as the fields of Lack
+DIVERGING = LinearSegmentedColormap.from_list("differences", (COLOURS[0], "#f4f4f4", COLOURS[1]))
+
+Rectangle = tuple[float, float, float, float]  # left, bottom, width, height
+
+
+def text(words: str, most: int = LONGEST_NAME) -> str:
+    """Words of a study as a picture shows them: short, without control characters and formulas."""
+    words = printable(words)
+    words = words if len(words) <= most else f"{words[: most - 1]}…"
+    return words.replace("$", r"\$") if not words.startswith("_") else f" {words}".replace("$", r"\$")
+
+
+def axis_label(dimension: Dimension) -> str:
+    """The key, and its unit."""
+    return text(dimension.name) + (f" [{text(dimension.unit)}]" if dimension.unit else "")
+
+
+def wrapped(words: str, width: int = WRAPPED) -> str:
+    """Words in lines that fit along an axis."""
+    return "\n".join(textwrap.wrap(text(words, 4 * width), width))
+
+
+def quantity_label(quantity: Quantity, width: int = WRAPPED) -> str:
+    """What a picture shows, in lines."""
+    label = wrapped(quantity.what, width)
+    if quantity.kind == "difference":
+        label += f"\n{text(quantity.pair, width) if quantity.pair else 'difference of pairs'}"
+    return label
+
+
+def columns_of(panels: int) -> int:
+    """How many panels stand side by side."""
+    return 2 if panels == 4 else min(3, panels)
+
+
+def scale(quantity: Quantity) -> float:
+    """What numbers are multiplied with before they are shown."""
+    return 100.0 if quantity.kind == "share" else 1.0
+
+
+def rough(value: float) -> str:
+    """A number with the digits that a small text has room for."""
+    return f"{value:.{min(4, _decimals(value))}f}"
+
+
+def _decimals(value: float) -> int:
+    """As many that two or three digits are shown."""
+    size = floor(log10(abs(value))) if value else 0
+    return max(0, 2 - max(size, 0)) if size >= -1 else 1 - size
+
+
+class Digits:
+    """Numbers and intervals for small texts: no number has more decimals than the usual one of them needs."""
+
+    def __init__(self, values: Sequence[float], factor: float) -> None:
+        self._factor = factor
+        usual = float(np.percentile(np.abs(values), 75)) if values else 0.0
+        self._most = 0 if factor != 1.0 else min(4, _decimals(usual))
+
+    def _shown(self, value: float) -> str:
+        if isinf(value):
+            return "∞" if value > 0.0 else "-∞"
+        value *= self._factor
+        return f"{value:.{min(self._most, _decimals(value))}f}"
+
+    def value(self, estimate: Estimate) -> str:
+        """The number."""
+        return self._shown(estimate.value)
+
+    def interval(self, estimate: Estimate) -> str:
+        """As `0.3..0.5`."""
+        return f"{self._shown(estimate.low)}..{self._shown(estimate.high)}"
+
+
+class Lacks:
+    """Gathers the rectangles of runs that lack a number, and draws them hatched."""
+
+    def __init__(self) -> None:
+        self._seen: set[int] = set()
+        self._gathered: dict[tuple[Axes, int, str], list[Rectangle]] = {}
+
+    def add(self, ax: Axes, cell: Cell, rectangle: Rectangle, colour: str = _INK) -> None:
+        """Hatch a rectangle from below, as high as the share of the runs that lack the number."""
+        left, bottom, width, height = rectangle
+        for kind, count in enumerate(cell.lack):
+            if count:
+                part = height * count / cell.runs
+                self._gathered.setdefault((ax, kind, colour), []).append((left, bottom, width, part))
+                bottom += part
+                self._seen.add(kind)
+
+    def draw(self, transform: Callable[[Axes], Transform] = lambda ax: ax.transData) -> None:
+        """Draw what was gathered, above all else.
+
+        Args:
+            transform: in which the rectangles of an axis are given.
+        """
+        for (ax, kind, colour), rectangles in self._gathered.items():
+            x, y, w, h = np.array(rectangles).T
+            corners = np.stack([np.stack([x, x + w, x + w, x], 1), np.stack([y, y, y + h, y + h], 1)], 2)
+            found = PolyCollection(
+                list(corners), hatch=_HATCHES[kind], facecolor=NOTHING, edgecolor=colour, linewidth=0.3,
+                transform=transform(ax), zorder=3, gid="lack",
+            )  # fmt: skip
+            ax.add_collection(found, autolim=False)
+
+    def handles(self) -> list[Artist]:
+        """For a legend: of the reasons that occur."""
+        return [
+            Patch(facecolor=NOTHING, edgecolor=_INK, linewidth=0.3, hatch=_HATCHES[kind], label=REASONS[kind])
+            for kind in sorted(self._seen)
+        ]
+
+
+def room(ax: Axes, axis: Literal["x", "y"], share: float) -> None:
+    """Leave a share of an axis free of what is drawn: of x at the right, of y below."""
+    low, high = ax.get_xlim() if axis == "x" else ax.get_ylim()
+    transform = (ax.xaxis if axis == "x" else ax.yaxis).get_transform()
+    low, high = transform.transform([low, high])
+    more = share / (1.0 - share) * (high - low)
+    ends = transform.inverted().transform([low, high + more] if axis == "x" else [low - more, high])
+    (ax.set_xlim if axis == "x" else ax.set_ylim)(*ends)
+
+
+def legend(figure: Figure, handles: Sequence[Artist]) -> None:
+    """One legend above everything, in as many columns as fit; the figure gets higher by it."""
+    if handles:
+        longest = max(len(str(handle.get_label())) for handle in handles)
+        columns = max(1, int(figure.get_figwidth() * 72.0 / (LEGEND_PT * (0.52 * longest + 4.5))))
+        columns = min(columns, len(handles))
+        figure.legend(handles=list(handles), loc="outside upper center", ncols=columns)
+        rows = -(-len(handles) // columns)
+        figure.set_figheight(figure.get_figheight() + (1.3 * rows + 1.0) * LEGEND_PT / 72.0)
+
+
+def logarithmic(values: Iterable[float]) -> bool:
+    """Whether numbers are spread more evenly on a logarithmic axis than on a linear one."""
+    found = np.unique(np.fromiter(values, float))
+    if len(found) < 3 or found[0] <= 0.0 or found[-1] < 8.0 * found[0]:
+        return False
+    even = np.linspace(0.0, 1.0, len(found))
+    off = [np.abs((each - each[0]) / (each[-1] - each[0]) - even).max() for each in (found, np.log(found))]
+    return bool(off[1] < off[0])
+
+
+def few_ticks(axis: Axis, names: Sequence[str], most: int) -> None:
+    """Ticks at 0, 1, 2, ... with names; of many only every second, third, ..."""
+    step = -(-len(names) // most)
+    axis.set_ticks(range(0, len(names), step), labels=names[::step])

@@ -1,0 +1,223 @@
+"""What the pictures of a study are drawn from: at each point an estimate of a number, and how many runs lack it."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from math import isfinite, prod
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+import pyarrow as pa
+
+from fleet.logs.records import Array
+from fleet.study.errors import StudyError
+from fleet.study.measures import MEASURES
+from fleet.study.one_run import FAILED
+from fleet.study.plan import MOST_RUNS
+from fleet.study.signals import find_columns
+from fleet.study.statistics import Estimate, median, pass_rate
+from fleet.study.store import Store
+from fleet.study.summary import DEFAULT
+
+PASSED = "passed"
+Value = float | str
+Key = tuple[Value, ...]  # of a point: the values of the dimensions
+NOT_NEEDED, NOT_MADE, NO_RESULT, MADE = range(4)  # the states of a run
+
+
+class Lack(NamedTuple):
+    """How many runs of a point do not have a number, by the reason."""
+
+    not_made: int
+    failed: int  # without a result
+    without: int  # with a result that does not have it, as the settling time of what never settled
+
+
+@dataclass(frozen=True, slots=True)
+class Dimension:
+    """What is varied: its values, numbers in ascending order; `unit` is None where they are words."""
+
+    key: str
+    unit: str | None
+    values: Key
+
+    @property
+    def name(self) -> str:
+        """The key as tables have it."""
+        return self.key.removeprefix("network.links.")
+
+    def shown(self, value: Value) -> str:
+        """A value with its unit."""
+        return value if isinstance(value, str) else f"{value:.4g} {self.unit or ''}".rstrip()
+
+
+@dataclass(frozen=True, slots=True)
+class Cell:
+    """A number at one point."""
+
+    estimate: Estimate
+    values: tuple[float, ...]  # of the runs that have it
+    lack: Lack
+
+    @property
+    def runs(self) -> int:
+        """How many were asked for."""
+        return len(self.values) + sum(self.lack)
+
+
+@dataclass(frozen=True, slots=True)
+class Quantity:
+    """A number at every point.
+
+    Attributes:
+        kind: a `share` (of runs that passed), the median of a `number`, or that of a `difference` of pairs of runs.
+        what: in words, with the unit.
+        pair: which difference, if there is only one; else "".
+    """
+
+    name: str
+    kind: Literal["share", "number", "difference"]
+    what: str
+    dimensions: tuple[Dimension, ...]
+    cells: Mapping[Key, Cell]
+    pair: str = ""
+
+
+@dataclass(frozen=True)
+class Points:
+    """The runs of a study as arrays of (points, seeds); NaN where a run does not have the number.
+
+    Infinite: it does not have it, and that counts as larger than every number, as a time that never came.
+    """
+
+    dimensions: tuple[Dimension, ...]
+    keys: tuple[Key, ...]  # of the points
+    state: Array
+    numbers: Mapping[str, Array]  # by column: `passed` as 0 or 1, and measures
+    units: Mapping[str, str]  # of the measures
+    _known: dict[str, Quantity] = field(default_factory=dict, repr=False)
+
+    @cached_property
+    def product(self) -> bool:
+        """Whether every value of a number was run with every value of the others: no sample, and not zipped."""
+        places = [k for k, dimension in enumerate(self.dimensions) if dimension.unit is not None]
+        found = {tuple(key[k] for k in places) for key in self.keys}
+        return len(found) == prod(len(self.dimensions[k].values) for k in places)
+
+    def words(self, name: str) -> str:
+        """A column in words, with its unit."""
+        if name == PASSED:
+            return "runs that passed [%]"
+        what = MEASURES[name].what if name in MEASURES else name
+        return f"{what} [{self.units[name]}]" if self.units[name] else what
+
+    def quantity(self, name: str) -> Quantity:
+        """A column at every point."""
+        kind: Literal["share", "number"] = "share" if name == PASSED else "number"
+        if name not in self._known:  # intervals take a while
+            rows = zip(self.keys, self.state, self.numbers[name], strict=True)
+            cells = {key: _cell(kind, *row) for key, *row in rows}
+            self._known[name] = Quantity(name, kind, self.words(name), self.dimensions, cells)
+        return self._known[name]
+
+    def pairs(self, place: int) -> list[tuple[Key, int, int]]:
+        """Every point but those with the first value of a dimension: its key, its number, that of the first value."""
+        first, numbers = self.dimensions[place].values[0], {key: k for k, key in enumerate(self.keys)}
+        found = [(key, k, numbers.get((*key[:place], first, *key[place + 1 :]))) for key, k in numbers.items()]
+        return [(key, k, base) for key, k, base in found if base is not None and base != k]
+
+    def differences(self, place: int, name: str) -> Quantity:
+        """A column of the other values of a dimension minus that of its first value, run by run with the same seed.
+
+        In a sampled study the dimensions that are numbers are left out, and so all pairs make one cell.
+        """
+        dimension, column = self.dimensions[place], self.numbers[name]
+        first, *others = dimension.values
+        gathered: dict[Key, list[tuple[Array, Array]]] = {}
+        kept = [k for k, each in enumerate(self.dimensions) if self.product or each.unit is None]
+        for key, k, base in self.pairs(place):
+            named = (*key[:place], minus(key[place], first), *key[place + 1 :])
+            with np.errstate(invalid="ignore"):
+                difference = np.where(column[k] == column[base], 0.0, column[k] - column[base])
+            pair = np.minimum(self.state[k], self.state[base]), difference
+            gathered.setdefault(tuple(named[i] for i in kept), []).append(pair)
+        both = Dimension(dimension.key, None, tuple(minus(other, first) for other in others))
+        dimensions = [both if k == place else self.dimensions[k] for k in kept]
+        cells = {
+            key: _cell("difference", *(np.concatenate(each) for each in zip(*rows, strict=True)))
+            for key, rows in gathered.items()
+        }
+        only = str(both.values[0]) if len(others) == 1 else ""
+        return Quantity(name, "difference", self.words(name), tuple(dimensions), cells, only)
+
+
+def factors(points: Points) -> list[int]:
+    """The dimensions whose values can be compared in pairs, by place: words, and more than one."""
+    return [k for k, each in enumerate(points.dimensions) if each.unit is None and len(each.values) > 1]
+
+
+def load(store: Store, measures: Sequence[str] = ()) -> Points:
+    """The points of a study with some measures; none: those that the table of `fleet sweep` shows.
+
+    Raises:
+        StudyError: there is no such measure, or the study is damaged.
+    """
+    asked = measures or store.record.settings.measures or DEFAULT
+    columns = {column.name: column for column in find_columns(asked, store.record.columns)}
+    axes, seeds = store.record.axes, store.seeds
+    if twice := next((name for name, count in Counter(store.schema.names).items() if count > 1), None):
+        raise StudyError(f"{store.directory} is damaged: it has two columns {twice[:60]}")
+    rows = store.points()
+    keys = tuple(tuple(row[axis.key] for axis in axes) for row in rows)
+    if [row["point"] for row in rows] != list(range(len(rows))) or len(set(keys)) < len(keys):
+        raise StudyError(f"{store.directory} is damaged: its points are not numbered, or one is there twice")
+    if not all(isfinite(value) for key in keys for value in key if not isinstance(value, str)):
+        raise StudyError(f"{store.directory} is damaged: a value of a point is no number")
+    table = store.table(["point", "seed", "status", PASSED, *columns])
+    place = {seed: k for k, seed in enumerate(seeds)}
+    at = np.array([place.get(seed, -1) for seed in table["seed"].to_pylist()], int)
+    point = np.array([-1 if k is None else k for k in table["point"].to_pylist()], int)
+    if len(at) and (min(at.min(), point.min()) < 0 or point.max() >= len(rows)):
+        raise StudyError(f"{store.directory} is damaged: it has runs of points or seeds that are not its own")
+    wanted = store.needed()
+    needed = np.array([wanted[k] for k in range(len(rows))], int)
+    most = max(int(needed.max(initial=0)), int(at.max(initial=-1)) + 1)
+    if not most or len(rows) * most > MOST_RUNS:
+        raise StudyError(f"{store.directory} is damaged: it has {len(rows)} points and {most} seeds")
+    state = np.where(np.arange(most) < needed[:, None], NOT_MADE, NOT_NEEDED)
+    state[point, at] = np.where(np.array(table["status"].to_pylist(), object) == FAILED, NO_RESULT, MADE)
+    numbers = {}
+    for name in (PASSED, *columns):
+        numbers[name] = np.full(state.shape, np.nan)
+        numbers[name][point, at] = table[name].cast(pa.float64()).to_numpy(zero_copy_only=False)
+        numbers[name][~np.isfinite(numbers[name])] = np.nan
+        if name in columns and columns[name].missing_is_largest:
+            numbers[name][np.isnan(numbers[name]) & (state == MADE)] = np.inf
+    dimensions = tuple(
+        Dimension(axis.key, axis.unit, tuple(_distinct([key[k] for key in keys], axis.unit is not None)))
+        for k, axis in enumerate(axes)
+    )
+    units = {name: column.unit for name, column in columns.items()}
+    return Points(dimensions, keys, state, numbers, units)
+
+
+def _distinct(values: Sequence[Any], ordered: bool) -> Sequence[Any]:
+    found = dict.fromkeys(values)
+    return sorted(found) if ordered else list(found)
+
+
+def minus(value: Value, first: Value) -> str:
+    """How a difference is called."""
+    return f"{value} - {first}"
+
+
+def _cell(kind: str, state: Array, values: Array) -> Cell:
+    finite, made = values[np.isfinite(values)], int((state == MADE).sum())
+    lack = Lack(int((state == NOT_MADE).sum()), int((state == NO_RESULT).sum()), made - len(finite))
+    found = tuple(map(float, finite))
+    if kind == "share":
+        return Cell(pass_rate(round(sum(found)), len(found)), found, lack)
+    return Cell(median(values[~np.isnan(values)].tolist()), found, lack)

@@ -1,0 +1,224 @@
+"""`fleet report` of a study: one self-contained HTML page, in which everything that the study says is escaped."""
+
+from __future__ import annotations
+
+import json
+import re
+import shlex
+from collections import Counter
+from collections.abc import Sequence
+from datetime import UTC, datetime, timedelta
+from math import isfinite
+from pathlib import Path
+from typing import Any
+
+from fleet.errors import printable
+from fleet.logs.reader import Tell
+from fleet.logs.run_name import STAMP
+from fleet.pictures.page import Picture, Pictures, png, render, write_page
+from fleet.pictures.report_tables import Mark, Table, rest
+from fleet.pictures.style import COLUMN_IN
+from fleet.study.one_run import FAILED
+from fleet.study.pictures.gallery import draw
+from fleet.study.pictures.points import NOT_MADE, NOT_NEEDED, PASSED, Dimension, Points, Quantity, factors, load, minus
+from fleet.study.statistics import Estimate, compare
+from fleet.study.store import Store
+
+TEMPLATE = "study.html"
+MOST_POINTS, MOST_REASONS, MOST_VALUES = 200, 30, 12
+_LONGEST = 400  # characters of a reason
+_RESULT = ("pass", "check_failed")  # the status of a run that came to its end
+_COLUMNS = ["point", "seed", "status", "reason", "passed", "wall_s", "version", "cores"]
+
+
+def write(
+    path: Path,
+    store: Store,
+    measures: Sequence[str] = (),
+    log_scale: bool | None = None,
+    share: Tell = lambda _: None,
+) -> None:
+    """Write the page.
+
+    Args:
+        measures: to show besides the share of runs that passed; none: those of the table of `fleet sweep`.
+        log_scale: whether numbers have a logarithmic axis.
+        share: called now and then with the share that is done.
+
+    Raises:
+        StudyError: there is no such measure, or the study is damaged.
+        ReportError: the place cannot be written.
+    """
+    points = load(store, measures)
+    write_page(path, lambda: page(store, points, log_scale, share))
+
+
+def page(store: Store, points: Points, log_scale: bool | None = None, share: Tell = lambda _: None) -> str:
+    """The whole page as HTML. Raises StudyError: the study is damaged."""
+    rows = store.table(_COLUMNS).to_pylist()
+    directory = store.directory.resolve()
+    scenarios = store.points()
+    return render(
+        "fleet.study.pictures",
+        TEMPLATE,
+        title=f"uuv-fleet: study {directory.name}",
+        facts=Table((), _facts(store, points, rows)),
+        axes=Table(("what varies", "unit", "values"), [_axis(each) for each in points.dimensions]),
+        missing=int((points.state == NOT_MADE).sum()),
+        place=shlex.quote(str(directory)),
+        results=_results(points),
+        comparisons=_comparisons(points),
+        pictures=_pictures(points, log_scale, share),
+        reasons=_reasons(rows),
+        again=_again(directory, rows),
+        scenario=scenarios[0]["scenario"] if scenarios else "",
+    )
+
+
+def _facts(store: Store, points: Points, rows: Sequence[dict[str, Any]]) -> list[tuple[str, Any]]:
+    record, planned = store.record, int((points.state != NOT_NEEDED).sum())
+    seeds = store.seeds[: points.state.shape[1]]
+    whole = seeds == list(range(seeds[0], seeds[0] + len(seeds))) if seeds else False
+    listed = f"{seeds[0]} to {seeds[-1]}" if whole and len(seeds) > 1 else _some(list(map(str, seeds)))
+    made = Counter(f"uuv-fleet {row['version']}, {row['cores']} cores" for row in rows)
+    walls = [row["wall_s"] for row in rows if row["wall_s"] is not None and isfinite(row["wall_s"])]
+    cost = "-"
+    if walls:
+        cost = f"{_time(sum(walls))} of one core, {sum(walls) / len(walls):.3g} s per run"
+    return [
+        ("scenario", record.scenario),
+        ("changed for every run", record.command or "nothing"),
+        ("checks", ", ".join(record.checks)),
+        ("points", len(points.keys)),
+        ("seeds of each", listed),
+        ("runs", f"{planned}, of which {len(rows)} are made and {sum(row['status'] == FAILED for row in rows)} "
+                 "have no result"),
+        ("begun", _begun(store.directory)),
+        ("wall time of the runs", cost),
+        ("made by", "; ".join(f"{which}: {count} runs" for which, count in made.items()) or record.made_by),
+        ("directory", str(store.directory.resolve())),
+    ]  # fmt: skip
+
+
+def _begun(directory: Path) -> str:
+    """When the study was made, as the name of its directory or else the time of its file says."""
+    found = re.search(r"\d{8}-\d{6}$", directory.resolve().name, re.ASCII)
+    try:
+        if found is not None:
+            return f"{datetime.strptime(found[0], STAMP):%Y-%m-%d %H:%M:%S} UTC"
+    except ValueError:  # no day has this number
+        pass
+    file = datetime.fromtimestamp((directory / "study.json").stat().st_mtime, UTC)
+    return f"{file:%Y-%m-%d %H:%M:%S} UTC, by the time of its file"
+
+
+def _time(seconds: float) -> str:
+    return f"{seconds:.3g} s" if seconds < 60.0 else str(timedelta(seconds=round(seconds)))
+
+
+def _axis(dimension: Dimension) -> tuple[str, str, str]:
+    values = [dimension.shown(value) for value in dimension.values]
+    return dimension.key, dimension.unit or "", _some(values)
+
+
+def _some(values: Sequence[str]) -> str:
+    if len(values) <= MOST_VALUES:
+        return ", ".join(values)
+    return f"{', '.join(values[: MOST_VALUES - 1])}, ... {values[-1]}; {len(values)} in all"
+
+
+def _results(points: Points) -> Table:
+    """A row per point: the share that passed and the medians, with intervals."""
+    passed, *medians = (points.quantity(name) for name in points.numbers)
+    headings = ["point", *(f"{each.name} [{each.unit}]" if each.unit else each.name for each in points.dimensions)]
+    headings += ["runs", "without result", "passed, 95 % interval", *(f"{each.what}, median" for each in medians)]
+    rows: list[Sequence[Any]] = []
+    for number, key in enumerate(points.keys[:MOST_POINTS]):
+        cell = passed.cells[key]
+        varied = [f"{value:g}" if isinstance(value, float) else value for value in key]
+        counts = [cell.runs - cell.lack.not_made, cell.lack.failed]
+        rows.append((number, *varied, *counts, _share(cell.estimate), *(_number(each, key) for each in medians)))
+    rows += rest(len(points.keys) - len(rows), "which fleet.open_study has")
+    return Table(headings, rows)
+
+
+def _number(quantity: Quantity, key: tuple[float | str, ...]) -> str:
+    cell = quantity.cells[key]
+    have = len(cell.values)
+    return _estimate(cell.estimate) + (f" (of {have} runs)" if cell.lack.without and have else "")
+
+
+def _share(rate: Estimate) -> str:
+    if rate.runs == 0:
+        return "-"
+    return f"{100 * rate.value:.0f} %   {100 * rate.low:.0f}..{100 * rate.high:.0f} %"
+
+
+def _estimate(found: Estimate) -> str:
+    if found.runs == 0:
+        return "-"
+    interval = f"   {found.low:.3g}..{found.high:.3g}" if found.low < found.high else ""
+    return f"{found.value:.3g}{interval}"
+
+
+def _comparisons(points: Points) -> list[tuple[str, Table]]:
+    """For each word that varies a table of the differences between its values, in pairs of runs with the same seed."""
+    found = []
+    for place in factors(points):
+        dimension = points.dimensions[place]
+        first, *others = dimension.values
+        rows: list[Sequence[Any]] = []
+        for other in others:
+            pairs = [(k, base) for key, k, base in points.pairs(place) if key[place] == other]
+            for name, column in points.numbers.items():
+                one = [float(value) for _, base in pairs for value in column[base]]
+                two = [float(value) for k, _ in pairs for value in column[k]]
+                result = compare(one, two)
+                if not result.difference.runs:
+                    continue
+                difference, smaller = _estimate(result.difference), f"{100 * result.better:.0f} %"
+                if name == PASSED:
+                    only = [sum(a == win and b == 1 - win for a, b in zip(one, two, strict=True)) for win in (1.0, 0.0)]
+                    difference, smaller = f"only {first}: {only[0]}, only {other}: {only[1]}", ""
+                p = f"{result.p:.2g}" if isfinite(result.p) else "-"
+                rows.append((minus(other, first), points.words(name), result.difference.runs, difference, smaller, p))
+        found.append((dimension.key, Table(_COMPARED, rows)))
+    return found
+
+
+_COMPARED = ("values", "of what", "pairs", "median difference, 95 % interval", "difference below 0", "p (Wilcoxon)")
+
+
+def _pictures(points: Points, log_scale: bool | None, share: Tell) -> Pictures:
+    drawn, missing = [], []
+    for name, title, figure in draw(points, log_scale, share):
+        if isinstance(figure, str):
+            missing.append(f"{name}: {figure}")
+        else:
+            drawn.append(Picture(title, png(figure), figure.get_figwidth() > COLUMN_IN))
+    return Pictures(drawn, missing)
+
+
+def _reasons(rows: Sequence[dict[str, Any]]) -> Table:
+    """Why runs came to no end, each reason once."""
+    found: dict[tuple[str, str], list[dict[str, Any]]] = {}
+    for row in rows:
+        if row["status"] not in _RESULT:
+            found.setdefault((row["status"] or "", row["reason"] or ""), []).append(row)
+    most = sorted(found.items(), key=lambda item: -len(item[1]))
+    table: list[Sequence[Any]] = [
+        (Mark(False, status), len(some), f"point {some[0]['point']}, seed {some[0]['seed']}",
+         printable(reason[:_LONGEST]))
+        for (status, reason), some in most[:MOST_REASONS]
+    ]  # fmt: skip
+    table += rest(len(most) - len(table), "reasons of fewer runs")
+    return Table(("status", "runs", "the first", "reason"), table)
+
+
+def _again(directory: Path, rows: Sequence[dict[str, Any]]) -> str:
+    """The command that makes a run again with its log: the first that failed, or the first."""
+    if not rows:
+        return ""
+    row = next((row for row in rows if row["passed"] is not True), rows[0])
+    code = f"import fleet; fleet.open_study({json.dumps(str(directory))}).rerun({row['point']}, seed={row['seed']})"
+    return f"python -c {shlex.quote(code)}"

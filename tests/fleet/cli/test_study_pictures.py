@@ -1,0 +1,85 @@
+"""`fleet plot` and `fleet report` of the directory of a study."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner, Result
+from made_up_study import LOSS, made_up, usual, with_holes
+
+from fleet.cli.main import cli
+
+
+@pytest.fixture(scope="module")
+def study(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return made_up(tmp_path_factory.mktemp("studies") / "s", LOSS, row=with_holes).directory
+
+
+def called(*arguments: str | Path) -> Result:
+    return CliRunner().invoke(cli, [str(each) for each in arguments])
+
+
+def test_the_pictures_of_a_study_are_printed(study: Path, tmp_path: Path) -> None:
+    found = called("plot", study, "--measure", "e_rms_m", "--format", "png,svg", "-o", tmp_path)
+    assert found.exit_code == 0, found.output
+    names = ["passed.png", "passed.svg", "e_rms_m.png", "e_rms_m.svg"]
+    assert found.stdout.splitlines() == [str(tmp_path / name) for name in names]
+    assert (tmp_path / "passed.png").stat().st_size > 5000
+
+
+def test_without_a_place_they_go_into_the_study(tmp_path: Path) -> None:
+    directory = made_up(tmp_path / "s", "controller=nboc, boc", row=usual, seeds=2).directory
+    found = called("plot", directory, "--measure", "loss_share")
+    assert found.stdout.splitlines() == [str(directory / "plots" / f"{name}.png") for name in ("passed", "loss_share")]
+    said = "fleet: compare-controller-loss_share: not drawn: the runs of every pair are equal in it"
+    assert said in found.stderr.splitlines()  # a slow machine shows progress, too
+
+
+def test_the_page_replaces_nothing_without_force(study: Path, tmp_path: Path) -> None:
+    out = tmp_path / "page.html"
+    assert called("report", study, "-o", out, "--measure", "e_rms_m").stdout == f"{out}\n"
+    assert "uuv-fleet: study s" in out.read_text("utf-8")
+    refused = called("report", study, "-o", out)
+    assert refused.exit_code == 2 and "replace it with --force" in refused.stderr
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["plot", "{study}", "--what", "error", "--window", "1s..2s"], "--what, --window: only for logs"),
+        (["plot", "{tmp}", "--measure", "e_rms_m"], "--measure: only for studies; {tmp} is none"),
+        (["report", "{study}", "{study}"], "{study} is a study: a page is about one study, or about logs"),
+        (["report", "{study}", "--vehicles", "1"], "--vehicles: only for logs; {study} is none"),
+        (["plot", "{study}", "--measure", "e_rms"], 'there is no measure "e_rms"; did you mean "e_rms_m"?'),
+    ],
+)  # fmt: skip
+def test_what_does_not_belong_together_is_said(
+    study: Path, tmp_path: Path, arguments: list[str], said: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    places = {"study": str(study), "tmp": str(tmp_path)}
+    found = called(*(argument.format(**places) for argument in arguments))
+    assert found.exit_code == 2
+    assert said.format(**places) in found.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("verb", ["plot", "report"])
+def test_without_the_extra_one_line_says_what_to_install(
+    study: Path, verb: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("fleet.study.engine.find_spec", lambda name: None)
+    found = called(verb, study, "-o", tmp_path / "out")
+    assert found.exit_code == 2
+    assert found.stderr.splitlines()[0].endswith("pip install 'uuv-fleet[study]'")
+
+
+@pytest.mark.parametrize("verb", ["plot", "report"])
+def test_a_damaged_study_is_said_in_a_line(verb: str, tmp_path: Path) -> None:
+    directory = made_up(tmp_path / "s", LOSS, row=usual).directory
+    (directory / "points.parquet").write_bytes(b"PAR1")
+    found = called(verb, directory, "-o", tmp_path / "out")
+    assert found.exit_code == 2
+    assert found.stderr.splitlines()[-1].startswith(f"fleet: {directory / 'points.parquet'} cannot be read: ")
+    assert not (tmp_path / "out").exists()

@@ -1,0 +1,129 @@
+"""The page about a study: what it says, and that a stranger's study adds no markup and fetches nothing."""
+
+from __future__ import annotations
+
+import json
+import re
+import shlex
+from html import unescape
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import pyarrow.parquet as pq
+import pytest
+from made_up_study import CONTROLLER, LOSS, made_up, usual, with_holes
+
+from fleet.study.pictures import report
+from fleet.study.pictures.report import write
+from fleet.study.store import Store
+
+
+@pytest.fixture(autouse=True)
+def few(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One picture, since they take most of the time."""
+    whole = report.draw
+    monkeypatch.setattr(report, "draw", lambda *arguments: [next(iter(whole(*arguments)))])
+
+
+class Tags(HTMLParser):
+    """Every tag of a page with its attributes."""
+
+    def __init__(self, page: str) -> None:
+        super().__init__()
+        self.found: list[tuple[str, dict[str, str | None]]] = []
+        self.feed(page)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.found.append((tag, dict(attrs)))
+
+
+def page_of(store: Store, *measures: str) -> str:
+    path = store.directory.parent / "page.html"
+    write(path, store, measures)
+    return path.read_text("utf-8")
+
+
+def words_of(page: str) -> str:
+    bare = re.sub(r"<style>.*?</style>|<[^>]*>", "\n", page, flags=re.DOTALL)
+    return " | ".join(word for word in map(str.strip, unescape(bare).split("\n")) if word)
+
+
+def test_the_page_says_what_was_run_and_what_came_of_it(tmp_path: Path) -> None:
+    store = made_up(tmp_path / "study-20261122-101500", LOSS, CONTROLLER, row=with_holes)
+    said = words_of(page_of(store, "formation_final_m"))
+    for words in (
+        "scenario | small | changed for every run | --set network.links={'*': delay 50ms loss 10%} --set name=small",
+        "seeds of each | 1 to 3 | runs | 18, of which 12 are made and 4 have no result",
+        "begun | 2026-11-22 10:15:00 UTC",
+        "wall time of the runs | 6 s of one core, 0.5 s per run",
+        "made by | uuv-fleet 0, plain cores: 12 runs",
+        "6 runs are not made yet",
+        "network.links.*.loss | % | 0 %, 30 %, 60 %",
+        "0 | 0 | nboc | 2 | 0 | 100 %   34..100 % | inf (of 1 runs)",
+        "2 | 30 | nboc | 2 | 2 | - | -",
+        "boc - nboc | runs that passed [%] | 4 | only nboc: 0, only boc: 0",
+        "boc - nboc | final formation error of the worst vehicle [m] | 4 | 0.05   0..0.1 | 25 %",
+        "failed | 4 | point 2, seed 1 | took longer than 1 s",
+    ):
+        assert words in said, said
+
+
+def test_the_command_that_makes_a_run_again_names_the_study(tmp_path: Path) -> None:
+    store = made_up(tmp_path / "it's $HOME", LOSS, row=usual)
+    (command,) = re.findall(r"<pre>(python .*?)</pre>", page_of(store), re.DOTALL)
+    program, option, code = shlex.split(unescape(command))
+    assert (program, option) == ("python", "-c")
+    called: list[Any] = []
+
+    class Fake:
+        def open_study(self, directory: str) -> Any:
+            called.append(directory)
+            return self
+
+        def rerun(self, *run: int, seed: int) -> None:
+            called.append((*run, seed))
+
+    exec(code.removeprefix("import fleet; "), {"fleet": Fake()})
+    assert called == [str(store.directory), (1, 1)]  # the first that fails
+
+
+def test_a_strangers_study_cannot_bring_markup_or_fetch_anything(tmp_path: Path) -> None:
+    """Every text of a study that the page shows is text on the page."""
+    evil = "<script>alert(1)</script><img src=http://x onerror=alert(2)>\"'&{{ 7*7 }}"
+    store = made_up(tmp_path / f"<b>{'x'}", LOSS, "title=<i>a, <i>b", row=lambda values, seed: usual(values, seed) | {
+        "status": "failed" if seed == 1 else "<u>odd", "reason": evil})  # fmt: skip
+    file = store.directory / "study.json"
+    record = json.loads(file.read_text("utf-8"))
+    record |= {"scenario": evil, "command": evil, "made_by": evil, "checks": [evil]}
+    record["axes"][0] |= {"key": evil, "unit": evil}
+    file.write_text(json.dumps(record), "utf-8")
+    points = store.directory / "points.parquet"
+    texts = pq.read_table(points).to_pylist()
+    (part,) = (store.directory / "runs").glob("*.parquet")
+    rows = pq.read_table(part).to_pylist()
+    part.unlink()
+    hostile = Store.open(store.directory)
+    renamed = [{evil if key == "network.links.*.loss" else key: value for key, value in row.items()} for row in texts]
+    table = pq.read_table(points).from_pylist(renamed, schema=hostile._point_schema)
+    pq.write_table(table, points)
+    hostile.add([{**row, evil: row["network.links.*.loss"], "version": evil, "cores": evil} for row in rows])
+    page = page_of(hostile)
+    assert "alert(1)" in words_of(page)
+    assert "{{ 7*7 }}" in words_of(page)
+    tags = Tags(page).found
+    assert {tag for tag, _ in tags}.isdisjoint({"script", "i", "u", "b", "iframe", "link", "object"})
+    for tag, attributes in tags:
+        assert all(not name.startswith("on") for name in attributes), tag
+        for name in ("src", "href"):
+            assert (attributes.get(name) or "data:").startswith(("data:", "#"))
+
+
+def test_many_points_and_reasons_are_cut_and_counted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(report, "MOST_POINTS", 2)
+    monkeypatch.setattr(report, "MOST_REASONS", 1)
+    row = {"status": "failed"}
+    store = made_up(tmp_path / "s", LOSS, row=lambda values, seed: row | {"reason": f"no {seed}"})
+    said = words_of(page_of(store))
+    assert "1 more, which fleet.open_study has" in said
+    assert "2 more, reasons of fewer runs" in said

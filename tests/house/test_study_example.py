@@ -1,0 +1,47 @@
+"""The notebook page docs/guide/study-example.md: its code runs, and prints what the page shows."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import matplotlib.image
+import numpy as np
+import pytest
+from repository import ROOT
+from study_engine import Here
+
+PAGE = ROOT / "docs" / "guide" / "study-example.md"
+BLOCK = re.compile(r"```python\n(?P<code>.*?)```\n(?:\n```text\n(?P<printed>.*?)```\n)?", re.DOTALL)
+
+
+@pytest.mark.timeout(400)  # 10 s of one core, on a machine that is busy
+def test_the_notebook_page_shows_what_its_code_prints_and_draws(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In this process, in which no worker has to start."""
+
+    @contextlib.contextmanager
+    def here(*_: Any, **__: Any) -> Iterator[Here]:
+        yield Here()
+
+    monkeypatch.setattr("fleet.study.study.engine_of", here)
+    monkeypatch.chdir(tmp_path)
+    names: dict[str, Any] = {}
+    blocks = list(BLOCK.finditer(PAGE.read_text("utf-8")))
+    assert len(blocks) >= 7
+    for block in blocks:
+        printed = io.StringIO()
+        with contextlib.redirect_stdout(printed):
+            exec(block["code"], names)
+        assert printed.getvalue() == (block["printed"] or "")
+    for picture, drawn in (("study-passed.png", "passed"), ("study-pairs.png", "compare-controller-formation_final_m")):
+        shown, made = (
+            matplotlib.image.imread(path) for path in (PAGE.parent / picture, tmp_path / f"loss/plots/{drawn}.png")
+        )
+        assert shown.shape == made.shape
+        assert np.abs(shown - made).mean() < 0.01  # other versions of matplotlib may draw an edge otherwise

@@ -51,6 +51,7 @@ class Scenario:
     faults: Plan
     other_laws: tuple[tuple[str, Law], ...]  # kind and law of those that are not built in, each name once
     acoustic: AcousticConfig | None  # None: the network is not acoustic
+    undrawn: ScenarioSpec = field(compare=False, repr=False)  # with the nemesis in place of the faults that it drew
     source: str = field(default="", compare=False)  # the shipped name or the path it was loaded from
     _layouts: dict[int, Layout] = field(default_factory=dict, init=False, repr=False, compare=False)
 
@@ -68,6 +69,7 @@ class Scenario:
             faults=parts.faults,
             acoustic=parts.acoustic,
             other_laws=_others(parts.controls),
+            undrawn=_without_files(parts.spec, parts.folder),
             source=source,
         )
 
@@ -246,6 +248,10 @@ class Scenario:
     def to_yaml(self) -> str:
         """The merged scenario, with units; it loads to an equal scenario."""
         return yaml_writer.scenario_yaml(self.spec)
+
+    def to_undrawn_yaml(self) -> str:
+        """The same before its nemesis drew faults, so that another seed draws others."""
+        return yaml_writer.scenario_yaml(self.undrawn)
 
 
 def _others(controls: Iterable[Control]) -> tuple[tuple[str, Law], ...]:

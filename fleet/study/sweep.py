@@ -126,7 +126,7 @@ def prepare(
         spec=spec,
     )
     rows: list[dict[str, Any]] = [
-        {"values": point.values, "scenario": scenario.to_yaml()}
+        {"values": point.values, "scenario": scenario.to_undrawn_yaml()}
         for point, scenario in zip(plan.points, scenarios, strict=True)
     ]
     texts: dict[str, Point] = {}

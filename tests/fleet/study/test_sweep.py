@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from math import isnan
 from pathlib import Path
 
@@ -67,6 +68,16 @@ def test_a_row_is_the_run(small_file: str, tmp_path: Path) -> None:
     assert isnan(row["settle_5cm_s"])
     assert frame.attrs["units"]["network.links.*.loss"] == "%"
     assert frame.attrs["units"]["age_p95_s"] == "s"
+
+
+def test_every_seed_draws_faults_of_its_own(small_file: str, tmp_path: Path) -> None:
+    """They were drawn once, and all seeds had the same."""
+    changes = {"nemesis": {"every": "300 ms", "for": "200 ms", "pick": ["deaf", "mute", "pause"]}}
+    change = Override(SET, f"nemesis={json.dumps(changes['nemesis'])}")
+    store, _ = prepare(Plan(small_file, (change,), seeds=(1, 2, 3)), tmp_path / "study")
+    run_study(store, Here(), lambda progress: None)  # type: ignore[arg-type]
+    digests = [run(small_file, set=changes, seed=seed).digest for seed in (1, 2, 3)]
+    assert list(store.frame()["digest"]) == digests
 
 
 def test_rows_are_the_same_in_whatever_order_they_were_made(small_file: str, tmp_path: Path) -> None:

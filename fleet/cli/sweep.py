@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 @OVERRIDES
 @disturbances
 @click.option("--measure", "measures", metavar="NAME", multiple=True,
-              help="What the table shows; repeatable. An unknown name lists all that are measured; 'p95 control.load' "
+              help="What the table shows; repeatable. An unknown name lists all that are measured; 'p95 |error.e|' "
               "and the like measure a signal.")  # fmt: skip
 @click.option("--until", metavar="'pass ±5 %'",
               help="Add seeds to each point until half its interval is no wider, e.g. 'e_rms_m ±10 %'.")  # fmt: skip

@@ -323,6 +323,8 @@ def _keep_logs(work: _Work, task: Callable[..., Task], kept: KeepLogs) -> None:
     """
     store, progress = work.store, work.progress
     digests, points = logs_to_make(store, kept), store.points()
+    if not digests:
+        return
     progress.doing, progress.runs, progress.made, progress.new = "logs", len(digests), 0, 0
     progress.began = time.monotonic()
 
@@ -335,7 +337,6 @@ def _keep_logs(work: _Work, task: Callable[..., Task], kept: KeepLogs) -> None:
         progress.new += len(made)
         work.wait()
 
-    if digests:
-        with nullcontext(work.engine) if work.engine.here else local_engine(processors()) as engine:
-            again = (_task(points[n], seed, task, str(store.log_of(n, seed))) for n, seed in digests)
-            engine.make(again, take, work.wait)
+    with nullcontext(work.engine) if work.engine.here else local_engine(processors()) as engine:
+        again = (_task(points[n], seed, task, str(store.log_of(n, seed))) for n, seed in digests)
+        engine.make(again, take, work.wait)

@@ -98,6 +98,22 @@ def test_a_law_of_the_users_runs_there_and_one_that_kills_its_workers_costs_its_
     assert "a study names it" in rows["d"]["reason"]
 
 
+@pytest.mark.slow
+def test_a_law_that_lets_nothing_else_run_ends_its_worker_once(engine: Engine, tmp_path: Path) -> None:
+    (tmp_path / "stuck_law.py").write_text(failing(3, "__import__('re').match('(a+)+b', 'a' * 60)"), "utf-8")
+    stuck = parse_scenario(
+        f"{SMALL}controller: stuck_law:Law\n", "small.yaml", folder=tmp_path, policy=Policy(stranger="")
+    )
+    modules = modules_of([stuck], tmp_path)
+    before = set(engine.client.run(os.getpid).values())
+    good = (task._replace(timeout_s=1.0) for task in tasks(4))
+    rows = made(engine, iter([Task("stuck", 1, 1, NAME, stuck.to_yaml(), 1.0, modules), *good]))
+    assert [row["reason"] for row in rows if row["key"] == "stuck"] == ["took longer than 1 s"]
+    assert {row["status"] for row in rows if row["key"] != "stuck"} <= DONE
+    wait_for(lambda: len(engine.client.run(os.getpid)) == 2, 30, "another worker in its place")
+    assert len(before - set(engine.client.run(os.getpid).values())) == 1
+
+
 STRANGER = """
 import sys
 from distributed import Client

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import isnan, nan
+from math import inf, isnan, nan
 
 import pytest
 from hypothesis import given
@@ -39,6 +39,23 @@ def test_a_median_has_an_interval_that_reads_the_same_each_time() -> None:
     assert isnan(median([nan]).value)
 
 
+def test_what_never_came_is_larger_than_every_number() -> None:
+    found = median([1.0, 2.0, 3.0, 4.0, inf, inf, inf])
+    assert (found.value, found.high, found.runs) == (4.0, inf, 7)
+    assert 1.0 <= found.low <= 4.0
+    assert median([1.0, inf]).value == inf
+    assert median([1.0, inf, inf, inf, nan])[:3] == (inf, 1.0, inf)
+    assert median([inf] * 5) == (inf, inf, inf, 5)
+
+
+@given(st.lists(st.floats(0.1, 100.0), min_size=3, max_size=30), st.integers(0, 30))
+def test_a_median_with_what_never_came_is_within_its_interval(values: list[float], never: int) -> None:
+    found = median(values + [inf] * never)
+    assert found.low <= found.value <= found.high
+    assert (found.value == inf) == (never >= len(values))
+    assert found.runs == len(values) + never
+
+
 def test_values_that_are_the_same_but_for_one_have_an_interval() -> None:
     found = median([1.0] * 19 + [2.0])  # BCa is not defined here
     assert (found.low, found.high) == (1.0, 1.0)
@@ -53,4 +70,7 @@ def test_two_series_are_compared_in_pairs() -> None:
     assert found.better == 0.0
     assert found.p == pytest.approx(2 / 2**6)  # all six differences of one sign
     assert compare(first, first).better == 0.5
+    settled = compare([1.0, inf, 3.0, 4.0, 5.0, 6.0], [inf, inf, 2.0, 3.0, 4.0, 5.0])
+    assert settled.better == pytest.approx(4.5 / 6)
+    assert settled.difference.runs == 6
     assert isnan(compare(first, first).p)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from math import isnan
+from dataclasses import replace
+from math import inf, isnan
 from pathlib import Path
 
 import pyarrow.parquet as pq
@@ -16,9 +17,11 @@ from study_engine import Here
 from agents.plugins.trust import Trust
 from fleet.errors import ScenarioError
 from fleet.execution.judged import run
+from fleet.logs.open_log import open_log
 from fleet.scenario.text.overrides import SET, Override
 from fleet.study.errors import StudyError
 from fleet.study.plan import Plan
+from fleet.study.settings import Settings
 from fleet.study.store import MOST_ROWS, Store
 from fleet.study.study import Study, open_study
 from fleet.study.summary import summarise
@@ -177,6 +180,85 @@ def test_a_run_that_fails_is_a_row(small_file: str, tmp_path: Path) -> None:
     assert (summary.runs, summary.failed, summary.passed.runs) == (1, 1, 0)
 
 
+def test_measures_of_signals_are_columns(small_file: str, tmp_path: Path) -> None:
+    settings = Settings(measures=("p95  |error.e|", "separation_min_m"))
+    wanted = Plan(small_file, (CHECKS, LINKS), (parse_axis("duration=1 s, 2 s"),), settings=settings)
+    store, _ = prepare(wanted, tmp_path / "study")
+    run_study(store, Here(), lambda progress: None)  # type: ignore[arg-type]
+    study = open_study(store.directory)
+    frame = study.to_pandas()
+    assert frame.attrs["units"]["p95 |error.e|"] == frame.attrs["units"]["separation_min_m"] == "m"
+    assert (frame["p95 |error.e|"] > frame["e_final_m"]).all()
+    assert frame["separation_min_m"].between(2.0, 6.0).all()
+    assert list(study.summary()[0].medians) == ["p95 |error.e|", "separation_min_m"]
+    assert list(study.summary("p95 |error.e|")[0].medians) == ["p95 |error.e|"]
+    with pytest.raises(StudyError, match=r'no signal error\.e_nrm; did you mean "e_norm"'):
+        prepare(replace(wanted, settings=Settings(measures=("max error.e_nrm",))), tmp_path / "other")
+    assert not (tmp_path / "other").exists()
+
+
+UNTIL = Settings(until="separation_min_m ±12 %", most_seeds=20)
+
+
+def adding(file: str, directory: Path) -> Store:
+    wanted = Plan(file, (LINKS,), (parse_axis("initial.scatter=1 cm, 1 m"),), seeds=(1, 2, 3, 4), settings=UNTIL)
+    return prepare(wanted, directory)[0]
+
+
+def test_seeds_are_added_until_the_interval_is_narrow(small_file: str, tmp_path: Path) -> None:
+    store = adding(small_file, tmp_path / "study")
+    progress = run_study(store, Here(backwards=True), lambda progress: None)  # type: ignore[arg-type]
+    known, spread = (store.frame().query(f"point == {n}")["seed"].tolist() for n in (0, 1))
+    assert known == [1, 2, 3, 4]
+    assert spread == list(range(1, len(spread) + 1))
+    assert len(spread) in (6, 9, 13, 19, 20)
+    assert (progress.made, progress.runs) == (4 + len(spread), 4 + len(spread))
+    assert (store.missing, store.short()) == (0, 0)
+
+    again = adding(small_file, tmp_path / "again")  # interrupted in the second round, and gone on with
+    with pytest.raises(KeyboardInterrupt):
+        run_study(again, Here(most=5), lambda progress: None)  # type: ignore[arg-type]
+    assert again.missing == 3
+    with pytest.raises(KeyboardInterrupt):
+        run_study(again, Here(most=1), lambda progress: None)  # type: ignore[arg-type]
+    opened = Store.open(again.directory)
+    run_study(opened, Here(), lambda progress: None)  # type: ignore[arg-type]
+    assert_same_rows(opened, store)
+
+
+def test_a_point_that_may_have_no_more_seeds_is_told(small_file: str, tmp_path: Path) -> None:
+    settings = Settings(until="pass ±1 %", most_seeds=3)
+    store, _ = prepare(Plan(small_file, (CHECKS,), seeds=(1, 2), settings=settings), tmp_path / "study")
+    run_study(store, Here(), lambda progress: None)  # type: ignore[arg-type]
+    assert (len(store.done()), store.missing, store.short()) == (3, 0, 1)
+
+
+def test_no_run_begins_after_the_budget(small_file: str, tmp_path: Path) -> None:
+    store, _ = prepare(plan(small_file), tmp_path / "study")
+    progress = run_study(store, Here(), lambda progress: None, budget_s=0.0)  # type: ignore[arg-type]
+    assert (progress.made, progress.runs, store.missing) == (1, 8, 7)
+    assert run_study(store, Here(), lambda progress: None).made == 8  # type: ignore[arg-type]
+
+
+def test_the_logs_of_runs_that_failed_are_kept(small_file: str, tmp_path: Path) -> None:
+    asked = plan(small_file, "checks.formation_error.below=0.1 m, 90 m")
+    asked = replace(asked, changes=(*asked.changes, Override(SET, "checks.tumbled=waived")))
+    store, _ = prepare(replace(asked, settings=Settings(keep_logs="failed")), tmp_path / "study")
+    run_study(store, Here(), lambda progress: None)  # type: ignore[arg-type]
+    assert {path.name for path in (store.directory / "logs").iterdir()} == {"point-0-seed-1", "point-0-seed-2"}
+    for row in store.table().slice(0, 2).to_pylist():
+        directory = store.log_of(0, row["seed"])
+        log = open_log(directory)
+        assert (log.run["seed"], log.missing) == (str(row["seed"]), "")
+        assert json.loads((directory / "result.json").read_text("utf-8"))["digest"] == row["digest"]
+    there = Here()
+    run_study(store, there, lambda progress: None)  # type: ignore[arg-type]
+    assert there.tasks == []
+    run_study(store, there, lambda progress: None, logs="all")  # type: ignore[arg-type]
+    assert len(there.tasks) == 2
+    assert len(list((store.directory / "logs").iterdir())) == 4
+
+
 def test_the_summary_has_intervals(small_file: str, tmp_path: Path) -> None:
     study = Study(made(small_file, tmp_path / "study"))
     rows = study.summary("formation_final_m")
@@ -185,6 +267,8 @@ def test_the_summary_has_intervals(small_file: str, tmp_path: Path) -> None:
         {"network.links.*.loss": 0.0, "neighbours.extrapolate": "neighbour"},
     ]
     assert all(row.runs == 2 and row.passed.low < row.passed.high for row in rows)
+    never = study.summary("settle_5cm_s")[0].medians["settle_5cm_s"]  # larger than every number, and not left out
+    assert (never.value, never.runs) == (inf, 2)
     with pytest.raises(StudyError, match='no measure "formation"; did you mean'):
         study.summary("formation")
 
@@ -198,6 +282,7 @@ def test_two_values_are_compared_run_by_run(small_file: str, tmp_path: Path) -> 
     assert (
         study.compare("neighbours.extrapolate", "hold", "neighbour", "packets_lost").better == 0.5
     )  # the same network
+    assert study.compare("network.links.*.loss", 0.0, 80.0, "settle_5cm_s").better == 0.5  # never, in both
     for key, value, measure in (("speed", 1.0, "passed"), ("network.links.*.loss", 1.0, "passed"), ("seed", 1, "x")):
         with pytest.raises(StudyError, match=r"is not varied|has no value"):
             study.compare(key, value, 80.0, measure)

@@ -23,7 +23,7 @@ class Column(msgspec.Struct, frozen=True):
     """A number that every row of a study has.
 
     Attributes:
-        name: with the unit behind it, as in `e_rms_m`; of a signal's measure as it is asked for: `p95 control.load`.
+        name: with the unit behind it, as in `e_rms_m`; of a signal's measure as it is asked for: `p95 |error.e|`.
         unit: as people write it.
         missing_is_largest: where there is no number, it counts as larger than every number.
     """

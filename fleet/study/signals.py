@@ -1,4 +1,4 @@
-"""Measures by signal: `p95 control.load` is a number of every run, computed from the samples that its log would have.
+"""Measures by signal: `p95 |error.e|` is a number of every run, computed from the samples that its log would have.
 
 A signal is named as `fleet diff` names it, by topic and field: `uuv/3/error.e_norm`, or `error.e_norm` for all
 vehicles. `command.tau_0` is the first component of a vector, as in exported tables; `|...|` is the absolute value, of a
@@ -27,7 +27,7 @@ from fleet.study.measures import SEPARATION, STANDING, Column
 from netem.parsing import nearest
 from netem.wire.messages import Command, Frame, VehicleFrame
 
-_EXAMPLE = '"p95 control.load", "max |error.e|", "final uuv/3/state.z" or "mean error.e_norm after 20 s"'
+_EXAMPLE = '"p95 |error.e|", "max |control.u_err|", "final uuv/3/state.z" or "mean error.e_norm after 20 s"'
 _GRAMMAR = re.compile(
     r"(?P<how>\w[\w.]*)\s+(?P<bar>\|)?\s*(?:uuv/(?P<vehicle>\*|[1-9]\d{0,5})/)?(?P<name>[A-Za-z]\w*\.\w+)\s*(?(bar)\|)"
     r"(?:\s+after\s+(?P<after>\S.*))?",

@@ -207,7 +207,7 @@ def sweep(
         workers: processes of this machine; None: one per core.
         scheduler: of a Dask cluster that is there: an address or a cluster object; None: workers of this machine.
         timeout_s: of wall time, for one run; by default any.
-        measures: what `summary` shows by default; measures of signals, such as `p95 control.load`, are made if they
+        measures: what `summary` shows by default; measures of signals, such as `p95 |error.e|`, are made if they
             stand here.
         until: seeds are added to each point until this holds, such as `pass ±5 %` or `e_rms_m ±0.05 m`.
         most_seeds: of a point, if seeds are added; by default 1000.

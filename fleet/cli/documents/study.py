@@ -20,9 +20,9 @@ if TYPE_CHECKING:  # these need the extra `study`, and `fleet schema` does not
 class Interval(Struct):
     """A number of several runs, and its interval of 95 %."""
 
-    value: Annotated[float | None, Meta(description="The number; null: no run has it.")]
-    low: Annotated[float | None, Meta(description="Lower end of the interval; null: too few runs.")]
-    high: Annotated[float | None, Meta(description="Upper end; null: too few runs.")]
+    value: Annotated[float | None, Meta(description="The number; null: no run has it, or half of them or more never got there.")]
+    low: Annotated[float | None, Meta(description="Lower end of the interval; null: too few runs, or infinite.")]
+    high: Annotated[float | None, Meta(description="Upper end; null: too few runs, or infinite.")]
     runs: Annotated[int, Meta(description="Number of runs behind it.")]
 
 
@@ -43,7 +43,7 @@ class Swept(Struct):
 
     directory: Annotated[str, Meta(description="The study's directory, as it is reached from here.")]
     scenario: Annotated[str, Meta(description="Name of the scenario.")]
-    seeds: Annotated[list[int], Meta(description="Seeds of every point.")]
+    seeds: Annotated[list[int], Meta(description="Seeds of every point; the first ones, if seeds are added.")]
     units: Annotated[
         dict[str, str | None],
         Meta(description="Unit by key that is varied, and by measure; empty: a plain number; null: words."),

@@ -56,6 +56,7 @@ Exception
 │   ├── StoppedError
 │   ├── StudyError
 │   │   └── ValuesError
+│   ├── TimedOut
 │   ├── UnknownValueError
 │   ├── ViewError
 │   └── WhatIfError

@@ -20,7 +20,9 @@ if TYPE_CHECKING:  # these need the extra `study`, and `fleet schema` does not
 class Interval(Struct):
     """A number of several runs, and its interval of 95 %."""
 
-    value: Annotated[float | None, Meta(description="The number; null: none has it, or half never got there.")]
+    value: Annotated[
+        float | None, Meta(description="The number; null: no run has it, or half of them or more never got there.")
+    ]
     low: Annotated[float | None, Meta(description="Lower end of the interval; null: too few runs, or infinite.")]
     high: Annotated[float | None, Meta(description="Upper end; null: too few runs, or infinite.")]
     runs: Annotated[int, Meta(description="Number of runs behind it.")]

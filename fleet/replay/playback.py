@@ -12,6 +12,7 @@ from fleet.replay.attachment import Stamp, pack
 from fleet.replay.capture_format import ATTACHMENT, DELETE, ENCODING, KIND, zenoh_encoding
 from fleet.replay.player import RATE_STEP, SEEK_NS, MeasuredRate, Metronome, Player
 from fleet.replay.selection import Renaming, chosen
+from fleet.replay.topics import hand_out
 from fleet.terminal.fitting import Piece
 from fleet.terminal.keyboard import Key, Keyboard
 from fleet.terminal.status_line import StatusLine
@@ -114,8 +115,12 @@ class Replay:
             )
             self._publications[n] = bus.publication(key, encoding, drop=False)
         if self.ours:
-            answers = {self.keys.schema(schema.name): schema.data for schema in tape.schemas.values()}
-            bus.answer(self.keys.schema("*"), answers)
+            topics = {
+                key.removeprefix(self.keys.log("")): tape.schemas[tape.channels[n].schema_id].name
+                for n, key in self.key_of.items()
+                if tape.channels[n].schema_id in tape.schemas
+            }
+            hand_out(bus, self.keys, topics, {schema.name: schema.data for schema in tape.schemas.values()})
         if self._wishes.clock_hz is not None:
             key = self.keys.clock if self.ours else "clock"
             self._clock = bus.publication(key, CLOCK_ENCODING, drop=True)

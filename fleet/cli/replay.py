@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import sys
-import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -15,17 +12,15 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from fleet.cli import completion
-from fleet.cli.group import exit_status, report
+from fleet.cli.group import exit_status
 from fleet.cli.log_argument import log_argument
+from fleet.cli.sessions import ending
 from fleet.cli.types import Duration, Endpoint, FileSize
 from fleet.errors import FleetError
-from fleet.processes.interrupts import ending_status
-from netem.errors import NetemError
 
 if TYPE_CHECKING:
     from fleet.replay.observed import Observed
 
-CLOSE_S = 2.0  # time to close a session, in which its last messages are sent
 EPILOG = "Exit status: 0 done, 2 usage or a bad file, 3 no connection or a full disk, 129 terminal closed, 130 Ctrl-C."
 
 
@@ -134,7 +129,7 @@ def replay(
     played = Replay(tape, options)
     if observe is not None and not played.ours:
         raise click.UsageError("--observe lets in who reads the journal of a run, and this is no log of one")
-    with exit_status(3), _ending() as sessions, StatusLine(terminal, quiet=quiet) as line:
+    with exit_status(3), ending() as sessions, StatusLine(terminal, quiet=quiet) as line:
         if tape.missing:
             line.print(f"warning: {log}: {tape.missing}")
         observed = None if observe is None else new_observed(listen or _free_endpoint(), run_id)
@@ -200,7 +195,7 @@ def record(
     if not keys:
         raise click.UsageError("record what? Give --key 'robot/**', or --key '**' for everything")
     path = output or Path(f"record-{datetime.now(UTC):%Y%m%d-%H%M%S}.mcap")  # noqa: TID251 (a name)
-    with _ending() as sessions, StatusLine(Terminal(stderr=True), quiet=quiet) as line:
+    with ending() as sessions, StatusLine(Terminal(stderr=True), quiet=quiet) as line:
         bus = _session(connect, listen, credentials)
         sessions.append(bus)
         with exit_status(2):
@@ -280,29 +275,6 @@ def _observer(run: str) -> tuple[str, Any, str]:
         raise click.BadParameter(
             f"{run} is no live run that is published: there is no usable {OBSERVE}", param_hint="--run"
         ) from None
-
-
-@contextmanager
-def _ending() -> Iterator[list[Any]]:
-    """Close the sessions in the list at the end; after Ctrl-C or another signal exit with its status."""
-    sessions: list[Any] = []
-    try:
-        yield sessions
-    except KeyboardInterrupt as end:
-        sys.exit(ending_status(end))
-    finally:
-        error = sys.exc_info()[1]
-        for bus in sessions:
-            # zenoh waits 10 s for a peer that is suspended, and the interpreter's normal exit would, too.
-            closing = threading.Thread(target=bus.close, daemon=True)
-            closing.start()
-            closing.join(CLOSE_S)
-            if closing.is_alive():
-                status = report(error) if isinstance(error, (FleetError, NetemError)) else int(error is not None)
-                if isinstance(error, SystemExit) and isinstance(error.code, int):
-                    status = error.code
-                sys.stderr.flush()
-                os._exit(status)
 
 
 COMMANDS = (replay, record)

@@ -25,19 +25,34 @@ EPILOG = "Exit status: 0 done, 2 usage or a bad file, 3 no connection or no port
     "--read-only by default.",
 )  # fmt: skip
 @click.option("--no-open", is_flag=True, help="Do not open a browser.")
-def view(what: str | None, foxglove: bool, host: str, port: int | None, control: bool | None, no_open: bool) -> None:
+@click.option("-r", "--rate", metavar="X", type=click.FloatRange(0.001, 1000.0),
+              help="Of a log: times its own pace, at first.")  # fmt: skip
+@click.option("-l", "--loop", is_flag=True, help="Of a log: begin again at the end.")
+def view(
+    what: str | None,
+    foxglove: bool,
+    host: str,
+    port: int | None,
+    control: bool | None,
+    no_open: bool,
+    rate: float | None,
+    loop: bool,
+) -> None:
     """Show a live run or a log in a viewer.
 
     \b
     Examples:
       fleet view --foxglove                   the live run, for Foxglove or Lichtblick
+      fleet view --foxglove --control         the same, and a service call cuts a link
       fleet view --foxglove runs/latest       a log: play, pause, seek
     """
     from fleet.view.source import find_source
 
     if not foxglove:
         raise click.UsageError("say for which viewer: --foxglove")
-    find_source(what, RUNS)
+    from fleet.cli.foxglove import serve
+
+    serve(find_source(what, RUNS), host, port, control=control is True, rate=rate, loop=loop)
 
 
 COMMANDS = (view,)

@@ -156,7 +156,7 @@ class Replay:
             if beat is not None:
                 naps.append(beat.wait_ns(now) / 1e9)
             for key in keyboard.read(min(naps) if not player.over else 0.0):
-                self._obey(key)
+                self._publish(obey(player, key, time.monotonic_ns()))
                 pace.restart()
                 line.show(self._describe(time.monotonic_ns(), pace))
         if beat is not None:
@@ -173,22 +173,6 @@ class Replay:
             if line.due():
                 line.show(f"begins in {left / 1e9:.1f} s")
             time.sleep(min(NAP_S, left / 1e9))
-
-    def _obey(self, key: Key) -> None:
-        player, now = self.player, time.monotonic_ns()
-        match key:
-            case Key.PAUSE:
-                player.toggle(now)
-            case Key.STEP:
-                self._publish(player.step(now))
-            case Key.FASTER:
-                player.set_rate(now, player.rate * RATE_STEP)
-            case Key.SLOWER:
-                player.set_rate(now, player.rate / RATE_STEP)
-            case Key.FORWARD:
-                player.seek(now, player.position(now) + SEEK_NS)
-            case Key.BACK:
-                player.seek(now, player.position(now) - SEEK_NS)
 
     def _publish(self, some: range) -> None:
         for number, entry in self._track.entries(some):
@@ -235,6 +219,24 @@ class Replay:
             f"played {self.published} messages in {wall_s:.2f} s "
             f"({self.published / max(wall_s, 1e-9):.0f} messages/s), {self.player.missed} late"
         )
+
+
+def obey(player: Player, key: Key, now: int) -> range:
+    """Do what a key press asks for at wall time `now` [ns]; the messages that a step plays."""
+    match key:
+        case Key.PAUSE:
+            player.toggle(now)
+        case Key.STEP:
+            return player.step(now)
+        case Key.FASTER:
+            player.set_rate(now, player.rate * RATE_STEP)
+        case Key.SLOWER:
+            player.set_rate(now, player.rate / RATE_STEP)
+        case Key.FORWARD:
+            player.seek(now, player.position(now) + SEEK_NS)
+        case Key.BACK:
+            player.seek(now, player.position(now) - SEEK_NS)
+    return range(0)
 
 
 def _merged(key_of: dict[str, str]) -> str:

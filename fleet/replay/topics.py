@@ -43,7 +43,9 @@ def ask_topics(bus: OpenBus, keys: Keys) -> dict[str, PublishedTopic]:
     """
     answer = bus.ask(keys.topics).get(keys.topics)
     if answer is None:
-        raise TopicsError(f"nobody says what is published below {keys.prefix}: is the run over?")
+        raise TopicsError(
+            f"nobody says what is published below {keys.prefix}: is the run over, or of an older version?"
+        )
     schemas = bus.ask(keys.schema("*"))
     try:
         return {

@@ -18,7 +18,12 @@ EPILOG = "Exit status: 0 done, 2 usage or a bad file, 3 no connection or no port
 )  # fmt: skip
 @click.option("--foxglove", is_flag=True, help="Serve Foxglove and Lichtblick; needs uuv-fleet[foxglove].")
 @click.option("--host", metavar="ADDRESS", default="127.0.0.1", show_default=True, help="Listen there.")
-@click.option("--port", metavar="PORT", type=click.IntRange(0, 65535), help="By default a free one.")
+@click.option(
+    "--port",
+    metavar="PORT",
+    type=click.IntRange(0, 65535),
+    help="By default a free one; with --foxglove 8765, which viewers propose, if that is free.",
+)
 @click.option(
     "--control/--read-only", default=None,
     help="Whether viewers may inject, heal and hold the clock. Foxglove's protocol knows no passwords: there it is "

@@ -38,7 +38,7 @@ class LiveBridge:
             raise ViewerError(
                 f"only what an observer needs is at hand ({source.directory}): the run can be watched, with --read-only"
             )
-        self._source, self._bus, self._keys = source, bus, Keys(source.observed.run)
+        self._bus, self._keys = bus, Keys(source.observed.run)
         self._topics = ask_topics(bus, self._keys)
         self._numbers = {topic: n for n, topic in enumerate(sorted(self._topics))}
         self.server = FoxgloveServer(

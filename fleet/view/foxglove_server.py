@@ -12,7 +12,6 @@ from __future__ import annotations
 import json
 import logging
 import time
-from collections import Counter
 from collections.abc import Callable, Sequence
 from queue import Empty, SimpleQueue
 from typing import Any, NamedTuple
@@ -107,7 +106,7 @@ class FoxgloveServer:
             ViewerError: the port is taken, or the address is none of this host.
         """
         self._events: SimpleQueue[Subscription | PlaybackRequest] = SimpleQueue()
-        self._wanted: Counter[tuple[int, int]] = Counter()  # by channel and client
+        self._wanted: set[tuple[int, int]] = set()  # channel and client
         self._told_ns = 0  # wall time
         self.sent = 0  # messages that somebody wanted
         self._context = context = foxglove.Context()  # the SDK itself does not hold it
@@ -122,7 +121,9 @@ class FoxgloveServer:
             )
             for number, channel in channels.items()
         }
-        numbers = {channel.id(): number for number, channel in self._channels.items()}
+        numbers: dict[int, list[int]] = {}  # the SDK has one channel for those of one topic and schema
+        for number, made in self._channels.items():
+            numbers.setdefault(made.id(), []).append(number)
         self._drops = _Drops()
         ports = [PORT, 0] if port is None else [port]
         for chosen in ports:
@@ -169,8 +170,8 @@ class FoxgloveServer:
             pass
         for event in found:
             if isinstance(event, Subscription):
-                self._wanted[event.channel, event.client] = int(event.wanted)
-        self._wanted += Counter()  # those that are wanted stay
+                change = self._wanted.add if event.wanted else self._wanted.discard
+                change((event.channel, event.client))
         return found
 
     def put(self, channel: int, data: bytes, log_ns: int) -> None:
@@ -222,14 +223,18 @@ class FoxgloveServer:
 class _Listener(ServerListener):
     """Puts into a queue what clients ask for; called on threads of the SDK's."""
 
-    def __init__(self, events: SimpleQueue[Subscription | PlaybackRequest], numbers: dict[int, int]) -> None:
+    def __init__(self, events: SimpleQueue[Subscription | PlaybackRequest], numbers: dict[int, list[int]]) -> None:
         self._events, self._numbers = events, numbers
 
     def on_subscribe(self, client: Client, channel: ChannelView) -> None:
-        self._events.put(Subscription(self._numbers[channel.id], client.id, wanted=True))
+        self._changed(client, channel, wanted=True)
 
     def on_unsubscribe(self, client: Client, channel: ChannelView) -> None:
-        self._events.put(Subscription(self._numbers[channel.id], client.id, wanted=False))
+        self._changed(client, channel, wanted=False)
+
+    def _changed(self, client: Client, channel: ChannelView, *, wanted: bool) -> None:
+        for number in self._numbers[channel.id]:
+            self._events.put(Subscription(number, client.id, wanted))
 
     def on_playback_control_request(self, playback_control_request: PlaybackControlRequest) -> None:
         asked = playback_control_request

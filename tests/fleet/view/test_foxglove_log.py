@@ -136,15 +136,15 @@ def test_the_keyboard_steps_and_holds(log: Path) -> None:
 
 
 def test_a_log_of_another_program_is_shown_as_well(tmp_path: Path) -> None:
-    """With its own times; a topic without a schema, too."""
+    """With its own times; a topic without a schema, and one of two channels, too."""
     from fleet.logs.mcap_writer import McapWriter
 
     path = tmp_path / "robot.mcap"
     with path.open("wb") as file:
         writer = McapWriter(file, "robot")
-        channel = writer.channel("odom", "json", 0, {})
+        channels = [writer.channel("odom", "json", 0, {"by": by}) for by in ("left", "right")]
         for n in range(3):
-            writer.message(channel, 1_700_000_000 * S + n, 0, n, b'{"n": %d}' % n)
+            writer.message(channels[n % 2], 1_700_000_000 * S + n, 0, n, b'{"n": %d}' % n)
         writer.finish()
     with shown(path) as (watcher, _):
         assert watcher.infos[0]["name"] == "robot.mcap"

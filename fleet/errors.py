@@ -57,8 +57,10 @@ Exception
 │   ├── StudyError
 │   │   └── ValuesError
 │   ├── TimedOut
+│   ├── TopicsError
 │   ├── UnknownValueError
 │   ├── ViewError
+│   ├── ViewerError
 │   └── WhatIfError
 │       └── LawFailedError
 ├── NetemError

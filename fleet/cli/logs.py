@@ -127,27 +127,37 @@ def _notes(runs: Sequence[Any]) -> Iterator[str]:
     "--parquet", metavar="DIR", type=click.Path(path_type=Path, file_okay=False),
     help="Write Parquet here; needs uuv-fleet[parquet].",
 )  # fmt: skip
+@click.option(
+    "--netcdf", metavar="DIR", type=click.Path(path_type=Path, file_okay=False),
+    help="Write NetCDF here, by the CF conventions; needs uuv-fleet[tables].",
+)  # fmt: skip
 @click.option("--topics", metavar="PATTERN", multiple=True, help="Only topics such as 'uuv/*/state'; repeatable.")
 @click.option("--force", is_flag=True, help="Replace what is there.")
-def export(log: Path, csv: Path | None, parquet: Path | None, topics: tuple[str, ...], force: bool) -> None:
+def export(
+    log: Path, csv: Path | None, parquet: Path | None, netcdf: Path | None, topics: tuple[str, ...], force: bool
+) -> None:
     """Write LOG (an MCAP file, or a run directory) as tables, one file per topic.
 
-    Times in s, units in CSV's header and in Parquet's metadata; export.json says what each table holds. Numbers read
-    back exactly; bytes are hexadecimal in CSV. What only 3D viewers need (transforms, scene) is no table and is left
-    out. Prints the files.
+    Times in s, units in CSV's header and in the metadata of the others; export.json says what each table holds.
+    Numbers read back exactly; bytes are hexadecimal in CSV, and left out in NetCDF. What only 3D viewers need
+    (transforms, scene) is no table and is left out. Prints the files.
 
     \b
     Examples:
       fleet export --csv tables
       fleet export --parquet tables --topics 'uuv/*/error' --topics 'link/*'
+      fleet export --netcdf tables --topics 'uuv/*/state'
     """
     from fleet.logs.export import export as write
-    from fleet.logs.export import fits
     from fleet.logs.open_log import list_topics
+    from fleet.logs.table import fits
     from fleet.terminal.progress import showing
 
-    if csv is None and parquet is None:
-        raise click.UsageError("say where the tables go: --csv DIR, --parquet DIR, or both")
+    if csv is None and parquet is None and netcdf is None:
+        raise click.UsageError("say where the tables go: --csv DIR, --parquet DIR or --netcdf DIR")
+    folders = [folder.absolute() for folder in (csv, parquet, netcdf) if folder is not None]
+    if len(set(folders)) < len(folders):
+        raise click.UsageError("each form needs a folder of its own: export.json says what is in one")
     with showing(f"reading {log}") as tell:
         found = list_topics(log, topics or None, tell)
     if topics and not len(found):
@@ -156,7 +166,7 @@ def export(log: Path, csv: Path | None, parquet: Path | None, topics: tuple[str,
         say(f"fleet: {found.path}: {found.missing}", err=True)
     if left := [name for name in found if len(found[name]) and not fits(found[name])]:
         say(f"fleet: left out, being lists of messages and no tables: {', '.join(left)}", err=True)
-    for form, folder in (("csv", csv), ("parquet", parquet)):
+    for form, folder in (("csv", csv), ("parquet", parquet), ("netcdf", netcdf)):
         if folder is not None:
             with showing(f"writing {folder}") as tell:
                 paths = write(found, folder, form, force=force, share=tell)

@@ -26,6 +26,7 @@ from fleet.cli import (
     status,
     sweep,
     verify,
+    view,
     what_if,
 )
 from fleet.cli.completion import scenarios
@@ -165,7 +166,7 @@ def list_(as_json: bool) -> None:
 
 _MODULES = (
     bench, hosts, join, live, logs, new, protocol, replay, reproduce, run, runs, schema, shrink, status, sweep,
-    verify, what_if,
+    verify, view, what_if,
 )  # fmt: skip
 for _module in _MODULES:
     for _command in _module.COMMANDS:

@@ -2,27 +2,25 @@
 
 from __future__ import annotations
 
-import os
-import sys
-import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from fleet.cli import completion
-from fleet.cli.group import exit_status, report
+from fleet.cli.group import exit_status
 from fleet.cli.log_argument import log_argument
+from fleet.cli.sessions import ending
 from fleet.cli.types import Duration, Endpoint, FileSize
 from fleet.errors import FleetError
-from fleet.processes.interrupts import ending_status
-from netem.errors import NetemError
 
-CLOSE_S = 2.0  # time to close a session, in which its last messages are sent
+if TYPE_CHECKING:
+    from fleet.replay.observed import Observed
+
 EPILOG = "Exit status: 0 done, 2 usage or a bad file, 3 no connection or a full disk, 129 terminal closed, 130 Ctrl-C."
 
 
@@ -66,6 +64,9 @@ _listen = click.option(
               help="Publish under fleet/ID/log/**; a recording of other traffic keeps its keys.")  # fmt: skip
 @_connect
 @_listen
+@click.option("--observe", metavar="FILE", type=click.Path(path_type=Path, dir_okay=False),
+              help="Let in only who offers what is written to this file, as a run with --publish does with its "
+              "observe.json; without it only who offers no password.")  # fmt: skip
 @click.option("-q", "--quiet", is_flag=True, help="No progress and no summary.")
 def replay(
     log: Path,
@@ -84,6 +85,7 @@ def replay(
     run_id: str,
     connect: str | None,
     listen: str | None,
+    observe: Path | None,
     quiet: bool,
 ) -> None:
     """Publish LOG (an MCAP file, or a run directory) on zenoh again, at its own pace.
@@ -96,11 +98,13 @@ def replay(
       fleet replay --listen tcp/127.0.0.1:7447
       fleet replay -r 0 --wait-for-subscribers --topics 'uuv/*/pose'
       fleet replay robot.mcap --loop --remap robot:=twin --connect tcp/127.0.0.1:7447
+      fleet replay --observe observe.json        for a script that else reads a live run's
     """
     from rich.console import Console as Terminal
 
     from fleet.logs.reader import log_path
     from fleet.logs.tape import Tape
+    from fleet.replay.observed import new_observed
     from fleet.replay.playback import PlaybackOptions, Replay
     from fleet.terminal.keyboard import Keyboard
     from fleet.terminal.progress import showing
@@ -110,6 +114,10 @@ def replay(
         raise click.BadParameter(f"expected one part of a key, without / * $ ? #, got {run_id!r}", param_hint="--run")
     if start_paused and not Keyboard.possible():
         raise click.UsageError("--start-paused needs a terminal: nobody could go on")
+    if observe is not None and connect is not None:
+        raise click.UsageError("--observe is about a router of our own, and --connect about another one")
+    if observe is not None and observe.exists():
+        raise click.BadParameter(f"{observe} exists already; choose another name", param_hint="--observe")
     options = PlaybackOptions(
         run=run_id, rate=rate, loop=loop, start_ns=start_offset, duration_ns=duration, until_ns=until,
         paused=start_paused, delay_ns=delay, topics=topics, regex=regex, remap=remap, clock_hz=clock,
@@ -119,17 +127,20 @@ def replay(
     with showing(f"reading {log}", quiet=quiet) as tell:
         tape = Tape(log_path(log), tell)
     played = Replay(tape, options)
-    with exit_status(3), _ending() as sessions, StatusLine(terminal, quiet=quiet) as line:
+    if observe is not None and not played.ours:
+        raise click.UsageError("--observe lets in who reads the journal of a run, and this is no log of one")
+    with exit_status(3), ending() as sessions, StatusLine(terminal, quiet=quiet) as line:
         if tape.missing:
             line.print(f"warning: {log}: {tape.missing}")
-        bus = _session(connect, listen, None)
+        observed = None if observe is None else new_observed(listen or _free_endpoint(), run_id)
+        bus = _session(connect, listen, None, observed)
         sessions.append(bus)
         began = time.monotonic()
         try:
             played.open(bus)
             keys = f"fleet/{run_id}/log/**" if played.ours else "its own keys"
             line.print(f"playing {played.messages} messages on {keys} at {bus.endpoint}")
-            with Keyboard() as keyboard:
+            with _written(observe, observed), Keyboard() as keyboard:
                 played.play(keyboard, line)
         finally:
             line.print(played.summary(time.monotonic() - began))
@@ -184,7 +195,7 @@ def record(
     if not keys:
         raise click.UsageError("record what? Give --key 'robot/**', or --key '**' for everything")
     path = output or Path(f"record-{datetime.now(UTC):%Y%m%d-%H%M%S}.mcap")  # noqa: TID251 (a name)
-    with _ending() as sessions, StatusLine(Terminal(stderr=True), quiet=quiet) as line:
+    with ending() as sessions, StatusLine(Terminal(stderr=True), quiet=quiet) as line:
         bus = _session(connect, listen, credentials)
         sessions.append(bus)
         with exit_status(2):
@@ -208,8 +219,8 @@ def _finish(recorder: Any, writer: Any, line: Any, path: Path) -> None:
     line.print(f"recorded {writer.samples} messages, {writer.size / 1e6:.2f} MB, to {path}")
 
 
-def _session(connect: str | None, listen: str | None, credentials: Any) -> Any:
-    from fleet.processes.ports import free_port
+def _session(connect: str | None, listen: str | None, credentials: Any, observed: Observed | None = None) -> Any:
+    from fleet.replay.observed import host_observed
     from netem.wire.open_bus import OpenBus
     from netem.wire.session import quiet_zenoh
 
@@ -217,9 +228,32 @@ def _session(connect: str | None, listen: str | None, credentials: Any) -> Any:
         raise click.UsageError("either --connect or --listen")
     quiet_zenoh()
     with exit_status(3):
+        if observed is not None:
+            return host_observed(observed)
         if connect:
             return OpenBus.connect(connect, credentials)
-        return OpenBus.listen(listen or f"tcp/127.0.0.1:{free_port(None)}")
+        return OpenBus.listen(listen or _free_endpoint())
+
+
+def _free_endpoint() -> str:
+    from fleet.processes.ports import free_port
+
+    return f"tcp/127.0.0.1:{free_port(None)}"
+
+
+@contextmanager
+def _written(path: Path | None, observed: Observed | None) -> Iterator[None]:
+    """Keep what an observer needs in a file, if there is to be one."""
+    if path is None or observed is None:
+        yield
+        return
+    from fleet.replay.observed import write_observed
+
+    write_observed(path, observed)
+    try:
+        yield
+    finally:
+        path.unlink(missing_ok=True)
 
 
 def _observer(run: str) -> tuple[str, Any, str]:
@@ -241,29 +275,6 @@ def _observer(run: str) -> tuple[str, Any, str]:
         raise click.BadParameter(
             f"{run} is no live run that is published: there is no usable {OBSERVE}", param_hint="--run"
         ) from None
-
-
-@contextmanager
-def _ending() -> Iterator[list[Any]]:
-    """Close the sessions in the list at the end; after Ctrl-C or another signal exit with its status."""
-    sessions: list[Any] = []
-    try:
-        yield sessions
-    except KeyboardInterrupt as end:
-        sys.exit(ending_status(end))
-    finally:
-        error = sys.exc_info()[1]
-        for bus in sessions:
-            # zenoh waits 10 s for a peer that is suspended, and the interpreter's normal exit would, too.
-            closing = threading.Thread(target=bus.close, daemon=True)
-            closing.start()
-            closing.join(CLOSE_S)
-            if closing.is_alive():
-                status = report(error) if isinstance(error, (FleetError, NetemError)) else int(error is not None)
-                if isinstance(error, SystemExit) and isinstance(error.code, int):
-                    status = error.code
-                sys.stderr.flush()
-                os._exit(status)
 
 
 COMMANDS = (replay, record)

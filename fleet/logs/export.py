@@ -1,10 +1,9 @@
-"""`fleet export`: a log as tables, one file per topic, for what reads CSV or Parquet.
+"""`fleet export`: a log as tables, one file per topic, for what reads CSV, Parquet or NetCDF.
 
-A table's first column is `t [s]`, the time at which the message was logged; every other one is a field of the log, a
-vector's components each with their index: `tau_0 [N]`. In CSV the units stand in the header, so that a table explains
-itself wherever it is copied to; in Parquet the names are bare, and unit and meaning are metadata of the column.
-`export.json` states for each table what it holds, where it came from and what was missing. A topic whose messages
-hold lists of messages (`transforms`, `scene`) is no table: it is left out, which `export.json` states as well.
+In CSV the units stand in the header, so that a table explains itself wherever it is copied to; in Parquet the names are
+bare, and unit and meaning are metadata of the column, and of the table as pandas reads them; in NetCDF they are CF's
+attributes. `export.json` states for each table what it holds, where it came from and what was missing. A topic that is
+no table is left out, which `export.json` states as well.
 """
 
 from __future__ import annotations
@@ -12,21 +11,22 @@ from __future__ import annotations
 import csv
 import json
 from array import array
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
-from importlib.util import find_spec
 from io import StringIO
-from itertools import islice
+from math import inf
 from pathlib import Path
-from typing import IO, Any, NamedTuple
+from typing import IO, Any
 
 import numpy as np
 
-from fleet.errors import FleetError
-from fleet.logs.columns import Columns, objects
+import fleet.logs.topic as held
+from fleet.logs.columns import objects
+from fleet.logs.dataset import EXTRA, dataset, frame_attributes
 from fleet.logs.open_log import Log
 from fleet.logs.reader import LogReader, Tell
 from fleet.logs.records import Array, Block
+from fleet.logs.table import ExportError, TableColumn, fits, need, table
 from fleet.logs.topic import Topic
 
 INDEX = "export.json"
@@ -35,81 +35,36 @@ _LARGE = 1 << 20  # bytes of a cell
 _HELD = 32 << 20  # bytes of messages that wait to be written
 
 
-class ExportError(FleetError):
-    """The tables cannot be written."""
-
-
-class TableColumn(NamedTuple):
-    """One column of a table."""
-
-    name: str
-    unit: str
-    meaning: str
-    values: Array  # (samples,)
-
-    @property
-    def heading(self) -> str:
-        return f"{self.name} [{self.unit}]" if self.unit else self.name
-
-
-def columns(topic: Topic) -> list[TableColumn]:
-    """The table of a topic; the time comes first."""
-    return _table(topic, topic.t, {name: topic[name] for name in topic.fields})
-
-
-def _table(topic: Topic, t: Array, fields: Columns) -> list[TableColumn]:
-    found = [TableColumn("t", "s", "when the message was logged, in simulated time", t)]
-    for name, values in fields.items():
-        unit, meaning = topic.declaration(name)
-        if values.ndim == 1:
-            found.append(TableColumn(name, unit, meaning, values))
-            continue
-        parts = [part.strip() for part in unit.split(",")]
-        if len(parts) != values.shape[1]:
-            parts = [unit] * values.shape[1]
-        found += [
-            TableColumn(f"{name}_{k}", unit, meaning, np.ascontiguousarray(values[:, k]))
-            for k, unit in enumerate(parts)
-        ]
-    return found
-
-
-def fits(topic: Topic) -> bool:
-    """Whether a topic has a message and each is a row of values."""
-    return bool(len(topic)) and not topic.nested
-
-
 def export(log: Log, folder: Path, form: str, *, force: bool = False, share: Tell = lambda _: None) -> list[Path]:
     """Write every topic that holds a message and fits a table into a folder, made if need be; returns the files.
 
     The log is read again, and written as it is read. A table gets its name when all are written.
 
     Args:
-        form: `csv` or `parquet`.
+        form: `csv`, `parquet` or `netcdf`.
         force: replace files of the same names.
         share: called now and then with the share of the log that is done.
 
     Raises:
-        ExportError: something is in the way, the place cannot be written, or pyarrow is not installed.
+        ExportError: something is in the way, the place cannot be written, a package is not installed, or a table is
+            too large for NetCDF.
         LogReadError: a topic's messages are not what the log says they are.
     """
-    if form == "parquet" and find_spec("pyarrow") is None:
-        raise ExportError(
-            "Parquet needs pyarrow, which is not installed: pip install 'uuv-fleet[parquet]', or use --csv"
-        )
+    suffix, sheet_of, name, packages, extra = _FORMS[form]
+    need(name, packages, extra)
     topics = [name for name in log if fits(log[name])]
     left_out = [name for name in log if len(log[name]) and name not in topics]
-    paths = {name: folder / f"{_file_name(name)}.{form}" for name in topics}
+    paths = {name: folder / f"{_file_name(name)}.{suffix}" for name in topics}
     if len(set(paths.values())) < len(paths):
         raise ExportError(f"topics of {log.path} differ only in characters that a file name cannot have")
     there = [path.name for path in [*paths.values(), folder / INDEX] if path.exists()]
     if there and not force:
         raise ExportError(f"{folder} already holds {there[0]}; choose another place, or replace it with --force")
-    sheets = {name: (CsvSheet if form == "csv" else ParquetSheet)(log[name], path) for name, path in paths.items()}
+    sheets = {name: sheet_of(log[name], path, log.run) for name, path in paths.items()}
     index_part = folder / f"{INDEX}.part"
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        for some in batched(sheets.values(), MOST_OPEN):
+        for some in batched(sheets.values(), MOST_OPEN, held.MOST_HELD if form == "netcdf" else inf):
             _stream(log.path, some, share)
             if again := [sheet for sheet in some if sheet.begin_again()]:
                 _stream(log.path, again, share)
@@ -155,8 +110,9 @@ def _stream(path: Path, sheets: Iterable[Sheet], share: Tell) -> None:
 class Sheet:
     """One table that is written in parts, into a file with another name."""
 
-    def __init__(self, topic: Topic, path: Path) -> None:
+    def __init__(self, topic: Topic, path: Path, run: Mapping[str, str]) -> None:
         self.topic, self.path, self.part = topic, path, path.with_name(f"{path.name}.part")
+        self._run = run
         self._columnize = topic.columnizer()
         self._mixed: set[str] = set()  # vectors that are not always as long, so that their parts are no columns
         self._restart()
@@ -195,13 +151,13 @@ class Sheet:
             self._mixed |= {name for name, shape in shapes.items() if shape != self._shapes[name]}
         if self._wrong:
             return
-        table = _table(self.topic, t, fields)
+        columns = table(self.topic, t, fields)
         if self._shapes is None:
-            self._headings = {column.name: [column.unit, column.meaning] for column in table}
-            self._begin(table)
+            self._headings = {column.name: [column.unit, column.meaning] for column in columns}
+            self._begin(columns)
         self._shapes = shapes
         self._rows += len(t)
-        self._write(table)
+        self._write(columns)
 
     def begin_again(self) -> bool:
         """Whether the table must be written again: a vector turned out to have no fixed length."""
@@ -216,10 +172,10 @@ class Sheet:
             "topic": self.topic.name, "schema": self.topic.schema, "rows": self._rows, "columns": self._headings,
         }  # fmt: skip
 
-    def _begin(self, table: list[TableColumn]) -> None:
+    def _begin(self, columns: list[TableColumn]) -> None:
         raise NotImplementedError
 
-    def _write(self, table: list[TableColumn]) -> None:
+    def _write(self, columns: list[TableColumn]) -> None:
         raise NotImplementedError
 
     def close(self) -> None:
@@ -229,45 +185,49 @@ class Sheet:
 class CsvSheet(Sheet):
     """Text, opened anew for each part: there may be more tables than files may be open."""
 
-    def _begin(self, table: list[TableColumn]) -> None:
+    def _begin(self, columns: list[TableColumn]) -> None:
         with self.part.open("w", encoding="utf-8", newline="") as file:
-            csv.writer(file, lineterminator="\n").writerow([column.heading for column in table])
+            csv.writer(file, lineterminator="\n").writerow([column.heading for column in columns])
 
-    def _write(self, table: list[TableColumn]) -> None:
+    def _write(self, columns: list[TableColumn]) -> None:
         with self.part.open("a", encoding="utf-8", newline="") as file:
-            if any(map(_has_large, table)):
-                for row in zip(*(column.values.tolist() for column in table), strict=True):
+            if any(map(_has_large, columns)):
+                for row in zip(*(column.values.tolist() for column in columns), strict=True):
                     _write_large(file, row)
                 return
             # Python's shortest decimals: they read back to the same doubles.
             csv.writer(file, lineterminator="\n").writerows(
-                zip(*(_plain(column.values) for column in table), strict=True)
+                zip(*(_plain(column.values) for column in columns), strict=True)
             )
 
 
 class ParquetSheet(Sheet):
     """Parquet, a group of rows for each part."""
 
-    def _begin(self, table: list[TableColumn]) -> None:
+    def _begin(self, columns: list[TableColumn]) -> None:
         import pyarrow
         import pyarrow.parquet
 
-        self._schema = pyarrow.schema([
-            pyarrow.field(
-                column.name, pyarrow.array(_arrow(column.values)).type,
-                metadata={"unit": column.unit, "meaning": column.meaning},
-            )
-            for column in table
-        ])  # fmt: skip
+        self._schema = pyarrow.schema(
+            [
+                pyarrow.field(
+                    column.name,
+                    pyarrow.array(_arrow(column.values)).type,
+                    metadata={"unit": column.unit, "meaning": column.meaning},
+                )
+                for column in columns
+            ],
+            metadata={"PANDAS_ATTRS": json.dumps(frame_attributes(columns))},
+        )  # pandas.read_parquet gives it as .attrs
         self._writer: Any = pyarrow.parquet.ParquetWriter(self.part, self._schema)
 
-    def _write(self, table: list[TableColumn]) -> None:
+    def _write(self, columns: list[TableColumn]) -> None:
         import pyarrow
 
         try:
             arrays = [
                 pyarrow.array(_arrow(column.values), type=field.type)
-                for column, field in zip(table, self._schema, strict=True)
+                for column, field in zip(columns, self._schema, strict=True)
             ]
         except pyarrow.ArrowException as error:
             raise ExportError(f"{self.topic.name}: a column holds values of different kinds: {error}") from None
@@ -278,10 +238,53 @@ class ParquetSheet(Sheet):
             self._writer.close()
 
 
-def batched(sheets: Iterable[Sheet], most: int) -> Iterator[list[Sheet]]:
-    """So many at a time."""
-    rest = iter(sheets)
-    while some := list(islice(rest, most)):
+class NetcdfSheet(Sheet):
+    """NetCDF-3, the form that everything reads; it is written when all of it is there."""
+
+    def _restart(self) -> None:
+        super()._restart()
+        self._parts: list[list[TableColumn]] = []
+
+    def _begin(self, columns: list[TableColumn]) -> None:
+        if self.topic.size > held.MOST_HELD:
+            raise ExportError(
+                f"{self.topic.name} is too large for NetCDF ({self.topic.size / 1e6:.0f} MB): use --parquet, or choose "
+                "others with --topics"
+            )
+
+    def _write(self, columns: list[TableColumn]) -> None:
+        self._parts.append(columns)
+
+    def close(self) -> None:
+        if not self._parts:
+            return
+        whole = [
+            column._replace(values=_of_netcdf(np.concatenate([part[k].values for part in self._parts])))
+            for k, column in enumerate(self._parts[0])
+        ]
+        found = dataset(self.topic, whole, self._run)
+        found.to_netcdf(self.part, engine="scipy", format="NETCDF3_64BIT")
+        self._parts = []
+
+
+_FORMS: dict[str, tuple[str, type[Sheet], str, tuple[str, ...], str]] = {
+    "csv": ("csv", CsvSheet, "CSV", (), ""),
+    "parquet": ("parquet", ParquetSheet, "Parquet", ("pyarrow",), "parquet"),
+    "netcdf": ("nc", NetcdfSheet, "NetCDF", ("xarray", "scipy"), EXTRA),
+}
+
+
+def batched(sheets: Iterable[Sheet], most: int, most_bytes: float = inf) -> Iterator[list[Sheet]]:
+    """So many at a time, of no more bytes of messages, but one at least."""
+    some: list[Sheet] = []
+    size = 0
+    for sheet in sheets:
+        if some and (len(some) == most or size + sheet.topic.size > most_bytes):
+            yield some
+            some, size = [], 0
+        some.append(sheet)
+        size += sheet.topic.size
+    if some:
         yield some
 
 
@@ -312,6 +315,15 @@ def _plain(values: Array) -> Iterable[Any]:
         return [value.hex() if isinstance(value, bytes) else value for value in values]
     found: list[Any] = values.tolist()
     return found
+
+
+def _of_netcdf(values: Array) -> Array:
+    """The same in a type of NetCDF-3, which has no integers of 64 bits."""
+    if values.dtype == np.int64 and np.any(np.abs(values) > np.iinfo(np.int32).max):
+        return values.astype(np.float64)
+    if values.dtype == object and not all(isinstance(value, (str, bytes)) for value in values):
+        return objects(map(str, values))
+    return values
 
 
 def _arrow(values: Array) -> Any:

@@ -26,6 +26,8 @@ from fleet.logs.topic import LogKeyError, Topic
 from netem.parsing import nearest
 
 if TYPE_CHECKING:
+    import pandas as pd
+    import xarray as xr
     from mcap.records import Channel
 
     from fleet.scenario.scenario import Scenario
@@ -121,6 +123,35 @@ class Log:
     def links(self) -> list[tuple[int, int]]:
         """The directed links (source, destination) that the log has topics of, ascending."""
         return sorted((int(m[1]), int(m[2])) for topic in self if (m := re.fullmatch(r"link/(\d+)-(\d+)", topic)))
+
+    def to_xarray(self) -> xr.DataTree:
+        """The topics that are tables as Datasets, in a tree by their names, with `units` and `long_name`.
+
+        Columns are those of `fleet export`. Where the times of a topic do not rise, `t` is no index.
+
+        Example:
+            >>> tree = fleet.open_log("runs/latest", ["uuv/*/state"]).to_xarray()
+            >>> tree["uuv/1/state"].z.attrs["units"]
+            'm'
+
+        Raises:
+            ExportError: xarray is not installed (extra `tables`).
+            LogReadError: the topics are more than is held at once; `open_log` can choose some.
+        """
+        from fleet.logs.dataset import tree
+
+        return tree(self.path, self._topics.values(), self.run)
+
+    def to_pandas(self, topic: str) -> pd.DataFrame:
+        """A topic as a table; `attrs["units"]` and `attrs["meanings"]` have those of its columns.
+
+        Raises:
+            ExportError: pandas is not installed (extra `tables`), or the topic is no table.
+            LogReadError: the log has no such topic, or it is too large.
+        """
+        from fleet.logs.dataset import frame
+
+        return frame(self[topic])
 
     @cached_property
     def scenario(self) -> Scenario:

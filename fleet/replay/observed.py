@@ -1,14 +1,19 @@
-"""observe.json, which a run with --publish writes: where to subscribe, and as which user."""
+"""observe.json, which a run with --publish writes, and a replay if asked: where to subscribe, and as which user."""
 
 from __future__ import annotations
 
+import secrets
+import tempfile
 from pathlib import Path
 from typing import Annotated
 
 import msgspec
 
 from netem.private_file import parse_json
-from netem.whole_file import read_file
+from netem.whole_file import read_file, write_whole
+from netem.wire.access import OBSERVER, Credentials
+from netem.wire.keys import Keys
+from netem.wire.open_bus import OpenBus
 
 _MOST_BYTES = 100_000
 
@@ -30,3 +35,27 @@ def read_observed(path: Path) -> Observed:
         DamagedFile: it holds something else.
     """
     return parse_json(read_file(path, _MOST_BYTES), Observed)
+
+
+def new_observed(endpoint: str, run: str) -> Observed:
+    """What an observer of a run will need, with a password that nobody has yet."""
+    return Observed(endpoint, OBSERVER, secrets.token_urlsafe(24), run)
+
+
+def write_observed(path: Path, observed: Observed) -> None:
+    """Write observe.json, which only its owner can read. Raises OSError."""
+    write_whole(path, msgspec.json.encode(observed))
+
+
+def host_observed(observed: Observed) -> OpenBus:
+    """A router at the endpoint that lets in the observer and nobody else.
+
+    Raises:
+        BusError: the endpoint is taken or none.
+    """
+    private = Path(tempfile.mkdtemp(prefix="uuv-fleet-"))
+    try:
+        credentials = Credentials(observed.user, observed.password)
+        return OpenBus.host(observed.endpoint, Keys(observed.run), credentials, private)
+    finally:
+        private.rmdir()

@@ -12,6 +12,7 @@ from fleet.replay.attachment import Stamp, pack
 from fleet.replay.capture_format import ATTACHMENT, DELETE, ENCODING, KIND, zenoh_encoding
 from fleet.replay.player import RATE_STEP, SEEK_NS, MeasuredRate, Metronome, Player
 from fleet.replay.selection import Renaming, chosen
+from fleet.replay.topics import hand_out
 from fleet.terminal.fitting import Piece
 from fleet.terminal.keyboard import Key, Keyboard
 from fleet.terminal.status_line import StatusLine
@@ -114,8 +115,12 @@ class Replay:
             )
             self._publications[n] = bus.publication(key, encoding, drop=False)
         if self.ours:
-            answers = {self.keys.schema(schema.name): schema.data for schema in tape.schemas.values()}
-            bus.answer(self.keys.schema("*"), answers)
+            topics = {
+                key.removeprefix(self.keys.log("")): tape.schemas[tape.channels[n].schema_id].name
+                for n, key in self.key_of.items()
+                if tape.channels[n].schema_id in tape.schemas
+            }
+            hand_out(bus, self.keys, topics, {schema.name: schema.data for schema in tape.schemas.values()})
         if self._wishes.clock_hz is not None:
             key = self.keys.clock if self.ours else "clock"
             self._clock = bus.publication(key, CLOCK_ENCODING, drop=True)
@@ -151,7 +156,7 @@ class Replay:
             if beat is not None:
                 naps.append(beat.wait_ns(now) / 1e9)
             for key in keyboard.read(min(naps) if not player.over else 0.0):
-                self._obey(key)
+                self._publish(obey(player, key, time.monotonic_ns()))
                 pace.restart()
                 line.show(self._describe(time.monotonic_ns(), pace))
         if beat is not None:
@@ -168,22 +173,6 @@ class Replay:
             if line.due():
                 line.show(f"begins in {left / 1e9:.1f} s")
             time.sleep(min(NAP_S, left / 1e9))
-
-    def _obey(self, key: Key) -> None:
-        player, now = self.player, time.monotonic_ns()
-        match key:
-            case Key.PAUSE:
-                player.toggle(now)
-            case Key.STEP:
-                self._publish(player.step(now))
-            case Key.FASTER:
-                player.set_rate(now, player.rate * RATE_STEP)
-            case Key.SLOWER:
-                player.set_rate(now, player.rate / RATE_STEP)
-            case Key.FORWARD:
-                player.seek(now, player.position(now) + SEEK_NS)
-            case Key.BACK:
-                player.seek(now, player.position(now) - SEEK_NS)
 
     def _publish(self, some: range) -> None:
         for number, entry in self._track.entries(some):
@@ -230,6 +219,24 @@ class Replay:
             f"played {self.published} messages in {wall_s:.2f} s "
             f"({self.published / max(wall_s, 1e-9):.0f} messages/s), {self.player.missed} late"
         )
+
+
+def obey(player: Player, key: Key, now: int) -> range:
+    """Do what a key press asks for at wall time `now` [ns]; the messages that a step plays."""
+    match key:
+        case Key.PAUSE:
+            player.toggle(now)
+        case Key.STEP:
+            return player.step(now)
+        case Key.FASTER:
+            player.set_rate(now, player.rate * RATE_STEP)
+        case Key.SLOWER:
+            player.set_rate(now, player.rate / RATE_STEP)
+        case Key.FORWARD:
+            player.seek(now, player.position(now) + SEEK_NS)
+        case Key.BACK:
+            player.seek(now, player.position(now) - SEEK_NS)
+    return range(0)
 
 
 def _merged(key_of: dict[str, str]) -> str:

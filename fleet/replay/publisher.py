@@ -12,7 +12,6 @@ import contextlib
 import fcntl
 import json
 import os
-import secrets
 import select
 import subprocess
 import sys
@@ -23,8 +22,7 @@ from typing import IO, Any
 
 from fleet.errors import FleetError
 from fleet.logs.schemas import Schema
-from netem.whole_file import write_whole
-from netem.wire.access import OBSERVER, Credentials
+from fleet.replay.observed import new_observed, write_observed
 
 ENTRY = Struct("<HIQQQI")  # channel, sequence, log time, publish time, number in the log, bytes that follow
 LENGTH = Struct("<I")  # of a batch
@@ -80,11 +78,11 @@ class LivePublisher:
         Raises:
             PublishError: it ended, or did not listen in time, or the way in cannot be written down.
         """
-        observer = Credentials(OBSERVER, secrets.token_urlsafe(24))
+        observed = new_observed("", self.run)  # the process says where it listens
         values = {
-            "run": self.run,
-            "user": observer.user,
-            "password": observer.password,
+            "run": observed.run,
+            "user": observed.user,
+            "password": observed.password,
             "channels": self._channels,
             "schemas": self._schemas,
             "wait": self.wait,
@@ -111,9 +109,9 @@ class LivePublisher:
         os.set_blocking(descriptor, False)
         with contextlib.suppress(OSError):  # where it may not be larger, it stays as it is
             fcntl.fcntl(descriptor, fcntl.F_SETPIPE_SZ, PIPE_BYTES)
-        del values["channels"], values["schemas"], values["wait"]
+        observed.endpoint = self.endpoint
         try:
-            write_whole(self._observe, json.dumps({"endpoint": self.endpoint, **values}).encode())
+            write_observed(self._observe, observed)
         except OSError as error:
             process.kill()
             process.wait()

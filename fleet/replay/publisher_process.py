@@ -12,10 +12,8 @@ import os
 import select
 import signal
 import sys
-import tempfile
 import time
 import traceback
-from pathlib import Path
 from typing import IO, Any
 
 import setproctitle
@@ -24,11 +22,11 @@ from fleet.errors import RunBroken
 from fleet.processes.ports import free_port
 from fleet.replay.attachment import Stamp, pack
 from fleet.replay.capture_format import zenoh_encoding
+from fleet.replay.observed import Observed, host_observed
 from fleet.replay.publisher import ENTRY, LENGTH
+from fleet.replay.topics import hand_out
 from netem.errors import BusError
-from netem.wire.access import Credentials
 from netem.wire.keys import Keys
-from netem.wire.open_bus import OpenBus
 from netem.wire.session import quiet_zenoh
 
 POLL_S = 0.02
@@ -58,18 +56,15 @@ def _publish() -> None:
     source = sys.stdin.buffer
     values = json.loads(source.readline())
     setproctitle.setproctitle(f"fleet publisher [{values['run']}]")
-    private = Path(tempfile.mkdtemp(prefix="uuv-fleet-"))
     try:
         endpoint = f"tcp/127.0.0.1:{free_port(None)}"
-        bus = OpenBus.host(endpoint, Keys(values["run"]), Credentials(values["user"], values["password"]), private)
+        bus = host_observed(Observed(endpoint, values["user"], values["password"], values["run"]))
     except (BusError, RunBroken) as error:
         _say({"error": str(error)})
         return
-    finally:
-        private.rmdir()
     keys = Keys(values["run"])
-    answers = {keys.schema(name): base64.b64decode(data) for name, data in values["schemas"].items()}
-    bus.answer(keys.schema("*"), answers)
+    schemas = {name: base64.b64decode(data) for name, data in values["schemas"].items()}
+    hand_out(bus, keys, {topic: schema for _, topic, schema in values["channels"]}, schemas)
     puts = {
         number: bus.publication(keys.log(topic), zenoh_encoding("protobuf", schema), drop=True)
         for number, topic, schema in values["channels"]

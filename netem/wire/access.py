@@ -155,17 +155,17 @@ def certificate_control(keys: Keys, vehicles: tuple[int, ...]) -> dict[str, Any]
 
 
 def observer_control(keys: Keys) -> dict[str, Any]:
-    """The list for the router of a published run: the observer may listen to the journal and ask for schemas, and
-    put nothing."""
-    log, schemas = [keys.log("**")], [keys.schema("**")]
+    """The list for the router of a published run or of a replay: the observer may listen to the journal and to the
+    clock and ask for topics and schemas, and put nothing."""
+    heard, asked = [keys.log("**"), keys.clock], [keys.topics, keys.schema("**")]
     listed = _List()
     listed.allow(
         OBSERVER,
         {"usernames": [OBSERVER]},
-        ("ingress", ["declare_subscriber"], log),
-        ("egress", ["put"], log),
-        ("ingress", ["query"], schemas),
-        ("egress", ["reply", "declare_queryable"], schemas),
+        ("ingress", ["declare_subscriber"], heard),
+        ("egress", ["put"], heard),
+        ("ingress", ["query"], asked),
+        ("egress", ["reply", "declare_queryable"], asked),
     )
     return listed.values()
 

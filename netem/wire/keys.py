@@ -94,6 +94,11 @@ class Keys:
         return f"fleet/{self.run}/schema/{name}"
 
     @property
+    def topics(self) -> str:
+        """Query: the topics below `log`, a MessagePack map from each to the name of its schema."""
+        return f"fleet/{self.run}/topics"
+
+    @property
     def clock(self) -> str:
         """The present time of a replay, for programs that use it as their clock."""
         return f"fleet/{self.run}/clock"

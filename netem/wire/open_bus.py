@@ -127,17 +127,32 @@ class OpenBus:
         self._held.append(publisher)
         return Publication(publisher)
 
-    def subscribe(self, key: str, handler: Callable[[Any], None]) -> None:
+    def subscribe(self, key: str, handler: Callable[[Any], None]) -> Callable[[], None]:
         """Call `handler` with zenoh's own sample, on a thread of zenoh; `sample_of` reads it later.
+
+        Returns:
+            What ends the subscription.
 
         Raises:
             BusError: the key expression is none.
         """
         try:
-            self._held.append(self._session.declare_subscriber(key, handler))
+            subscriber = self._session.declare_subscriber(key, handler)
         except zenoh.ZError:
             what = "is no key expression of zenoh: parts such as robot/*/odom or robot/**, none of them empty"
             raise BusError(f"{key!r} {what}") from None
+        self._held.append(subscriber)
+
+        def end() -> None:
+            self._held.remove(subscriber)
+            subscriber.undeclare()  # type: ignore[no-untyped-call]
+
+        return end
+
+    def ask(self, key: str, *, timeout_s: float = 2.0) -> dict[str, bytes]:
+        """The answers to a query on `key`, which may have wildcards, by their own keys; none after `timeout_s` [s]."""
+        replies = [reply.ok for reply in self._session.get(key, timeout=timeout_s)]
+        return {str(sample.key_expr): sample.payload.to_bytes() for sample in replies if sample is not None}
 
     def answer(self, key: str, answers: dict[str, bytes]) -> None:
         """Answer queries on `key` with those of the values whose key they ask for."""

@@ -56,6 +56,8 @@ def test_what_is_no_log_is_said_to_be_none(words: str, tmp_path: Path) -> None:
         (["--listen", "tcp/127.0.0.1:1", "--connect", "tcp/127.0.0.1:1"], "either --connect or --listen"),
         (["--start-paused"], "needs a terminal"),
         (["--clock", "0"], "--clock"),
+        (["--observe", __file__], "exists already"),
+        (["--observe", "x.json", "--connect", "tcp/127.0.0.1:1"], "a router of our own"),
     ],
 )
 def test_bad_options_of_replay(arguments: list[str], words: str, log: Path) -> None:

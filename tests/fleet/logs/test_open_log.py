@@ -21,6 +21,7 @@ import fleet
 from fleet.errors import ScenarioError
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
+from fleet.logs.export import export
 from fleet.logs.open_log import FaultInterval, LogKeyError
 from fleet.logs.reader import LogReadError
 from fleet.scenario.loading import load_scenario
@@ -210,6 +211,7 @@ def test_example_of_the_page(run: Path, monkeypatch: pytest.MonkeyPatch, tmp_pat
     monkeypatch.chdir(tmp_path)
     (tmp_path / "runs").mkdir()
     (tmp_path / "runs" / "latest").symlink_to(run)
+    export(fleet.open_log(run, ["uuv/1/command"]), tmp_path / "tables", "parquet")
     names: dict[str, Any] = {}
     for block in blocks:
         exec(block, names)

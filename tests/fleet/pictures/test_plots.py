@@ -24,8 +24,9 @@ from fleet.cli.logs import KINDS, PARTS
 from fleet.cli.main import cli
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
-from fleet.logs.export import ExportError, columns, export
+from fleet.logs.export import export
 from fleet.logs.run_name import run_name
+from fleet.logs.table import ExportError, columns
 from fleet.pictures import exchange, signals
 from fleet.pictures.gallery import PER_RUN, WHAT, draw
 from fleet.pictures.page import ReportError

@@ -305,3 +305,22 @@ def test_the_layout_names_what_a_log_holds(messages: dict[str, dict[float, Any]]
     assert view["topics"].keys() == {"scene"} <= messages.keys()
     frames = {t.child_frame_id for t in messages["transforms"][0.0].transforms} | {"map"}
     assert {view["followTf"], view["layers"]["grid"]["frameId"]} <= frames
+
+
+def test_the_layout_shows_whole_plots_titles_and_hulls(messages: dict[str, dict[float, Any]]) -> None:
+    """Legends stand beside the plots; every panel has a title by Foxglove's key and by Lichtblick's; and in a view of
+    500 pixels a hull is at least 20 pixels long."""
+    layout = json.loads((ROOT / "docs" / "examples" / "foxglove-layout.json").read_text())
+    for name, config in layout["configById"].items():
+        assert (
+            config["foxglovePanelTitle"]
+            == config["lichtblickPanelTitle"]
+            == config.get("title", config["foxglovePanelTitle"])
+        )
+        if name.startswith("Plot!"):
+            assert (config["showLegend"], config["legendDisplay"]) == (True, "left")
+    camera = layout["configById"]["3D!uuv"]["cameraState"]
+    pixels_per_m = 500 / (2 * camera["distance"] * math.tan(math.radians(camera["fovy"] / 2)))
+    hull = next(e for e in messages["scene"][0.0].entities if e.id == "uuv-1")
+    length = sum(cylinder.size.z for cylinder in hull.cylinders)
+    assert length * pixels_per_m > 20

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import json
 import os
 import pty
 import re
 import select
 import signal
+import stat
 import subprocess
 import sys
 import termios
@@ -26,6 +28,9 @@ from fleet.processes.interrupts import holding_interrupts
 from fleet.replay.attachment import Stamp, pack, unpack
 from fleet.replay.capture_format import ENCODING, zenoh_encoding
 from fleet.replay.playback import PlaybackOptions, Replay
+from fleet.replay.topics import TopicsError, ask_topics
+from netem.errors import BusError
+from netem.wire.access import Credentials
 from netem.wire.keys import Keys
 from netem.wire.open_bus import OpenBus
 
@@ -93,20 +98,54 @@ def test_part_of_a_log_renamed_with_a_clock(log: Path, records: list[Record]) ->
     assert seconds == sorted(seconds) and seconds[0] >= 0.5 and seconds[-1] == 1.5
 
 
-def test_whoever_listens_can_ask_for_schemas(log: Path) -> None:
-    """The descriptor set under fleet/{run}/schema/{name} is the log's."""
+def test_whoever_listens_can_ask_for_topics_and_schemas(log: Path) -> None:
+    """The descriptor set under fleet/{run}/schema/{name} is the log's, and the topics are those that are played."""
     tape = Tape(log)
-    replay = Replay(tape, PlaybackOptions())
+    replay = Replay(tape, PlaybackOptions(topics=("uuv/1/*", "transforms"), remap=("uuv/1:=twin",)))
     with session(OpenBus.listen(where := endpoint())) as bus, session(OpenBus.connect(where)) as client:
         replay.open(bus)
         key = Keys("replay").schema("uuv_fleet.State")
+        found = wait_for(lambda: client.ask(key), LIMIT_S, "the schema")
+        topics = ask_topics(client, Keys("replay"))
+    schemas = {schema.name: schema.data for schema in tape.schemas.values()}
+    assert found == {key: schemas["uuv_fleet.State"]}
+    of_topic = schemas_of(log)
+    names = {f"twin/{topic[6:]}": topic for topic in of_topic if topic.startswith("uuv/1/")} | {
+        "transforms": "transforms"
+    }
+    assert topics == {name: (of_topic[topic], schemas[of_topic[topic]]) for name, topic in names.items()}
 
-        def answers() -> list[bytes]:
-            replies = client._session.get(key, timeout=1.0)
-            return [reply.ok.payload.to_bytes() for reply in replies if reply.ok is not None]
 
-        found = wait_for(answers, LIMIT_S, "the schema")
-    assert found == [schema.data for schema in tape.schemas.values() if schema.name == "uuv_fleet.State"]
+def test_nobody_and_nonsense_are_told_apart_from_topics() -> None:
+    """A journal that nobody publishes, and one that is told in another form."""
+    keys = Keys("replay")
+    with session(OpenBus.listen(where := endpoint())) as bus, session(OpenBus.connect(where)) as client:
+        with pytest.raises(TopicsError, match="is the run over, or of an older version"):
+            ask_topics(client, keys)
+        bus.answer(keys.topics, {keys.topics: b"\xc1"})
+        wait_for(lambda: client.ask(keys.topics), LIMIT_S, "an answer")
+        with pytest.raises(TopicsError, match="not told as expected"):
+            ask_topics(client, keys)
+
+
+def test_one_script_serves_a_live_run_and_a_replay(log: Path, records: list[Record], tmp_path: Path) -> None:
+    """With --observe a client logs in with what the file says, as with a live run's observe.json; others are refused,
+    and the file goes with the replay. Without it the router of a replay refuses whoever offers a password."""
+    path = tmp_path / "observe.json"
+    with Command("replay", log, "-r", "0", "--observe", path, "--wait-for-subscribers") as player:
+        wait_for(path.exists, LIMIT_S, "observe.json")
+        assert stat.S_IMODE(path.stat().st_mode) == 0o600
+        values = json.loads(path.read_text())  # from here on as with a live run
+        observer = Credentials(values["user"], values["password"])
+        with pytest.raises(BusError):
+            OpenBus.connect(values["endpoint"], timeout_ms=300)
+        with session(OpenBus.connect(values["endpoint"], observer)) as bus:
+            assert set(ask_topics(bus, Keys(values["run"]))) == set(schemas_of(log))
+            ear = Ear(bus, Keys(values["run"]).log("**"))
+            heard = ear.until(len(records))
+            assert player.status() == 0, player.printed
+    assert [sample.payload for sample in heard] == [record.data for record in records]
+    assert not path.exists()
 
 
 def test_loop_ends_with_ctrl_c(log: Path) -> None:

@@ -1,0 +1,106 @@
+"""`fleet view --foxglove`: a live run or a log for Foxglove and Lichtblick."""
+
+from __future__ import annotations
+
+import ipaddress
+from importlib.util import find_spec
+from typing import TYPE_CHECKING
+
+import click
+
+from fleet.cli.group import exit_status
+from fleet.cli.sessions import ending
+
+if TYPE_CHECKING:
+    from fleet.terminal.status_line import StatusLine
+    from fleet.view.foxglove_server import FoxgloveServer
+    from fleet.view.source import LiveSource, LogSource
+
+
+def serve(
+    source: LiveSource | LogSource, host: str, port: int | None, *, control: bool, rate: float | None, loop: bool
+) -> None:
+    """Serve viewers: of a live run until it is over, of a log until Ctrl-C.
+
+    Args:
+        port: None: that which viewers propose, or a free one.
+        control: whether viewers may disturb a live run.
+        rate: of a log, times its own pace.
+        loop: of a log.
+    """
+    if find_spec("foxglove") is None:
+        raise click.UsageError(
+            "--foxglove needs foxglove-sdk, which is not installed: pip install 'uuv-fleet[foxglove]'"
+        )
+    from rich.console import Console as Terminal
+
+    from fleet.terminal.status_line import StatusLine
+    from fleet.view.source import LogSource
+
+    with StatusLine(Terminal(stderr=True), quiet=False) as line:
+        if isinstance(source, LogSource):
+            if control:
+                raise click.UsageError("--control is about a live run: a log cannot be disturbed any more")
+            _serve_log(source, host, port, line, rate=1.0 if rate is None else rate, loop=loop)
+        elif rate is not None or loop:
+            raise click.UsageError("--rate and --loop are about logs; the pace of a live run: fleet clock speed")
+        else:
+            _serve_live(source, host, port, line, control=control)
+
+
+def _serve_live(source: LiveSource, host: str, port: int | None, line: StatusLine, *, control: bool) -> None:
+    from fleet.view.foxglove_live import LiveBridge
+    from netem.wire.access import Credentials
+    from netem.wire.open_bus import OpenBus
+    from netem.wire.session import quiet_zenoh
+
+    quiet_zenoh()
+    line.print(f"the live run in {source.directory}")
+    observed = source.observed
+    with ending() as sessions:
+        with exit_status(3):
+            bus = OpenBus.connect(observed.endpoint, Credentials(observed.user, observed.password))
+            sessions.append(bus)
+        bridge = LiveBridge(source, bus, host, port, control=control)
+        sessions.append(bridge.server)
+        _say_where(bridge.server, line)
+        what = "disturb the run and watch it" if control else "watch it; --control would let them disturb it, too"
+        line.print(f"{_who(host)} can {what}")
+        bridge.run(line)
+        line.print(f"the run is over; its log: fleet view --foxglove {source.directory}")
+
+
+def _serve_log(source: LogSource, host: str, port: int | None, line: StatusLine, *, rate: float, loop: bool) -> None:
+    from fleet.logs.tape import Tape
+    from fleet.terminal.keyboard import Keyboard
+    from fleet.terminal.progress import showing
+    from fleet.view.foxglove_log import LogBridge
+
+    with showing(f"reading {source.path}") as tell:
+        tape = Tape(source.path, tell)
+    with ending() as sessions:
+        if tape.missing:
+            line.print(f"warning: {source.path}: {tape.missing}")
+        bridge = LogBridge(tape, host, port, rate=rate, loop=loop)
+        sessions.append(bridge.server)
+        line.print(f"the log {source.path}")
+        _say_where(bridge.server, line)
+        line.print(f"{_who(host)} can watch it, and control how it is played")
+        with Keyboard() as keyboard:
+            if keyboard.there:
+                line.print("space: pause; right arrow: step; up, down: rate; ] and [: 5 s on or back; Ctrl-C: end")
+            bridge.run(keyboard, line)
+
+
+def _say_where(server: FoxgloveServer, line: StatusLine) -> None:
+    line.print(f"in Foxglove or Lichtblick: Open connection, Foxglove WebSocket, {server.endpoint}")
+
+
+def _who(host: str) -> str:
+    """Who reaches a port at an address, in words. The protocol knows no passwords."""
+    try:
+        local = ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        local = host == "localhost"
+    here = "whoever is on this host, and a page in your browser,"
+    return here if local else f"warning: whoever reaches {host}, and a page in your browser,"

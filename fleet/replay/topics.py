@@ -1,0 +1,55 @@
+"""Which topics a run or a replay publishes, and with which schemas: handed out, and asked for."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import msgpack
+
+from fleet.errors import FleetError
+from netem.wire.keys import Keys
+from netem.wire.open_bus import OpenBus
+
+
+class TopicsError(FleetError):
+    """Nobody says which topics there are."""
+
+    status = 3
+
+
+class PublishedTopic(NamedTuple):
+    """The schema of a published topic; its messages are protobuf."""
+
+    schema: str  # its name
+    descriptor_set: bytes  # google.protobuf.FileDescriptorSet
+
+
+def hand_out(bus: OpenBus, keys: Keys, topics: dict[str, str], schemas: dict[str, bytes]) -> None:
+    """Answer queries for the topics and the schemas of a journal.
+
+    Args:
+        topics: the name of each topic's schema.
+        schemas: the descriptor set of each schema.
+    """
+    bus.answer(keys.topics, {keys.topics: msgpack.packb(topics)})
+    bus.answer(keys.schema("*"), {keys.schema(name): data for name, data in schemas.items()})
+
+
+def ask_topics(bus: OpenBus, keys: Keys) -> dict[str, PublishedTopic]:
+    """The topics of a journal that is published.
+
+    Raises:
+        TopicsError: nobody answers, or not as this program does.
+    """
+    answer = bus.ask(keys.topics).get(keys.topics)
+    if answer is None:
+        raise TopicsError(
+            f"nobody says what is published below {keys.prefix}: is the run over, or of an older version?"
+        )
+    schemas = bus.ask(keys.schema("*"))
+    try:
+        return {
+            topic: PublishedTopic(name, schemas[keys.schema(name)]) for topic, name in msgpack.unpackb(answer).items()
+        }
+    except Exception as error:  # msgpack raises half a dozen unrelated types for bad bytes
+        raise TopicsError(f"what is published below {keys.prefix} is not told as expected ({error!r})") from None

@@ -1,0 +1,117 @@
+"""What a viewer is to show: a live run that is published, or a log."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+from fleet.errors import FleetError
+from fleet.execution.connection import LiveRun, RemoteError, choose, find, published
+from fleet.execution.directory import OBSERVE, SCENARIO, in_use
+from fleet.execution.past_runs import newest_run
+from fleet.execution.registry import registered
+from fleet.logs.reader import log_path
+from fleet.replay.observed import Observed, read_observed
+from netem.private_file import DamagedFile
+
+
+class ViewerError(FleetError):
+    """There is nothing that can be shown, or it cannot be shown in this way."""
+
+
+@dataclass(frozen=True, slots=True)
+class LiveSource:
+    """A live run: who may read its journal, and who may ask its console.
+
+    Attributes:
+        directory: of the run, or that in which its observe.json was found.
+        observed: where its journal is published, and as whom to subscribe.
+        run: for requests to its console; None: only the observer's credentials are at hand, so it can only be watched.
+    """
+
+    directory: Path
+    observed: Observed
+    run: LiveRun | None
+
+
+@dataclass(frozen=True, slots=True)
+class LogSource:
+    """A log, whole or cut."""
+
+    path: Path
+
+
+def find_source(name: str | None, runs: Path) -> LiveSource | LogSource:
+    """What is meant.
+
+    Args:
+        name: a live run (its name or the beginning of it, its scenario, its directory), an observe.json, a log, or
+            the directory of a run that is over; None: the live run that began last, or if none lives the newest run
+            below `runs`.
+
+    Raises:
+        ViewerError: there is none, or the run is not published.
+        RemoteError: a name means several live runs.
+        RegistryError: it is not known which runs there are.
+    """
+    if name is None:
+        return _newest(runs)
+    path = Path(name)
+    if path.suffix == ".json" and os.path.isfile(path):
+        return _live(path)
+    if os.path.exists(path / OBSERVE) and in_use(path):
+        return _live(path.resolve() / OBSERVE)
+    if os.path.exists(path):
+        if os.path.exists(path / SCENARIO) and in_use(path):
+            raise _not_published(path)
+        return LogSource(log_path(path))
+    try:
+        return _live(choose(name, OBSERVE) / OBSERVE)
+    except RemoteError as error:
+        if error.status == 2:  # several
+            raise
+        raise ViewerError(f"{error}; nor is it a file or a directory") from None
+
+
+def _newest(runs: Path) -> LiveSource | LogSource:
+    if found := published(OBSERVE):
+        return _live(max(found, key=_began) / OBSERVE)
+    if living := registered():
+        raise _not_published(max(living, key=_began))
+    newest = newest_run(runs)
+    if newest is None:
+        raise ViewerError(
+            f"no run is live, and there is none below {runs.absolute()}: start one with fleet run paper --publish, or "
+            "name a log or a run directory"
+        )
+    return LogSource(log_path(newest))
+
+
+def _began(directory: Path) -> float:
+    """When a live run began, by the clock of its file system."""
+    try:
+        return os.stat(directory / SCENARIO).st_mtime
+    except OSError:
+        return 0.0
+
+
+def _not_published(directory: Path) -> ViewerError:
+    return ViewerError(
+        f"the live run in {directory} is not published: start it with fleet run ... --publish; its log can be shown "
+        f"when it is over, or as it is now: {directory / 'run.mcap'}"
+    )
+
+
+def _live(path: Path) -> LiveSource:
+    try:
+        observed = read_observed(path)
+    except OSError as error:
+        raise ViewerError(f"cannot read {path}: {error.strerror}") from None
+    except DamagedFile as error:
+        raise ViewerError(f"{path}: {error}") from None
+    try:
+        run = find(str(path.parent)) if path.name == OBSERVE else None
+    except RemoteError:
+        run = None
+    return LiveSource(path.parent, observed, run)

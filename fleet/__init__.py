@@ -10,6 +10,8 @@ if TYPE_CHECKING:
     from fleet.execution.outcome import Result as Result
     from fleet.logs.open_log import Log as Log
     from fleet.logs.open_log import open_log as open_log
+    from fleet.study.boundary import Boundary as Boundary
+    from fleet.study.boundary import boundary as boundary
     from fleet.study.study import Study as Study
     from fleet.study.study import open_study as open_study
     from fleet.study.study import sweep as sweep
@@ -19,11 +21,13 @@ _OFFERED = {
     "run": "fleet.execution.judged",
     "Log": "fleet.logs.open_log",
     "open_log": "fleet.logs.open_log",
+    "Boundary": "fleet.study.boundary",
+    "boundary": "fleet.study.boundary",
     "Study": "fleet.study.study",
     "open_study": "fleet.study.study",
     "sweep": "fleet.study.study",
 }
-__all__ = ["Log", "Result", "Study", "open_log", "open_study", "run", "sweep"]
+__all__ = ["Boundary", "Log", "Result", "Study", "boundary", "open_log", "open_study", "run", "sweep"]
 
 
 def __getattr__(name: str) -> Any:

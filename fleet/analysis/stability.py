@@ -56,16 +56,20 @@ class Analysis:
         return max(abs(value) for value in self.eigenvalues)
 
 
-def analyse(scenario: Scenario) -> Analysis:
-    """Connectivity, eigenvalues and violated limits of a scenario."""
+def analyse(scenario: Scenario, *, linear: bool = True) -> Analysis:
+    """Connectivity, eigenvalues and violated limits of a scenario.
+
+    Args:
+        linear: whether the whole linear loop is made, which takes longer than the rest.
+    """
     A, M = matrices(scenario)
     values = sorted(eigenvalues(M).tolist(), key=lambda v: (v.real, v.imag))
     largest = [_largest_gain(control) for control in scenario.controls]
     settled = [_settled_gain(scenario, i) for i in range(1, scenario.vehicles + 1)]
     unreached = _unreached(scenario)
     at_most = at_settled = None
-    not_linear = "not every vehicle is reached" if unreached else ""
-    if not unreached:
+    not_linear = "not every vehicle is reached" if unreached else "" if linear else "not asked for"
+    if not not_linear:
         try:
             at_most, at_settled = linear_fleet(scenario, largest), linear_fleet(scenario, settled)
         except NotLinear as error:
@@ -128,7 +132,7 @@ def report(scenario: Scenario, found: Analysis) -> list[str]:
     if found.gain_max is not None:
         lines += _limits(scenario, found)
         thumb = "rule of thumb, necessary and not sufficient:"
-        decay = _shunting_decay(scenario)
+        decay = shunting_decay(scenario)
         if decay is not None:
             product = found.gain_max * found.lambda_max
             lines.append(
@@ -136,11 +140,11 @@ def report(scenario: Scenario, found: Analysis) -> list[str]:
                 f"below a = {decay:g} 1/s" + ("" if product < decay else " it is NOT")
             )
         age = oldest_s(scenario)
-        if age > 0.0 and any(c.extrapolation == "neighbour" for c in scenario.controls):
-            product = found.gain_max * age * found.spectral_radius_A
+        reckoning = dead_reckoning(scenario, found, age)
+        if age > 0.0 and reckoning is not None:
             lines.append(
                 f"{thumb} K tau rho(A) = {found.gain_max:.4g} x {age:.4g} s x {found.spectral_radius_A:.4g} = "
-                f"{product:.4g}, below 1" + ("" if product < 1.0 else " it is NOT")
+                f"{reckoning:.4g}, below 1" + ("" if reckoning < 1.0 else " it is NOT")
             )
     return lines
 
@@ -195,6 +199,13 @@ def oldest_s(scenario: Scenario) -> float:
     return (usable + scenario.round_ticks - 1) * tick / 1e9
 
 
+def dead_reckoning(scenario: Scenario, found: Analysis, age_s: float) -> float | None:
+    """K tau rho(A) at an age; None where nobody extrapolates with the velocities that neighbours sent."""
+    if found.gain_max is None or not any(control.extrapolation == "neighbour" for control in scenario.controls):
+        return None
+    return found.gain_max * age_s * found.spectral_radius_A
+
+
 def _largest_gain(control: Control) -> Vec3 | None:
     """The largest gains K [1/s, NED] that can occur; None for a law that is not ours."""
     if not control.cascade:
@@ -242,7 +253,8 @@ def _vector(values: Vec3) -> str:
     return "(" + ", ".join(f"{value:.4g}" for value in values) + ") 1/s"
 
 
-def _shunting_decay(scenario: Scenario) -> float | None:
+def shunting_decay(scenario: Scenario) -> float | None:
+    """The least a [1/s] of the vehicles with the shunting model; None: there is none."""
     decays = [c.tracking.a for c in scenario.controls if c.cascade and c.tracking_law.name == "neurodynamic"]
     return min(decays) if decays else None
 
@@ -272,7 +284,7 @@ def _loop_warning(scenario: Scenario, found: Analysis) -> list[str]:
 
 
 def _shunting_warning(scenario: Scenario, found: Analysis) -> list[str]:
-    decay = _shunting_decay(scenario)
+    decay = shunting_decay(scenario)
     if decay is None or found.gain_max is None or found.gain_max * found.lambda_max < decay:
         return []
     return [
@@ -284,10 +296,8 @@ def _shunting_warning(scenario: Scenario, found: Analysis) -> list[str]:
 
 def _dead_reckoning_warning(scenario: Scenario, found: Analysis) -> list[str]:
     age = oldest_s(scenario)
-    if found.gain_max is None or not any(c.extrapolation == "neighbour" for c in scenario.controls):
-        return []
-    product = found.gain_max * age * found.spectral_radius_A
-    if product < 1.0:
+    product = dead_reckoning(scenario, found, age)
+    if product is None or product < 1.0:
         return []
     return [
         f"K tau rho(A) = {product:.4g} is not below 1 at an age of {age:.4g} s: dead reckoning with the neighbours' "

@@ -11,6 +11,7 @@ import click
 
 from fleet.cli import (
     bench,
+    boundary,
     hosts,
     join,
     live,
@@ -165,8 +166,8 @@ def list_(as_json: bool) -> None:
 
 
 _MODULES = (
-    bench, hosts, join, live, logs, new, protocol, replay, reproduce, run, runs, schema, shrink, status, sweep,
-    verify, view, what_if,
+    bench, boundary, hosts, join, live, logs, new, protocol, replay, reproduce, run, runs, schema, shrink, status,
+    sweep, verify, view, what_if,
 )  # fmt: skip
 for _module in _MODULES:
     for _command in _module.COMMANDS:

@@ -50,6 +50,14 @@ class AxisRecord(msgspec.Struct):
     unit: str | None
 
 
+class BorderRecord(msgspec.Struct):
+    """What a study of a border looks for: where the pass rate falls through a level along its last axis."""
+
+    level: float
+    width: float  # of an interval that is narrow enough, as a share of the range
+    log: bool  # whether equal ratios are equally far apart
+
+
 class _Version(msgspec.Struct):
     version: int
 
@@ -68,6 +76,7 @@ class StudyRecord(msgspec.Struct):
     made_by: str  # the version of the package
     folder: str | None = None  # of the scenario's file: where laws are looked for, which need trust all the same
     spec: StudySpec | None = None  # as people write it; older versions of fleet did not keep it
+    border: BorderRecord | None = None  # of `fleet boundary`: not every point is run with every seed
 
 
 class Store:

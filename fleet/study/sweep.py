@@ -31,7 +31,7 @@ from fleet.study.signals import find_columns, is_signal, signal_columns_of
 from fleet.study.spec import StudySpec
 from fleet.study.statistics import Estimate, pass_rate
 from fleet.study.stopping import parse_until, watched_by
-from fleet.study.store import VERSION, Store, StudyRecord, axis_record
+from fleet.study.store import VERSION, BorderRecord, Store, StudyRecord, axis_record
 
 _WRITE_S, _WRITE_ROWS = 10.0, 1000  # rows wait at most so long, or until there are so many
 
@@ -94,12 +94,20 @@ def load_points(plan: Plan, trust: Trust = NOTHING, *, refused: list[Problem] | 
 
 
 def prepare(
-    plan: Plan, directory: Path, trust: Trust = NOTHING, spec: StudySpec | None = None
+    plan: Plan,
+    directory: Path,
+    trust: Trust = NOTHING,
+    spec: StudySpec | None = None,
+    border: BorderRecord | None = None,
 ) -> tuple[Store, Modules]:
     """Check every point, and make the directory of the study.
 
     Args:
+        plan: what is run.
+        directory: of the new study.
+        trust: which modules may run that are neither installed nor the user's own.
         spec: of which the plan was made; the directory keeps it.
+        border: what is looked for, if the study is that of a border.
 
     Returns:
         The study, and the modules of laws that its runs need.
@@ -124,6 +132,7 @@ def prepare(
         made_by=version("uuv-fleet"),
         folder=None if folder is None else str(folder),
         spec=spec,
+        border=border,
     )
     rows: list[dict[str, Any]] = [
         {"values": point.values, "scenario": scenario.to_undrawn_yaml()}
@@ -211,8 +220,10 @@ def run_study(
         StudyError: rows cannot be written. What was written before stays.
         KeyboardInterrupt: at any time; rows that were made are written.
     """
+    if store.record.border is not None:
+        raise StudyError(f"{store.directory} looks for a border: fleet boundary {store.directory} goes on with it")
     kept = store.record.settings.keep_logs if logs is None else logs
-    work = _Work(store, engine, tell, time.monotonic() + budget_s)
+    work = Work(store, engine, tell, time.monotonic() + budget_s)
     signals = tuple(column.name for column in store.record.columns if is_signal(column.name))
     with store.locked():
         task = partial(Task, name=store.record.scenario, timeout_s=timeout_s, signals=signals)
@@ -226,7 +237,7 @@ class _BudgetSpent(Exception):
     """The wall time that a program may take is over."""
 
 
-class _Work:
+class Work:
     """A study that is being made."""
 
     def __init__(self, store: Store, engine: Engine, tell: Callable[[Progress], None], until: float) -> None:
@@ -240,7 +251,7 @@ class _Work:
             raise _BudgetSpent
 
 
-def _make_missing(work: _Work, task: Callable[..., Task]) -> None:
+def _make_missing(work: Work, task: Callable[..., Task]) -> None:
     """Round by round, until no point needs more seeds."""
     store, progress = work.store, work.progress
     points, needed, done = store.points(), store.needed(), set[tuple[int, int]]()
@@ -248,6 +259,28 @@ def _make_missing(work: _Work, task: Callable[..., Task]) -> None:
         done.add((row["point"], row["seed"]))
         progress.count(row)
     progress.runs, progress.made = sum(needed.values()), len(done)
+
+    def made(row: Row) -> None:
+        done.add((row["point"], row["seed"]))
+
+    while len(done) < progress.runs:
+        make_runs(work, points, _tasks(store, points, needed, frozenset(done), task), made)
+        needed = store.needed(needed)
+        progress.runs = sum(needed.values())
+
+
+def make_runs(
+    work: Work, points: list[dict[str, Any]], tasks: Iterator[Task], tell: Callable[[Row], None] = lambda _: None
+) -> None:
+    """Make some runs of a study that is locked, and write their rows as they come.
+
+    Args:
+        work: the study.
+        points: all of them.
+        tasks: the runs.
+        tell: called with each row.
+    """
+    store, progress = work.store, work.progress
     values = [{axis.key: point[axis.key] for axis in store.record.axes} for point in points]
     rows: list[Row] = []
     written = time.monotonic()
@@ -261,7 +294,7 @@ def _make_missing(work: _Work, task: Callable[..., Task]) -> None:
 
     def take(made: list[Row]) -> None:
         for row in made:
-            done.add((row["point"], row["seed"]))
+            tell(row)
             rows.append(values[row["point"]] | row)
             progress.count({"passed": None} | row)
             progress.failed += row["status"] == FAILED
@@ -274,14 +307,10 @@ def _make_missing(work: _Work, task: Callable[..., Task]) -> None:
             write()
         work.wait()
 
-    while len(done) < progress.runs:
-        tasks = _tasks(store, points, needed, frozenset(done), task)
-        try:
-            work.engine.make(tasks, take, wait)
-        finally:
-            write()
-        needed = store.needed(needed)
-        progress.runs = sum(needed.values())
+    try:
+        work.engine.make(tasks, take, wait)
+    finally:
+        write()
 
 
 def _tasks(
@@ -295,10 +324,11 @@ def _tasks(
         for point in points:
             number = point["point"]
             if n < needed[number] and (number, seed) not in done:
-                yield _task(point, seed, task)
+                yield task_of(point, seed, task)
 
 
-def _task(point: Mapping[str, Any], seed: int, task: Callable[..., Task], log: str = "") -> Task:
+def task_of(point: Mapping[str, Any], seed: int, task: Callable[..., Task], log: str = "") -> Task:
+    """The run of a point with a seed."""
     text = point["scenario"]
     return task(key=run_key(f"{text}\nseed {seed}"), point=point["point"], seed=seed, text=text, log=log)
 
@@ -315,7 +345,7 @@ def logs_to_make(store: Store, kept: KeepLogs) -> dict[tuple[int, int], str]:
     return found
 
 
-def _keep_logs(work: _Work, task: Callable[..., Task], kept: KeepLogs) -> None:
+def _keep_logs(work: Work, task: Callable[..., Task], kept: KeepLogs) -> None:
     """Make the runs again whose logs are kept and not there yet, on this machine, wherever they were made.
 
     A disk that is full meanwhile costs no row. To write all logs at once and to delete those of runs that passed
@@ -338,5 +368,5 @@ def _keep_logs(work: _Work, task: Callable[..., Task], kept: KeepLogs) -> None:
         work.wait()
 
     with nullcontext(work.engine) if work.engine.here else local_engine(processors()) as engine:
-        again = (_task(points[n], seed, task, str(store.log_of(n, seed))) for n, seed in digests)
+        again = (task_of(points[n], seed, task, str(store.log_of(n, seed))) for n, seed in digests)
         engine.make(again, take, work.wait)

@@ -103,8 +103,11 @@ class Axis:
         return _value(self.low + share * (self.high - self.low), self.unit)
 
 
-def parse_axis(text: str) -> Axis:
+def parse_axis(text: str, *, fine: int = 0) -> Axis:
     """The axis that `KEY=VALUES` describes.
+
+    Args:
+        fine: if above 0, a range needs no step: it gets a round one, so that there are so many steps at least.
 
     Raises:
         ValuesError: it has no key, or its values are none.
@@ -112,16 +115,16 @@ def parse_axis(text: str) -> Axis:
     key, equals, values = text.partition("=")
     if not equals or not _KEY.fullmatch(key.strip()):
         raise ValuesError(f"expected KEY=VALUES such as 'network.links.*.loss=0 %..90 %/10 %', got '{text[:80]}'")
-    return axis(key.strip(), values)
+    return axis(key.strip(), values, fine=fine)
 
 
-def axis(key: str, text: str) -> Axis:
-    """The axis of a key and its values as text. Raises ValuesError."""
+def axis(key: str, text: str, *, fine: int = 0) -> Axis:
+    """The axis of a key and its values as text; see `parse_axis`. Raises ValuesError."""
     if not _KEY.fullmatch(key):
         raise ValuesError(f"expected a key such as network.links.*.loss, got '{printable(key[:80])}'")
     try:
         if ".." in text and not any(mark in text for mark in "{[\"'"):
-            return _range(key, text)
+            return _range(key, text, fine)
         return _listed(key, text)
     except ValuesError as error:
         raise ValuesError(f"{key}={text.strip()[:80]}: {error}") from None
@@ -162,7 +165,7 @@ def _listed(key: str, text: str) -> Axis:
     return Axis(key, unit, tuple(values))
 
 
-def _range(key: str, text: str) -> Axis:
+def _range(key: str, text: str, fine: int) -> Axis:
     match = _RANGE.fullmatch(text)
     if match is None:
         hint = "write LOW..HIGH/STEP, LOW..HIGH log COUNT, or a list; units as in 100 ms"
@@ -174,6 +177,10 @@ def _range(key: str, text: str) -> Axis:
         raise ValuesError("the low end must be below the high end")
     if match["how"]:
         return _counted(key, unit, low, high, match["how"], int(match["count"]))
+    if match["step"] is None and fine:
+        small = _round_step(high - low, fine)
+        count = int((high - low) / small) + 1
+        return Axis(key, unit, tuple(_value(_float(low + k * small), unit) for k in range(count)))
     if match["step"] is None:
         raise ValuesError("how many values? write a step as in 0 %..90 %/10 %, or a count as in 0 %..90 % lin 10")
     if unit and not match["step_unit"]:
@@ -190,6 +197,13 @@ def _range(key: str, text: str) -> Axis:
     if count > MOST_VALUES:
         raise ValuesError(f"these are {count} values, and {MOST_VALUES} at most may be")
     return Axis(key, unit, tuple(_value(_float(low + k * step), unit) for k in range(count)))
+
+
+def _round_step(span: Fraction, least: int) -> Fraction:
+    """The largest step of 1, 2 or 5 times a power of ten that meets the end after `least` steps or a few times more."""
+    steps = (size * Fraction(10) ** power for power in range(9, -10, -1) for size in (5, 2, 1))
+    meeting = (step for step in steps if least <= span / step <= 10 * least and (span / step).denominator == 1)
+    return next(meeting, span / least)
 
 
 def _counted(key: str, unit: str, low: Fraction, high: Fraction, how: str, count: int) -> Axis:

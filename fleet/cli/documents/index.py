@@ -14,6 +14,7 @@ from fleet.bench.soak import Soaked
 from fleet.bench.stress import Stressed
 from fleet.bench.wall_clock import OnWallClock
 from fleet.cli.documents import live, runs
+from fleet.cli.documents.boundary import BoundaryFound
 from fleet.cli.documents.check import Checked
 from fleet.cli.documents.listing import Scenarios
 from fleet.cli.documents.logs import Compared, LogContents, Verified
@@ -29,6 +30,7 @@ DOCUMENTS: dict[str, type[Struct]] = {
     "bench scale": Scaled,
     "bench soak": Soaked,
     "bench stress": Stressed,
+    "boundary": BoundaryFound,
     "check": Checked,
     "clock": live.ClockSet,
     "diff": Compared,

@@ -1,0 +1,292 @@
+"""Where it breaks: runs of a scenario that are placed so that they tell where its pass rate falls through a level.
+
+A study of a border is a study like any other, but not every point is run with every seed. Its last axis is the one
+along which the border is looked for; every combination of the other axes has a border of its own. The n-th run of each
+border has the n-th seed, wherever it is. All borders get runs in rounds, of a batch each: what is run next depends on
+the rows of the rounds before and on nothing else, so neither the number of workers nor an interruption changes it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from itertools import islice, pairwise
+from math import ceil, inf, isfinite, log
+from pathlib import Path
+from typing import Any, Literal, Protocol
+
+import numpy as np
+
+from agents.plugins.trust import NOTHING, Trust
+from fleet.study.engine import Engine
+from fleet.study.errors import StudyError
+from fleet.study.modules import NO_MODULES, Modules
+from fleet.study.one_run import Task
+from fleet.study.plan import Plan
+from fleet.study.psychometric import CONFIDENCE, DOUBTFUL, RISING, Curve, steepest_rise
+from fleet.study.statistics import Estimate, pass_rate
+from fleet.study.store import BorderRecord, Store
+from fleet.study.sweep import Progress, Work, make_runs, prepare, task_of
+from fleet.study.values import Axis, parse_axis
+
+BATCH = 4  # runs of a border per round
+SEEDS = 60
+MOST_STEPS = 500  # of a range, where they are chosen for the user
+WIDTH = 0.1  # of the range: an interval that is narrow enough
+Rows = dict[tuple[int, int], dict[str, Any]]  # by point and seed
+Run = tuple[int, bool]  # number of the value along the axis, and whether it passed
+
+
+class Tell(Protocol):
+    """Is told where the search is."""
+
+    def __call__(self, progress: Progress, *, known: int, of: int) -> None:
+        """So many borders of so many are found."""
+
+
+@dataclass(frozen=True, slots=True)
+class Border:
+    """Where the pass rate falls through the level, at one combination of the other axes.
+
+    Attributes:
+        values: of the other axes, by key.
+        value: where, in the unit of the axis; -inf and inf below and above the range, NaN: it may be one of them.
+        low, high: the interval of 95 %; -inf and inf where it goes beyond the range.
+        runs: that were made, with a verdict.
+        failed: that have no result.
+        first, last: the pass rates at both ends of the range.
+        rising: two neighbouring values between which the pass rate rises, beyond chance; None: it falls, or may.
+    """
+
+    values: dict[str, float | str]
+    value: float
+    low: float
+    high: float
+    runs: int
+    failed: int
+    first: Estimate
+    last: Estimate
+    rising: tuple[float, float] | None
+
+    @property
+    def where(self) -> Literal["within", "below", "above", "open"]:
+        """Where it lies: within the range, below or above it, or with a side of its interval open."""
+        if self.low == inf or self.high == -inf:
+            return "above" if self.low == inf else "below"
+        return "within" if isfinite(self.low) and isfinite(self.high) else "open"
+
+
+def parse_along(text: str, width: float = WIDTH) -> Axis:
+    """The axis along which a border is looked for: at least two numbers, rising.
+
+    Args:
+        text: `KEY=VALUES`, where a range needs no step.
+        width: of the interval that is wanted, as a share of the range; such a range has steps that are narrower.
+
+    Raises:
+        StudyError: it is none.
+    """
+    if not 0.0 < width < 1.0:
+        raise StudyError(f"the width of an interval is a share of the range between 0 and 1, got {width:g}")
+    found = parse_axis(text, fine=min(ceil(1.5 / width), MOST_STEPS))
+    if found.sampled:
+        raise StudyError(f"{found.key}: values along which a border is looked for are not drawn")
+    numbers = [value.number for value in found.values]
+    if None in numbers or len(numbers) < 2 or numbers != sorted(numbers, key=lambda number: number or 0.0):
+        raise StudyError(f"{found.key}: expected a range such as 0 %..95 %, or rising numbers")
+    return found
+
+
+def prepare_borders(
+    plan: Plan, level: float, width: float, directory: Path, trust: Trust = NOTHING
+) -> tuple[Store, Modules]:
+    """Check every point that may be run, and make the directory of the study.
+
+    Args:
+        plan: its last axis is that along which the border is looked for, see `parse_along`.
+        level: of the pass rate.
+        width: of an interval that is narrow enough, as a share of the range.
+        directory: of the new study.
+        trust: which modules may run that are neither installed nor the user's own.
+
+    Raises:
+        ScenarioError: with the mistakes of all points.
+        StudyError: there cannot be such a study.
+    """
+    if not 0.0 < level < 1.0:
+        raise StudyError(f"the level must be between 0 and 1, got {level:g}")
+    return prepare(plan, directory, trust, border=BorderRecord(level, width, plan.axes[-1].scale == "log"))
+
+
+class Borders:
+    """The borders of a study, and the runs of each."""
+
+    def __init__(self, store: Store) -> None:
+        """Read the points of a study.
+
+        Raises:
+            StudyError: it looks for no border, or is damaged.
+        """
+        record = store.record.border
+        if record is None:
+            raise StudyError(
+                f"{store.directory} does not look for a border: fleet sweep {store.directory} goes on with it"
+            )
+        self.store, self.record, self.points = store, record, store.points()
+        axes = store.record.axes
+        if not axes or not self.points:
+            raise StudyError(f"{store.directory} is damaged: it has nothing along which to look for a border")
+        self.along = axes[-1]
+        self.keys = [axis.key for axis in axes[:-1]]
+        first = [self.points[0][key] for key in self.keys]
+        self.places = [point[self.along.key] for point in self.points if [point[key] for key in self.keys] == first]
+        self.count = len(self.points) // len(self.places)
+        self._check()
+        scaled = [_scaled(place, record.log) for place in self.places]
+        self._first, self._span = scaled[0], scaled[-1] - scaled[0]
+        self.curve = Curve([(place - self._first) / self._span for place in scaled], record.level)
+        # Runs cannot tell where between two places a sharp border is.
+        self._enough = max(self.record.width, 1.5 * float(np.diff(self.curve.positions).max()))
+        ends = len(self.places) - 1
+        self._start = sorted({0, round(ends / 3), round(2 * ends / 3), ends})
+
+    @property
+    def title(self) -> str:
+        """What is looked for."""
+        return f"{self.store.record.scenario}: where the pass rate falls through {100 * self.record.level:g} %"
+
+    def next_runs(self, runs: Sequence[Run]) -> list[int]:
+        """Where the next batch of runs of a border is made; empty: enough is known."""
+        if not runs:
+            return self._start
+        posterior = self.curve.posterior(runs)
+        found = self.curve.belief(posterior)
+        if found.high - found.low <= self._enough or max(found.below, found.above) > CONFIDENCE:
+            rise = steepest_rise(runs)
+            half = BATCH // 2
+            return [rise.near] * half + [rise.far] * half if RISING < rise.chance < DOUBTFUL else []
+        return self.curve.most_informative(posterior, BATCH)
+
+    def _check(self) -> None:
+        """Raises StudyError: the points are not those of a study of borders. A study may come from anybody."""
+        expected = enumerate(self.places * self.count)
+        if (
+            self.along.unit is None
+            or len(self.places) < 2
+            or any(high <= low for low, high in pairwise(self.places))
+            or (self.record.log and self.places[0] <= 0.0)
+            or not 0.0 < self.record.level < 1.0
+            or [(point["point"], point[self.along.key]) for point in self.points] != list(expected)
+        ):
+            raise StudyError(f"{self.store.directory} is damaged: its points are not those of a study of borders")
+
+    def rows(self) -> list[Rows]:
+        """Of each border the rows by point and seed. Raises StudyError."""
+        found: list[Rows] = [{} for _ in range(self.count)]
+        for row in self.store.table(["point", "seed", "status", "passed"]).to_pylist():
+            if not 0 <= row["point"] < len(self.points):
+                raise StudyError(f"{self.store.directory} is damaged: it has a run of point {row['point']}")
+            found[row["point"] // len(self.places)][row["point"], row["seed"]] = row
+        return found
+
+    def open(self) -> bool:
+        """Whether runs are missing. Raises StudyError."""
+        rows = self.rows()
+        return any(_Walk(self, number).missing(of) for number, of in enumerate(rows))
+
+    def found(self) -> list[Border]:
+        """What is known of each. Raises StudyError."""
+        return [self._border(number, list(rows.values())) for number, rows in enumerate(self.rows())]
+
+    def verdicts(self, rows: Iterable[Mapping[str, Any]]) -> list[Run]:
+        """The runs that have a verdict."""
+        return [(row["point"] % len(self.places), row["passed"]) for row in rows if row["passed"] is not None]
+
+    def value(self, position: float) -> float:
+        """The value at a position from 0 to 1."""
+        scaled = self._first + position * self._span
+        return float(10.0**scaled) if self.record.log else scaled
+
+    def _border(self, number: int, rows: list[dict[str, Any]]) -> Border:
+        runs = self.verdicts(rows)
+        found = self.curve.belief(self.curve.posterior(runs))
+        first, last = (
+            pass_rate(sum(passed for at, passed in runs if at == end), sum(at == end for at, _ in runs))
+            for end in (0, len(self.places) - 1)
+        )
+        rise = steepest_rise(runs)
+        point = self.points[number * len(self.places)]
+        low = -inf if found.low < 0.0 else self.value(found.low)
+        high = inf if found.high > 1.0 else self.value(found.high)
+        value = self.value(found.border) if 0.0 <= found.border <= 1.0 else float("nan")
+        if found.above > CONFIDENCE:
+            low = value = inf
+        elif found.below > CONFIDENCE:
+            high = value = -inf
+        return Border(
+            {key: point[key] for key in self.keys}, value, low, high, len(runs), len(rows) - len(runs), first, last,
+            (self.places[rise.near], self.places[rise.far]) if rise.chance <= RISING else None,
+        )  # fmt: skip
+
+
+def find_borders(
+    borders: Borders, engine: Engine, tell: Tell, *, modules: Modules = NO_MODULES, timeout_s: float = inf
+) -> None:
+    """Make runs until every border is known well enough, or has used its seeds.
+
+    Args:
+        borders: of a study; rows that it has are not made again.
+        engine: makes the runs.
+        tell: called several times a second.
+        modules: that the runs need, and that are let in.
+        timeout_s: of wall time, for one run.
+
+    Raises:
+        StudyError: rows cannot be written. What was written before stays.
+        KeyboardInterrupt: at any time; rows that were made are written.
+    """
+    store = borders.store
+    walks = [_Walk(borders, number) for number in range(borders.count)]
+    work = Work(store, engine, lambda now: tell(now, known=sum(walk.ended for walk in walks), of=len(walks)), inf)
+    with store.locked():
+        carried = engine.carry(modules)
+        task = partial(Task, name=store.record.scenario, timeout_s=timeout_s, modules=carried)
+        rows = borders.rows()
+        work.progress.runs, work.progress.made = borders.count * len(store.record.seeds), sum(map(len, rows))
+        while True:
+            missing = [run for walk, of in zip(walks, rows, strict=True) for run in walk.missing(of)]
+            work.wait()
+            if not missing:
+                return
+            make_runs(work, borders.points, (task_of(borders.points[point], seed, task) for point, seed in missing))
+            rows = borders.rows()
+
+
+class _Walk:
+    """The runs of one border in their order."""
+
+    def __init__(self, borders: Borders, number: int) -> None:
+        self._borders, self._offset = borders, number * len(borders.places)
+        self._seeds: Iterator[int] = iter(borders.store.record.seeds)
+        self._batch: list[tuple[int, int]] = []
+        self._runs: list[Run] = []
+        self.ended = False
+
+    def missing(self, rows: Rows) -> list[tuple[int, int]]:
+        """Go through what was run, up to the first batch of which runs are missing; (point, seed) of each of them."""
+        while not self.ended:
+            missing = [run for run in self._batch if run not in rows]
+            if missing:
+                return missing
+            self._runs += self._borders.verdicts(rows[run] for run in self._batch)
+            wanted = self._borders.next_runs(self._runs)
+            self._batch = [
+                (self._offset + at, seed) for at, seed in zip(wanted, islice(self._seeds, len(wanted)), strict=False)
+            ]
+            self.ended = not self._batch
+        return []
+
+
+def _scaled(value: float, ratios: bool) -> float:
+    return log(value, 10.0) if ratios else value

@@ -1,0 +1,96 @@
+"""Borders for scripts: `fleet.boundary` finds them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from math import inf
+from pathlib import Path
+from typing import Any
+
+from agents.plugins.trust import NOTHING, Trust
+from fleet.execution.judged import Changes, override_texts
+from fleet.scenario.text.overrides import FAULT, NET, SET, Override
+from fleet.study.border_theory import theory
+from fleet.study.borders import SEEDS, WIDTH, Border, Borders, Tell, find_borders, parse_along, prepare_borders
+from fleet.study.engine import need_extra
+from fleet.study.pictures.border import write_borders
+from fleet.study.plan import Plan, parse_seeds
+from fleet.study.spec import seeds_text
+from fleet.study.store import Store
+from fleet.study.study import Study, engine_of, new_directory
+from fleet.study.values import axis, values_text
+
+
+class Boundary:
+    """A study of a border for scripts."""
+
+    def __init__(self, store: Store) -> None:
+        self.study = Study(store)  # its rows
+        self._borders = Borders(store)
+
+    @property
+    def borders(self) -> list[Border]:
+        """One per combination of the other axes. Raises StudyError."""
+        return self._borders.found()
+
+    def write_picture(self, trust: Trust = NOTHING) -> Path:
+        """Draw the borders, with what theory says of them, as `border.png` in the study's directory.
+
+        Args:
+            trust: which modules may be loaded that are not installed.
+
+        Raises:
+            ScenarioError: a law may not be loaded.
+            StudyError: there is too much for one picture, or the file cannot be written.
+        """
+        return write_borders(self._borders, theory(self._borders, trust))
+
+
+def boundary(
+    scenario: str | Path,
+    along: str,
+    per: Mapping[str, str | Iterable[Any]] | None = None,
+    *,
+    level: float = 0.5,
+    width: float = WIDTH,
+    seeds: int | Sequence[int] = SEEDS,
+    set: Changes = (),
+    net: Iterable[str] = (),
+    fault: Iterable[str] = (),
+    out: str | Path | None = None,
+    workers: int | None = None,
+    scheduler: Any = None,
+    timeout_s: float = inf,
+    trust: Trust = NOTHING,
+    progress: Tell = lambda *_, **__: None,
+) -> Boundary:
+    """Find where the pass rate of a scenario falls through a level.
+
+    Args:
+        scenario: a shipped name or a file.
+        along: what is varied to find the border, such as `network.links.*.loss=0 %..95 %`.
+        per: of what else each combination has a border of its own: values by key, as `fleet.sweep` has them.
+        level: of the pass rate.
+        width: of an interval of 95 % that is narrow enough, as a share of the range.
+        seeds: how many runs a border gets at most, each with a seed of its own, or those seeds.
+        set, net, fault: what is changed for every run, as by the options; `{key}` stands for a varied value.
+        out: the directory of the new study; None: one below `studies`.
+        workers: processes of this machine; None: one per core.
+        scheduler: of a Dask cluster that is there: an address or a cluster object; None: workers of this machine.
+        timeout_s: of wall time, for one run.
+        trust: which modules may run that are neither installed nor the user's own.
+        progress: called several times a second.
+
+    Raises:
+        ScenarioError: with the mistakes of all points.
+        StudyError: the study cannot be made or run.
+    """
+    need_extra()
+    options = ((SET, override_texts(set)), (NET, net), (FAULT, fault))
+    changes = tuple(Override(option, text) for option, texts in options for text in texts)
+    axes = (*(axis(key, values_text(values)) for key, values in (per or {}).items()), parse_along(along, width))
+    plan = Plan(str(scenario), changes, axes, seeds=parse_seeds(seeds_text(seeds)))
+    store, modules = prepare_borders(plan, level, width, Path(out or new_directory(plan.scenario)), trust)
+    with engine_of(workers, scheduler) as engine:
+        find_borders(Borders(store), engine, progress, modules=modules, timeout_s=timeout_s)
+    return Boundary(store)

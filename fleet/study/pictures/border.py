@@ -1,0 +1,237 @@
+"""Borders as a picture: where the pass rate falls through a level, how sure that is, and what theory says."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from math import isfinite
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from fleet.errors import printable
+from fleet.palette import COLOURS
+from fleet.pictures.style import LABEL_PT, LEGEND_PT, NORMAL, PAGE_IN, STYLES, Origin, panels, save
+from fleet.study.border_theory import Theory
+from fleet.study.borders import Border, Borders, Run
+from fleet.study.errors import StudyError
+from fleet.study.store import AxisRecord
+
+MOST_PANELS = 16
+MOST_ROWS = 60  # of borders below each other
+_MARKS = "osDPXhp"  # no triangle: those point outside
+PASSED, FAILED = COLOURS[0], COLOURS[1]
+
+
+class _One(NamedTuple):
+    """A border to draw."""
+
+    border: Border
+    runs: list[Run]
+    theory: Theory
+
+
+def draw_borders(borders: Borders, theories: Sequence[Theory]) -> Figure:
+    """The borders of a study.
+
+    Args:
+        borders: the study.
+        theories: what theory says, border by border.
+
+    Raises:
+        StudyError: there is too much for one picture, or the study is damaged.
+    """
+    runs = [borders.verdicts(rows.values()) for rows in borders.rows()]
+    every = [_One(*one) for one in zip(borders.found(), runs, theories, strict=True)]
+    per = borders.store.record.axes[:-1]
+    varied = [axis for axis in per if len({one.border.values[axis.key] for one in every}) > 1]
+    across = next((axis for axis in varied if axis.unit is not None), None)
+    figure = _below_each_other(borders, every, varied) if across is None else _across(borders, every, varied, across)
+    figure.suptitle(printable(borders.title), fontsize=LEGEND_PT + 1)
+    return figure
+
+
+def write_borders(borders: Borders, theories: Sequence[Theory]) -> Path:
+    """Draw a study of a border as `border.png` in its directory; see `draw_borders`. Returns the path.
+
+    Raises:
+        StudyError: as `draw_borders`, or the file cannot be written.
+    """
+    figure = draw_borders(borders, theories)
+    stem = borders.store.directory / "border"
+    try:
+        (path,) = save(figure, stem, origin=Origin(borders.title, (("scenario", borders.store.record.scenario),)))
+    except OSError as error:
+        raise StudyError(f"cannot write {stem}.png: {error.strerror}") from None
+    return path
+
+
+def _across(borders: Borders, every: Sequence[_One], varied: Sequence[AxisRecord], across: AxisRecord) -> Figure:
+    """One numeric key to the right; the last of the others as lines, the first as columns, the rest as rows."""
+    *outer, lines = [axis for axis in varied if axis is not across] or [across]
+    columns = _kinds(every, outer[:1])
+    rows = _kinds(every, outer[1:])
+    if len(rows) * len(columns) > MOST_PANELS:
+        raise StudyError(f"these are {len(rows) * len(columns)} panels, and a picture has {MOST_PANELS} at most")
+    figure, axes = panels(len(rows), len(columns), PAGE_IN, 2.3 * len(rows) + 0.9)
+    values = sorted({float(one.border.values[across.key]) for one in every})
+    kinds = _kinds(every, [] if lines is across else [lines])
+    for number, ax in enumerate(axes):
+        row, column = divmod(number, len(columns))
+        here = [one for one in every if _is(one, rows[row]) and _is(one, columns[column])]
+        for k, kind in enumerate(kinds):
+            line = sorted((one for one in here if _is(one, kind)), key=lambda one: one.border.values[across.key])
+            shift = 0.16 * (k - (len(kinds) - 1) / 2)
+            _line(ax, borders, line, [values.index(float(one.border.values[across.key])) for one in line], k, shift)
+            if len(kinds) == 1:
+                for at, one in enumerate(line):
+                    _runs(ax, borders, one.runs, at)
+        ax.set_xticks(range(len(values)), [f"{value:g}" for value in values])
+        ax.set_ylim(*_limits(borders))
+        title = ", ".join(filter(None, (_words(borders, columns[column]), _words(borders, rows[row]))))
+        ax.set_title("\n".join(filter(None, (title, _shunting(here)))), fontsize=LABEL_PT + 1)
+        if row == len(rows) - 1:
+            ax.set_xlabel(_label(across))
+        if column == 0:
+            ax.set_ylabel(_label(borders.along))
+    _legend(borders, figure, kinds, any(one.theory.reckoning is not None for one in every), single=len(kinds) == 1)
+    return figure
+
+
+def _line(ax: Axes, borders: Borders, line: Sequence[_One], at: Sequence[int], k: int, shift: float) -> None:
+    """The borders along one line, each with its interval, and the rule of dead reckoning."""
+    bottom, top = borders.places[0], borders.places[-1]
+    colour = COLOURS[k % len(COLOURS)]
+    x = [place + shift for place in at]
+    y = [_clip(one.border, bottom, top) for one in line]
+    low = [max(bottom, min(one.border.low, top)) for one in line]
+    high = [min(top, max(one.border.high, bottom)) for one in line]
+    ax.fill_between(x, low, high, color=colour, alpha=0.12, linewidth=0)
+    ax.plot(x, y, color=colour, linestyle=_style(k), linewidth=NORMAL)
+    for place, one, value, least, most in zip(x, line, y, low, high, strict=True):
+        mark = {"above": "^", "below": "v"}.get(one.border.where, _MARKS[k % len(_MARKS)])
+        ax.plot([place, place], [least, most], color=colour, linewidth=NORMAL)
+        face = "white" if one.theory.stable is False else colour
+        ax.plot([place], [value], mark, color=colour, markerfacecolor=face, markersize=4, clip_on=False, zorder=4)
+    rule = [(place, one.theory.reckoning) for place, one in zip(at, line, strict=True)]
+    known = [(place, borders.places[min(end, len(borders.places) - 1)]) for place, end in rule if end is not None]
+    if known:
+        ax.plot(*zip(*known, strict=True), color="0.3", linestyle=":", linewidth=NORMAL + 0.4, zorder=3)
+
+
+def _below_each_other(borders: Borders, every: Sequence[_One], varied: Sequence[AxisRecord]) -> Figure:
+    """A row per border: its interval, and the runs that passed above it, those that failed below."""
+    if len(every) > MOST_ROWS:
+        raise StudyError(f"these are {len(every)} borders, and a picture has {MOST_ROWS} below each other at most")
+    figure, (ax,) = panels(1, 1, PAGE_IN, 0.45 * len(every) + 1.3)
+    bottom, top = borders.places[0], borders.places[-1]
+    for row, one in enumerate(every):
+        low, high = max(bottom, min(one.border.low, top)), min(top, max(one.border.high, bottom))
+        ax.plot([low, high], [row, row], color="black", linewidth=2.0, solid_capstyle="butt")
+        mark = {"above": ">", "below": "<"}.get(one.border.where, "o")
+        face = "white" if one.theory.stable is False else "black"
+        ax.plot([_clip(one.border, bottom, top)], [row], mark, color="black", markerfacecolor=face, clip_on=False)
+        if one.theory.reckoning is not None and one.theory.reckoning < len(borders.places):
+            ax.plot([borders.places[one.theory.reckoning]] * 2, [row - 0.4, row + 0.4], ":", color="0.3")
+        for passed, side, colour in ((True, -1, PASSED), (False, 1, FAILED)):
+            seen: dict[int, int] = {}
+            for place, how in one.runs:
+                if how is passed:
+                    seen[place] = seen.get(place, 0) + 1
+                    ax.plot([borders.places[place]], [row + side * (0.1 + 0.07 * min(seen[place], 5))], ".",
+                            color=colour, markersize=3)  # fmt: skip
+    ax.set_yticks(range(len(every)), [_words(borders, kind) for kind in _kinds(every, varied)])
+    ax.set_ylim(len(every) - 0.4, -0.6)
+    ax.set_xlim(*_limits(borders))
+    ax.set_xlabel(_label(borders.along))
+    _legend(borders, figure, [{}], any(one.theory.reckoning is not None for one in every), single=True)
+    return figure
+
+
+def _runs(ax: Axes, borders: Borders, runs: Sequence[Run], at: int) -> None:
+    """Where runs were made: those that passed to the left, those that failed to the right."""
+    seen: dict[Run, int] = {}
+    for place, passed in runs:
+        seen[place, passed] = number = seen.get((place, passed), 0) + 1
+        side = -1 if passed else 1
+        ax.plot([at + side * (0.08 + 0.05 * min(number, 6))], [borders.places[place]], ".", markersize=3,
+                color=PASSED if passed else FAILED)  # fmt: skip
+
+
+def _legend(
+    borders: Borders, figure: Figure, kinds: Sequence[dict[str, float | str]], reckoning: bool, *, single: bool
+) -> None:
+    handles = [
+        Line2D([], [], color=COLOURS[k % len(COLOURS)], linestyle=_style(k), marker=_MARKS[k % len(_MARKS)],
+               markersize=4, label=_words(borders, kind))
+        for k, kind in enumerate(kinds) if kind
+    ]  # fmt: skip
+    if single:
+        handles += [
+            Line2D([], [], color=colour, linestyle="", marker=".", label=label)
+            for colour, label in ((PASSED, "run that passed"), (FAILED, "run that failed"))
+        ]
+    hollow = Line2D([], [], color="0.3", linestyle="", marker="o", markerfacecolor="white", markersize=4,
+                    label="hollow: the linear loop is unstable without loss")  # fmt: skip
+    handles += [hollow, Line2D([], [], color="0.3", linestyle="", marker="^", markersize=4, label="beyond the range")]
+    if reckoning:
+        handles.append(Line2D([], [], color="0.3", linestyle=":", label="K τ ρ(A) = 1, τ with mean age under loss"))
+    figure.legend(handles=handles, loc="outside lower center", ncols=3, fontsize=LABEL_PT + 0.5)
+
+
+def _style(k: int) -> Any:
+    return STYLES[k % len(STYLES)]
+
+
+def _shunting(ones: Sequence[_One]) -> str:
+    """K lambda_max and a, if all of a panel have the same."""
+    rules = {one.theory.shunting for one in ones}
+    if len(rules) != 1 or (rule := rules.pop()) is None:
+        return ""
+    return f"K λ$_{{max}}$ = {rule[0]:.3g}, a = {rule[1]:g} 1/s"
+
+
+def _kinds(every: Sequence[_One], axes: Sequence[AxisRecord]) -> list[dict[str, float | str]]:
+    """The combinations of values of some keys, in their order."""
+    found: list[dict[str, float | str]] = []
+    for one in every:
+        kind = {axis.key: one.border.values[axis.key] for axis in axes}
+        if kind not in found:
+            found.append(kind)
+    return found
+
+
+def _is(one: _One, kind: dict[str, float | str]) -> bool:
+    return all(one.border.values[key] == value for key, value in kind.items())
+
+
+def _clip(border: Border, bottom: float, top: float) -> float:
+    if isfinite(border.value):
+        return border.value
+    return top if border.where == "above" or border.low > bottom else bottom
+
+
+def _limits(borders: Borders) -> tuple[float, float]:
+    room = 0.04 * (borders.places[-1] - borders.places[0])
+    return borders.places[0] - room, borders.places[-1] + room
+
+
+def _label(axis: AxisRecord) -> str:
+    return printable(_short(axis.key)) + (f" [{axis.unit}]" if axis.unit else "")
+
+
+def _words(borders: Borders, kind: Mapping[str, float | str]) -> str:
+    """Values of some keys, with units."""
+    units = {axis.key: axis.unit for axis in borders.store.record.axes}
+    parts = [
+        f"{_short(key)} {value}" if isinstance(value, str) else f"{_short(key)} {value:g} {units[key]}".rstrip()
+        for key, value in kind.items()
+    ]
+    return printable(", ".join(parts))
+
+
+def _short(key: str) -> str:
+    """The last word of a key, as titles have it."""
+    return key.rpartition(".")[2]

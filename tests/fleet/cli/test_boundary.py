@@ -1,0 +1,93 @@
+"""`fleet boundary` as people type it: its table, its document, its errors, and a study that goes on."""
+
+from __future__ import annotations
+
+from contextlib import nullcontext
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+from click.testing import CliRunner, Result
+from small_scenario import SMALL
+from study_engine import Drawn
+
+from fleet.cli.documents.boundary import BoundaryFound
+from fleet.cli.main import cli
+
+ARGS = [
+    "small.yaml",
+    "--along",
+    "loss=0 %..90 %/10 %",
+    "--per",
+    "delay=0 s,1 s",
+    "--net",
+    "* loss {loss} delay {delay}",
+]
+
+
+@pytest.fixture(autouse=True)
+def engines(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[Drawn]:
+    """The engines that were used: with a delay of 1 s everything fails, else what has 40 % of loss or more."""
+    used: list[Drawn] = []
+
+    def engine_of(*_: Any, **__: Any) -> Any:
+        used.append(Drawn(lambda text, _: "1s" not in text and any(f"loss {k}%" in text for k in (0, 10, 20, 30))))
+        return nullcontext(used[-1])
+
+    monkeypatch.setattr("fleet.study.study.engine_of", engine_of)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "80")
+    Path("small.yaml").write_text(SMALL, "utf-8")
+    return used
+
+
+def boundary(*args: str) -> Result:
+    return CliRunner().invoke(cli, ["boundary", *args])
+
+
+def test_the_table_the_picture_and_the_directory() -> None:
+    result = boundary(*ARGS)
+    assert result.exit_code == 0, result.output
+    (directory,) = Path("studies").iterdir()
+    lines = result.stdout.splitlines()
+    assert lines[0] == "small: where the pass rate falls through 50 %"
+    assert lines[-1] == str(directory)
+    first, second = lines[3:5]
+    assert first.split()[0] == "0"
+    low, high = map(float, first.split()[2].split(".."))
+    assert low < 35.0 < high
+    assert second.split() == ["1", "under", "0", "8", "0", "0..43"]
+    assert (directory / "border.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_study_that_is_whole_starts_no_worker_and_prints_a_document(engines: list[Drawn]) -> None:
+    directory = boundary(*ARGS).stdout.splitlines()[-1]
+    result = boundary(directory, "--json")
+    assert len(engines) == 1
+    found = msgspec.json.decode(result.stdout, type=BoundaryFound)
+    assert found.directory == directory
+    assert [border.where for border in found.borders] == ["within", "below"]
+    assert found.borders[1].value is None
+    assert found.borders[1].first.high == pytest.approx(0.434, abs=0.001)
+    min((Path(directory) / "runs").iterdir()).unlink()
+    boundary(directory)
+    assert len(engines[1].tasks) == 8  # the first round of both
+
+
+@pytest.mark.parametrize(
+    ("args", "message"),
+    [
+        (["small.yaml"], "along what? give --along"),
+        (["small.yaml", "--along", "loss=0 %..9 %"], "unknown key"),
+        (["small.yaml", "--along", "loss=0 %..9 % latin 3", "--net", "* loss {loss}"], "are not drawn"),
+        (["small.yaml", "--along", "loss=0 %..9 %", "--net", "* loss {loss}", "--level", "2"], "between 0 and 1"),
+        (["."], "is no study: it has no study.json"),
+        ([".", "--level", "0.9"], "what it runs is settled"),
+    ],
+)
+def test_mistakes_are_usage(args: list[str], message: str) -> None:
+    result = boundary(*args)
+    assert result.exit_code == 2
+    assert message in result.stderr
+    assert not Path("studies").exists()

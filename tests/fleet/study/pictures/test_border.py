@@ -1,0 +1,83 @@
+"""Pictures of borders: what is drawn where, and what is too much."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import pytest
+from small_scenario import SMALL
+from study_engine import Drawn
+
+from fleet.scenario.text.overrides import NET, SET, Override
+from fleet.study.border_theory import Theory
+from fleet.study.borders import Borders, find_borders, parse_along, prepare_borders
+from fleet.study.errors import StudyError
+from fleet.study.pictures.border import draw_borders
+from fleet.study.plan import Plan
+from fleet.study.values import parse_axis
+
+DELAY, HOW = "delay=0 ms, 100 ms, 1 s", "neighbours.extrapolate=hold, neighbour"
+
+
+@pytest.fixture(autouse=True)
+def small_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("small.yaml").write_text(SMALL, "utf-8")
+
+
+def borders_of(per: Sequence[str], *, run: bool = True) -> Borders:
+    """Borders at a loss of 50 %, and with a delay of 1 s below 0 %."""
+    changes = (Override(NET, "* delay {delay} loss {loss}"), Override(SET, "duration=2 s"))
+    axes = (*map(parse_axis, per), parse_along("loss=0 %..90 %/10 %"))
+    if not any(text.startswith("delay") for text in per):
+        changes = (Override(NET, "* loss {loss}"), changes[1])
+    store, _ = prepare_borders(Plan("small.yaml", changes, axes, seeds=tuple(range(40))), 0.5, 0.1, Path("study"))
+    borders = Borders(store)
+    if run:
+        passes = Drawn(lambda text, _: "delay 1s" not in text and any(f"loss {k}%" in text for k in range(51)))
+        find_borders(borders, passes, lambda *_, **__: None)  # type: ignore[arg-type]
+    return borders
+
+
+def said(borders: Borders) -> list[Theory]:
+    return [Theory((8.0, 10.0), number % 2 == 0, 30) for number in range(borders.count)]
+
+
+def test_one_key_goes_to_the_right_and_runs_are_marked() -> None:
+    borders = borders_of([DELAY])
+    figure = draw_borders(borders, said(borders))
+    (ax,) = figure.axes
+    assert ax.get_xlabel() == "delay [ms]"
+    assert ax.get_ylabel() == "loss [%]"
+    assert [label.get_text() for label in ax.get_xticklabels()] == ["0", "100", "1000"]
+    line = next(line for line in ax.lines if len(line.get_xdata()) == 3)
+    heights = [float(y) for y in line.get_ydata()]  # type: ignore[union-attr]
+    assert heights[:2] == [pytest.approx(55.0, abs=5.0)] * 2
+    assert heights[2] == 0.0
+    dots = [line for line in ax.lines if line.get_marker() == "."]
+    assert len(dots) == sum(border.runs for border in borders.found())
+    assert "a = 10" in ax.get_title()
+
+
+def test_further_keys_are_lines_columns_and_rows() -> None:
+    borders = borders_of([DELAY, "network.period=50 ms, 100 ms", HOW], run=False)
+    figure = draw_borders(borders, said(borders))
+    assert [ax.get_title().split("\n")[0] for ax in figure.axes] == ["period 50 ms", "period 100 ms"]
+    (legend,) = figure.legends
+    assert [text.get_text() for text in legend.get_texts()][:2] == ["extrapolate hold", "extrapolate neighbour"]
+
+
+def test_words_alone_stand_below_each_other() -> None:
+    borders = borders_of([HOW])
+    figure = draw_borders(borders, said(borders))
+    (ax,) = figure.axes
+    assert [label.get_text() for label in ax.get_yticklabels()] == ["extrapolate hold", "extrapolate neighbour"]
+    assert ax.get_xlabel() == "loss [%]"
+
+
+def test_too_much_for_a_picture_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("fleet.study.pictures.border.MOST_PANELS", 1)
+    borders = borders_of([DELAY, "network.period=50 ms, 100 ms", HOW], run=False)
+    with pytest.raises(StudyError, match="these are 2 panels, and a picture has 1 at most"):
+        draw_borders(borders, said(borders))

@@ -1,0 +1,202 @@
+"""A study of a border: the same rows in whatever order and however often interrupted, and what it says of them."""
+
+from __future__ import annotations
+
+import re
+from math import inf, isnan
+from pathlib import Path
+from random import Random
+from typing import Any
+
+import pytest
+from pandas.testing import assert_frame_equal
+from small_scenario import SMALL
+from study_engine import Drawn, Here
+
+import fleet
+from fleet.execution.judged import run
+from fleet.scenario.text.overrides import NET, SET, Override
+from fleet.study.borders import Borders, find_borders, parse_along, prepare_borders
+from fleet.study.errors import StudyError
+from fleet.study.plan import Plan
+from fleet.study.store import BorderRecord
+from fleet.study.sweep import run_study
+from fleet.study.values import parse_axis
+
+LINKS = Override(NET, "* delay {delay} loss {loss}")
+
+
+@pytest.fixture(autouse=True)
+def small_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("small.yaml").write_text(SMALL, "utf-8")
+
+
+def prepared(name: str, seeds: int = 40, along: str = "loss=0 %..95 %") -> Borders:
+    axes = (parse_axis("delay=100 ms, 200 ms"), parse_along(along))
+    plan = Plan("small.yaml", (LINKS,), axes, seeds=tuple(range(1, seeds + 1)))
+    store, _ = prepare_borders(plan, 0.5, 0.1, Path(name))
+    return Borders(store)
+
+
+def loss_of(text: str) -> float:
+    found = re.search(r"loss ([\d.]+)\s?%", text)
+    return float(found[1]) if found else 0.0
+
+
+def breaks_at_40(text: str, seed: int) -> bool:
+    """Each seed has its own threshold; with 200 ms of delay all are 30 % lower."""
+    return loss_of(text) < Random(seed).gauss(40.0 if "delay 100" in text else 10.0, 4.0)
+
+
+def quiet(*_: Any, **__: Any) -> None:
+    pass
+
+
+def found(name: str, engine: Here, **how: Any) -> Borders:
+    borders = prepared(name, **how)
+    find_borders(borders, engine, quiet)  # type: ignore[arg-type]
+    return borders
+
+
+def test_borders_are_found_with_few_runs() -> None:
+    borders = found("a", Drawn(breaks_at_40))
+    first, second = borders.found()
+    assert first.values == {"delay": 100.0}
+    assert first.low < 40.0 < first.high
+    assert second.low < 10.0 < second.high
+    assert first.where == second.where == "within"
+    assert first.high - first.low <= 9.5
+    assert first.runs < 40
+    assert not borders.open()
+    assert {row["seed"] for row in borders.rows()[0].values()} == set(range(1, first.runs + 1))  # each seed once
+
+
+def test_rows_do_not_depend_on_order_and_interruptions() -> None:
+    whole = found("a", Drawn(breaks_at_40)).store
+    borders = prepared("b")
+    with pytest.raises(KeyboardInterrupt):
+        find_borders(borders, Drawn(breaks_at_40, backwards=True, most=21), quiet)  # type: ignore[arg-type]
+    assert len(borders.store.done()) == 21
+    rest = Drawn(breaks_at_40, backwards=True)
+    find_borders(Borders(borders.store), rest, quiet)  # type: ignore[arg-type]
+    assert_frame_equal(whole.frame(), borders.store.frame(), check_exact=True)
+    assert len(rest.tasks) == len(whole.done()) - 21  # nothing is made twice
+
+
+def test_a_border_outside_says_so_with_the_bound_that_can_be_claimed() -> None:
+    above, below = found("a", Drawn(lambda text, _: "delay 100" in text)).found()
+    assert (above.where, above.value, above.low, above.high) == ("above", inf, inf, inf)
+    assert (below.where, below.value, below.low, below.high) == ("below", -inf, -inf, -inf)
+    assert above.runs == below.runs == 8
+    assert above.last.runs == below.first.runs == 5
+    assert above.last.value == 1.0 and 0.5 < above.last.low < 0.6  # Wilson, five of five
+    assert below.first.value == 0.0
+
+
+def test_what_rises_is_told() -> None:
+    first, _ = found("a", Drawn(lambda text, seed: loss_of(text) > 50.0 or seed > 999)).found()
+    assert first.rising is not None
+    assert first.rising[0] <= 50.0 < first.rising[1]
+
+
+def test_runs_without_a_result_use_their_seeds() -> None:
+    first, _ = found("a", Drawn(lambda *_: None), seeds=6).found()
+    assert (first.runs, first.failed, first.where) == (0, 6, "open")
+    assert isnan(first.first.value)
+
+
+def test_equal_ratios_are_equally_far_apart() -> None:
+    def breaks(text: str, seed: int) -> bool:
+        delay = re.search(r"delay ([\d.]+)\s?(ms|s)", text)
+        assert delay
+        return float(delay[1]) * (1000.0 if delay[2] == "s" else 1.0) < Random(seed).gauss(100.0, 5.0)
+
+    axes = (parse_along("delay=10 ms..1000 ms log 41"),)
+    plan = Plan("small.yaml", (Override(NET, "* delay {delay}"),), axes, seeds=tuple(range(1, 41)))
+    store, _ = prepare_borders(plan, 0.5, 0.1, Path("a"))
+    borders = Borders(store)
+    find_borders(borders, Drawn(breaks), quiet)  # type: ignore[arg-type]
+    (only,) = borders.found()
+    assert 70.0 < only.low < 100.0 < only.high < 140.0
+    assert only.high / only.low < 1.6  # a tenth of two decades
+
+
+def test_a_row_is_a_run() -> None:
+    changes = Override(SET, "checks={formation_error: {below: 0.9 m, after: 0.9 s}}")
+    plan = Plan(
+        "small.yaml", (LINKS, changes), (parse_axis("delay=50 ms"), parse_along("loss=0 %, 80 %")), seeds=(3, 4)
+    )
+    store, _ = prepare_borders(plan, 0.5, 0.1, Path("a"))
+    find_borders(Borders(store), Here(), quiet)  # type: ignore[arg-type]
+    rows = store.table().to_pylist()
+    assert [(row["loss"], row["seed"]) for row in rows] == [(0.0, 3), (80.0, 4)]
+    direct = run("small.yaml", set=[changes.text, "network.links={'*': delay 50ms loss 80%}"], seed=4)
+    assert rows[1]["digest"] == direct.digest
+    assert rows[1]["passed"] == direct.passed
+
+
+@pytest.mark.parametrize(
+    ("along", "message"),
+    [
+        ("loss=0 %..50 % random 9", "are not drawn"),
+        ("controller=nboc, bc", "expected a range such as"),
+        ("loss=0 %", "expected a range such as"),
+        ("loss=10 %, 5 %", "or rising numbers"),
+        ("loss", "expected KEY=VALUES"),
+    ],
+)
+def test_what_no_border_can_lie_along(along: str, message: str) -> None:
+    with pytest.raises(StudyError, match=message):
+        parse_along(along)
+
+
+def test_levels_and_widths_are_checked() -> None:
+    plan = Plan("small.yaml", (Override(NET, "* loss {loss}"),), (parse_along("loss=0 %..9 %"),))
+    with pytest.raises(StudyError, match="level must be between 0 and 1"):
+        prepare_borders(plan, 0.0, 0.1, Path("a"))
+    assert not Path("a").exists()
+    with pytest.raises(StudyError, match="a share of the range"):
+        parse_along("loss=0 %..9 %", 1.0)
+
+
+@pytest.mark.parametrize(
+    ("text", "width", "count", "second"),
+    [
+        ("loss=0 %..95 %", 0.1, 20, "5 %"),
+        ("delay=0..2 s", 0.1, 21, "0.1 s"),
+        ("delay=0..2 s", 0.02, 101, "0.02 s"),
+        ("k=0..0.01371", 0.1, 16, "0.000914"),  # no round step meets the end
+    ],
+)
+def test_a_range_gets_steps_that_are_narrow_enough(text: str, width: float, count: int, second: str) -> None:
+    values = parse_along(text, width).values
+    assert len(values) == count
+    assert values[1].text == second
+
+
+def test_a_sweep_is_no_study_of_a_border_and_the_other_way_round() -> None:
+    borders = prepared("a")
+    with pytest.raises(StudyError, match="fleet boundary a goes on with it"):
+        run_study(borders.store, Here(), quiet)  # type: ignore[arg-type]
+    borders.store.record.border = None
+    with pytest.raises(StudyError, match="fleet sweep a goes on with it"):
+        Borders(borders.store)
+
+
+@pytest.mark.parametrize("record", [BorderRecord(7.0, 0.1, False), BorderRecord(0.5, 0.1, True)])
+def test_a_damaged_study_is_said(record: BorderRecord) -> None:
+    store = prepared("a").store
+    store.record.border = record  # a level beyond 1; equal ratios from 0 on
+    with pytest.raises(StudyError, match="a is damaged"):
+        Borders(store)
+
+
+def test_scripts_have_borders_rows_and_a_picture(monkeypatch: pytest.MonkeyPatch) -> None:
+    from contextlib import nullcontext
+
+    monkeypatch.setattr("fleet.study.boundary.engine_of", lambda *_: nullcontext(Drawn(breaks_at_40)))
+    made = fleet.boundary("small.yaml", "loss=0 %..95 %", {"delay": ["100 ms", "200 ms"]}, net=[LINKS.text], out="a")
+    assert [round(border.value, -1) for border in made.borders] == [40.0, 10.0]
+    assert set(made.study.to_pandas()["delay"]) == {100.0, 200.0}
+    assert made.write_picture() == Path("a/border.png")

@@ -18,6 +18,7 @@ from fleet.cli.documents.check import Checked
 from fleet.cli.documents.listing import Scenarios
 from fleet.cli.documents.logs import Compared, LogContents, Verified
 from fleet.cli.documents.result import Ran
+from fleet.cli.documents.search import FirstFailing
 from fleet.cli.documents.study import Less, Swept
 from fleet.cli.documents.what_if import OtherCommands
 
@@ -40,6 +41,7 @@ DOCUMENTS: dict[str, type[Struct]] = {
     "ls": runs.Runs,
     "ps": live.LiveRuns,
     "run": Ran,
+    "search": FirstFailing,
     "shrink": Less,
     "status": live.Status,
     "stop": live.Stopping,

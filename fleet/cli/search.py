@@ -70,7 +70,7 @@ def search(
     from fleet.study.search import search as first_that_fails
     from fleet.study.shrink import Shrinker
 
-    changes = [*overrides, *net, *fault]
+    changes: list[str | Override] = [*overrides, *net, *fault]
     tried = load_scenario(scenario, changes, trust)
     if nemesis:
         tried = load_scenario(scenario, [*changes, nemesis_of(tried)], trust)

@@ -12,6 +12,7 @@ from fleet.bench.profile import Profiled
 from fleet.bench.scale import Scaled
 from fleet.bench.soak import Soaked
 from fleet.bench.stress import Stressed
+from fleet.bench.studies import StudyMeasured
 from fleet.bench.wall_clock import OnWallClock
 from fleet.cli.documents import live, runs
 from fleet.cli.documents.check import Checked
@@ -30,6 +31,7 @@ DOCUMENTS: dict[str, type[Struct]] = {
     "bench scale": Scaled,
     "bench soak": Soaked,
     "bench stress": Stressed,
+    "bench study": StudyMeasured,
     "check": Checked,
     "clock": live.ClockSet,
     "diff": Compared,

@@ -6,12 +6,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from msgspec import Meta, Struct
+from msgspec.structs import astuple
 
 from fleet.cli.documents.study import Less, less
 
 if TYPE_CHECKING:
     from fleet.study.search import Searched
     from fleet.study.shrink import Shrunk
+
+
+class Least(Less):
+    """The least scenario that fails, as of `fleet shrink`."""
 
 
 class FirstFailing(Struct):
@@ -27,12 +32,12 @@ class FirstFailing(Struct):
     most_failures: Annotated[
         float | None, Meta(description="If none failed: the share of such runs that may fail at most, 95 % sure.")
     ]
-    least: Annotated[Less | None, Meta(description="The least scenario that fails, as of `fleet shrink`.")]
+    least: Annotated[Least | None, Meta(description="The least scenario that fails; null: none does.")]
 
 
 def first_failing(found: Searched, shrunk: Shrunk | None, file: Path) -> FirstFailing:
     """The document of a search, and of what was made of the run that it found."""
-    least = None if shrunk is None or found.scenario is None else less(shrunk, found.scenario, file)
+    least = None if shrunk is None or found.scenario is None else Least(*astuple(less(shrunk, found.scenario, file)))
     return FirstFailing(
         found.name, found.first_seed, found.runs, found.without, found.reason, found.seed, found.check or None,
         found.most_failures, least,

@@ -262,6 +262,46 @@ def scale(agents: list[int], tick: str, picture: Path | None, output: Path | Non
         draw(rows, picture)
 
 
+@bench.command()
+@click.option("--runs", type=click.IntRange(1), default=20, show_default=True, help="Of each repeat; there are three.")
+@click.option(
+    "--duration", metavar="SECONDS", type=click.FloatRange(0.01, 1e6), default=20.0, show_default=True,
+    help="Of a run, simulated.",
+)  # fmt: skip
+@click.option("--workers", metavar="N", type=click.IntRange(1, 1024), default=2, show_default=True,
+              help="Measure so many workers besides one.")  # fmt: skip
+@click.option("--memory", metavar="RUNS", type=click.IntRange(10),
+              help="Instead, make so many short runs with one worker, and say how much memory it takes.")  # fmt: skip
+@_output
+@json_option
+def study(runs: int, duration: float, workers: int, memory: int | None, output: Path | None, as_json: bool) -> None:
+    """Measure what a run of a study costs beside the bare run, and how much faster more workers are.
+
+    The runs of fleet sweep, and of fleet search and shrink, are compared with concurrent.futures, and with joblib
+    where it is installed. Needs pip install 'uuv-fleet[study]'.
+
+    \b
+    Examples:
+      fleet bench study
+      fleet bench study --runs 5 --duration 60
+      fleet bench study --memory 10000
+    """
+    from fleet.bench.studies import measure_memory, measure_study, show_memory, show_study
+    from fleet.study.engine import need_extra
+
+    need_extra()
+    if memory is not None:
+        many = measure_memory(memory)
+        _give(many, output, as_json=as_json)
+        if not as_json:
+            show_memory(many, stdout())
+        return
+    measured = measure_study(runs, duration, workers, say=_say)
+    _give(measured, output, as_json=as_json)
+    if not as_json:
+        show_study(measured, stdout())
+
+
 def _give(document: Struct, output: Path | None, *, as_json: bool) -> None:
     """Print a document, or write it, or both."""
     if output is not None:

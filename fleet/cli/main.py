@@ -23,6 +23,7 @@ from fleet.cli import (
     run,
     runs,
     schema,
+    search,
     shrink,
     status,
     sweep,
@@ -166,8 +167,8 @@ def list_(as_json: bool) -> None:
 
 
 _MODULES = (
-    bench, boundary, hosts, join, live, logs, new, protocol, replay, reproduce, run, runs, schema, shrink, status,
-    sweep, verify, view, what_if,
+    bench, boundary, hosts, join, live, logs, new, protocol, replay, reproduce, run, runs, schema, search, shrink,
+    status, sweep, verify, view, what_if,
 )  # fmt: skip
 for _module in _MODULES:
     for _command in _module.COMMANDS:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -17,6 +19,7 @@ if TYPE_CHECKING:
     from agents.plugins.trust import Trust
     from fleet.scenario.scenario import Scenario
     from fleet.scenario.text.overrides import Override
+    from fleet.study.shrink import Shrunk
 
 MOST_RUNS = 2000
 
@@ -58,31 +61,14 @@ def shrink(
       fleet shrink nemesis --set seed=7 --check formation_error
       fleet shrink my.yaml --out least.yaml
     """
-    from fleet.study.engine import need_extra
-
-    need_extra()
-    from rich.console import Console as Terminal
-
-    from fleet.study.errors import StudyError
+    from fleet.study.local_engine import small_engine
     from fleet.study.modules import modules_of
     from fleet.study.shrink import Shrinker
-    from fleet.study.study import engine_of
-    from fleet.terminal.fitting import Piece
-    from fleet.terminal.status_line import StatusLine
 
     scenario, folder = _scenario(failing, [*overrides, *net, *fault], trust)
-    path = out or Path(f"{scenario.name}-least.yaml")
-    if not path.parent.is_dir():
-        raise StudyError(f"{path} cannot be written: there is no folder {path.parent}")
-    if path.exists() and not force:
-        raise StudyError(f"{path} is there already: choose another file with --out, or --force")
+    path = place_of(scenario, out, force=force)
     modules = modules_of([scenario], folder)
-    with StatusLine(Terminal(stderr=True), quiet=False) as line, engine_of(workers, None) as engine:
-
-        def tell(doing: str, runs: int) -> None:
-            if line.due():
-                line.show([Piece(0, [f"{runs} runs"]), Piece(1, [doing])])
-
+    with telling() as tell, small_engine(workers) as engine:
         found = Shrinker(scenario, engine, tell, modules).shrink(check, most_runs)
     path.write_text(found.scenario.to_yaml(), "utf-8")
     if as_json:
@@ -90,14 +76,48 @@ def shrink(
 
         print_document(less(found, scenario, path))
     else:
-        first, last = found.found
-        say(f"{scenario.name} fails {found.check} with {first}, the least scenario with {last}; {found.runs} runs")
-        for step in found.steps:
-            say(f"  {step}")
-        if not found.steps:
-            say("  nothing can be left out")
-        click.echo(path)
+        show_least(scenario, found, path)
+
+
+def place_of(scenario: Scenario, out: Path | None, *, force: bool) -> Path:
+    """Where the least scenario goes. Raises StudyError: it cannot be written."""
+    from fleet.study.errors import StudyError
+
+    path = out or Path(f"{scenario.name}-least.yaml")
+    if not path.parent.is_dir():
+        raise StudyError(f"{path} cannot be written: there is no folder {path.parent}")
+    if path.exists() and not force:
+        raise StudyError(f"{path} is there already: choose another file with --out, or --force")
+    return path
+
+
+@contextmanager
+def telling() -> Iterator[Callable[[str, int], None]]:
+    """A function that shows what is being tried and how many runs were made; call it as often as you like."""
+    from rich.console import Console as Terminal
+
+    from fleet.terminal.fitting import Piece
+    from fleet.terminal.status_line import StatusLine
+
+    with StatusLine(Terminal(stderr=True), quiet=False) as line:
+
+        def tell(doing: str, runs: int) -> None:
+            if line.due():
+                line.show([Piece(0, [f"{runs} runs"]), Piece(1, [doing])])
+
+        yield tell
+
+
+def show_least(scenario: Scenario, found: Shrunk, path: Path) -> None:
+    """Say what was made less, and where the least scenario is."""
+    first, last = found.found
+    say(f"{scenario.name} fails {found.check} with {first}, the least scenario with {last}; {found.runs} runs")
+    for step in found.steps:
+        say(f"  {step}")
+    if not found.steps:
+        say("  nothing can be left out")
     say(f"fleet run {path} fails it, too", err=True)
+    click.echo(path)
 
 
 def _scenario(name: str, changes: list[str | Override], trust: Trust) -> tuple[Scenario, Path | None]:

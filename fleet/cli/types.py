@@ -66,6 +66,28 @@ class Duration(click.ParamType[int]):
         return ns
 
 
+class Budget(click.ParamType[tuple[float, float]]):
+    """A number of runs, or a wall time with a unit: the most runs, and the most seconds; one of them is inf."""
+
+    name = "runs|time"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[float, float]:
+        from math import inf
+
+        from fleet.quantities import QuantityError, time_ns
+
+        if isinstance(value, tuple):
+            return value
+        text = str(value).strip()
+        try:
+            found = (int(text), inf) if text.isascii() and text.isdigit() else (inf, time_ns(text) / 1e9)
+        except (QuantityError, ValueError):
+            found = 0, 0
+        if min(found) <= 0:
+            self.fail(f"expected a number of runs such as 200, or a time such as '10 min', got {value!r}", param, ctx)
+        return found
+
+
 class Speed(click.ParamType[float | None]):
     """A factor of real time from a millionth to a million, or max."""
 

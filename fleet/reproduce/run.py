@@ -3,21 +3,16 @@
 from __future__ import annotations
 
 import multiprocessing
-import os
-import signal
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
-from concurrent.futures.process import BrokenProcessPool
-from contextlib import AbstractContextManager, contextmanager
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from fleet.errors import FleetError
-from fleet.processes.interrupts import HungUp, blocked
-from fleet.processes.parent_death import die_with_parent
+from fleet.processes.interrupts import HungUp
+from fleet.processes.workers import WorkerDied, Workers
 from fleet.reproduce.cases import CASES, Outcome, U, run_case
 from fleet.reproduce.claims import judge
 from fleet.reproduce.figures import FIGURES, draw
@@ -52,16 +47,14 @@ def reproduce(
     except OSError as error:
         raise ReproduceError(f"cannot make {folder}: {error.strerror}") from None
     network = _network_check(tell) if any(CASES[name].group == "network" for name in names) else ""
-    context = multiprocessing.get_context("spawn")
-    os.environ["PYTHONSAFEPATH"] = "1"  # or a `socket.py` in the current directory would be taken for Python's
-    times = context.Array("d", len(names))
+    times = multiprocessing.get_context("spawn").Array("d", len(names))
     try:
-        with _pool(jobs, context, times) as pool:
-            outcomes = _run_all(pool, names, times, tell)
+        with Workers(jobs, partial(_share, times)) as workers:
+            outcomes = _run_all(workers, names, times, tell)
             figures = [name for name in FIGURES if _possible(name, outcomes)]
-            drawn = _draw_all(pool, figures, outcomes, folder, formats, tell)
-    except BrokenProcessPool:
-        raise ReproduceError("a worker process died; is there enough memory?") from None
+            drawn = _draw_all(workers, figures, outcomes, folder, formats, tell)
+    except WorkerDied:
+        raise ReproduceError("a worker process died three times; is there enough memory?") from None
     claims = judge(outcomes)
     try:
         return write(folder, outcomes, claims, network, drawn), claims, outcomes
@@ -69,55 +62,32 @@ def reproduce(
         raise ReproduceError(f"cannot write the report into {folder}: {error.strerror}") from None
 
 
-@contextmanager
-def _pool(jobs: int, context: Any, times: Any) -> Iterator[ProcessPoolExecutor]:
-    """Workers that leave Ctrl-C to us and never outlive us."""
-    pool = ProcessPoolExecutor(jobs, mp_context=context, initializer=_begin, initargs=(os.getpid(), times))
-    try:
-        yield pool
-    except BaseException:
-        processes = list((pool._processes or {}).values())
-        pool.shutdown(wait=False, cancel_futures=True)
-        for process in processes:
-            process.terminate()
-        raise
-    pool.shutdown()
-
-
-def _ours_alone() -> AbstractContextManager[None]:
-    """Leave Ctrl-C and the end of the terminal to this process: workers start with the first tasks."""
-    return blocked(signal.SIGINT, signal.SIGHUP)
-
-
-def _begin(parent: int, times: Any) -> None:
+def _share(times: Any) -> None:
     global _shared
-    die_with_parent(parent)
     _shared = times
 
 
-def _case(name: str, index: int) -> Outcome:
+def _case(numbered: tuple[int, str]) -> Outcome:
+    index, name = numbered
+
     def progress(seconds: float) -> None:
         _shared[index] = seconds
 
     return run_case(name, progress)
 
 
-def _run_all(pool: ProcessPoolExecutor, names: Sequence[str], times: Any, tell: Tell) -> dict[str, Outcome]:
-    running: dict[Future[Outcome], str]
-    with _ours_alone():
-        running = {pool.submit(_case, name, index): name for index, name in enumerate(names)}
+def _run_all(workers: Workers, names: Sequence[str], times: Any, tell: Tell) -> dict[str, Outcome]:
     lengths = [CASES[name].scenario().duration_ns / 1e9 for name in names]
     found: dict[str, Outcome] = {}
-    pending = set(running)
-    while pending:
-        done, pending = wait(pending, timeout=0.2, return_when=FIRST_COMPLETED)
-        for future in done:
-            name = running[future]
-            found[name] = future.result()
-            times[list(names).index(name)] = lengths[list(names).index(name)]
+
+    def wait() -> None:
         simulated = sum(min(t, length) for t, length in zip(times, lengths, strict=True))
         tell(f"{len(found)} of {len(names)} runs, {simulated:.0f} of {sum(lengths):.0f} s simulated",
              0.85 * simulated / sum(lengths))  # fmt: skip
+
+    for (index, name), future in workers.each(_case, enumerate(names), wait):
+        found[name] = future.result()
+        times[index] = lengths[index]
     return {name: found[name] for name in names}
 
 
@@ -138,24 +108,26 @@ def _pictured(figure: str, outcomes: dict[str, Outcome]) -> dict[str, Outcome]:
 
 
 def _draw_all(
-    pool: ProcessPoolExecutor,
+    workers: Workers,
     figures: Sequence[str],
     outcomes: dict[str, Outcome],
     folder: Path,
     formats: tuple[str, ...],
     tell: Tell,
 ) -> list[str]:
-    with _ours_alone():
-        futures = {name: pool.submit(draw, name, _pictured(name, outcomes), folder, formats) for name in figures}
-    drawn = []
-    for number, (name, future) in enumerate(futures.items(), start=1):
+    drawn: dict[str, bool] = {}
+    items = ((name, _pictured(name, outcomes)) for name in figures)
+    for (name, _), future in workers.each(partial(_draw, folder=folder, formats=formats), items):
         try:
-            if future.result():
-                drawn.append(name)
+            drawn[name] = future.result()
         except OSError as error:
             raise ReproduceError(f"cannot write {name} into {folder}: {error.strerror}") from None
-        tell(f"{number} of {len(figures)} pictures", 0.85 + 0.15 * number / max(1, len(figures)))
-    return drawn
+        tell(f"{len(drawn)} of {len(figures)} pictures", 0.85 + 0.15 * len(drawn) / len(figures))
+    return [name for name in figures if drawn[name]]
+
+
+def _draw(item: tuple[str, dict[str, Outcome]], folder: Path, formats: tuple[str, ...]) -> bool:
+    return draw(*item, folder, formats)
 
 
 def _go_on(result: Result) -> None:

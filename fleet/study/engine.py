@@ -22,6 +22,7 @@ from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 from fleet.processes.interrupts import blocked
+from fleet.processes.workers import WorkerDied
 from fleet.study.errors import StudyError
 from fleet.study.modules import Modules, get_ready, packed
 from fleet.study.one_run import FAILED, Task, TimedOut, make_run
@@ -79,7 +80,7 @@ class Engine:
         """Make every run, whoever dies meanwhile.
 
         Args:
-            tasks: are asked for as workers become free, so that memory does not grow with their number.
+            tasks: are asked for in their order as workers become free, so that memory does not grow with their number.
             take: gets rows, in the order in which runs end.
             wait: is called several times a second.
         """
@@ -109,9 +110,9 @@ class Engine:
                 for task in batch:
                     died[task.key] += len(batch) == 1  # which of several killed the worker is not known
                     if task.note and _written(task.note):
-                        take([_lost(task, str(TimedOut(task)))])
+                        take([lost_row(task, str(TimedOut(task)))])
                     elif len(batch) == 1 and died[task.key] >= self._most_deaths:
-                        take([_lost(task, _reason(future))])
+                        take([lost_row(task, reason_of(future.exception()))])
                     else:
                         waiting.append([task])
             submit()
@@ -149,6 +150,7 @@ def local_engine(workers: int, *, dashboard: bool = False) -> Iterator[Engine]:
         StudyError: they do not start.
     """
     need_extra()
+    import dask
     from distributed import Client, LocalCluster
     from distributed.security import Security
 
@@ -157,8 +159,9 @@ def local_engine(workers: int, *, dashboard: bool = False) -> Iterator[Engine]:
     )  # or a `socket.py` in the current directory would be taken for Python's
     with ExitStack() as stack:
         try:
-            # Ctrl-C and the end of the terminal are for this process: workers inherit what is blocked.
-            with blocked(signal.SIGINT, signal.SIGHUP):
+            # Ctrl-C and the end of the terminal are for this process: workers inherit what is blocked. Dask's profiler
+            # keeps the stacks of each second for an hour, in each worker.
+            with blocked(signal.SIGINT, signal.SIGHUP), dask.config.set({"distributed.worker.profile.enabled": False}):
                 security = Security.temporary()
                 cluster = stack.enter_context(
                     LocalCluster(
@@ -272,9 +275,10 @@ def _finished(under_way: dict[Future[Any], list[Task]], wait: Callable[[], None]
             raise StudyError(f"the scheduler is gone: {error!s:.200}") from None
 
 
-def _reason(future: Future[Any]) -> str:
-    error = future.exception()
-    return LOST if type(error).__name__ == "KilledWorker" else f"{type(error).__name__}: {error!s:.500}"
+def reason_of(error: BaseException | None) -> str:
+    """Why a worker gave no row."""
+    killed = isinstance(error, WorkerDied) or type(error).__name__ == "KilledWorker"
+    return LOST if killed else f"{type(error).__name__}: {error!s:.500}"
 
 
 def _written(note: str) -> bool:
@@ -285,6 +289,7 @@ def _written(note: str) -> bool:
         return False
 
 
-def _lost(task: Task, reason: str) -> Row:
+def lost_row(task: Task, reason: str) -> Row:
+    """The row of a run that no worker made."""
     return {"key": task.key, "point": task.point, "seed": task.seed, "status": FAILED, "reason": reason,
             "version": version("uuv-fleet")}  # fmt: skip

@@ -9,7 +9,7 @@ import os
 import shutil
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from importlib.metadata import version
 from math import isfinite, nan
@@ -33,6 +33,7 @@ from fleet.study.signals import Samples
 
 A_STUDY = "a study names it"  # why a law that is not installed needs trust
 FAILED = "failed"  # the status of a run that has no result
+JUDGED = frozenset({"pass", "check_failed"})  # of one that came to its end
 _GRACE_S = 1.0  # a law may end its tick so long after the time that the run may take
 
 
@@ -116,7 +117,7 @@ def _made(task: Task) -> dict[str, Any]:
             raise TimedOut(task)
 
     try:
-        scenario = _scenario(task)
+        scenario = scenario_of(task)
         samples = Samples(scenario, task.signals)
         if task.log:
             result = _recorded(scenario, Path(task.log), check, samples)
@@ -148,10 +149,16 @@ def _recorded(scenario: Scenario, directory: Path, check: Callable[[float], None
     return result
 
 
-def _scenario(task: Task) -> Scenario:
+def scenario_of(task: Task) -> Scenario:
+    """The scenario of a run. Raises ScenarioError."""
     modules = task.modules
     policy = Policy(Trust(fingerprints=frozenset(modules.fingerprints)), stranger=A_STUDY)
     return parse_scenario(task.text, task.name, [f"seed={task.seed}"], folder_of(modules), policy)
+
+
+def failed_checks(row: Mapping[str, Any]) -> list[str]:
+    """The names of the checks that fail in a row."""
+    return [name.removeprefix("check.") for name, passed in row.items() if name.startswith("check.") and not passed]
 
 
 def _measured(result: Result) -> dict[str, Any]:

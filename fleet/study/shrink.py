@@ -23,10 +23,11 @@ from fleet.scenario.loading import parse_scenario
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.text.yaml_reader import Source, plain, read
 from fleet.study.ddmin import ddmin
-from fleet.study.engine import Engine, Row
+from fleet.study.engine import Row
 from fleet.study.errors import StudyError
+from fleet.study.local_engine import AnyEngine
 from fleet.study.modules import NO_MODULES, Modules
-from fleet.study.one_run import FAILED, Task
+from fleet.study.one_run import FAILED, JUDGED, Task, failed_checks
 from fleet.study.plan import run_key
 from netem.parsing import NUMBER
 
@@ -62,7 +63,7 @@ class Shrinker:
     """Makes one scenario less."""
 
     def __init__(
-        self, scenario: Scenario, engine: Engine, tell: Callable[[str, int], None], modules: Modules = NO_MODULES
+        self, scenario: Scenario, engine: AnyEngine, tell: Callable[[str, int], None], modules: Modules = NO_MODULES
     ) -> None:
         """Prepare it.
 
@@ -103,10 +104,8 @@ class Shrinker:
 
     def _failed(self, row: Row, check: str | None) -> str:
         """The check that is to fail."""
-        failing = [
-            name.removeprefix("check.") for name, passed in row.items() if name.startswith("check.") and not passed
-        ]
-        if row["status"] not in ("pass", "check_failed"):
+        failing = failed_checks(row)
+        if row["status"] not in JUDGED:
             raise StudyError(f"the run does not come to its end: {row['reason']}")
         if not failing:
             raise StudyError("every check passes: there is nothing to shrink")

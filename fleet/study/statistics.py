@@ -55,6 +55,15 @@ def pass_rate(passed: int, runs: int, confidence: float = CONFIDENCE) -> Estimat
     return Estimate(passed / runs, float(found.low), float(found.high), runs)
 
 
+def most_failures(runs: int, confidence: float = CONFIDENCE) -> float:
+    """The largest share of runs that may fail where none of some did, one-sided and exact; about 3 / runs.
+
+    Args:
+        runs: that passed, with seeds that were not chosen for it; at least 1.
+    """
+    return float(1.0 - (1.0 - confidence) ** (1.0 / runs))
+
+
 def median(values: Sequence[float], confidence: float = CONFIDENCE) -> Estimate:
     """The median of the values that are not NaN, with its bootstrapped interval: BCa, or percentile where BCa is not
     defined (one of them is infinite, or nearly all are the same), or there are more than 1000 values."""

@@ -12,6 +12,7 @@ from fleet.bench.profile import Profiled
 from fleet.bench.scale import Scaled
 from fleet.bench.soak import Soaked
 from fleet.bench.stress import Stressed
+from fleet.bench.studies import StudyMeasured
 from fleet.bench.wall_clock import OnWallClock
 from fleet.cli.documents import live, runs
 from fleet.cli.documents.boundary import BoundaryFound
@@ -19,6 +20,7 @@ from fleet.cli.documents.check import Checked
 from fleet.cli.documents.listing import Scenarios
 from fleet.cli.documents.logs import Compared, LogContents, Verified
 from fleet.cli.documents.result import Ran
+from fleet.cli.documents.search import FirstFailing
 from fleet.cli.documents.study import Less, Swept
 from fleet.cli.documents.what_if import OtherCommands
 
@@ -30,6 +32,7 @@ DOCUMENTS: dict[str, type[Struct]] = {
     "bench scale": Scaled,
     "bench soak": Soaked,
     "bench stress": Stressed,
+    "bench study": StudyMeasured,
     "boundary": BoundaryFound,
     "check": Checked,
     "clock": live.ClockSet,
@@ -42,6 +45,7 @@ DOCUMENTS: dict[str, type[Struct]] = {
     "ls": runs.Runs,
     "ps": live.LiveRuns,
     "run": Ran,
+    "search": FirstFailing,
     "shrink": Less,
     "status": live.Status,
     "stop": live.Stopping,

@@ -25,7 +25,7 @@ checks: {formation_error: {below: 4.6 m, after: 800 ms}}
 
 @pytest.fixture(autouse=True)
 def failing_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("fleet.study.study.engine_of", lambda *_: nullcontext(Here()))
+    monkeypatch.setattr("fleet.study.local_engine.small_engine", lambda *_: nullcontext(Here()))
     monkeypatch.chdir(tmp_path)
     Path("small.yaml").write_text(SMALL + FAILING, "utf-8")
 

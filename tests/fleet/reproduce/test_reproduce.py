@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import multiprocessing
-import signal
 from dataclasses import replace
 from pathlib import Path
 
@@ -22,7 +20,7 @@ from fleet.reproduce.claims import CORRECTED, NO_K_MAX, PRINTED, judge
 from fleet.reproduce.figures import DASHED, FIGURES, OF_CONTROLLERS, OF_VEHICLES, TAU_MAX, consensus_errors, inputs
 from fleet.reproduce.measures import late_s, tumbled, vehicle_measures
 from fleet.reproduce.report import write
-from fleet.reproduce.run import _network_check, _ours_alone, _pool
+from fleet.reproduce.run import _network_check
 from fleet.reproduce.table1 import HEADINGS, chosen, table_1
 from fleet.reproduce.topology import topology
 from fleet.reproduce.verdicts import Claim, ClaimCheck
@@ -428,16 +426,6 @@ def test_a_signal_in_the_distributed_run_ends_it_all(
     with pytest.raises(KeyboardInterrupt) as caught:
         _network_check(lambda *_: None)
     assert caught.type is raised
-
-
-def test_workers_leave_signals_to_the_one_who_started_them() -> None:
-    """From their first moment on: what Ctrl-C raises while they import would be printed."""
-    context = multiprocessing.get_context("spawn")
-    with _pool(1, context, context.Array("d", 1)) as pool:
-        with _ours_alone():
-            masked = pool.submit(signal.pthread_sigmask, signal.SIG_BLOCK, ())
-        assert {signal.SIGINT, signal.SIGHUP} <= masked.result()
-    assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, ())
 
 
 def test_command_refuses_what_is_not_there(tmp_path: Path) -> None:

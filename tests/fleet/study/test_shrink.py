@@ -23,7 +23,7 @@ CHECK = "checks={formation_error: {below: 4.6 m, after: 800 ms}}"
 
 
 def shrinker(*overrides: str, engine: Here | None = None) -> Shrinker:
-    return Shrinker(small(*overrides), engine or Here(), lambda doing, runs: None)  # type: ignore[arg-type]
+    return Shrinker(small(*overrides), engine or Here(), lambda doing, runs: None)
 
 
 def test_what_is_not_needed_goes_and_what_is_left_fails() -> None:

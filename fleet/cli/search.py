@@ -1,0 +1,107 @@
+"""The command `fleet search`."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from fleet.cli.completion import scenarios
+from fleet.cli.documents.output import json_option, print_document
+from fleet.cli.shrink import MOST_RUNS, place_of, show_least, telling
+from fleet.cli.trust import TrustingCommand, trust_option
+from fleet.cli.types import OVERRIDES, Budget, disturbances
+from fleet.terminal.folding import say
+
+if TYPE_CHECKING:
+    from agents.plugins.trust import Trust
+    from fleet.scenario.text.overrides import Override
+
+
+@click.command(cls=TrustingCommand)
+@click.argument("scenario", shell_complete=scenarios)
+@click.option("--budget", metavar="RUNS|TIME", type=Budget(), default="200", show_default=True,
+              help="How many seeds are tried, or for how long new ones are begun, e.g. '10 min'.")  # fmt: skip
+@click.option("--nemesis", is_flag=True, help="Give a scenario that has none a nemesis: a fault in each tenth of it.")
+@click.option("--check", metavar="NAME", help="The check that must fail; by default any.")
+@OVERRIDES
+@disturbances
+@click.option("-o", "--out", metavar="FILE", type=click.Path(path_type=Path, dir_okay=False),
+              help="Where the least scenario goes; by default NAME-least.yaml.")  # fmt: skip
+@click.option("--force", is_flag=True, help="Replace that file if it is there.")
+@click.option("--workers", metavar="N", type=click.IntRange(1, 1024), help="Runs at a time; by default one per core.")
+@click.option("--scheduler", metavar="ADDRESS", help="Use a Dask cluster that is there, e.g. tls://host:8786.")
+@trust_option
+@json_option
+def search(
+    scenario: str,
+    budget: tuple[float, float],
+    nemesis: bool,
+    check: str | None,
+    overrides: tuple[str, ...],
+    fault: tuple[Override, ...],
+    net: tuple[Override, ...],
+    out: Path | None,
+    force: bool,
+    workers: int | None,
+    scheduler: str | None,
+    trust: Trust,
+    as_json: bool,
+) -> None:
+    """Try seeds of a nemesis until a check fails, and make that run as small as it can be.
+
+    The first seed is that of the scenario; --set seed=201 goes on after 200. The first one that fails is found
+    whatever the number of workers. The exit status is 1 if a check failed, as that of fleet run, and 0 if none did
+    in all of the budget.
+
+    \b
+    Examples:
+      fleet search nemesis --budget 200
+      fleet search paper --nemesis --budget '10 min' --set 'network={period: 100 ms}'
+      fleet search my.yaml --set seed=201 --check formation_error
+    """
+    from fleet.scenario.loading import load_scenario
+    from fleet.study.errors import StudyError
+    from fleet.study.local_engine import small_engine
+    from fleet.study.modules import modules_of
+    from fleet.study.search import nemesis_of
+    from fleet.study.search import search as first_that_fails
+    from fleet.study.shrink import Shrinker
+
+    changes: list[str | Override] = [*overrides, *net, *fault]
+    tried = load_scenario(scenario, changes, trust)
+    if nemesis:
+        tried = load_scenario(scenario, [*changes, nemesis_of(tried)], trust)
+    path = place_of(tried, out, force=force)
+    modules = modules_of([tried], Path(scenario).parent if Path(scenario).exists() else None)
+    most_runs, budget_s = budget
+    least = None
+    with telling() as tell, small_engine(workers, scheduler) as engine:
+        modules = engine.carry(modules)
+        found = first_that_fails(tried, engine, lambda runs: tell("seeds", runs), check=check, most_runs=most_runs,
+                                 budget_s=budget_s, modules=modules)  # fmt: skip
+        if found.without:
+            say(f"{found.without} runs have no result, the first one because of: {found.reason}", err=True)
+        if found.scenario is not None:
+            say(f"seed {found.seed} fails {found.check}, the first one from {found.first_seed} on", err=True)
+            least = Shrinker(found.scenario, engine, tell, modules).shrink(found.check, MOST_RUNS)
+            path.write_text(least.scenario.to_yaml(), "utf-8")
+    if as_json:
+        from fleet.cli.documents.search import first_failing
+
+        print_document(first_failing(found, least, path))
+    elif found.scenario is not None and least is not None:
+        show_least(found.scenario, least, path)
+    elif found.most_failures is not None:
+        which = f"the check {check}" if check else "a check"
+        say(f"none of {found.runs} runs fails {which}: at most {100 * found.most_failures:.2g} % of such runs do, "
+            "with 95 % confidence")  # fmt: skip
+    if found.scenario is not None:
+        sys.exit(1)
+    if not found.runs:
+        raise StudyError("no run came to its end, so nothing is known")
+
+
+COMMANDS = (search,)

@@ -1,0 +1,134 @@
+"""The first seed that fails: a scenario run with one seed after the other, until a check fails.
+
+The seed decides which faults a nemesis draws, and every fate and noise. Seeds are given out in their order, and a seed
+that fails ends the search when those before it are done; so the first one is found however many workers there are.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from math import inf
+
+from fleet.execution.external_agents import refuse
+from fleet.scenario.scenario import Scenario
+from fleet.scenario.text.overrides import SET, Override
+from fleet.study.engine import Row
+from fleet.study.errors import StudyError
+from fleet.study.local_engine import AnyEngine
+from fleet.study.modules import NO_MODULES, Modules
+from fleet.study.one_run import JUDGED, Task, failed_checks, scenario_of
+from fleet.study.plan import run_key
+from fleet.study.statistics import most_failures
+
+LARGEST_SEED = 2**63 - 1
+# Each lasts half of a tenth of the run; the last is over after three quarters of it, so that time to recover is left.
+_PICK = "partition, down, deaf, pause, kill, {link *: loss 60% delay 300ms}"
+
+
+@dataclass(slots=True)
+class Searched:
+    """What a search came to.
+
+    Attributes:
+        first_seed: the first one that was tried.
+        seed: the first one that fails; None: none did.
+        check: that fails with it; empty: none.
+        scenario: that fails.
+        runs: that were judged, later ones that were under way with the first one that fails included.
+        without: runs without a result.
+        reason: of the first of these.
+    """
+
+    name: str  # of the scenario
+    first_seed: int
+    seed: int | None = None
+    check: str = ""
+    scenario: Scenario | None = None
+    runs: int = 0
+    without: int = 0
+    reason: str = ""
+
+    @property
+    def most_failures(self) -> float | None:
+        """The share of such runs that fails at most, 95 % sure, since none of these did; None: that is not so."""
+        return most_failures(self.runs) if self.runs and self.seed is None else None
+
+
+def nemesis_of(scenario: Scenario) -> Override:
+    """A nemesis for a scenario that has none, as a change of it.
+
+    Raises:
+        StudyError: it has one.
+    """
+    if scenario.undrawn.nemesis is not None:
+        raise StudyError(f"{scenario.name} has a nemesis: change it with --set nemesis.every='3 s' and the like")
+    every = max(scenario.duration_ns // 10, 1)
+    until = max(3 * scenario.duration_ns // 4, 1)
+    return Override(SET, f"nemesis={{every: {every} ns, for: {every // 2} ns, until: {until} ns, pick: [{_PICK}]}}")
+
+
+def search(
+    scenario: Scenario,
+    engine: AnyEngine,
+    tell: Callable[[int], None],
+    *,
+    check: str | None = None,
+    most_runs: float = inf,
+    budget_s: float = inf,
+    modules: Modules = NO_MODULES,
+) -> Searched:
+    """Run a scenario with its own seed, the next one and so on, until a check fails.
+
+    Args:
+        tell: called now and then with the number of runs that were made.
+        check: which must fail; None: any.
+        most_runs: how many seeds are tried.
+        budget_s: of wall time, after which no run is begun.
+        modules: that its laws need.
+
+    Raises:
+        StudyError: it has no nemesis, or not this check.
+    """
+    refuse(scenario, "a run of a study")
+    if scenario.undrawn.nemesis is None:
+        raise StudyError(f"{scenario.name} has no nemesis that another seed would change: --nemesis adds one")
+    text = scenario.to_undrawn_yaml()
+    found = Searched(scenario.name, scenario.seed)
+    failing: dict[int, str] = {}  # check by seed
+    until = time.monotonic() + budget_s
+
+    def tasks() -> Iterator[Task]:
+        seed = found.first_seed
+        while not failing and seed <= LARGEST_SEED and seed - found.first_seed < most_runs:
+            if time.monotonic() > until:
+                return
+            yield task(seed)
+            seed += 1
+
+    def task(seed: int) -> Task:
+        return Task(run_key(f"{text}\nseed {seed}"), 0, seed, scenario.name, text, inf, modules)
+
+    def take(rows: list[Row]) -> None:
+        for row in rows:
+            if row["status"] not in JUDGED:
+                found.without += 1
+                found.reason = found.reason or row["reason"]
+                continue
+            found.runs += 1
+            failed = failed_checks(row)
+            if check is not None:
+                if f"check.{check}" not in row:
+                    raise StudyError(f"{scenario.name} has no check {check}")
+                failed = [check] if check in failed else []
+            if failed:
+                failing[row["seed"]] = failed[0]
+        tell(found.runs + found.without)
+
+    engine.make(tasks(), take, lambda: tell(found.runs + found.without))
+    if failing:
+        found.seed = min(failing)
+        found.check = failing[found.seed]
+        found.scenario = scenario_of(task(found.seed))
+    return found

@@ -1,0 +1,56 @@
+"""What a run of a study costs is measured for every way of making runs."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import pytest
+from click.testing import CliRunner
+from study_engine import Here
+
+from fleet.cli.main import cli
+
+
+class _Client:
+    """The worker is this process."""
+
+    def run(self, function: object) -> dict[str, int]:
+        assert function is os.getpid
+        return {"tls://127.0.0.1:1": os.getpid()}
+
+
+class _Measured(Here):
+    client = _Client()
+
+
+@pytest.fixture(autouse=True)
+def no_cluster(monkeypatch: pytest.MonkeyPatch) -> None:
+    @contextmanager
+    def engine(_: int) -> Iterator[Here]:
+        yield _Measured()
+
+    monkeypatch.setattr("fleet.study.engine.local_engine", engine)
+
+
+@pytest.mark.slow
+def test_each_way_is_measured_beside_the_bare_run(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("fleet.bench.studies.REPEATS", 1)
+    arguments = ["bench", "study", "--runs", "1", "--duration", "0.5", "--workers", "1", "--json"]
+    result = CliRunner().invoke(cli, arguments, catch_exceptions=False)
+    assert result.exit_code == 0, result.output
+    document = json.loads(result.stdout)
+    assert [way["way"] for way in document["ways"]] == ["concurrent.futures", "fleet search, shrink", "fleet sweep"]
+    assert all(way["cpu_s"] > 0 and len(way["cpu_ratios"]) == len(way["speed_ups"]) == 1 for way in document["ways"])
+    assert document["bare_cpu_s"] > 0
+
+
+def test_memory_is_looked_at_along_the_way() -> None:
+    result = CliRunner().invoke(cli, ["bench", "study", "--memory", "20", "--json"], catch_exceptions=False)
+    rows = json.loads(result.stdout)["memory"]
+    assert [row["runs"] for row in rows] == list(range(2, 21, 2))
+    assert all(row["worker_mb"] > 1 and row["here_mb"] > 1 for row in rows)
+    shown = CliRunner().invoke(cli, ["bench", "study", "--memory", "10"], catch_exceptions=False)
+    assert "[MB]" in shown.stdout and shown.stdout.count("\n") > 10

@@ -1,0 +1,84 @@
+"""The first seed that fails is found, whoever makes the runs, and what no failure at all means is said."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from math import inf
+from typing import Any
+
+import pytest
+from small_scenario import small
+from study_engine import Here, Rows
+
+from fleet.execution.judged import judged
+from fleet.study.errors import StudyError
+from fleet.study.one_run import Task
+from fleet.study.search import Searched, nemesis_of, search
+from fleet.study.statistics import most_failures
+
+NEMESIS = "nemesis={every: 400 ms, for: 300 ms, pick: [mute, deaf, {wrench: {vehicles: 1, force: 400 0 0 N}}]}"
+CHECK = "checks={formation_error: {below: 4.6 m, after: 800 ms}, tumbled: waived}"
+
+
+def searched(*overrides: str, engine: Here | None = None, **options: Any) -> Searched:
+    return search(small(*overrides), engine or Here(), lambda runs: None, **({"most_runs": 12} | options))
+
+
+def test_it_is_the_first_seed_that_fails_in_whatever_order_they_are_run() -> None:
+    fails = [seed for seed in range(1, 5) if not judged(small(NEMESIS, CHECK, f"seed={seed}")).passed]
+    assert fails[0] > 1 and len(fails) > 1
+    for engine in (Here(), Here(backwards=True)):
+        found = searched(NEMESIS, CHECK, engine=engine)
+        assert (found.seed, found.check, found.most_failures) == (fails[0], "formation_error", None)
+    assert found.scenario == small(NEMESIS, CHECK, f"seed={fails[0]}")
+    later = searched(NEMESIS, CHECK, f"seed={fails[0] + 1}")
+    assert (later.first_seed, later.seed) == (fails[0] + 1, fails[1])
+
+
+class OneByOne(Here):
+    """Asks for a run when the one before it is made, as workers do."""
+
+    def make(self, tasks: Iterator[Task], take: Callable[[Rows], None], wait: Callable[[], None]) -> None:
+        for task in tasks:
+            super().make(iter([task]), take, wait)
+
+
+def test_no_run_is_begun_after_one_that_fails() -> None:
+    engine = OneByOne()
+    found = searched(NEMESIS, CHECK, engine=engine)
+    assert [task.seed for task in engine.tasks] == list(range(1, (found.seed or 0) + 1))
+    assert found.runs == len(engine.tasks)
+
+
+def test_none_that_fails_is_an_upper_bound() -> None:
+    found = searched(NEMESIS, "checks={formation_error: {below: 99 m, after: 0 s}, tumbled: waived, deaths: waived}")
+    assert (found.seed, found.runs, found.scenario) == (None, 12, None)
+    assert found.most_failures == pytest.approx(1 - 0.05 ** (1 / 12))
+    assert most_failures(200) == pytest.approx(0.0149, abs=1e-4)
+    assert searched(NEMESIS, most_runs=inf, budget_s=-1.0).most_failures is None
+
+
+def test_a_run_without_result_is_no_evidence(monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(*_: object) -> None:
+        raise RuntimeError("enough")
+
+    monkeypatch.setattr("fleet.study.one_run.judged", broken)
+    found = searched(NEMESIS)
+    assert (found.runs, found.without, found.reason, found.most_failures) == (0, 12, "RuntimeError: enough", None)
+
+
+def test_a_nemesis_is_added_where_there_is_none() -> None:
+    plain = small("duration=20 s")
+    added = small("duration=20 s", nemesis_of(plain).text)
+    assert added.undrawn.nemesis is not None
+    events = added.faults.events
+    assert events and max(event.tick for event in events) <= 0.75 * added.ticks
+    with pytest.raises(StudyError, match="has a nemesis: change it"):
+        nemesis_of(added)
+
+
+def test_what_cannot_be_searched_is_said() -> None:
+    with pytest.raises(StudyError, match="no nemesis that another seed would change: --nemesis adds one"):
+        searched(CHECK)
+    with pytest.raises(StudyError, match="small has no check formation_error"):
+        searched(NEMESIS, check="formation_error")

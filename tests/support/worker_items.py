@@ -1,0 +1,29 @@
+"""What worker processes of a test do: they import it from here."""
+
+from __future__ import annotations
+
+import os
+import signal
+from pathlib import Path
+
+
+def step(number: int) -> int:
+    """Twice the number; kills its process for a negative one, and fails for zero."""
+    if number < 0:
+        os.kill(os.getpid(), signal.SIGKILL)
+    if number == 0:
+        raise ZeroDivisionError
+    return 2 * number
+
+
+def die_once(mark: Path) -> int:
+    """The number of this process, which is killed if there is no such file yet."""
+    if not mark.exists():
+        mark.touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return os.getpid()
+
+
+def masked(_: object) -> set[signal.Signals | int]:
+    """The signals that do not reach this process."""
+    return signal.pthread_sigmask(signal.SIG_BLOCK, ())

@@ -49,7 +49,7 @@ class LogFeed:
         self._track = self._tracked()
         self.end_s = self._tape.end_ns / 1e9
         self.player = self._player(0, rate)
-        self._jumped = True
+        self.seek(0.0)
 
     def _tracked(self) -> Track:
         topics = {signal.topic for name, signal in self._signals.by_name.items() if name in self._watched}
@@ -129,7 +129,6 @@ class LogFeed:
     def seek(self, at_s: float) -> None:
         """Go to a time; what charts show is looked up from the minute before it."""
         at_s = min(max(at_s, 0.0), self.end_s)
-        self.picture.clear()
         track, at_ns = self._track, int(at_s * 1e9)
         stop = track.before(at_ns + 1)
         first = max(track.before(int(max(0.0, at_s - HISTORY_S) * 1e9)), stop - MOST_AT_ONCE)

@@ -21,6 +21,7 @@ from netem.condition import Link
 from world.vectors import Vec3
 
 HISTORY_S = 60.0  # that charts show
+FARTHEST_M = 1e7  # that a vehicle can be from the origin: a page draws no other
 SAMPLE_S = 0.2  # between two samples of charts
 MOST_PACKETS = 400  # of a frame: more nobody can follow
 LOSS_SAMPLES = 5  # over which the share of lost packets is taken
@@ -74,6 +75,9 @@ class Picture:
                 continue
             i, t, q = int(child[4:]), transform.translation, transform.rotation
             place = (t.x, t.y, t.z)
+            if not all(abs(value) < FARTHEST_M for value in place):  # its motion has left the finite numbers
+                self._places.pop(i, None)
+                continue
             if i in self._places and elapsed > 0.0:
                 self._speeds[i] = dist(place, self._places[i]) / elapsed
             self._places[i] = place
@@ -160,7 +164,7 @@ class Picture:
             "ref": _rounded(reference),
             "links": [history.state(t, self._stale_s) for history in self.links.values()],
             "ages": [round(history.age_s(t), 2) for history in self.links.values()],
-            "errors": [_number(error) for error in self.errors()],
+            "errors": _errors(self.errors()),
             "states": self._states(),
             "packets": list(self._packets),
             "samples": self._fresh,
@@ -226,7 +230,7 @@ class Picture:
         self._count = [0, 0]
         total = sum(count[1] for count in self._counts)
         share = sum(count[0] for count in self._counts) / total if total else 0.0
-        errors = [_number(error) for error in self.errors()]
+        errors = _errors(self.errors())
         places = [value for i in sorted(self._places) for value in (i, *_rounded(self._places[i]))]
         sample = [round(t, 3), errors, [round(age, 2) for age in ages], round(share, 4), places]
         self._samples.append(sample)
@@ -243,9 +247,8 @@ def _rounded(values: Iterable[float]) -> list[float]:
     return [round(value, 3) for value in values]
 
 
-def _number(value: float | None) -> float | None:
-    """As JSON knows it: a vehicle may be anywhere."""
-    return None if value is None or not value < 1e12 else round(value, 4)
+def _errors(values: Iterable[float | None]) -> list[float | None]:
+    return [None if value is None else round(value, 4) for value in values]
 
 
 def _scripted(scenario: Scenario) -> list[Row]:

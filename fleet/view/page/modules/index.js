@@ -74,6 +74,7 @@ export function render({ model, el }) {
     "change:names": () => charting.names(model.get("names")),
   };
   for (const [event, listener] of Object.entries(listeners)) model.on(event, listener);
+  el.fleet = { scene }; // for tests, and for who looks with the tools of the browser
   say({ do: "ready" });
   return () => {
     for (const [event, listener] of Object.entries(listeners)) model.off(event, listener);

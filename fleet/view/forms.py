@@ -2,23 +2,24 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Awaitable, Callable
+from typing import Any
 
 from nicegui import ui
 
 from fleet.errors import FleetError
 from fleet.view import words
+from fleet.view.live_feed import LiveFeed
+from fleet.view.picture import Row
 
-if TYPE_CHECKING:
-    from fleet.view.page import Page
-    from fleet.view.picture import Row
+Do = Callable[..., Awaitable[Row]]  # a command, the operation and its fields: what the console answers
 
 
 class FaultForm:
     """A dialog for one fault, of a link, a vehicle or the fleet."""
 
-    def __init__(self, page: Page) -> None:
-        self._page = page
+    def __init__(self, feed: LiveFeed, do: Do) -> None:
+        self._feed, self._do = feed, do
         self._entry: dict[str, Any] | None = None
         with ui.dialog() as self._dialog, ui.card().classes("fleet-form"):
             self._title = ui.label().classes("fleet-form-title")
@@ -44,7 +45,7 @@ class FaultForm:
             case "link":
                 src, dst = int(said["src"]), int(said["dst"])
                 offered = words.suggestions("link", f"{src}->{dst}")
-                both = (dst, src) in self._page.feed.scenario.graph.links
+                both = (dst, src) in self._feed.scenario.graph.links
                 if both:
                     offered["cut both ways"] = f"down {src}<->{dst}"
                 title = f"Link from vehicle {src} to vehicle {dst}"
@@ -71,7 +72,7 @@ class FaultForm:
         self._dialog.open()
 
     def _check(self) -> None:
-        feed = self._page.feed
+        feed = self._feed
         text, lasts = self._words.value or "", self._lasts.value or ""
         tick = min(int(feed.picture.at_s * 1e9) // feed.scenario.tick_ns, feed.scenario.ticks - 1)
         try:
@@ -87,7 +88,7 @@ class FaultForm:
         if self._entry is None:
             return
         try:
-            answer = await self._page.do(self._command.text, "inject", fault=self._entry)
+            answer = await self._do(self._command.text, "inject", fault=self._entry)
         except FleetError as error:
             self._problem.text = str(error)
             return

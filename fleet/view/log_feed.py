@@ -49,6 +49,7 @@ class LogFeed:
         self._track = self._tracked()
         self.end_s = self._tape.end_ns / 1e9
         self.player = self._player(0, rate)
+        self._jumped = False
         self.seek(0.0)
 
     def _tracked(self) -> Track:

@@ -157,7 +157,7 @@ class Viewer:
             "marks": feed.picture.known_faults if isinstance(feed, LogFeed) else [],
         }
         self.element = FleetView(setup, self._said)
-        self.form = FaultForm(page)
+        self._form = FaultForm(feed, page.do) if isinstance(feed, LiveFeed) and page.may_act else None
 
     def give(self, changes: Row) -> None:
         """Give it something, once it listens."""
@@ -201,8 +201,8 @@ class Viewer:
                 feed.watch(str(said["name"]))
                 self.give({"history": feed.picture.history()})
             case "link" | "vehicle" | "fleet" | "partition" as kind:
-                if page.may_act and feed.live:
-                    self.form.open(kind, said)
+                if self._form is not None:
+                    self._form.open(kind, said)
             case "heal":
                 name = said.get("id")
                 answer = await page.do(words.heal(name, feed.name), "heal", id=name)

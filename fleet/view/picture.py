@@ -223,7 +223,7 @@ class Picture:
     def _sample(self) -> None:
         t = self._placed_s
         ages = [
-            max((self.links[src, i].age_s(t) for src in sources), default=0.0)
+            round(max(self.links[src, i].age_s(t) for src in sources), 2) if sources else None  # it hears of nobody
             for i, sources in self._neighbours.items()
         ]
         self._counts.append((self._count[0], self._count[1]))
@@ -232,7 +232,7 @@ class Picture:
         share = sum(count[0] for count in self._counts) / total if total else 0.0
         errors = _errors(self.errors())
         places = [value for i in sorted(self._places) for value in (i, *_rounded(self._places[i]))]
-        sample = [round(t, 3), errors, [round(age, 2) for age in ages], round(share, 4), places]
+        sample = [round(t, 3), errors, ages, round(share, 4), places]
         self._samples.append(sample)
         self._fresh.append(sample)
 

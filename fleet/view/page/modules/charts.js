@@ -51,7 +51,7 @@ class Chart {
     g.font = "11px system-ui, sans-serif";
     g.fillStyle = "rgba(255, 92, 108, 0.14)";
     for (const [begin, end] of spans) {
-      if (end > from && begin < from + SPAN_S) {
+      if (end > from && begin < now) {
         const left = x(Math.max(begin, from));
         g.fillRect(left, TOP, x(Math.min(end, now)) - left, height - TOP - BOTTOM);
       }
@@ -114,7 +114,7 @@ export class Charts {
     this.chosen = new Chart("", "", () => [["#f5c04a", this.signals.get(this.name) ?? []]]);
     this.charts = [
       new Chart("Formation error", "m", each(1), { most: 0.1 }),
-      new Chart("Age of information", "s, of the oldest news", each(2), { most: 0.5 }),
+      new Chart("Age of information", "s", each(2), { most: 0.5 }),
       new Chart("Packets lost", "%", () => [
         ["#ffa94d", this.samples.map((sample) => [sample[0], 100 * sample[3]])],
       ], { most: 10 }),
@@ -146,6 +146,7 @@ export class Charts {
     this.samples = [...history.samples];
     this.signals = new Map(Object.entries(history.signals ?? {}));
     this.now = this.samples.at(-1)?.[0] ?? 0;
+    this.spans = new Map(this.setup.marks.map((fault) => [fault.id, [fault.from_s, fault.to_s]]));
     this.drawn = 0;
   }
 
@@ -160,7 +161,7 @@ export class Charts {
       while (known.length && known[0][0] < frame.t - SPAN_S - 1) known.shift();
       this.signals.set(name, known);
     }
-    for (const fault of frame.faults) this.spans.set(fault.id, [fault.from_s, fault.to_s]);
+    this.mark(frame);
     this.now = frame.t;
     const at = performance.now();
     if (at - this.drawn < EVERY_MS) return;
@@ -168,7 +169,15 @@ export class Charts {
     this.draw();
   }
 
-  // A fault that was healed ended earlier than its list said: when it left the list.
+  // When faults lasted. One that was healed ended when it left the list, earlier than it said.
+  mark({ faults, t }) {
+    const listed = new Set(faults.map(({ id }) => id));
+    for (const [id, span] of this.spans) {
+      if (!listed.has(id) && span[0] <= t && t < span[1]) span[1] = t;
+    }
+    for (const { id, from_s, to_s } of faults) this.spans.set(id, [from_s, to_s]);
+  }
+
   draw() {
     for (const chart of this.charts) chart.draw(this.now, this.spans.values());
     const values = this.signals.get(this.name);

@@ -2,11 +2,9 @@
 import { LINKS, PACKETS } from "./colours.js";
 import { make } from "./dom.js";
 
-const NAMES = { delivered: "delivered", late: "late", lost: "losing", down: "cut", stale: "stale" };
-
 export function legend() {
-  const rows = Object.entries(NAMES).map(([state, name]) => {
-    const { colour, width, dash, says } = LINKS[state];
+  const shown = Object.entries(LINKS).filter(([state]) => state !== "unused");
+  const rows = shown.map(([, { name, colour, width, dash, says }]) => {
     const line = `<svg width="30" height="8" aria-hidden="true"><line x1="0" y1="4" x2="30" y2="4" stroke="${colour}" stroke-width="${width}" stroke-dasharray="${dash.join(" ")}"/></svg>`;
     const row = make("span", { title: says }, name);
     row.insertAdjacentHTML("afterbegin", line);

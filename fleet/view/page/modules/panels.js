@@ -107,7 +107,7 @@ export class Panels {
     const pitch = place ? (place[4] * 180) / Math.PI : 0;
     write(this.facts, place ? `north ${place[1].toFixed(1)} m, east ${place[2].toFixed(1)} m, heading ${turn.toFixed(0)}°, pitch ${pitch.toFixed(0)}°` : "-");
     for (const { src, link, text } of this.heardOf) {
-      write(text, `from ${src}: ${frame.links[link]}, ${frame.ages[link].toFixed(1)} s old`);
+      write(text, `from ${src}: ${LINKS[frame.links[link]].name}, ${frame.ages[link].toFixed(1)} s old`);
       text.style.color = LINKS[frame.links[link]].colour;
     }
   }

@@ -242,7 +242,7 @@ export class Scene {
     g.stroke();
     g.fillStyle = "rgba(255, 255, 255, 0.75)";
     g.font = "11px system-ui, sans-serif";
-    g.fillText("reference", x + 9, y - 7);
+    g.fillText("reference", x + 8, y + 17);
   }
 
   drawLinks(frame, places, project) {

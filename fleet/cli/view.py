@@ -76,7 +76,16 @@ def view(
     show_page(source, host, port, may_act=control is not False, browser=not no_open, rate=rate or 1.0, loop=loop)
 
 
-def show_page(source: LiveSource | LogSource, host: str, port: int | None, *, may_act: bool, browser: bool, rate: float, loop: bool) -> None:
+def show_page(
+    source: LiveSource | LogSource,
+    host: str,
+    port: int | None,
+    *,
+    may_act: bool,
+    browser: bool,
+    rate: float,
+    loop: bool,
+) -> None:
     """Serve the page until Ctrl-C.
 
     Args:

@@ -11,7 +11,7 @@ from collections import deque
 from typing import Any
 
 from fleet.execution.connection import LiveRun, OpenConnection, RemoteError, is_live
-from fleet.execution.directory import SCENARIO
+from fleet.execution.directory import RESULT, SCENARIO, in_use
 from fleet.logs.reader import LogReader, LogReadError
 from fleet.replay.attachment import unpack
 from fleet.replay.player import MeasuredRate
@@ -130,7 +130,8 @@ class LiveFeed:
             if is_live(self.run):
                 self._status = self._status | {"waiting": str(error)}
             else:
-                self._over = "the run is over"
+                whole = in_use(self.source.directory) or (self.source.directory / RESULT).exists()
+                self._over = "the run is over" if whole else "the run broke: its console is gone"
 
     def ask(self, op: str, **fields: Any) -> Row:
         """Ask the console for something, over a connection that stays.
@@ -140,6 +141,8 @@ class LiveFeed:
         """
         if self.run is None:
             raise RemoteError(f"{self.name} may only be watched with these credentials", 2)
+        if self._over:
+            raise RemoteError(f"{self._over}: nothing can be changed any more")
         try:
             if self._connection is None:
                 self._connection = OpenConnection(self.run)

@@ -12,6 +12,7 @@ from nicegui import app, run, ui
 from nicegui.events import GenericEventArguments
 
 from fleet.errors import FleetError
+from fleet.execution.directory import in_use
 from fleet.view import words
 from fleet.view.feed import checks_asked, checks_judged
 from fleet.view.forms import FaultForm
@@ -51,11 +52,11 @@ class Page:
         self.commands: list[str] = []  # that had the effect of what was done here
         self.dropped = 0  # pictures that a browser was too slow for
         self._viewers: list[Viewer] = []
-        self._checks = checks_asked(feed.scenario)
+        self.checks = checks_asked(feed.scenario)
         self._busy = asyncio.Lock()  # one question at a time
         self.new = False
         if isinstance(feed, LogFeed):
-            self._checks = checks_judged(feed.path) or self._checks
+            self.checks = checks_judged(feed.path) or self.checks
 
     def begin(self) -> None:
         """Let pictures come as soon as the server runs."""
@@ -104,21 +105,11 @@ class Page:
             over = bool(self.feed.clock()["over"])
             self.new = True
             await asyncio.sleep(LOOK_S)
-        verdicts: list[Row] | None = None
-        while verdicts is None:  # the result is written last, and a run that died has none
-            verdicts = await run.io_bound(checks_judged, self.feed.log)
-            self.checks = verdicts or self._checks
-            self.tell_all({"checks": self.checks})
+        # The result is written last, and a run that broke has none.
+        while (verdicts := await run.io_bound(checks_judged, self.feed.log)) is None and in_use(self.feed.log.parent):
             await asyncio.sleep(LOOK_S)
-
-    @property
-    def checks(self) -> list[Row]:
-        """The checks, judged as far as they are."""
-        return self._checks
-
-    @checks.setter
-    def checks(self, rows: list[Row]) -> None:
-        self._checks = rows
+        self.checks = verdicts or self.checks
+        self.tell_all({"checks": self.checks})
 
     async def do(self, command: str, op: str, **fields: Any) -> Row:
         """Ask the console for something, and note which command would have done it.

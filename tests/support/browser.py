@@ -8,11 +8,14 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from math import dist
 from typing import Any
 
 import pytest
+from waiting import wait_for
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
+REST_S = 20.0
 SIZE = {"width": 1280, "height": 800}
 _ADDRESS = re.compile(r"http://\S+\?token=\S+")
 
@@ -57,16 +60,23 @@ class Tab:
         return float(re.findall(r"[\d.]+", self.page.locator(".fleet-time").inner_text())[0])
 
     def link(self, src: int, dst: int) -> tuple[float, float]:
-        """Where on the page a link is drawn, near its receiver: packets and other links are elsewhere."""
+        """Where on the page a link is drawn, nearer to its receiver, once the view has come to rest."""
         where = f"""() => {{
             const scene = document.querySelector(".fleet-view").fleet.scene;
+            scene.dirty = true;
             const k = scene.setup.links.findIndex(([a, b]) => a === {src} && b === {dst});
             const [p, q] = scene.lanes[k];
             const box = scene.canvas.getBoundingClientRect();
             return [box.x + p[0] + 0.6 * (q[0] - p[0]), box.y + p[1] + 0.6 * (q[1] - p[1])];
         }}"""
-        x, y = self.page.evaluate(where)
-        return x, y
+        places: list[list[float]] = []
+
+        def rests() -> bool:
+            places.append(self.page.evaluate(where))
+            return len(places) > 5 and dist(places[-6], places[-1]) < 1.0
+
+        wait_for(rests, REST_S, "a view at rest")
+        return places[-1][0], places[-1][1]
 
 
 @contextmanager

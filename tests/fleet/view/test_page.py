@@ -33,6 +33,10 @@ def test_a_click_on_a_link_cuts_it_and_another_viewer_heals_it(opened: Any, tmp_
         began = one.time_s()
         wait_for(lambda: one.time_s() > began, SOON_S, "a later time")
 
+        one.page.get_by_role("button", name="Pause").click()
+        one.page.get_by_role("button", name="Resume").wait_for()
+        assert "paused" in tool(tmp_path, "status").stdout
+
         one.page.mouse.click(*one.link(1, 2))
         one.page.get_by_text("Link from vehicle 1 to vehicle 2").wait_for()
         typed = one.page.get_by_label("Fault, in the words of fleet inject")
@@ -48,14 +52,11 @@ def test_a_click_on_a_link_cuts_it_and_another_viewer_heals_it(opened: Any, tmp_
             page.page.locator(".fleet-faults").get_by_text("down 1->2").wait_for()
         assert "down 1->2" in tool(tmp_path, "faults").stdout
 
+        two.page.get_by_role("button", name="Resume").click()
         two.page.get_by_role("button", name="Heal live-1").click()
         wait_for(lambda: "over" in tool(tmp_path, "faults").stdout, SOON_S, "the end of the fault")
         one.page.locator(".fleet-faults").get_by_text("no fault").wait_for()
         one.page.locator(".fleet-commands").get_by_text("fleet heal live-1").wait_for()
-
-        one.page.get_by_role("button", name="Pause").click()
-        one.page.get_by_role("button", name="Resume").wait_for()
-        assert "paused" in tool(tmp_path, "status").stdout
 
         tool(tmp_path, "stop")
         one.page.locator(".fleet-rate").get_by_text("the run is over").wait_for()

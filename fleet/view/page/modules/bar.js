@@ -38,14 +38,18 @@ export class Bar {
       make("option", { value: "", disabled: true, selected: true }, "Speed ..."),
       ...SPEEDS.map(([text], k) => make("option", { value: k }, text)),
     );
-    return [
+    this.acting = [
       this.pause,
       this.button("Step", () => say({ do: "clock", how: "step", value: 10 }), "ten ticks, then pause"),
       speed,
-      make("span", { class: "fleet-gap" }),
       this.button("Disturb ...", () => say({ do: "fleet" }), "a fault in words: partition, current, gust"),
       this.button("Cut with a line", onLine, "draw a line through the fleet: the two sides hear nothing of each other"),
       this.button("Heal all", () => say({ do: "heal", id: null })),
+    ];
+    return [
+      ...this.acting.slice(0, 3),
+      make("span", { class: "fleet-gap" }),
+      ...this.acting.slice(3),
       this.button("Save as scenario", () => say({ do: "script" }), "the run with all that was injected, to be run again"),
     ];
   }
@@ -93,7 +97,6 @@ export class Bar {
   frame(frame) {
     const { clock } = frame;
     this.at = frame.t;
-    this.frameCommands = frame.commands;
     this.paused = clock.paused;
     write(this.time, `t = ${frame.t.toFixed(1)} s`);
     const measured = this.setup.live && clock.rate ? `, ${clock.rate.toFixed(1)} x real time` : "";
@@ -101,7 +104,7 @@ export class Bar {
     write(this.rate, `of ${this.setup.end_s.toFixed(0)} s · ${state}`);
     write(this.waiting, [clock.waiting, clock.note, frame.dropped ? `${frame.dropped} pictures left out` : ""].filter(Boolean).join(" · "));
     if (this.pause) write(this.pause, this.setup.live ? (clock.paused ? "Resume" : "Pause") : clock.paused ? "Play" : "Pause");
-    if (this.pause && this.setup.live) this.pause.disabled = clock.over;
+    for (const control of this.acting ?? []) control.disabled = clock.over;
     if (this.slider && document.activeElement !== this.slider) this.slider.value = frame.t;
     else if (this.slider && !this.asked) this.slider.value = frame.t;
   }

@@ -1,11 +1,12 @@
 // A torpedo: its outline between two points on its axis, as seen from anywhere.
 const OUTLINE = [[0, 0.25], [0.1, 0.6], [0.25, 1], [0.8, 1], [0.92, 0.72], [0.98, 0.35], [1, 0]]; // along, half width
-const LEAST = 46; // pixels that a hull is long at least, so that it can be seen in any formation
+// Pixels that a hull is long at least, so that it can be seen in any formation; less where there are many.
+const least = (vehicles) => (vehicles <= 12 ? 46 : vehicles <= 40 ? 34 : 20);
 
 // How long and thick a hull is drawn [m]: larger than it is where it would be too small to be seen.
-export function drawnSize([length, width], scale) {
-  const drawn = Math.max(length, LEAST / scale);
-  return [drawn, Math.max(width * (drawn / length), 9 / scale)];
+export function drawnSize([length, width], scale, vehicles) {
+  const drawn = Math.max(length, least(vehicles) / scale);
+  return [drawn, Math.max(width * (drawn / length), (0.2 * least(vehicles)) / scale)];
 }
 
 export function axis([, n, e, d, pitch, heading], length) {

@@ -301,7 +301,7 @@ export class Scene {
       const i = row[0];
       const state = frame.states[i] ?? "";
       const silent = state.includes("no agent") || state.includes("diverged");
-      const [length, thick] = drawnSize(this.setup.hulls_m[i - 1], scale);
+      const [length, thick] = drawnSize(this.setup.hulls_m[i - 1], scale, this.setup.vehicles);
       const [tail, nose] = axis(row, length).map(project);
       const chosen = this.chosen === i || this.over?.vehicle === i;
       drawHull(g, tail, nose, thick * scale, silent ? SILENT : hull(i), { silent, chosen });
@@ -313,6 +313,12 @@ export class Scene {
   drawLabel(i, [x, y], depth, state) {
     const { g } = this;
     const many = this.setup.vehicles > 12;
+    if (this.setup.vehicles > 40 && !state && this.chosen !== i && this.over?.vehicle !== i) {
+      g.font = "10px system-ui, sans-serif"; // no room for more
+      g.fillStyle = hull(i);
+      g.fillText(`${i}`, x + 9, y - 7);
+      return;
+    }
     g.textBaseline = "middle";
     g.font = "600 12px system-ui, sans-serif";
     const name = state ? `${i}  ${state}` : `${i}`;

@@ -106,13 +106,14 @@ def show_page(
         may = "watch" if not may_act else "watch the run, and disturb it"
         say(f"warning: whoever knows this address may {may}, and it travels unencrypted: keep to a network that you "
             "trust, or use ssh -L", err=True)  # fmt: skip
-    feed = LiveFeed(source) if isinstance(source, LiveSource) else LogFeed(source.path, rate, loop=loop)
-    what = "live run" if feed.live else "log"
-    click.echo(f"{what} {feed.name}, until Ctrl-C:\n  {door.address}")
-    with closing(Browser(door.address)) as opened:
-        if browser:
-            opened.open()
-        serve(feed, door, may_act=may_act)
+    with closing(door.listening):
+        feed = LiveFeed(source) if isinstance(source, LiveSource) else LogFeed(source.path, rate, loop=loop)
+        what = "live run" if feed.live else "log"
+        click.echo(f"{what} {feed.name}, until Ctrl-C:\n  {door.address}")
+        with closing(Browser(door.address)) as opened:
+            if browser:
+                opened.open()
+            serve(feed, door, may_act=may_act)
     raise KeyboardInterrupt
 
 

@@ -59,10 +59,7 @@ def open_door(host: str = LOOPBACK, port: int | None = None) -> Door:
         raise ViewerError("the page needs NiceGUI, which is not installed: pip install 'uuv-fleet[view]'")
     try:
         family = socket.getaddrinfo(host, None, type=socket.SOCK_STREAM)[0][0]
-        found = socket.socket(family, socket.SOCK_STREAM)
-        found.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        found.bind((host, port or 0))
-        found.listen(64)
+        found = socket.create_server((host, port or 0), family=family)
     except OSError as error:
         where = f"port {port} of {host}" if port else host
         what = f"{where} cannot be listened on ({error.strerror or error})"
@@ -101,10 +98,7 @@ def serve(feed: LiveFeed | LogFeed, door: Door, *, may_act: bool) -> None:
     page.begin()
     guard = Guard(app, door.token, door.port, door.names)
     config = uvicorn.Config(guard, log_level="error", access_log=False, timeout_graceful_shutdown=1)
-    try:
-        uvicorn.Server(config).run(sockets=[door.listening])
-    finally:
-        door.listening.close()
+    uvicorn.Server(config).run(sockets=[door.listening])
 
 
 class Browser:

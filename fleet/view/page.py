@@ -22,7 +22,8 @@ from fleet.view.picture import Row
 
 PERIOD_S = 0.05  # between two pictures
 LOOK_S = 1.0  # between two questions to the console
-MOST_AHEAD = 40  # pictures on their way to a browser; further ones are left out
+MOST_AHEAD = 40  # pictures on their way to a browser; further ones are left out,
+TRY_AGAIN = 100  # but one of so many
 _HERE = Path(__file__).parent
 
 
@@ -89,7 +90,12 @@ class Page:
         while True:
             due = max(due + PERIOD_S, loop.time())
             await asyncio.sleep(due - loop.time())
-            if (self.feed.advance() or self.new) and self._viewers:
+            try:
+                come = self.feed.advance()
+            except FleetError as error:  # the log is not what it was, for instance
+                self.tell_all({"problem": str(error)})
+                return
+            if (come or self.new) and self._viewers:
                 self.new = False
                 frame = self.feed.picture.frame() | {"clock": self.feed.clock(), "dropped": self.dropped}
                 for viewer in self._viewers:
@@ -137,7 +143,7 @@ class Viewer:
     def __init__(self, page: Page) -> None:
         self._page = page
         self._ready = False
-        self._sent = self._seen = 0
+        self._sent = self._seen = self._left_out = 0
         feed = page.feed
         setup = feed.picture.setup() | {
             "name": feed.name,
@@ -161,7 +167,9 @@ class Viewer:
             return
         if self._sent - self._seen > MOST_AHEAD:
             self._page.dropped += 1
-            return
+            self._left_out += 1
+            if self._left_out % TRY_AGAIN:  # now and then one is sent: what was on its way may have been lost
+                return
         self._sent += 1
         self.element.give({"frame": frame | {"n": self._sent}})
 

@@ -23,6 +23,7 @@ from world.vectors import Vec3
 HISTORY_S = 60.0  # that charts show
 FARTHEST_M = 1e7  # that a vehicle can be from the origin: a page draws no other
 SAMPLE_S = 0.2  # between two samples of charts
+MOST_SAMPLES = int(HISTORY_S / SAMPLE_S)
 MOST_PACKETS = 400  # of a frame: more nobody can follow
 LOSS_SAMPLES = 5  # over which the share of lost packets is taken
 NO_AGENT = ("kill", "pause")  # faults that leave a vehicle without its agent
@@ -45,7 +46,7 @@ class Picture:
             i: [src for src, dst in scenario.graph.links if dst == i] for i in range(1, scenario.vehicles + 1)
         }
         self._signals: dict[str, deque[tuple[float, float]]] = {}
-        self._new: dict[str, list[tuple[float, float]]] = {}
+        self._new: dict[str, deque[tuple[float, float]]] = {}  # since the last frame
         self.clear()
 
     def clear(self, at_s: float = 0.0) -> None:
@@ -57,8 +58,8 @@ class Picture:
         self._speeds: dict[int, float] = {}
         self._placed_s = -1.0
         self._packets: deque[list[Any]] = deque(maxlen=MOST_PACKETS)
-        self._samples: deque[list[Any]] = deque(maxlen=int(HISTORY_S / SAMPLE_S))
-        self._fresh: list[list[Any]] = []
+        self._samples: deque[list[Any]] = deque(maxlen=MOST_SAMPLES)
+        self._fresh: deque[list[Any]] = deque(maxlen=MOST_SAMPLES)  # since the last frame
         self._counts: deque[tuple[int, int]] = deque(maxlen=LOSS_SAMPLES)  # lost, all
         self._count = [0, 0]
         for values in (*self._signals.values(), *self._new.values()):
@@ -121,8 +122,8 @@ class Picture:
 
     def watch(self, name: str) -> None:
         """Keep a signal's values from now on."""
-        self._signals.setdefault(name, deque(maxlen=int(HISTORY_S / SAMPLE_S) * 4))
-        self._new.setdefault(name, [])
+        self._signals.setdefault(name, deque(maxlen=4 * MOST_SAMPLES))
+        self._new.setdefault(name, deque(maxlen=4 * MOST_SAMPLES))
 
     def signal(self, name: str, at_s: float, value: float) -> None:
         """Take a value of a signal that is watched; of values that come faster, some are left out."""
@@ -167,7 +168,7 @@ class Picture:
             "errors": _errors(self.errors()),
             "states": self._states(),
             "packets": list(self._packets),
-            "samples": self._fresh,
+            "samples": list(self._fresh),
             "faults": self.active_faults(),
             "counts": [
                 sum(history.delivered for history in self.links.values()),
@@ -177,10 +178,11 @@ class Picture:
         if any(plan.changes for plan in self.scenario.plans):
             row["offsets_m"] = [_rounded(plan.at(t).position) for plan in self.scenario.plans]
         if any(self._new.values()):
-            row["signals"] = {name: values for name, values in self._new.items() if values}
-            self._new = {name: [] for name in self._new}
+            row["signals"] = {name: list(values) for name, values in self._new.items() if values}
+            for values in self._new.values():
+                values.clear()
         self._packets.clear()
-        self._fresh = []
+        self._fresh.clear()
         return row
 
     def history(self) -> Row:

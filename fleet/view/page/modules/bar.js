@@ -109,6 +109,10 @@ export class Bar {
     else if (this.slider && !this.asked) this.slider.value = frame.t;
   }
 
+  problem(text) {
+    write(this.waiting, text);
+  }
+
   goOn() {
     return `fleet run --from ${this.setup.log}@${this.at.toFixed(2)}s`;
   }

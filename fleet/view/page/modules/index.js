@@ -56,6 +56,7 @@ export function render({ model, el }) {
   });
   const charting = new Charts(charts, setup, (name) => say({ do: "signal", name }));
 
+  let told = 0;
   const listeners = {
     "change:frame": () => {
       const frame = model.get("frame");
@@ -63,7 +64,9 @@ export function render({ model, el }) {
       charting.frame(frame);
       panels.frame(frame);
       bar.frame(frame);
-      if (frame.n % SEEN_EVERY === 0) say({ do: "seen", n: frame.n });
+      if (frame.n - told < SEEN_EVERY) return;
+      told = frame.n;
+      say({ do: "seen", n: frame.n });
     },
     "change:history": () => {
       scene.history(model.get("history"));
@@ -71,6 +74,7 @@ export function render({ model, el }) {
     },
     "change:checks": () => panels.writeChecks(model.get("checks")),
     "change:commands": () => panels.writeCommands(model.get("commands")),
+    "change:problem": () => bar.problem(model.get("problem")),
     "change:names": () => charting.names(model.get("names")),
   };
   for (const [event, listener] of Object.entries(listeners)) model.on(event, listener);

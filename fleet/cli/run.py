@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from fleet.cli import hosts as cli_hosts
+from fleet.cli import view as cli_view
 from fleet.cli.completion import scenarios
 from fleet.cli.documents.output import json_option, print_document
 from fleet.cli.group import EPILOG
@@ -75,6 +76,7 @@ MOST_FAULTS = 20  # of the scenario, said before it runs
 @click.option(
     "--publish", is_flag=True, help="Publish the journal on zenoh meanwhile; nobody who listens slows the run."
 )
+@click.option("--view", is_flag=True, help="Open a page of the browser that shows the run, and lets one disturb it.")
 @click.option("--audit", is_flag=True, help="Say also which messages the router refuses, a tenth slower.")
 @click.option("--wait-for-subscribers", is_flag=True, help="With --publish: begin when somebody listens.")
 @cli_hosts.hosts_options
@@ -100,6 +102,7 @@ def run(
     show_config: bool,
     port: int | None,
     publish: bool,
+    view: bool,
     audit: bool,
     wait_for_subscribers: bool,
     join_timeout: int,
@@ -119,6 +122,7 @@ def run(
       D=$(fleet run paper --in-process --quiet) && fleet plot $D
       fleet run paper --json > result.json
       fleet run paper --clock real --speed 2
+      fleet run paper --speed 1 --view
       fleet run --from runs/latest@20s --set controller=bsmc
     """
     if wait_for_subscribers and not publish:
@@ -142,7 +146,6 @@ def run(
 
     from fleet.execution.execute import execute
     from fleet.execution.options import Options
-    from fleet.execution.outcome import Status
     from fleet.scenario.scenario import timeline_lines
 
     terminal = Terminal(stderr=True)
@@ -156,12 +159,14 @@ def run(
     pace = _realtime_speed(speed, clock, one_process)
     if audit and (one_process or (meeting and meeting.router)):
         raise click.UsageError("--audit reads the log of the router that a run hosts; this run hosts none")
+    if view and one_process:
+        raise click.UsageError(f"--view is of a run that answers; not with {one_process}: fleet view shows its log")
     options = Options(
         out,
         in_process=in_process,
         speed_limit=speed,
         quiet=quiet,
-        publish=publish,
+        publish=publish or view,
         wait=wait_for_subscribers,
         port=port,
         start=start,
@@ -177,7 +182,15 @@ def run(
             say(line, err=True)
         if loaded.ideal and not in_process:
             say("network: ideal has no latency and so runs in one process", err=True)
-    result = execute(loaded, options, terminal)
+    with cli_view.companion(asked=view, stays=not (quiet or as_json)):
+        result = execute(loaded, options, terminal)
+        _print_result(result, as_json=as_json, quiet=quiet)
+    sys.exit(int(result.status))
+
+
+def _print_result(result: Result, *, as_json: bool, quiet: bool) -> None:
+    from fleet.execution.outcome import Status
+
     try:
         if as_json or quiet:
             _print_failure(result)
@@ -196,7 +209,6 @@ def run(
         give_up_output()
         click.echo(f"fleet: {error}; the results are in {result.directory}", err=True)
         sys.exit(max(Status.BROKEN, result.status))
-    sys.exit(int(result.status))
 
 
 def _load(

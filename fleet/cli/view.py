@@ -2,10 +2,18 @@
 
 from __future__ import annotations
 
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
 import click
 
 from fleet.cli import completion
 from fleet.cli.log_argument import RUNS
+
+if TYPE_CHECKING:
+    from fleet.view.source import LiveSource, LogSource
 
 EPILOG = "Exit status: 0 done, 2 usage or a bad file, 3 no connection or no port, 129 terminal closed, 130 Ctrl-C."
 
@@ -45,19 +53,94 @@ def view(
 ) -> None:
     """Show a live run or a log in a viewer.
 
+    A page of the browser shows the fleet, its links and its faults; a click on a link or a vehicle disturbs it, and a
+    log is played, paused and searched. The address has a token, without which nobody gets in.
+
     \b
     Examples:
+      fleet view                              the live run that began last, or the newest log
+      fleet view runs/latest                  a log: play, pause, seek, next fault
+      fleet view paper --read-only            to watch only
       fleet view --foxglove                   the live run, for Foxglove or Lichtblick
       fleet view --foxglove --control         the same, and a service call cuts a link
       fleet view --foxglove runs/latest       a log: play, pause, seek
     """
     from fleet.view.source import find_source
 
-    if not foxglove:
-        raise click.UsageError("say for which viewer: --foxglove")
-    from fleet.cli.foxglove import serve
+    source = find_source(what, RUNS)
+    if foxglove:
+        from fleet.cli.foxglove import serve
 
-    serve(find_source(what, RUNS), host, port, control=control is True, rate=rate, loop=loop)
+        serve(source, host, port, control=control is True, rate=rate, loop=loop)
+        return
+    show_page(source, host, port, may_act=control is not False, browser=not no_open, rate=rate or 1.0, loop=loop)
+
+
+def show_page(
+    source: LiveSource | LogSource,
+    host: str,
+    port: int | None,
+    *,
+    may_act: bool,
+    browser: bool,
+    rate: float,
+    loop: bool,
+) -> None:
+    """Serve the page until Ctrl-C.
+
+    Args:
+        may_act: whether it may disturb the run.
+        browser: whether to open one.
+        rate, loop: of a log: times its own pace, and whether it begins again at the end.
+    """
+    from contextlib import closing
+
+    from fleet.terminal.folding import say
+    from fleet.view.live_feed import LiveFeed
+    from fleet.view.log_feed import LogFeed
+    from fleet.view.server import Browser, is_loopback, open_door, serve
+    from fleet.view.source import LiveSource
+
+    door = open_door(host, port)
+    if not is_loopback(host):
+        may = "watch" if not may_act else "watch the run, and disturb it"
+        say(f"warning: whoever knows this address may {may}, and it travels unencrypted: keep to a network that you "
+            "trust, or use ssh -L", err=True)  # fmt: skip
+    with closing(door.listening):
+        feed = LiveFeed(source) if isinstance(source, LiveSource) else LogFeed(source.path, rate, loop=loop)
+        what = "live run" if feed.live else "log"
+        click.echo(f"{what} {feed.name}, until Ctrl-C:\n  {door.address}")
+        with closing(Browser(door.address)) as opened:
+            if browser:
+                opened.open()
+            serve(feed, door, may_act=may_act)
+    raise KeyboardInterrupt
+
+
+@contextmanager
+def companion(*, asked: bool, stays: bool) -> Iterator[None]:
+    """The page of the run that is made within, where one is asked for.
+
+    Args:
+        stays: on a terminal, it stays until Ctrl-C when the run is over.
+    """
+    if not asked:
+        yield
+        return
+    from contextlib import closing, suppress
+
+    from fleet.view.companion import Companion
+    from fleet.view.server import Browser, open_door
+
+    door = open_door()
+    click.echo(f"the run in the browser: {door.address}", err=True)
+    with closing(Companion(door)) as page, closing(Browser(door.address)) as browser:
+        browser.open()
+        yield
+        if stays and sys.stdin.isatty() and sys.stderr.isatty():
+            click.echo("the page stays as it is; Ctrl-C ends it", err=True)
+            with suppress(KeyboardInterrupt):
+                page.wait()
 
 
 COMMANDS = (view,)

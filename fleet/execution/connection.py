@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os.path
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -160,6 +161,33 @@ def is_live(run: LiveRun) -> bool:
     return in_use(run.directory) and os.path.exists(run.directory / CONNECTION)
 
 
+class OpenConnection:
+    """A connection to the console of a run that is kept, for who asks again and again."""
+
+    def __init__(self, run: LiveRun) -> None:
+        """Raises RemoteError: the run cannot be reached."""
+        self._run = run
+        try:
+            self._bus = Bus.connect(run.endpoint, run.credentials, timeout_ms=2000)
+        except BusError as error:
+            raise RemoteError(f"{run.name} cannot be reached: {error}") from None
+
+    def ask(self, op: str, **fields: Any) -> dict[str, Any]:
+        """As `ask`."""
+        name = self._run.name
+        answer = self._bus.ask(f"{Keys(self._run.run).op}/{op}", request(op, **fields), timeout_s=ASK_S)
+        if answer is None:
+            raise RemoteError(f"{name} did not answer within {ASK_S:g} s; is it over?")
+        values = read_map(answer)
+        if "error" in values:
+            raise RemoteError(f"{name}: refused: {values['error']}", 2 if values.get("status") == 2 else 3)
+        return values
+
+    def close(self) -> None:
+        """End it."""
+        self._bus.close()
+
+
 def ask(run: LiveRun, op: str, **fields: Any) -> dict[str, Any]:
     """Ask the console of a run.
 
@@ -172,20 +200,8 @@ def ask(run: LiveRun, op: str, **fields: Any) -> dict[str, Any]:
     Raises:
         RemoteError: it does not answer in time, or refuses.
     """
-    try:
-        bus = Bus.connect(run.endpoint, run.credentials, timeout_ms=2000)
-    except BusError as error:
-        raise RemoteError(f"{run.name} cannot be reached: {error}") from None
-    try:
-        answer = bus.ask(f"{Keys(run.run).op}/{op}", request(op, **fields), timeout_s=ASK_S)
-    finally:
-        bus.close()
-    if answer is None:
-        raise RemoteError(f"{run.name} did not answer within {ASK_S:g} s; is it over?")
-    values = read_map(answer)
-    if "error" in values:
-        raise RemoteError(f"{run.name}: refused: {values['error']}", 2 if values.get("status") == 2 else 3)
-    return values
+    with closing(OpenConnection(run)) as connection:
+        return connection.ask(op, **fields)
 
 
 def _read(directory: Path) -> LiveRun | None:

@@ -11,35 +11,19 @@ from dataclasses import dataclass, field
 from itertools import count
 from typing import Any
 
-from pydantic import TypeAdapter, ValidationError
-
-from fleet.errors import FleetError
 from fleet.execution.clock import LiveClock
+from fleet.execution.fault_request import BROKEN, RefusedError, checked_fault
 from fleet.execution.fleet import Fleet
 from fleet.execution.live_status import link_rows, vehicle_rows
 from fleet.recorder.journal import Journal
-from fleet.scenario.rules.faults import fault_problems
 from fleet.scenario.scenario import Scenario
-from fleet.scenario.schema.faults import FaultEntry, FaultSection
+from fleet.scenario.schema.faults import FaultSection
 from fleet.scenario.sections.timeline import Event, Kill, Part, action, begin_and_end, parts, with_end, words
 from netem.faults import NetFault
 from netem.lives import WHENEVER
 from world.faults import WorldFault
 
-BROKEN = 3  # the status of a refusal for which the asker can do nothing
 MOST_SPEED = 1e6  # times real time; more than any machine makes, and finite
-_ENTRY: TypeAdapter[FaultSection] = TypeAdapter(FaultEntry)
-
-
-class RefusedError(FleetError):
-    """A request that cannot be carried out; the text says why.
-
-    Its `status` is 2 when something else should have been asked for, 3 when the run cannot do it now.
-    """
-
-    def __init__(self, text: str, status: int = 2) -> None:
-        super().__init__(text)
-        self.status = status
 
 
 @dataclass
@@ -103,21 +87,7 @@ class Operator:
         tick = self.fleet.granted
         if tick >= self.scenario.ticks:
             raise RefusedError("the run is about to end", BROKEN)
-        if not isinstance(entry, dict) or "at" in entry:
-            raise RefusedError("expected a fault without at: it begins now")
-        try:
-            section = _ENTRY.validate_python(entry | {"at": f"{tick * self.scenario.tick_ns} ns"})
-        except ValidationError as error:
-            first = error.errors(include_url=False)[0]
-            said = str(first.get("ctx", {}).get("message", first["msg"]))
-            hint = first.get("ctx", {}).get("hint", "")
-            where = ".".join(str(step) for step in first["loc"] if step != "[key]")
-            raise RefusedError(f"{where}: {said[:1].lower()}{said[1:]}{f'; {hint}' if hint else ''}") from None
-        problem = next(fault_problems(section, self.scenario.spec, self.scenario.graph.links), None)
-        if problem is not None:
-            raise RefusedError(str(problem))
-        if any(condition.seed is not None for condition in (section.link or {}).values()):
-            raise RefusedError("seed belongs in a scenario: a link that runs keeps its draws")
+        section = checked_fault(entry, tick, self.scenario)
         name = section.id or next(n for n in map("live-{}".format, count(1)) if n not in self._words)
         if name in self._words:
             raise RefusedError(f"there is a fault {name} already")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import secrets
 import tempfile
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import msgspec
 
@@ -13,7 +13,9 @@ from netem.private_file import parse_json
 from netem.whole_file import read_file, write_whole
 from netem.wire.access import OBSERVER, Credentials
 from netem.wire.keys import Keys
-from netem.wire.open_bus import OpenBus
+
+if TYPE_CHECKING:
+    from netem.wire.open_bus import OpenBus
 
 _MOST_BYTES = 100_000
 
@@ -53,6 +55,8 @@ def host_observed(observed: Observed) -> OpenBus:
     Raises:
         BusError: the endpoint is taken or none.
     """
+    from netem.wire.open_bus import OpenBus  # and with it zenoh, which a run in one process does without
+
     private = Path(tempfile.mkdtemp(prefix="uuv-fleet-"))
     try:
         credentials = Credentials(observed.user, observed.password)

@@ -1,0 +1,50 @@
+"""A fault that is to begin in a run that goes on: checked by the rules of scenarios."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from pydantic import TypeAdapter, ValidationError
+
+from fleet.errors import FleetError
+from fleet.scenario.rules.faults import fault_problems
+from fleet.scenario.scenario import Scenario
+from fleet.scenario.schema.faults import FaultEntry, FaultSection
+
+BROKEN = 3  # the status of a refusal for which the asker can do nothing
+_ENTRY: TypeAdapter[FaultSection] = TypeAdapter(FaultEntry)
+
+
+class RefusedError(FleetError):
+    """A request that cannot be carried out; the text says why.
+
+    Its `status` is 2 when something else should have been asked for, 3 when the run cannot do it now.
+    """
+
+    def __init__(self, text: str, status: int = 2) -> None:
+        super().__init__(text)
+        self.status = status
+
+
+def checked_fault(entry: Any, tick: int, scenario: Scenario) -> FaultSection:
+    """The fault that an entry of a scenario's `faults` without `at` describes, beginning at a tick.
+
+    Raises:
+        RefusedError: it is none, or none for this scenario; the text says what is wrong.
+    """
+    if not isinstance(entry, dict) or "at" in entry:
+        raise RefusedError("expected a fault without at: it begins now")
+    try:
+        section = _ENTRY.validate_python(entry | {"at": f"{tick * scenario.tick_ns} ns"})
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        said = str(first.get("ctx", {}).get("message", first["msg"]))
+        hint = first.get("ctx", {}).get("hint", "")
+        where = ".".join(str(step) for step in first["loc"] if step != "[key]")
+        raise RefusedError(f"{where}: {said[:1].lower()}{said[1:]}{f'; {hint}' if hint else ''}") from None
+    problem = next(fault_problems(section, scenario.spec, scenario.graph.links), None)
+    if problem is not None:
+        raise RefusedError(str(problem))
+    if any(condition.seed is not None for condition in (section.link or {}).values()):
+        raise RefusedError("seed belongs in a scenario: a link that runs keeps its draws")
+    return section

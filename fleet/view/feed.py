@@ -1,0 +1,79 @@
+"""What a live run and a log have in common: how their messages become part of a picture, and their checks."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import yaml
+from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
+from google.protobuf.message import DecodeError
+
+from fleet.logs.result_file import ResultError, read_result
+from fleet.logs.schemas import FAULT, PACKET, flat_schema
+from fleet.scenario.scenario import Scenario
+from fleet.view.picture import Picture, Row
+from netem.causes import Cause
+from netem.condition import Link
+
+TRANSFORMS, FAULTS, LINKS = "transforms", "faults", "link/"
+_PACKET = flat_schema("Packet", PACKET).message
+_FAULT = flat_schema("Fault", FAULT).message
+
+
+def take(picture: Picture, topic: str, at_s: float, data: bytes, *, moving: bool = True) -> None:
+    """Bring one message into a picture; one that is damaged is left out."""
+    with suppress(DecodeError):
+        if topic == TRANSFORMS:
+            picture.transforms(at_s, FrameTransforms.FromString(data))
+        elif topic == FAULTS:
+            picture.event(at_s, _fault(data))
+        elif (link := link_of(topic)) is not None:
+            picture.packet(link, _PACKET.FromString(data), moving=moving)  # type: ignore[attr-defined]
+
+
+def fault_message(data: bytes) -> Any:
+    """A message of the topic `faults`. Raises DecodeError: it is none."""
+    return _fault(data)
+
+
+def _fault(data: bytes) -> Any:
+    return _FAULT.FromString(data)  # type: ignore[attr-defined]
+
+
+def is_lost(data: bytes) -> bool:
+    """Whether a message of a topic `link/<src>-<dst>` tells of a packet that did not arrive whole."""
+    try:
+        packet = _PACKET.FromString(data)  # type: ignore[attr-defined]
+    except DecodeError:
+        return False
+    return bool(packet.corrupted or packet.fate not in (Cause.DELIVERED, Cause.IN_FLIGHT))
+
+
+def link_of(topic: str) -> Link | None:
+    """The link of a topic such as `link/1-2`; None: it is another topic."""
+    src, dash, dst = topic.removeprefix(LINKS).partition("-")
+    if not topic.startswith(LINKS) or not dash or not (src.isdigit() and dst.isdigit()):
+        return None
+    return int(src), int(dst)
+
+
+def checks_asked(scenario: Scenario) -> list[Row]:
+    """The checks of a scenario as it writes them, not judged yet."""
+    checks = yaml.safe_load(scenario.to_yaml()).get("checks") or {}
+    return [{"check": name, "asked": _words(value), "passed": None, "found": ""} for name, value in checks.items()]
+
+
+def checks_judged(log: Path) -> list[Row] | None:
+    """The verdicts beside a log; None: there is no result."""
+    try:
+        return [dict(row) for row in read_result(log)["checks"]]
+    except (FileNotFoundError, ResultError):
+        return None
+
+
+def _words(value: Any) -> str:
+    if isinstance(value, dict):
+        return ", ".join(f"{key.replace('_', ' ')} {inner}" for key, inner in value.items())
+    return "; ".join(map(_words, value)) if isinstance(value, list) else str(value)

@@ -1,0 +1,115 @@
+"""Who may see the page: whoever knows the token of its address, from a browser that asks this host for it.
+
+Others on the machine reach the port as well, and a page of anybody's in the same browser can send requests to it. So
+the token is exchanged once for a cookie that no script and no other site can use, and every request and websocket needs
+it; names of hosts that are not ours are refused (DNS rebinding), and so are websockets that another page opens.
+Plain ASGI: Starlette's own middleware does not see websockets.
+"""
+
+from __future__ import annotations
+
+import secrets
+from collections.abc import Awaitable, Callable, Collection, MutableMapping
+from http.cookies import CookieError, SimpleCookie
+from typing import Any
+from urllib.parse import parse_qs, urlsplit
+
+Scope = MutableMapping[str, Any]
+Receive = Callable[[], Awaitable[MutableMapping[str, Any]]]
+Send = Callable[[MutableMapping[str, Any]], Awaitable[None]]
+App = Callable[[Scope, Receive, Send], Awaitable[None]]
+
+TOKEN = "token"
+_NO_TOKEN = (
+    "This page needs the token that stands in its address.\n"
+    "Open the whole address that fleet view printed: http://.../?token=...\n"
+)
+_WRONG_HOST = "This address is not the one that fleet view printed.\n"
+_POLICY = (
+    b"default-src 'self'; script-src 'self' 'unsafe-inline' 'unsafe-eval'; style-src 'self' 'unsafe-inline'; "
+    b"img-src 'self' data: blob:; font-src 'self' data:; connect-src 'self' ws: wss:; frame-ancestors 'none'"
+)
+
+
+class Guard:
+    """Lets an application be reached by those who know the token."""
+
+    def __init__(self, app: App, token: str, port: int, hosts: Collection[str]) -> None:
+        """Guard an application.
+
+        Args:
+            token: that of the address.
+            port: at which it is reached; cookies of one host know no ports, so it is in the name of ours.
+            hosts: names by which it may be reached; none: any, but then a page of another host still gets nothing.
+        """
+        self._app, self._token = app, token
+        self._cookie = f"fleet-view-{port}"
+        self._session = secrets.token_urlsafe(24)
+        self._names = {f"{host}:{port}".lower() for host in hosts}
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Pass a request on, or refuse it."""
+        if scope["type"] not in ("http", "websocket"):
+            await self._app(scope, receive, send)
+            return
+        headers = {key: value.decode("latin-1") for key, value in scope["headers"]}
+        if not self._is_ours(headers, scope["type"]):
+            await _refuse(scope, send, _WRONG_HOST)
+        elif self._is_known(headers.get(b"cookie", "")):
+            await self._app(scope, receive, _with_policy(send))
+        elif scope["type"] == "http" and self._offers_token(scope):
+            await self._welcome(scope, send)
+        else:
+            await _refuse(scope, send, _NO_TOKEN)
+
+    def _is_ours(self, headers: MutableMapping[bytes, str], kind: str) -> bool:
+        """Whether it was sent to a name of ours, and a websocket by a page of ours."""
+        host = headers.get(b"host", "").lower()
+        if self._names and host not in self._names:
+            return False
+        origin = headers.get(b"origin")
+        return (kind == "http" and origin is None) or (origin is not None and urlsplit(origin).netloc.lower() == host)
+
+    def _is_known(self, cookies: str) -> bool:
+        try:
+            found = SimpleCookie(cookies).get(self._cookie)
+        except CookieError:
+            return False
+        return found is not None and secrets.compare_digest(found.value.encode(), self._session.encode())
+
+    def _offers_token(self, scope: Scope) -> bool:
+        offered = parse_qs(scope.get("query_string", b"").decode("latin-1")).get(TOKEN, [])
+        return len(offered) == 1 and secrets.compare_digest(offered[0].encode(), self._token.encode())
+
+    async def _welcome(self, scope: Scope, send: Send) -> None:
+        """Give the cookie, and lead to the address without the token, which stays out of history and links."""
+        cookie = f"{self._cookie}={self._session}; Path=/; HttpOnly; SameSite=Strict"
+        headers = [
+            (b"location", scope["path"].encode()),
+            (b"set-cookie", cookie.encode()),
+            (b"referrer-policy", b"no-referrer"),
+            (b"cache-control", b"no-store"),
+        ]
+        await send({"type": "http.response.start", "status": 303, "headers": headers})
+        await send({"type": "http.response.body", "body": b""})
+
+
+def _with_policy(send: Send) -> Send:
+    """Nothing is fetched from anywhere else, and nobody frames the page."""
+
+    async def sending(message: MutableMapping[str, Any]) -> None:
+        if message["type"] == "http.response.start":
+            more = [(b"content-security-policy", _POLICY), (b"referrer-policy", b"no-referrer")]
+            message["headers"] = [*message.get("headers", ()), *more]
+        await send(message)
+
+    return sending
+
+
+async def _refuse(scope: Scope, send: Send, text: str) -> None:
+    if scope["type"] == "websocket":
+        await send({"type": "websocket.close", "code": 1008})
+        return
+    headers = [(b"content-type", b"text/plain; charset=utf-8"), (b"cache-control", b"no-store")]
+    await send({"type": "http.response.start", "status": 403, "headers": headers})
+    await send({"type": "http.response.body", "body": text.encode()})

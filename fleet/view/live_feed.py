@@ -1,0 +1,210 @@
+"""A live run as a page shows it: its journal from the publisher, its clock and faults from its console.
+
+The publisher is a process of its own, so nothing here can hold the run up. What zenoh's thread brings waits in a queue
+until the next picture; what the queue has no room for is left out and counted.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from typing import Any
+
+from fleet.execution.connection import LiveRun, OpenConnection, RemoteError, is_live
+from fleet.execution.directory import RESULT, SCENARIO, in_use
+from fleet.logs.reader import LogReader, LogReadError
+from fleet.replay.attachment import unpack
+from fleet.replay.player import MeasuredRate
+from fleet.scenario.loading import parse_scenario
+from fleet.scenario.scenario import Scenario
+from fleet.view.feed import FAULTS, TRANSFORMS, take
+from fleet.view.picture import SAMPLE_S, Picture, Row
+from fleet.view.signals import Signals
+from fleet.view.source import LiveSource, ViewerError
+from netem.errors import BusError
+from netem.parsing import nearest
+from netem.whole_file import read_file
+from netem.wire.access import Credentials
+from netem.wire.keys import Keys
+from netem.wire.open_bus import OpenBus
+
+MOST_WAITING = 50_000  # messages between two pictures
+_MOST_SCENARIO = 4_000_000  # bytes
+
+
+class LiveFeed:
+    """Follows one live run."""
+
+    live = True
+
+    def __init__(self, source: LiveSource) -> None:
+        """Subscribe.
+
+        Raises:
+            ViewerError: the publisher cannot be reached, or there is no scenario beside its observe.json.
+            ScenarioError: that scenario is none for this version.
+        """
+        self.source = source
+        self.name = source.directory.name
+        self.log = source.directory / "run.mcap"
+        self.scenario = _scenario(source)
+        self.picture = Picture(self.scenario)
+        self.dropped = 0
+        self._waiting: deque[Any] = deque(maxlen=MOST_WAITING)
+        self._status: Row = {}
+        self._over = ""  # why there is nothing more to come
+        self._rate = MeasuredRate()
+        self._known: Signals | None = None
+        self._watched: set[str] = set()
+        self._connection: OpenConnection | None = None
+        observed = source.observed
+        self._keys = Keys(observed.run)
+        try:
+            self._bus = OpenBus.connect(observed.endpoint, Credentials(observed.user, observed.password))
+        except BusError as error:
+            raise ViewerError(f"the journal of {self.name} cannot be read: {error}") from None
+        for topic in (TRANSFORMS, FAULTS, "link/*"):
+            self._subscribe(topic)
+
+    def _subscribe(self, topic: str) -> None:
+        self._bus.subscribe(self._keys.log(topic), self._receive)
+
+    def _receive(self, sample: Any) -> None:
+        """On a thread of zenoh."""
+        if len(self._waiting) == MOST_WAITING:
+            self.dropped += 1
+        self._waiting.append(sample)
+
+    @property
+    def run(self) -> LiveRun | None:
+        """The run, if it may be disturbed."""
+        return self.source.run
+
+    def advance(self) -> bool:
+        """Take what has come; whether there is something new to show."""
+        waiting, prefix = self._waiting, len(self._keys.log(""))
+        come = [waiting.popleft() for _ in range(len(waiting))]
+        placed: tuple[float, bytes] | None = None
+        shown_s = self.picture.at_s
+        for sample in come:
+            topic = str(sample.key_expr)[prefix:]
+            try:
+                at_s = unpack(sample.attachment.to_bytes()).log_ns / 1e9
+            except (ValueError, AttributeError):
+                continue  # not the publisher's
+            data = sample.payload.to_bytes()
+            if topic == TRANSFORMS:
+                # As fast as it goes, a run makes more of them than anybody can see.
+                if placed is not None and placed[0] - shown_s >= SAMPLE_S:
+                    take(self.picture, topic, *placed)
+                    shown_s = placed[0]
+                placed = at_s, data
+            else:
+                take(self.picture, topic, at_s, data)
+                self._take_signals(topic, at_s, data)
+        if placed is not None:
+            take(self.picture, TRANSFORMS, *placed)
+        self._rate.update(time.monotonic_ns(), int(self.picture.at_s * 1e9))
+        return bool(come)
+
+    def _take_signals(self, topic: str, at_s: float, data: bytes) -> None:
+        for name in self._watched:
+            signal = self.signals().by_name[name]
+            if signal.topic == topic and (message := self.signals().message(topic, data)) is not None:
+                value = signal.value(message)
+                if value is not None:
+                    self.picture.signal(name, at_s, value)
+
+    def look(self) -> None:
+        """Ask the console how it is doing. Waits for the answer: on a thread of its own."""
+        if self._over:
+            return
+        if self.run is None:
+            if not self._bus.connected:
+                self._over = "the publisher is gone"
+            return
+        try:
+            self._status = self.ask("status")
+            self.picture.faults(self.ask("faults")["faults"])
+        except RemoteError as error:
+            if is_live(self.run):
+                self._status = self._status | {"waiting": str(error)}
+            else:
+                whole = in_use(self.source.directory) or (self.source.directory / RESULT).exists()
+                self._over = "the run is over" if whole else "the run broke: its console is gone"
+
+    def ask(self, op: str, **fields: Any) -> Row:
+        """Ask the console for something, over a connection that stays.
+
+        Raises:
+            RemoteError: it refuses, or does not answer; or only an observer's credentials are at hand.
+        """
+        if self.run is None:
+            raise RemoteError(f"{self.name} may only be watched with these credentials", 2)
+        if self._over:
+            raise RemoteError(f"{self._over}: nothing can be changed any more")
+        try:
+            if self._connection is None:
+                self._connection = OpenConnection(self.run)
+            return self._connection.ask(op, **fields)
+        except RemoteError as error:
+            if error.status != 2 and self._connection is not None:  # perhaps it is the connection
+                self._connection.close()
+                self._connection = None
+            raise
+
+    def clock(self) -> Row:
+        """How time goes."""
+        status, over = self._status, self._over
+        text = over or status.get("clock", "waiting for the run")
+        waiting = status.get("waiting", "")
+        return {
+            "text": text,
+            "paused": text == "paused",
+            "rate": 0.0 if over or text == "paused" else round(self._rate.value, 2),
+            "over": bool(over),
+            "waiting": "" if over or waiting == text else waiting,
+            "note": "" if over or self.picture.setup()["placed"] else _NOT_PLACED,
+        }
+
+    def signals(self) -> Signals:
+        """What else a chart can show: what the log of the run, as far as it is written, declares."""
+        if self._known is None:
+            reader = LogReader(self.log)
+            try:
+                for _ in reader.blocks():
+                    break
+            except LogReadError:
+                return Signals([], {})
+            self._known = Signals(reader.channels.values(), reader.schemas)
+        return self._known
+
+    def watch(self, name: str) -> None:
+        """Bring a signal into the picture as well. Raises KeyError: there is none of this name."""
+        if name not in (known := self.signals().by_name):
+            raise KeyError(nearest(name, known) or "the run logs no such signal")
+        if name in self._watched:
+            return
+        topics = {known[other].topic for other in self._watched}
+        self.picture.watch(name)
+        self._watched.add(name)
+        if known[name].topic not in topics and not known[name].topic.startswith("link/"):
+            self._subscribe(known[name].topic)
+
+    def close(self) -> None:
+        """End."""
+        self._bus.close()
+        if self._connection is not None:
+            self._connection.close()
+
+
+_NOT_PLACED = "The scenario logs no transforms (log: {transforms: 0 ticks}): where the vehicles are is not known."
+
+
+def _scenario(source: LiveSource) -> Scenario:
+    path = source.directory / SCENARIO
+    try:
+        text = read_file(path, _MOST_SCENARIO).decode()
+    except (OSError, ValueError) as error:
+        raise ViewerError(f"{path} cannot be read, and without it nothing can be drawn: {error}") from None
+    return parse_scenario(text, str(path))

@@ -1,0 +1,174 @@
+"""A log as a page shows it: played, paused, at any time, at any rate."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+from fleet.logs.run_name import run_name
+from fleet.logs.tape import Entry, Tape, Track
+from fleet.repeat.recorded_run import recorded
+from fleet.replay.player import Player
+from fleet.scenario.scenario import Scenario
+from fleet.view.feed import FAULTS, TRANSFORMS, fault_message, is_lost, link_of, take
+from fleet.view.picture import HISTORY_S, Picture, Row
+from fleet.view.signals import Signals
+from netem.parsing import nearest
+
+MOST_AT_ONCE = 20_000  # messages between two pictures, and those that a jump looks back on
+
+
+class LogFeed:
+    """Plays one log."""
+
+    live = False
+
+    def __init__(self, path: Path, rate: float = 1.0, *, loop: bool = False) -> None:
+        """Read it through.
+
+        Args:
+            rate: at which it will play, times its own pace.
+            loop: whether it begins again at the end.
+
+        Raises:
+            LogReadError: it cannot be read.
+            ScriptError, ScenarioError: it holds no scenario of ours.
+        """
+        self.path = path
+        self._loop = loop
+        self.name = run_name(path)
+        run = recorded(path)
+        self.scenario: Scenario = run.script()
+        self._tape = Tape(run.path)
+        self._topics = {n: channel.topic for n, channel in self._tape.channels.items()}
+        self._signals = Signals(self._tape.channels.values(), self._tape.schemas)
+        self._watched: set[str] = set()
+        self.picture = Picture(self.scenario)
+        self.picture.faults(self._all_faults())
+        self.missing = self._tape.missing
+        self._track = self._tracked()
+        self.end_s = self._tape.end_ns / 1e9
+        self.player = self._player(0, rate)
+        self._jumped = False
+        self.seek(0.0)
+
+    def _tracked(self) -> Track:
+        topics = {signal.topic for name, signal in self._signals.by_name.items() if name in self._watched}
+        chosen = [n for n, t in self._topics.items() if t == TRANSFORMS or link_of(t) is not None or t in topics]
+        return Track(self._tape, chosen)
+
+    def _player(self, at_ns: int, rate: float = 1.0, *, paused: bool = True) -> Player:
+        now = time.monotonic_ns()
+        track = self._track
+        player = Player(track, 0, self._tape.end_ns, rate=rate, paused=paused, now=now, before=track.before)
+        player.seek(now, at_ns)
+        return player
+
+    def _all_faults(self) -> list[Row]:
+        """Every fault that the log tells of, with its end."""
+        found: dict[str, Row] = {}
+        end_s = self._tape.end_ns / 1e9
+        track = Track(self._tape, [n for n, topic in self._topics.items() if topic == FAULTS])
+        for _, entry in track.entries(range(len(track))):
+            event, at_s = fault_message(entry.data), entry.log_ns / 1e9
+            if event.action == "begins":
+                times = {"from_s": at_s, "to_s": end_s, "until_healed": False}
+                found[event.fault] = {"id": event.fault, "what": event.what} | times
+            elif event.fault in found:
+                found[event.fault]["to_s"] = at_s
+        return list(found.values())
+
+    def advance(self) -> bool:
+        """Take what is due; whether there is something new to show."""
+        now = time.monotonic_ns()
+        some = self.player.due(now, MOST_AT_ONCE)
+        self._take(some, moving=True)
+        new = bool(some) or self._jumped
+        self._jumped = False
+        if self.player.over and not self.player.paused:
+            self.player.pause(now)
+            new = True
+            if self._loop:
+                self.toggle()
+        return new
+
+    def _take(self, some: range, *, moving: bool) -> None:
+        for _, entry in self._track.entries(some):
+            topic = entry.channel.topic
+            take(self.picture, topic, entry.log_ns / 1e9, entry.data, moving=moving)
+            if self._watched:
+                self._take_signals(topic, entry)
+
+    def _take_signals(self, topic: str, entry: Entry) -> None:
+        for name in self._watched:
+            signal = self._signals.by_name[name]
+            if signal.topic == topic and (message := self._signals.message(topic, entry.data)) is not None:
+                value = signal.value(message)
+                if value is not None:
+                    self.picture.signal(name, entry.log_ns / 1e9, value)
+
+    def clock(self) -> Row:
+        """How time goes."""
+        player = self.player
+        over = player.over
+        text = "at the end" if over else "paused" if player.paused else f"{player.rate:g} x real time"
+        note = f"The log is not whole: {self.missing}" if self.missing else ""
+        return {"text": text, "paused": player.paused, "rate": player.rate, "over": over, "waiting": "", "note": note}
+
+    # What the time line does
+
+    def toggle(self) -> None:
+        """Play or pause; from the end it begins again."""
+        if self.player.over:
+            self.seek(0.0)
+        self.player.toggle(time.monotonic_ns())
+
+    def set_rate(self, rate: float) -> None:
+        """Go on at another rate."""
+        self.player.set_rate(time.monotonic_ns(), rate)
+
+    def seek(self, at_s: float) -> None:
+        """Go to a time; what charts show is looked up from the minute before it."""
+        at_s = min(max(at_s, 0.0), self.end_s)
+        track, at_ns = self._track, int(at_s * 1e9)
+        stop = track.before(at_ns + 1)
+        first = max(track.before(int(max(0.0, at_s - HISTORY_S) * 1e9)), stop - MOST_AT_ONCE)
+        self.picture.clear(0.0 if not first else track[first] / 1e9)
+        self._take(range(first, stop), moving=False)
+        self.picture.at_s = at_s
+        self.player.seek(time.monotonic_ns(), at_ns)
+        self._jumped = True
+
+    def next_fault(self) -> float | None:
+        """When the next fault begins or ends [s]; None: none does."""
+        t = self.picture.at_s + 1e-6
+        times = [at for row in self.picture.known_faults for at in (row["from_s"], row["to_s"])]
+        return min((at for at in times if t < at < self.end_s), default=None)
+
+    def next_loss(self) -> float | None:
+        """When the next packet is lost [s]; None: none is."""
+        track = self._track
+        for _, entry in track.entries(range(track.before(int(self.picture.at_s * 1e9) + 1), len(track))):
+            if link_of(entry.channel.topic) is None:
+                continue
+            if is_lost(entry.data):
+                return entry.log_ns / 1e9
+        return None
+
+    def signals(self) -> Signals:
+        """What else a chart can show."""
+        return self._signals
+
+    def watch(self, name: str) -> None:
+        """Bring a signal into the picture as well. Raises KeyError: there is none of this name."""
+        if name not in self._signals.by_name:
+            raise KeyError(nearest(name, self._signals.by_name) or "the log has no such signal")
+        self.picture.watch(name)
+        self._watched.add(name)
+        at_s, player = self.picture.at_s, self.player
+        self._track = self._tracked()
+        self.player = self._player(int(at_s * 1e9), player.rate, paused=player.paused)
+        self.seek(at_s)
+
+    def close(self) -> None:
+        """End."""

@@ -1,0 +1,257 @@
+"""The page: what every browser that is open gets, and what a click does. NiceGUI is used here and in `forms` only."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from nicegui import app, run, ui
+from nicegui.events import GenericEventArguments
+
+from fleet.errors import FleetError
+from fleet.execution.directory import in_use
+from fleet.view import words
+from fleet.view.feed import checks_asked, checks_judged
+from fleet.view.forms import FaultForm
+from fleet.view.live_feed import LiveFeed
+from fleet.view.log_feed import LogFeed
+from fleet.view.picture import Row
+
+PERIOD_S = 0.05  # between two pictures
+LOOK_S = 1.0  # between two questions to the console
+MOST_AHEAD = 40  # pictures on their way to a browser; further ones are left out,
+TRY_AGAIN = 100  # but one of so many
+_HERE = Path(__file__).parent
+
+
+class FleetView(ui.element, component="page/fleet_view.js", esm={"fleet-view": "page/modules"}):
+    """The adapter between NiceGUI and our modules, which know nothing of it."""
+
+    def __init__(self, setup: Row, said: Callable[[Row], Any]) -> None:
+        super().__init__()
+        self.props["setup"] = setup
+        self.on("say", lambda event: said(_said(event)))
+
+    def give(self, changes: Row) -> None:
+        """Change values of the model in the browser."""
+        self.run_method("give", changes)
+
+
+def _said(event: GenericEventArguments) -> Row:
+    return event.args if isinstance(event.args, dict) else {}
+
+
+class Page:
+    """All browsers that look at one run or log."""
+
+    def __init__(self, feed: LiveFeed | LogFeed, *, may_act: bool) -> None:
+        self.feed = feed
+        self.may_act = may_act and (not isinstance(feed, LiveFeed) or feed.run is not None)
+        self.commands: list[str] = []  # that had the effect of what was done here
+        self.dropped = 0  # pictures that a browser was too slow for
+        self._viewers: list[Viewer] = []
+        self.checks = checks_asked(feed.scenario)
+        self._busy = asyncio.Lock()  # one question at a time
+        self.new = False
+        if isinstance(feed, LogFeed):
+            self.checks = checks_judged(feed.path) or self.checks
+
+    def begin(self) -> None:
+        """Let pictures come as soon as the server runs."""
+        app.on_startup(self._show)
+        if isinstance(self.feed, LiveFeed):
+            app.on_startup(self._look)
+        app.on_shutdown(self.feed.close)
+
+    def build(self) -> None:
+        """Make the page of one browser."""
+        ui.add_css(_HERE / "page" / "fleet_view.css")
+        ui.query(".nicegui-content").classes("fleet-page")
+        viewer = Viewer(self)
+        ui.context.client.on_delete(lambda: self._forget(viewer))
+        self._viewers.append(viewer)
+
+    def _forget(self, viewer: Viewer) -> None:
+        with suppress(ValueError):
+            self._viewers.remove(viewer)
+
+    def tell_all(self, changes: Row) -> None:
+        """Give every browser something."""
+        for viewer in self._viewers:
+            viewer.give(changes)
+
+    async def _show(self) -> None:
+        """Give every browser each picture, for ever."""
+        loop = asyncio.get_running_loop()
+        due = loop.time()
+        while True:
+            due = max(due + PERIOD_S, loop.time())
+            await asyncio.sleep(due - loop.time())
+            try:
+                come = self.feed.advance()
+            except FleetError as error:  # the log is not what it was, for instance
+                self.tell_all({"problem": str(error)})
+                return
+            if (come or self.new) and self._viewers:
+                self.new = False
+                frame = self.feed.picture.frame() | {"clock": self.feed.clock(), "dropped": self.dropped}
+                for viewer in self._viewers:
+                    viewer.show(frame)
+
+    async def _look(self) -> None:
+        """Ask the console how it is doing, again and again, until the run is over."""
+        assert isinstance(self.feed, LiveFeed)
+        over = False
+        while not over:
+            async with self._busy:
+                await run.io_bound(self.feed.look)
+            over = bool(self.feed.clock()["over"])
+            self.new = True
+            await asyncio.sleep(LOOK_S)
+        # The result is written last, and a run that broke has none.
+        while (verdicts := await run.io_bound(checks_judged, self.feed.log)) is None and in_use(self.feed.log.parent):
+            await asyncio.sleep(LOOK_S)
+        self.checks = verdicts or self.checks
+        self.tell_all({"checks": self.checks})
+
+    async def do(self, command: str, op: str, **fields: Any) -> Row:
+        """Ask the console for something, and note which command would have done it.
+
+        Raises:
+            FleetError: it refuses, or nothing may be asked for here.
+        """
+        if not self.may_act or not isinstance(self.feed, LiveFeed):
+            raise FleetError("this page may only watch")
+        feed = self.feed
+        async with self._busy:
+            answer = await run.io_bound(feed.ask, op, **fields)
+        self.commands.append(command)
+        self.tell_all({"commands": self.commands})
+        if not self.feed.clock()["over"]:
+            async with self._busy:
+                await run.io_bound(self.feed.look)
+            self.new = True
+        return answer or {}
+
+
+class Viewer:
+    """One browser."""
+
+    def __init__(self, page: Page) -> None:
+        self._page = page
+        self._ready = False
+        self._sent = self._seen = self._left_out = 0
+        feed = page.feed
+        setup = feed.picture.setup() | {
+            "name": feed.name,
+            "live": feed.live,
+            "may_act": page.may_act and feed.live,
+            "log_end_s": feed.end_s if isinstance(feed, LogFeed) else None,
+            "log": str(feed.path) if isinstance(feed, LogFeed) else "",
+            "marks": feed.picture.known_faults if isinstance(feed, LogFeed) else [],
+        }
+        self.element = FleetView(setup, self._said)
+        self._form = FaultForm(feed, page.do) if isinstance(feed, LiveFeed) and page.may_act else None
+
+    def give(self, changes: Row) -> None:
+        """Give it something, once it listens."""
+        if self._ready:
+            self.element.give(changes)
+
+    def show(self, frame: Row) -> None:
+        """Give it a picture, unless it is too far behind."""
+        if not self._ready:
+            return
+        if self._sent - self._seen > MOST_AHEAD:
+            self._page.dropped += 1
+            self._left_out += 1
+            if self._left_out % TRY_AGAIN:  # now and then one is sent: what was on its way may have been lost
+                return
+        self._sent += 1
+        self.element.give({"frame": frame | {"n": self._sent}})
+
+    async def _said(self, said: Row) -> None:
+        """What somebody did in the browser."""
+        try:
+            await self._do(said)
+        except FleetError as error:
+            with self.element:
+                ui.notify(str(error), type="negative", multi_line=True, timeout=8000)
+        except (KeyError, TypeError, ValueError) as error:
+            with self.element:
+                ui.notify(f"not understood: {error}", type="negative")
+
+    async def _do(self, said: Row) -> None:
+        page, feed = self._page, self._page.feed
+        match said.get("do"):
+            case "ready":
+                self._ready = True
+                self._sent = self._seen = 0
+                names = list(feed.signals().by_name) if not feed.live else await run.io_bound(self._names)
+                self.give({"history": feed.picture.history(), "checks": page.checks, "commands": page.commands,
+                           "names": names})  # fmt: skip
+                page.new = True
+            case "seen":
+                self._seen = int(said["n"])
+            case "signal":
+                feed.watch(str(said["name"]))
+                self.give({"history": feed.picture.history()})
+            case "link" | "vehicle" | "fleet" | "partition" as kind:
+                if self._form is not None:
+                    self._form.open(kind, said)
+            case "heal":
+                name = said.get("id")
+                answer = await page.do(words.heal(name, feed.name), "heal", id=name)
+                self._tell(f"healed {', '.join(answer['healed']) or 'nothing'} at t = {answer['at_s']:.2f} s")
+            case "clock":
+                do, value = str(said["how"]), said.get("value")
+                await page.do(words.clock(do, value, feed.name), "clock", do=do, value=value)
+            case "script":
+                await self._download()
+            case _ if isinstance(feed, LogFeed):
+                self._play(feed, said)
+
+    def _names(self) -> list[str]:
+        return list(self._page.feed.signals().by_name)
+
+    def _play(self, feed: LogFeed, said: Row) -> None:
+        """What the time line of a log does."""
+        at_s: float | None = None
+        match said.get("do"):
+            case "toggle":
+                feed.toggle()
+            case "rate":
+                feed.set_rate(float(said["rate"]))
+            case "seek":
+                at_s = float(said["at_s"])
+            case "next fault":
+                at_s = feed.next_fault()
+                if at_s is None:
+                    self._tell("no fault begins or ends after this")
+            case "next loss":
+                at_s = feed.next_loss()
+                if at_s is None:
+                    self._tell("no packet is lost after this")
+        if at_s is not None:
+            feed.seek(at_s)
+            self._page.tell_all({"history": feed.picture.history()})
+        self._page.new = True
+
+    async def _download(self) -> None:
+        """The run so far as a scenario."""
+        from fleet.repeat.recorded_run import script
+
+        feed = self._page.feed
+        path = feed.path if isinstance(feed, LogFeed) else feed.log
+        made = await run.io_bound(script, path)
+        with self.element:
+            ui.download.content(made.to_yaml() if made else "", f"{feed.scenario.name}-again.yaml")
+        self._page.commands.append(f"fleet script {path} > again.yaml")
+        self._page.tell_all({"commands": self._page.commands})
+
+    def _tell(self, text: str) -> None:
+        with self.element:
+            ui.notify(text)

@@ -1,0 +1,19 @@
+// Elements in one call.
+export function make(tag, attributes = {}, ...children) {
+  const element = document.createElement(tag);
+  for (const [name, value] of Object.entries(attributes)) {
+    if (name.startsWith("on")) element.addEventListener(name.slice(2), value);
+    else if (name === "class") element.className = value;
+    else if (name in element && name !== "list") element[name] = value;
+    else element.setAttribute(name, value);
+  }
+  element.append(...children);
+  return element;
+}
+
+// Change a text only where it differs: what stays as it is costs nothing, and keeps its selection.
+export function write(element, text) {
+  if (element.textContent !== text) element.textContent = text;
+}
+
+export const number = (value, digits, unit) => (value == null ? "-" : `${value.toFixed(digits)} ${unit}`);

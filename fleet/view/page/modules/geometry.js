@@ -1,0 +1,31 @@
+// Plane geometry in pixels.
+export function distanceToSegment(x, y, a, b) {
+  const [dx, dy] = [b[0] - a[0], b[1] - a[1]];
+  const length = dx * dx + dy * dy;
+  const along = length ? Math.min(1, Math.max(0, ((x - a[0]) * dx + (y - a[1]) * dy) / length)) : 0;
+  return Math.hypot(x - a[0] - along * dx, y - a[1] - along * dy);
+}
+
+// Two ends, moved sideways: the lane of one direction beside that of the other.
+export function lane(a, b, aside, from, to) {
+  const [dx, dy] = [b[0] - a[0], b[1] - a[1]];
+  const length = Math.hypot(dx, dy) || 1;
+  const [ux, uy] = [dx / length, dy / length];
+  const keep = Math.min(1, length / (from + to + 1));
+  return [
+    [a[0] + keep * from * ux - aside * uy, a[1] + keep * from * uy + aside * ux],
+    [b[0] - keep * to * ux - aside * uy, b[1] - keep * to * uy + aside * ux],
+  ];
+}
+
+export const between = (a, b, share) => [a[0] + share * (b[0] - a[0]), a[1] + share * (b[1] - a[1])];
+
+// On which side of the line through a and b a point is: true on its left.
+export const isLeft = (point, a, b) => (b[0] - a[0]) * (point[1] - a[1]) - (b[1] - a[1]) * (point[0] - a[0]) < 0;
+
+// A round number of about this size: 1, 2 or 5 times a power of ten.
+export function round(size) {
+  const power = 10 ** Math.floor(Math.log10(size));
+  const first = size / power;
+  return (first < 1.5 ? 1 : first < 3.5 ? 2 : first < 7.5 ? 5 : 10) * power;
+}

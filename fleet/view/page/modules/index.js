@@ -1,0 +1,88 @@
+// A run in one page: the fleet, charts and numbers. `render` gets a model and an element, and knows no toolkit.
+import { Bar } from "./bar.js";
+import { Charts } from "./charts.js";
+import { make } from "./dom.js";
+import { legend } from "./legend.js";
+import { Panels } from "./panels.js";
+import { Scene } from "./scene.js";
+
+export { Model } from "./model.js";
+
+const SEEN_EVERY = 10; // pictures between two words that they have come
+
+export function render({ model, el }) {
+  const setup = model.get("setup");
+  const say = (message) => model.send(message);
+  const top = make("header", { class: "fleet-bar" });
+  const stage = make("div", { class: "fleet-stage" });
+  const side = make("aside", { class: "fleet-side" });
+  const charts = make("div", { class: "fleet-charts" });
+  el.append(top, make("main", { class: "fleet-main" }, stage, charts), side);
+
+  const choose = (i) => {
+    scene.chosen = bar.chosen = i ? panels.choose(i) : panels.choose(panels.chosen);
+    scene.dirty = true;
+    if (model.get("frame")) panels.frame(model.get("frame"));
+  };
+  const inject = (i) => setup.may_act && say({ do: "vehicle", i });
+  const panels = new Panels(side, setup, {
+    onVehicle: choose,
+    onLink: (src, dst) => say({ do: "link", src, dst }),
+    onHeal: (id) => say({ do: "heal", id }),
+    onInject: inject,
+  });
+  const scene = new Scene(stage, setup, {
+    onLink: (src, dst) => say({ do: "link", src, dst }),
+    onVehicle: (i) => {
+      if (i !== panels.chosen) choose(i);
+      if (i) inject(i);
+    },
+    onLine: (groups) => groups.every((group) => group.length) && say({ do: "partition", groups }),
+  });
+  stage.append(legend());
+  const view = () => {
+    scene.camera.fromAbove(!scene.camera.above);
+    bar.view.textContent = scene.camera.above ? "In 3D" : "From above";
+    scene.dirty = true;
+  };
+  scene.onView = view;
+  const bar = new Bar(top, setup, say, {
+    onView: view,
+    onLine: () => {
+      scene.drawing = !scene.drawing;
+      scene.canvas.style.cursor = scene.drawing ? "crosshair" : "grab";
+      scene.canvas.focus();
+    },
+  });
+  const charting = new Charts(charts, setup, (name) => say({ do: "signal", name }));
+
+  let told = 0;
+  const listeners = {
+    "change:frame": () => {
+      const frame = model.get("frame");
+      scene.frame(frame);
+      charting.frame(frame);
+      panels.frame(frame);
+      bar.frame(frame);
+      if (frame.n - told < SEEN_EVERY) return;
+      told = frame.n;
+      say({ do: "seen", n: frame.n });
+    },
+    "change:history": () => {
+      scene.history(model.get("history"));
+      charting.history(model.get("history"));
+    },
+    "change:checks": () => panels.writeChecks(model.get("checks")),
+    "change:commands": () => panels.writeCommands(model.get("commands")),
+    "change:problem": () => bar.problem(model.get("problem")),
+    "change:names": () => charting.names(model.get("names")),
+  };
+  for (const [event, listener] of Object.entries(listeners)) model.on(event, listener);
+  el.fleet = { scene }; // for tests, and for who looks with the tools of the browser
+  say({ do: "ready" });
+  return () => {
+    for (const [event, listener] of Object.entries(listeners)) model.off(event, listener);
+    scene.end();
+    charting.end();
+  };
+}

@@ -1,0 +1,482 @@
+// The fleet on a canvas: hulls, trails, desired places, links and packets; and what is under the pointer.
+import { Camera } from "./camera.js";
+import { LINKS, SILENT, hull } from "./colours.js";
+import { between, distanceToSegment, isLeft, lane, round } from "./geometry.js";
+import { axis, drawHull, drawnSize } from "./hull.js";
+import { Packets } from "./packets.js";
+
+const FRAME_MS = 33;
+const TRAIL_S = 30;
+const LINK_PX = 8; // that a click may miss a link by
+const HULL_PX = 18;
+
+export class Scene {
+  constructor(el, setup, { onLink, onVehicle, onLine }) {
+    this.setup = setup;
+    this.handlers = { onLink, onVehicle, onLine };
+    this.camera = new Camera();
+    this.packets = new Packets();
+    this.canvas = document.createElement("canvas");
+    this.canvas.tabIndex = 0;
+    this.canvas.setAttribute("role", "img");
+    this.canvas.setAttribute(
+      "aria-label",
+      "The fleet and its links. Arrow keys turn the view, plus and minus zoom, t looks from above, 0 resets it.",
+    );
+    this.tip = document.createElement("div");
+    this.tip.className = "fleet-tip";
+    this.tip.hidden = true;
+    el.append(this.canvas, this.tip);
+    this.before = null;
+    this.now = null;
+    this.trails = new Map();
+    this.lanes = [];
+    this.spots = [];
+    this.chosen = 0;
+    this.over = null; // what is under the pointer
+    this.line = null; // that is being drawn through the fleet
+    this.drawing = false;
+    this.both = new Set(setup.links.map(([src, dst]) => `${src} ${dst}`));
+    this.dirty = true;
+    this.listen();
+    this.sized = new ResizeObserver(() => this.resize());
+    this.sized.observe(this.canvas);
+    this.last = 0;
+    const loop = (at) => {
+      this.request = requestAnimationFrame(loop);
+      if (at - this.last < FRAME_MS - 4 || (!this.dirty && !this.packets.moving && !this.isMoving(at))) return;
+      this.last = at;
+      this.draw(at);
+    };
+    this.request = requestAnimationFrame(loop);
+  }
+
+  end() {
+    cancelAnimationFrame(this.request);
+    this.sized.disconnect();
+  }
+
+  resize() {
+    const dots = Math.min(2, window.devicePixelRatio || 1);
+    this.width = this.canvas.clientWidth;
+    this.height = this.canvas.clientHeight;
+    this.canvas.width = Math.round(this.width * dots);
+    this.canvas.height = Math.round(this.height * dots);
+    this.g = this.canvas.getContext("2d");
+    this.g.setTransform(dots, 0, 0, dots, 0, 0);
+    this.dirty = true;
+  }
+
+  frame(frame) {
+    const at = performance.now();
+    const jump = this.now && (frame.t < this.now.frame.t || frame.t > this.now.frame.t + 5);
+    this.before = jump ? null : this.now;
+    this.now = { at, frame };
+    if (jump) this.packets.clear();
+    this.packets.take(frame.packets, frame.clock.rate || 1, this.setup.links, this.setup.acoustic, at);
+    this.samples(frame.samples);
+    this.dirty = true;
+  }
+
+  history(history) {
+    this.trails.clear();
+    this.samples(history.samples);
+  }
+
+  samples(samples) {
+    for (const [t, , , , places] of samples) {
+      for (let k = 0; k < places.length; k += 4) {
+        const i = places[k];
+        if (!this.trails.has(i)) this.trails.set(i, []);
+        const trail = this.trails.get(i);
+        if (trail.length && trail[trail.length - 1][3] >= t) continue;
+        trail.push([places[k + 1], places[k + 2], places[k + 3], t]);
+        while (trail.length && trail[0][3] < t - TRAIL_S) trail.shift();
+      }
+    }
+  }
+
+  isMoving(at) {
+    return this.before && at - this.now.at < 1.5 * (this.now.at - this.before.at);
+  }
+
+  // Between two frames vehicles glide from one to the other, so that they move smoothly at any rate.
+  vehicles(at) {
+    const { frame } = this.now;
+    if (!this.before) return frame.uuv;
+    const share = Math.min(1, (at - this.now.at) / Math.max(1, this.now.at - this.before.at));
+    const earlier = new Map(this.before.frame.uuv.map((row) => [row[0], row]));
+    return frame.uuv.map((row) => {
+      const old = earlier.get(row[0]);
+      if (!old) return row;
+      const mix = (k) => old[k] + share * (row[k] - old[k]);
+      return [row[0], mix(1), mix(2), mix(3), row[4], row[5], row[6]];
+    });
+  }
+
+  draw(at) {
+    const { g, width, height } = this;
+    if (!g || !width) return;
+    this.dirty = false;
+    const sea = g.createLinearGradient(0, 0, 0, height);
+    sea.addColorStop(0, "#12334d");
+    sea.addColorStop(1, "#071524");
+    g.fillStyle = sea;
+    g.fillRect(0, 0, width, height);
+    if (!this.now || !this.now.frame.uuv.length) return;
+    const { frame } = this.now;
+    const rows = this.vehicles(at);
+    const offsets = frame.offsets_m ?? this.setup.offsets_m;
+    const wanted = offsets.map((offset) => offset.map((value, k) => value + frame.ref[k]));
+    const { camera } = this;
+    camera.follow([...rows.map((row) => row.slice(1, 4)), ...wanted]);
+    const { project, scale } = camera.projection(width, height);
+    const deep = Math.max(...rows.map((row) => row[3]), ...wanted.map((place) => place[2]));
+    const floor = deep + 0.35 * camera.radius;
+    this.drawFloor(project, floor);
+    if (!camera.above) this.drawStems(rows, project, floor);
+    this.drawTrails(rows, project);
+    this.drawWanted(rows, wanted, project, frame.ref);
+    const places = new Map(rows.map((row) => [row[0], row]));
+    if (this.setup.acoustic) this.packets.drawRings(g, places, 2 * camera.radius, project, at);
+    this.drawLinks(frame, places, project);
+    this.packets.draw(g, this.lanes, at);
+    this.drawHulls(frame, rows, project, scale);
+    this.drawCompass(project);
+    if (this.line) this.drawLine();
+  }
+
+  drawFloor(project, floor) {
+    const { g, camera } = this;
+    const step = round(camera.radius / 2.5 / Math.min(4, Math.max(0.5, camera.zoom)));
+    const reach = Math.ceil((2.6 * camera.radius) / step) * step;
+    const [n0, e0] = camera.centre.map((value) => Math.round(value / step) * step);
+    g.lineWidth = 1;
+    for (let k = -reach; k <= reach + 1e-6; k += step) {
+      const fade = 0.28 * (1 - Math.abs(k) / (1.15 * reach));
+      g.strokeStyle = `rgba(140, 190, 230, ${fade})`;
+      g.beginPath();
+      for (const [a, b] of [[[n0 + k, e0 - reach], [n0 + k, e0 + reach]], [[n0 - reach, e0 + k], [n0 + reach, e0 + k]]]) {
+        const [p, q] = [project([...a, floor]), project([...b, floor])];
+        g.moveTo(p[0], p[1]);
+        g.lineTo(q[0], q[1]);
+      }
+      g.stroke();
+    }
+    this.step = step;
+  }
+
+  drawStems(rows, project, floor) {
+    const { g } = this;
+    for (const row of rows) {
+      const [top, foot] = [project(row.slice(1, 4)), project([row[1], row[2], floor])];
+      g.strokeStyle = "rgba(170, 210, 240, 0.28)";
+      g.setLineDash([2, 4]);
+      g.beginPath();
+      g.moveTo(top[0], top[1]);
+      g.lineTo(foot[0], foot[1]);
+      g.stroke();
+      g.setLineDash([]);
+      g.fillStyle = "rgba(0, 0, 0, 0.35)";
+      g.beginPath();
+      g.ellipse(foot[0], foot[1], 9, 9 * Math.sin(this.camera.elevation), 0, 0, 7);
+      g.fill();
+    }
+  }
+
+  drawTrails(rows, project) {
+    const { g } = this;
+    g.lineWidth = 2;
+    g.lineCap = "round";
+    for (const row of rows) {
+      const trail = this.trails.get(row[0]) ?? [];
+      const points = [...trail, [row[1], row[2], row[3], this.now.frame.t]];
+      g.strokeStyle = hull(row[0]);
+      const part = Math.ceil(points.length / 6);
+      for (let k = 0; k + 1 < points.length; k += part) {
+        g.globalAlpha = 0.12 + 0.5 * (k / points.length);
+        g.beginPath();
+        for (const point of points.slice(k, k + part + 1)) {
+          const [x, y] = project(point);
+          g.lineTo(x, y);
+        }
+        g.stroke();
+      }
+    }
+    g.globalAlpha = 1;
+    g.lineCap = "butt";
+  }
+
+  drawWanted(rows, wanted, project, reference) {
+    const { g } = this;
+    for (const row of rows) {
+      const place = wanted[row[0] - 1];
+      if (!place) continue;
+      const [x, y] = project(place);
+      const [u, v] = project(row.slice(1, 4));
+      g.strokeStyle = hull(row[0]);
+      g.globalAlpha = 0.75;
+      g.lineWidth = 1.5;
+      g.setLineDash([3, 3]);
+      g.beginPath();
+      g.arc(x, y, 9, 0, 7);
+      g.stroke();
+      if (Math.hypot(u - x, v - y) > 20) {
+        g.globalAlpha = 0.35;
+        g.beginPath();
+        g.moveTo(x, y);
+        g.lineTo(u, v);
+        g.stroke();
+      }
+      g.setLineDash([]);
+      g.globalAlpha = 1;
+    }
+    const [x, y] = project(reference);
+    g.strokeStyle = "#ffffff";
+    g.lineWidth = 1.5;
+    g.beginPath();
+    g.moveTo(x - 7, y);
+    g.lineTo(x + 7, y);
+    g.moveTo(x, y - 7);
+    g.lineTo(x, y + 7);
+    g.stroke();
+    g.fillStyle = "rgba(255, 255, 255, 0.75)";
+    g.font = "11px system-ui, sans-serif";
+    g.fillText("reference", x + 8, y + 17);
+  }
+
+  drawLinks(frame, places, project) {
+    const { g } = this;
+    this.lanes = this.setup.links.map(([src, dst], k) => {
+      const [a, b] = [places.get(src), places.get(dst)];
+      if (!a || !b) return null;
+      const aside = this.both.has(`${dst} ${src}`) ? 5 : 0;
+      const ends = lane(project(a.slice(1, 4)), project(b.slice(1, 4)), aside, 20, 22);
+      const state = frame.links[k] ?? "unused";
+      const { colour, width, dash } = LINKS[state];
+      const hit = this.over?.link === k;
+      g.strokeStyle = g.fillStyle = colour;
+      g.globalAlpha = hit ? 1 : state === "delivered" ? 0.55 : 0.9;
+      g.lineWidth = hit ? width + 2 : width;
+      g.setLineDash(dash);
+      g.beginPath();
+      g.moveTo(...ends[0]);
+      g.lineTo(...ends[1]);
+      g.stroke();
+      g.setLineDash([]);
+      this.drawTip(ends, state === "delivered" ? 6 : 8);
+      if (state === "down") this.drawCut(between(ends[0], ends[1], 0.5));
+      g.globalAlpha = 1;
+      return ends;
+    });
+  }
+
+  drawTip([a, b], size) {
+    const { g } = this;
+    const turn = Math.atan2(b[1] - a[1], b[0] - a[0]);
+    g.beginPath();
+    g.moveTo(...b);
+    for (const side of [-0.4, 0.4]) {
+      g.lineTo(b[0] - size * Math.cos(turn + side), b[1] - size * Math.sin(turn + side));
+    }
+    g.fill();
+  }
+
+  drawCut([x, y]) {
+    const { g } = this;
+    g.lineWidth = 3;
+    g.beginPath();
+    g.moveTo(x - 5, y - 5);
+    g.lineTo(x + 5, y + 5);
+    g.moveTo(x - 5, y + 5);
+    g.lineTo(x + 5, y - 5);
+    g.stroke();
+  }
+
+  drawHulls(frame, rows, project, scale) {
+    const { g } = this;
+    const seen = rows.map((row) => ({ row, at: project(row.slice(1, 4)) })).sort((a, b) => b.at[2] - a.at[2]);
+    this.spots = [];
+    for (const { row, at } of seen) {
+      const i = row[0];
+      const state = frame.states[i] ?? "";
+      const silent = state.includes("no agent") || state.includes("diverged");
+      const [length, thick] = drawnSize(this.setup.hulls_m[i - 1], scale, this.setup.vehicles);
+      const [tail, nose] = axis(row, length).map(project);
+      const chosen = this.chosen === i || this.over?.vehicle === i;
+      drawHull(g, tail, nose, thick * scale, silent ? SILENT : hull(i), { silent, chosen });
+      this.spots.push({ i, x: at[0], y: at[1] });
+      this.drawLabel(i, at, `${row[3].toFixed(1)} m deep`, state);
+    }
+  }
+
+  drawLabel(i, [x, y], depth, state) {
+    const { g } = this;
+    const many = this.setup.vehicles > 12;
+    if (this.setup.vehicles > 40 && !state && this.chosen !== i && this.over?.vehicle !== i) {
+      g.font = "10px system-ui, sans-serif"; // no room for more
+      g.fillStyle = hull(i);
+      g.fillText(`${i}`, x + 9, y - 7);
+      return;
+    }
+    g.textBaseline = "middle";
+    g.font = "600 12px system-ui, sans-serif";
+    const name = state ? `${i}  ${state}` : `${i}`;
+    const wide = g.measureText(name).width + 10;
+    g.fillStyle = state ? "rgba(110, 20, 35, 0.9)" : "rgba(4, 14, 26, 0.75)";
+    g.beginPath();
+    g.roundRect(x + 14, y - 26, wide, 17, 5);
+    g.fill();
+    g.fillStyle = state ? "#ffffff" : hull(i);
+    g.fillText(name, x + 19, y - 17);
+    if (!many) {
+      g.font = "11px system-ui, sans-serif";
+      g.fillStyle = "rgba(205, 225, 245, 0.85)";
+      g.fillText(depth, x + 18 + wide, y - 17);
+    }
+    g.textBaseline = "alphabetic";
+  }
+
+  drawCompass(project) {
+    const { g, camera, width, height } = this;
+    const origin = project(camera.centre);
+    const [n0, e0, d0] = camera.centre;
+    const north = project([n0 + camera.radius, e0, d0]);
+    const turn = Math.atan2(north[1] - origin[1], north[0] - origin[0]);
+    const [x, y] = [width - 42, height - 44];
+    g.strokeStyle = g.fillStyle = "rgba(220, 235, 250, 0.9)";
+    g.lineWidth = 2;
+    const tip = [x + 18 * Math.cos(turn), y + 18 * Math.sin(turn)];
+    g.beginPath();
+    g.moveTo(x - 14 * Math.cos(turn), y - 14 * Math.sin(turn));
+    g.lineTo(...tip);
+    g.stroke();
+    this.drawTip([[x, y], tip], 9);
+    g.font = "600 11px system-ui, sans-serif";
+    g.textAlign = "center";
+    g.fillText("N", x + 28 * Math.cos(turn), y + 28 * Math.sin(turn) + 4);
+    g.font = "11px system-ui, sans-serif";
+    g.textAlign = "right";
+    g.fillText(`grid ${this.step} m`, width - 12, height - 8);
+    g.textAlign = "left";
+  }
+
+  drawLine() {
+    const { g, line } = this;
+    g.strokeStyle = "#ff5c6c";
+    g.lineWidth = 3;
+    g.setLineDash([8, 5]);
+    g.beginPath();
+    g.moveTo(...line[0]);
+    g.lineTo(...line[1]);
+    g.stroke();
+    g.setLineDash([]);
+  }
+
+  // What is under a point of the canvas: a vehicle, or else a link, or else nothing.
+  under(x, y) {
+    const near = this.spots
+      .map((spot) => ({ vehicle: spot.i, away: Math.hypot(spot.x - x, spot.y - y) }))
+      .filter(({ away }) => away < HULL_PX)
+      .sort((a, b) => a.away - b.away)[0];
+    if (near) return near;
+    return this.lanes
+      .map((ends, link) => ({ link, away: ends ? distanceToSegment(x, y, ...ends) : Infinity }))
+      .filter(({ away }) => away < LINK_PX)
+      .sort((a, b) => a.away - b.away)[0];
+  }
+
+  listen() {
+    const { canvas, camera } = this;
+    const place = (event) => [event.offsetX, event.offsetY];
+    let held = null;
+    canvas.addEventListener("pointerdown", (event) => {
+      canvas.setPointerCapture(event.pointerId);
+      held = { from: place(event), last: place(event), moved: false };
+      if (this.drawing) this.line = [place(event), place(event)];
+    });
+    canvas.addEventListener("pointermove", (event) => {
+      const [x, y] = place(event);
+      if (held && this.line) this.line[1] = [x, y];
+      else if (held) {
+        held.moved ||= Math.hypot(x - held.from[0], y - held.from[1]) > 4;
+        if (held.moved) camera.turn(-(x - held.last[0]) / 180, (y - held.last[1]) / 180);
+        held.last = [x, y];
+      } else this.hover(x, y);
+      this.dirty = true;
+    });
+    canvas.addEventListener("pointerup", (event) => {
+      const [x, y] = place(event);
+      if (this.line) this.divide();
+      else if (held && !held.moved) this.click(this.under(x, y));
+      held = null;
+      this.dirty = true;
+    });
+    canvas.addEventListener("pointerleave", () => this.hover(-1e6, -1e6));
+    canvas.addEventListener(
+      "wheel",
+      (event) => {
+        event.preventDefault();
+        camera.magnify(Math.exp(-event.deltaY / 500));
+        this.dirty = true;
+      },
+      { passive: false },
+    );
+    const keys = {
+      ArrowLeft: () => camera.turn(-0.1, 0),
+      ArrowRight: () => camera.turn(0.1, 0),
+      ArrowUp: () => camera.turn(0, 0.1),
+      ArrowDown: () => camera.turn(0, -0.1),
+      "+": () => camera.magnify(1.2),
+      "-": () => camera.magnify(1 / 1.2),
+      0: () => camera.reset(),
+      t: () => this.onView?.(),
+    };
+    canvas.addEventListener("keydown", (event) => {
+      if (event.ctrlKey || event.altKey || event.metaKey || !(event.key in keys)) return;
+      event.preventDefault();
+      keys[event.key]();
+      this.dirty = true;
+    });
+  }
+
+  click(found) {
+    if (found?.vehicle) this.handlers.onVehicle(found.vehicle);
+    else if (found) this.handlers.onLink(...this.setup.links[found.link]);
+    else this.handlers.onVehicle(0);
+  }
+
+  hover(x, y) {
+    const found = this.under(x, y) ?? null;
+    this.over = found;
+    this.canvas.style.cursor = this.drawing ? "crosshair" : found ? "pointer" : "grab";
+    this.tip.hidden = !found;
+    this.dirty = true;
+    if (!found || !this.now) return;
+    this.tip.textContent = found.vehicle ? this.vehicleTip(found.vehicle) : this.linkTip(found.link);
+    this.tip.style.left = `${Math.min(x + 14, this.width - 250)}px`;
+    this.tip.style.top = `${y + 14}px`;
+  }
+
+  vehicleTip(i) {
+    const { errors, states } = this.now.frame;
+    const error = errors[i - 1];
+    return `vehicle ${i}: ${error == null ? "-" : `${error.toFixed(2)} m`} off its place${states[i] ? `, ${states[i]}` : ""}`;
+  }
+
+  linkTip(k) {
+    const [src, dst] = this.setup.links[k];
+    const { links, ages } = this.now.frame;
+    return `link ${src} -> ${dst}: ${LINKS[links[k]].says}; what ${dst} knows of ${src} is ${ages[k].toFixed(1)} s old`;
+  }
+
+  divide() {
+    const [a, b] = this.line;
+    this.line = null;
+    this.drawing = false;
+    const groups = [[], []];
+    for (const { i, x, y } of this.spots) groups[isLeft([x, y], a, b) ? 0 : 1].push(i);
+    for (const group of groups) group.sort((p, q) => p - q);
+    this.handlers.onLine(groups);
+  }
+}

@@ -1,0 +1,269 @@
+"""From journal to picture: the messages of a run, live or logged, become what a page draws.
+
+The state is a pure function of the messages that it was given: no clock, no socket. A frame is a dict of plain values
+for JSON, small enough for twenty a second; what stays the same for the whole run is in `setup`, once. Positions are
+in m, north-east-down; times in s of simulated time.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterable, Mapping
+from math import asin, atan2, dist
+from typing import Any
+
+from fleet.quantities import QuantityError, vehicle_numbers
+from fleet.recorder.scene import SLENDER, diameter
+from fleet.scenario.scenario import Scenario, timeline
+from fleet.scenario.sections.timeline import DIVERGED, TUMBLED
+from fleet.view.links import LinkHistory, fate_of, stale_after
+from netem.condition import Link
+from world.vectors import Vec3
+
+HISTORY_S = 60.0  # that charts show
+FARTHEST_M = 1e7  # that a vehicle can be from the origin: a page draws no other
+SAMPLE_S = 0.2  # between two samples of charts
+MOST_SAMPLES = int(HISTORY_S / SAMPLE_S)
+MOST_PACKETS = 400  # of a frame: more nobody can follow
+LOSS_SAMPLES = 5  # over which the share of lost packets is taken
+NO_AGENT = ("kill", "pause")  # faults that leave a vehicle without its agent
+Row = dict[str, Any]
+
+
+class Picture:
+    """What is known of a run at one time."""
+
+    def __init__(self, scenario: Scenario) -> None:
+        self.scenario = scenario
+        self.end_s = scenario.duration_ns / 1e9
+        self.at_s = 0.0
+        self.links: dict[Link, LinkHistory] = {}
+        self._numbers = {link: k for k, link in enumerate(scenario.graph.links)}
+        self._round_s = scenario.round_ticks * scenario.tick_ns / 1e9
+        self._stale_s = stale_after(self._round_s)
+        self._faults: list[Row] = _scripted(scenario)
+        self._neighbours = {
+            i: [src for src, dst in scenario.graph.links if dst == i] for i in range(1, scenario.vehicles + 1)
+        }
+        self._signals: dict[str, deque[tuple[float, float]]] = {}
+        self._new: dict[str, deque[tuple[float, float]]] = {}  # since the last frame
+        self.clear()
+
+    def clear(self, at_s: float = 0.0) -> None:
+        """Forget what messages told, because those that come next are of another time; faults stay known."""
+        self.at_s = at_s
+        self.links = {link: LinkHistory(sent_s=at_s, arrived_s=at_s) for link in self._numbers}
+        self._places: dict[int, Vec3] = {}
+        self._turns: dict[int, tuple[float, float]] = {}  # theta, psi [rad]
+        self._speeds: dict[int, float] = {}
+        self._placed_s = -1.0
+        self._packets: deque[list[Any]] = deque(maxlen=MOST_PACKETS)
+        self._samples: deque[list[Any]] = deque(maxlen=MOST_SAMPLES)
+        self._fresh: deque[list[Any]] = deque(maxlen=MOST_SAMPLES)  # since the last frame
+        self._counts: deque[tuple[int, int]] = deque(maxlen=LOSS_SAMPLES)  # lost, all
+        self._count = [0, 0]
+        for values in (*self._signals.values(), *self._new.values()):
+            values.clear()
+
+    # What comes in
+
+    def transforms(self, at_s: float, message: Any) -> None:
+        """Take a message of the topic `transforms`: where the vehicles are, and how they are turned."""
+        elapsed = at_s - self._placed_s
+        for transform in message.transforms:
+            child = transform.child_frame_id
+            if not child.startswith("uuv-"):
+                continue
+            i, t, q = int(child[4:]), transform.translation, transform.rotation
+            place = (t.x, t.y, t.z)
+            if not all(abs(value) < FARTHEST_M for value in place):  # its motion has left the finite numbers
+                self._places.pop(i, None)
+                continue
+            if i in self._places and elapsed > 0.0:
+                self._speeds[i] = dist(place, self._places[i]) / elapsed
+            self._places[i] = place
+            self._turns[i] = _angles(q.x, q.y, q.z, q.w)
+        self._placed_s = at_s
+        self.at_s = max(self.at_s, at_s)
+        if not self._samples or at_s - self._samples[-1][0] >= SAMPLE_S - 1e-9:
+            self._sample()
+
+    def packet(self, link: Link, message: Any, *, moving: bool = True) -> None:
+        """Take a message of a topic `link/<src>-<dst>`.
+
+        Args:
+            moving: whether it is to be seen on its way; not while a moment of a log is looked up.
+        """
+        if link not in self.links or message.fate == "in flight":
+            return
+        fate = fate_of(message.fate, message.due - message.sent, message.corrupted, self._round_s)
+        history = self.links[link]
+        history.settle(fate, message.sent, message.due)
+        self._count[0] += fate not in ("arrived", "late")
+        self._count[1] += 1
+        if moving:
+            late_s = round(message.due - message.sent, 4)
+            self._packets.append([self._numbers[link], round(message.sent, 4), late_s, fate])
+
+    def faults(self, rows: Iterable[Mapping[str, Any]]) -> None:
+        """Take the list of faults: rows with id, what, from_s, to_s and until_healed, as `fleet faults` has them."""
+        keys = ("id", "what", "from_s", "to_s", "until_healed")
+        self._faults = [{key: row[key] for key in keys} for row in rows]
+
+    def event(self, at_s: float, message: Any) -> None:
+        """Take a message of the topic `faults`: one begins or ends. What lasts is known better from `faults`."""
+        known = next((row for row in self._faults if row["id"] == message.fault), None)
+        if message.action == "begins" and known is None:
+            row = {"id": message.fault, "what": message.what, "from_s": at_s, "to_s": self.end_s}
+            self._faults.append(row | {"until_healed": True})
+        elif message.action == "ends" and known is not None:
+            known["to_s"] = min(at_s, self.end_s)
+            known["until_healed"] = False
+
+    def watch(self, name: str) -> None:
+        """Keep a signal's values from now on."""
+        self._signals.setdefault(name, deque(maxlen=4 * MOST_SAMPLES))
+        self._new.setdefault(name, deque(maxlen=4 * MOST_SAMPLES))
+
+    def signal(self, name: str, at_s: float, value: float) -> None:
+        """Take a value of a signal that is watched; of values that come faster, some are left out."""
+        values = self._signals[name]
+        if not values or at_s - values[-1][0] >= SAMPLE_S / 4 - 1e-9:
+            values.append((round(at_s, 3), value))
+            self._new[name].append((round(at_s, 3), value))
+
+    # What goes out
+
+    def setup(self) -> Row:
+        """What stays as it is: names, links, sizes, desired places."""
+        scenario = self.scenario
+        widths = [diameter(control.vehicle.m) for control in scenario.controls]
+        return {
+            "scenario": scenario.name,
+            "title": scenario.title,
+            "end_s": self.end_s,
+            "vehicles": scenario.vehicles,
+            "links": [list(link) for link in self._numbers],
+            "hulls_m": [[round(SLENDER * width, 3), round(width, 3)] for width in widths],
+            "offsets_m": [_rounded(plan.at(0.0).position) for plan in scenario.plans],
+            "leaders": [i for i, b in enumerate(scenario.b, start=1) if b],
+            "acoustic": scenario.acoustic is not None,
+            "round_s": self._round_s,
+            "placed": bool(scenario.log_every.get("transforms", 1)),
+        }
+
+    def frame(self) -> Row:
+        """The picture now, with the packets and samples that came since the frame before."""
+        t = self.at_s
+        reference = self.scenario.reference.at(t).position
+        row: Row = {
+            "t": round(t, 4),
+            "uuv": [
+                [i, *_rounded(self._places[i]), *_rounded(self._turns[i]), round(self._speeds.get(i, 0.0), 3)]
+                for i in sorted(self._places)
+            ],
+            "ref": _rounded(reference),
+            "links": [history.state(t, self._stale_s) for history in self.links.values()],
+            "ages": [round(history.age_s(t), 2) for history in self.links.values()],
+            "errors": _errors(self.errors()),
+            "states": self._states(),
+            "packets": list(self._packets),
+            "samples": list(self._fresh),
+            "faults": self.active_faults(),
+            "counts": [
+                sum(history.delivered for history in self.links.values()),
+                sum(history.lost for history in self.links.values()),
+            ],
+        }
+        if any(plan.changes for plan in self.scenario.plans):
+            row["offsets_m"] = [_rounded(plan.at(t).position) for plan in self.scenario.plans]
+        if any(self._new.values()):
+            row["signals"] = {name: list(values) for name, values in self._new.items() if values}
+            for values in self._new.values():
+                values.clear()
+        self._packets.clear()
+        self._fresh.clear()
+        return row
+
+    def history(self) -> Row:
+        """The samples of the last minute, for a page that has just been opened, or that has jumped."""
+        signals = {name: list(values) for name, values in self._signals.items()}
+        return {"samples": list(self._samples), "signals": signals}
+
+    def errors(self) -> list[float | None]:
+        """The formation error of each vehicle [m], by the places that were told last; None: not known yet."""
+        t = max(self._placed_s, 0.0)
+        x, y, z = self.scenario.reference.at(t).position
+        found: list[float | None] = []
+        for i, plan in enumerate(self.scenario.plans, start=1):
+            dx, dy, dz = plan.at(t).position
+            found.append(dist(self._places[i], (x + dx, y + dy, z + dz)) if i in self._places else None)
+        return found
+
+    def active_faults(self) -> list[Row]:
+        """Those that last now, and those that begin within the next minute, in order of their beginning."""
+        t = self.at_s
+        shown = [row for row in self._faults if row["from_s"] <= t + HISTORY_S and t < row["to_s"]]
+        return [row | {"active": row["from_s"] <= t} for row in sorted(shown, key=lambda row: row["from_s"])]
+
+    @property
+    def known_faults(self) -> list[Row]:
+        """All that are known: over, active and to come."""
+        return self._faults
+
+    def _states(self) -> dict[int, str]:
+        """Vehicles that are not as they should be: what they are."""
+        found: dict[int, list[str]] = {}
+        for row in self._faults:
+            kind, _, rest = row["what"].partition(" ")
+            word = "no agent" if kind in NO_AGENT else kind if kind in (TUMBLED, DIVERGED, "mute", "freeze") else ""
+            if word and row["from_s"] <= self.at_s < row["to_s"]:
+                for i in _named(rest):
+                    found.setdefault(i, []).append(word)
+        return {i: ", ".join(dict.fromkeys(some)) for i, some in found.items()}
+
+    def _sample(self) -> None:
+        t = self._placed_s
+        ages = [
+            round(max(self.links[src, i].age_s(t) for src in sources), 2) if sources else None  # it hears of nobody
+            for i, sources in self._neighbours.items()
+        ]
+        self._counts.append((self._count[0], self._count[1]))
+        self._count = [0, 0]
+        total = sum(count[1] for count in self._counts)
+        share = sum(count[0] for count in self._counts) / total if total else 0.0
+        errors = _errors(self.errors())
+        places = [value for i in sorted(self._places) for value in (i, *_rounded(self._places[i]))]
+        sample = [round(t, 3), errors, ages, round(share, 4), places]
+        self._samples.append(sample)
+        self._fresh.append(sample)
+
+
+def _angles(x: float, y: float, z: float, w: float) -> tuple[float, float]:
+    """Pitch and heading [rad] of a unit quaternion, body to NED."""
+    pitch = asin(max(-1.0, min(1.0, 2.0 * (w * y - z * x))))
+    return pitch, atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+
+
+def _rounded(values: Iterable[float]) -> list[float]:
+    return [round(value, 3) for value in values]
+
+
+def _errors(values: Iterable[float | None]) -> list[float | None]:
+    return [None if value is None else round(value, 4) for value in values]
+
+
+def _scripted(scenario: Scenario) -> list[Row]:
+    end_s = scenario.duration_ns / 1e9
+    return [
+        {"id": name, "what": what, "from_s": begin_s, "to_s": min(to_s, end_s), "until_healed": False}
+        for name, begin_s, to_s, what in timeline(scenario)
+    ]
+
+
+def _named(text: str) -> tuple[int, ...]:
+    """The vehicles that stand behind the kind of a fault; none if it has something else there."""
+    try:
+        return tuple(vehicle_numbers(text))
+    except QuantityError:
+        return ()

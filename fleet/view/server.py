@@ -1,0 +1,141 @@
+"""The server of the page: a port that is open before its address is printed, behind a token."""
+
+from __future__ import annotations
+
+import os
+import secrets
+import socket
+import tempfile
+import webbrowser
+from contextlib import suppress
+from dataclasses import dataclass
+from html import escape
+from importlib.util import find_spec
+from ipaddress import ip_address
+from pathlib import Path
+
+from fleet.view.live_feed import LiveFeed
+from fleet.view.log_feed import LogFeed
+from fleet.view.source import ViewerError
+
+LOOPBACK = "127.0.0.1"
+
+
+@dataclass(frozen=True, slots=True)
+class Door:
+    """Where the page is reached: a port that listens already, and the token without which it lets nobody in."""
+
+    host: str
+    port: int
+    listening: socket.socket
+    token: str
+
+    @property
+    def address(self) -> str:
+        """The address to open, with the token."""
+        host = self.host
+        name = socket.gethostname() if _is_any(host) else f"[{host}]" if ":" in host else host
+        return f"http://{name}:{self.port}/?token={self.token}"
+
+    @property
+    def names(self) -> set[str]:
+        """The names of hosts by which it may be reached; empty: any."""
+        if _is_any(self.host):
+            return set()
+        name = f"[{self.host}]" if ":" in self.host else self.host
+        return {name, "localhost"} if is_loopback(self.host) else {name}
+
+
+def open_door(host: str = LOOPBACK, port: int | None = None) -> Door:
+    """Listen, with a new token.
+
+    Args:
+        port: None or 0: a free one.
+
+    Raises:
+        ViewerError: NiceGUI is not installed, the address is not one of this machine, or the port is taken.
+    """
+    if find_spec("nicegui") is None:
+        raise ViewerError("the page needs NiceGUI, which is not installed: pip install 'uuv-fleet[view]'")
+    try:
+        family = socket.getaddrinfo(host, None, type=socket.SOCK_STREAM)[0][0]
+        found = socket.create_server((host, port or 0), family=family)
+    except OSError as error:
+        where = f"port {port} of {host}" if port else host
+        what = f"{where} cannot be listened on ({error.strerror or error})"
+        raise ViewerError(f"{what}; --port chooses another, and without it a free one is taken") from None
+    return Door(host, found.getsockname()[1], found, secrets.token_urlsafe(24))
+
+
+def serve(feed: LiveFeed | LogFeed, door: Door, *, may_act: bool) -> None:
+    """Serve the page until a signal ends the program.
+
+    Args:
+        may_act: whether the page may disturb the run.
+    """
+    import uvicorn
+    from fastapi import FastAPI
+    from nicegui import ui
+
+    from fleet.view.guard import Guard
+    from fleet.view.page import Page
+
+    page = Page(feed, may_act=may_act)
+    app = FastAPI(openapi_url=None)
+    ui.run_with(
+        app,
+        root=page.build,
+        title=f"{feed.name} - fleet view",
+        favicon="🌊",
+        dark=True,
+        reconnect_timeout=10.0,
+        message_history_length=20,
+        binding_refresh_interval=None,
+        cache_control_directives="no-cache",
+        tailwind=False,
+        show_welcome_message=False,
+    )
+    page.begin()
+    guard = Guard(app, door.token, door.port, door.names)
+    config = uvicorn.Config(guard, log_level="error", access_log=False, timeout_graceful_shutdown=1)
+    uvicorn.Server(config).run(sockets=[door.listening])
+
+
+class Browser:
+    """A browser that is led to the address by a file of this user, because arguments of processes are seen by all."""
+
+    def __init__(self, url: str) -> None:
+        self._folder = tempfile.TemporaryDirectory(prefix="fleet-view-", dir=os.environ.get("XDG_RUNTIME_DIR"))
+        self._file = Path(self._folder.name) / "open.html"
+        descriptor = os.open(self._file, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+        with os.fdopen(descriptor, "w") as file:
+            file.write(
+                f'<meta http-equiv="refresh" content="0; url={escape(url)}"><a href="{escape(url)}">fleet view</a>'
+            )
+
+    def open(self) -> bool:
+        """Open it, unless there is no browser or no screen."""
+        if not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+            return False
+        with suppress(webbrowser.Error, OSError):
+            return webbrowser.open(self._file.as_uri())
+        return False
+
+    def close(self) -> None:
+        """Remove the file."""
+        self._folder.cleanup()
+
+
+def is_loopback(host: str) -> bool:
+    """Whether only this machine reaches an address."""
+    try:
+        return ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"
+
+
+def _is_any(host: str) -> bool:
+    try:
+        return ip_address(host).is_unspecified
+    except ValueError:
+        return False

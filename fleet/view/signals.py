@@ -1,0 +1,63 @@
+"""The signals of a log that a chart can show: their names, and their values in a message."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable
+from typing import Any, NamedTuple
+
+from google.protobuf.descriptor import FieldDescriptor
+from google.protobuf.message import DecodeError
+from mcap.records import Channel, Schema
+
+from fleet.logs.decoder import message_class
+
+OF_THE_FLEET = ("transforms", "scene", "faults", "snapshot")  # topics with no signals to choose
+WIDTH = 3  # components that are offered of a field that holds several values
+_NUMBERS = frozenset({FieldDescriptor.CPPTYPE_DOUBLE, FieldDescriptor.CPPTYPE_FLOAT, FieldDescriptor.CPPTYPE_UINT32})
+
+
+class Signal(NamedTuple):
+    """One number of the messages of a topic."""
+
+    name: str  # as in `uuv/1/command.tau[0]`
+    topic: str
+    field: str
+    component: int | None  # of a field that holds several values
+    unit: str
+
+    def value(self, message: Any) -> float | None:
+        """What a message says; None: nothing."""
+        value = getattr(message, self.field)
+        if self.component is None:
+            return float(value)
+        return float(value[self.component]) if self.component < len(value) else None
+
+
+class Signals:
+    """The signals of the channels of a log, by name."""
+
+    def __init__(self, channels: Iterable[Channel], schemas: dict[int, Schema]) -> None:
+        self._classes: dict[str, Any] = {}
+        self.by_name: dict[str, Signal] = {}
+        for channel in sorted(channels, key=lambda channel: channel.topic):
+            schema = schemas.get(channel.schema_id)
+            if channel.topic in OF_THE_FLEET or schema is None or not schema.name.startswith("uuv_fleet."):
+                continue
+            cls = self._classes[channel.topic] = message_class(schema)
+            units = {name: unit for name, (unit, _) in json.loads(channel.metadata.get("units", "{}")).items()}
+            for field in cls.DESCRIPTOR.fields:
+                if field.cpp_type not in _NUMBERS:
+                    continue
+                each = units.get(field.name, "").split(", ")
+                for index in range(WIDTH) if field.is_repeated else (None,):
+                    name = f"{channel.topic}.{field.name}" + ("" if index is None else f"[{index}]")
+                    unit = each[(index or 0) % len(each)]
+                    self.by_name[name] = Signal(name, channel.topic, field.name, index, unit)
+
+    def message(self, topic: str, data: bytes) -> Any:
+        """A message of a topic; None: it is damaged."""
+        try:
+            return self._classes[topic].FromString(data)
+        except DecodeError:
+            return None

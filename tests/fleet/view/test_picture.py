@@ -1,0 +1,158 @@
+"""Messages of a run become what a page draws."""
+
+from __future__ import annotations
+
+import json
+from math import radians
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
+from foxglove_schemas_protobuf.Quaternion_pb2 import Quaternion
+from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
+from small_scenario import small
+
+from fleet.recorder.transforms import quaternion
+from fleet.scenario.scenario import Scenario
+from fleet.view.picture import MOST_PACKETS, SAMPLE_S, Picture
+
+TURN = (radians(10.0), radians(120.0))
+
+
+def placed(scenario: Scenario, t: float, *off: tuple[float, float, float]) -> Any:
+    """The message that says that each vehicle is so far off its place, turned by TURN."""
+    at = scenario.reference.at(t).position
+    message = FrameTransforms()
+    message.transforms.add(parent_frame_id="map", child_frame_id="reference")
+    for i, (plan, away) in enumerate(zip(scenario.plans, off, strict=True), start=1):
+        x, y, z = (a + b + c for a, b, c in zip(at, plan.at(t).position, away, strict=True))
+        qx, qy, qz, qw = quaternion(*TURN)
+        message.transforms.add(
+            child_frame_id=f"uuv-{i}", translation=Vector3(x=x, y=y, z=z), rotation=Quaternion(x=qx, y=qy, z=qz, w=qw)
+        )
+    return message
+
+
+def packet(sent: float, due: float, fate: str = "delivered", corrupted: bool = False) -> Any:
+    return SimpleNamespace(sent=sent, due=due, fate=fate, corrupted=corrupted)
+
+
+def event(fault: str, action: str, what: str) -> Any:
+    return SimpleNamespace(fault=fault, action=action, what=what)
+
+
+def shown(picture: Picture) -> dict[str, Any]:
+    """A frame, as a browser gets it."""
+    frame: dict[str, Any] = json.loads(json.dumps(picture.frame(), allow_nan=False))
+    return frame
+
+
+def test_vehicles_are_where_the_transforms_say_and_their_errors_count_from_their_places() -> None:
+    scenario = small()
+    picture = Picture(scenario)
+    picture.transforms(0.5, placed(scenario, 0.5, (0, 0, 0), (3, 0, 4), (0, 0.5, 0)))
+    frame = shown(picture)
+    assert frame["t"] == 0.5 and frame["ref"] == [0.25, 0, 5]
+    assert frame["errors"] == [0, 5, 0.5]
+    i, _, _, depth, pitch, heading, _ = frame["uuv"][1]
+    assert (i, depth) == (2, 9)
+    assert (pitch, heading) == pytest.approx(TURN, abs=1e-3)
+
+
+def test_speeds_come_from_two_places() -> None:
+    scenario = small()
+    picture = Picture(scenario)
+    picture.transforms(0.0, placed(scenario, 0.0, (0, 0, 0), (0, 0, 0), (0, 0, 0)))
+    picture.transforms(0.5, placed(scenario, 0.5, (0, 0, 0), (0, 1, 0), (0, 0, 0)))
+    speeds = [row[6] for row in shown(picture)["uuv"]]
+    assert speeds == pytest.approx([0.5, (0.25**2 + 1) ** 0.5 / 0.5, 0.5], abs=1e-3)
+
+
+def test_packets_are_shown_once_and_links_by_what_arrives() -> None:
+    picture = Picture(small())
+    links = picture.setup()["links"]
+    picture.packet((1, 2), packet(0.0, 0.05))
+    picture.packet((2, 3), packet(0.0, 0.2))
+    picture.packet((3, 2), packet(0.0, 0.05, "down"))
+    picture.packet((7, 9), packet(0.0, 0.05))  # of no link of this run
+    picture.at_s = 0.2
+    frame = shown(picture)
+    assert [(links[k], fate) for k, _, _, fate in frame["packets"]] == [
+        ([1, 2], "arrived"), ([2, 3], "late"), ([3, 2], "cut"),
+    ]  # fmt: skip
+    states = dict(zip(map(tuple, links), frame["links"], strict=True))
+    assert states == {(1, 2): "delivered", (2, 1): "unused", (2, 3): "late", (3, 2): "down"}
+    assert frame["counts"] == [2, 1]
+    assert shown(picture)["packets"] == []
+
+
+def test_of_too_many_packets_the_last_are_shown() -> None:
+    picture = Picture(small())
+    for number in range(MOST_PACKETS + 10):
+        picture.packet((1, 2), packet(float(number), number + 0.05))
+    assert shown(picture)["packets"][0][1] == 10.0
+
+
+def test_samples_come_at_their_interval_and_stay_as_history() -> None:
+    scenario = small()
+    picture = Picture(scenario)
+    for number in range(5):
+        t = number * SAMPLE_S / 2
+        picture.packet((1, 2), packet(t, t + 0.05, "loss" if number % 2 else "delivered"))
+        picture.transforms(t, placed(scenario, t, (0, 0, 1), (0, 0, 0), (0, 0, 0)))
+    samples = shown(picture)["samples"]
+    assert [sample[0] for sample in samples] == pytest.approx([0, SAMPLE_S, 2 * SAMPLE_S])
+    assert samples[-1][1] == [1, 0, 0]
+    assert samples[-1][3] == pytest.approx(2 / 5)  # of the packets
+    assert picture.history()["samples"] == samples and shown(picture)["samples"] == []
+
+
+def test_scripted_faults_are_known_before_they_begin() -> None:
+    picture = Picture(small("duration=20 s", "faults=[{at: 5 s, for: 2 s, kill: 3}]"))
+    assert [(row["what"], row["active"]) for row in shown(picture)["faults"]] == [("kill 3", False)]
+    picture.at_s = 6.0
+    frame = shown(picture)
+    assert frame["faults"][0]["active"] and frame["faults"][0]["to_s"] == 7.0
+    assert frame["states"] == {"3": "no agent"}
+    picture.at_s = 7.0
+    assert shown(picture)["faults"] == [] and shown(picture)["states"] == {}
+
+
+def test_injected_faults_begin_and_end_with_their_events() -> None:
+    picture = Picture(small())
+    picture.event(0.2, event("live-1", "begins", "mute 1"))
+    picture.event(0.2, event("tumbled-2", "begins", "tumbled 2"))
+    picture.at_s = 0.3
+    frame = shown(picture)
+    assert [row["id"] for row in frame["faults"]] == ["live-1", "tumbled-2"]
+    assert frame["states"] == {"1": "mute", "2": "tumbled"}
+    picture.event(0.3, event("live-1", "ends", "mute 1"))
+    assert [row["id"] for row in shown(picture)["faults"]] == ["tumbled-2"]
+
+
+def test_places_that_are_no_numbers_are_left_open() -> None:
+    scenario = small()
+    picture = Picture(scenario)
+    picture.transforms(0.0, placed(scenario, 0.0, (float("nan"), 0, 0), (float("inf"), 0, 0), (0, 0, 0)))
+    assert shown(picture)["errors"] == [None, None, 0]
+
+
+def test_signals_are_thinned() -> None:
+    picture = Picture(small())
+    picture.watch("uuv/1/state.z")
+    for tick in range(100):
+        picture.signal("uuv/1/state.z", tick * 0.01, float(tick))
+    values = shown(picture)["signals"]["uuv/1/state.z"]
+    assert values[:3] == [[0, 0], [0.05, 5], [0.1, 10]] and len(values) == 20
+    assert "signals" not in shown(picture)
+
+
+def test_a_formation_that_changes_is_told_again_and_again() -> None:
+    assert "offsets_m" not in shown(Picture(small()))
+    changing = Picture(
+        small("duration=200 s", "formation.changes=[{at: 1 s, over: 100 s, shape: column, spacing: 8 m}]")
+    )
+    before = shown(changing)["offsets_m"]
+    changing.at_s = 60.0
+    assert shown(changing)["offsets_m"] != before

@@ -1,0 +1,80 @@
+"""The door of the page: a port, a token, and who is told it."""
+
+from __future__ import annotations
+
+import socket
+import stat
+from contextlib import closing
+from pathlib import Path
+from urllib.parse import urlsplit
+
+import pytest
+
+from fleet.view import server
+from fleet.view.server import Browser, Door, is_loopback, open_door
+from fleet.view.source import ViewerError
+
+
+def test_each_door_has_a_free_port_that_listens_and_a_token_of_its_own() -> None:
+    one, other = open_door(), open_door()
+    with closing(one.listening), closing(other.listening):
+        assert one.port != other.port and one.token != other.token
+        assert len(one.token) >= 32  # 192 bits
+        assert urlsplit(one.address).netloc == f"127.0.0.1:{one.port}"
+        with socket.create_connection(("127.0.0.1", one.port), 5):
+            pass
+
+
+def test_a_port_that_is_taken_is_said() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        with pytest.raises(ViewerError, match=f"port {port} of 127.0.0.1 .* in use.*--port"):
+            open_door(port=port)
+
+
+def test_an_address_that_is_not_ours_is_said() -> None:
+    with pytest.raises(ViewerError, match=r"192\.0\.2\.1"):
+        open_door("192.0.2.1")
+
+
+@pytest.mark.parametrize(
+    ("host", "names"),
+    [
+        ("127.0.0.1", {"127.0.0.1", "localhost"}),
+        ("::1", {"[::1]", "localhost"}),
+        ("192.0.2.7", {"192.0.2.7"}),
+        ("0.0.0.0", set()),
+        ("::", set()),
+    ],
+)
+def test_the_names_by_which_a_page_is_reached(host: str, names: set[str]) -> None:
+    with socket.socket() as nowhere:
+        assert Door(host, 80, nowhere, "token").names == names
+    assert is_loopback(host) == ("localhost" in names)
+
+
+def test_without_nicegui_a_line_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(server, "find_spec", lambda name: None)
+    with pytest.raises(ViewerError, match=r"uuv-fleet\[view\]"):
+        open_door()
+
+
+def test_a_browser_is_led_by_a_file_of_this_user_and_not_by_its_arguments(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[str] = []
+    monkeypatch.setenv("DISPLAY", ":0")
+    monkeypatch.setattr(server.webbrowser, "open", lambda url: asked.append(url) or True)
+    with closing(Browser("http://127.0.0.1:1/?token=secret")) as browser:
+        assert browser.open()
+        file = Path(urlsplit(asked[0]).path)
+        assert asked[0].startswith("file:") and "secret" not in asked[0]
+        assert stat.S_IMODE(file.stat().st_mode) == 0o600
+        assert "http://127.0.0.1:1/?token=secret" in file.read_text()
+    assert not file.exists()
+
+
+def test_without_a_screen_no_browser_is_opened(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr(server.webbrowser, "open", lambda url: pytest.fail(f"opened {url}"))
+    with closing(Browser("http://127.0.0.1:1/?token=secret")) as browser:
+        assert not browser.open()

@@ -1,0 +1,35 @@
+"""The signals that a chart can show, from what a log declares."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from in_process_runs import Alone, log_of
+
+from fleet.logs.reader import LogReader
+from fleet.view.signals import OF_THE_FLEET, Signals
+
+
+@pytest.fixture
+def signals(alone: Alone) -> Signals:
+    reader = LogReader(Path(log_of(alone("paper", "duration=20 s", "checks={}"))))
+    for _ in reader.blocks():
+        break  # what stands at the beginning of a log declares all, also while it is written
+    return Signals(reader.channels.values(), reader.schemas)
+
+
+def test_numbers_of_vehicles_and_links_are_offered_with_their_units(signals: Signals) -> None:
+    units = {name: signal.unit for name, signal in signals.by_name.items()}
+    assert units["uuv/4/state.psi"] == "rad"
+    assert units["uuv/1/command.tau[0]"] == "N" and units["uuv/1/command.tau[2]"] == "N m"
+    assert units["link/1-2.delay"] == "s"
+    assert not [name for name in units if name.startswith(OF_THE_FLEET)]
+    assert "link/1-2.fate" not in units  # a text
+
+
+def test_a_damaged_message_has_no_value(signals: Signals) -> None:
+    assert signals.message("uuv/1/state", b"\x0f\xff") is None
+    empty = signals.message("uuv/1/command", b"")
+    assert signals.by_name["uuv/1/command.tau[1]"].value(empty) is None
+    assert signals.by_name["uuv/1/state.x"].value(signals.message("uuv/1/state", b"")) == 0.0

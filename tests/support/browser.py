@@ -1,0 +1,102 @@
+"""A real browser without a screen, and the page of `fleet view` in it."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from math import dist
+from typing import Any
+
+import pytest
+from waiting import wait_for
+
+BROWSERS = ("chromium", "chromium-browser", "google-chrome")
+REST_S = 20.0
+SIZE = {"width": 1280, "height": 800}
+_ADDRESS = re.compile(r"http://\S+\?token=\S+")
+
+
+@contextmanager
+def served(*arguments: str) -> Iterator[str]:
+    """`fleet view ...` in a process of its own; yields the address that it prints."""
+    command = [sys.executable, "-m", "fleet", "view", *arguments, "--no-open"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        try:
+            printed = ""
+            while (found := _ADDRESS.search(printed)) is None:
+                line = process.stdout.readline()
+                assert line, f"it ended: {printed}"
+                printed += line
+            yield found.group()
+        finally:
+            process.terminate()
+            process.wait(10)
+
+
+class Tab:
+    """A page in the browser, with everything that went wrong in it."""
+
+    def __init__(self, page: Any, address: str) -> None:
+        self.page = page
+        self.wrong: list[str] = []
+        origin = address.partition("/?")[0]
+        page.on("console", lambda message: message.type == "error" and self.wrong.append(message.text))
+        page.on("pageerror", lambda error: self.wrong.append(str(error)))
+        page.on("request", lambda asked: self._asked(asked.url, origin))
+        page.goto(address)
+        page.locator(".fleet-side tbody td:nth-child(2):text-matches('\\\\d')").first.wait_for()
+
+    def _asked(self, url: str, origin: str) -> None:
+        if not url.startswith((origin, origin.replace("http", "ws"), "data:", "blob:")):
+            self.wrong.append(f"asked for {url}")
+
+    def time_s(self) -> float:
+        """The time that it shows."""
+        return float(re.findall(r"[\d.]+", self.page.locator(".fleet-time").inner_text())[0])
+
+    def link(self, src: int, dst: int) -> tuple[float, float]:
+        """Where on the page a link is drawn, nearer to its receiver, once the view has come to rest."""
+        where = f"""() => {{
+            const scene = document.querySelector(".fleet-view").fleet.scene;
+            scene.dirty = true;
+            const k = scene.setup.links.findIndex(([a, b]) => a === {src} && b === {dst});
+            const [p, q] = scene.lanes[k];
+            const box = scene.canvas.getBoundingClientRect();
+            return [box.x + p[0] + 0.6 * (q[0] - p[0]), box.y + p[1] + 0.6 * (q[1] - p[1])];
+        }}"""
+        places: list[list[float]] = []
+
+        def rests() -> bool:
+            places.append(self.page.evaluate(where))
+            return len(places) > 5 and dist(places[-6], places[-1]) < 1.0
+
+        wait_for(rests, REST_S, "a view at rest")
+        return places[-1][0], places[-1][1]
+
+
+@contextmanager
+def browser() -> Iterator[Any]:
+    """A browser; skips the test where there is none."""
+    api = pytest.importorskip("playwright.sync_api", reason="Playwright is not installed: pip install '.[test]'")
+    path = next((found for found in map(shutil.which, BROWSERS) if found), None)
+    if path is None:
+        pytest.skip(f"no browser: none of {', '.join(BROWSERS)} is on the PATH")
+    with api.sync_playwright() as playwright:
+        # A browser of root has no sandbox; it loads our own page and nothing else.
+        opened = playwright.chromium.launch(executable_path=path, args=["--no-sandbox"])
+        try:
+            yield opened
+        finally:
+            opened.close()
+
+
+def tab(opened: Any, address: str) -> Tab:
+    """A page of its own, with no cookie of another's."""
+    page = opened.new_context(viewport=SIZE).new_page()
+    page.set_default_timeout(20_000)
+    return Tab(page, address)

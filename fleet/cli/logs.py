@@ -26,7 +26,8 @@ _vehicles = click.option("--vehicles", metavar="LIST", type=Vehicles(), help="On
 _log_scale = click.option(
     "--log-scale/--linear",
     default=None,
-    help="Errors, velocity errors and ages on a logarithmic axis, or all on a linear one; without it only errors are.",
+    help="Errors, velocity errors and ages on a logarithmic axis, or all on a linear one; without it only errors are, "
+    "and of a study what spans much.",
 )
 _window = click.option(
     "--window",

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.ticker import ScalarFormatter
+from matplotlib.ticker import NullLocator, ScalarFormatter
 
 from fleet.logs.records import Array
 from fleet.palette import COLOURS
@@ -29,11 +29,12 @@ from fleet.study.pictures.marks import (
 from fleet.study.pictures.points import Quantity, Value
 
 _MARKERS = "osD^vP*"
+_MOST_BANDS, _MOST_BARS = 3, 12  # more lines have a bar at each place, if there are no more places
 _STRIP = 0.07  # height of the hatched strip of a line, of the axis
 
 
 def curves(quantity: Quantity, layout: Layout, shown: Sequence[Panel], log_scale: bool | None) -> Figure:
-    """Draw some panels of a layout with one axis."""
+    """Draw some panels of a layout with one axis; intervals are bands, of many lines bars side by side."""
     (x,) = layout.axes
     along = layout.dimensions[x]
     places = np.array(along.values, float)
@@ -44,6 +45,7 @@ def curves(quantity: Quantity, layout: Layout, shown: Sequence[Panel], log_scale
     names: tuple[Value | None, ...] = (None,) if layout.lines is None else layout.dimensions[layout.lines].values
     lacks, factor = Lacks(), scale(quantity)
     edges = _edges(places, logs)
+    bars = len(names) > _MOST_BANDS and len(places) <= _MOST_BARS
     for k, ax in enumerate(axes):
         if k >= len(shown):
             ax.set_visible(False)
@@ -60,9 +62,14 @@ def curves(quantity: Quantity, layout: Layout, shown: Sequence[Panel], log_scale
             found[:, 2][np.isposinf(found[:, 2])] = highest  # half of the runs or more may lack the number
             found[~np.isfinite(found)] = np.nan
             colour = COLOURS[number]
-            ax.fill_between(places, found[:, 1], found[:, 2], color=colour, alpha=BAND, linewidth=0, gid="band")
-            ax.plot(places, found[:, 0], color=colour, linestyle=STYLES[number], marker=_MARKERS[number],
-                    markersize=3.0 if len(places) < 40 else 1.5, gid="curve")  # fmt: skip
+            where = _beside(places, (number + 0.5) / len(names), logs) if bars else places
+            if bars:
+                ax.vlines(where, found[:, 1], found[:, 2], color=colour, linewidth=1.2, gid="band")
+            else:
+                ax.fill_between(where, found[:, 1], found[:, 2], color=colour, alpha=BAND, linewidth=0, gid="band")
+            ax.plot(where, found[:, 0], color=colour, linestyle=STYLES[number], marker=_MARKERS[number],
+                    linewidth=0.6 if bars else None, markersize=3.0 if len(places) < 40 else 1.5,
+                    gid="curve")  # fmt: skip
             if any(cell is not None and any(cell.lack) for cell in cells):
                 for at, cell in enumerate(cells):
                     if cell is not None:
@@ -72,6 +79,9 @@ def curves(quantity: Quantity, layout: Layout, shown: Sequence[Panel], log_scale
         if logs:
             ax.set_xscale("log")
             plain_decades(ax.xaxis)
+        if bars:
+            ax.set_xticks(places, labels=[f"{place:g}" for place in places])
+            ax.xaxis.set_minor_locator(NullLocator())
         if quantity.kind == "share":
             ax.set_ylim(-3.0, 103.0)
         elif log_scale and quantity.kind == "number":
@@ -95,8 +105,17 @@ def curves(quantity: Quantity, layout: Layout, shown: Sequence[Panel], log_scale
         if name is not None
     ]
     band = Line2D([], [], color="0.5", alpha=2 * BAND, linewidth=6.0, label=INTERVAL)
+    if bars:
+        band = Line2D([], [], color="0.5", linestyle="none", marker="|", markersize=7.0, label=INTERVAL)
     legend(figure, [*lines, band, *lacks.handles()])
     return figure
+
+
+def _beside(places: Array, share: float, logs: bool) -> Array:
+    """Places moved aside; shares from 0 to 1 fill a third of the least distance around each."""
+    at = np.log(places) if logs else places
+    moved: Array = at + (share - 0.5) * (np.diff(at).min() if len(at) > 1 else 1.0) / 3
+    return np.exp(moved) if logs else moved
 
 
 def _edges(places: Array, logs: bool) -> Array:

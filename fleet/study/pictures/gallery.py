@@ -18,6 +18,7 @@ from fleet.study.pictures.boxes import boxes
 from fleet.study.pictures.curves import curves
 from fleet.study.pictures.heat import heat
 from fleet.study.pictures.layout import MOST_PANELS, layout_of
+from fleet.study.pictures.marks import spans_much
 from fleet.study.pictures.parallel import parallel
 from fleet.study.pictures.points import PASSED, Points, Quantity, factors, load
 from fleet.study.store import Store, StudyRecord
@@ -38,7 +39,7 @@ def draw(points: Points, log_scale: bool | None = None, share: Tell = lambda _: 
     """The pictures of a study, the share that passed first, then the measures, then pairs of runs.
 
     Args:
-        log_scale: whether numbers have a logarithmic axis.
+        log_scale: whether numbers have a logarithmic axis; None: those that span much have.
         share: called before each with the share that is done.
     """
     measures = [name for name in points.numbers if name != PASSED]
@@ -78,6 +79,8 @@ def _drawn(quantity: Quantity, log_scale: bool | None) -> Iterator[Figure]:
     if quantity.kind == "difference" and numbers and equal:
         raise NothingToDraw("the runs of every pair are equal in it")
     layout = layout_of(quantity)
+    if log_scale is None:
+        log_scale = spans_much([cell.estimate.value for cell in quantity.cells.values()])
     for page in range(0, len(layout.panels), MOST_PANELS):
         if page >= _MOST_PAGES * MOST_PANELS:
             raise NothingToDraw(f"only {page} of {len(layout.panels)} combinations are shown")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Callable, Iterable, Sequence
-from math import floor, isinf, log10
+from math import floor, isfinite, isinf, log10
 from typing import Literal
 
 import numpy as np
@@ -26,6 +26,7 @@ from fleet.study.statistics import Estimate
 LONGEST_NAME = 30  # characters
 WRAPPED = 36  # characters of a line along an axis
 BAND = 0.2  # opacity
+_MUCH = 30.0  # times
 INTERVAL = "95 % interval"
 NOTHING, _INK = "0.93", "0.45"  # the greys behind a hatch, and of its lines
 _HATCHES = ("////", "xxxx", "....")
@@ -173,6 +174,12 @@ def logarithmic(values: Iterable[float]) -> bool:
     even = np.linspace(0.0, 1.0, len(found))
     off = [np.abs((each - each[0]) / (each[-1] - each[0]) - even).max() for each in (found, np.log(found))]
     return bool(off[1] < off[0])
+
+
+def spans_much(values: Iterable[float]) -> bool:
+    """Whether numbers differ so much that a linear axis shows the largest ones only; infinite ones do not count."""
+    found = [value for value in values if isfinite(value)]
+    return bool(found) and min(found) > 0.0 and max(found) > _MUCH * min(found)
 
 
 def few_ticks(axis: Axis, names: Sequence[str], most: int) -> None:

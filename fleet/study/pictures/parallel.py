@@ -15,7 +15,7 @@ from fleet.logs.records import Array
 from fleet.palette import COLOURS
 from fleet.pictures.runs import NothingToDraw
 from fleet.pictures.style import COLUMN_IN, LABEL_PT, PAGE_IN, THIN, panels
-from fleet.study.pictures.marks import axis_label, legend, logarithmic, rough, text, wrapped
+from fleet.study.pictures.marks import axis_label, legend, logarithmic, rough, spans_much, text, wrapped
 from fleet.study.pictures.points import NO_RESULT, NOT_MADE, PASSED, Dimension, Points
 
 MOST_AXES = 12
@@ -86,7 +86,8 @@ def _dimension(ax: Axes, at: int, dimension: Dimension, values: Sequence[float |
 
 def _measure(ax: Axes, at: int, values: Array, log_scale: bool | None) -> Array:
     known = values[np.isfinite(values)]
-    return _numbers(ax, at, values, bool(log_scale) and len(known) > 0 and known.min() > 0.0)
+    positive = len(known) > 0 and known.min() > 0.0
+    return _numbers(ax, at, values, spans_much(known.tolist()) if log_scale is None else log_scale and positive)
 
 
 def _numbers(ax: Axes, at: int, values: Array, logs: bool) -> Array:

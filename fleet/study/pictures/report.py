@@ -42,7 +42,7 @@ def write(
 
     Args:
         measures: to show besides the share of runs that passed; none: those of the table of `fleet sweep`.
-        log_scale: whether numbers have a logarithmic axis.
+        log_scale: whether numbers have a logarithmic axis; None: those that span much have.
         share: called now and then with the share that is done.
 
     Raises:

@@ -182,8 +182,9 @@ def run(
             say(line, err=True)
         if loaded.ideal and not in_process:
             say("network: ideal has no latency and so runs in one process", err=True)
-    with cli_view.companion(asked=view, stays=not (quiet or as_json)):
+    with cli_view.companion(asked=view, stays=not (quiet or as_json)) as over:
         result = execute(loaded, options, terminal)
+        over(result.directory)
         _print_result(result, as_json=as_json, quiet=quiet)
     sys.exit(int(result.status))
 

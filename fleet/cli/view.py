@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
@@ -118,14 +119,15 @@ def show_page(
 
 
 @contextmanager
-def companion(*, asked: bool, stays: bool) -> Iterator[None]:
-    """The page of the run that is made within, where one is asked for.
+def companion(*, asked: bool, stays: bool) -> Iterator[Callable[[Path | None], None]]:
+    """The page of the run that is made within, where one is asked for; call what it gives with the run's directory
+    when the run is over.
 
     Args:
         stays: on a terminal, it stays until Ctrl-C when the run is over.
     """
     if not asked:
-        yield
+        yield lambda _: None
         return
     from contextlib import closing, suppress
 
@@ -136,7 +138,7 @@ def companion(*, asked: bool, stays: bool) -> Iterator[None]:
     click.echo(f"the run in the browser: {door.address}", err=True)
     with closing(Companion(door)) as page, closing(Browser(door.address)) as browser:
         browser.open()
-        yield
+        yield lambda directory: None if directory is None else page.over(directory)
         if stays and sys.stdin.isatty() and sys.stderr.isatty():
             click.echo("the page stays as it is; Ctrl-C ends it", err=True)
             with suppress(KeyboardInterrupt):

@@ -55,11 +55,13 @@ def dataset(topic: Topic, table: list[TableColumn], run: Mapping[str, str]) -> x
     dim = "t" if rises else "sample"
     names = _names([column.name for column in fields])
     kept = [(name, column) for name, column in zip(names, fields, strict=True) if not _holds_bytes(column)]
-    return xr.Dataset(
+    found = xr.Dataset(
         {name: (dim, column.values, _attributes(column, topic.schema)) for name, column in kept},
         {"t": (dim, time.values, {"units": "s", "long_name": time.meaning})},
         {"Conventions": CONVENTIONS, "title": topic.name, **_about(run)},
     )
+    found["t"].encoding["_FillValue"] = None  # CF: a coordinate has none
+    return found
 
 
 def tree(path: Path, topics: Iterable[Topic], run: Mapping[str, str]) -> xr.DataTree:
@@ -74,7 +76,10 @@ def tree(path: Path, topics: Iterable[Topic], run: Mapping[str, str]) -> xr.Data
             f"{path}: these topics hold {size / 1e6:.0f} MB, more than is held at once: choose some, as in "
             "open_log(path, ['uuv/*/state']), or a part with start, end or every"
         )
-    return xr.DataTree.from_dict({topic.name: dataset(topic, columns(topic), run) for topic in chosen})
+    try:
+        return xr.DataTree.from_dict({topic.name: dataset(topic, columns(topic), run) for topic in chosen})
+    except ValueError as error:  # of another program's log: a topic within another one, with other times
+        raise ExportError(f"{path}: these topics do not fit in one tree; choose some by name: {error!s:.200}") from None
 
 
 def frame(topic: Topic) -> pd.DataFrame:

@@ -49,7 +49,7 @@ class Decoder:
             channel = next((c for c in self._reader.channels.values() if c.topic == record.topic), None)
             if channel is None:
                 return None
-            self._known[record.topic] = _class(self._reader.schemas.get(channel.schema_id)), _units(channel)
+            self._known[record.topic] = _class(self._reader.schemas.get(channel.schema_id)), units_of(channel)
         cls = self._known[record.topic][0]
         try:
             return cls.FromString(record.data) if cls is not None and len(record.data) <= MOST_DECODED else None
@@ -78,7 +78,8 @@ def _class(schema: Schema | None) -> Any:
         return None
 
 
-def _units(channel: Channel) -> dict[str, str]:
+def units_of(channel: Channel) -> dict[str, str]:
+    """The unit of each field that has one, as the channel's metadata say; none if they say nothing that can be read."""
     try:
         return {name: str(unit) for name, (unit, _) in json.loads(channel.metadata.get("units", "{}")).items()}
     except (ValueError, TypeError, AttributeError):

@@ -1,6 +1,6 @@
 """The page of a run that `fleet run --view` opens: a process of its own, which ends with the run's command.
 
-Its stdin: one line of JSON, then nothing; when it ends, the page does.
+Its stdin: one line of JSON, and when the run is over a second one with its directory; when it ends, the page does.
 """
 
 from __future__ import annotations
@@ -12,12 +12,16 @@ import socket
 import subprocess
 import sys
 import threading
-import time
+from contextlib import suppress
 from pathlib import Path
+from queue import Empty, Queue
 
 from fleet.errors import FleetError
-from fleet.execution.connection import LiveRun, live_runs
+from fleet.execution.connection import live_runs
+from fleet.execution.directory import OBSERVE
+from fleet.logs.reader import log_path
 from fleet.view.live_feed import LiveFeed
+from fleet.view.log_feed import LogFeed
 from fleet.view.server import Door, serve
 from fleet.view.source import LiveSource, find_source
 
@@ -53,6 +57,13 @@ class Companion:
         self._process.stdin.flush()
         door.listening.close()  # it is the companion's now
 
+    def over(self, directory: Path) -> None:
+        """Say that the run is over: if it was so short that it was never seen, its log is shown."""
+        assert self._process.stdin is not None
+        with suppress(OSError):  # it has ended
+            self._process.stdin.write(json.dumps(str(directory)).encode() + b"\n")
+            self._process.stdin.flush()
+
     def wait(self) -> None:
         """Until it ends by itself."""
         self._process.wait()
@@ -71,27 +82,41 @@ class Companion:
 def main() -> None:
     """Show the run of a console until stdin ends."""
     values = json.loads(sys.stdin.buffer.readline())
-    threading.Thread(target=_end_with_stdin, daemon=True).start()
+    over: Queue[Path] = Queue()
+    threading.Thread(target=_listen, args=(over,), daemon=True).start()
     listening = socket.socket(fileno=values["listening"])
     try:
-        run = _run_of(values["console"])
-        source = find_source(str(run.directory), run.directory)
-        assert isinstance(source, LiveSource)  # it lives, and is published
-        serve(LiveFeed(source), Door(values["host"], values["port"], listening, values["token"]), may_act=True)
+        feed = _feed_of(values["console"], over)
+        serve(feed, Door(values["host"], values["port"], listening, values["token"]), may_act=True)
     except FleetError as error:
         print(f"fleet view: {error}", file=sys.stderr)
         sys.exit(error.status)
 
 
-def _run_of(console: int) -> LiveRun:
-    """The live run with this console, once it can be asked."""
+def _feed_of(console: int, over: Queue[Path]) -> LiveFeed | LogFeed:
+    """The live run with this console, once it can be asked; if it ended before that, its log.
+
+    Raises:
+        FleetError: there is no log, or the run cannot be shown.
+    """
     while True:
+        with suppress(Empty):
+            return LogFeed(log_path(over.get(timeout=POLL_S)))
         found = next((run for run in live_runs() if run.pid == console), None)
-        if found is not None and (found.directory / "observe.json").exists():
-            return found
-        time.sleep(POLL_S)
+        if found is None or not (found.directory / OBSERVE).exists():
+            continue
+        try:
+            source = find_source(str(found.directory), found.directory)
+            if isinstance(source, LiveSource):
+                return LiveFeed(source)
+        except FleetError:
+            if found.directory.exists() and (found.directory / OBSERVE).exists():
+                raise
+        # else it ended meanwhile, and its log comes
 
 
-def _end_with_stdin() -> None:
-    sys.stdin.buffer.read()
+def _listen(over: Queue[Path]) -> None:
+    if line := sys.stdin.buffer.readline():
+        over.put(Path(json.loads(line)))
+        sys.stdin.buffer.read()
     os.kill(os.getpid(), signal.SIGTERM)

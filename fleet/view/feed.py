@@ -34,8 +34,11 @@ def take(picture: Picture, topic: str, at_s: float, data: bytes, *, moving: bool
 
 
 def fault_message(data: bytes) -> Any:
-    """A message of the topic `faults`. Raises DecodeError: it is none."""
-    return _fault(data)
+    """A message of the topic `faults`; None: it is damaged."""
+    try:
+        return _fault(data)
+    except DecodeError:
+        return None
 
 
 def _fault(data: bytes) -> Any:

@@ -85,11 +85,13 @@ class FaultForm:
         self._command.text = words.inject(text, lasts, feed.name)
 
     async def _go(self) -> None:
-        if self._entry is None:
+        entry, self._entry = self._entry, None  # once, however often the key is pressed
+        if entry is None:
             return
         try:
-            answer = await self._do(self._command.text, "inject", fault=self._entry)
+            answer = await self._do(self._command.text, "inject", fault=entry)
         except FleetError as error:
+            self._entry = entry
             self._problem.text = str(error)
             return
         self._dialog.close()

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import secrets
 from collections.abc import Awaitable, Callable, Collection, MutableMapping
-from http.cookies import CookieError, SimpleCookie
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
@@ -20,6 +19,8 @@ Send = Callable[[MutableMapping[str, Any]], Awaitable[None]]
 App = Callable[[Scope, Receive, Send], Awaitable[None]]
 
 TOKEN = "token"
+_HTTP = 80
+_LEAD_ON = b'<!doctype html><meta http-equiv="refresh" content="0; url=/"><a href="/">fleet view</a>'
 _NO_TOKEN = (
     "This page needs the token that stands in its address.\n"
     "Open the whole address that fleet view printed: http://.../?token=...\n"
@@ -46,6 +47,8 @@ class Guard:
         self._cookie = f"fleet-view-{port}"
         self._session = secrets.token_urlsafe(24)
         self._names = {f"{host}:{port}".lower() for host in hosts}
+        if port == _HTTP:  # which browsers leave out
+            self._names |= {host.lower() for host in hosts}
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Pass a request on, or refuse it."""
@@ -58,7 +61,7 @@ class Guard:
         elif self._is_known(headers.get(b"cookie", "")):
             await self._app(scope, receive, _with_policy(send))
         elif scope["type"] == "http" and self._offers_token(scope):
-            await self._welcome(scope, send)
+            await self._welcome(send)
         else:
             await _refuse(scope, send, _NO_TOKEN)
 
@@ -68,30 +71,39 @@ class Guard:
         if self._names and host not in self._names:
             return False
         origin = headers.get(b"origin")
-        return (kind == "http" and origin is None) or (origin is not None and urlsplit(origin).netloc.lower() == host)
+        return (kind == "http" and origin is None) or (origin is not None and _host_of(origin) == host)
 
     def _is_known(self, cookies: str) -> bool:
-        try:
-            found = SimpleCookie(cookies).get(self._cookie)
-        except CookieError:
-            return False
-        return found is not None and secrets.compare_digest(found.value.encode(), self._session.encode())
+        """Other servers of this host set cookies, too, for all ports and of any form: ours is looked for, no more."""
+        ours = f"{self._cookie}={self._session}".encode()
+        return any(secrets.compare_digest(cookie.strip().encode(), ours) for cookie in cookies.split(";"))
 
     def _offers_token(self, scope: Scope) -> bool:
         offered = parse_qs(scope.get("query_string", b"").decode("latin-1")).get(TOKEN, [])
         return len(offered) == 1 and secrets.compare_digest(offered[0].encode(), self._token.encode())
 
-    async def _welcome(self, scope: Scope, send: Send) -> None:
-        """Give the cookie, and lead to the address without the token, which stays out of history and links."""
+    async def _welcome(self, send: Send) -> None:
+        """Give the cookie, and lead to the address without the token, which stays out of history and links.
+
+        With a page, not with a redirection: what a local file leads to, as `Browser` does, counts as begun by another
+        site up to the last redirection, and a browser sends no strict cookie there.
+        """
         cookie = f"{self._cookie}={self._session}; Path=/; HttpOnly; SameSite=Strict"
         headers = [
-            (b"location", scope["path"].encode()),
+            (b"content-type", b"text/html; charset=utf-8"),
             (b"set-cookie", cookie.encode()),
             (b"referrer-policy", b"no-referrer"),
             (b"cache-control", b"no-store"),
         ]
-        await send({"type": "http.response.start", "status": 303, "headers": headers})
-        await send({"type": "http.response.body", "body": b""})
+        await send({"type": "http.response.start", "status": 200, "headers": headers})
+        await send({"type": "http.response.body", "body": _LEAD_ON})
+
+
+def _host_of(origin: str) -> str:
+    try:
+        return urlsplit(origin).netloc.lower()
+    except ValueError:  # no address
+        return ""
 
 
 def _with_policy(send: Send) -> Send:

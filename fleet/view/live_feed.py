@@ -18,7 +18,7 @@ from fleet.replay.player import MeasuredRate
 from fleet.scenario.loading import parse_scenario
 from fleet.scenario.scenario import Scenario
 from fleet.view.feed import FAULTS, TRANSFORMS, take
-from fleet.view.picture import SAMPLE_S, Picture, Row
+from fleet.view.picture import NOT_PLACED, SAMPLE_S, Picture, Row
 from fleet.view.signals import Signals
 from fleet.view.source import LiveSource, ViewerError
 from netem.errors import BusError
@@ -53,6 +53,7 @@ class LiveFeed:
         self._waiting: deque[Any] = deque(maxlen=MOST_WAITING)
         self._status: Row = {}
         self._over = ""  # why there is nothing more to come
+        self._published = True
         self._rate = MeasuredRate()
         self._known: Signals | None = None
         self._watched: set[str] = set()
@@ -119,8 +120,9 @@ class LiveFeed:
         """Ask the console how it is doing. Waits for the answer: on a thread of its own."""
         if self._over:
             return
+        self._published = self._bus.connected
         if self.run is None:
-            if not self._bus.connected:
+            if not self._published:
                 self._over = "the publisher is gone"
             return
         try:
@@ -164,8 +166,13 @@ class LiveFeed:
             "rate": 0.0 if over or text == "paused" else round(self._rate.value, 2),
             "over": bool(over),
             "waiting": "" if over or waiting == text else waiting,
-            "note": "" if over or self.picture.setup()["placed"] else _NOT_PLACED,
+            "note": "" if over else self._note(),
         }
+
+    def _note(self) -> str:
+        if not self._published:
+            return "The publisher is gone: the run goes on, and nothing more of it is seen here."
+        return "" if self.picture.placed else NOT_PLACED
 
     def signals(self) -> Signals:
         """What else a chart can show: what the log of the run, as far as it is written, declares."""
@@ -176,7 +183,10 @@ class LiveFeed:
                     break
             except LogReadError:
                 return Signals([], {})
-            self._known = Signals(reader.channels.values(), reader.schemas)
+            found = Signals(reader.channels.values(), reader.schemas)
+            if not found.by_name:  # nothing is written yet
+                return found
+            self._known = found
         return self._known
 
     def watch(self, name: str) -> None:
@@ -196,9 +206,6 @@ class LiveFeed:
         self._bus.close()
         if self._connection is not None:
             self._connection.close()
-
-
-_NOT_PLACED = "The scenario logs no transforms (log: {transforms: 0 ticks}): where the vehicles are is not known."
 
 
 def _scenario(source: LiveSource) -> Scenario:

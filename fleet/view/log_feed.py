@@ -11,7 +11,7 @@ from fleet.repeat.recorded_run import recorded
 from fleet.replay.player import Player
 from fleet.scenario.scenario import Scenario
 from fleet.view.feed import FAULTS, TRANSFORMS, fault_message, is_lost, link_of, take
-from fleet.view.picture import HISTORY_S, Picture, Row
+from fleet.view.picture import HISTORY_S, NOT_PLACED, Picture, Row
 from fleet.view.signals import Signals
 from netem.parsing import nearest
 
@@ -71,6 +71,8 @@ class LogFeed:
         track = Track(self._tape, [n for n, topic in self._topics.items() if topic == FAULTS])
         for _, entry in track.entries(range(len(track))):
             event, at_s = fault_message(entry.data), entry.log_ns / 1e9
+            if event is None:  # damaged
+                continue
             if event.action == "begins":
                 times = {"from_s": at_s, "to_s": end_s, "until_healed": False}
                 found[event.fault] = {"id": event.fault, "what": event.what} | times
@@ -83,7 +85,9 @@ class LogFeed:
         now = time.monotonic_ns()
         some = self.player.due(now, MOST_AT_ONCE)
         self._take(some, moving=True)
-        new = bool(some) or self._jumped
+        if not self.picture.placed:  # else time is that of the places
+            self.picture.at_s = min(self.player.position(now) / 1e9, self.end_s)
+        new = bool(some) or self._jumped or not self.picture.placed
         self._jumped = False
         if self.player.over and not self.player.paused:
             self.player.pause(now)
@@ -113,6 +117,7 @@ class LogFeed:
         over = player.over
         text = "at the end" if over else "paused" if player.paused else f"{player.rate:g} x real time"
         note = f"The log is not whole: {self.missing}" if self.missing else ""
+        note = note or ("" if self.picture.placed else NOT_PLACED)
         return {"text": text, "paused": player.paused, "rate": player.rate, "over": over, "waiting": "", "note": note}
 
     # What the time line does

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import shlex
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
@@ -95,6 +96,9 @@ class Page:
             except FleetError as error:  # the log is not what it was, for instance
                 self.tell_all({"problem": str(error)})
                 return
+            except Exception:  # a defect of ours, or a log that is none of ours: nobody should wait for more
+                self.tell_all({"problem": "the picture stopped; fleet view says why"})
+                raise
             if (come or self.new) and self._viewers:
                 self.new = False
                 frame = self.feed.picture.frame() | {"clock": self.feed.clock(), "dropped": self.dropped}
@@ -150,7 +154,7 @@ class Viewer:
             "live": feed.live,
             "may_act": page.may_act and feed.live,
             "log_end_s": feed.end_s if isinstance(feed, LogFeed) else None,
-            "log": str(feed.path) if isinstance(feed, LogFeed) else "",
+            "log": shlex.quote(str(feed.path)) if isinstance(feed, LogFeed) else "",  # in commands to copy
             "marks": feed.picture.known_faults if isinstance(feed, LogFeed) else [],
         }
         self.element = FleetView(setup, self._said)
@@ -249,7 +253,7 @@ class Viewer:
         made = await run.io_bound(script, path)
         with self.element:
             ui.download.content(made.to_yaml() if made else "", f"{feed.scenario.name}-again.yaml")
-        self._page.commands.append(f"fleet script {path} > again.yaml")
+        self._page.commands.append(f"fleet script {shlex.quote(str(path))} > again.yaml")
         self._page.tell_all({"commands": self._page.commands})
 
     def _tell(self, text: str) -> None:

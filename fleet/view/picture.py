@@ -27,6 +27,7 @@ MOST_SAMPLES = int(HISTORY_S / SAMPLE_S)
 MOST_PACKETS = 400  # of a frame: more nobody can follow
 LOSS_SAMPLES = 5  # over which the share of lost packets is taken
 NO_AGENT = ("kill", "pause")  # faults that leave a vehicle without its agent
+NOT_PLACED = "The scenario logs no transforms (log: {transforms: 0 ticks}): where the vehicles are is not known."
 Row = dict[str, Any]
 
 
@@ -45,6 +46,8 @@ class Picture:
         self._neighbours = {
             i: [src for src, dst in scenario.graph.links if dst == i] for i in range(1, scenario.vehicles + 1)
         }
+        self.placed = bool(scenario.log_every.get("transforms", 1))  # whether messages say where the vehicles are
+        self._frames = {f"uuv-{i}": i for i in self._neighbours}  # vehicles by name of their frame
         self._signals: dict[str, deque[tuple[float, float]]] = {}
         self._new: dict[str, deque[tuple[float, float]]] = {}  # since the last frame
         self.clear()
@@ -71,10 +74,10 @@ class Picture:
         """Take a message of the topic `transforms`: where the vehicles are, and how they are turned."""
         elapsed = at_s - self._placed_s
         for transform in message.transforms:
-            child = transform.child_frame_id
-            if not child.startswith("uuv-"):
+            i = self._frames.get(transform.child_frame_id)
+            if i is None:
                 continue
-            i, t, q = int(child[4:]), transform.translation, transform.rotation
+            t, q = transform.translation, transform.rotation
             place = (t.x, t.y, t.z)
             if not all(abs(value) < FARTHEST_M for value in place):  # its motion has left the finite numbers
                 self._places.pop(i, None)
@@ -149,7 +152,7 @@ class Picture:
             "leaders": [i for i, b in enumerate(scenario.b, start=1) if b],
             "acoustic": scenario.acoustic is not None,
             "round_s": self._round_s,
-            "placed": bool(scenario.log_every.get("transforms", 1)),
+            "placed": self.placed,
         }
 
     def frame(self) -> Row:

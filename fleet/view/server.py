@@ -60,9 +60,9 @@ def open_door(host: str = LOOPBACK, port: int | None = None) -> Door:
     try:
         family = socket.getaddrinfo(host, None, type=socket.SOCK_STREAM)[0][0]
         found = socket.create_server((host, port or 0), family=family)
-    except OSError as error:
+    except (OSError, UnicodeError) as error:  # of a name that no host can have
         where = f"port {port} of {host}" if port else host
-        what = f"{where} cannot be listened on ({error.strerror or error})"
+        what = f"{where} cannot be listened on ({getattr(error, 'strerror', None) or error})"
         raise ViewerError(f"{what}; --port chooses another, and without it a free one is taken") from None
     return Door(host, found.getsockname()[1], found, secrets.token_urlsafe(24))
 
@@ -106,8 +106,8 @@ class Browser:
 
     def __init__(self, url: str) -> None:
         self._folder = tempfile.TemporaryDirectory(prefix="fleet-view-", dir=os.environ.get("XDG_RUNTIME_DIR"))
-        self._file = Path(self._folder.name) / "open.html"
-        descriptor = os.open(self._file, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+        self.file = Path(self._folder.name) / "open.html"
+        descriptor = os.open(self.file, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
         with os.fdopen(descriptor, "w") as file:
             file.write(
                 f'<meta http-equiv="refresh" content="0; url={escape(url)}"><a href="{escape(url)}">fleet view</a>'
@@ -118,7 +118,7 @@ class Browser:
         if not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
             return False
         with suppress(webbrowser.Error, OSError):
-            return webbrowser.open(self._file.as_uri())
+            return webbrowser.open(self.file.as_uri())
         return False
 
     def close(self) -> None:

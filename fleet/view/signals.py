@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable
 from typing import Any, NamedTuple
 
@@ -10,7 +9,7 @@ from google.protobuf.descriptor import FieldDescriptor
 from google.protobuf.message import DecodeError
 from mcap.records import Channel, Schema
 
-from fleet.logs.decoder import message_class
+from fleet.logs.decoder import message_class, units_of
 
 OF_THE_FLEET = ("transforms", "scene", "faults", "snapshot")  # topics with no signals to choose
 WIDTH = 3  # components that are offered of a field that holds several values
@@ -45,7 +44,7 @@ class Signals:
             if channel.topic in OF_THE_FLEET or schema is None or not schema.name.startswith("uuv_fleet."):
                 continue
             cls = self._classes[channel.topic] = message_class(schema)
-            units = {name: unit for name, (unit, _) in json.loads(channel.metadata.get("units", "{}")).items()}
+            units = units_of(channel)
             for field in cls.DESCRIPTOR.fields:
                 if field.cpp_type not in _NUMBERS:
                     continue

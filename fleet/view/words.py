@@ -47,7 +47,10 @@ def entry(words: str, lasts: str, scenario: Scenario, tick: int) -> dict[str, An
 def inject(words: str, lasts: str, run: str) -> str:
     """The command that injects a fault."""
     more = ["--for", lasts.strip()] if lasts.strip() else []
-    return shlex.join(["fleet", "inject", *words.split(), *more, "--run", run])
+    options, fault = [*more, "--run", run], words.split()
+    if any(word.startswith("-") for word in fault):  # a number below zero is no option
+        return shlex.join(["fleet", "inject", *options, "--", *fault])
+    return shlex.join(["fleet", "inject", *fault, *options])
 
 
 def heal(name: str | None, run: str) -> str:
@@ -59,16 +62,6 @@ def clock(do: str, value: float | None, run: str) -> str:
     """The command that holds, steps or paces a run."""
     number = "max" if do == "speed" and value is None else "" if value is None else f"{value:g}"
     return shlex.join(["fleet", "clock", do, *([number] if number else []), "--run", run])
-
-
-def go_on(log: str, at_s: float) -> str:
-    """The command that goes on from a moment of a log."""
-    return shlex.join(["fleet", "run", "--from", f"{log}@{at_s:.2f}s"])
-
-
-def what_if(log: str, vehicle: int) -> str:
-    """The command that asks what another controller would have commanded."""
-    return shlex.join(["fleet", "whatif", log, "--agent", str(vehicle), "--controller", "bsmc"])
 
 
 def partition(groups: list[list[int]]) -> str:

@@ -213,6 +213,8 @@ class Bus:
         self._held.append(token)
 
         def withdraw() -> None:
+            if token not in self._held:  # the session is closed, and with it the token
+                return
             self._held.remove(token)
             token.undeclare()  # type: ignore[no-untyped-call]
 

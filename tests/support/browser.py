@@ -41,14 +41,14 @@ def served(*arguments: str) -> Iterator[str]:
 class Tab:
     """A page in the browser, with everything that went wrong in it."""
 
-    def __init__(self, page: Any, address: str) -> None:
+    def __init__(self, page: Any, address: str, start: str) -> None:
         self.page = page
         self.wrong: list[str] = []
         origin = address.partition("/?")[0]
         page.on("console", lambda message: message.type == "error" and self.wrong.append(message.text))
         page.on("pageerror", lambda error: self.wrong.append(str(error)))
-        page.on("request", lambda asked: self._asked(asked.url, origin))
-        page.goto(address)
+        page.on("request", lambda asked: asked.url != start and self._asked(asked.url, origin))
+        page.goto(start)
         page.locator(".fleet-side tbody td:nth-child(2):text-matches('\\\\d')").first.wait_for()
 
     def _asked(self, url: str, origin: str) -> None:
@@ -95,8 +95,12 @@ def browser() -> Iterator[Any]:
             opened.close()
 
 
-def tab(opened: Any, address: str) -> Tab:
-    """A page of its own, with no cookie of another's."""
+def tab(opened: Any, address: str, start: str = "") -> Tab:
+    """A page of its own, with no cookie of another's.
+
+    Args:
+        start: what leads to the address, if it is not opened itself.
+    """
     page = opened.new_context(viewport=SIZE).new_page()
     page.set_default_timeout(20_000)
-    return Tab(page, address)
+    return Tab(page, address, start or address)

@@ -8,6 +8,7 @@ import pytest
 from in_process_runs import Alone, log_of
 
 from fleet.logs.open_log import open_log
+from fleet.view.feed import fault_message
 from fleet.view.log_feed import LogFeed
 
 SHORT = (
@@ -94,3 +95,17 @@ def test_a_log_that_is_cut_says_so(log: Path, tmp_path: Path) -> None:
     assert "not whole" in feed.clock()["note"] and 1.0 < feed.end_s < 20.0
     feed.seek(feed.end_s)
     assert feed.picture.frame()["uuv"]
+
+
+def test_a_log_without_transforms_plays_and_says_what_it_lacks(alone: Alone) -> None:
+    feed = LogFeed(log_of(alone("paper", "duration=2 s", "log={transforms: 0 ticks}", "checks={}")))
+    feed.set_rate(1e6)
+    feed.toggle()
+    while not feed.clock()["over"]:
+        feed.advance()
+    assert feed.picture.frame()["t"] == 2.0
+    assert "transforms" in feed.clock()["note"]
+
+
+def test_a_damaged_message_of_faults_is_left_out() -> None:
+    assert fault_message(b"\x0f\xff") is None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 from urllib.error import HTTPError
@@ -14,6 +15,8 @@ from in_process_runs import Alone, log_of
 from live import LiveRun
 from tool import tool
 from waiting import wait_for
+
+from fleet.view.server import Browser
 
 pytestmark = pytest.mark.slow
 
@@ -76,7 +79,8 @@ def test_a_log_is_played_and_searched(opened: Any, alone: Alone) -> None:
     log = log_of(alone("paper", "duration=20 s", "faults=[{at: 5 s, for: 3 s, partition: halves}]", "checks={}"))
     with served(str(log)) as address:
         assert_nobody_gets_in_without_the_token(address)
-        page = tab(opened, address)
+        with closing(Browser(address)) as led:  # as `fleet view` opens it: from a file of this user
+            page = tab(opened, address, led.file.as_uri())
         page.page.get_by_role("button", name="Next fault").click()
         wait_for(lambda: page.time_s() == 5.0, SOON_S, "the beginning of the fault")
         page.page.locator(".fleet-faults").get_by_text("partition").wait_for()

@@ -156,3 +156,12 @@ def test_a_formation_that_changes_is_told_again_and_again() -> None:
     before = shown(changing)["offsets_m"]
     changing.at_s = 60.0
     assert shown(changing)["offsets_m"] != before
+
+
+@pytest.mark.parametrize("name", ["uuv-x", "uuv-99", "uuv-0", "uuv-01", "uuv-"])
+def test_frames_of_no_vehicle_are_left_out(name: str) -> None:
+    scenario = small()
+    picture, message = Picture(scenario), FrameTransforms()
+    message.transforms.add(child_frame_id=name, translation=Vector3(), rotation=Quaternion(w=1.0))
+    picture.transforms(1.0, message)
+    assert picture.frame()["uuv"] == []

@@ -33,3 +33,12 @@ def test_a_damaged_message_has_no_value(signals: Signals) -> None:
     empty = signals.message("uuv/1/command", b"")
     assert signals.by_name["uuv/1/command.tau[1]"].value(empty) is None
     assert signals.by_name["uuv/1/state.x"].value(signals.message("uuv/1/state", b"")) == 0.0
+
+
+def test_units_that_cannot_be_read_are_none(alone: Alone) -> None:
+    reader = LogReader(Path(log_of(alone("paper", "duration=20 s", "checks={}"))))
+    for _ in reader.blocks():
+        break
+    for channel in reader.channels.values():
+        channel.metadata["units"] = "{"
+    assert {signal.unit for signal in Signals(reader.channels.values(), reader.schemas).by_name.values()} == {""}

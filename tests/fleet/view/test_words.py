@@ -51,6 +51,7 @@ def test_the_command_to_copy_says_the_same() -> None:
     [
         words.inject("kill 3", "", "paper-1"),
         words.inject("partition 1,2 / 3,4", "5s", "paper-1"),
+        words.inject("current -0.2 0 0 m/s", "5s", "paper-1"),
         words.heal(None, "paper-1"),
         words.heal("live-1", "paper-1"),
         words.clock("pause", None, "paper-1"),

@@ -181,7 +181,8 @@ export class Charts {
   draw() {
     for (const chart of this.charts) chart.draw(this.now, this.spans.values());
     const values = this.signals.get(this.name);
-    write(this.chosen.unit, values?.length ? `now ${values.at(-1)[1].toPrecision(4)}` : "");
+    const value = values?.at(-1)?.[1];
+    write(this.chosen.unit, values?.length ? `now ${value == null ? "not a finite number" : value.toPrecision(4)}` : "");
   }
 
   end() {

@@ -1,0 +1,19 @@
+"""The page of a run that `fleet run --view` opens."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from queue import Queue
+
+from in_process_runs import Alone, log_of
+
+from fleet.view.companion import _feed_of
+from fleet.view.log_feed import LogFeed
+
+
+def test_a_run_that_is_over_before_it_was_seen_is_shown_as_its_log(alone: Alone) -> None:
+    over: Queue[Path] = Queue()
+    over.put(log_of(alone("paper", "duration=2 s", "checks={}")).parent)
+    feed = _feed_of(os.getpid(), over)
+    assert isinstance(feed, LogFeed) and feed.end_s == 2.0

@@ -54,13 +54,16 @@ def movie(
     """
     from fleet.logs.reader import log_path
     from fleet.pictures.page import check_place
+    from fleet.terminal.folding import say
     from fleet.terminal.progress import showing
     from fleet.view.movie import write
 
     check_place(out, force=force)
     window = begin / 1e9, None if end is None else end / 1e9
     with showing(f"drawing {out}") as tell:
-        write(log_path(log), out, tell, view=view, window=window, rate=rate, fps=fps, width=width - width % 8)
+        missing = write(log_path(log), out, tell, view=view, window=window, rate=rate, fps=fps, width=width - width % 8)
+    if missing:
+        say(f"fleet: {log}: {missing}", err=True)
     click.echo(out)
 
 

@@ -31,7 +31,7 @@ def write(
     rate: float | None = None,
     fps: int = 10,
     width: int = 800,
-) -> None:
+) -> str:
     """Draw a log.
 
     Args:
@@ -43,6 +43,9 @@ def write(
         rate: simulated seconds per second of the movie; None: so that it lasts LASTS_S, or 1 for what is shorter.
         fps: pictures per second.
         width: in pixels, a multiple of 8; the height is three quarters of it.
+
+    Returns:
+        what is missing of the log; empty: nothing.
 
     Raises:
         ViewerError: the log has nothing to draw, or the file cannot be written.
@@ -82,6 +85,7 @@ def write(
         raise ViewerError(f"ffmpeg could not write {out}: {said[-1]}") from None
     except OSError as error:
         raise ViewerError(f"cannot write {out}: {error.strerror}; choose another place with -o FILE") from error
+    return feed.missing or ""
 
 
 def _drawn(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Sequence
-from math import cos, floor, log10, pi, sin
+from math import cos, floor, log10, sin
 from textwrap import shorten
 from typing import Any, NamedTuple
 
@@ -21,10 +21,10 @@ from fleet.palette import COLOURS
 from fleet.pictures.shades import union
 from fleet.pictures.style import LABEL_PT, LEGEND_PT, TEXT_PT, THIN
 from fleet.view.links import BEHIND, CUT, DELIVERED, DOWN, GONE, LATE, LOST, STALE, UNUSED
+from fleet.view.movie_camera import SCENE_PT, Camera
 from fleet.view.picture import SAMPLE_S, Picture, Row
 
 WIDTH_IN, HEIGHT_IN = 6.0, 4.5
-SCENE_PT = (432.0, 226.0)  # width and height of what is seen of the fleet
 TRAIL_S = 30.0
 PACKET_S, MOST_PACKET_S = 0.45, 3.0  # of the movie, that a packet is on its way
 APART_S = 0.3  # of the movie, between two packets of a link that are shown
@@ -64,38 +64,6 @@ class _Flight(NamedTuple):
     fate: str
 
 
-class Camera:
-    """Follows the fleet, and projects places [m, north-east-down] to points of the scene, and their depth of view."""
-
-    def __init__(self, *, above: bool) -> None:
-        self.above = above
-        self._azimuth, self._elevation = (0.0, pi / 2) if above else (-0.6, 0.5)
-        self.centre = np.zeros(3)
-        self.radius = 0.0  # of what is to be seen [m]; 0: nothing yet
-
-    def follow(self, points: Array) -> None:
-        """Bring points into sight: at once the first time or after a jump, else smoothly."""
-        low, high = points.min(axis=0), points.max(axis=0)
-        centre, radius = (low + high) / 2, max(2.0, float(np.linalg.norm(high - low)) / 2)
-        far = float(np.linalg.norm(centre - self.centre)) > 3 * self.radius
-        self.centre = centre  # the movie's pictures are too far apart to come after
-        self.radius = radius if far else self.radius + 0.25 * (radius - self.radius)
-
-    @property
-    def scale(self) -> float:
-        """Points per m."""
-        width, height = SCENE_PT
-        return 0.36 * min(width, 1.25 * height) / self.radius
-
-    def project(self, places: Any) -> Array:
-        """Places (n, 3) as points right, up and away from the eye (n, 3)."""
-        north, east, down = (np.asarray(places, float).reshape(-1, 3) - self.centre).T
-        ca, sa, ce, se = cos(self._azimuth), sin(self._azimuth), cos(self._elevation), sin(self._elevation)
-        away = ca * north - sa * east
-        points = np.column_stack([ca * east + sa * north, away * se - down * ce, away * ce + down * se])
-        return points * self.scale + (SCENE_PT[0] / 2, SCENE_PT[1] / 2, 0.0)
-
-
 class MovieScene:
     """Draws frames of a picture, one after the other, into one figure."""
 
@@ -112,6 +80,8 @@ class MovieScene:
         self._camera = Camera(above=above)
         self._links: list[tuple[int, int]] = [(src, dst) for src, dst in self._setup["links"]]
         self._both = {(src, dst) for src, dst in self._links if (dst, src) in self._links}
+        count = self._setup["vehicles"]
+        self._size = 1.0 if count <= MANY else 0.7 if count <= CROWD else 0.4  # of what is drawn of each vehicle
         self._trails: dict[int, deque[list[float]]] = {}
         self._flying: list[_Flight] = []
         self._shown_s = [-APART_S] * len(self._links)  # when the last packet of a link was shown [s of the movie]
@@ -209,8 +179,7 @@ class MovieScene:
         self._errors.append([np.nan if error is None else error for error in frame["errors"]])
         for line, values in zip(self._lines, np.transpose(self._errors), strict=True):
             line.set_data(self._times, values)
-        top = np.nanmax(self._errors, initial=0.1)
-        self._chart.set_ylim(0.0, 1.08 * max(top, self._chart.get_ylim()[1] / 1.08 if len(self._times) > 1 else 0.0))
+        self._chart.set_ylim(0.0, 1.08 * np.fmax.reduce(self._errors, axis=None, initial=0.1))
         self._now.set_xdata([frame["t"], frame["t"]])
 
     def _draw_floor(self, deep: float) -> None:
@@ -248,7 +217,7 @@ class MovieScene:
     def _draw_wanted(self, rows: dict[int, list[Any]], wanted: Array, reference: list[float]) -> None:
         points = self._camera.project(wanted)[:, :2]
         numbers = range(1, len(points) + 1)
-        circles = [Ellipse((float(x), float(y)), 10.0, 10.0) for x, y in points]
+        circles = [Ellipse((float(x), float(y)), 10.0 * self._size, 10.0 * self._size) for x, y in points]
         self._add(PatchCollection(circles, facecolor="none", edgecolor=[_colour(i) for i in numbers], linewidth=0.9,
                                   linestyle="--", zorder=2))  # fmt: skip
         ways = [np.vstack([points[i - 1], self._camera.project(rows[i][1:4])[0, :2]]) for i in rows]
@@ -265,17 +234,17 @@ class MovieScene:
                 lanes.append(None)
                 continue
             ends = self._camera.project([rows[src][1:4], rows[dst][1:4]])[:, :2]
-            beside = _lane(ends, 3.0 if (src, dst) in self._both else 0.0)
+            beside = _lane(ends, 13.0 * self._size, 3.0 * self._size if (src, dst) in self._both else 0.0)
             lanes.append(beside)
             by_state.setdefault(state, []).append(beside)
         for state, some in by_state.items():
             look = LOOKS[state]
             alpha = 0.6 if state == DELIVERED else 0.95
-            self._lines_of(some, 3.0, look.colour, look.width, linestyle=look.dash, alpha=alpha)
-            tips = [_tip(ends[0], ends[1], 4.0 + look.width) for ends in some]
+            self._lines_of(some, 3.0, look.colour, look.width * max(0.7, self._size), linestyle=look.dash, alpha=alpha)
+            tips = [_tip(ends[0], ends[1], (4.0 + look.width) * self._size) for ends in some]
             self._add(PolyCollection(tips, facecolor=look.colour, alpha=alpha, zorder=3))
             if state == DOWN:
-                self._crosses([ends.mean(axis=0) for ends in some], 3.5, look.colour)
+                self._crosses([ends.mean(axis=0) for ends in some], 3.5 * self._size, look.colour)
         return lanes
 
     def _crosses(self, at: Sequence[Array], size: float, colour: str) -> None:
@@ -303,16 +272,15 @@ class MovieScene:
             colour = PACKETS.get(fate, LOOKS[DELIVERED].colour)
             point = ends[0] + min(share, stop) * (ends[1] - ends[0])
             if share > stop:
-                self._crosses([point], 2.0, colour)
+                self._crosses([point], 2.0 * self._size, colour)
             else:
                 by_colour.setdefault(colour, []).append(point)
         for colour, points in by_colour.items():
-            dots = [Ellipse((float(x), float(y)), 4.0, 4.0) for x, y in points]
+            dots = [Ellipse((float(x), float(y)), 4.0 * self._size, 4.0 * self._size) for x, y in points]
             self._add(PatchCollection(dots, facecolor=colour, edgecolor="white", linewidth=0.4, zorder=5))
 
     def _draw_hulls(self, rows: dict[int, list[Any]], states: dict[int, str]) -> None:
-        camera, count = self._camera, self._setup["vehicles"]
-        least = 26.0 if count <= MANY else 18.0 if count <= CROWD else 11.0  # pt
+        camera, least = self._camera, 26.0 * self._size
         order = {i: -float(camera.project(row[1:4])[0, 2]) for i, row in rows.items()}
         hulls, colours = [], []
         for i in sorted(rows, key=order.__getitem__):
@@ -370,12 +338,12 @@ def _hull(tail: Array, nose: Array, half: float) -> Array:
     return np.array(sides)
 
 
-def _lane(ends: Array, aside: float) -> Array:
+def _lane(ends: Array, short: float, aside: float) -> Array:
     """The ends of a link, short of the hulls, and beside the lane of the other direction."""
     along = ends[1] - ends[0]
     length = float(np.linalg.norm(along)) or 1.0
     along = along / length
-    keep = min(13.0, 0.4 * length)
+    keep = min(short, 0.4 * length)
     return np.array([ends[0] + keep * along, ends[1] - keep * along]) + aside * np.array([along[1], -along[0]])
 
 

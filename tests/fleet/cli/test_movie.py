@@ -29,6 +29,14 @@ def test_it_prints_the_file_and_replaces_nothing_without_force(alone: Alone, tmp
     assert called(run, *options, "--force", "--view", "3d").exit_code == 0
 
 
+def test_a_log_that_is_cut_is_drawn_and_said_to_be_cut(alone: Alone, tmp_path: Path) -> None:
+    whole, cut = alone("paper", *SHORT).directory / "run.mcap", tmp_path / "cut.mcap"
+    cut.write_bytes(whole.read_bytes()[:-20])
+    found = called(cut, "-o", tmp_path / "a.gif", "--fps", "1", "--width", "320")
+    assert found.exit_code == 0 and found.stderr.startswith(f"fleet: {cut}: "), found.output
+    assert (tmp_path / "a.gif").exists()
+
+
 def test_what_is_no_log_is_said(tmp_path: Path) -> None:
     (tmp_path / "a.mcap").write_text("no log")
     found = called(tmp_path / "a.mcap", "-o", tmp_path / "a.gif")

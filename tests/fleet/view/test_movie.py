@@ -11,10 +11,12 @@ import matplotlib
 import pytest
 from in_process_runs import Alone, log_of
 from PIL import Image, ImageChops
+from small_scenario import small
 
 from fleet.view.log_feed import LogFeed
 from fleet.view.movie import write
 from fleet.view.movie_scene import FAULT, LOOKS, MovieScene
+from fleet.view.picture import Picture
 from fleet.view.source import ViewerError
 
 SHORT = ("duration=1 s", "faults=[{at: 400 ms, for: 400 ms, id: cut, partition: halves}]", "checks={tumbled: waived}")
@@ -85,6 +87,14 @@ def test_errors_are_those_of_the_frame(log: Path) -> None:
         found.append(frame["errors"][2])
     line = scene.figure.axes[1].lines[2]
     assert list(line.get_xdata()) == [0.5, 1.0] and list(line.get_ydata()) == found
+
+
+def test_a_fleet_that_is_nowhere_leaves_the_scene_empty() -> None:
+    picture = Picture(small())
+    scene = MovieScene(picture, 0.0, 1.0, 1.0, above=False)
+    scene.draw(picture.frame(), 0.0)
+    scene.figure.canvas.draw()
+    assert "t = 0.0 s" in texts(scene)
 
 
 def test_a_part_of_a_log_at_a_rate(log: Path, tmp_path: Path) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Sequence
 from math import cos, floor, log10, sin
-from textwrap import shorten
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -79,7 +78,7 @@ class MovieScene:
         self._setup, self._begin_s, self._rate = picture.setup(), begin_s, rate
         self._camera = Camera(above=above)
         self._links: list[tuple[int, int]] = [(src, dst) for src, dst in self._setup["links"]]
-        self._both = {(src, dst) for src, dst in self._links if (dst, src) in self._links}
+        self._both = {(src, dst) for src, dst in self._links} & {(dst, src) for src, dst in self._links}
         count = self._setup["vehicles"]
         self._size = 1.0 if count <= MANY else 0.7 if count <= CROWD else 0.4  # of what is drawn of each vehicle
         self._trails: dict[int, deque[list[float]]] = {}
@@ -91,7 +90,7 @@ class MovieScene:
         self._scene = self.figure.add_axes((0.0, 0.28, 1.0, SCENE_PT[1] / 72.0 / HEIGHT_IN))
         self._scene.set(xlim=(0.0, SCENE_PT[0]), ylim=(0.0, SCENE_PT[1]))
         self._scene.set_axis_off()
-        name = shorten(self._setup["scenario"], 50, placeholder=" ...")
+        name = _short(self._setup["scenario"], 50)
         self.figure.text(0.02, 0.95, name, size=TEXT_PT + 2, weight="bold", parse_math=False)
         self._clock = self.figure.text(0.98, 0.95, "", size=TEXT_PT + 2, weight="bold", ha="right")
         self._faults = self.figure.text(0.02, 0.905, "", color=FAULT, weight="bold", parse_math=False)
@@ -172,7 +171,7 @@ class MovieScene:
         self._clock.set_text(f"t = {frame['t']:.1f} s")
         lasting = [f"{row['what']}, {row['to_s'] - frame['t']:.1f} s left" for row in frame["faults"] if row["active"]]
         more = f"; and {len(lasting) - 2} more" if len(lasting) > 2 else ""
-        self._faults.set_text(shorten("; ".join(lasting[:2]), 70, placeholder=" ...") + more)
+        self._faults.set_text(_short("; ".join(lasting[:2]), 70) + more)
 
     def _draw_errors(self, frame: Row) -> None:
         self._times.append(frame["t"])
@@ -314,6 +313,10 @@ class MovieScene:
 
 def _colour(i: int) -> str:
     return COLOURS[(i - 1) % len(COLOURS)]
+
+
+def _short(text: str, most: int) -> str:
+    return text if len(text) <= most else f"{text[: most - 4]} ..."
 
 
 def _step(value: float) -> float:

@@ -97,6 +97,17 @@ def test_a_fleet_that_is_nowhere_leaves_the_scene_empty() -> None:
     assert "t = 0.0 s" in texts(scene)
 
 
+def test_a_long_fault_is_cut_short() -> None:
+    picture = Picture(small())
+    groups = ",".join(map(str, range(100)))
+    lasts = {"from_s": 0.0, "to_s": 1.0, "until_healed": False}
+    picture.faults([{"id": "f1", "what": f"partition {groups} / 100", **lasts}])
+    scene = MovieScene(picture, 0.0, 1.0, 1.0, above=True)
+    scene.draw(picture.frame(), 0.0)
+    (said,) = [text for text in texts(scene) if text.startswith("partition 0,1,2,3,")]
+    assert len(said) == 70 and said.endswith(" ...")
+
+
 def test_a_part_of_a_log_at_a_rate(log: Path, tmp_path: Path) -> None:
     assert len(made(log, tmp_path / "a.gif", window=(0.5, None), rate=0.5)) == 5
     assert len(made(log, tmp_path / "b.gif", window=(0.5, 0.75), rate=0.5)) == 3

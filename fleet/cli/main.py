@@ -16,6 +16,7 @@ from fleet.cli import (
     join,
     live,
     logs,
+    movie,
     new,
     protocol,
     replay,
@@ -167,8 +168,8 @@ def list_(as_json: bool) -> None:
 
 
 _MODULES = (
-    bench, boundary, hosts, join, live, logs, new, protocol, replay, reproduce, run, runs, schema, search, shrink,
-    status, sweep, verify, view, what_if,
+    bench, boundary, hosts, join, live, logs, movie, new, protocol, replay, reproduce, run, runs, schema, search,
+    shrink, status, sweep, verify, view, what_if,
 )  # fmt: skip
 for _module in _MODULES:
     for _command in _module.COMMANDS:

@@ -15,7 +15,7 @@ def whole_file(path: Path) -> Iterator[Path]:
         yield path
         return
     path = Path(os.path.realpath(path))  # what a link points to is replaced, not the link
-    part = path.with_name(f"{path.name}.part")
+    part = path.with_name(f"{path.stem}.part{path.suffix}")  # some writers go by the suffix
     try:
         yield part
         part.replace(path)

@@ -144,6 +144,12 @@ class LogFeed:
         self.player.seek(time.monotonic_ns(), at_ns)
         self._jumped = True
 
+    def forward(self, at_s: float) -> None:
+        """Take everything up to a later time, as if it had been played until then."""
+        before = self._track.before
+        self._take(range(before(int(self.picture.at_s * 1e9) + 1), before(int(at_s * 1e9) + 1)), moving=True)
+        self.picture.at_s = at_s
+
     def next_fault(self) -> float | None:
         """When the next fault begins or ends [s]; None: none does."""
         t = self.picture.at_s + 1e-6

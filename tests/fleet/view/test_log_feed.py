@@ -63,6 +63,19 @@ def test_it_plays_at_its_rate_and_stops_at_the_end(feed: LogFeed) -> None:
     assert not feed.clock()["paused"] and feed.picture.at_s == 0.0
 
 
+def test_it_goes_forward_step_by_step_with_every_packet(feed: LogFeed) -> None:
+    feed.seek(3.0)
+    packets = []
+    for at_s in (3.5, 4.0, 4.5):
+        feed.forward(at_s)
+        frame = feed.picture.frame()
+        assert frame["t"] == at_s
+        packets += frame["packets"]
+    feed.seek(3.0)
+    feed.forward(4.5)
+    assert feed.picture.frame()["packets"] == packets and len(packets) > 20
+
+
 def test_it_jumps_to_the_next_fault_and_the_next_loss(feed: LogFeed) -> None:
     times = []
     while (at_s := feed.next_fault()) is not None:

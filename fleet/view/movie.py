@@ -1,0 +1,125 @@
+"""A log as a movie: the pictures of `fleet view`, drawn one after the other into a GIF or an MP4 file."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from pathlib import Path
+from subprocess import CalledProcessError
+
+from matplotlib.animation import FFMpegWriter
+
+from fleet.pictures.whole_file import whole_file
+from fleet.view.gif_writer import GifWriter
+from fleet.view.log_feed import LogFeed
+from fleet.view.movie_scene import DRAWN_COLOURS, WIDTH_IN, MovieScene
+from fleet.view.source import ViewerError
+
+LASTS_S = 12.0  # by default, unless the log is shorter
+MOST_BYTES = 1_000_000_000  # of the pictures of a GIF, which are all held until it is written
+FORMATS = (".gif", ".mp4")
+
+
+def write(
+    log: Path,
+    out: Path,
+    tell: Callable[[float], None],
+    *,
+    view: str = "above",
+    window: tuple[float, float | None] = (0.0, None),
+    rate: float | None = None,
+    fps: int = 10,
+    width: int = 800,
+) -> str:
+    """Draw a log.
+
+    Args:
+        log: to read.
+        out: the file, which is replaced if it is there; `.gif`, or `.mp4` if ffmpeg is there.
+        tell: is told the share that is done.
+        view: `above` or `3d`.
+        window: from when to when [s of simulated time]; None: the end of the log.
+        rate: simulated seconds per second of the movie; None: so that it lasts LASTS_S, or 1 for what is shorter.
+        fps: pictures per second.
+        width: in pixels, a multiple of 8; the height is three quarters of it.
+
+    Returns:
+        what is missing of the log; empty: nothing.
+
+    Raises:
+        ViewerError: the log has nothing to draw, or the file cannot be written.
+        LogReadError: the log cannot be read.
+        ScriptError, ScenarioError: it holds no scenario of ours.
+    """
+    writer = _writer(out, fps)
+    feed = LogFeed(log)
+    begin_s, end_s = _window(feed, window)
+    rate = rate or max(1.0, (end_s - begin_s) / LASTS_S)
+    count = 1 + max(1, round((end_s - begin_s) / rate * fps))
+    held = count * width * (width * 3 // 4)
+    if isinstance(writer, GifWriter) and held > MOST_BYTES:
+        raise ViewerError(
+            f"{count} pictures of this size take {held / 1e9:.1f} GB of memory, and {MOST_BYTES / 1e9:g} GB are "
+            "allowed: choose a higher --rate, a lower --fps or --width, or write an .mp4"
+        )
+    scene = MovieScene(feed.picture, begin_s, end_s, rate, above=view == "above")
+    try:
+        with whole_file(out) as part:
+            part.open("a").close()  # before the pictures, which take a while
+            writer.setup(scene.figure, part, dpi=width / WIDTH_IN)
+            try:
+                for k in _drawn(feed, scene, begin_s, end_s, rate, fps, count):
+                    writer.grab_frame()
+                    tell((k + 1) / count)
+            except BrokenPipeError:
+                pass  # ffmpeg has ended, and says below why
+            except BaseException:
+                if isinstance(writer, FFMpegWriter):
+                    with suppress(CalledProcessError):
+                        writer.finish()
+                raise
+            writer.finish()
+    except CalledProcessError as error:
+        said = str(error.stderr).strip().splitlines() or [f"exit status {error.returncode}"]
+        raise ViewerError(f"ffmpeg could not write {out}: {said[-1]}") from None
+    except OSError as error:
+        raise ViewerError(f"cannot write {out}: {error.strerror}; choose another place with -o FILE") from error
+    return feed.missing or ""
+
+
+def _drawn(
+    feed: LogFeed, scene: MovieScene, begin_s: float, end_s: float, rate: float, fps: int, count: int
+) -> Iterator[int]:
+    """The numbers of the pictures, each when it is drawn."""
+    feed.seek(begin_s)
+    scene.remember(feed.picture.history())
+    for k in range(count):
+        feed.forward(end_s if k == count - 1 else min(end_s, begin_s + k * rate / fps))
+        scene.draw(feed.picture.frame(), k / fps)
+        yield k
+
+
+def _writer(out: Path, fps: int) -> GifWriter | FFMpegWriter:
+    form = out.suffix.lower()
+    if form not in FORMATS:
+        raise ViewerError(f"{out}: the name of a movie ends in {' or '.join(FORMATS)}")
+    if form == ".gif":
+        return GifWriter(fps, DRAWN_COLOURS)
+    if not FFMpegWriter.isAvailable():
+        raise ViewerError("an .mp4 needs ffmpeg, which is not there: apt install ffmpeg, or write a .gif")
+    logging.getLogger("matplotlib.animation").setLevel(logging.CRITICAL)  # what ffmpeg says is in our error
+    return FFMpegWriter(fps=fps)
+
+
+def _window(feed: LogFeed, window: tuple[float, float | None]) -> tuple[float, float]:
+    if not feed.picture.setup()["placed"]:
+        raise ViewerError(
+            f"{feed.path} does not tell where the vehicles are: its scenario has log: {{transforms: 0 ticks}}"
+        )
+    begin_s, end_s = window[0], feed.end_s if window[1] is None else window[1]
+    if not 0.0 <= begin_s < end_s <= feed.end_s:
+        raise ViewerError(
+            f"there is no time from {begin_s:g} s to {end_s:g} s in the log, which lasts from 0 s to {feed.end_s:g} s"
+        )
+    return begin_s, end_s

@@ -1,0 +1,43 @@
+"""The command `fleet movie`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from click.testing import CliRunner, Result
+from in_process_runs import Alone
+from PIL import Image
+
+from fleet.cli.main import cli
+
+SHORT = ("duration=1 s", "faults=[{at: 400 ms, for: 400 ms, id: cut, partition: halves}]", "checks={tumbled: waived}")
+
+
+def called(*arguments: str | Path) -> Result:
+    return CliRunner().invoke(cli, ["movie", *map(str, arguments)])
+
+
+def test_it_prints_the_file_and_replaces_nothing_without_force(alone: Alone, tmp_path: Path) -> None:
+    run, out = alone("paper", *SHORT).directory, tmp_path / "a.gif"
+    options = ("-o", out, "--fps", "2", "--width", "327", "--from", "500ms")
+    found = called(run, *options)
+    assert (found.exit_code, found.stdout) == (0, f"{out}\n"), found.output
+    with Image.open(out) as movie:
+        assert (movie.size, movie.n_frames) == ((320, 240), 2)  # type: ignore[attr-defined]
+    refused = called(run, *options)
+    assert refused.exit_code == 2 and "replace it with --force" in refused.stderr
+    assert called(run, *options, "--force", "--view", "3d").exit_code == 0
+
+
+def test_a_log_that_is_cut_is_drawn_and_said_to_be_cut(alone: Alone, tmp_path: Path) -> None:
+    whole, cut = alone("paper", *SHORT).directory / "run.mcap", tmp_path / "cut.mcap"
+    cut.write_bytes(whole.read_bytes()[:-20])
+    found = called(cut, "-o", tmp_path / "a.gif", "--fps", "1", "--width", "320")
+    assert found.exit_code == 0 and found.stderr.startswith(f"fleet: {cut}: "), found.output
+    assert (tmp_path / "a.gif").exists()
+
+
+def test_what_is_no_log_is_said(tmp_path: Path) -> None:
+    (tmp_path / "a.mcap").write_text("no log")
+    found = called(tmp_path / "a.mcap", "-o", tmp_path / "a.gif")
+    assert found.exit_code == 2 and "MCAP" in found.stderr and not (tmp_path / "a.gif").exists()

@@ -1,0 +1,189 @@
+"""A log becomes a movie: its pictures, their number and size, and what is left when it fails."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from pathlib import Path
+from shutil import which
+from typing import Any
+
+import matplotlib
+import pytest
+from in_process_runs import Alone, log_of
+from PIL import Image, ImageChops
+from small_scenario import small
+
+from fleet.view.log_feed import LogFeed
+from fleet.view.movie import write
+from fleet.view.movie_scene import FAULT, LOOKS, MovieScene
+from fleet.view.picture import Picture
+from fleet.view.source import ViewerError
+
+SHORT = ("duration=1 s", "faults=[{at: 400 ms, for: 400 ms, id: cut, partition: halves}]", "checks={tumbled: waived}")
+
+
+@pytest.fixture
+def log(alone: Alone) -> Path:
+    return log_of(alone("paper", *SHORT))
+
+
+def made(log: Path, out: Path, **options: Any) -> list[float]:
+    """The shares that were told."""
+    told: list[float] = []
+    write(log, out, told.append, **({"fps": 4, "width": 320} | options))
+    return told
+
+
+@pytest.mark.parametrize("view", ["above", "3d"])
+def test_a_gif_has_its_pictures_and_the_same_bytes_again(log: Path, tmp_path: Path, view: str) -> None:
+    out = tmp_path / "a.gif"
+    assert made(log, out, view=view) == [0.2, 0.4, 0.6, 0.8, 1.0]
+    made(log, tmp_path / "b.gif", view=view)
+    assert out.read_bytes() == (tmp_path / "b.gif").read_bytes()
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.gif", "b.gif"]
+    with Image.open(out) as movie:
+        assert (movie.size, movie.n_frames, movie.info["duration"]) == ((320, 240), 5, 250)  # type: ignore[attr-defined]
+        pictures = []
+        for k in range(5):
+            movie.seek(k)
+            pictures.append(movie.convert("RGB"))
+    assert all(ImageChops.difference(a, b).getbbox() for a, b in pairwise(pictures))
+
+
+def drawn_at(log: Path, at_s: float, *, above: bool = True) -> MovieScene:
+    feed = LogFeed(log)
+    scene = MovieScene(feed.picture, 0.0, 1.0, 1.0, above=above)
+    feed.forward(at_s)
+    scene.draw(feed.picture.frame(), at_s)
+    return scene
+
+
+def texts(scene: MovieScene) -> list[str]:
+    return [text.get_text() for text in scene.figure.findobj(matplotlib.text.Text)]
+
+
+def colours(scene: MovieScene) -> set[str]:
+    """Of the lines on the scene."""
+    lines = scene.figure.findobj(matplotlib.collections.LineCollection)
+    return {matplotlib.colors.to_hex(colour).upper() for some in lines for colour in some.get_colors()}
+
+
+def test_a_picture_names_the_time_and_the_faults_and_draws_links_by_their_state(log: Path) -> None:
+    before, cut = drawn_at(log, 0.3), drawn_at(log, 0.6)
+    assert {"t = 0.6 s", "partition halves, 0.2 s left", "paper"} <= set(texts(cut)), texts(cut)
+    assert "t = 0.3 s" in texts(before) and not [text for text in texts(before) if "left" in text]
+    assert FAULT in colours(cut) and FAULT not in colours(before)
+    assert LOOKS["delivered"].colour in colours(before)
+
+
+def test_errors_are_those_of_the_frame(log: Path) -> None:
+    feed = LogFeed(log)
+    scene = MovieScene(feed.picture, 0.0, 1.0, 1.0, above=True)
+    found = []
+    for at_s in (0.5, 1.0):
+        feed.forward(at_s)
+        frame = feed.picture.frame()
+        scene.draw(frame, at_s)
+        found.append(frame["errors"][2])
+    line = scene.figure.axes[1].lines[2]
+    assert list(line.get_xdata()) == [0.5, 1.0] and list(line.get_ydata()) == found
+
+
+def test_a_fleet_that_is_nowhere_leaves_the_scene_empty() -> None:
+    picture = Picture(small())
+    scene = MovieScene(picture, 0.0, 1.0, 1.0, above=False)
+    scene.draw(picture.frame(), 0.0)
+    scene.figure.canvas.draw()
+    assert "t = 0.0 s" in texts(scene)
+
+
+def test_a_long_fault_is_cut_short() -> None:
+    picture = Picture(small())
+    groups = ",".join(map(str, range(100)))
+    lasts = {"from_s": 0.0, "to_s": 1.0, "until_healed": False}
+    picture.faults([{"id": "f1", "what": f"partition {groups} / 100", **lasts}])
+    scene = MovieScene(picture, 0.0, 1.0, 1.0, above=True)
+    scene.draw(picture.frame(), 0.0)
+    (said,) = [text for text in texts(scene) if text.startswith("partition 0,1,2,3,")]
+    assert len(said) == 70 and said.endswith(" ...")
+
+
+def test_a_part_of_a_log_at_a_rate(log: Path, tmp_path: Path) -> None:
+    assert len(made(log, tmp_path / "a.gif", window=(0.5, None), rate=0.5)) == 5
+    assert len(made(log, tmp_path / "b.gif", window=(0.5, 0.75), rate=0.5)) == 3
+
+
+@pytest.mark.parametrize(
+    ("out", "options", "said"),
+    [
+        ("a.webm", {}, "ends in .gif or .mp4"),
+        ("a", {}, "ends in .gif or .mp4"),
+        ("a.gif", {"window": (0.5, 2.0)}, "no time from 0.5 s to 2 s in the log, which lasts from 0 s to 1 s"),
+        ("a.gif", {"window": (1.0, None)}, "no time from 1 s to 1 s"),
+        ("a.gif", {"rate": 0.001, "fps": 50}, "3.8 GB of memory, and 1 GB are allowed: choose a higher --rate"),
+        ("none/a.gif", {}, "No such file or directory; choose another place with -o FILE"),
+    ],
+)
+def test_what_cannot_be_drawn_is_said(log: Path, tmp_path: Path, out: str, options: dict[str, Any], said: str) -> None:
+    with pytest.raises(ViewerError) as caught:
+        made(log, tmp_path / out, **options)
+    assert said in str(caught.value)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_log_without_places_is_refused(alone: Alone, tmp_path: Path) -> None:
+    log = log_of(alone("paper", *SHORT, "log.transforms=0 ticks"))
+    with pytest.raises(ViewerError, match="does not tell where the vehicles are"):
+        made(log, tmp_path / "a.gif")
+
+
+@pytest.mark.parametrize("form", ["gif", "mp4"])
+def test_ctrl_c_leaves_what_was_there(log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, form: str) -> None:
+    fake_ffmpeg(tmp_path / "bin", "cat > /dev/null", monkeypatch)
+    out = tmp_path / f"a.{form}"
+    out.write_text("old")
+
+    def interrupt(_: float) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        write(log, out, interrupt, fps=4, width=320)
+    assert out.read_text() == "old"
+    assert sorted(path.name for path in tmp_path.iterdir()) == [f"a.{form}", "bin"]
+
+
+def fake_ffmpeg(folder: Path, script: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A program in its place, which is told what to do."""
+    folder.mkdir()
+    program = folder / "ffmpeg"
+    program.write_text(f"#!/bin/sh\n{script}\n")
+    program.chmod(0o755)
+    monkeypatch.setitem(matplotlib.rcParams, "animation.ffmpeg_path", str(program))
+
+
+def test_ffmpeg_gets_every_picture(log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    fake_ffmpeg(tmp_path / "bin", 'for last; do :; done; wc -c > "$last"', monkeypatch)
+    made(log, tmp_path / "a.mp4")
+    assert int((tmp_path / "a.mp4").read_text()) == 5 * 320 * 240 * 4  # RGBA
+
+
+@pytest.mark.parametrize("script", ["cat > /dev/null", "exec 0<&-"])
+def test_what_ffmpeg_complains_of_is_said(
+    log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, script: str
+) -> None:
+    fake_ffmpeg(tmp_path / "bin", f"{script}; echo Unknown encoder h264 >&2; exit 1", monkeypatch)
+    with pytest.raises(ViewerError, match=r"could not write .*a\.mp4: Unknown encoder h264"):
+        made(log, tmp_path / "a.mp4")
+    assert not (tmp_path / "a.mp4").exists()
+
+
+def test_without_ffmpeg_it_is_said_what_to_install(log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(matplotlib.rcParams, "animation.ffmpeg_path", str(tmp_path / "ffmpeg"))
+    with pytest.raises(ViewerError, match=r"apt install ffmpeg, or write a \.gif"):
+        made(log, tmp_path / "a.mp4")
+
+
+@pytest.mark.skipif(which("ffmpeg") is None, reason="there is no ffmpeg")
+def test_ffmpeg_makes_an_mp4(log: Path, tmp_path: Path) -> None:
+    made(log, tmp_path / "a.mp4")
+    assert (tmp_path / "a.mp4").read_bytes()[4:8] == b"ftyp"

@@ -87,14 +87,17 @@ def boundary(
     from fleet.scenario.text.overrides import SET, Override
     from fleet.study.border_theory import theory
     from fleet.study.borders import Borders, find_borders, parse_along, prepare_borders
+    from fleet.study.errors import StudyError
     from fleet.study.pictures.border import write_borders
     from fleet.study.plan import Plan, parse_seeds
     from fleet.study.store import Store
     from fleet.study.study import engine_of, new_directory
+    from fleet.study.study_file import refuse_study
     from fleet.study.sweep import modules_again
     from fleet.study.values import parse_axis
 
     modules: Modules
+    refuse_study(scenario)
     if Path(scenario).is_dir() and scenario not in shipped_scenarios():
         given = click.get_current_context().get_parameter_source
         said = [name for name in ("level", "width", "seeds", "out") if given(name) is not ParameterSource.DEFAULT]
@@ -123,15 +126,20 @@ def boundary(
                 say(f"runs are missing; fleet boundary {directory} makes them", err=True)
                 raise
     found = borders.found()
-    picture = write_borders(borders, theory(borders, trust))
+    if not as_json:
+        _show(borders, found)
+    picture = None
+    try:
+        picture = write_borders(borders, theory(borders, trust))
+        say(str(picture), err=True)
+    except StudyError as error:  # the answer is there without it
+        say(f"there is no picture: {error}", err=True)
     if as_json:
         from fleet.cli.documents.boundary import boundary_document
 
-        print_document(boundary_document(borders, found, str(picture)))
-        return
-    _show(borders, found)
-    say(str(picture), err=True)
-    click.echo(directory)
+        print_document(boundary_document(borders, found, None if picture is None else str(picture)))
+    else:
+        click.echo(directory)
 
 
 @contextmanager

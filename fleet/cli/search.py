@@ -10,7 +10,7 @@ import click
 
 from fleet.cli.completion import scenarios
 from fleet.cli.documents.output import json_option, print_document
-from fleet.cli.shrink import MOST_RUNS, place_of, show_least, telling
+from fleet.cli.shrink import MOST_RUNS, place_of, show_least, telling, write_least
 from fleet.cli.trust import TrustingCommand, trust_option
 from fleet.cli.types import OVERRIDES, Budget, disturbances
 from fleet.terminal.folding import say
@@ -69,7 +69,9 @@ def search(
     from fleet.study.search import nemesis_of
     from fleet.study.search import search as first_that_fails
     from fleet.study.shrink import Shrinker
+    from fleet.study.study_file import refuse_study
 
+    refuse_study(scenario)
     changes: list[str | Override] = [*overrides, *net, *fault]
     tried = load_scenario(scenario, changes, trust)
     if nemesis:
@@ -87,7 +89,7 @@ def search(
         if found.scenario is not None:
             say(f"seed {found.seed} fails {found.check}, the first one from {found.first_seed} on", err=True)
             least = Shrinker(found.scenario, engine, tell, modules).shrink(found.check, MOST_RUNS)
-            path.write_text(least.scenario.to_yaml(), "utf-8")
+            write_least(least.scenario, path)
     if as_json:
         from fleet.cli.documents.search import first_failing
 

@@ -70,7 +70,7 @@ def shrink(
     modules = modules_of([scenario], folder)
     with telling() as tell, small_engine(workers) as engine:
         found = Shrinker(scenario, engine, tell, modules).shrink(check, most_runs)
-    path.write_text(found.scenario.to_yaml(), "utf-8")
+    write_least(found.scenario, path)
     if as_json:
         from fleet.cli.documents.study import less
 
@@ -86,9 +86,28 @@ def place_of(scenario: Scenario, out: Path | None, *, force: bool) -> Path:
     path = out or Path(f"{scenario.name}-least.yaml")
     if not path.parent.is_dir():
         raise StudyError(f"{path} cannot be written: there is no folder {path.parent}")
-    if path.exists() and not force:
-        raise StudyError(f"{path} is there already: choose another file with --out, or --force")
+    try:
+        there = path.exists()
+        if there and not force:
+            raise StudyError(f"{path} is there already: choose another file with --out, or --force")
+        path.open("a").close()  # now, rather than after all runs
+        if not there:
+            path.unlink()
+    except OSError as error:
+        raise StudyError(f"{path} cannot be written: {error.strerror}; choose another file with --out") from None
     return path
+
+
+def write_least(scenario: Scenario, path: Path) -> None:
+    """Write the least scenario. Raises StudyError: it cannot be written; then it is printed on stderr."""
+    from fleet.study.errors import StudyError
+
+    text = scenario.to_yaml()
+    try:
+        path.write_text(text, "utf-8")
+    except OSError as error:
+        click.echo(text, err=True)
+        raise StudyError(f"{path} cannot be written: {error.strerror}; the least scenario stands above") from None
 
 
 @contextmanager

@@ -26,6 +26,9 @@ if TYPE_CHECKING:
     from fleet.study.sweep import Progress
 
 
+_MOST_TOLD = 10  # logs that are not kept
+
+
 @click.command(cls=TrustingCommand)
 @click.argument("scenario", metavar="SCENARIO|STUDY|DIR", shell_complete=studies)
 @click.option("--vary", metavar="KEY=VALUES", multiple=True, help="What varies over which values; repeatable.")
@@ -116,7 +119,7 @@ def sweep(
     from fleet.study.study import engine_of, new_directory
     from fleet.study.study_file import NamedStudy, study_named
     from fleet.study.summary import DEFAULT
-    from fleet.study.sweep import declared, load_points, logs_to_make, modules_again, prepare, run_study
+    from fleet.study.sweep import declared, load_points, logs_to_make, modules_again, prepare, refuse_border, run_study
 
     keys = {"seeds": seeds, "draw": draw, "until": until, "most_seeds": most_seeds}
     chosen_keys: dict[str, Any] = {key: value for key, value in keys.items() if _is_given(key)}
@@ -131,9 +134,12 @@ def sweep(
         if vary or overrides or fault or net or zipped or chosen_keys or _is_given("out"):
             raise click.UsageError(f"{scenario} is a study: what it runs is settled; only the missing runs are made")
         store = Store.open(Path(scenario))
+        refuse_border(store)
         if show_config and store.record.spec is None:
             raise StudyError(f"{scenario}: the fleet that made this study did not write down what was asked")
-        spec = (store.record.spec or StudySpec(store.record.scenario)).changed(**{"budget": ""} | later)
+        spec = (store.record.spec or StudySpec(store.record.scenario)).changed(
+            **later | {"budget": later["budget"] or ""}
+        )
     else:
         spec, origin = study_named(scenario) or NamedStudy(StudySpec(scenario))
         spec = spec.changed(
@@ -166,14 +172,14 @@ def sweep(
             if engine.dashboard and not quiet:
                 say(f"Dask's page: {engine.dashboard}", err=True)
             try:
-                run_study(
+                progress = run_study(
                     store, engine, tell, modules=modules, timeout_s=spec.timeout_s, budget_s=spec.budget_s,
                     logs=spec.keep_logs,
                 )  # fmt: skip
             except KeyboardInterrupt:
-                _tell_what_is_missing(store, spec.keep_logs)
+                _tell_what_is_missing(store, spec.keep_logs, [])
                 raise
-        _tell_what_is_missing(store, spec.keep_logs)
+        _tell_what_is_missing(store, spec.keep_logs, progress.not_kept)
     if as_json:
         from fleet.cli.documents.study import swept
 
@@ -192,12 +198,14 @@ def _announced(store: Store, missing: int) -> str:
     return f"{store.directory}: {points} points x {seeds} seeds {runs}" + (f", {made} of them made" if made else "")
 
 
-def _tell_what_is_missing(store: Store, logs: Any) -> None:
+def _tell_what_is_missing(store: Store, logs: Any, not_kept: list[str]) -> None:
     from fleet.study.sweep import logs_to_make
 
+    for sentence in not_kept[:_MOST_TOLD]:
+        say(sentence, err=True)
     if missing := store.missing:
         say(f"{missing} runs are missing; fleet sweep {store.directory} makes them", err=True)
-    elif left := len(logs_to_make(store, logs)):
+    elif left := len(logs_to_make(store, logs)) - len(not_kept):
         say(f"{left} logs are missing; fleet sweep {store.directory} --keep-logs {logs} makes them", err=True)
     if short := store.short():
         most, until = len(store.seeds), store.record.settings.until

@@ -33,6 +33,7 @@ from fleet.study.values import Axis, parse_axis
 BATCH = 4  # runs of a border per round
 SEEDS = 60
 MOST_STEPS = 500  # of a range, where they are chosen for the user
+MOST_PLACES = 1000  # along an axis; each takes 0.3 MB
 WIDTH = 0.1  # of the range: an interval that is narrow enough
 Rows = dict[tuple[int, int], dict[str, Any]]  # by point and seed
 Run = tuple[int, bool]  # number of the value along the axis, and whether it passed
@@ -95,6 +96,8 @@ def parse_along(text: str, width: float = WIDTH) -> Axis:
     numbers = [value.number for value in found.values]
     if None in numbers or len(numbers) < 2 or numbers != sorted(numbers, key=lambda number: number or 0.0):
         raise StudyError(f"{found.key}: expected a range such as 0 %..95 %, or rising numbers")
+    if len(numbers) > MOST_PLACES:
+        raise StudyError(f"{found.key}: these are {len(numbers)} values, and {MOST_PLACES} at most may be")
     return found
 
 
@@ -173,7 +176,7 @@ class Borders:
         expected = enumerate(self.places * self.count)
         if (
             self.along.unit is None
-            or len(self.places) < 2
+            or not 2 <= len(self.places) <= MOST_PLACES
             or any(high <= low for low, high in pairwise(self.places))
             or (self.record.log and self.places[0] <= 0.0)
             or not 0.0 < self.record.level < 1.0
@@ -185,8 +188,6 @@ class Borders:
         """Of each border the rows by point and seed. Raises StudyError."""
         found: list[Rows] = [{} for _ in range(self.count)]
         for row in self.store.table(["point", "seed", "status", "passed"]).to_pylist():
-            if not 0 <= row["point"] < len(self.points):
-                raise StudyError(f"{self.store.directory} is damaged: it has a run of point {row['point']}")
             found[row["point"] // len(self.places)][row["point"], row["seed"]] = row
         return found
 

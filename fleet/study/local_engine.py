@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Protocol
 
 from fleet.processes.workers import Workers
-from fleet.study.engine import Row, lost_row, make_batch, need_extra, reason_of, remote_engine
+from fleet.study.engine import Row, lost_row, make_batch, need_extra, processors, reason_of, remote_engine
 from fleet.study.modules import Modules
 from fleet.study.one_run import Task
 
@@ -57,5 +56,5 @@ def small_engine(workers: int | None = None, scheduler: str | None = None) -> It
         with remote_engine(scheduler) as engine:
             yield engine
     else:
-        with Workers(workers or len(os.sched_getaffinity(0))) as pool:
+        with Workers(workers or processors()) as pool:
             yield LocalEngine(pool)

@@ -13,7 +13,7 @@ from fleet.scenario.text.overrides import SET, Override
 from fleet.scenario.trust import TYPED, Origin
 from fleet.study.errors import StudyError
 from fleet.study.measures import STANDING
-from fleet.study.settings import NOTHING_MORE, Settings
+from fleet.study.settings import LARGEST_SEED, NOTHING_MORE, Settings
 from fleet.study.values import Axis, Value
 
 MOST_RUNS = 10_000_000
@@ -155,7 +155,7 @@ def parse_seeds(text: str) -> tuple[int, ...]:
     words = re.split(r"\.\.|,", text)
     numbers = [int(word) for word in words if _SEED.fullmatch(word.strip())]
     seeds: Sequence[int] = ()
-    if len(numbers) == len(words) and max(numbers) < 2**63:
+    if len(numbers) == len(words) and max(numbers) <= LARGEST_SEED:
         if ".." in text:
             if "," not in text and len(numbers) == 2 and numbers[1] - numbers[0] < MOST_RUNS:
                 seeds = range(numbers[0], numbers[1] + 1)

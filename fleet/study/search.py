@@ -20,9 +20,9 @@ from fleet.study.local_engine import AnyEngine
 from fleet.study.modules import NO_MODULES, Modules
 from fleet.study.one_run import JUDGED, Task, failed_checks, scenario_of
 from fleet.study.plan import run_key
+from fleet.study.settings import LARGEST_SEED
 from fleet.study.statistics import most_failures
 
-LARGEST_SEED = 2**63 - 1
 # Each lasts half of a tenth of the run; the last is over after three quarters of it, so that time to recover is left.
 _PICK = "partition, down, deaf, pause, kill, {link *: loss 60% delay 300ms}"
 

@@ -10,6 +10,7 @@ from msgspec import Meta
 KeepLogs = Literal["none", "failed", "all"]
 KEEP_LOGS: tuple[KeepLogs, ...] = get_args(KeepLogs)
 MOST_ALLOWED = 1_000_000
+LARGEST_SEED = 2**63 - 1
 MOST_SEEDS = 1000  # of a point of a study that adds seeds
 
 

@@ -33,6 +33,7 @@ _GRAMMAR = re.compile(
     r"(?:\s+after\s+(?P<after>\S.*))?",
     re.ASCII,
 )
+LONGEST_TEXT = 200  # characters; patterns with several runs of spaces take a time that grows with the square of it
 _PERCENTILE = re.compile(r"p(\d{1,2}(?:\.\d{1,3})?|100)", re.ASCII)
 _HOW: dict[str, Callable[[NDArray[np.float64]], float]] = {
     "min": lambda values: float(values.min()),
@@ -92,7 +93,7 @@ def parse_signal(text: str) -> SignalMeasure:
     Raises:
         StudyError: it is none.
     """
-    found = _GRAMMAR.fullmatch(text.strip())
+    found = _GRAMMAR.fullmatch(text.strip()) if len(text) <= LONGEST_TEXT else None
     if found is None:
         raise StudyError(f'"{text[:60]}" is no measure of a signal: expected one such as {_EXAMPLE}')
     how, vehicle, after = found["how"], found["vehicle"], found["after"]

@@ -135,11 +135,15 @@ class StudySpec(msgspec.Struct, frozen=True, omit_defaults=True):
             keep_logs=self.keep_logs,
         )
 
+    def placed(self) -> StudySpec:
+        """The same, with the whole path of the scenario's file, so that it holds in every directory."""
+        if not is_file(self.scenario):
+            return self
+        return msgspec.structs.replace(self, scenario=str(Path(self.scenario).resolve()))
+
     def to_yaml(self) -> str:
         """The text of the study as a file, which may stand anywhere on this machine."""
-        values = msgspec.to_builtins(self)
-        if is_file(self.scenario):
-            values["scenario"] = str(Path(self.scenario).resolve())
+        values = msgspec.to_builtins(self.placed())
         values["seeds"] = int(self.seeds) if self.seeds.isdecimal() else self.seeds
         if self.set:
             values["set"] = {key: _nested(text) for key, text in self.set.items()}

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 from fleet.study.errors import StudyError
 from fleet.study.measures import STANDING, Column
 from fleet.study.one_run import FAILED
-from fleet.study.signals import find_columns, is_signal, parse_signal
+from fleet.study.signals import LONGEST_TEXT, find_columns, is_signal, parse_signal
 from fleet.study.statistics import Estimate, median, pass_rate
 from netem.parsing import NUMBER
 
@@ -96,7 +96,7 @@ def check_until(text: str) -> None:
 
 
 def _parts(text: str) -> re.Match[str]:
-    found = _RULE.fullmatch(text.strip())
+    found = _RULE.fullmatch(text.strip()) if len(text) <= LONGEST_TEXT else None
     if found is None:
         expected = 'expected "pass ±5 %", "e_rms_m ±0.05 m", "e_rms_m ±10 %" or the like'
         raise StudyError(f'{expected}, got "{text[:60]}"')

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import fcntl
 import os
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
@@ -21,13 +22,14 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from fleet.errors import printable
 from fleet.quantities import QuantityError
 from fleet.study.errors import StudyError
 from fleet.study.measures import Column
-from fleet.study.settings import Settings
+from fleet.study.settings import LARGEST_SEED, Settings
 from fleet.study.spec import StudySpec
 from fleet.study.stopping import Rule, parse_until, seed_sequence, seeds_needed
 from fleet.study.values import Axis, Value
@@ -144,8 +146,14 @@ class Store:
         if any(printable(text) != text for text in texts):  # a study may come from anybody, and is shown on a terminal
             raise StudyError(f"{directory / _STUDY} is damaged: a text in it has control characters")
         store = cls(directory, record)
-        if not record.seeds or (store.rule and len(record.seeds) > record.settings.most_seeds):
+        seeds = record.seeds
+        if not seeds or len(set(seeds)) < len(seeds) or not 0 <= min(seeds) <= max(seeds) <= LARGEST_SEED:
             raise StudyError(f"{directory / _STUDY} is damaged: its seeds")
+        if store.rule and len(seeds) > record.settings.most_seeds:
+            raise StudyError(f"{directory / _STUDY} is damaged: its seeds are too many")
+        names = Counter([*store.schema.names, "scenario"])  # which is a column of the points
+        if twice := next((name for name, count in names.items() if count > 1), None):
+            raise StudyError(f"{directory / _STUDY} is damaged: it has two columns {twice[:60]}")
         return store
 
     @contextmanager
@@ -217,7 +225,7 @@ class Store:
         return list(first) if settings.until is None else seed_sequence(first, settings.most_seeds)
 
     def needed(self, before: Mapping[int, int] | None = None) -> dict[int, int]:
-        """How many seeds each point needs, as far as its rows show.
+        """How many seeds each point needs, as far as its rows show; none, where a border is looked for.
 
         Args:
             before: what was needed earlier, which saves the way there.
@@ -225,8 +233,9 @@ class Store:
         Raises:
             StudyError: the study is damaged.
         """
-        first = dict.fromkeys(range(self.point_count), len(self.record.seeds)) | dict(before or {})
-        if (rule := self.rule) is None:
+        first = dict.fromkeys(range(self.point_count), 0 if self.record.border else len(self.record.seeds))
+        first |= before or {}
+        if (rule := self.rule) is None or self.record.border:
             return first
         by_point, seeds = self._rows_of(rule), self.seeds
         return {n: seeds_needed(rule, by_point.get(n, {}), seeds, needed) for n, needed in first.items()}
@@ -250,7 +259,7 @@ class Store:
     @property
     def missing(self) -> int:
         """How many runs have no row yet, of those that are known to be needed. Raises StudyError."""
-        return sum(self.needed().values()) - len(self.done())
+        return 0 if self.record.border else sum(self.needed().values()) - len(self.done())
 
     def points(self) -> list[dict[str, Any]]:
         """Every point: `point`, its values by key, and `scenario`. Raises StudyError."""
@@ -260,6 +269,8 @@ class Store:
         rows: list[dict[str, Any]] = table.to_pylist()
         if any(None in row.values() for row in rows):
             raise StudyError(f"{self.directory / _POINTS} has a point without a value")
+        if [row["point"] for row in rows] != list(range(len(rows))):
+            raise StudyError(f"{self.directory} is damaged: its points are not numbered")
         return rows
 
     def done(self) -> set[tuple[int, int]]:
@@ -289,6 +300,9 @@ class Store:
                 raise StudyError(f"{path} has other columns than {self.directory / _STUDY} says")
             parts.append(part)
         table = pa.concat_tables(parts) if parts else schema.empty_table()
+        own = (("point", range(self.point_count)), ("seed", self.seeds))
+        if not all(pc.all(pc.is_in(table[name], pa.array(known, _WHOLE)), min_count=0).as_py() for name, known in own):
+            raise StudyError(f"{self.directory} is damaged: it has runs of points or seeds that are not its own")
         return table.sort_by([("point", "ascending"), ("seed", "ascending")])
 
     def frame(self) -> pd.DataFrame:

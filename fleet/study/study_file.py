@@ -57,6 +57,17 @@ def study_named(name: str) -> NamedStudy | None:
     return NamedStudy(parse_study(source, path.parent), origin(path)) if is_study(source) else None
 
 
+def refuse_study(name: str) -> None:
+    """Refuse a name or a file, where a scenario is needed; a directory is not looked into.
+
+    Raises:
+        StudyError: it is a study.
+        ScenarioError: it is one with mistakes.
+    """
+    if not Path(name).is_dir() and study_named(name) is not None:
+        raise StudyError(f"{name} is a study, not a scenario: fleet sweep {name} runs it")
+
+
 def is_study(source: Source) -> bool:
     """Whether a text is a study rather than a scenario."""
     root, _ = read(source)

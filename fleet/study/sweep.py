@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import shutil
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import nullcontext, suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from importlib.metadata import version
 from math import inf
@@ -48,6 +49,7 @@ class Progress:
     failed: int = 0  # of the new ones: without a result
     began: float = 0.0
     doing: str = "runs"  # what is made
+    not_kept: list[str] = field(default_factory=list)  # of each log that was to be kept and is not, why
 
     @property
     def rate(self) -> float:
@@ -131,7 +133,7 @@ def prepare(
         settings=settings,
         made_by=version("uuv-fleet"),
         folder=None if folder is None else str(folder),
-        spec=spec,
+        spec=None if spec is None else spec.placed(),
         border=border,
     )
     rows: list[dict[str, Any]] = [
@@ -220,8 +222,7 @@ def run_study(
         StudyError: rows cannot be written. What was written before stays.
         KeyboardInterrupt: at any time; rows that were made are written.
     """
-    if store.record.border is not None:
-        raise StudyError(f"{store.directory} looks for a border: fleet boundary {store.directory} goes on with it")
+    refuse_border(store)
     kept = store.record.settings.keep_logs if logs is None else logs
     work = Work(store, engine, tell, time.monotonic() + budget_s)
     signals = tuple(column.name for column in store.record.columns if is_signal(column.name))
@@ -231,6 +232,12 @@ def run_study(
             _make_missing(work, partial(task, modules=engine.carry(modules)))
             _keep_logs(work, partial(task, modules=modules, timeout_s=inf), kept)
     return work.progress
+
+
+def refuse_border(store: Store) -> None:
+    """Raises StudyError: not every point of it is run with every seed."""
+    if store.record.border is not None:
+        raise StudyError(f"{store.directory} looks for a border: fleet boundary {store.directory} goes on with it")
 
 
 class _BudgetSpent(Exception):
@@ -264,7 +271,10 @@ def _make_missing(work: Work, task: Callable[..., Task]) -> None:
         done.add((row["point"], row["seed"]))
 
     while len(done) < progress.runs:
+        before = len(done)
         make_runs(work, points, _tasks(store, points, needed, frozenset(done), task), made)
+        if len(done) == before:  # or this would go on for ever
+            raise StudyError(f"{store.directory} is damaged: runs that were made are missing all the same")
         needed = store.needed(needed)
         progress.runs = sum(needed.values())
 
@@ -348,8 +358,8 @@ def logs_to_make(store: Store, kept: KeepLogs) -> dict[tuple[int, int], str]:
 def _keep_logs(work: Work, task: Callable[..., Task], kept: KeepLogs) -> None:
     """Make the runs again whose logs are kept and not there yet, on this machine, wherever they were made.
 
-    A disk that is full meanwhile costs no row. To write all logs at once and to delete those of runs that passed
-    would cost less only where more than a few runs fail.
+    A disk that is full meanwhile costs no row. A run that comes out differently is told, and its log is not kept. To
+    write all logs at once and to delete those of runs that passed would cost less only where more than a few runs fail.
     """
     store, progress = work.store, work.progress
     digests, points = logs_to_make(store, kept), store.points()
@@ -362,7 +372,8 @@ def _keep_logs(work: Work, task: Callable[..., Task], kept: KeepLogs) -> None:
         for row in made:
             if row.get("digest") != digests[row["point"], row["seed"]]:
                 why = row.get("reason") or "it came out differently: does a law not do the same each time?"
-                raise StudyError(f"the log of point {row['point']} with seed {row['seed']} cannot be kept: {why}")
+                shutil.rmtree(store.log_of(row["point"], row["seed"]), ignore_errors=True)
+                progress.not_kept.append(f"the log of point {row['point']} with seed {row['seed']} is not kept: {why}")
         progress.made += len(made)
         progress.new += len(made)
         work.wait()

@@ -13,6 +13,7 @@ A unit that only one end has holds for both. Values in a range have at most six 
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from fractions import Fraction
@@ -28,6 +29,7 @@ from netem.parsing import LONGEST_NUMBER, NUMBER, exact_number, nearest
 
 MOST_VALUES = 100_000  # of one key
 DIGITS = 6
+_LONGEST_RANGE = 200  # characters; the pattern takes a time that grows with the square of it
 
 _SIZES = [dict(dimension.units) for dimension in DIMENSIONS] + [{unit: Fraction(n) for unit, n in RATE_UNITS.items()}]
 _UNITS = sorted({unit for sizes in _SIZES for unit in sizes if unit}, key=len, reverse=True)
@@ -151,7 +153,7 @@ def _listed(key: str, text: str) -> Axis:
     if not all(texts):
         raise ValuesError("there is no value between two commas, or behind the last")
     if len(set(texts)) < len(texts):
-        twice = next(text for text in texts if texts.count(text) > 1)
+        twice, _ = Counter(texts).most_common(1)[0]
         raise ValuesError(f"the value {twice[:40]} is given twice")
     matches = [_SINGLE.fullmatch(text) for text in texts]
     unit = next((match["value_unit"] for match in matches if match and match["value_unit"]), "")
@@ -166,7 +168,7 @@ def _listed(key: str, text: str) -> Axis:
 
 
 def _range(key: str, text: str, fine: int) -> Axis:
-    match = _RANGE.fullmatch(text)
+    match = _RANGE.fullmatch(text) if len(text) <= _LONGEST_RANGE else None
     if match is None:
         hint = "write LOW..HIGH/STEP, LOW..HIGH log COUNT, or a list; units as in 100 ms"
         raise ValuesError(f"expected a range such as 0 %..90 %/10 % or 100 ms..2 s log 8; {hint}")

@@ -47,11 +47,11 @@ class BoundaryFound(Struct):
     unit: Annotated[str, Meta(description="Its unit.")]
     units: Annotated[dict[str, str | None], Meta(description="Of the other keys; null: their values are words.")]
     level: Annotated[float, Meta(description="The pass rate at the border.")]
-    picture: Annotated[str, Meta(description="File of the picture.")]
+    picture: Annotated[str | None, Meta(description="File of the picture; null: there is too much for one.")]
     borders: Annotated[list[BorderFound], Meta(description="One per combination of the other keys.")]
 
 
-def boundary_document(borders: Borders, found: Sequence[Border], picture: str) -> BoundaryFound:
+def boundary_document(borders: Borders, found: Sequence[Border], picture: str | None) -> BoundaryFound:
     """The document of a study of a border."""
     store = borders.store
     return BoundaryFound(

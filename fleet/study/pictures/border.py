@@ -11,12 +11,12 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from fleet.errors import printable
 from fleet.palette import COLOURS
 from fleet.pictures.style import LABEL_PT, LEGEND_PT, NORMAL, PAGE_IN, STYLES, Origin, panels, save
 from fleet.study.border_theory import Theory
 from fleet.study.borders import Border, Borders, Run
 from fleet.study.errors import StudyError
+from fleet.study.pictures.marks import text
 from fleet.study.store import AxisRecord
 
 MOST_PANELS = 16
@@ -49,7 +49,7 @@ def draw_borders(borders: Borders, theories: Sequence[Theory]) -> Figure:
     varied = [axis for axis in per if len({one.border.values[axis.key] for one in every}) > 1]
     across = next((axis for axis in varied if axis.unit is not None), None)
     figure = _below_each_other(borders, every, varied) if across is None else _across(borders, every, varied, across)
-    figure.suptitle(printable(borders.title), fontsize=LEGEND_PT + 1)
+    figure.suptitle(text(borders.title, 120), fontsize=LEGEND_PT + 1)
     return figure
 
 
@@ -219,17 +219,17 @@ def _limits(borders: Borders) -> tuple[float, float]:
 
 
 def _label(axis: AxisRecord) -> str:
-    return printable(_short(axis.key)) + (f" [{axis.unit}]" if axis.unit else "")
+    return text(_short(axis.key)) + (f" [{text(axis.unit)}]" if axis.unit else "")
 
 
 def _words(borders: Borders, kind: Mapping[str, float | str]) -> str:
     """Values of some keys, with units."""
     units = {axis.key: axis.unit for axis in borders.store.record.axes}
     parts = [
-        f"{_short(key)} {value}" if isinstance(value, str) else f"{_short(key)} {value:g} {units[key]}".rstrip()
+        f"{text(_short(key))} {text(value if isinstance(value, str) else f'{value:g} {units[key]}'.rstrip())}"
         for key, value in kind.items()
     ]
-    return printable(", ".join(parts))
+    return ", ".join(parts)
 
 
 def _short(key: str) -> str:

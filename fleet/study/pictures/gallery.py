@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator, Sequence
+from itertools import chain, count
 from pathlib import Path
 from typing import NamedTuple
 
@@ -53,14 +54,15 @@ def draw(points: Points, log_scale: bool | None = None, share: Tell = lambda _: 
         for name in measures:
             key = printable(points.dimensions[place].key)
             title = f"{points.words(name)}, values of {key} in pairs of runs with the same seed"
-            todo.append((f"compare-{_slug(key)}-{name}", title, _pairs(points, place, name)))
+            todo.append((f"compare-{_slug(key)}-{_slug(name)}", title, _pairs(points, place, name)))
+    taken: set[str] = set()
     for number, (name, title, make) in enumerate(todo):
         share(number / len(todo))
         try:
-            for page, figure in enumerate(make()):
-                yield Picture(f"{name}-{page + 1}" if page else name, title, figure)
+            for figure in make():
+                yield Picture(_free(_slug(name), taken), title, figure)
         except NothingToDraw as reason:
-            yield Picture(name, title, str(reason))
+            yield Picture(printable(name), title, str(reason))
 
 
 def _pages(points: Points, name: str, log_scale: bool | None) -> Callable[[], Iterator[Figure]]:
@@ -128,5 +130,12 @@ def _facts(record: StudyRecord) -> tuple[tuple[str, str], ...]:
 
 
 def _slug(key: str) -> str:
-    """A key as part of a file name."""
-    return re.sub(r"[^\w.]+", "-", key).strip("-.")[:60] or "key"
+    """A key, or the name of a measure, as part of a file name."""
+    return re.sub(r"[^\w.]+", "-", key, flags=re.ASCII).strip("-.")[:120] or "key"
+
+
+def _free(name: str, taken: set[str]) -> str:
+    """The name, with a number if it is taken: by an earlier page, or by another name that is spelt alike."""
+    found = next(each for each in chain([name], (f"{name}-{k}" for k in count(2))) if each not in taken)
+    taken.add(found)
+    return found

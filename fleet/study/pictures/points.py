@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -168,24 +167,20 @@ def load(store: Store, measures: Sequence[str] = ()) -> Points:
     asked = measures or store.record.settings.measures or DEFAULT
     columns = {column.name: column for column in find_columns(asked, store.record.columns)}
     axes, seeds = store.record.axes, store.seeds
-    if twice := next((name for name, count in Counter(store.schema.names).items() if count > 1), None):
-        raise StudyError(f"{store.directory} is damaged: it has two columns {twice[:60]}")
     rows = store.points()
     keys = tuple(tuple(row[axis.key] for axis in axes) for row in rows)
-    if [row["point"] for row in rows] != list(range(len(rows))) or len(set(keys)) < len(keys):
-        raise StudyError(f"{store.directory} is damaged: its points are not numbered, or one is there twice")
+    if len(set(keys)) < len(keys):
+        raise StudyError(f"{store.directory} is damaged: one of its points is there twice")
     if not all(isfinite(value) for key in keys for value in key if not isinstance(value, str)):
         raise StudyError(f"{store.directory} is damaged: a value of a point is no number")
     table = store.table(["point", "seed", "status", PASSED, *columns])
     place = {seed: k for k, seed in enumerate(seeds)}
-    at = np.array([place.get(seed, -1) for seed in table["seed"].to_pylist()], int)
-    point = np.array([-1 if k is None else k for k in table["point"].to_pylist()], int)
-    if len(at) and (min(at.min(), point.min()) < 0 or point.max() >= len(rows)):
-        raise StudyError(f"{store.directory} is damaged: it has runs of points or seeds that are not its own")
+    at = np.array([place[seed] for seed in table["seed"].to_pylist()], int)
+    point = np.array(table["point"].to_pylist(), int)
     wanted = store.needed()
     needed = np.array([wanted[k] for k in range(len(rows))], int)
-    most = max(int(needed.max(initial=0)), int(at.max(initial=-1)) + 1)
-    if not most or len(rows) * most > MOST_RUNS:
+    most = max(int(needed.max(initial=0)), int(at.max(initial=0)) + 1)
+    if not rows or len(rows) * most > MOST_RUNS:
         raise StudyError(f"{store.directory} is damaged: it has {len(rows)} points and {most} seeds")
     state = np.where(np.arange(most) < needed[:, None], NOT_MADE, NOT_NEEDED)
     state[point, at] = np.where(np.array(table["status"].to_pylist(), object) == FAILED, NO_RESULT, MADE)

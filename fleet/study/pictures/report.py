@@ -65,6 +65,7 @@ def page(store: Store, points: Points, log_scale: bool | None = None, share: Tel
         facts=Table((), _facts(store, points, rows)),
         axes=Table(("what varies", "unit", "values"), [_axis(each) for each in points.dimensions]),
         missing=int((points.state == NOT_MADE).sum()),
+        border=store.record.border is not None,
         place=shlex.quote(str(directory)),
         results=_results(points),
         comparisons=_comparisons(points),

@@ -75,6 +75,17 @@ def test_a_study_that_is_whole_starts_no_worker_and_prints_a_document(engines: l
     assert len(engines[1].tasks) == 8  # the first round of both
 
 
+def test_the_answer_is_there_without_a_picture(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("fleet.study.pictures.border.MOST_PANELS", 0)
+    result = boundary(*ARGS)
+    assert result.exit_code == 0, result.output
+    assert "there is no picture: these are 1 panels" in result.stderr
+    directory = result.stdout.splitlines()[-1]
+    assert result.stdout.startswith("small: where the pass rate falls")
+    document = msgspec.json.decode(boundary(directory, "--json").stdout, type=BoundaryFound)
+    assert (document.picture, len(document.borders)) == (None, 2)
+
+
 @pytest.mark.parametrize(
     ("args", "message"),
     [
@@ -84,6 +95,10 @@ def test_a_study_that_is_whole_starts_no_worker_and_prints_a_document(engines: l
         (["small.yaml", "--along", "loss=0 %..9 %", "--net", "* loss {loss}", "--level", "2"], "between 0 and 1"),
         (["."], "is no study: it has no study.json"),
         ([".", "--level", "0.9"], "what it runs is settled"),
+        (
+            ["loss-delay", "--along", "loss=0 %..9 %"],
+            "loss-delay is a study, not a scenario: fleet sweep loss-delay runs it",
+        ),
     ],
 )
 def test_mistakes_are_usage(args: list[str], message: str) -> None:

@@ -91,6 +91,7 @@ def test_none_that_fails_is_said_with_a_bound() -> None:
         (["small.yaml", "--budget", "5 quarks"], "expected a number of runs"),
         (["small.yaml", "--out", "nowhere/x.yaml"], "there is no folder nowhere"),
         (["small.yaml", "--budget", "1 ns"], "no run came to its end"),
+        (["loss-delay"], "loss-delay is a study, not a scenario: fleet sweep loss-delay runs it"),
     ],
 )
 def test_mistakes_are_usage(args: list[str], message: str) -> None:

@@ -8,12 +8,14 @@ from pathlib import Path
 import msgspec
 import pytest
 from click.testing import CliRunner, Result
-from small_scenario import SMALL
+from small_scenario import SMALL, small
 from study_engine import Here
 
 from fleet.cli.documents.study import Less
 from fleet.cli.main import cli
+from fleet.cli.shrink import write_least
 from fleet.execution.judged import run
+from fleet.study.errors import StudyError
 
 FAILING = """\
 faults:
@@ -46,6 +48,19 @@ def test_the_least_scenario_is_written_and_fails(tmp_path: Path) -> None:
     assert again.exit_code == 2
     assert "small-least.yaml is there already" in again.stderr
     assert call("shrink", "small-least.yaml", "--out", "small-least.yaml", "--force").exit_code == 0
+
+
+def test_a_place_that_cannot_be_written_is_said_before_any_run(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("fleet.study.local_engine.small_engine", None)  # no run is made
+    result = call("shrink", "small.yaml", "--out", 300 * "x")
+    assert result.exit_code == 2
+    assert "cannot be written: File name too long; choose another file with --out" in " ".join(result.stderr.split())
+
+
+def test_a_scenario_that_cannot_be_written_after_all_is_printed(tmp_path: Path) -> None:
+    tried = small()
+    with pytest.raises(StudyError, match="the least scenario stands above"):
+        write_least(tried, tmp_path)  # a folder
 
 
 def test_json_says_what_was_removed() -> None:

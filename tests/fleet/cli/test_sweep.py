@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from contextlib import nullcontext
+from math import inf
 from pathlib import Path
 from typing import Any
 
@@ -65,6 +66,40 @@ def test_a_study_that_is_whole_starts_no_worker(engines: list[Here]) -> None:
     sweep(directory)
     assert len(engines[1].tasks) == 4
     assert Store.open(Path(directory)).missing == 0
+
+
+def test_a_study_that_goes_on_has_no_budget_but_a_new_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    directory = sweep("small.yaml", *VARY, "-q", "--budget", "100 s").stdout.strip()
+    min((Path(directory) / "runs").iterdir()).unlink()
+    budgets: list[float] = []
+    monkeypatch.setattr("fleet.study.sweep.run_study", lambda *_, budget_s, **__: budgets.append(budget_s))
+    sweep(directory)
+    sweep(directory, "--budget", "5 s")
+    assert budgets == [inf, 5.0]
+
+
+def test_a_log_that_cannot_be_kept_is_told_and_the_table_shown(
+    engines: list[Here], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    directory = sweep("small.yaml", *VARY, "-q").stdout.strip()
+    monkeypatch.setattr(Here, "rows", lambda _, task: [{"point": task.point, "seed": task.seed, "digest": "0"}])
+    result = sweep(directory, "--keep-logs", "all")
+    assert (result.exit_code, result.stderr.count("is not kept: it came out differently")) == (0, 4)
+    assert "logs are missing" not in result.stderr
+    assert result.stdout.splitlines()[-1] == directory
+
+
+def test_a_study_of_a_border_is_refused_before_a_worker_starts(engines: list[Here]) -> None:
+    directory = Path(sweep("small.yaml", *VARY, "-q").stdout.strip())
+    record = json.loads((directory / "study.json").read_text("utf-8"))
+    border = {"level": 0.5, "width": 0.1, "log": False}
+    (directory / "study.json").write_text(json.dumps(record | {"border": border, "spec": None}), "utf-8")
+    for options in ([], ["--show-config"]):
+        result = sweep(str(directory), *options)
+        assert result.exit_code == 2
+        assert "looks for a border" in result.stderr
+        assert f"fleet boundary {directory} goes on" in " ".join(result.stderr.split())
+    assert len(engines) == 1
 
 
 @pytest.mark.parametrize(

@@ -18,8 +18,10 @@ from fleet.execution.judged import run
 from fleet.scenario.text.overrides import NET, SET, Override
 from fleet.study.borders import Borders, find_borders, parse_along, prepare_borders
 from fleet.study.errors import StudyError
+from fleet.study.pictures.points import MADE, NOT_MADE, load
 from fleet.study.plan import Plan
 from fleet.study.store import BorderRecord
+from fleet.study.study import Study
 from fleet.study.sweep import run_study
 from fleet.study.values import parse_axis
 
@@ -144,6 +146,7 @@ def test_a_row_is_a_run() -> None:
         ("loss=0 %", "expected a range such as"),
         ("loss=10 %, 5 %", "or rising numbers"),
         ("loss", "expected KEY=VALUES"),
+        ("loss=0 %..90 %/0.01 %", "these are 9001 values, and 1000 at most may be"),
     ],
 )
 def test_what_no_border_can_lie_along(along: str, message: str) -> None:
@@ -182,6 +185,21 @@ def test_a_sweep_is_no_study_of_a_border_and_the_other_way_round() -> None:
     borders.store.record.border = None
     with pytest.raises(StudyError, match="fleet sweep a goes on with it"):
         Borders(borders.store)
+
+
+def test_values_beyond_a_limit_are_damage(monkeypatch: pytest.MonkeyPatch) -> None:
+    store = prepared("a").store
+    monkeypatch.setattr("fleet.study.borders.MOST_PLACES", 19)
+    with pytest.raises(StudyError, match="a is damaged"):
+        Borders(store)
+
+
+def test_what_no_border_needs_is_not_missing() -> None:
+    store = found("a", Drawn(breaks_at_40)).store
+    state = load(store).state
+    assert Study(store).missing == 0
+    assert (state == NOT_MADE).sum() == 0
+    assert (state == MADE).sum() == len(store.done())
 
 
 @pytest.mark.parametrize("record", [BorderRecord(7.0, 0.1, False), BorderRecord(0.5, 0.1, True)])

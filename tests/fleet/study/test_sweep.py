@@ -7,6 +7,7 @@ from dataclasses import replace
 from math import inf, isnan
 from pathlib import Path
 
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from failing_laws import failing
@@ -22,6 +23,7 @@ from fleet.scenario.text.overrides import SET, Override
 from fleet.study.errors import StudyError
 from fleet.study.plan import Plan
 from fleet.study.settings import Settings
+from fleet.study.spec import StudySpec
 from fleet.study.store import MOST_ROWS, Store
 from fleet.study.study import Study, open_study
 from fleet.study.summary import summarise
@@ -157,6 +159,51 @@ def test_a_strangers_study_cannot_fill_the_memory_or_the_terminal(small_file: st
     file.write_text(file.read_text("utf-8").replace('"small"', '"\\u001b]0;x"'), "utf-8")
     with pytest.raises(StudyError, match="control characters"):
         open_study(store.directory)
+
+
+def test_a_strangers_study_with_rows_or_names_that_cannot_be_is_damaged(small_file: str, tmp_path: Path) -> None:
+    store = made(small_file, tmp_path / "study")
+    file, part = store.directory / "study.json", next((store.directory / "runs").glob("*.parquet"))
+    text, whole = file.read_text("utf-8"), pq.read_table(part)
+    record = json.loads(text)
+    axes = [record["axes"][0] | {"key": "status"}, record["axes"][1]]
+    for change in ({"seeds": [1, 1]}, {"seeds": [1, -2]}, {"seeds": [2**70]}, {"axes": axes}):
+        file.write_text(json.dumps(record | change), "utf-8")
+        with pytest.raises(StudyError, match=r"is damaged: (its seeds|it has two columns status)"):
+            Store.open(store.directory)
+    file.write_text(text, "utf-8")
+    for name, value in (("point", 99), ("point", -1), ("point", None), ("seed", 99), ("seed", None)):
+        column = [value, *whole[name].to_pylist()[1:]]
+        pq.write_table(whole.set_column(whole.schema.get_field_index(name), name, pa.array(column, pa.int64())), part)
+        with pytest.raises(StudyError, match="runs of points or seeds that are not its own"):
+            run_study(store, Here(), lambda progress: None, logs="all")  # type: ignore[arg-type]
+
+
+def test_a_round_in_which_no_run_is_made_is_the_last(small_file: str, tmp_path: Path) -> None:
+    store, _ = prepare(plan(small_file), tmp_path / "study")
+    store.record.seeds[:] = [1, 1]
+    with pytest.raises(StudyError, match="is damaged: runs that were made are missing"):
+        run_study(store, Here(), lambda progress: None)  # type: ignore[arg-type]
+
+
+def test_the_log_of_a_run_that_comes_out_differently_is_not_kept_and_others_are(
+    small_file: str, tmp_path: Path
+) -> None:
+    store = made(small_file, tmp_path / "study")
+    part = next((store.directory / "runs").glob("*.parquet"))
+    whole = pq.read_table(part)
+    digests = pa.array(["0" * 16, *whole["digest"].to_pylist()[1:]])
+    pq.write_table(whole.set_column(whole.schema.get_field_index("digest"), "digest", digests), part)
+    progress = run_study(store, Here(), lambda progress: None, logs="all")  # type: ignore[arg-type]
+    (sentence,) = progress.not_kept
+    assert sentence.startswith("the log of point 0 with seed 1 is not kept: it came out differently")
+    assert len(list((store.directory / "logs").iterdir())) == 7
+    assert not store.log_of(0, 1).exists()
+
+
+def test_the_study_keeps_where_its_scenario_is(small_file: str, tmp_path: Path) -> None:
+    store, _ = prepare(plan(small_file), tmp_path / "study", spec=StudySpec(small_file))
+    assert store.record.spec == StudySpec(str(tmp_path / small_file))
 
 
 def test_every_mistake_of_every_point_is_told_before_anything_is_made(small_file: str, tmp_path: Path) -> None:

@@ -77,6 +77,7 @@ def test_any_text_is_values_or_an_error(text: str) -> None:
         ("loss=1 %,,2 %", "no value between two commas"),
         ("loss=1 %, 1 %", "given twice"),
         ("loss=0 %..90 %", "how many values?"),
+        (f"loss=0 %..90 %{200 * ' '}/10 %", "expected a range such as"),  # long texts of a stranger took hours
         ("loss=90 %..0 %/10 %", "the low end must be below"),
         ("loss=0 %..90 %/1", "a step needs a unit"),
         ("loss=0 %..90 %/0 %", "must be above 0"),

@@ -76,6 +76,16 @@ def test_words_alone_stand_below_each_other() -> None:
     assert ax.get_xlabel() == "loss [%]"
 
 
+def test_keys_and_names_are_text_and_never_formulas() -> None:
+    borders = borders_of([HOW], run=False)
+    borders.store.record.scenario = "a $\\frac$"
+    borders.store.record.axes[0].key = borders.keys[0] = "d$\\frac$"
+    for point in borders.points:
+        point["d$\\frac$"] = point["neighbours.extrapolate"]
+    borders.along.key = "e$\\frac$"
+    draw_borders(borders, said(borders)).draw_without_rendering()
+
+
 def test_too_much_for_a_picture_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("fleet.study.pictures.border.MOST_PANELS", 1)
     borders = borders_of([DELAY, "network.period=50 ms, 100 ms", HOW], run=False)

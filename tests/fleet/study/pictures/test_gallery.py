@@ -179,3 +179,17 @@ def test_files_are_the_same_each_time_and_say_what_they_show(tmp_path: Path) -> 
     (tmp_path / "file").write_text("")
     with pytest.raises(PictureError, match="choose another place with -o DIR"):
         write(store, [], tmp_path / "file")
+
+
+def test_a_measure_is_no_path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Not that of a signal of a vehicle, and not that of a stranger's study."""
+    few = points(2, UP)
+    names = ["final uuv/3/state.z", "../../../out-of-here", "p95 error.e", "p95 |error.e|"]
+    numbers = dict.fromkeys(names, few.numbers["e_rms_m"])
+    named = Points(few.dimensions, few.keys, few.state, numbers, dict.fromkeys(names, "m"))
+    monkeypatch.setattr("fleet.study.pictures.gallery.load", lambda *_: named)
+    store = made_up(tmp_path / "s", DELAY, row=usual)
+    found = write(store, [], tmp_path / "plots", ["png"])
+    stems = ["final-uuv-3-state.z", "out-of-here", "p95-error.e", "p95-error.e-2"]
+    assert found == [tmp_path / "plots" / f"{stem}.png" for stem in stems]
+    assert len(list((tmp_path / "plots").iterdir())) == 4

@@ -16,7 +16,7 @@ from made_up_study import CONTROLLER, LOSS, made_up, usual, with_holes
 
 from fleet.study.pictures import report
 from fleet.study.pictures.report import write
-from fleet.study.store import Store
+from fleet.study.store import BorderRecord, Store
 
 
 @pytest.fixture(autouse=True)
@@ -47,6 +47,15 @@ def page_of(store: Store, *measures: str) -> str:
 def words_of(page: str) -> str:
     bare = re.sub(r"<style>.*?</style>|<[^>]*>", "\n", page, flags=re.DOTALL)
     return " | ".join(word for word in map(str.strip, unescape(bare).split("\n")) if word)
+
+
+def test_the_page_of_a_study_of_a_border_names_the_command_that_goes_on_with_it(tmp_path: Path) -> None:
+    store = made_up(tmp_path / "study", LOSS, row=with_holes)
+    store.record.border = BorderRecord(0.5, 0.1, log=False)
+    said = words_of(page_of(store, "formation_final_m"))
+    assert f"fleet boundary {store.directory}" in said
+    assert "runs | 6, of which 6 are made" in said
+    assert "not made yet" not in said and "fleet sweep" not in said
 
 
 def test_the_page_says_what_was_run_and_what_came_of_it(tmp_path: Path) -> None:

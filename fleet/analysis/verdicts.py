@@ -1,4 +1,4 @@
-"""Verdicts: the checks that a scenario declares, judged on what the run recorded."""
+"""Verdicts: the checks that a scenario declares, judged on what the run recorded, at its end or so far."""
 
 from __future__ import annotations
 
@@ -20,6 +20,7 @@ from fleet.scenario.schema.checks import (
     Standing,
     Tumbled,
 )
+from netem.condition import Link
 from netem.selectors import parse_selector, select
 
 
@@ -42,7 +43,10 @@ class Verdict:
 
 
 def judge(scenario: Scenario, journal: Journal, middleware_lost: int) -> list[Verdict]:
-    """Judge every declared check of a run that is complete, in the order of the schema."""
+    """Judge every declared check, in the order of the schema; a run that goes on as if it ended now.
+
+    Where a run that goes on has nothing to judge yet, `value` is None and `passed` is False; see `standing`.
+    """
     checks = scenario.spec.checks
     verdicts = []
     for name in ("formation_error", "consensus_error"):
@@ -77,6 +81,24 @@ def judge(scenario: Scenario, journal: Journal, middleware_lost: int) -> list[Ve
     if checks.middleware_loss is not None:
         verdicts.append(_at_most("middleware_loss", checks.middleware_loss, middleware_lost))
     return verdicts
+
+
+OF_THE_END = frozenset({"ledger", "middleware_loss"})  # packets that are on their way are in no account yet
+
+
+def standing(scenario: Scenario, journal: Journal) -> list[dict[str, Any]]:
+    """The checks of a run that goes on: rows with check, asked, found, and passed (so far); None: not judged yet."""
+    rows = []
+    for verdict in judge(scenario, journal, middleware_lost=0):
+        nothing_yet = verdict.value is None and not verdict.passed
+        is_open = nothing_yet or verdict.check in OF_THE_END
+        rows.append({
+            "check": verdict.check,
+            "asked": verdict.asked,
+            "passed": None if is_open else verdict.passed,
+            "found": "" if is_open else verdict.found,
+        })  # fmt: skip
+    return rows
 
 
 def _below(name: str, check: Below, journal: Journal) -> Verdict:
@@ -123,7 +145,7 @@ def _no_recovery(check: Recovery, found: str, took_s: float | None = None) -> Ve
 
 
 def _recovery_time(check: Recovery, scenario: Scenario, journal: Journal) -> Verdict:
-    tick_s = scenario.tick_ns / 1e9
+    tick_ns, tick_s = scenario.tick_ns, scenario.tick_ns / 1e9
     end = max(
         (e.tick for e in journal.happened if e.fault == check.fault and e.action == "ends"), default=scenario.ticks
     )
@@ -133,10 +155,14 @@ def _recovery_time(check: Recovery, scenario: Scenario, journal: Journal) -> Ver
     later = (e for e in begun if e.tick >= end and e.fault != check.fault)
     disturbed = next(later, None)
     span = end, scenario.ticks + 1 if disturbed is None else disturbed.tick
-    until = "the run ends" if disturbed is None else f"fault {disturbed.fault} begins at {disturbed.tick * tick_s:g} s"
+    until = "the run ends" if journal.complete else "this was judged"
+    if disturbed is not None:
+        until = f"fault {disturbed.fault} begins at {disturbed.tick * tick_s:g} s"
     who = None if check.vehicles is None else vehicle_numbers(check.vehicles)
     what = "formation" if check.error == "formation" else "e"
     at_s, vehicle, off_m, least_s = journal.metrics.settled(what, span, check.within, who)
+    if at_s is None and disturbed is None and not journal.complete and (journal.written - end) * tick_ns < check.below:
+        return _no_recovery(check, "there is still time")
     if vehicle == 0:
         return _no_recovery(check, f"{until}, before any frame of the log")
     if at_s is None and off_m < check.within:
@@ -145,7 +171,7 @@ def _recovery_time(check: Recovery, scenario: Scenario, journal: Journal) -> Ver
     if at_s is None:
         return _no_recovery(check, f"{off_m:.4g} m (vehicle {vehicle}) when {until}", inf)
     took = round(at_s / tick_s) - end
-    passed = took * scenario.tick_ns < check.below
+    passed = took * tick_ns < check.below
     found = f"{took * tick_s:g} s (vehicle {vehicle} the last)"
     return Verdict("recovery_time", passed, _asked_recovery(check), found, took * tick_s, check.below / 1e9, "s")
 
@@ -169,7 +195,7 @@ def _max_age(check: MaxAge, scenario: Scenario, journal: Journal) -> Verdict:
     links = sorted(select(parse_selector(check.links), scenario.graph.links))
     if not links:
         return Verdict("max_age", True, asked, "no link", None, check.below / 1e9, "s")
-    oldest = journal.ages.oldest(-(-check.after // scenario.tick_ns), links)
+    oldest = _oldest(journal, -(-check.after // scenario.tick_ns), links)
     if oldest is None:
         return Verdict("max_age", False, asked, _ended(scenario, "the check begins"), None, check.below / 1e9, "s")
     age, (src, dst), tick = oldest
@@ -179,9 +205,24 @@ def _max_age(check: MaxAge, scenario: Scenario, journal: Journal) -> Verdict:
     return Verdict("max_age", passed, asked, found, age * tick_s, check.below / 1e9, "s")
 
 
+def _oldest(journal: Journal, after: int, links: list[Link]) -> tuple[int, Link, int] | None:
+    """The largest age on some links from a tick on: (age [ticks], link, tick)."""
+    oldest = journal.ages.oldest(after, links)
+    now = journal.written
+    if journal.complete or now < after:
+        return oldest
+    for link in links:  # the ages that grow now are not counted before something arrives, or the run ends
+        age = now - journal.ages.links[link].heard
+        if oldest is None or age > oldest[0]:
+            oldest = age, link, now
+    return oldest
+
+
 def _connected(check: Connected, scenario: Scenario, journal: Journal) -> Verdict:
     asked = f"in every window of {check.window / 1e9:g} s after {check.after / 1e9:g} s{_of(check.vehicles)}"
     found = journal.connectivity
+    if found is not None and not journal.complete:
+        found = found.so_far(journal.written + 1)
     if found is None or not found.windows:
         return Verdict("connected", False, asked, _ended(scenario, "the first window did"), None, 0, "windows")
     if found.trivial:

@@ -1,4 +1,4 @@
-"""The operator of a running fleet: what `fleet status|inject|faults|heal|clock|stop` ask of the console.
+"""The operator of a running fleet: what `fleet status|inject|faults|heal|clock|stop` and pages ask of the console.
 
 A fault that is injected acts from the first tick on that is not granted yet, so no process has started it. The answer
 says which time that is. The fault is logged like a scripted one, so the run can be printed as a scenario and run again.
@@ -9,8 +9,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import count
+from time import monotonic
 from typing import Any
 
+from fleet.analysis.verdicts import standing
 from fleet.execution.clock import LiveClock
 from fleet.execution.fault_request import BROKEN, RefusedError, checked_fault
 from fleet.execution.fleet import Fleet
@@ -23,6 +25,8 @@ from netem.faults import NetFault
 from netem.lives import WHENEVER
 from world.faults import WorldFault
 
+JUDGE_EVERY_S = 0.5  # at most, whoever asks
+JUDGE_SHARE = 0.01  # of the console's time
 MOST_SPEED = 1e6  # times real time; more than any machine makes, and finite
 
 
@@ -37,6 +41,8 @@ class Operator:
     stopping: bool = False  # the operator asked for the end of the run
     faults: list[Part] = field(default_factory=list)  # scripted and injected
     _words: dict[str, str] = field(default_factory=dict)
+    _checks: list[dict[str, Any]] = field(default_factory=list)  # as they stood when they were judged last
+    _judge_next: float = 0.0  # [s] of the monotonic clock
 
     def __post_init__(self) -> None:
         self.faults = list(self.scenario.faults.parts)
@@ -50,6 +56,8 @@ class Operator:
                     return self._status(every=request.get("all") is True)
                 case "inject":
                     return self._inject(request.get("fault"))
+                case "checks":
+                    return {"checks": self._standing()}
                 case "faults":
                     return {"faults": self._listed()}
                 case "heal":
@@ -82,6 +90,15 @@ class Operator:
             "links_total": len(self.journal.ledger.accounts),
             "links": link_rows(self.scenario, self.journal, every=every),
         }
+
+    def _standing(self) -> list[dict[str, Any]]:
+        """The checks as they stand. A run goes on meanwhile, so they are not judged for a larger share of its time."""
+        now = monotonic()
+        if now >= self._judge_next:
+            self._checks = standing(self.scenario, self.journal)
+            done = monotonic()
+            self._judge_next = done + max(JUDGE_EVERY_S, (done - now) / JUDGE_SHARE)
+        return self._checks
 
     def _inject(self, entry: Any) -> dict[str, Any]:
         tick = self.fleet.granted

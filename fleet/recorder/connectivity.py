@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterable
+from copy import copy
 from typing import NamedTuple
 
 from fleet.quantities import vehicle_numbers
@@ -103,6 +104,13 @@ class Connectivity:
         if self._outage is not None:
             self._ended(end)
         self.windows = max(0, end - self._first)
+
+    def so_far(self, end: int) -> Connectivity:
+        """What `close` would leave; this one goes on."""
+        found = copy(self)
+        found._last, found._order = dict(self._last), deque(self._order)
+        found.close(end)
+        return found
 
     def _go_to(self, tick: int) -> None:
         """Judge the windows that end before `tick`, and let go of what is not in the one that ends with it."""

@@ -62,16 +62,22 @@ def link_of(topic: str) -> Link | None:
     return int(src), int(dst)
 
 
-def checks_asked(scenario: Scenario) -> list[Row]:
-    """The checks of a scenario as it writes them, not judged yet."""
+def checks_so_far(rows: list[Row]) -> Row:
+    """Checks as a page gets them, of a run that goes on: `passed` may change; None: not judged yet."""
+    return {"rows": rows, "final": False}
+
+
+def checks_asked(scenario: Scenario) -> Row:
+    """The checks of a scenario as it writes them, none of them judged."""
     checks = yaml.safe_load(scenario.to_yaml()).get("checks") or {}
-    return [{"check": name, "asked": _words(value), "passed": None, "found": ""} for name, value in checks.items()]
+    rows = [{"check": name, "asked": _words(value), "passed": None, "found": ""} for name, value in checks.items()]
+    return checks_so_far(rows)
 
 
-def checks_judged(log: Path) -> list[Row] | None:
-    """The verdicts beside a log; None: there is no result."""
+def checks_judged(log: Path) -> Row | None:
+    """The verdicts beside a log, of the whole run; None: there is no result."""
     try:
-        return [dict(row) for row in read_result(log)["checks"]]
+        return {"rows": [dict(row) for row in read_result(log)["checks"]], "final": True}
     except (FileNotFoundError, ResultError):
         return None
 

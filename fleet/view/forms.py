@@ -21,7 +21,7 @@ class FaultForm:
     def __init__(self, feed: LiveFeed, do: Do) -> None:
         self._feed, self._do = feed, do
         self._entry: dict[str, Any] | None = None
-        with ui.dialog() as self._dialog, ui.card().classes("fleet-form"):
+        with ui.dialog().props('aria-label="A fault"') as self._dialog, ui.card().classes("fleet-form"):
             self._title = ui.label().classes("fleet-form-title")
             self._choices = ui.row().classes("fleet-form-choices")
             self._words = ui.input("Fault, in the words of fleet inject", on_change=self._check).props("autofocus")

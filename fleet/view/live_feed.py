@@ -17,12 +17,11 @@ from fleet.replay.attachment import unpack
 from fleet.replay.player import MeasuredRate
 from fleet.scenario.loading import parse_scenario
 from fleet.scenario.scenario import Scenario
-from fleet.view.feed import FAULTS, TRANSFORMS, take
+from fleet.view.feed import FAULTS, TRANSFORMS, checks_asked, checks_so_far, link_of, take
 from fleet.view.picture import NOT_PLACED, SAMPLE_S, Picture, Row
 from fleet.view.signals import Signals
 from fleet.view.source import LiveSource, ViewerError
 from netem.errors import BusError
-from netem.parsing import nearest
 from netem.whole_file import read_file
 from netem.wire.access import Credentials
 from netem.wire.keys import Keys
@@ -49,6 +48,7 @@ class LiveFeed:
         self.log = source.directory / "run.mcap"
         self.scenario = _scenario(source)
         self.picture = Picture(self.scenario)
+        self.checks = checks_asked(self.scenario)  # as they stand
         self.dropped = 0
         self._waiting: deque[Any] = deque(maxlen=MOST_WAITING)
         self._status: Row = {}
@@ -56,7 +56,6 @@ class LiveFeed:
         self._published = True
         self._rate = MeasuredRate()
         self._known: Signals | None = None
-        self._watched: set[str] = set()
         self._connection: OpenConnection | None = None
         observed = source.observed
         self._keys = Keys(observed.run)
@@ -102,19 +101,12 @@ class LiveFeed:
                 placed = at_s, data
             else:
                 take(self.picture, topic, at_s, data)
-                self._take_signals(topic, at_s, data)
+                for name, value in self._known.values(topic, data) if self._known else ():
+                    self.picture.signal(name, at_s, value)
         if placed is not None:
             take(self.picture, TRANSFORMS, *placed)
         self._rate.update(time.monotonic_ns(), int(self.picture.at_s * 1e9))
         return bool(come)
-
-    def _take_signals(self, topic: str, at_s: float, data: bytes) -> None:
-        for name in self._watched:
-            signal = self.signals().by_name[name]
-            if signal.topic == topic and (message := self.signals().message(topic, data)) is not None:
-                value = signal.value(message)
-                if value is not None:
-                    self.picture.signal(name, at_s, value)
 
     def look(self) -> None:
         """Ask the console how it is doing. Waits for the answer: on a thread of its own."""
@@ -128,6 +120,7 @@ class LiveFeed:
         try:
             self._status = self.ask("status")
             self.picture.faults(self.ask("faults")["faults"])
+            self.checks = checks_so_far(self.ask("checks")["checks"])
         except RemoteError as error:
             if is_live(self.run):
                 self._status = self._status | {"waiting": str(error)}
@@ -186,20 +179,17 @@ class LiveFeed:
             found = Signals(reader.channels.values(), reader.schemas)
             if not found.by_name:  # nothing is written yet
                 return found
-            self._known = found
+            self._known = self._known or found  # another thread may have been first
         return self._known
 
-    def watch(self, name: str) -> None:
-        """Bring a signal into the picture as well. Raises KeyError: there is none of this name."""
-        if name not in (known := self.signals().by_name):
-            raise KeyError(nearest(name, known) or "the run logs no such signal")
-        if name in self._watched:
-            return
-        topics = {known[other].topic for other in self._watched}
-        self.picture.watch(name)
-        self._watched.add(name)
-        if known[name].topic not in topics and not known[name].topic.startswith("link/"):
-            self._subscribe(known[name].topic)
+    def watch(self, *names: str) -> None:
+        """Bring signals into the picture as well. Raises KeyError: there is none of a name."""
+        topics = self.signals().watch(*names)
+        for name in names:
+            self.picture.watch(name)
+        for topic in topics:
+            if link_of(topic) is None:  # those come already
+                self._subscribe(topic)
 
     def close(self) -> None:
         """End."""

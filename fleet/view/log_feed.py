@@ -6,14 +6,13 @@ import time
 from pathlib import Path
 
 from fleet.logs.run_name import run_name
-from fleet.logs.tape import Entry, Tape, Track
+from fleet.logs.tape import Tape, Track
 from fleet.repeat.recorded_run import recorded
 from fleet.replay.player import Player
 from fleet.scenario.scenario import Scenario
-from fleet.view.feed import FAULTS, TRANSFORMS, fault_message, is_lost, link_of, take
+from fleet.view.feed import FAULTS, TRANSFORMS, checks_asked, checks_judged, fault_message, is_lost, link_of, take
 from fleet.view.picture import HISTORY_S, NOT_PLACED, Picture, Row
 from fleet.view.signals import Signals
-from netem.parsing import nearest
 
 MOST_AT_ONCE = 20_000  # messages between two pictures, and those that a jump looks back on
 
@@ -42,10 +41,11 @@ class LogFeed:
         self._tape = Tape(run.path)
         self._topics = {n: channel.topic for n, channel in self._tape.channels.items()}
         self._signals = Signals(self._tape.channels.values(), self._tape.schemas)
-        self._watched: set[str] = set()
         self.picture = Picture(self.scenario)
         self.picture.faults(self._all_faults())
         self.missing = self._tape.missing
+        judged = checks_judged(path)
+        self.checks = judged if judged and judged["rows"] else checks_asked(self.scenario)
         self._track = self._tracked()
         self.end_s = self._tape.end_ns / 1e9
         self.player = self._player(0, rate)
@@ -53,8 +53,8 @@ class LogFeed:
         self.seek(0.0)
 
     def _tracked(self) -> Track:
-        topics = {signal.topic for name, signal in self._signals.by_name.items() if name in self._watched}
-        chosen = [n for n, t in self._topics.items() if t == TRANSFORMS or link_of(t) is not None or t in topics]
+        more = self._signals.watched
+        chosen = [n for n, t in self._topics.items() if t == TRANSFORMS or link_of(t) is not None or t in more]
         return Track(self._tape, chosen)
 
     def _player(self, at_ns: int, rate: float = 1.0, *, paused: bool = True) -> Player:
@@ -100,16 +100,8 @@ class LogFeed:
         for _, entry in self._track.entries(some):
             topic = entry.channel.topic
             take(self.picture, topic, entry.log_ns / 1e9, entry.data, moving=moving)
-            if self._watched:
-                self._take_signals(topic, entry)
-
-    def _take_signals(self, topic: str, entry: Entry) -> None:
-        for name in self._watched:
-            signal = self._signals.by_name[name]
-            if signal.topic == topic and (message := self._signals.message(topic, entry.data)) is not None:
-                value = signal.value(message)
-                if value is not None:
-                    self.picture.signal(name, entry.log_ns / 1e9, value)
+            for name, value in self._signals.values(topic, entry.data):
+                self.picture.signal(name, entry.log_ns / 1e9, value)
 
     def clock(self) -> Row:
         """How time goes."""
@@ -170,12 +162,11 @@ class LogFeed:
         """What else a chart can show."""
         return self._signals
 
-    def watch(self, name: str) -> None:
-        """Bring a signal into the picture as well. Raises KeyError: there is none of this name."""
-        if name not in self._signals.by_name:
-            raise KeyError(nearest(name, self._signals.by_name) or "the log has no such signal")
-        self.picture.watch(name)
-        self._watched.add(name)
+    def watch(self, *names: str) -> None:
+        """Bring signals into the picture as well. Raises KeyError: there is none of a name."""
+        self._signals.watch(*names)
+        for name in names:
+            self.picture.watch(name)
         at_s, player = self.picture.at_s, self.player
         self._track = self._tracked()
         self.player = self._player(int(at_s * 1e9), player.rate, paused=player.paused)

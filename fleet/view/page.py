@@ -20,6 +20,7 @@ from fleet.view.forms import FaultForm
 from fleet.view.live_feed import LiveFeed
 from fleet.view.log_feed import LogFeed
 from fleet.view.picture import Row
+from fleet.view.signals import commands_of
 
 PERIOD_S = 0.05  # between two pictures
 LOOK_S = 1.0  # between two questions to the console
@@ -54,11 +55,8 @@ class Page:
         self.commands: list[str] = []  # that had the effect of what was done here
         self.dropped = 0  # pictures that a browser was too slow for
         self._viewers: list[Viewer] = []
-        self.checks = checks_asked(feed.scenario)
         self._busy = asyncio.Lock()  # one question at a time
         self.new = False
-        if isinstance(feed, LogFeed):
-            self.checks = checks_judged(feed.path) or self.checks
 
     def begin(self) -> None:
         """Let pictures come as soon as the server runs."""
@@ -108,18 +106,22 @@ class Page:
     async def _look(self) -> None:
         """Ask the console how it is doing, again and again, until the run is over."""
         assert isinstance(self.feed, LiveFeed)
-        over = False
+        over, told = False, self.feed.checks
         while not over:
             async with self._busy:
                 await run.io_bound(self.feed.look)
             over = bool(self.feed.clock()["over"])
+            if self.feed.checks != told:
+                told = self.feed.checks
+                self.tell_all({"checks": told})
             self.new = True
             await asyncio.sleep(LOOK_S)
         # The result is written last, and a run that broke has none.
         while (verdicts := await run.io_bound(checks_judged, self.feed.log)) is None and in_use(self.feed.log.parent):
             await asyncio.sleep(LOOK_S)
-        self.checks = verdicts or self.checks
-        self.tell_all({"checks": self.checks})
+        # One that was stopped has a result without verdicts; what stood last is none.
+        self.feed.checks = verdicts if verdicts and verdicts["rows"] else checks_asked(self.feed.scenario)
+        self.tell_all({"checks": self.feed.checks})
 
     async def do(self, command: str, op: str, **fields: Any) -> Row:
         """Ask the console for something, and note which command would have done it.
@@ -195,7 +197,7 @@ class Viewer:
                 self._ready = True
                 self._sent = self._seen = 0
                 names = list(feed.signals().by_name) if not feed.live else await run.io_bound(self._names)
-                self.give({"history": feed.picture.history(), "checks": page.checks, "commands": page.commands,
+                self.give({"history": feed.picture.history(), "checks": feed.checks, "commands": page.commands,
                            "names": names})  # fmt: skip
                 page.new = True
             case "seen":
@@ -203,6 +205,11 @@ class Viewer:
             case "signal":
                 feed.watch(str(said["name"]))
                 self.give({"history": feed.picture.history()})
+            case "commands":  # of a vehicle that was chosen, where the run logs them
+                names = [name for name in commands_of(int(said["i"])) if name in feed.signals().by_name]
+                if names:
+                    feed.watch(*names)
+                    self.give({"history": feed.picture.history()})
             case "link" | "vehicle" | "fleet" | "partition" as kind:
                 if self._form is not None:
                     self._form.open(kind, said)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from typing import Any, NamedTuple
 
 from google.protobuf.descriptor import FieldDescriptor
@@ -10,6 +10,7 @@ from google.protobuf.message import DecodeError
 from mcap.records import Channel, Schema
 
 from fleet.logs.decoder import message_class, units_of
+from netem.parsing import nearest
 
 OF_THE_FLEET = ("transforms", "scene", "faults", "snapshot")  # topics with no signals to choose
 WIDTH = 3  # components that are offered of a field that holds several values
@@ -39,6 +40,7 @@ class Signals:
     def __init__(self, channels: Iterable[Channel], schemas: dict[int, Schema]) -> None:
         self._classes: dict[str, Any] = {}
         self.by_name: dict[str, Signal] = {}
+        self.watched: dict[str, list[Signal]] = {}  # by topic
         for channel in sorted(channels, key=lambda channel: channel.topic):
             schema = schemas.get(channel.schema_id)
             if channel.topic in OF_THE_FLEET or schema is None or not schema.name.startswith("uuv_fleet."):
@@ -54,9 +56,31 @@ class Signals:
                     unit = each[(index or 0) % len(each)]
                     self.by_name[name] = Signal(name, channel.topic, field.name, index, unit)
 
-    def message(self, topic: str, data: bytes) -> Any:
-        """A message of a topic; None: it is damaged."""
+    def watch(self, *names: str) -> list[str]:
+        """Follow signals; returns the topics of which none was followed. Raises KeyError: there is none of a name."""
+        for name in names:
+            if name not in self.by_name:
+                raise KeyError(nearest(name, self.by_name) or "the log has no such signal")
+        before = set(self.watched)
+        for signal in map(self.by_name.__getitem__, names):
+            some = self.watched.setdefault(signal.topic, [])
+            if signal not in some:
+                some.append(signal)
+        return [topic for topic in self.watched if topic not in before]
+
+    def values(self, topic: str, data: bytes) -> Iterator[tuple[str, float]]:
+        """What a message says of the signals that are followed; nothing if it is damaged."""
+        if not (some := self.watched.get(topic)):
+            return
         try:
-            return self._classes[topic].FromString(data)
+            message = self._classes[topic].FromString(data)
         except DecodeError:
-            return None
+            return
+        for signal in some:
+            if (value := signal.value(message)) is not None:
+                yield signal.name, value
+
+
+def commands_of(vehicle: int) -> list[str]:
+    """The names of what a vehicle's agent commands: surge force, pitch and yaw moment."""
+    return [f"uuv/{vehicle}/command.tau[{k}]" for k in range(WIDTH)]

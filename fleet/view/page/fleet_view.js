@@ -5,6 +5,7 @@ export default {
   template: "<div class='fleet-view'></div>",
   props: { setup: Object },
   mounted() {
+    document.documentElement.lang = "en";
     this.model = new Model({ setup: this.setup }, (message) => this.$emit("say", message));
     this.end = render({ model: this.model, el: this.$el });
   },

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from small_scenario import SMALL, WILD, small
 
 from fleet.analysis.stability import analyse
-from fleet.analysis.verdicts import Verdict, judge
+from fleet.analysis.verdicts import Verdict, judge, standing
 from fleet.cli.result_table import MOST_ROWS, show
 from fleet.errors import ScenarioError
 from fleet.execution.execute import execute
@@ -77,6 +77,63 @@ def verdict(
     # Those that stand in every scenario are asked for by name.
     asked = check.partition(":")[0].strip()
     return next(verdict for verdict in judge(scenario, journal, 0) if verdict.check == asked)
+
+
+SO_FAR = """{
+  formation_error: {below: 1 m, after: 1 s}, min_separation: {above: 4 m, after: 1 s},
+  max_age: {below: 500 ms, after: 1 s}, connected: {window: 500 ms}, ledger: balanced,
+  recovery_time: [{fault: cut, within: 1 m, below: 800 ms}],
+}"""
+
+
+def so_far(until_s: float, *, off: float = 0.0) -> dict[str, tuple[bool | None, str]]:
+    """How checks stand at a time of a run whose link 1->2 is cut at 1 s, and healed at 2 s as far as faults go.
+
+    Args:
+        off: how far vehicle 2 is from its place from 1 s on [m].
+    """
+    cut = "faults=[{id: cut, at: 1 s, for: 1 s, down: 1->2}]"
+    scenario = small("duration=4 s", f"checks={SO_FAR}", cut, "graph.reference=[1]")
+    journal = Journal(scenario, Nowhere())
+    until = round(until_s * 1e9) // scenario.tick_ns
+    for tick in range(0, until + 1, frame_every(scenario)):
+        rows = tuple(_row(scenario, i, tick, off if i == 2 and tick >= 100 else 0.0) for i in (1, 2, 3))
+        journal.frame(Frame(tick, False, (), (), rows, b""))
+    fates: list[Fate] = []
+    for k in range(0, until + 1, scenario.round_ticks):
+        journal.links(LinkReport(k, False, False, tuple(fates), b""))
+        links = [link for link in sorted(scenario.graph.links) if link != (1, 2) or k < 100]
+        fates = [Fate(k + 1, *link, k, 0, k, k + 1, 0, "delivered", False, b"") for link in links]
+    rows_found = standing(scenario, journal)
+    assert standing(scenario, journal) == rows_found  # asking changes nothing
+    return {row["check"]: (row["passed"], row["found"]) for row in rows_found}
+
+
+def test_a_check_that_has_not_begun_is_not_judged_yet() -> None:
+    found = so_far(0.3)
+    assert {name for name, (passed, _) in found.items() if passed is None} == {
+        "formation_error", "min_separation", "max_age", "connected", "ledger", "recovery_time",
+    }  # fmt: skip
+    assert all(says == "" for passed, says in found.values() if passed is None)
+    assert found["tumbled"] == (True, "0")
+
+
+def test_checks_of_a_run_that_goes_on_tell_what_holds_now() -> None:
+    found = so_far(1.3)
+    assert found["formation_error"][0] is found["min_separation"][0] is True
+    assert found["max_age"][0] is found["connected"][0] is True
+    # Nothing arrives any more over 1->2, and nothing counts the age that grows.
+    assert so_far(1.6)["max_age"] == (False, "at most 0.65 s (link 1->2, 1.6 s)")
+    passed, says = so_far(1.8)["connected"]
+    assert passed is False and "not reached" in says
+
+
+def test_a_recovery_fails_when_its_time_is_over_and_not_before() -> None:
+    assert so_far(1.9)["recovery_time"] == (None, "")  # the fault goes on
+    assert so_far(2.5, off=2.0)["recovery_time"] == (None, "")
+    passed, says = so_far(3.0, off=2.0)["recovery_time"]
+    assert passed is False and says == "2 m (vehicle 2) when this was judged"
+    assert so_far(2.5)["recovery_time"][0] is True
 
 
 def _row(scenario: Scenario, i: int, tick: int, off: float) -> VehicleFrame:

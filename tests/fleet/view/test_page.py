@@ -61,6 +61,9 @@ def test_a_click_on_a_link_cuts_it_and_another_viewer_heals_it(opened: Any, tmp_
         one.page.locator(".fleet-faults").get_by_text("no fault").wait_for()
         one.page.locator(".fleet-commands").get_by_text("fleet heal live-1").wait_for()
 
+        one.page.get_by_role("heading", name="Checks, so far").wait_for()
+        one.page.locator(".fleet-checks .pass").get_by_text("deaths").wait_for()
+
         tool(tmp_path, "stop")
         one.page.locator(".fleet-rate").get_by_text("the run is over").wait_for()
         assert one.wrong == two.wrong == []
@@ -90,6 +93,9 @@ def test_a_log_is_played_and_searched(opened: Any, alone: Alone) -> None:
         wait_for(lambda: page.time_s() == 0.0, SOON_S, "the beginning of the log")
         page.page.get_by_role("button", name="Play").press("Enter")
         wait_for(lambda: page.time_s() > 0.3, SOON_S, "a later time")
+        page.page.get_by_role("button", name="1 ★").click()
+        page.page.locator(".fleet-detail").get_by_text("commands: surge").get_by_text("N m").wait_for()
+        page.page.get_by_role("heading", name="Checks, of the whole run").wait_for()
         picture = page.page.get_by_role("img", name="The fleet and its links")
         picture.press("t")
         page.page.get_by_role("button", name="In 3D").wait_for()

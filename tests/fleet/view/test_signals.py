@@ -8,7 +8,7 @@ import pytest
 from in_process_runs import Alone, log_of
 
 from fleet.logs.reader import LogReader
-from fleet.view.signals import OF_THE_FLEET, Signals
+from fleet.view.signals import OF_THE_FLEET, Signals, commands_of
 
 
 @pytest.fixture
@@ -28,11 +28,20 @@ def test_numbers_of_vehicles_and_links_are_offered_with_their_units(signals: Sig
     assert "link/1-2.fate" not in units  # a text
 
 
+def test_only_what_is_followed_has_values(signals: Signals) -> None:
+    assert list(signals.values("uuv/1/state", b"")) == []
+    assert signals.watch("uuv/1/state.x", "uuv/1/state.z") == ["uuv/1/state"]
+    assert signals.watch("uuv/1/state.x", *commands_of(1)) == ["uuv/1/command"]
+    assert list(signals.values("uuv/1/state", b"")) == [("uuv/1/state.x", 0.0), ("uuv/1/state.z", 0.0)]
+    with pytest.raises(KeyError, match="uuv/2/state"):
+        signals.watch("uuv/3/state.x", "uuv/2/stat.x")
+    assert list(signals.watched) == ["uuv/1/state", "uuv/1/command"]  # all or none
+
+
 def test_a_damaged_message_has_no_value(signals: Signals) -> None:
-    assert signals.message("uuv/1/state", b"\x0f\xff") is None
-    empty = signals.message("uuv/1/command", b"")
-    assert signals.by_name["uuv/1/command.tau[1]"].value(empty) is None
-    assert signals.by_name["uuv/1/state.x"].value(signals.message("uuv/1/state", b"")) == 0.0
+    signals.watch("uuv/1/state.x", *commands_of(1))
+    assert list(signals.values("uuv/1/state", b"\x0f\xff")) == []
+    assert list(signals.values("uuv/1/command", b"")) == []
 
 
 def test_units_that_cannot_be_read_are_none(alone: Alone) -> None:

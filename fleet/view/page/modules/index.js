@@ -17,11 +17,12 @@ export function render({ model, el }) {
   const stage = make("div", { class: "fleet-stage" });
   const side = make("aside", { class: "fleet-side" });
   const charts = make("div", { class: "fleet-charts" });
-  el.append(top, make("main", { class: "fleet-main" }, stage, charts), side);
+  el.append(top, make("div", { class: "fleet-main" }, stage, charts), side);
 
   const choose = (i) => {
     scene.chosen = bar.chosen = i ? panels.choose(i) : panels.choose(panels.chosen);
     scene.dirty = true;
+    if (panels.chosen) say({ do: "commands", i: panels.chosen });
     if (model.get("frame")) panels.frame(model.get("frame"));
   };
   const inject = (i) => setup.may_act && say({ do: "vehicle", i });
@@ -30,6 +31,7 @@ export function render({ model, el }) {
     onLink: (src, dst) => say({ do: "link", src, dst }),
     onHeal: (id) => say({ do: "heal", id }),
     onInject: inject,
+    latest: (name) => charting.signals.get(name)?.at(-1)?.[1],
   });
   const scene = new Scene(stage, setup, {
     onLink: (src, dst) => say({ do: "link", src, dst }),

@@ -3,17 +3,18 @@ import { LINKS, hull } from "./colours.js";
 import { make, number, write } from "./dom.js";
 
 const EVERY_MS = 250;
+const COMMANDS = [["surge", "N"], ["pitch", "N m"], ["yaw", "N m"]];
 const panel = (title, ...children) =>
   make("section", { class: "fleet-panel" }, make("h2", {}, title), ...children);
 
 export class Panels {
-  constructor(el, setup, { onVehicle, onLink, onHeal, onInject }) {
+  constructor(el, setup, { onVehicle, onLink, onHeal, onInject, latest }) {
     this.setup = setup;
-    this.handlers = { onVehicle, onLink, onHeal, onInject };
+    this.handlers = { onVehicle, onLink, onHeal, onInject, latest };
     this.chosen = 0;
     this.drawn = 0;
     this.rows = Array.from({ length: setup.vehicles }, (_, k) => this.row(k + 1));
-    const head = ["UUV", "off place", "speed", "depth", "oldest news", ""].map((text) => make("th", { scope: "col" }, text));
+    const head = ["UUV", "off place", "speed", "depth", "oldest news", "state"].map((text) => make("th", { scope: "col" }, text));
     const table = make(
       "table",
       {},
@@ -26,10 +27,12 @@ export class Panels {
     this.commands = make("ul", { class: "fleet-commands" });
     this.commandPanel = panel("Commands behind what was done here", this.commands);
     this.commandPanel.hidden = true;
+    const checks = panel("Checks", this.checks);
+    this.checkTitle = checks.firstChild;
     el.append(
       panel("Vehicles", make("div", { class: "fleet-scroll", tabIndex: 0 }, table), this.detail),
       panel("Faults", this.faults),
-      panel("Checks", this.checks),
+      checks,
       this.commandPanel,
     );
     this.incoming = new Map();
@@ -94,10 +97,12 @@ export class Panels {
         return { src, link, text, el: make("li", {}, button) };
       });
       this.facts = make("p");
+      this.commanded = make("p");
       const act = make("button", { type: "button", class: "fleet-button", onclick: () => this.handlers.onInject(i) }, "Disturb ...");
       this.detail.replaceChildren(
         make("h3", {}, `Vehicle ${i}`, ...(this.setup.may_act ? [act] : [])),
         this.facts,
+        this.commanded,
         make("p", { class: "fleet-note" }, "What it hears of its neighbours:"),
         make("ul", {}, ...this.heardOf.map((one) => one.el)),
       );
@@ -106,6 +111,8 @@ export class Panels {
     const turn = place ? ((place[5] * 180) / Math.PI + 360) % 360 : 0;
     const pitch = place ? (place[4] * 180) / Math.PI : 0;
     write(this.facts, place ? `north ${place[1].toFixed(1)} m, east ${place[2].toFixed(1)} m, heading ${turn.toFixed(0)}°, pitch ${pitch.toFixed(0)}°` : "-");
+    const tau = COMMANDS.map(([, unit], k) => number(this.handlers.latest(`uuv/${i}/command.tau[${k}]`), 1, unit));
+    write(this.commanded, `commands: ${COMMANDS.map(([what], k) => `${what} ${tau[k]}`).join(", ")}`);
     for (const { src, link, text } of this.heardOf) {
       write(text, `from ${src}: ${LINKS[frame.links[link]].name}, ${frame.ages[link].toFixed(1)} s old`);
       text.style.color = LINKS[frame.links[link]].colour;
@@ -148,14 +155,17 @@ export class Panels {
     });
   }
 
-  writeChecks(checks) {
+  writeChecks({ rows: checks, final }) {
+    const some = checks.some(({ passed }) => passed != null);
+    write(this.checkTitle, final ? "Checks, of the whole run" : some ? "Checks, so far" : "Checks, not judged yet");
     const marks = { true: ["✓", "pass"], false: ["✗", "fail"], null: ["○", "open"] };
     this.checks.replaceChildren(
       ...checks.map(({ check, asked, passed, found }) => {
         const [mark, kind] = marks[passed];
         const name = check.replaceAll("_", " ");
-        const says = passed == null ? asked : `${asked}; found ${found}`;
-        const word = { pass: "passed", fail: "failed", open: "judged at the end" }[kind];
+        const says = passed == null ? (some ? `${asked}; not judged yet` : asked) : `${asked}; found ${found}`;
+        const words = final ? { pass: "passed", fail: "failed" } : { pass: "passes so far", fail: "fails" };
+        const word = words[kind] ?? "not judged yet";
         return make(
           "li",
           { class: kind, title: word },

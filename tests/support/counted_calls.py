@@ -30,7 +30,7 @@ ROOMS = {"agents": "agents", "world": "world", "netem.wire": "wire", "netem": "n
          "fleet.logs": "recorder", "mcap": "recorder"}  # fmt: skip
 
 
-# In a process of its own: where a browser was driven before, its greenlets and a profile function never end (3.11).
+# In a process of its own: beside 217 threads that other tests had left, the profile function once never came back.
 _APART = """
 import json, sys
 from pathlib import Path

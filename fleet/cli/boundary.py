@@ -147,40 +147,30 @@ def _showing() -> Iterator[Tell]:
     """A function that shows how many borders are found; call it as often as you like."""
     from rich.console import Console as Terminal
 
+    from fleet.cli.study_output import progress_pieces
     from fleet.terminal.fitting import Piece
-    from fleet.terminal.status_line import BAR, StatusLine, bar
+    from fleet.terminal.status_line import StatusLine
 
     with StatusLine(Terminal(stderr=True), quiet=False) as line:
 
         def tell(progress: Progress, *, known: int, of: int) -> None:
             if not line.due():
                 return
-            rate = f"{progress.rate:.2g} runs/s" if progress.new else ""
-            failed = f"{progress.failed} without result" if progress.failed else ""
-            line.show(
-                [
-                    Piece(0, [f"{known} / {of} borders"]),
-                    Piece(5, [bar(known / of), bar(known / of, BAR // 2), ""] if line.live else [""]),
-                    Piece(2, [f"{progress.made} runs"]),
-                    Piece(3, [rate, ""]),
-                    Piece(1, [failed, ""]),
-                ]
-            )
+            of_all, shown = Piece(0, [f"{known} / {of} borders"]), Piece(2, [f"{progress.made} runs"])
+            drawn, rate, failed = progress_pieces(line, known / of, progress)
+            line.show([of_all, drawn, shown, rate, failed])
 
         yield tell
 
 
 def _show(borders: Borders, found: list[Border]) -> None:
     """The table of the borders, and what is to be said of them."""
+    from fleet.cli.study_output import axis_columns, cell
     from fleet.terminal.table import Column, show
 
     along = borders.along
     unit = f" [{along.unit}]" if along.unit else ""
-    columns = []
-    for axis in borders.store.record.axes[:-1]:
-        heading = axis.key.removeprefix("network.links.") + (f"\n[{axis.unit}]" if axis.unit else "")
-        cells = [_cell(row.values[axis.key]) for row in found]
-        columns.append(Column(heading, cells, 0, "left" if axis.unit is None else "right"))
+    columns = axis_columns(borders.store.record.axes[:-1], [row.values for row in found])
     name = along.key.removeprefix("network.links.")
     columns.append(Column(f"border of\n{name}{unit}", [_border(row, borders) for row in found], 0))
     columns.append(Column("95 %\ninterval", [_interval(row) for row in found], 0))
@@ -192,14 +182,10 @@ def _show(borders: Borders, found: list[Border]) -> None:
     show(columns, borders.title, stdout(), "--json has all")
     for row in found:
         if row.rising is not None:
-            where = ", ".join(f"{key}={_cell(value)}" for key, value in row.values.items())
+            where = ", ".join(f"{key}={cell(value)}" for key, value in row.values.items())
             low, high = row.rising
             say(f"{where + ': ' if where else ''}not one border: more runs pass at {high:g}{unit} and beyond than at "
                 f"{low:g}{unit} and before; look with fleet sweep")  # fmt: skip
-
-
-def _cell(value: float | str) -> str:
-    return value if isinstance(value, str) else f"{value:g}"
 
 
 def _border(row: Border, borders: Borders) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 import click
@@ -46,6 +45,7 @@ def reproduce(out: Path, jobs: int | None, cases: tuple[str, ...], formats: tupl
     from rich.console import Console as Terminal
     from rich.table import Table
 
+    from fleet.processes.processors import processors
     from fleet.reproduce.cases import CASES
     from fleet.terminal.progress import showing_jobs
 
@@ -57,7 +57,7 @@ def reproduce(out: Path, jobs: int | None, cases: tuple[str, ...], formats: tupl
 
     terminal = Terminal(stderr=True)
     with exit_status(3), showing_jobs(terminal) as tell:
-        path, claims, _ = run_all(out, jobs or len(os.sched_getaffinity(0)), names, formats, tell)
+        path, claims, _ = run_all(out, jobs or processors(), names, formats, tell)
     table = Table(box=None, pad_edge=False)
     for heading in ("verdict", "claim", "under which reading"):
         table.add_column(heading)

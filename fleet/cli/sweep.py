@@ -221,8 +221,9 @@ def _showing(quiet: bool) -> Iterator[Callable[[Progress], None]]:
     """A function that shows where a study is; call it as often as you like."""
     from rich.console import Console as Terminal
 
+    from fleet.cli.study_output import progress_pieces
     from fleet.terminal.fitting import Piece
-    from fleet.terminal.status_line import BAR, StatusLine, bar
+    from fleet.terminal.status_line import StatusLine
 
     with StatusLine(Terminal(stderr=True), quiet=quiet) as line:
 
@@ -231,16 +232,15 @@ def _showing(quiet: bool) -> Iterator[Callable[[Progress], None]]:
                 return
             share = progress.made / max(1, progress.runs)
             left = f"{timedelta(seconds=round(progress.left_s))} left" if isfinite(progress.left_s) else ""
-            rate = f"{progress.rate:.2g} {progress.doing}/s" if progress.new else ""
-            failed = f"{progress.failed} without result" if progress.failed else ""
+            drawn, rate, failed = progress_pieces(line, share, progress)
             line.show(
                 [
                     Piece(0, [f"{progress.made} / {progress.runs} {progress.doing}"]),
-                    Piece(5, [bar(share), bar(share, BAR // 2), ""] if line.live else [""]),
-                    Piece(3, [rate, ""]),
+                    drawn,
+                    rate,
                     Piece(2, [left, ""]),
                     Piece(4, [f"passed {_share(progress.passing)}", f"passed {progress.passing.value:.0%}", ""]),
-                    Piece(1, [failed, ""]),
+                    failed,
                 ]
             )
 
@@ -249,15 +249,12 @@ def _showing(quiet: bool) -> Iterator[Callable[[Progress], None]]:
 
 def _show(store: Store, measures: Any) -> None:
     """The table of a study, and where it is."""
+    from fleet.cli.study_output import axis_columns
     from fleet.study.summary import summarise
     from fleet.terminal.table import Column, show
 
     rows = summarise(store, measures)
-    columns = []
-    for axis in store.record.axes:
-        heading = axis.key.removeprefix("network.links.") + (f"\n[{axis.unit}]" if axis.unit else "")
-        cells = [_cell(row.values[axis.key]) for row in rows]
-        columns.append(Column(heading, cells, 0, "left" if axis.unit is None else "right"))
+    columns = axis_columns(store.record.axes, [row.values for row in rows])
     columns.append(Column("runs", [str(row.runs) for row in rows], 3))
     if any(row.failed for row in rows):
         columns.append(Column("without\nresult", [str(row.failed) for row in rows], 0))
@@ -270,10 +267,6 @@ def _show(store: Store, measures: Any) -> None:
     title = f"{store.record.scenario}, {seeds} seeds per point"
     show(columns, title, stdout(), "fleet.open_study has all")
     say(str(store.directory))
-
-
-def _cell(value: float | str) -> str:
-    return value if isinstance(value, str) else f"{value:g}"
 
 
 def _share(rate: Estimate) -> str:

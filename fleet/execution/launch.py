@@ -19,6 +19,7 @@ from fleet.processes.children import Children, forkserver_death
 from fleet.processes.open_files import allow_open_files
 from fleet.processes.ports import free_port
 from fleet.processes.private_folder import PrivateFolder
+from fleet.processes.processors import processors
 from fleet.scenario.scenario import Scenario, frame_every
 from netem.wire.access import LEASE_MS, NETEM, OPERATOR, WORLD, Credentials, Listener, agent_role, generate
 from netem.wire.keys import Keys
@@ -114,7 +115,7 @@ class Launch:
     def _world(self) -> Target:
         scenario = self._scenario
         # An agent elsewhere may take long to answer, and keep the turn of one that would not.
-        most_asked = scenario.vehicles if scenario.external else ASKED_PER_CPU * len(os.sched_getaffinity(0))
+        most_asked = scenario.vehicles if scenario.external else ASKED_PER_CPU * processors()
         sea = scenario.world_config, frame_every(scenario), self._options.realtime_speed, most_asked
         if self.joins_router:
             return world.main.join, (self.endpoint, self._keys.run, self.credentials[WORLD], *sea)

@@ -133,11 +133,6 @@ def make_batch(tasks: list[Task]) -> list[Row]:
     return [make_run(task) for task in tasks]
 
 
-def processors() -> int:
-    """How many workers this machine has room for."""
-    return len(os.sched_getaffinity(0))
-
-
 @contextmanager
 def local_engine(workers: int, *, dashboard: bool = False) -> Iterator[Engine]:
     """Workers on this machine, which end with the context.

@@ -7,8 +7,9 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Protocol
 
+from fleet.processes.processors import processors
 from fleet.processes.workers import Workers
-from fleet.study.engine import Row, lost_row, make_batch, need_extra, processors, reason_of, remote_engine
+from fleet.study.engine import Row, lost_row, make_batch, need_extra, reason_of, remote_engine
 from fleet.study.modules import Modules
 from fleet.study.one_run import Task
 

@@ -14,10 +14,11 @@ from fleet.execution.execute import execute
 from fleet.execution.judged import Changes, override_texts
 from fleet.execution.options import Options
 from fleet.execution.outcome import Result
+from fleet.processes.processors import processors
 from fleet.quantities import show_time
 from fleet.scenario.loading import parse_scenario
 from fleet.scenario.trust import Policy
-from fleet.study.engine import Engine, local_engine, need_extra, processors, remote_engine
+from fleet.study.engine import Engine, local_engine, need_extra, remote_engine
 from fleet.study.errors import StudyError
 from fleet.study.one_run import A_STUDY, FAILED
 from fleet.study.settings import KeepLogs

@@ -18,10 +18,11 @@ import msgspec
 from agents.plugins.trust import NOTHING, Trust
 from fleet.errors import Problem, ScenarioError
 from fleet.execution.external_agents import refuse
+from fleet.processes.processors import processors
 from fleet.scenario.loading import load_scenario, parse_scenario
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.trust import Policy
-from fleet.study.engine import Engine, Row, local_engine, processors
+from fleet.study.engine import Engine, Row, local_engine
 from fleet.study.errors import StudyError
 from fleet.study.measures import STANDING, Column
 from fleet.study.modules import NO_MODULES, Modules, modules_of

@@ -1,7 +1,7 @@
 // Charts that scroll: the last minute of the formation errors, the ages, the losses, and of a signal that was chosen.
 import { hull } from "./colours.js";
 import { round } from "./geometry.js";
-import { make, write } from "./dom.js";
+import { fitted, make, write } from "./dom.js";
 
 const SPAN_S = 60;
 const EVERY_MS = 200;
@@ -22,13 +22,7 @@ class Chart {
   }
 
   resize() {
-    const dots = Math.min(2, window.devicePixelRatio || 1);
-    this.width = this.canvas.clientWidth;
-    this.height = this.canvas.clientHeight;
-    this.canvas.width = Math.round(this.width * dots);
-    this.canvas.height = Math.round(this.height * dots);
-    this.g = this.canvas.getContext("2d");
-    this.g.setTransform(dots, 0, 0, dots, 0, 0);
+    Object.assign(this, fitted(this.canvas));
   }
 
   // `lines()` gives [[colour, [[t, value], ...]], ...].

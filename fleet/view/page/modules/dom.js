@@ -17,3 +17,14 @@ export function write(element, text) {
 }
 
 export const number = (value, digits, unit) => (value == null ? "-" : `${value.toFixed(digits)} ${unit}`);
+
+// A canvas with as many dots as its size on the screen has: its context, in pixels of the page, and its size in these.
+export function fitted(canvas) {
+  const dots = Math.min(2, window.devicePixelRatio || 1);
+  const [width, height] = [canvas.clientWidth, canvas.clientHeight];
+  canvas.width = Math.round(width * dots);
+  canvas.height = Math.round(height * dots);
+  const g = canvas.getContext("2d");
+  g.setTransform(dots, 0, 0, dots, 0, 0);
+  return { g, width, height };
+}

@@ -2,6 +2,7 @@
 import { Camera } from "./camera.js";
 import { LINKS, SILENT, hull } from "./colours.js";
 import { between, distanceToSegment, isLeft, lane, round } from "./geometry.js";
+import { fitted } from "./dom.js";
 import { axis, drawHull, drawnSize } from "./hull.js";
 import { Packets } from "./packets.js";
 
@@ -57,13 +58,7 @@ export class Scene {
   }
 
   resize() {
-    const dots = Math.min(2, window.devicePixelRatio || 1);
-    this.width = this.canvas.clientWidth;
-    this.height = this.canvas.clientHeight;
-    this.canvas.width = Math.round(this.width * dots);
-    this.canvas.height = Math.round(this.height * dots);
-    this.g = this.canvas.getContext("2d");
-    this.g.setTransform(dots, 0, 0, dots, 0, 0);
+    Object.assign(this, fitted(this.canvas));
     this.dirty = true;
   }
 

@@ -1,0 +1,46 @@
+"""What the commands of studies print alike: columns of what is varied, and pieces of the status line."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
+
+from fleet.terminal.fitting import Piece
+from fleet.terminal.table import Column
+
+if TYPE_CHECKING:
+    from fleet.study.store import AxisRecord
+    from fleet.study.sweep import Progress
+    from fleet.terminal.status_line import StatusLine
+
+
+def axis_columns(axes: Sequence[AxisRecord], rows: Sequence[Mapping[str, float | str]]) -> list[Column]:
+    """A column for each key that is varied.
+
+    Args:
+        rows: the values of each row of the table by key.
+    """
+    columns = []
+    for axis in axes:
+        heading = axis.key.removeprefix("network.links.") + (f"\n[{axis.unit}]" if axis.unit else "")
+        cells = [cell(values[axis.key]) for values in rows]
+        columns.append(Column(heading, cells, 0, "left" if axis.unit is None else "right"))
+    return columns
+
+
+def cell(value: float | str) -> str:
+    """A value of a key that is varied."""
+    return value if isinstance(value, str) else f"{value:g}"
+
+
+def progress_pieces(line: StatusLine, share: float, progress: Progress) -> list[Piece]:
+    """How far it is, how fast it goes, and how many runs have no result."""
+    from fleet.terminal.status_line import BAR, bar
+
+    rate = f"{progress.rate:.2g} {progress.doing}/s" if progress.new else ""
+    failed = f"{progress.failed} without result" if progress.failed else ""
+    return [
+        Piece(5, [bar(share), bar(share, BAR // 2), ""] if line.live else [""]),
+        Piece(3, [rate, ""]),
+        Piece(1, [failed, ""]),
+    ]

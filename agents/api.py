@@ -25,9 +25,9 @@ import agents
 from agents.config import AgentConfig
 from agents.laws.filters import wrap
 from agents.laws.kinematics import earth_velocity
-from agents.signals import Signal
 from agents.trajectory import Motion
 from netem.wire.messages import Delivery, Nav
+from world.signal import Signal
 from world.vectors import Vec3, Vec5
 
 __all__ = [

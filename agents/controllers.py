@@ -14,8 +14,8 @@ from agents.config import AgentConfig, Law
 from agents.laws.backstepping import BacksteppingTracking, NeurodynamicTracking, SlidingModeTracking
 from agents.laws.guidance import FixedGuidance, OptimalGuidance
 from agents.laws.velocity_command import direction_command, floor_speed
-from agents.plugins import loading
-from agents.plugins.fence import FencedLaw
+from agents.plugins.fenced_law import FencedLaw
+from agents.plugins.laws import load
 from agents.signals import COMMANDED, HEARD, Layout
 from world.vectors import Vec3
 
@@ -72,7 +72,7 @@ def law_class(kind: str, law: Law) -> type[Any]:
         PluginError: there is none, or it cannot be used.
     """
     ours = BUILT_IN[kind].get(law.name)
-    return ours if ours is not None else loading.load(kind, law)
+    return ours if ours is not None else load(kind, law)
 
 
 class LawChoice(Protocol):
@@ -115,7 +115,7 @@ class FencedController:
     """A user's controller behind a fence."""
 
     def __init__(self, config: AgentConfig, law: Law, notes: Notes) -> None:
-        self._law = FencedLaw(config, law, loading.load("controller", law), "(tau1, tau2, tau3)", notes)
+        self._law = FencedLaw(config, law, load("controller", law), "(tau1, tau2, tau3)", notes)
 
     def step(self, sample: Sample) -> tuple[Vec3, tuple[float, ...]]:
         """Force and moments [N, N m] before the limits, and the telemetry as one flat tuple."""
@@ -182,6 +182,6 @@ def build(config: AgentConfig, notes: Notes) -> Cascade | FencedController:
 def _make(kind: str, config: AgentConfig, law: Law, what: str, notes: Notes) -> RunningLaw:
     """The law of one kind; `what` names its answer in messages."""
     if (ours := BUILT_IN[kind].get(law.name)) is None:
-        return FencedLaw(config, law, loading.load(kind, law), what, notes)
+        return FencedLaw(config, law, load(kind, law), what, notes)
     made: RunningLaw = ours(config)
     return made

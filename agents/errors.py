@@ -30,21 +30,6 @@ class ControllerError(AgentError):
         self.where = where
 
 
-class PluginError(AgentError):
-    """A law of the user's cannot be used: it does not exist, or lacks what a law must have."""
-
-    def __init__(self, kind: str, name: str, problem: str, hint: str = "") -> None:
-        super().__init__(f"{kind} {name!r}: {problem}" + (f"; {hint}" if hint else ""))
-        self.kind = kind
-        self.name = name
-        self.problem = problem
-        self.hint = hint
-
-
-class UntrustedError(PluginError):
-    """The module of a law exists and may not run: it is not installed, and the user has not allowed it."""
-
-
 class UnknownNameError(AgentError):
     """No controller or profile has this name."""
 

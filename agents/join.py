@@ -15,16 +15,16 @@ from threading import Event, Thread
 
 from agents.config import AgentConfig
 from agents.controllers import BUILT_IN, laws
-from agents.errors import PluginError
 from agents.join_file import ENDPOINT, JoinError, JoinFile, NotYetError
 from agents.main import begin_life, is_realtime
-from agents.plugins.loading import admit
-from agents.plugins.trust import NOTHING, Permission, Trust
 from netem.errors import BusError, MalformedMessage
 from netem.wire.bus import Bus
 from netem.wire.control import read_map
 from netem.wire.keys import Keys
 from netem.wire.messages import End
+from world.errors import PluginError
+from world.plugins.loading import admit
+from world.plugins.trust import NOTHING, Permission, Trust
 
 CONNECT_MS = 3000
 ASK_S = 10.0

@@ -19,6 +19,7 @@ from netem.wire.keys import Keys
 from netem.wire.link_loss import end_with_link
 from netem.wire.session import quiet_zenoh
 from netem.wire.shell import Shell
+from world.errors import PluginError
 
 
 def run(
@@ -60,7 +61,7 @@ def begin_life(
     vehicle = config.id
     try:
         core = make_agent(config)
-    except AgentError as error:
+    except (AgentError, PluginError) as error:
         role = agent_role(vehicle)
         _give_up(Shell(bus, role, keys.note(role)), vehicle, begin, error)
     m = config.round_ticks

@@ -11,10 +11,14 @@ from agents.config import AgentConfig, Law
 from agents.decision import Decision
 from agents.errors import ControllerError
 from agents.laws.velocity_command import clip
-from agents.plugins import checks, loading
-from agents.plugins.fence import MAX_PAYLOAD_BYTES, Fence, shown
+from agents.plugins.fenced_law import law_fence
+from agents.plugins.laws import load
 from netem.wire.messages import Delivery, Nav
+from world.plugins.checks import resumable
+from world.plugins.fence import shown
 from world.vectors import Vec3
+
+MAX_PAYLOAD_BYTES = 40_000  # of one round; the transport carries 48 kB in a message
 
 
 class PluggedAgent(Brain):
@@ -22,10 +26,10 @@ class PluggedAgent(Brain):
 
     def __init__(self, config: AgentConfig, law: Law) -> None:
         super().__init__(config)
-        self._fence = Fence(config, law, self._notes)
-        agent_class = loading.load("agent", law)
-        self._resumable = checks.resumable(agent_class)
-        self._user = self._fence.make(agent_class, config, law)
+        self._fence = law_fence(config, law, self._notes)
+        agent_class = load("agent", law)
+        self._resumable = resumable(agent_class)
+        self._user = self._fence.make(agent_class, config, law.parameters)
 
     def transmit(self, nav: Nav) -> tuple[bytes, ...]:
         """The payloads to every neighbour; none once it has failed."""

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from time import monotonic, sleep
 from typing import NoReturn
 
-from agents.errors import AgentError, ControllerError
+from agents.errors import ControllerError
 from agents.loop import AgentLoop, Answer
 from netem.errors import BusError, MalformedMessage, OutOfPlace
 from netem.wire.access import agent_role
@@ -121,7 +121,7 @@ class AgentProcess:
             raise
 
 
-def _give_up(shell: Shell, vehicle: int, tick: int, error: AgentError) -> NoReturn:
+def _give_up(shell: Shell, vehicle: int, tick: int, error: Exception) -> NoReturn:
     """End this process; the reason goes to the console in one line, and to the process log with its traceback."""
     shell.note(vehicle, tick, f"controller failed: {error}")
     if error.__cause__ is not None:

@@ -3,18 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import NamedTuple
 
-
-@dataclass(frozen=True, slots=True)
-class Signal:
-    """One named value of a law's telemetry: a number, or `width` of them. The unit is "1" when it has none."""
-
-    name: str
-    unit: str
-    meaning: str
-    width: int = 1
+from world.signal import Signal
 
 
 class Layout(NamedTuple):

@@ -11,8 +11,6 @@ Exception
 │   ├── OutOfRange
 │   ├── PathError
 │   ├── PayloadError
-│   ├── PluginError
-│   │   └── UntrustedError
 │   └── UnknownNameError
 ├── FleetError
 │   ├── BenchError
@@ -78,6 +76,8 @@ Exception
     ├── CommandError
     ├── IntegrationError
     │   └── NonFiniteStateError
+    ├── PluginError
+    │   └── UntrustedError
     └── UnknownVehicleError
 KeyboardInterrupt
 └── HungUp

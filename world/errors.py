@@ -43,3 +43,18 @@ class IntegrationError(WorldError):
 
 class NonFiniteStateError(IntegrationError):
     """The integration left the range of finite numbers."""
+
+
+class PluginError(WorldError):
+    """Code of the user, such as a law, cannot be used: it does not exist, or lacks what its kind must have."""
+
+    def __init__(self, kind: str, name: str, problem: str, hint: str = "") -> None:
+        super().__init__(f"{kind} {name!r}: {problem}" + (f"; {hint}" if hint else ""))
+        self.kind = kind
+        self.name = name
+        self.problem = problem
+        self.hint = hint
+
+
+class UntrustedError(PluginError):
+    """The module exists and may not run: it is not installed, and the user has not allowed it."""

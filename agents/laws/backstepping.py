@@ -28,7 +28,7 @@ from agents.config import AgentConfig
 from agents.laws.filters import RateFilter, wrap
 from agents.laws.kinematics import flow_angles
 from agents.laws.shunting import shunting_step
-from agents.signals import Signal
+from world.signal import Signal
 from world.vectors import Vec3
 
 _ERRORS = (

@@ -16,7 +16,7 @@ from agents.api import Sample
 from agents.config import AgentConfig
 from agents.laws.gain_qp import NoSolution, build_qp, solve
 from agents.laws.velocity_command import clip, slew, virtual_control
-from agents.signals import Signal
+from world.signal import Signal
 from world.vectors import Vec3
 
 HELD, SOLVED, NO_SOLUTION = 0, 1, 2

@@ -1,1 +1,1 @@
-"""Laws of the user: found, allowed, checked, and fenced in while they run."""
+"""Laws of the user, behind the fence of plug-ins."""

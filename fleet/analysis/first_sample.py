@@ -6,11 +6,12 @@ from dataclasses import replace
 
 from agents.config import AgentConfig, Law
 from agents.controllers import BUILT_IN, laws
-from agents.errors import ControllerError, PluginError
+from agents.errors import ControllerError
 from agents.make_agent import make_agent
 from fleet.errors import Problem, ScenarioError
 from fleet.scenario.scenario import Scenario
 from netem.wire.messages import Nav
+from world.errors import PluginError
 
 
 def try_laws(scenario: Scenario) -> None:

@@ -18,11 +18,11 @@ from fleet.cli.types import OVERRIDES, Duration, disturbances
 from fleet.terminal.folding import say, stdout
 
 if TYPE_CHECKING:
-    from agents.plugins.trust import Trust
     from fleet.scenario.text.overrides import Override
     from fleet.study.borders import Border, Borders, Tell
     from fleet.study.modules import Modules
     from fleet.study.sweep import Progress
+    from world.plugins.trust import Trust
 
 OUTSIDE = ("below", "above")
 

@@ -17,8 +17,8 @@ from fleet.cli.types import Duration
 from fleet.processes.interrupts import ending_status
 
 if TYPE_CHECKING:
-    from agents.plugins.trust import Trust
     from fleet.terminal.status_line import StatusLine
+    from world.plugins.trust import Trust
 
 T = TypeVar("T")
 _POLL_S = 0.5

@@ -41,11 +41,11 @@ from fleet.cores import cores
 from fleet.terminal.folding import say, stdout
 
 if TYPE_CHECKING:
-    from agents.plugins.trust import Trust
     from fleet.analysis.stability import Analysis
     from fleet.errors import Problem
     from fleet.scenario.scenario import Scenario
     from fleet.scenario.text.overrides import Override
+    from world.plugins.trust import Trust
 
 
 @click.group(

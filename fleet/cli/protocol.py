@@ -14,7 +14,7 @@ from fleet.cli.trust import TrustingCommand, trust_option
 from fleet.cli.types import Duration
 
 if TYPE_CHECKING:
-    from agents.plugins.trust import Trust
+    from world.plugins.trust import Trust
 
 _CHECK = "Exit status: 0 every check passed, 1 one did not, 2 usage, or nobody came, 129 terminal closed, 130 Ctrl-C."
 

@@ -19,11 +19,11 @@ from fleet.terminal.folding import say, stdout
 from fleet.terminal.output import OutputError, give_up_output
 
 if TYPE_CHECKING:
-    from agents.plugins.trust import Trust
     from fleet.execution.outcome import Result
     from fleet.recorder.snapshot import Start
     from fleet.scenario.scenario import Scenario
     from fleet.scenario.text.overrides import Override
+    from world.plugins.trust import Trust
 
 MOST_FAULTS = 20  # of the scenario, said before it runs
 

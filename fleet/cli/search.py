@@ -16,8 +16,8 @@ from fleet.cli.types import OVERRIDES, Budget, disturbances
 from fleet.terminal.folding import say
 
 if TYPE_CHECKING:
-    from agents.plugins.trust import Trust
     from fleet.scenario.text.overrides import Override
+    from world.plugins.trust import Trust
 
 
 @click.command(cls=TrustingCommand)

@@ -16,10 +16,10 @@ from fleet.cli.types import OVERRIDES, disturbances
 from fleet.terminal.folding import say
 
 if TYPE_CHECKING:
-    from agents.plugins.trust import Trust
     from fleet.scenario.scenario import Scenario
     from fleet.scenario.text.overrides import Override
     from fleet.study.shrink import Shrunk
+    from world.plugins.trust import Trust
 
 MOST_RUNS = 2000
 

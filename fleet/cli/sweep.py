@@ -19,11 +19,11 @@ from fleet.cli.types import OVERRIDES, Duration, disturbances
 from fleet.terminal.folding import say, stdout
 
 if TYPE_CHECKING:
-    from agents.plugins.trust import Trust
     from fleet.scenario.text.overrides import Override
     from fleet.study.statistics import Estimate
     from fleet.study.store import Store
     from fleet.study.sweep import Progress
+    from world.plugins.trust import Trust
 
 
 _MOST_TOLD = 10  # logs that are not kept

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 
 if TYPE_CHECKING:
-    from agents.plugins.trust import Trust
+    from world.plugins.trust import Trust
 
 F = TypeVar("F", bound=Callable[..., Any])
 _EVERYTHING = "all"
@@ -19,7 +19,7 @@ class TrustingCommand(click.Command):
     """A command whose --trust needs no value, not even in front of an argument."""
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        from agents.plugins.trust import SHA256
+        from world.plugins.trust import SHA256
 
         alone = f"--trust={_EVERYTHING}"
         pairs = pairwise([*args, ""])
@@ -30,7 +30,7 @@ class TrustingCommand(click.Command):
 def _trust(context: click.Context, option: click.Parameter, values: tuple[str, ...]) -> Trust:
     import re
 
-    from agents.plugins.trust import SHA256, Trust
+    from world.plugins.trust import SHA256, Trust
 
     listed = [value for value in values if value != _EVERYTHING]
     for value in listed:

@@ -14,7 +14,7 @@ from fleet.cli.trust import TrustingCommand, trust_option
 from fleet.terminal.folding import say
 
 if TYPE_CHECKING:
-    from agents.plugins.trust import Trust
+    from world.plugins.trust import Trust
 
 _VERIFY = "Exit status: 0 reproduced, 1 not, 2 no log of ours or it cannot be run here, 3 no message is left in it."
 _DIFF = "Exit status: 0 the same (or within the tolerance), 1 different, 2 one of them is no log."

@@ -13,8 +13,8 @@ from fleet.cli.trust import TrustingCommand, trust_option
 from fleet.terminal.folding import say
 
 if TYPE_CHECKING:
-    from agents.plugins.trust import Trust
     from fleet.repeat.what_if import WhatIf
+    from world.plugins.trust import Trust
 
 
 @click.command(cls=TrustingCommand, name="whatif")

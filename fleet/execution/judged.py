@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 from agents.errors import AgentError
-from agents.plugins.trust import NOTHING, Trust
 from fleet.cores import cores
 from fleet.errors import RunBroken
 from fleet.execution.clock import Clock
@@ -24,6 +23,7 @@ from fleet.recorder.writer import LogWriter
 from fleet.scenario.loading import load_scenario, parse_scenario
 from fleet.scenario.scenario import Scenario
 from world.errors import WorldError
+from world.plugins.trust import NOTHING, Trust
 
 Changes = Mapping[str, Any] | Iterable[str]
 

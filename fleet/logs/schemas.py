@@ -18,7 +18,7 @@ from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 from google.protobuf.descriptor import FileDescriptor
 from google.protobuf.timestamp_pb2 import Timestamp
 
-from agents.signals import Signal
+from world.signal import Signal
 
 PACKAGE = "uuv_fleet"
 CLOCK, REAL = "clock", "real"  # key and value in metadata `run`: no lockstep, so not repeatable

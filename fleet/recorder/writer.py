@@ -19,8 +19,6 @@ from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 
 from agents.config import AgentConfig
 from agents.controllers import law_class, laws
-from agents.plugins.loading import fingerprint
-from agents.signals import Signal
 from fleet.logs.batch import Batch
 from fleet.logs.schemas import (
     ANEW,
@@ -52,6 +50,8 @@ from fleet.scenario.scenario import Scenario
 from fleet.scenario.sections.log_rates import without_snapshots
 from fleet.scenario.sections.timeline import Event
 from netem.wire.messages import Command, Fate, Frame
+from world.plugins.loading import fingerprint
+from world.signal import Signal
 
 
 class Sink(Protocol):

@@ -10,7 +10,6 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from agents.controllers import laws
-from agents.plugins.trust import NOTHING, Trust
 from fleet.logs.reader import LogReader, Tell, digest, log_path
 from fleet.logs.schemas import ANEW, FROM, START
 from fleet.quantities import QuantityError, show_time, time_ns
@@ -21,6 +20,7 @@ from fleet.scenario.scenario import Scenario
 from fleet.scenario.text.fault_words import read_fault
 from fleet.scenario.text.overrides import FAULT, Override
 from fleet.scenario.trust import Policy
+from world.plugins.trust import NOTHING, Trust
 
 
 def parse_from(text: str) -> tuple[Path, int | None]:

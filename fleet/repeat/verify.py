@@ -13,7 +13,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from agents.errors import AgentError
-from agents.plugins.trust import NOTHING, Trust
 from fleet.errors import FleetError, RunBroken
 from fleet.execution.clock import Clock
 from fleet.execution.external_agents import named
@@ -33,6 +32,7 @@ from fleet.scenario.loading import parse_scenario
 from fleet.scenario.scenario import Scenario, frame_every
 from fleet.scenario.trust import Policy
 from world.errors import WorldError
+from world.plugins.trust import NOTHING, Trust
 
 _VERSIONS = ("uuv-fleet", "python", "piqp")  # that may change a bit without anybody's mistake
 

@@ -21,8 +21,6 @@ from agents.errors import AgentError
 from agents.loop import restore
 from agents.make_agent import make_agent
 from agents.plugged_agent import PluggedAgent
-from agents.plugins.loading import admit
-from agents.plugins.trust import NOTHING, Permission, Trust
 from fleet.errors import FleetError
 from fleet.logs.decoder import Decoder
 from fleet.logs.reader import LogReader, Tell, log_path
@@ -33,6 +31,9 @@ from fleet.scenario.scenario import Scenario
 from fleet.scenario.trust import A_LOG, Policy
 from netem.lives import Lives
 from netem.wire.messages import Delivery, Nav
+from world.errors import PluginError
+from world.plugins.loading import admit
+from world.plugins.trust import NOTHING, Permission, Trust
 
 Array = np.ndarray[Any, np.dtype[np.float64]]
 COMPONENTS = (("surge force", "N"), ("pitch moment", "N m"), ("yaw moment", "N m"))
@@ -110,7 +111,7 @@ def what_if(
             if law.name not in BUILT_IN[kind]:
                 admit(kind, law.name, permission)
         scenario.layout(agent)
-    except AgentError as error:
+    except (AgentError, PluginError) as error:
         raise WhatIfError(f"{path}: {error}") from None
     navs, commands, deliveries, start = _read(path, agent, scenario.tick_ns, progress)
     if not navs:
@@ -141,7 +142,7 @@ def what_if(
                 core, life = make_agent(scenario.agent_config(agent)), incarnation
                 if first and memory is not None and keeps:
                     restore(core, memory)
-            except AgentError as error:
+            except (AgentError, PluginError) as error:
                 raise LawFailedError(str(error)) from None
             # What fell due before was for the life before, or for none.
             while begins[life] and waiting < len(deliveries) and deliveries[waiting].due_tick <= begins[life]:
@@ -152,7 +153,7 @@ def what_if(
             waiting += 1
         try:
             step = core.step(Nav(life, tick, measured[:5], measured[5:]), due)
-        except AgentError as error:
+        except (AgentError, PluginError) as error:
             raise LawFailedError(str(error)) from None
         result.notes += [f"t = {at * scenario.tick_ns / 1e9:.2f} s: {text}" for at, text in core.take_notes()]
         if tick in commands:

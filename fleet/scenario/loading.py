@@ -6,7 +6,6 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
-from agents.plugins.trust import NOTHING, Trust
 from fleet.errors import Problem, ScenarioError
 from fleet.scenario.catalogue import shipped_scenarios, shipped_text
 from fleet.scenario.scenario import Scenario
@@ -16,6 +15,7 @@ from fleet.scenario.trust import READING, TYPED, Origin, Policy, stranger
 from fleet.scenario.validation import validate
 from netem.parsing import nearest
 from netem.whole_file import read_bounded, read_file
+from world.plugins.trust import NOTHING, Trust
 
 _MAX_BYTES = 4_000_000  # as many as the characters that yaml_reader takes can have
 

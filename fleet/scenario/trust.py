@@ -1,4 +1,4 @@
-"""The origin of a scenario, and the modules that may be imported for it; see `agents.plugins.trust`.
+"""The origin of a scenario, and the modules that may be imported for it; see `world.plugins.trust`.
 
 A name on the command line is trusted as the user's own; so is a scenario file in the current directory or below it.
 A log, the scenario in a run directory and a file from elsewhere are foreign.
@@ -10,9 +10,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from agents.config import Law
-from agents.plugins.loading import admit
-from agents.plugins.trust import NOTHING, Permission, Trust
 from fleet.errors import Problem
+from world.plugins.loading import admit
+from world.plugins.trust import NOTHING, Permission, Trust
 
 A_LOG = "a log names it"
 

@@ -9,13 +9,13 @@ from __future__ import annotations
 from bisect import bisect_left
 from dataclasses import dataclass
 
-from agents.plugins.trust import Trust
 from fleet.analysis.stability import analyse, dead_reckoning, oldest_s, shunting_decay
 from fleet.scenario.loading import parse_scenario
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.trust import Policy
 from fleet.study.borders import Borders
 from fleet.study.one_run import A_STUDY
+from world.plugins.trust import Trust
 
 
 @dataclass(frozen=True, slots=True)

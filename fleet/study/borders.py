@@ -18,7 +18,6 @@ from typing import Any, Literal, Protocol
 
 import numpy as np
 
-from agents.plugins.trust import NOTHING, Trust
 from fleet.study.engine import Engine
 from fleet.study.errors import StudyError
 from fleet.study.modules import NO_MODULES, Modules
@@ -29,6 +28,7 @@ from fleet.study.statistics import Estimate, pass_rate
 from fleet.study.store import BorderRecord, Store
 from fleet.study.sweep import Progress, Work, make_runs, prepare, task_of
 from fleet.study.values import Axis, parse_axis
+from world.plugins.trust import NOTHING, Trust
 
 BATCH = 4  # runs of a border per round
 SEEDS = 60

@@ -7,7 +7,6 @@ from math import inf
 from pathlib import Path
 from typing import Any
 
-from agents.plugins.trust import NOTHING, Trust
 from fleet.execution.judged import Changes, override_texts
 from fleet.scenario.text.overrides import FAULT, NET, SET, Override
 from fleet.study.border_theory import theory
@@ -19,6 +18,7 @@ from fleet.study.spec import seeds_text
 from fleet.study.store import Store
 from fleet.study.study import Study, engine_of, new_directory
 from fleet.study.values import axis, values_text
+from world.plugins.trust import NOTHING, Trust
 
 
 class Boundary:

@@ -20,9 +20,9 @@ from pathlib import Path, PurePosixPath
 from typing import NamedTuple
 
 from agents.controllers import BUILT_IN, laws
-from agents.plugins.trust import Permission, Place, Trust, find, permit
 from fleet.scenario.scenario import Scenario
 from fleet.study.errors import StudyError
+from world.plugins.trust import Permission, Place, Trust, find, permit
 
 MOST_BYTES = 4_000_000  # of all files that travel: they go with each batch of runs
 _writing = threading.Lock()

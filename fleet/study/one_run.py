@@ -17,7 +17,6 @@ from pathlib import Path
 from secrets import token_hex
 from typing import Any, NamedTuple
 
-from agents.plugins.trust import Trust
 from fleet.cores import cores
 from fleet.errors import FleetError
 from fleet.execution.directory import LOG, RESULT, SCENARIO
@@ -30,6 +29,7 @@ from fleet.scenario.trust import Policy
 from fleet.study.measures import MEASURES
 from fleet.study.modules import NO_MODULES, Modules, folder_of
 from fleet.study.signals import Samples
+from world.plugins.trust import Trust
 
 A_STUDY = "a study names it"  # why a law that is not installed needs trust
 FAILED = "failed"  # the status of a run that has no result

@@ -9,7 +9,6 @@ from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from agents.plugins.trust import NOTHING, Trust
 from fleet.execution.execute import execute
 from fleet.execution.judged import Changes, override_texts
 from fleet.execution.options import Options
@@ -30,6 +29,7 @@ from fleet.study.study_file import NamedStudy, study_named
 from fleet.study.summary import PointSummary, summarise
 from fleet.study.sweep import Progress, prepare, run_study
 from fleet.study.values import values_text
+from world.plugins.trust import NOTHING, Trust
 
 if TYPE_CHECKING:
     import pandas as pd

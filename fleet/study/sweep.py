@@ -15,7 +15,6 @@ from typing import Any
 
 import msgspec
 
-from agents.plugins.trust import NOTHING, Trust
 from fleet.errors import Problem, ScenarioError
 from fleet.execution.external_agents import refuse
 from fleet.processes.processors import processors
@@ -34,6 +33,7 @@ from fleet.study.spec import StudySpec
 from fleet.study.statistics import Estimate, pass_rate
 from fleet.study.stopping import parse_until, watched_by
 from fleet.study.store import VERSION, BorderRecord, Store, StudyRecord, axis_record
+from world.plugins.trust import NOTHING, Trust
 
 _WRITE_S, _WRITE_ROWS = 10.0, 1000  # rows wait at most so long, or until there are so many
 

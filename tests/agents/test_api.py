@@ -10,7 +10,7 @@ import pytest
 from repository import ROOT
 
 import agents.api
-from agents.plugins.checks import METHODS
+from agents.plugins.laws import METHODS
 
 USERS = sorted([*(ROOT / "fleet/templates").glob("*.py"), *(ROOT / "docs/examples").glob("*.py")])
 OURS = ("agents", "netem", "world", "fleet")

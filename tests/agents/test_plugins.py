@@ -29,9 +29,9 @@ from repository import ROOT
 
 from agents.agent import Agent
 from agents.config import Law
-from agents.errors import ControllerError, PluginError
+from agents.errors import ControllerError
 from agents.make_agent import make_agent
-from agents.plugins import loading
+from agents.plugins import laws
 from agents.signals import COMMANDED, HEARD
 from fleet.cli.main import cli
 from fleet.cli.new import KINDS
@@ -41,6 +41,8 @@ from fleet.execution.options import Options
 from fleet.execution.outcome import Result, Status
 from fleet.scenario.loading import load_scenario
 from fleet.scenario.scenario import Scenario
+from world.errors import PluginError
+from world.plugins import loading
 
 EXAMPLE = str(ROOT / "docs" / "examples" / "leader_follower.yaml")
 GOOD = """
@@ -113,32 +115,32 @@ def nav(tick: int) -> Any:
 @pytest.fixture(autouse=True)
 def _read_entry_points_anew() -> Iterator[None]:
     """They are read once per process."""
-    loading.installed_laws.cache_clear()
+    loading.installed.cache_clear()
     yield
-    loading.installed_laws.cache_clear()
+    loading.installed.cache_clear()
 
 
 def test_entry_points_are_read_once_for_all_vehicles(
     module: Callable[[str], str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Reading them opens a file of every installed package."""
-    point, read = EntryPoint("my-law", f"{module(GOOD)}:Law", loading.GROUP), []
+    point, read = EntryPoint("my-law", f"{module(GOOD)}:Law", loading.LAWS), []
     monkeypatch.setattr("importlib.metadata.entry_points", lambda group: read.append(group) or [point])
     fleet = scenario("controller=my-law")
     for i in range(1, fleet.vehicles + 1):
         make_agent(fleet.agent_config(i))
-    assert read == [loading.GROUP]
+    assert read == [loading.LAWS]
 
 
 def test_import_path_and_entry_point(module: Callable[[str], str], monkeypatch: pytest.MonkeyPatch) -> None:
     name = module(GOOD)
-    by_path = loading.load("controller", Law(f"{name}:Law"))
-    point = EntryPoint("my-law", f"{name}:Law", loading.GROUP)
-    monkeypatch.setattr("importlib.metadata.entry_points", lambda group: [point] if group == loading.GROUP else [])
-    assert loading.load("controller", Law("my-law")) is by_path
+    by_path = laws.load("controller", Law(f"{name}:Law"))
+    point = EntryPoint("my-law", f"{name}:Law", loading.LAWS)
+    monkeypatch.setattr("importlib.metadata.entry_points", lambda group: [point] if group == loading.LAWS else [])
+    assert laws.load("controller", Law("my-law")) is by_path
     assert scenario("controller=my-law").agent_config(1).controller == Law("my-law")
     with pytest.raises(PluginError, match="installed: my-law"):
-        loading.load("controller", Law("other"))
+        laws.load("controller", Law("other"))
 
 
 def without(line: str, text: str = GOOD) -> str:
@@ -164,7 +166,7 @@ MISTAKES = [
     (GOOD.replace("class Law:", "import abc\nclass Law(abc.ABC):\n    @abc.abstractmethod\n    def more(self): ...\n"),
      "{}:Law", {}, "it is abstract: it lacks more", ""),
     (GOOD.replace("config, *, force=1.0", "").replace("= force, 0", "= 1.0, 0"),
-     "{}:Law", {}, "it is made with the agent's configuration, and takes none", "def __init__(self, config, ...)"),
+     "{}:Law", {}, "it is made with its configuration, and takes none", "def __init__(self, config, ...)"),
     (GOOD.replace("def state", "def sate"), "{}:Law", {}, "only one of state and restore", "write both"),
     (GOOD.replace("signals = (", "signals = 3 #"), "{}:Law", {}, "expected signals as a tuple", "() reports nothing"),
     (GOOD.replace('"drawn", "m"', '"count", "m"'), "{}:Law", {}, "declared twice", ""),
@@ -196,7 +198,7 @@ def test_what_cannot_be_used_says_why_and_where(
     """Before anything runs, with the line of the scenario that names the law."""
     name = name.format(module(code))
     with pytest.raises(PluginError) as caught:
-        loading.load("controller", Law(name, parameters))
+        laws.load("controller", Law(name, parameters))
     assert problem in caught.value.problem
     assert hint in caught.value.hint
     path = tmp_path / "s.yaml"
@@ -259,7 +261,7 @@ def test_a_misspelt_name_finds_the_nearest() -> None:
 @pytest.mark.parametrize(
     ("code", "attribute", "problem"),
     [
-        ("class Law: pass", "Law", "does not load as a law: it has no method step"),
+        ("class Law: pass", "Law", "does not load as a controller: it has no method step"),
         ("1 / 0", "Law", "does not load: ZeroDivisionError: division by zero"),
         (GOOD, "Lwa", "does not load: AttributeError"),
         ("import nowhere_at_all", "Law", "does not load: No module named 'nowhere_at_all'"),
@@ -270,7 +272,7 @@ def test_an_entry_point_that_cannot_be_used(
 ) -> None:
     """It exists: to say that there is no such controller would send its author the wrong way."""
     value = f"{module(code)}:{attribute}"
-    point = EntryPoint("my-law", value, loading.GROUP)
+    point = EntryPoint("my-law", value, loading.LAWS)
     monkeypatch.setattr("importlib.metadata.entry_points", lambda group: [point])
     with pytest.raises(ScenarioError) as refused:
         scenario("controller=my-law")
@@ -281,9 +283,9 @@ def test_an_entry_point_that_cannot_be_used(
 def test_a_guidance_law_leaves_our_signals_alone(name: str, module: Callable[[str], str]) -> None:
     """They share a topic, and a message has each field once. A controller's signals have a topic of their own."""
     law = Law(f"{module(GOOD.replace('count', name))}:Law")
-    loading.load("controller", law)
+    laws.load("controller", law)
     with pytest.raises(PluginError, match=f"signal '{name}' is reported already by every agent"):
-        loading.load("guidance", law)
+        laws.load("guidance", law)
 
 
 def test_what_a_module_prints_is_no_data(module: Callable[[str], str]) -> None:
@@ -698,6 +700,6 @@ def test_the_worked_example_in_processes(tmp_path: Path) -> None:
 def test_the_worked_example_is_short(monkeypatch: pytest.MonkeyPatch) -> None:
     """The page promises some thirty lines."""
     monkeypatch.syspath_prepend(str(Path(EXAMPLE).parent))
-    found = loading.load("controller", Law("leader_follower:LeaderFollower"))
+    found = laws.load("controller", Law("leader_follower:LeaderFollower"))
     source = inspect.getsource(found.step)
     assert len([line for line in source.splitlines() if line.strip() and not line.strip().startswith("#")]) <= 30

@@ -20,15 +20,16 @@ from repository import ROOT
 
 import fleet
 from agents.config import Law
-from agents.errors import PluginError
 from agents.join import _admit
 from agents.join_file import JoinError
-from agents.plugins import loading, trust
-from agents.plugins.trust import Permission, Trust
+from agents.plugins import laws
 from fleet.cli.main import cli
 from fleet.errors import ScenarioError
 from fleet.pictures.runs import load
 from fleet.scenario.loading import load_scenario
+from world.errors import PluginError
+from world.plugins import loading, trust
+from world.plugins.trust import Permission, Trust
 
 # A law of every kind; whoever imports it leaves a mark beside it.
 LAWS = """
@@ -394,8 +395,8 @@ def test_what_new_prints_works_from_anywhere(tmp_path: Path, monkeypatch: pytest
 def test_programs_and_python_itself_are_no_laws(name: str) -> None:
     """They are installed, and to import them does something."""
     module = name.partition(":")[0]
-    with pytest.raises(PluginError, match="not a module with a law"):
-        loading.load("controller", Law(name))
+    with pytest.raises(PluginError, match="not a module with a plug-in"):
+        laws.load("controller", Law(name))
     assert module not in sys.modules
 
 
@@ -415,7 +416,7 @@ def test_packages_are_found_without_running_them(tmp_path: Path, monkeypatch: py
         loading.admit(*arguments, Permission(Trust(fingerprints=frozenset(sums[1:])), elsewhere=(tmp_path,)))
     assert not list(tmp_path.rglob("*.mark"))
     loading.admit(*arguments, Permission(Trust(fingerprints=frozenset(sums)), elsewhere=(tmp_path,)))
-    assert loading.load("controller", Law(f"{package}.law:Main")).__name__ == "Main"
+    assert laws.load("controller", Law(f"{package}.law:Main")).__name__ == "Main"
 
 
 def test_a_join_file_names_no_module_of_mine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -435,7 +436,7 @@ def test_a_join_file_names_no_module_of_mine(tmp_path: Path, monkeypatch: pytest
         _admit(config, Trust())
     assert not (tmp_path / "here" / f"{name}.mark").exists()
     _admit(config, Trust(everything=True))
-    assert loading.load("controller", Law(f"{name}:Main"))
+    assert laws.load("controller", Law(f"{name}:Main"))
     assert (tmp_path / "here" / f"{name}.mark").exists()
 
 

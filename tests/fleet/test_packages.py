@@ -96,10 +96,10 @@ def test_the_command_says_whose_it_is(name: str, tmp_path: Path) -> None:
 def test_files_that_are_missing_within_are_noticed_where_they_are_imported(tmp_path: Path) -> None:
     """Somebody else's package was in the same place, and was taken away with the files that both had."""
     shutil.copytree(ROOT / "agents", tmp_path / "agents", ignore=shutil.ignore_patterns("__pycache__"))
-    (tmp_path / "agents" / "plugins" / "trust.py").unlink()
+    (tmp_path / "agents" / "plugins" / "laws.py").unlink()
     done = python("-c", "from fleet.__main__ import main; main()", "check", "paper", path=tmp_path)
     assert (done.returncode, len(done.stderr.splitlines())) == (3, 1), done.stderr
-    assert "not whole: No module named 'agents.plugins.trust'; install uuv-fleet into " in done.stderr
+    assert "not whole: No module named 'agents.plugins.laws'; install uuv-fleet into " in done.stderr
     assert damaged(ImportError("no module", name="numpy")) == damaged(ImportError("no module")) == ""
 
 

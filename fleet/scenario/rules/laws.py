@@ -6,8 +6,7 @@ from typing import Any
 
 from agents.config import Law
 from agents.controllers import BUILT_IN, CONTROLLERS
-from agents.errors import PluginError, UntrustedError
-from agents.plugins.loading import load
+from agents.plugins.laws import load
 from agents.profiles import profile
 from agents.trajectory import PathError
 from fleet.quantities import RATE, SPEED, QuantityError, show, show_vector, vehicle_numbers
@@ -17,6 +16,7 @@ from fleet.scenario.schema.spec import ScenarioSpec
 from fleet.scenario.sections.per_vehicle import Entries, given, law_names, used, wrong_model
 from fleet.scenario.sections.vehicle_files import VehicleFileError, mass_problems
 from netem.parsing import nearest
+from world.errors import PluginError, UntrustedError
 from world.vectors import Vec3
 
 _BLEND_SAMPLES = 40  # of a change of the formation

@@ -7,9 +7,9 @@ from math import gcd, lcm
 
 from agents.config import Law
 from agents.controllers import law_class
-from agents.errors import PluginError
-from agents.plugins.checks import resumable
 from fleet.scenario.schema.spec import ScenarioSpec
+from world.errors import PluginError
+from world.plugins.checks import resumable
 
 SNAPSHOT_NS = 10_000_000_000
 LOG_GROUPS = ("pose", "state", "nav", "command", "guidance", "control", "error")

@@ -6,12 +6,12 @@ from pathlib import Path
 
 import pytest
 
-from agents.plugins.trust import NOTHING
 from fleet.scenario.text.overrides import NET, Override
 from fleet.study.border_theory import theory
 from fleet.study.borders import Borders, parse_along, prepare_borders
 from fleet.study.plan import Plan
 from fleet.study.values import parse_axis
+from world.plugins.trust import NOTHING
 
 
 def test_the_rules_of_fleet_check_and_the_age_under_loss(tmp_path: Path) -> None:

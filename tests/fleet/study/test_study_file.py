@@ -9,13 +9,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from agents.plugins.trust import Trust
 from fleet.errors import ScenarioError
 from fleet.scenario.text.yaml_reader import Source
 from fleet.study.errors import StudyError
 from fleet.study.spec import StudySpec
 from fleet.study.study_file import is_study, parse_study, study_named
 from fleet.study.sweep import load_points
+from world.plugins.trust import Trust
 
 
 def parse(text: str, folder: Path | None = None) -> StudySpec:

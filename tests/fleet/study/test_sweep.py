@@ -15,7 +15,6 @@ from pandas.testing import assert_frame_equal
 from small_scenario import SMALL
 from study_engine import Here
 
-from agents.plugins.trust import Trust
 from fleet.errors import ScenarioError
 from fleet.execution.judged import run
 from fleet.logs.open_log import open_log
@@ -29,6 +28,7 @@ from fleet.study.study import Study, open_study
 from fleet.study.summary import summarise
 from fleet.study.sweep import Progress, modules_again, prepare, run_study
 from fleet.study.values import parse_axis
+from world.plugins.trust import Trust
 
 CHECKS = Override(SET, "checks={formation_error: {below: 0.9 m, after: 0.9 s}}")
 LINKS = Override(SET, "network.links={'*': delay 50ms loss 10%}")

@@ -1,76 +1,76 @@
-"""What a class must be able to do to be used as a law, and what it may report."""
+"""What a class must be able to do to be used as a plug-in, and what it may report."""
 
 from __future__ import annotations
 
 import inspect
 import re
+from collections.abc import Mapping
 from typing import Any
 
-from agents.config import Law
-from agents.errors import PluginError
-from agents.plugins.places import place_of_method
-from agents.signals import COMMANDED, HEARD, Signal
+from world.errors import PluginError
+from world.plugins.places import article, place_of_method
+from world.signal import Signal
 
-# What a class of each kind must be able to do, and with what it is called.
-METHODS: dict[str, dict[str, tuple[str, ...]]] = {
-    "controller": {"step": ("sample",)},
-    "guidance": {"step": ("sample",)},
-    "tracking": {"step": ("sample", "command")},
-    "agent": {"transmit": ("nav",), "decide": ("nav", "deliveries")},
-}
 MAX_NUMBERS = 1000  # of one signal
 _UNITLESS = "1"
 
 
-def resumable(law_class: type[Any]) -> bool:
-    """Whether a law can give and take back its state."""
-    return callable(getattr(law_class, "state", None)) and callable(getattr(law_class, "restore", None))
+def resumable(plugin_class: type[Any]) -> bool:
+    """Whether a plug-in can give and take back its state."""
+    return callable(getattr(plugin_class, "state", None)) and callable(getattr(plugin_class, "restore", None))
 
 
-def check_law(kind: str, law: Law, law_class: Any) -> None:
-    """Check that a class can be used as a law.
+def check_class(
+    kind: str,
+    name: str,
+    plugin_class: Any,
+    methods: Mapping[str, tuple[str, ...]],
+    parameters: Mapping[str, Any],
+    config: str,
+) -> None:
+    """Check that a class can be used as a plug-in of its kind.
 
     Args:
-        kind: controller, guidance, tracking or agent.
-        law: its name, and the parameters that it is to be made with.
-        law_class: what the name stands for.
+        kind: controller, plant, check, ...
+        name: of the plug-in, for the message.
+        plugin_class: what the name stands for.
+        methods: what it must be able to do, and with which arguments each method is called.
+        parameters: what it is to be made with, besides its configuration.
+        config: what its configuration is, for the message.
 
     Raises:
         PluginError: it cannot.
     """
-    name = law.name
-    if not inspect.isclass(law_class):
-        raise PluginError(kind, name, f"expected a class, got {type(law_class).__name__}")
-    for method, arguments in METHODS[kind].items():
-        if not callable(getattr(law_class, method, None)):
-            article = "an" if kind == "agent" else "a"
-            hint = f"{article} {kind} needs {' and '.join(METHODS[kind])}"
+    if not inspect.isclass(plugin_class):
+        raise PluginError(kind, name, f"expected a class, got {type(plugin_class).__name__}")
+    for method, arguments in methods.items():
+        if not callable(getattr(plugin_class, method, None)):
+            hint = f"{article(kind)} {kind} needs {' and '.join(methods)}"
             raise PluginError(kind, name, f"it has no method {method}", hint)
-        _check_method(kind, name, law_class, method, arguments)
-    if abstract := sorted(getattr(law_class, "__abstractmethods__", ())):
+        _check_method(kind, name, plugin_class, method, arguments)
+    if abstract := sorted(getattr(plugin_class, "__abstractmethods__", ())):
         raise PluginError(kind, name, f"it is abstract: it lacks {', '.join(abstract)}")
-    if callable(getattr(law_class, "state", None)) != callable(getattr(law_class, "restore", None)):
+    if callable(getattr(plugin_class, "state", None)) != callable(getattr(plugin_class, "restore", None)):
         raise PluginError(kind, name, "it has only one of state and restore", "write both, or neither")
-    _check_signals(kind, name, getattr(law_class, "signals", None))
     try:
-        signature = inspect.signature(law_class)
+        signature = inspect.signature(plugin_class)
     except ValueError:  # written in C: making it will show
         return
     try:
-        signature.bind(None, **law.parameters)
+        signature.bind(None, **parameters)
     except TypeError as error:
         if "too many positional" in str(error):
-            hint = "write def __init__(self, config, ...): config is the agent's own slice of the scenario"
-            raise PluginError(kind, name, "it is made with the agent's configuration, and takes none", hint) from None
+            hint = f"write def __init__(self, config, ...): config is {config}"
+            raise PluginError(kind, name, "it is made with its configuration, and takes none", hint) from None
         own = list(signature.parameters.values())[1:]
         shown = ", ".join(str(parameter.replace(annotation=inspect.Parameter.empty)) for parameter in own)
         hint = f"its parameters: {shown}" if shown else "it takes no parameters"
         raise PluginError(kind, name, f"cannot be made with these parameters: {error}", hint) from None
 
 
-def _check_method(kind: str, name: str, law_class: type[Any], method: str, arguments: tuple[str, ...]) -> None:
+def _check_method(kind: str, name: str, plugin_class: type[Any], method: str, arguments: tuple[str, ...]) -> None:
     """Check that a method takes these arguments and returns its answer directly."""
-    function = inspect.getattr_static(law_class, method)
+    function = inspect.getattr_static(plugin_class, method)
     if not inspect.isfunction(function):  # decorated, or written in C: calling it will show
         return
     place = place_of_method(function)
@@ -83,14 +83,22 @@ def _check_method(kind: str, name: str, law_class: type[Any], method: str, argum
         raise PluginError(kind, name, text, place) from None
 
 
-def _check_signals(kind: str, name: str, signals: Any) -> None:
-    """Check that the declared signals can be logged."""
+def check_signals(kind: str, name: str, signals: Any, taken: frozenset[str] = frozenset()) -> None:
+    """Check that the declared signals can be logged.
+
+    Args:
+        kind: of the plug-in, for the message.
+        name: likewise.
+        signals: what the class declares.
+        taken: names of others on the same topic.
+
+    Raises:
+        PluginError: they cannot.
+    """
     if not isinstance(signals, tuple) or not all(isinstance(signal, Signal) for signal in signals):
         raise PluginError(
-            kind, name, f"expected signals as a tuple of agents.api.Signal, got {signals!r:.80}", "() reports nothing"
+            kind, name, f"expected signals as a tuple of Signal, got {signals!r:.80}", "() reports nothing"
         )
-    # A guidance law's signals share their topic with what every agent reports.
-    taken = {signal.name for signal in (*HEARD, *COMMANDED)} if kind == "guidance" else set()
     seen: dict[str, str] = {}  # name in JSON -> name
     for signal in signals:
         # As in protobuf, whose names are ASCII and differ also as JSON writes them: a_b is aB there.

@@ -1,4 +1,4 @@
-"""Laws that are not ours: found by import path or entry point, and checked before a run depends on them."""
+"""Plug-ins: found by import path or entry point, and checked before a run depends on them."""
 
 from __future__ import annotations
 
@@ -12,68 +12,69 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from agents.config import Law
-from agents.errors import PluginError
-from agents.plugins.checks import check_law
-from agents.plugins.places import place_of, shown_path, words_of
-from agents.plugins.trust import ONLY_INSTALLED, Permission, permit
+from world.errors import PluginError
+from world.plugins.places import article, place_of, shown_path, words_of
+from world.plugins.trust import ONLY_INSTALLED, Permission, permit
 
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
 
-GROUP = "uuv_fleet.controllers"
+LAWS = "uuv_fleet.controllers"
+# The entry points of each kind of plug-in; those of laws share one group.
+GROUPS = dict.fromkeys(("controller", "guidance", "tracking", "agent"), LAWS)
 
 _MAX_CLASSES = 8  # named in a hint
 
 
-def load(kind: str, law: Law) -> type[Any]:
-    """The class of a law that is not ours, checked.
+def load_class(kind: str, name: str, check: Callable[[Any], None]) -> type[Any]:
+    """The class that a name stands for, checked.
 
     Args:
-        kind: controller, guidance, tracking or agent.
-        law: `package.module:Class`, or the name of an entry point in group `uuv_fleet.controllers`.
+        kind: controller, plant, check, ...; see `GROUPS`.
+        name: `package.module:Class`, or the name of an entry point in the kind's group.
+        check: raises PluginError if the class cannot be used.
 
     Raises:
         UntrustedError: its module is not installed, and was not let in with `admit`.
         PluginError: there is no such class, or it cannot be used.
     """
-    admit(kind, law.name)
-    if ":" in law.name:
-        law_class = _import(kind, law.name)
-        check_law(kind, law, law_class)
-        return law_class  # type: ignore[no-any-return]
-    value, law_class = _entry_point(kind, law.name)
+    admit(kind, name)
+    if ":" in name:
+        plugin_class = _import(kind, name)
+        check(plugin_class)
+        return plugin_class  # type: ignore[no-any-return]
+    value, plugin_class = _entry_point(kind, name)
     try:
-        check_law(kind, law, law_class)
+        check(plugin_class)
     except PluginError as error:
-        # By the words "does not load" fleet.scenario.rules.apply knows that there is one.
-        text = f"its entry point {value} does not load as a law: {error.problem}"
-        raise PluginError(kind, law.name, text, error.hint) from None
-    return law_class  # type: ignore[no-any-return]
+        # By the words "does not load" fleet.scenario.rules knows that there is one.
+        text = f"its entry point {value} does not load as {article(kind)} {kind}: {error.problem}"
+        raise PluginError(kind, name, text, error.hint) from None
+    return plugin_class  # type: ignore[no-any-return]
 
 
 def admit(kind: str, name: str, permission: Permission = ONLY_INSTALLED) -> None:
-    """Let the module of a law be imported if it may run; see `agents.plugins.trust.permit`.
+    """Let the module of a plug-in be imported if it may run; see `world.plugins.trust.permit`.
 
     Args:
-        kind: controller, guidance, tracking or agent.
-        name: of the law: `package.module:Class`, or the name of an entry point.
+        kind: controller, plant, check, ...; see `GROUPS`.
+        name: of the plug-in: `package.module:Class`, or the name of an entry point.
         permission: what may run besides what is installed.
 
     Raises:
         UntrustedError: it may not.
-        PluginError: the name is none of a law.
+        PluginError: the name is none of a plug-in.
     """
     if ":" in name:
         permit(kind, name, _module_name(kind, name), permission)
-    elif (point := installed_laws().get(name)) is not None:
+    elif (point := installed(GROUPS[kind]).get(name)) is not None:
         permit(kind, name, point.value.partition(":")[0].strip(), permission)
 
 
-def fingerprint(law_class: type[Any]) -> str:
-    """SHA-256 of the file that a law's class is written in, to find out later whether it is still the same."""
+def fingerprint(plugin_class: type[Any]) -> str:
+    """SHA-256 of the file that a plug-in's class is written in, to find out later whether it is still the same."""
     try:
-        path = inspect.getsourcefile(law_class)
+        path = inspect.getsourcefile(plugin_class)
         return hashlib.sha256(Path(path or "").read_bytes()).hexdigest()
     except (OSError, TypeError):
         return "unknown"
@@ -125,7 +126,7 @@ def _loaded(load_it: Callable[[], Any]) -> Any:
             return load_it()
     except (ModuleNotFoundError, KeyboardInterrupt):
         raise
-    except BaseException as error:  # SystemExit, too: a module that ends the program is no law
+    except BaseException as error:  # SystemExit, too: a module that ends the program is no plug-in
         where = place_of(error)
         if isinstance(error, SyntaxError) and error.filename:
             where = f"{shown_path(error.filename)}:{error.lineno}"
@@ -133,18 +134,19 @@ def _loaded(load_it: Callable[[], Any]) -> Any:
 
 
 @cache
-def installed_laws() -> dict[str, EntryPoint]:
-    """The entry points of laws by name, read once per process: reading them opens a file of every installed package."""
+def installed(group: str) -> dict[str, EntryPoint]:
+    """The entry points of a group by name, read once: reading them opens a file of every installed package."""
     from importlib.metadata import entry_points  # half of email comes with it
 
-    return {point.name: point for point in entry_points(group=GROUP)}
+    return {point.name: point for point in entry_points(group=group)}
 
 
 def _entry_point(kind: str, name: str) -> tuple[str, Any]:
     """`module:Class` as the entry point has it, and what it loads."""
-    points = installed_laws()
+    group = GROUPS[kind]
+    points = installed(group)
     if name not in points:
-        there = f"installed: {', '.join(sorted(points))}" if points else f"nothing is installed in group {GROUP}"
+        there = f"installed: {', '.join(sorted(points))}" if points else f"nothing is installed in group {group}"
         raise PluginError(
             kind, name, "there is none of this name", f"write package.module:Class, or install one; {there}"
         )

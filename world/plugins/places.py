@@ -1,4 +1,4 @@
-"""Which line of the user's an error is about, and its text: for messages about the user's laws."""
+"""Which line of the user's an error is about, and its text: for messages about the user's code."""
 
 from __future__ import annotations
 
@@ -9,10 +9,11 @@ import traceback
 from pathlib import Path
 from typing import Any
 
-import agents
+import world
 
 _MAX_TEXT = 300  # characters of the text of an error
 _LIBRARIES = tuple({sysconfig.get_path(name) + os.sep for name in ("stdlib", "platstdlib", "purelib", "platlib")})
+_PACKAGES = {Path(world.__file__).parent.with_name(name) for name in ("world", "agents")}
 _SITE = "-packages" + os.sep  # site-packages, and Debian's dist-packages
 
 
@@ -24,7 +25,7 @@ def place_of(error: BaseException) -> str:
     """
     frames = [f for f in traceback.extract_tb(error.__traceback__) if not _ours(f.filename)]
     own = [f for f in frames if not in_library(f.filename)]
-    if not own:  # an installed law: its file is the first that was called
+    if not own:  # an installed plug-in: its file is the first that was called
         installed = [f for f in frames if _SITE in f.filename] or frames
         own = [f for f in frames if f.filename == installed[0].filename]
     return place_of_line(own[-1].filename, own[-1].lineno) if own else ""
@@ -46,6 +47,11 @@ def words_of(error: BaseException) -> str:
     return f"{type(error).__name__}: {text}" if text else type(error).__name__
 
 
+def article(kind: str) -> str:
+    """`a` or `an`, for the name of a kind of plug-in."""
+    return "an" if kind[0] in "aeiou" else "a"
+
+
 def place_of_line(filename: str, line: int | None) -> str:
     """`file.py:12`, relative to the current directory where it lies below it."""
     return f"{shown_path(filename)}:{line}"
@@ -58,7 +64,7 @@ def place_of_method(method: Any) -> str:
 
 
 def _ours(filename: str) -> bool:
-    return Path(agents.__file__).parent in Path(filename).parents or filename.startswith("<frozen importlib")
+    return bool(_PACKAGES.intersection(Path(filename).parents)) or filename.startswith("<frozen importlib")
 
 
 def shown_path(filename: str) -> str:

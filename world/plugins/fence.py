@@ -1,6 +1,6 @@
-"""The fence round a law of the user's: what it raises, returns and prints, and how long it takes.
+"""The fence round a plug-in: what it raises, returns and prints, and how long it takes.
 
-Every failure becomes one `ControllerError` that names vehicle, tick and line.
+Every failure becomes one error of the plug-in's kind, which names tick and line.
 """
 
 from __future__ import annotations
@@ -20,41 +20,45 @@ from time import perf_counter
 from types import FrameType
 from typing import Any
 
-from agents.api import Sample
-from agents.config import AgentConfig, Law
-from agents.errors import ControllerError
-from agents.plugins.checks import MAX_NUMBERS, resumable
-from agents.plugins.places import in_library, place_of, place_of_line, place_of_method, words_of
-from agents.signals import Signal
+from world.plugins.checks import MAX_NUMBERS
+from world.plugins.places import in_library, place_of, place_of_line, place_of_method, words_of
+from world.signal import Signal
 from world.vectors import Vec3
 
-MAX_PAYLOAD_BYTES = 40_000  # of one round; the transport carries 48 kB in a message
+Failure = Callable[[int, str, str], Exception]  # the error for a tick, a problem, and the line or ""
 
 
 class _OverBudgetError(BaseException):
-    """Raised inside a law by the timer; no Exception, so that the law cannot take it for one of its own."""
+    """Raised inside a plug-in by the timer; no Exception, so that the plug-in cannot take it for one of its own."""
 
 
 class Fence:
-    """Calls one law of one vehicle, and checks what comes back."""
+    """Calls one plug-in, and checks what comes back.
 
-    def __init__(self, config: AgentConfig, law: Law, notes: list[tuple[int, str]]) -> None:
-        self._vehicle = config.id
-        self._name = law.name.rpartition(":")[2]
-        self._budget_s = config.budget_s
+    Args:
+        name: of the plug-in, as the scenario names it.
+        budget_s: the longest that a call may take [s]; 0: any time.
+        notes: takes (tick, what a person should know).
+        failure: makes the errors.
+    """
+
+    def __init__(self, name: str, budget_s: float, notes: list[tuple[int, str]], failure: Failure) -> None:
+        self._name = name.rpartition(":")[2]
+        self._budget_s = budget_s
+        self._failure = failure
         self._printed = _Printed(self)
         self._tick = 0
-        self._notes = notes  # (tick, what a person should know)
+        self._notes = notes
 
-    def make(self, law_class: type[Any], config: AgentConfig, law: Law) -> Any:
-        """An instance of the law. This may take longer than the budget, which is for samples."""
-        return self._call(0, False, law_class, config, **law.parameters)
+    def make(self, plugin_class: type[Any], config: Any, parameters: Mapping[str, Any]) -> Any:
+        """An instance of the plug-in. This may take longer than the budget, which is for samples."""
+        return self._call(0, False, plugin_class, config, **parameters)
 
     def call(self, tick: int, function: Callable[..., Any], *args: Any) -> Any:
-        """What a function of the law returns.
+        """What a function of the plug-in returns.
 
         Raises:
-            ControllerError: it raised, or took longer than its budget.
+            Exception: the `failure` of this fence: it raised, or took longer than its budget.
         """
         return self._call(tick, True, function, *args)
 
@@ -65,23 +69,23 @@ class Fence:
                 return function(*args, **named)
         except _OverBudgetError as error:
             took = f"{self._name} took longer than its budget of {self._budget_s * 1e3:g} ms"
-            raise ControllerError(self._vehicle, tick, took, place_of(error) or place_of_method(function)) from None
-        except BaseException as error:  # SystemExit, too: a law may fail, but not end the run as if all were well
+            raise self._failure(tick, took, place_of(error) or place_of_method(function)) from None
+        except BaseException as error:  # SystemExit, too: a plug-in may fail, but not end the run as if all were well
             by_hand = isinstance(error, (KeyboardInterrupt, BdbQuit))  # Ctrl-C, `q` in the debugger
             if by_hand and parent_process() is None:
                 raise KeyboardInterrupt from None
             problem = f"{self._name} raised {words_of(error)}"
             if isinstance(error, BdbQuit):  # an agent process has no terminal
                 problem += ": to debug, run it with --in-process"
-            raise ControllerError(self._vehicle, tick, problem, place_of(error) or place_of_method(function)) from error
+            raise self._failure(tick, problem, place_of(error) or place_of_method(function)) from error
 
-    def wrong(self, tick: int, method: Any, problem: str) -> ControllerError:
+    def wrong(self, tick: int, method: Any, problem: str) -> Exception:
         """The error for an answer that cannot be used."""
-        return ControllerError(self._vehicle, tick, f"{self._name} {problem}", place_of_method(method))
+        return self._failure(tick, f"{self._name} {problem}", place_of_method(method))
 
     def vector(self, tick: int, method: Any, what: str, value: Any) -> Vec3:
         """`value` as three finite numbers."""
-        numbers = _numbers(value)
+        numbers = numbers_of(value)
         if len(numbers) != 3:
             raise self.wrong(tick, method, f"returned {what} {shown(value)}: expected three numbers")
         x, y, z = numbers
@@ -103,7 +107,7 @@ class Fence:
         flat: list[float] = []
         for signal_ in signals:
             value = values[signal_.name]
-            numbers = (hasattr(value, "__iter__") and _numbers(value)) or _numbers((value,))
+            numbers = (hasattr(value, "__iter__") and numbers_of(value)) or numbers_of((value,))
             if len(numbers) != signal_.width:
                 expected = "a number" if signal_.width == 1 else f"{signal_.width} numbers"
                 raise self.wrong(tick, method, f"returned {signal_.name} = {shown(value)}: expected {expected}")
@@ -114,15 +118,15 @@ class Fence:
         return tuple(flat)
 
     def note_print(self, text: str) -> None:
-        """Note that the law prints, and where; only the first time."""
+        """Note that the plug-in prints, and where; only the first time."""
         if self._printed.noted:
             return
         self._printed.noted = True
         caller = sys._getframe(2)  # behind this and `_Printed.write`
         frame: FrameType | None = caller
-        while frame is not None and in_library(frame.f_code.co_filename):  # pprint, say: the law called it
+        while frame is not None and in_library(frame.f_code.co_filename):  # pprint, say: the plug-in called it
             frame = frame.f_back
-        if frame is None or frame.f_code.co_filename == __file__:  # the law is itself an installed one
+        if frame is None or frame.f_code.co_filename == __file__:  # the plug-in is itself an installed one
             frame = caller
         where = place_of_line(frame.f_code.co_filename, frame.f_lineno)
         self._notes.append((self._tick, f"{self._name} prints ({where}): {text.strip()[:200]!r}; see the process log"))
@@ -133,13 +137,13 @@ class Fence:
             yield
             return
         began = perf_counter()
-        # Only a main thread gets signals; elsewhere the time is looked at when the law is back.
+        # Only a main thread gets signals; elsewhere the time is looked at when the plug-in is back.
         if threading.current_thread() is threading.main_thread():
             with _alarm(self._budget_s):
                 yield
         else:
             yield
-        if perf_counter() - began > self._budget_s:  # a law that swallowed the signal, or never left C code
+        if perf_counter() - began > self._budget_s:  # a plug-in that swallowed the signal, or never left C code
             raise _OverBudgetError
 
 
@@ -165,7 +169,7 @@ def _over_budget(number: int, frame: FrameType | None) -> None:
     raise _OverBudgetError
 
 
-def _numbers(value: Any) -> list[float]:
+def numbers_of(value: Any) -> list[float]:
     """`value` as numbers; none if it is anything else. A text, a set or a dict is no vector, though it has a length."""
     if isinstance(value, (str, bytes, bytearray, Mapping, Set)):
         return []
@@ -185,7 +189,7 @@ def shown(value: Any) -> str:
 
 
 class _Printed(TextIOBase):
-    """Where a law's prints go: to standard error, which in an agent process is its log. Debuggers work with it."""
+    """Where a plug-in's prints go: to standard error, which in a process is its log. Debuggers work with it."""
 
     def __init__(self, fence: Fence) -> None:
         self._fence = fence
@@ -201,38 +205,3 @@ class _Printed(TextIOBase):
 
     def flush(self) -> None:
         sys.stderr.flush()
-
-
-class FencedLaw:
-    """A user's guidance, tracking or controller, called as ours are: `step` returns a flat tuple of telemetry."""
-
-    def __init__(
-        self, config: AgentConfig, law: Law, law_class: type[Any], what: str, notes: list[tuple[int, str]]
-    ) -> None:
-        self._fence = Fence(config, law, notes)
-        self._signals: tuple[Signal, ...] = law_class.signals
-        self._law = self._fence.make(law_class, config, law)
-        self._resumable = resumable(law_class)  # the class, not the instance: there `state` may be anything
-        self._what = what
-
-    def step(self, sample: Sample, *more: Any) -> tuple[Vec3, tuple[float, ...]]:
-        """One sample, checked.
-
-        Raises:
-            ControllerError: the law raised, took too long, or returned what cannot be used.
-        """
-        fence, method, tick = self._fence, self._law.step, sample.tick
-        answer = fence.call(tick, method, sample, *more)
-        if not isinstance(answer, tuple) or len(answer) != 2:
-            raise fence.wrong(tick, method, f"returned {shown(answer)}: expected ({self._what}, telemetry)")
-        vector = fence.vector(tick, method, self._what, answer[0])
-        return vector, fence.telemetry(tick, method, self._signals, answer[1])
-
-    def state(self) -> Any:
-        """The law's state, or None when it has none."""
-        return self._law.state() if self._resumable else None
-
-    def restore(self, values: Any) -> None:
-        """Continue from `state()`; a law without one begins from the start."""
-        if self._resumable:
-            self._law.restore(values)

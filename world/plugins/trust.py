@@ -1,8 +1,8 @@
-"""Where the module of a law lies, and whether it may run here.
+"""Where the module of a law or another plug-in lies, and whether it may run here.
 
-To import a module is to run it. Scenarios, logs and runs of strangers name laws, so a name alone runs nothing: a module
-runs if it is installed, if it lies in a folder that is the user's own, or if the user allowed it. Nothing is imported
-to find that out.
+To import a module is to run it. Scenarios, logs and runs of strangers name plug-ins, so a name alone runs nothing: a
+module runs if it is installed, if it lies in a folder that is the user's own, or if the user allowed it. Nothing is
+imported to find that out.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from importlib.machinery import ModuleSpec, PathFinder
 from pathlib import Path
 
-from agents.errors import PluginError, UntrustedError
+from world.errors import PluginError, UntrustedError
 
 SHA256 = "sha256:"  # what begins a fingerprint on the command line
 
@@ -42,7 +42,7 @@ NOTHING = Trust()
 
 @dataclass(frozen=True, slots=True)
 class Permission:
-    """Which modules the laws of one scenario, log or run may import, besides those that are installed."""
+    """Which modules the plug-ins of one scenario, log or run may import, besides those that are installed."""
 
     trust: Trust = NOTHING
     own: tuple[Path, ...] = ()  # folders of the user, whose modules run without a word
@@ -63,17 +63,17 @@ class Place:
 
 
 def permit(kind: str, name: str, module: str, permission: Permission) -> None:
-    """Let the module of a law be imported, and found, if it may run; one that is nowhere is left to the import.
+    """Let the module of a plug-in be imported, and found, if it may run; one that is nowhere is left to the import.
 
     Args:
-        kind: of the law, for the message.
+        kind: of the plug-in, for the message.
         name: likewise.
-        module: the law's module.
+        module: the plug-in's module.
         permission: what may run besides what is installed.
 
     Raises:
         UntrustedError: it may not run.
-        PluginError: it is no module for a law.
+        PluginError: it is no module for a plug-in.
     """
     if module in _allowed:
         return
@@ -84,7 +84,7 @@ def permit(kind: str, name: str, module: str, permission: Permission) -> None:
             _allow(module, place)
         return
     if module.partition(".")[0] in sys.stdlib_module_names or module.endswith("__main__"):
-        raise PluginError(kind, name, f"{module} is a part of Python or a program, not a module with a law")
+        raise PluginError(kind, name, f"{module} is a part of Python or a program, not a module with a plug-in")
     if place is None or place.installed:
         return
     if os.path.realpath(place.folder) in map(os.path.realpath, own):

@@ -26,6 +26,7 @@ import setproctitle
 from fleet.processes.interrupts import blocked, deferring_interrupts
 from fleet.processes.open_files import allow_most_open_files
 from fleet.processes.parent_death import CONSOLE_PID_VARIABLE
+from fleet.processes.safe_path import children_ignore_the_folder
 from netem.errors import BusError
 
 GRACE_S = 1.0
@@ -154,8 +155,7 @@ def start_forkserver() -> None:
 
 def _set_preload() -> None:
     assert threading.current_thread() is threading.main_thread(), "PDEATHSIG follows the forking thread"
-    # Or the forkserver, a `python -c`, would import a `socket.py` in the current directory in place of Python's.
-    os.environ["PYTHONSAFEPATH"] = "1"
+    children_ignore_the_folder()
     multiprocessing.forkserver.set_forkserver_preload(["fleet.processes.preload"])
 
 

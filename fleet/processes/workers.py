@@ -18,12 +18,13 @@ from typing import TypeVar
 
 from fleet.processes.interrupts import blocked
 from fleet.processes.parent_death import die_with_parent
+from fleet.processes.safe_path import children_ignore_the_folder
 
 I = TypeVar("I")  # noqa: E741
 R = TypeVar("R")
 
 WorkerDied = BrokenProcessPool  # the exception of an item whose worker died each time
-TIMES = 3  # that an item is given to a worker
+TIMES = 3  # that an item is given to a worker, and a run of a study to one of Dask
 
 
 class Workers:
@@ -63,7 +64,7 @@ class Workers:
 
         Yields:
             Each item with the future of its result, as they end. The exception of an item under which a worker died
-            three times is a WorkerDied.
+            `TIMES` times is a WorkerDied.
         """
         new = ((item, 1) for item in items)
         again: deque[tuple[I, int]] = deque()
@@ -91,7 +92,7 @@ class Workers:
                     return self._pools[worker].submit(function, item)
                 except BrokenProcessPool:
                     pass  # it died; another one in its place
-            os.environ["PYTHONSAFEPATH"] = "1"  # or a `socket.py` in the current directory would be taken for Python's
+            children_ignore_the_folder()
             pool = ProcessPoolExecutor(1, self._context, _start, (os.getpid(), self._begin))
             self._pools[worker] = pool
             return pool.submit(function, item)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from fleet.errors import FleetError
 from fleet.processes.interrupts import HungUp
-from fleet.processes.workers import WorkerDied, Workers
+from fleet.processes.workers import TIMES, WorkerDied, Workers
 from fleet.reproduce.cases import CASES, Outcome, U, run_case
 from fleet.reproduce.claims import judge
 from fleet.reproduce.figures import FIGURES, draw
@@ -54,7 +54,7 @@ def reproduce(
             figures = [name for name in FIGURES if _possible(name, outcomes)]
             drawn = _draw_all(workers, figures, outcomes, folder, formats, tell)
     except WorkerDied:
-        raise ReproduceError("a worker process died three times; is there enough memory?") from None
+        raise ReproduceError(f"a worker process died {TIMES} times; is there enough memory?") from None
     claims = judge(outcomes)
     try:
         return write(folder, outcomes, claims, network, drawn), claims, outcomes

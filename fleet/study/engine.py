@@ -22,7 +22,8 @@ from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 from fleet.processes.interrupts import blocked
-from fleet.processes.workers import WorkerDied
+from fleet.processes.safe_path import children_ignore_the_folder
+from fleet.processes.workers import TIMES, WorkerDied
 from fleet.study.errors import StudyError
 from fleet.study.modules import Modules, get_ready, packed
 from fleet.study.one_run import FAILED, Task, TimedOut, make_run
@@ -36,7 +37,7 @@ _BATCH_S = 0.5  # a batch takes about so long, and is one run if that takes long
 _LARGEST_BATCH = 16
 _CONNECT_S = 10
 _JOIN_S = 60  # for a worker of a cluster that is there
-LOST = "the worker that made it died three times; is there enough memory?"
+LOST = f"the worker that made it died {TIMES} times; is there enough memory?"
 
 Row = dict[str, Any]
 
@@ -120,7 +121,7 @@ class Engine:
     @property
     def _most_deaths(self) -> int:
         """After so many of them a run is given up. A scheduler that is there has its own limit."""
-        return 3 if self.here else 1
+        return TIMES if self.here else 1
 
     def _noted(self, task: Task) -> Task:
         if not self.notes or not isfinite(task.timeout_s):
@@ -149,9 +150,7 @@ def local_engine(workers: int, *, dashboard: bool = False) -> Iterator[Engine]:
     from distributed import Client, LocalCluster
     from distributed.security import Security
 
-    os.environ.setdefault(
-        "PYTHONSAFEPATH", "1"
-    )  # or a `socket.py` in the current directory would be taken for Python's
+    children_ignore_the_folder()
     with ExitStack() as stack:
         try:
             # Ctrl-C and the end of the terminal are for this process: workers inherit what is blocked. Dask's profiler

@@ -104,8 +104,8 @@ _VEHICLES: tuple[tuple[str, str, str, str, Join], ...] = (  # name, key of resul
 )
 _LINKS: tuple[tuple[str, str, str, str], ...] = (  # name, key of result.json, unit, what; of the worst link
     ("age_mean_s", "mean_s", "s", "mean age of what is known of a neighbour, worst link"),
-    ("age_p95_s", "p95_s", "s", "95th percentile of that age, worst link"),
-    ("age_max_s", "max_s", "s", "largest such age"),
+    ("age_p95_s", "p95_s", "s", "95th percentile of the age of what is known of a neighbour, worst link"),
+    ("age_max_s", "max_s", "s", "largest age of what is known of a neighbour"),
 )
 _RUN: tuple[tuple[str, str, str, Callable[[Values], float]], ...] = (
     ("packets_sent", "", "packets sent on all links", _packets("sent")),

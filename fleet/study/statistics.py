@@ -93,7 +93,9 @@ def median(values: Sequence[float], confidence: float = CONFIDENCE) -> Estimate:
         if isfinite(found.low) and isfinite(found.high):
             break
     assert found is not None
-    return Estimate(middle, _unbounded(float(found.low)), _unbounded(float(found.high)), len(finite))
+    # An end is interpolated between two resamples, which may put it a last bit on the wrong side of the median.
+    low, high = min(_unbounded(float(found.low)), middle), max(_unbounded(float(found.high)), middle)
+    return Estimate(middle, low, high, len(finite))
 
 
 def _unbounded(value: float) -> float:

@@ -6,6 +6,7 @@
             | LOW..HIGH lin|log COUNT    at equal distances, or at equal ratios: `100 ms..2 s log 8`
             | LOW..HIGH random COUNT     drawn, every value equally likely; `random log COUNT`: every ratio
             | LOW..HIGH latin COUNT      a Latin hypercube over all keys with it; `latin log COUNT`
+            | LOW..HIGH/STEP random ...  drawn, then rounded to whole steps above LOW: `100 ms..2 s/10 ms random 20`
 
 A unit that only one end has holds for both. Values in a range have at most six significant digits.
 """
@@ -15,7 +16,7 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from math import exp, log
 from typing import Literal, NamedTuple
@@ -43,7 +44,7 @@ def _quantity(name: str) -> str:
 
 _RANGE = re.compile(
     rf"\s*{_quantity('low')}\s*\.\.\s*{_quantity('high')}\s*"
-    rf"(?:/\s*{_quantity('step')}|(?P<how>[a-z][a-z ]*?)\s+(?P<count>\d{{1,9}}))?\s*",
+    rf"(?:/\s*{_quantity('step')}\s*)?(?:(?P<how>[a-z][a-z ]*?)\s+(?P<count>\d{{1,9}}))?\s*",
     re.ASCII,
 )
 _SINGLE = re.compile(_quantity("value"), re.ASCII)
@@ -77,6 +78,7 @@ class Axis:
         values: in order; of a range that is to be sampled none.
         how: `grid`: the values; `random`, `latin`: `count` values between `low` and `high` are to be drawn.
         scale: `log`: equal ratios are equally likely, or equally far apart.
+        step: what is drawn is rounded to whole steps above `low`; 0: it is not.
     """
 
     key: str
@@ -87,6 +89,7 @@ class Axis:
     high: float = 0.0
     count: int = 0
     scale: Literal["lin", "log"] = "lin"
+    step: float = 0.0
 
     @property
     def sampled(self) -> bool:
@@ -101,8 +104,13 @@ class Axis:
     def at(self, share: float) -> Value:
         """The value at a share, from 0 to 1, of the way from the low end to the high one."""
         if self.scale == "log":
-            return _value(exp(log(self.low) + share * (log(self.high) - log(self.low))), self.unit)
-        return _value(self.low + share * (self.high - self.low), self.unit)
+            number = exp(log(self.low) + share * (log(self.high) - log(self.low)))
+        else:
+            number = self.low + share * (self.high - self.low)
+        if self.step:
+            most = int((self.high - self.low) / self.step + 1e-9)
+            number = self.low + min(round((number - self.low) / self.step), most) * self.step
+        return _value(number, self.unit)
 
 
 def parse_axis(text: str, *, fine: int = 0) -> Axis:
@@ -178,7 +186,8 @@ def _range(key: str, text: str, fine: int) -> Axis:
     if low >= high:
         raise ValuesError("the low end must be below the high end")
     if match["how"]:
-        return _counted(key, unit, low, high, match["how"], int(match["count"]))
+        made = _counted(key, unit, low, high, match["how"], int(match["count"]))
+        return made if match["step"] is None else _in_steps(made, _step(match, unit, low, high))
     if match["step"] is None and fine:
         small = _round_step(high - low, fine)
         count = int((high - low) / small) + 1
@@ -190,15 +199,29 @@ def _range(key: str, text: str, fine: int) -> Axis:
         if step is None or step.denominator != 1 or step < 2:
             raise ValuesError(f"a step needs a unit, as in /10 {unit}; a count is a whole number from 2 on")
         return _counted(key, unit, low, high, "lin", int(step))
+    step = _step(match, unit, low, high)
+    count = (high - low) // step + 1
+    if count > MOST_VALUES:
+        raise ValuesError(f"these are {count} values, and {MOST_VALUES} at most may be")
+    return Axis(key, unit, tuple(_value(_float(low + k * step), unit) for k in range(count)))
+
+
+def _step(match: re.Match[str], unit: str, low: Fraction, high: Fraction) -> Fraction:
     step = _number(match, "step", unit)
     if step <= 0:
         raise ValuesError("a step must be above 0")
     if step > high - low:
         raise ValuesError(f"the step is larger than the range; lin {match['step']} means so many values")
-    count = (high - low) // step + 1
-    if count > MOST_VALUES:
-        raise ValuesError(f"these are {count} values, and {MOST_VALUES} at most may be")
-    return Axis(key, unit, tuple(_value(_float(low + k * step), unit) for k in range(count)))
+    return step
+
+
+def _in_steps(drawn: Axis, step: Fraction) -> Axis:
+    """The axis, of which each value is rounded to whole steps."""
+    if not drawn.sampled:
+        raise ValuesError(
+            "what is drawn can be rounded to a step: random or latin; lin and log say where each value is"
+        )
+    return replace(drawn, step=_float(step))
 
 
 def _round_step(span: Fraction, least: int) -> Fraction:

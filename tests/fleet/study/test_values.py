@@ -52,6 +52,16 @@ def test_drawn_values_have_a_range_and_a_count() -> None:
     assert found.at(0.5) == Value("7.07107 %", 7.07107)
 
 
+@pytest.mark.parametrize("how", ["random 5", "latin log 5"])
+def test_drawn_values_are_rounded_to_steps(how: str) -> None:
+    """A scenario refuses a period that is not whole ticks. Steps begin at the low end; none is above the high one."""
+    found = parse_axis(f"network.period=100 ms..2 s/30 ms {how}")
+    shares = [k / 1000 for k in range(1001)]
+    numbers = {found.at(share).number for share in shares}
+    assert numbers == {float(100 + 30 * k) for k in range(64)}
+    assert found.at(1.0).text == "1990 ms"
+
+
 @given(st.integers(-999, 999), st.integers(1, 50), st.integers(1, 40))
 def test_a_range_has_every_step_and_both_ends(low: int, step: int, count: int) -> None:
     found = parse_axis(f"k={low} mm..{low + step * count} mm/{step} mm")
@@ -85,6 +95,8 @@ def test_any_text_is_values_or_an_error(text: str) -> None:
         ("d=1 s..2 m/1 s", '"m" and "s" are no units of the same'),
         ("d=0 s..2 s log 5", "begin above 0"),
         ("d=1 s..2 s loog 5", 'unknown kind of range "loog"; did you mean "log"?'),
+        ("d=1 s..2 s/1 ms log 5", "what is drawn can be rounded"),
+        ("d=1 s..2 s/2 s random 5", "the step is larger"),
         ("d=1 s..2 s lin 1", "a count must be from 2"),
         ("d=0 ns..1 h/1 ns", "at most may be"),
         ("x=0..1e400 lin 3", "too large"),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 Vec3 = tuple[float, float, float]
 Vec5 = tuple[float, float, float, float, float]
+Vec6 = tuple[float, float, float, float, float, float]
 
 ZERO: Vec3 = (0.0, 0.0, 0.0)
 

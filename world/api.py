@@ -1,0 +1,101 @@
+"""What a plant is given and what it returns: the interface of the vehicles that ship with equations of their own, and
+of yours.
+
+A *plant* is the vehicle itself: the equations that turn a command and the water into motion. It takes the place of the
+built-in 5-DOF model of `world/dynamics.py`, and may have six degrees of freedom, actuators with lags, or anything else
+inside. A plant needs no other module of this package: what is in `__all__` stays. `docs/guide/your-vehicle.md` is the
+guide; `fleet new plant NAME` writes a template.
+
+A plant is made once per run and vehicle, as `MyPlant(config, **parameters)`, with the parameters that the scenario
+gives it. Between its steps it should remember nothing: all that the next step depends on is its state, which the world
+keeps, logs and gives back. So a run can be resumed from its log, and is the same on every machine.
+
+| quantity | unit | frame |
+|---|---|---|
+| pose x, y, z; phi, theta, psi | m; rad | NED; roll, pitch (nose up > 0), heading (z-y-x, heading not wrapped) |
+| velocity u, v, w; p, q, r | m/s; rad/s | body (forward, right, down), over ground |
+| tau: surge force, pitch moment, yaw moment | N, N m, N m | body |
+| water.current | m/s | NED |
+| water.wrench X, Y, Z; K, M, N | N; N m | body |
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple, Protocol
+
+from world.signal import Signal
+from world.vectors import Vec3, Vec5, Vec6
+from world.vehicle import VehicleParams
+
+__all__ = ["Plant", "PlantConfig", "PlantState", "Report", "Signal", "Vec3", "Vec5", "Vec6", "VehicleParams", "Water"]
+
+PlantState = tuple[float, ...]  # of one length during a run; every number finite
+Report = Mapping[str, float | Sequence[float]]
+
+
+@dataclass(frozen=True, slots=True)
+class PlantConfig:
+    """What a plant may know of the run."""
+
+    vehicle: int  # number of the vehicle, from 1
+    tick_s: float  # control period [s]: tau is constant for so long
+    seed: int  # of the run
+    model: VehicleParams  # the 5-DOF numbers that the controllers use: `vehicle.model` of the scenario
+
+
+class Water(NamedTuple):
+    """What the sea does to a vehicle during one step."""
+
+    current: Vec3  # velocity of the water [m/s, NED]; it does not depend on the place, and is constant over a tick
+    wrench: Vec6  # disturbance on the hull in body axes: X, Y, Z [N], K, M, N [N m]
+
+
+class Plant(Protocol):
+    """A vehicle: its equations of motion.
+
+    A class may also have
+
+    * `model: ClassVar[str]`: the vehicle file (as `vehicle.model`) that the controllers use where the scenario names
+      none;
+    * `signals: ClassVar[tuple[Signal, ...]]` and `report(state) -> Mapping`: what it reports besides its motion, such
+      as propeller revolutions; a number, or `width` numbers, for each name;
+    * `state()` and `restore(values)`: what cannot be in the state, as plain values (None, bool, int, float, str,
+      bytes, list, dict). A plant that has these two is asked and restored when a run is resumed from its log.
+    """
+
+    @property
+    def limits(self) -> Vec3:
+        """The largest |surge force| [N], |pitch moment| and |yaw moment| [N m] that it takes as a command.
+
+        A plain attribute does, too. The command is limited to the smaller of these and the scenario's limits.
+        """
+
+    def start(self, pose: Vec6, velocity: Vec6) -> PlantState:
+        """The state at the beginning of a run.
+
+        Args:
+            pose: x, y, z [m, NED], phi, theta, psi [rad].
+            velocity: u, v, w [m/s, body, over ground], p, q, r [rad/s].
+
+        Returns:
+            All that the next step depends on: finite numbers, as many in every state.
+        """
+
+    def step(self, state: PlantState, tau: Vec3, water: Water, dt: float) -> PlantState:
+        """The state `dt` later. It is called `substeps` times per tick, with dt = tick / substeps.
+
+        Args:
+            state: what `start` or the step before returned.
+            tau: surge force [N], pitch moment, yaw moment [N m]: the command within all limits, after the faults of
+                the actuators.
+            water: the current during the step, and the disturbance at the middle of it.
+            dt: length of the step [s].
+        """
+
+    def pose(self, state: PlantState) -> Vec6:
+        """x, y, z [m, NED], phi, theta, psi [rad]; the heading goes on beyond a full turn."""
+
+    def velocity(self, state: PlantState) -> Vec6:
+        """u, v, w [m/s, body, over ground], p, q, r [rad/s]."""

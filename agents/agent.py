@@ -17,7 +17,6 @@ from math import nan
 from typing import Any
 
 from agents import compact
-from agents.api import Sample
 from agents.brain import HEARD_SIZE, Brain
 from agents.config import AgentConfig
 from agents.controllers import build
@@ -29,6 +28,8 @@ from agents.laws.kinematics import earth_velocity
 from agents.laws.velocity_command import clip
 from agents.neighbours import NeighbourTable
 from agents.payload import StateMessage, encode
+from agents.sample import Sample
+from agents.trajectory import Motion
 from netem.wire.messages import Delivery, Nav
 from world.vectors import Vec3
 
@@ -56,6 +57,7 @@ class Agent(Brain):
         self._first_tick: int | None = None  # of an agent on standby: since when it could have heard neighbours
         self._standby_ticks = round(config.standby_after_s / self._tick_s)
         self._out_of_range = False  # whether a state did not fit into the compact payload
+        self.course: Motion | None = None  # where to be and how to move at the next sample, alone; None: in formation
 
     def transmit(self, nav: Nav) -> tuple[bytes, ...]:
         """The payloads to every neighbour: own position and velocity over ground at this tick."""
@@ -88,12 +90,16 @@ class Agent(Brain):
         self._neighbours.absorb(deliveries, tick)
         heard = self._neighbours.heard(tick)
         t = tick * config.tick_ns / 1e9
-        if config.reference is None:
-            desired = followed(eta[:3], heard, self._offsets, t)
+        if self.course is not None:
+            desired = self.course
+            e, c = consensus_error(eta[:3], desired.position, 1.0, ())
         else:
-            desired = config.desired(t)
-        b = self._standby_weight(tick) if config.standby_for else config.reference_weight
-        e, c = consensus_error(eta[:3], desired.position, b, heard)
+            if config.reference is None:
+                desired = followed(eta[:3], heard, self._offsets, t)
+            else:
+                desired = config.desired(t)
+            b = self._standby_weight(tick) if config.standby_for else config.reference_weight
+            e, c = consensus_error(eta[:3], desired.position, b, heard)
         known = (*e, float(len(heard)), float(self._neighbours.rejected))
         demand: Vec3 = (0.0, 0.0, 0.0)
         telemetry: tuple[float, ...] = known

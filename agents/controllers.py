@@ -9,13 +9,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, NamedTuple, Protocol
 
-from agents.api import Command, Sample
 from agents.config import AgentConfig, Law
 from agents.laws.backstepping import BacksteppingTracking, NeurodynamicTracking, SlidingModeTracking
 from agents.laws.guidance import FixedGuidance, OptimalGuidance
 from agents.laws.velocity_command import direction_command, floor_speed
 from agents.plugins.fenced_law import FencedLaw
 from agents.plugins.laws import load
+from agents.sample import Command, Sample
 from agents.signals import COMMANDED, HEARD, Layout
 from world.vectors import Vec3
 

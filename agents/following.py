@@ -15,8 +15,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 
-from agents.api import NeighbourState
 from agents.offset import Offset
+from agents.sample import NeighbourState
 from agents.trajectory import Motion
 from world.vectors import Vec3
 

@@ -23,12 +23,12 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from typing import Any
 
-from agents.api import NeighbourState
 from agents.compact import decode as decode_compact
 from agents.config import Codec, Extrapolation, Neighbour
 from agents.errors import PayloadError
 from agents.offset import Offset
 from agents.payload import CAUSES, StateMessage, decode
+from agents.sample import NeighbourState
 from agents.trajectory import Reference
 from netem.wire.messages import Delivery
 from world.vectors import Vec3, minus, plus

@@ -23,11 +23,11 @@ from __future__ import annotations
 from math import asin, atan2, cos, sin
 from typing import Any, ClassVar
 
-from agents.api import Command, Sample
 from agents.config import AgentConfig
 from agents.laws.filters import RateFilter, wrap
 from agents.laws.kinematics import flow_angles
 from agents.laws.shunting import shunting_step
+from agents.sample import Command, Sample
 from world.signal import Signal
 from world.vectors import Vec3
 

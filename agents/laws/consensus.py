@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from agents.api import NeighbourState
+from agents.sample import NeighbourState
 from world.vectors import Vec3
 
 

@@ -12,10 +12,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, ClassVar
 
-from agents.api import Sample
 from agents.config import AgentConfig
 from agents.laws.gain_qp import NoSolution, build_qp, solve
 from agents.laws.velocity_command import clip, slew, virtual_control
+from agents.sample import Sample
 from world.signal import Signal
 from world.vectors import Vec3
 

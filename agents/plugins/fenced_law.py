@@ -5,9 +5,9 @@ from __future__ import annotations
 from functools import partial
 from typing import Any
 
-from agents.api import Sample
 from agents.config import AgentConfig, Law
 from agents.errors import ControllerError
+from agents.sample import Sample
 from world.plugins.checks import resumable
 from world.plugins.fence import Fence, shown
 from world.signal import Signal

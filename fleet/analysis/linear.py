@@ -25,11 +25,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from agents.api import Sample
 from agents.config import AgentConfig, Law
 from agents.controllers import TRACKING, Cascade
 from agents.laws.kinematics import earth_velocity
 from agents.laws.velocity_command import clip
+from agents.sample import Sample
 from agents.trajectory import Motion
 from fleet.errors import FleetError
 from world.dynamics import coefficients, rk4_step

@@ -9,7 +9,6 @@ from time import thread_time_ns
 from typing import Any
 
 from agents.agent import Agent
-from agents.api import Command, Sample
 from agents.config import AgentConfig
 from agents.controllers import CONTROLLERS, Cascade
 from agents.laws.consensus import consensus_error
@@ -20,6 +19,7 @@ from agents.laws.velocity_command import direction_command, floor_speed
 from agents.neighbours import NeighbourTable
 from agents.payload import StateMessage
 from agents.payload import encode as encode_payload
+from agents.sample import Command, Sample
 from fleet.execution.in_memory import record
 from fleet.scenario.loading import load_scenario
 from netem.wire.messages import Delivery, Nav

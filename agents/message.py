@@ -1,0 +1,81 @@
+"""Payloads of protocols of one's own: plain values of a named kind, with a checksum.
+
+| bytes | type | field |
+|---|---|---|
+| 0 | u8 | version, 0x81; a state message begins with another |
+| 1 | u8 | n, length of the kind |
+| 2 .. n+1 | ASCII | kind: which protocol, and which of its messages |
+| n+2 .. | MessagePack | the values |
+| the last 4 | u32, little-endian | CRC-32 (zlib) of all before |
+
+Several kinds may travel side by side, also with the state message of `agents.payload`. The network may flip bits, and a
+neighbour may send anything: what is not of the kind, damaged, or holds a number that is not finite is refused.
+"""
+
+from __future__ import annotations
+
+from math import isfinite
+from typing import Any
+from zlib import crc32
+
+import msgspec
+
+from agents.errors import PayloadError
+
+VERSION = 0x81
+_DEEPEST = 16  # lists and maps within each other
+_decode = msgspec.msgpack.Decoder().decode
+
+
+def pack(kind: str, values: Any) -> bytes:
+    """The payload of some plain values: None, bool, int, float, str, bytes, and lists and dicts of them.
+
+    Args:
+        kind: which message of which protocol it is; 1 to 40 characters, ASCII.
+        values: what `unpack` returns; numbers must be finite.
+
+    Raises:
+        ValueError: the kind is too long, or no ASCII; a number is not finite, or a value is none of these.
+    """
+    if not 1 <= len(kind) <= 40:
+        raise ValueError(f"expected a kind of 1 to 40 characters, got {len(kind)}")
+    if not _plain(values):
+        text = f"expected plain values with finite numbers, in {_DEEPEST} lists at most"
+        raise ValueError(f"{kind}: {text}, got {values!r:.80}")
+    body = bytes((VERSION, len(kind))) + kind.encode("ascii") + msgspec.msgpack.encode(values)
+    return body + crc32(body).to_bytes(4, "little")
+
+
+def unpack(kind: str, payload: bytes) -> Any:
+    """The values in a payload of this kind.
+
+    Raises:
+        PayloadError: it is of another kind or protocol (cause `version`), damaged (`length`, `checksum`), or holds a
+            number that is not finite (`not_finite`).
+    """
+    begin = 2 + len(kind)
+    if payload[:begin] != bytes((VERSION, len(kind))) + kind.encode("ascii"):
+        raise PayloadError("version", f"expected a message of kind {kind}")
+    if len(payload) < begin + 5:
+        raise PayloadError("length", f"expected {begin + 5} bytes or more, got {len(payload)}")
+    checksum = int.from_bytes(payload[-4:], "little")
+    if crc32(payload[:-4]) != checksum:
+        raise PayloadError("checksum", f"the CRC-32 of the content is not {checksum:#010x}")
+    try:
+        values = _decode(payload[begin:-4])
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise PayloadError("length", f"no MessagePack: {error!s:.80}") from None
+    if not _plain(values):
+        raise PayloadError("not_finite", f"{values!r:.80}")
+    return values
+
+
+def _plain(values: Any, depth: int = 0) -> bool:
+    """Whether these are plain values, every number is finite, and nothing is nested too deep."""
+    if isinstance(values, float):
+        return isfinite(values)
+    if isinstance(values, dict):
+        return depth < _DEEPEST and all(_plain(k, depth + 1) and _plain(v, depth + 1) for k, v in values.items())
+    if isinstance(values, list | tuple):
+        return depth < _DEEPEST and all(_plain(value, depth + 1) for value in values)
+    return values is None or isinstance(values, bool | int | str | bytes)

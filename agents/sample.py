@@ -1,0 +1,53 @@
+"""What a control law is given at one control sample, and what guidance asks of tracking."""
+
+from __future__ import annotations
+
+from random import Random
+from typing import NamedTuple
+
+from agents.trajectory import Motion
+from world.vectors import Vec3, Vec5
+
+
+class NeighbourState(NamedTuple):
+    """What an agent knows of one neighbour that it has heard."""
+
+    id: int
+    weight: float  # a_ij [1]
+    offset: Vec3  # Delta_ij = p_i - p_j, what to keep from it [m, NED]
+    position: Vec3  # where it should be now, extrapolated as the scenario says [m, NED]
+    velocity: Vec3  # over ground, when it sent [m/s, NED]
+    age: float  # time since it sampled what it sent [s]
+
+
+class Command(NamedTuple):
+    """What guidance asks of tracking: speed [m/s], pitch and course of the velocity [rad, NED]."""
+
+    speed: float
+    theta: float
+    psi: float
+
+
+class Sample(NamedTuple):
+    """All that a law may know at one control sample."""
+
+    tick: int
+    t: float  # simulated time [s]
+    dt: float  # time since the previous sample [s]; one tick, and more after samples that were missed
+    eta: Vec5  # own measured x, y, z [m, NED], theta, psi [rad]
+    nu: Vec5  # own measured u, v, w [m/s, body, over ground], q, r [rad/s]
+    velocity: Vec3  # own velocity over ground [m/s, NED]
+    desired: Motion  # where this vehicle should be now, and how it should move: the reference plus its own offset; of a
+    #                  vehicle that does not know the reference: the mean over its neighbours, see agents/following.py
+    neighbours: tuple[NeighbourState, ...]  # those heard so far, by number
+    e: Vec3  # consensus error [m, NED], eq. (8)
+    c: float  # sum of the weights in e [1]
+    seed: str  # of this vehicle's random numbers at this tick
+
+    def rng(self) -> Random:
+        """A random generator for this vehicle and tick; call this once per sample.
+
+        It is seeded from (scenario seed, vehicle, tick), so a law needs no memory of it, and what it draws does
+        not depend on what was drawn before.
+        """
+        return Random(self.seed)

@@ -180,7 +180,7 @@ def _check_lengths(axes: Sequence[Axis]) -> None:
 
 
 def _drawn(axes: Sequence[Axis], seed: int) -> list[dict[str, Value]]:
-    """Samples of all sampled axes together: each is one value of each axis."""
+    """Samples of all sampled axes together: each is one value of each axis. What is the same after rounding is one."""
     from scipy.stats import qmc
 
     counts = {axis.key: axis.count for axis in axes}
@@ -197,4 +197,5 @@ def _drawn(axes: Sequence[Axis], seed: int) -> list[dict[str, Value]]:
     shares = (
         generator.random(shape) if kinds == {"random"} else qmc.LatinHypercube(shape[1], rng=generator).random(shape[0])
     )
-    return [{axis.key: axis.at(float(share)) for axis, share in zip(axes, row, strict=True)} for row in shares]
+    drawn = dict.fromkeys(tuple(axis.at(float(share)) for axis, share in zip(axes, row, strict=True)) for row in shares)
+    return [dict(zip(counts, values, strict=True)) for values in drawn]

@@ -95,3 +95,10 @@ def test_what_is_no_plan(axes: tuple, changes: tuple[str, ...], zipped: bool, me
     with pytest.raises(StudyError) as caught:
         Plan("paper", tuple(Override(SET, text) for text in changes), axes, zipped)
     assert message in str(caught.value)
+
+
+def test_what_is_drawn_twice_is_one_point() -> None:
+    """Of twenty values rounded to three steps at most three can differ, and no two points are the same."""
+    plan = Plan("paper", (), (parse_axis("network.period=100 ms..300 ms/100 ms random 20"),))
+    texts = [point.values["network.period"].text for point in plan.points]
+    assert sorted(texts) == ["100 ms", "200 ms", "300 ms"]

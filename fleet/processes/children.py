@@ -14,7 +14,6 @@ import time
 import traceback
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from multiprocessing import resource_tracker
 from multiprocessing.connection import wait
 from multiprocessing.process import BaseProcess
 from pathlib import Path
@@ -23,7 +22,7 @@ from typing import Any
 
 import setproctitle
 
-from fleet.processes.interrupts import blocked, deferring_interrupts
+from fleet.processes.interrupts import deferring_interrupts, out_of_reach
 from fleet.processes.open_files import allow_most_open_files
 from fleet.processes.parent_death import CONSOLE_PID_VARIABLE
 from fleet.processes.safe_path import children_ignore_the_folder
@@ -162,10 +161,7 @@ def _set_preload() -> None:
 @contextlib.contextmanager
 def _forkserver_starting() -> Iterator[None]:
     """What has to hold where the fork server may be started."""
-    # The forkserver starts this one first, which lifts the block of SIGINT set below.
-    with blocked(signal.SIGHUP):
-        resource_tracker.ensure_running()
-    with _without_main(), blocked(signal.SIGINT, signal.SIGHUP), _named_console():
+    with _without_main(), out_of_reach(), _named_console():
         yield
 
 

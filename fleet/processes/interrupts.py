@@ -9,6 +9,7 @@ import signal
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from multiprocessing import resource_tracker
 from types import FrameType, TracebackType
 from typing import Any
 
@@ -55,12 +56,21 @@ def deferring_interrupts() -> Iterator[None]:
 
 
 @contextmanager
-def blocked(*signals: signal.Signals) -> Iterator[None]:
+def out_of_reach() -> Iterator[None]:
     """Start processes that signals to the whole group do not reach, because they inherit the mask of this thread.
 
     Ctrl-C, and the end of a terminal, reach the whole group; the one that started the others alone decides what they
     mean, also while those are still importing.
     """
+    # The tracker is started by the first process of multiprocessing, and that lifts the block of SIGINT.
+    with _blocked(signal.SIGHUP):
+        resource_tracker.ensure_running()
+    with _blocked(signal.SIGINT, signal.SIGHUP):
+        yield
+
+
+@contextmanager
+def _blocked(*signals: signal.Signals) -> Iterator[None]:
     before = signal.pthread_sigmask(signal.SIG_BLOCK, signals)
     try:
         yield

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import multiprocessing
 import os
-import signal
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor
@@ -16,7 +15,7 @@ from concurrent.futures.process import BrokenProcessPool
 from types import TracebackType
 from typing import TypeVar
 
-from fleet.processes.interrupts import blocked
+from fleet.processes.interrupts import out_of_reach
 from fleet.processes.parent_death import die_with_parent
 from fleet.processes.safe_path import children_ignore_the_folder
 
@@ -86,7 +85,7 @@ class Workers:
             wait()
 
     def _submit(self, worker: int, function: Callable[[I], R], item: I) -> Future[R]:
-        with blocked(signal.SIGINT, signal.SIGHUP):  # a process that this starts inherits it
+        with out_of_reach():
             if worker in self._pools:
                 try:
                     return self._pools[worker].submit(function, item)

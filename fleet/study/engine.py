@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import logging
 import os
-import signal
 import sys
 from collections import Counter, deque
 from collections.abc import Callable, Iterator
@@ -21,7 +20,7 @@ from math import isfinite
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
-from fleet.processes.interrupts import blocked
+from fleet.processes.interrupts import out_of_reach
 from fleet.processes.safe_path import children_ignore_the_folder
 from fleet.processes.workers import TIMES, WorkerDied
 from fleet.study.errors import StudyError
@@ -153,9 +152,9 @@ def local_engine(workers: int, *, dashboard: bool = False) -> Iterator[Engine]:
     children_ignore_the_folder()
     with ExitStack() as stack:
         try:
-            # Ctrl-C and the end of the terminal are for this process: workers inherit what is blocked. Dask's profiler
+            # Ctrl-C and the end of the terminal are for this process alone. Dask's profiler
             # keeps the stacks of each second for an hour, in each worker.
-            with blocked(signal.SIGINT, signal.SIGHUP), dask.config.set({"distributed.worker.profile.enabled": False}):
+            with out_of_reach(), dask.config.set({"distributed.worker.profile.enabled": False}):
                 security = Security.temporary()
                 cluster = stack.enter_context(
                     LocalCluster(

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import os
 import signal
+import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from repository import ROOT
 from worker_items import die_once, masked, step
 
 from fleet.processes.workers import WorkerDied, Workers
@@ -49,6 +52,27 @@ def test_items_are_asked_for_as_workers_become_free(workers: Workers) -> None:
 
     for done, _ in enumerate(workers.each(step, items()), start=1):
         assert len(asked) <= done + workers.count
+
+
+FIRST = """
+from fleet.processes.workers import Workers
+from repository import ROOT
+from worker_items import masked
+if __name__ == "__main__":
+    with Workers(1) as alone:
+        ((_, future),) = alone.each(masked, [1])
+    print(*sorted(future.result()))
+"""
+
+
+def test_so_does_the_first_process_of_a_program(tmp_path: Path) -> None:
+    """What multiprocessing starts before it lifts the block of SIGINT."""
+    (tmp_path / "first.py").write_text(FIRST)
+    place = os.pathsep.join(map(str, (ROOT, ROOT / "tests" / "support")))
+    done = subprocess.run(
+        [sys.executable, tmp_path / "first.py"], env=os.environ | {"PYTHONPATH": place}, capture_output=True, text=True
+    )
+    assert (done.returncode, done.stdout.split()) == (0, [str(signal.SIGHUP.value), str(signal.SIGINT.value)]), done
 
 
 def test_workers_leave_signals_to_the_one_who_started_them() -> None:

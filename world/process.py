@@ -281,4 +281,4 @@ class WorldProcess:
 
 def _row_bytes(row: VehicleFrame) -> int:
     # Nine bytes per double of state, measurement and tau, a little for the rest.
-    return 240 + len(row.command)
+    return 240 + len(row.command) + 9 * (len(row.plant) + 2)

@@ -22,9 +22,7 @@ PURPOSE = "nav noise"
 Measured = tuple[Vec5, Vec5, tuple[float, ...]]  # eta, nu, roll
 
 
-def measure(
-    true: Measured, noise: NavNoise, seed: int, vehicle: int, tick: int, purpose: str = PURPOSE
-) -> Measured:
+def measure(true: Measured, noise: NavNoise, seed: int, vehicle: int, tick: int, purpose: str = PURPOSE) -> Measured:
     """What the sensor of a vehicle reports at a tick: the truth itself when the noise is off.
 
     Args:

@@ -9,6 +9,7 @@ from typing import Any
 from world.errors import PluginError
 from world.plugins.checks import check_class, check_signals
 from world.plugins.loading import load_class
+from world.signal import Signal
 
 KIND = "plant"
 # The plants that ship: name -> `module:Class`. They are imported when a scenario names them.
@@ -41,6 +42,11 @@ def plant_class(name: str, parameters: Mapping[str, Any]) -> type[Any]:
     return load_class(KIND, name, lambda found: _check(name, found, parameters))
 
 
+def module_of(name: str) -> str | None:
+    """The module that the class of a plant is imported from; None: it ships, or is found by an entry point."""
+    return None if name in SHIPPED or ":" not in name else name.partition(":")[0]
+
+
 def model_of(name: str, parameters: Mapping[str, Any]) -> str | None:
     """The vehicle file that a plant brings for the controllers; None: it brings none, or may not run."""
     try:
@@ -48,6 +54,12 @@ def model_of(name: str, parameters: Mapping[str, Any]) -> str | None:
     except PluginError:
         return None
     return model if isinstance(model, str) else None
+
+
+def signals_of(name: str, parameters: Mapping[str, Any]) -> tuple[Signal, ...]:
+    """What a plant reports besides its motion. Raises PluginError: it cannot be used."""
+    signals: tuple[Signal, ...] = getattr(plant_class(name, parameters), "signals", ())
+    return signals
 
 
 def _check(name: str, found: Any, parameters: Mapping[str, Any]) -> None:

@@ -73,7 +73,9 @@ class FencedPlant:
         self.state = (0.0,) * len(numbers)  # by which the next states are measured
         self._take(tick, plant.start, fence.call(tick, self._observed, numbers))
         if any(abs(a - b) > _TOLERANCE for a, b in zip(self.pose, pose, strict=True)):
-            text = f"has the pose {_listed(self.pose)} at its start: expected {_listed(pose)}, what start was called with"
+            text = (
+                f"has the pose {_listed(self.pose)} at its start: expected {_listed(pose)}, what start was called with"
+            )
             raise fence.wrong(tick, plant.start, text)
 
     def advance(self, tick: int, tau: Vec3, current: Vec3, wrenches: Iterable[Vec6], dt: float) -> None:
@@ -95,7 +97,9 @@ class FencedPlant:
         """All that its next steps depend on, for `restore`: [name, roll, state, what else it remembers]."""
         return [self.name, [*self.roll], [*self.state], self._plant.state() if self._resumable else None]
 
-    def restore(self, tick: int, values: list[Any] | None, pose: tuple[float, ...], velocity: tuple[float, ...]) -> None:
+    def restore(
+        self, tick: int, values: list[Any] | None, pose: tuple[float, ...], velocity: tuple[float, ...]
+    ) -> None:
         """Continue from what `memory` returned in another run; from where a vehicle of another kind was, otherwise.
 
         Args:

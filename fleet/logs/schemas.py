@@ -193,7 +193,7 @@ def varint(value: int) -> bytes:
 
 
 def pose_schema() -> Schema:
-    """Foxglove's pose in a frame: position [m, NED] and orientation (body to NED; a vehicle without a plant has no roll)."""
+    """Foxglove's pose in a frame: position [m, NED] and orientation (body to NED)."""
     units = {
         "pose.position": ["m", "north, east, down"],
         "pose.orientation": ["1", "unit quaternion, body to NED"],

@@ -24,7 +24,7 @@ from netem.wire.messages import Command, Frame
 from world.signal import Signal, width_of
 
 # The doubles of one vehicle: the number of each kind's first one. Telemetry comes behind them, since its size is the
-# agent's, and last what only a vehicle with a plant has: phi, p, the values of the plant's signals, and measured phi, p.
+# agent's, and last what only a vehicle with a plant has: phi, p, the values of the plant's signals, measured phi, p.
 _STATE, _NAV, _COMMAND, _ERROR, _QUATERNION, _TELEMETRY = 0, 10, 20, 26, 34, 38
 _VALUES = Struct(f"<{_TELEMETRY}d").pack_into  # all but telemetry
 _NO_NAV: tuple[float, ...] = (0.0,) * 10

@@ -107,9 +107,8 @@ class LogWriter:
         if start is not None:
             sink.attachment(START, "application/msgpack", start.snapshot.to_bytes())
         sink.metadata("run", run_metadata(scenario, start) | ({} if lockstep else {CLOCK: REAL}))
-        plants = {
-            i: signals for i in range(1, scenario.vehicles + 1) if (signals := scenario.plant_signals(i)) is not None
-        }
+        signals = {i: scenario.plant_signals(i) for i in range(1, scenario.vehicles + 1)}
+        plants = {i: own for i, own in signals.items() if own is not None}
         self._ticks = TickMessages(
             {
                 group: {i: self._topic(f"uuv/{i}/{group}", schema) for i, schema in schemas.items()}

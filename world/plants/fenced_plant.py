@@ -14,7 +14,7 @@ from world.plants.classes import plant_class
 from world.plugins.checks import MAX_NUMBERS, resumable
 from world.plugins.fence import Fence, numbers_of, shown
 from world.signal import Signal
-from world.vectors import Vec2, Vec3, Vec6
+from world.vectors import Vec2, Vec3, Vec5, Vec6
 
 _TOLERANCE = 1e-3  # by how much a plant may begin elsewhere than it was told [m, rad]
 
@@ -49,7 +49,7 @@ class FencedPlant:
 
     @property
     def pitch(self) -> Vec2:
-        """True pitch theta [rad] and how fast it changes [rad/s]: q of a vehicle that is rolled turns its heading, too."""
+        """True pitch theta [rad] and how fast it changes [rad/s]: where it is rolled, this is not q."""
         phi, (_, _, _, _, q, r) = self.pose[3], self.velocity
         return self.pose[4], q * cos(phi) - r * sin(phi)
 
@@ -97,9 +97,7 @@ class FencedPlant:
         """All that its next steps depend on, for `restore`: [name, roll, state, what else it remembers]."""
         return [self.name, [*self.roll], [*self.state], self._plant.state() if self._resumable else None]
 
-    def restore(
-        self, tick: int, values: list[Any] | None, pose: tuple[float, ...], velocity: tuple[float, ...]
-    ) -> None:
+    def restore(self, tick: int, values: list[Any] | None, pose: Vec5, velocity: Vec5) -> None:
         """Continue from what `memory` returned in another run; from where a vehicle of another kind was, otherwise.
 
         Args:

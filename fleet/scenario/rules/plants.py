@@ -31,6 +31,5 @@ def rolls(parts: Parts, report: Report) -> None:
         if choice.vehicle.plant is None:
             key = "roll" if state.roll else "roll_rate"
             hint = "the 5-DOF model has no roll: give it a vehicle.plant"
-            report.add(
-                ("initial", index, key), f"has no effect on vehicle {index + 1}, which cannot roll", hint, key=True
-            )
+            message = f"has no effect on vehicle {index + 1}, which cannot roll"
+            report.add(("initial", index, key), message, hint, key=True)

@@ -62,7 +62,9 @@ class Agent(Brain):
     def transmit(self, nav: Nav) -> tuple[bytes, ...]:
         """The payloads to every neighbour: own position and velocity over ground at this tick."""
         eta, nu = self._measured(nav)
-        message = StateMessage(self.config.id, nav.tick, eta[:3], earth_velocity(eta, nu))
+        message = StateMessage(
+            self.config.id, nav.tick, eta[:3], earth_velocity(eta, nu, nav.roll[0] if nav.roll else 0.0)
+        )
         if self.config.codec == "full":
             return (encode(message),)
         try:
@@ -105,7 +107,8 @@ class Agent(Brain):
         telemetry: tuple[float, ...] = known
         if not self._failed:
             seed = f"{self._seed}{tick}"
-            sample = Sample(tick, t, dt, eta, nu, earth_velocity(eta, nu), desired, heard, e, c, seed)
+            velocity = earth_velocity(eta, nu, nav.roll[0] if nav.roll else 0.0)
+            sample = Sample(tick, t, dt, eta, nu, velocity, desired, heard, e, c, seed, nav.roll)
             try:
                 demand, values = self._control(sample)
                 telemetry = known + values

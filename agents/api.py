@@ -116,8 +116,8 @@ class WholeAgent(Protocol):
         """The payloads to send to every neighbour, at round ticks; at most 40 kB together.
 
         Args:
-            nav: the own measured state: `tick`, `eta` (x, y, z [m, NED], theta, psi [rad]) and `nu` (u, v, w [m/s,
-                body, over ground], q, r [rad/s]).
+            nav: the own measured state: `tick`, `eta` (x, y, z [m, NED], theta, psi [rad]), `nu` (u, v, w [m/s,
+                body, over ground], q, r [rad/s]), and `roll` (phi [rad], p [rad/s]; empty without a plant).
         """
 
     def decide(self, nav: Nav, deliveries: Iterable[Delivery]) -> tuple[Vec3, Telemetry]:

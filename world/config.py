@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 from netem.lives import Absence
 from world.faults import WorldFault
@@ -40,8 +42,20 @@ class NavNoise:
 
 
 @dataclass(frozen=True, slots=True)
+class PlantSetup:
+    """The plant of one vehicle, in place of the 5-DOF model; see `world.api`."""
+
+    name: str
+    parameters: Mapping[str, Any]
+    budget_s: float  # the longest that it may take for a tick [s of wall time]; 0: any time
+    phi0: float = 0.0  # roll at the start [rad]
+    p0: float = 0.0  # roll rate at the start [rad/s]
+
+
+@dataclass(frozen=True, slots=True)
 class VehicleSetup:
-    """One vehicle of the fleet: its number (1-based), model, actuator limits and initial state."""
+    """One vehicle of the fleet: its number (1-based), 5-DOF model, actuator limits, initial state, and its plant if its
+    motion is that of one."""
 
     id: int
     eta0: Vec5  # x, y, z [m, NED], theta, psi [rad]
@@ -50,6 +64,7 @@ class VehicleSetup:
     tau_max: Vec3  # N, N m, N m
     tumble_limit: float = LIMIT_RAD  # |pitch| beyond which it tumbles [rad]
     telemetry_size: int | None = None  # how many values a command's telemetry must have; None: any number
+    plant: PlantSetup | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -45,6 +45,15 @@ class NonFiniteStateError(IntegrationError):
     """The integration left the range of finite numbers."""
 
 
+class PlantError(IntegrationError):
+    """A plant failed: it raised, took too long, or returned what is no motion. `where` is a line of its code, or ""."""
+
+    def __init__(self, vehicle: int, tick: int, problem: str, where: str) -> None:
+        super().__init__(f"{problem} ({where})" if where else problem, 0.0, vehicle, tick)
+        self.problem = problem
+        self.where = where
+
+
 class PluginError(WorldError):
     """Code of the user, such as a law, cannot be used: it does not exist, or lacks what its kind must have."""
 

@@ -3,7 +3,7 @@
 | kind | values | what it does to a vehicle |
 |---|---|---|
 | noise | sigma of position [m], angle [rad], velocity [m/s], rate [rad/s] | white noise on top of the sensor's own |
-| bias | ten numbers on eta and nu [m, rad, m/s, rad/s] | added to what is measured |
+| bias | twelve numbers on eta, nu, phi and p [m, rad, m/s, rad/s] | added to what is measured |
 | freeze | | the sensor repeats the measurement of the tick at which the fault began |
 | dropout | probability | of a tick at which the sensor repeats its last measurement |
 | efficiency | three factors | multiply the force and moments that the actuators apply |

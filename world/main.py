@@ -49,7 +49,7 @@ def run(
     """
     keys = Keys(run_id)
     bus, refusals = host(endpoint, keys, credentials, private, config, listener, certified, audit=audit)
-    _process(bus, keys, config, frame_every, speed, most_asked, refusals).serve()
+    _process(bus, keys, config, frame_every, speed, most_asked, refusals).serve_or_give_up()
 
 
 def host(
@@ -95,7 +95,7 @@ def join(
     quiet_zenoh()
     bus = Bus.connect(endpoint, credentials)
     end_with_link(bus, credentials)
-    _process(bus, Keys(run_id), config, frame_every, speed, most_asked).serve()
+    _process(bus, Keys(run_id), config, frame_every, speed, most_asked).serve_or_give_up()
 
 
 def _process(

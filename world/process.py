@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import logging
+import sys
+import traceback
 from collections.abc import Callable
 from threading import Lock
 from time import monotonic
-from typing import Any
+from typing import Any, NoReturn
 
 import msgpack
 
@@ -38,6 +40,7 @@ from netem.wire.messages import (
 )
 from netem.wire.parts import PART_BYTES, pieces, split
 from netem.wire.shell import Probes, Shell
+from world.errors import IntegrationError
 from world.faults import WorldFault
 from world.lockstep import Lockstep, NavTo, Out
 from world.realtime import RealtimeRun
@@ -99,8 +102,24 @@ class WorldProcess:
         # Commands and grants: an agent owes one at a time, and its memory now and then.
         self._in = bus.channel(self._keys.cmd("*"), capacity=max(64, 3 * len(self._ids)))
 
+    def serve_or_give_up(self) -> NoReturn:
+        """Serve; when a vehicle's motion cannot go on, publish what there is, say why in one line, and end."""
+        try:
+            self.serve()
+        except IntegrationError as error:
+            with self._frames_lock:
+                self._flush_frames()
+            if error.__cause__ is not None:
+                traceback.print_exception(error.__cause__)
+            sys.stderr.write(f"{error}\n")
+        sys.exit(1)
+
     def serve(self) -> None:
-        """Handle one message after the other, until the process is ended."""
+        """Handle one message after the other, until the process is ended.
+
+        Raises:
+            IntegrationError: a vehicle cannot be moved, and the run is not to go on without it.
+        """
         take, poll = self._in.get, self._in.poll
         while True:
             item = poll()
@@ -281,4 +300,4 @@ class WorldProcess:
 
 def _row_bytes(row: VehicleFrame) -> int:
     # Nine bytes per double of state, measurement and tau, a little for the rest.
-    return 240 + len(row.command)
+    return 240 + len(row.command) + 9 * (len(row.plant) + 2)

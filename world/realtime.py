@@ -199,9 +199,9 @@ class RealtimeRun:
                     x, y, z = command.tau
                     self._commanded[i] = (x, y, z)
                 tau = world.actuate(i, state.effective(i, k, self._commanded[i]))
-                measured = nav.eta + nav.nu
+                measured = nav.eta + nav.nu + nav.roll
             if state.frames.due(k):
-                state.frames.row(k, VehicleFrame(i, eta, nu, measured, tau, sent))
+                state.frames.row(k, VehicleFrame(i, eta, nu, measured, tau, sent, world.of_plant(i)))
             state.integrate(i, k, tau)
         return [*state.frames.complete(lambda tick: b"")]
 

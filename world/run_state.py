@@ -30,7 +30,7 @@ class RunState:
         self.granted = 0  # ticks below it may be started
         self.frames = FrameAssembly(len(self.ids), config.ticks, frame_every)
         self.tau: dict[int, Vec3] = dict.fromkeys(self.ids, ZERO)  # the last command that took effect [N, N m]
-        self.notes: list[tuple[int, int, str]] = []  # (vehicle, tick, text) for a person; the reader clears it
+        self.notes = self.world.notes  # (vehicle, tick, text) for a person; the reader clears it
         self._telemetry_size = {setup.id: setup.telemetry_size for setup in config.vehicles}
         self._tumble_limits = {setup.id: setup.tumble_limit for setup in config.vehicles}
         self._tick_s = config.tick_ns / 1e9
@@ -121,7 +121,8 @@ class RunState:
         """Move vehicle i from tick k to the next with `tau` [N, N m]; one that diverges stays where it is from then on.
 
         Raises:
-            IntegrationError: its motion left the finite numbers, and the run is not to go on without it.
+            IntegrationError: its motion left the finite numbers, or its plant failed, and the run is not to go on
+                without it.
         """
         if i in self._diverged:
             self.world.hold(i)
@@ -140,7 +141,7 @@ class RunState:
             else:
                 self._watch_pitch(i, k + 1, before, self.world.pitch(i))
         if k + 1 == self.config.ticks:
-            self.frames.row(k + 1, VehicleFrame(i, *self.world.state(i), (), (), b""))
+            self.frames.row(k + 1, VehicleFrame(i, *self.world.state(i), (), (), b"", self.world.of_plant(i)))
 
     def memory(self, i: int, agent: bytes | None) -> VehicleMemory:
         """All that the next ticks of vehicle i depend on.

@@ -7,34 +7,47 @@ No clock, no I/O: a run is a function of the configuration and the commands.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from functools import lru_cache
 from math import isfinite
-from typing import Any
+from typing import Any, cast
 
 from netem.draws import uniform
+from world.api import PlantConfig
 from world.config import NavNoise, VehicleSetup, WorldConfig
 from world.current import GaussMarkov, gust
 from world.disturbance import disturbance
 from world.dynamics import Coefficients, State, coefficients, rk4_step
 from world.errors import CommandError, NonFiniteStateError, UnknownVehicleError
 from world.faults import WorldFault
-from world.sensors import measure
-from world.vectors import Vec3, Vec5, plus
+from world.plants.fenced_plant import FencedPlant
+from world.sensors import Measured, measure, split
+from world.vectors import Vec2, Vec3, Vec5, Vec6, plus
 
 Stages = tuple[tuple[Vec5, Vec5, Vec5], ...]  # the disturbance at start, middle and end of each RK4 step
 
 
 class _Vehicle:
-    """One vehicle: its constants, its tick, and its state there."""
+    """One vehicle: its constants, its tick, and its state there; its plant, if it is one, knows more than that."""
 
-    __slots__ = ("k", "state", "tau_max", "tick")
+    __slots__ = ("k", "plant", "state", "tau_max", "tick")
 
-    def __init__(self, setup: VehicleSetup) -> None:
+    def __init__(self, setup: VehicleSetup, config: WorldConfig) -> None:
         self.k: Coefficients = coefficients(setup.params)
         self.tau_max: Vec3 = setup.tau_max
         self.tick: int = 0
         self.state: State = _initial(setup)
+        self.plant: Any = None
+        if setup.plant is not None:
+            self.plant = FencedPlant(
+                setup.plant, PlantConfig(setup.id, config.tick_ns / 1e9, config.seed, setup.params)
+            )
+            x, y, z, theta, psi, u, v, w, q, r = self.state
+            phi, p = setup.plant.phi0, setup.plant.p0
+            self.plant.start(0, (x, y, z, phi, theta, psi), (u, v, w, p, q, r))
+            self.state = _of_plant(self.plant)
+            t1, t2, t3 = self.tau_max
+            l1, l2, l3 = self.plant.limits
+            self.tau_max = min(t1, l1), min(t2, l2), min(t3, l3)
 
 
 class _Vehicles(dict[int, _Vehicle]):
@@ -48,9 +61,16 @@ class World:
     """Truth, sensors, actuators and integration of every vehicle of one run."""
 
     def __init__(self, config: WorldConfig) -> None:
+        """Put every vehicle where it begins.
+
+        Raises:
+            PluginError: a plant cannot be used.
+            PlantError: it cannot be made or started.
+        """
         self.config = config
         setups = sorted(config.vehicles, key=lambda setup: setup.id)
-        self._vehicles = _Vehicles({setup.id: _Vehicle(setup) for setup in setups})
+        self._vehicles = _Vehicles({setup.id: _Vehicle(setup, config) for setup in setups})
+        self.notes: list[tuple[int, int, str]] = []  # (vehicle, tick, text) for a person; the reader clears it
         self.ids: tuple[int, ...] = tuple(self._vehicles)
         self._noise = None if config.noise.off else config.noise
         self.faults = config.faults
@@ -75,34 +95,46 @@ class World:
         state = self._vehicles[i].state
         return state[0], state[1], state[2]
 
-    def pitch(self, i: int) -> tuple[float, float]:
-        """True pitch theta [rad] and pitch rate q [rad/s] of vehicle i at its tick."""
-        state = self._vehicles[i].state
-        return state[3], state[8]
+    def pitch(self, i: int) -> Vec2:
+        """True pitch theta [rad] of vehicle i at its tick, and how fast it changes [rad/s]: q, without roll."""
+        vehicle = self._vehicles[i]
+        if vehicle.plant is not None:
+            return cast(Vec2, vehicle.plant.pitch)
+        return vehicle.state[3], vehicle.state[8]
 
-    def sense(self, i: int) -> tuple[Vec5, Vec5]:
-        """Measured eta [m, rad] and nu [m/s, rad/s] of vehicle i at its tick, with noise and faults of its sensor."""
-        measured = self.state(i)
-        tick = self._vehicles[i].tick
+    def of_plant(self, i: int) -> tuple[float, ...]:
+        """True roll phi [rad] and roll rate p [rad/s] of vehicle i at its tick, and behind them what its plant reports;
+        () of a vehicle without a plant, which cannot roll."""
+        plant = self._vehicles[i].plant
+        return () if plant is None else (*plant.roll, *plant.reported)
+
+    def sense(self, i: int) -> Measured:
+        """Measured eta [m, rad], nu [m/s, rad/s] and roll (phi [rad], p [rad/s]; () without a plant) of vehicle i at
+        its tick, with noise and faults of its sensor."""
+        eta, nu = self.state(i)
+        vehicle = self._vehicles[i]
+        measured: Measured = (eta, nu, () if vehicle.plant is None else vehicle.plant.roll)
+        tick = vehicle.tick
         if self._noise is not None:
-            measured = measure(*measured, self._noise, self.config.seed, i, tick)
+            measured = measure(measured, self._noise, self.config.seed, i, tick)
         if not self._faults:
             return measured
         for fault in self._active(i, tick):
             match fault.kind:
                 case "noise":
                     extra = NavNoise(*fault.values)
-                    measured = measure(*measured, extra, self.config.seed, i, tick, f"fault {fault.id}")
+                    measured = measure(measured, extra, self.config.seed, i, tick, f"fault {fault.id}")
                 case "bias":
-                    measured = _eta_nu([a + b for a, b in zip((*measured[0], *measured[1]), fault.values, strict=True)])
+                    # Twelve numbers, of which a vehicle without roll has no use for the last two.
+                    measured = split([a + b for a, b in zip(_joined(measured), fault.values, strict=False)])
                 case "freeze":
-                    measured = _eta_nu(self._held.setdefault((fault.id, i), (*measured[0], *measured[1])))
+                    measured = split(self._held.setdefault((fault.id, i), _joined(measured)))
                 case "dropout":
                     known = self._held.get((fault.id, i))
                     if known is None or uniform(self.config.seed, f"fault {fault.id}", i, tick) >= fault.values[0]:
-                        self._held[fault.id, i] = (*measured[0], *measured[1])
+                        self._held[fault.id, i] = _joined(measured)
                     else:
-                        measured = _eta_nu(known)
+                        measured = split(known)
         return measured
 
     def actuate(self, i: int, tau: tuple[float, ...]) -> Vec3:
@@ -169,6 +201,7 @@ class World:
 
         Raises:
             NonFiniteStateError: the motion left the range of finite numbers; the state stays that of the tick before.
+            PlantError: the vehicle's plant failed; likewise.
         """
         vehicle = self._vehicles[i]
         k, tick, state = vehicle.k, vehicle.tick, vehicle.state
@@ -180,6 +213,9 @@ class World:
         forces = self._stage_forces(tick)
         if self._faults:
             current, forces = self._with_sea_faults(i, tick, current, forces)
+        if vehicle.plant is not None:
+            self._advance_plant(i, tau, current, forces)
+            return
         try:
             for d in forces:
                 state = rk4_step(k, state, tau, d, h, current)
@@ -190,6 +226,18 @@ class World:
             raise NonFiniteStateError("the motion left the finite numbers", state[3], i, tick)
         vehicle.state = state
         vehicle.tick = tick + 1
+
+    def _advance_plant(self, i: int, tau: Vec3, current: Vec3, forces: Stages) -> None:
+        """The same for a vehicle that is a plant, which gets the disturbance at the middle of each step."""
+        vehicle = self._vehicles[i]
+        plant, tick = vehicle.plant, vehicle.tick
+        wrenches: list[Vec6] = [(x, y, z, 0.0, m, n) for _, (x, y, z, m, n), _ in forces]
+        plant.advance(tick, tau, current, wrenches, self._h)
+        vehicle.state = _of_plant(plant)
+        vehicle.tick = tick + 1
+        if plant.notes:
+            self.notes += [(i, k, text) for k, text in plant.notes]
+            plant.notes.clear()
 
     def _with_sea_faults(self, i: int, tick: int, current: Vec3, forces: Stages) -> tuple[Vec3, Stages]:
         """Current [m/s, NED] and disturbance [N, N m] with the faults of the sea added."""
@@ -236,17 +284,27 @@ class World:
         """All that vehicle i's next ticks depend on besides its faults.
 
         Returns:
-            MessagePack values [tick, state, held], for `remember`.
+            MessagePack values [tick, state, held], and behind them what its plant remembers, for `remember`.
         """
         held = [[fault, list(values)] for (fault, j), values in sorted(self._held.items()) if j == i]
         vehicle = self._vehicles[i]
-        return [vehicle.tick, list(vehicle.state), held]
+        own = [] if vehicle.plant is None else [vehicle.plant.memory()]
+        return [vehicle.tick, list(vehicle.state), held, *own]
 
     def remember(self, i: int, values: list[Any]) -> None:
-        """Continue vehicle i from what `memory` returned, perhaps in another run."""
+        """Continue vehicle i from what `memory` returned, perhaps in another run.
+
+        A plant goes on from its state. Where the vehicle was something else, it begins with the same motion.
+
+        Raises:
+            PlantError: its plant cannot.
+        """
         vehicle = self._vehicles[i]
-        vehicle.tick, (x, y, z, theta, psi, u, v, w, q, r), held = values
+        vehicle.tick, (x, y, z, theta, psi, u, v, w, q, r), held, *own = values
         vehicle.state = (x, y, z, theta, psi, u, v, w, q, r)
+        if vehicle.plant is not None:
+            vehicle.plant.restore(vehicle.tick, own[0] if own else None, (x, y, z, theta, psi), (u, v, w, q, r))
+            vehicle.state = _of_plant(vehicle.plant)
         self._held |= {(fault, i): tuple(known) for fault, known in held}
 
     def _stage_forces_at(self, tick: int) -> tuple[tuple[Vec5, Vec5, Vec5], ...]:
@@ -258,9 +316,17 @@ class World:
         return tuple((d[2 * j], d[2 * j + 1], d[2 * j + 2]) for j in range(n))
 
 
-def _eta_nu(values: Sequence[float]) -> tuple[Vec5, Vec5]:
-    x, y, z, theta, psi, u, v, w, q, r = values
-    return (x, y, z, theta, psi), (u, v, w, q, r)
+def _joined(measured: Measured) -> tuple[float, ...]:
+    """Eta, nu and roll, one after the other."""
+    eta, nu, roll = measured
+    return (*eta, *nu, *roll)
+
+
+def _of_plant(plant: Any) -> State:
+    """The 5-DOF part of where a plant is and how it moves."""
+    x, y, z, _, theta, psi = plant.pose
+    u, v, w, _, q, r = plant.velocity
+    return x, y, z, theta, psi, u, v, w, q, r
 
 
 def _initial(setup: VehicleSetup) -> State:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 
@@ -13,3 +14,8 @@ class Signal:
     unit: str
     meaning: str
     width: int = 1
+
+
+def width_of(signals: Iterable[Signal]) -> int:
+    """How many numbers these signals are together."""
+    return sum(signal.width for signal in signals)

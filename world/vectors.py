@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+Vec2 = tuple[float, float]
 Vec3 = tuple[float, float, float]
 Vec5 = tuple[float, float, float, float, float]
 Vec6 = tuple[float, float, float, float, float, float]

@@ -3,6 +3,7 @@
 | symbol | meaning | unit | frame | paper |
 |---|---|---|---|---|
 | eta = (x, y, z, theta, psi) | position, pitch (nose up > 0), heading | m, rad | NED | (1) |
+| phi | roll, of a vehicle that has it | rad | NED | - |
 | u, v, w | surge, sway, heave velocity over ground | m/s | body | (1) |
 | u_a | speed | m/s | - | (3) |
 | theta', psi' | attack and sideslip of the velocity in body axes | rad | body | (4) |
@@ -15,18 +16,26 @@ from math import atan2, cos, hypot, sin, sqrt
 from world.vectors import Vec3, Vec5
 
 
-def earth_velocity(eta: Vec5, nu: Vec5) -> Vec3:
+def earth_velocity(eta: Vec5, nu: Vec5, phi: float = 0.0) -> Vec3:
     """Velocity over ground in earth axes: R(theta, psi) (u, v, w), the first three rows of eq. (1).
+
+    Of a vehicle that rolls it is R(phi, theta, psi) (u, v, w). Without phi the answer is then wrong by at most
+    2 sin(|phi| / 2) hypot(v, w): 2 cm/s at 10 degrees and 0.1 m/s of sway.
 
     Args:
         eta: x, y, z [m, NED], theta, psi [rad].
         nu: u, v, w [m/s, body, over ground], q, r [rad/s].
+        phi: roll [rad].
 
     Returns:
         North, east and down [m/s].
     """
     _, _, _, theta, psi = eta
     u, v, w, _, _ = nu
+    if phi:
+        sph = sin(phi)
+        cph = cos(phi)
+        v, w = cph * v - sph * w, sph * v + cph * w
     sth = sin(theta)
     cth = cos(theta)
     sps = sin(psi)

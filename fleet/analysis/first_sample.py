@@ -1,4 +1,4 @@
-"""The laws of the user tried before a run: each is made once, as an agent makes it, and answers one sample."""
+"""What the user brings, tried before a run: each law answers one sample, and each plant makes one step."""
 
 from __future__ import annotations
 
@@ -11,7 +11,9 @@ from agents.make_agent import make_agent
 from fleet.errors import Problem, ScenarioError
 from fleet.scenario.scenario import Scenario
 from netem.wire.messages import Nav
-from world.errors import PluginError
+from world.errors import PlantError, PluginError
+from world.sea import World
+from world.vectors import ZERO
 
 
 def try_laws(scenario: Scenario) -> None:
@@ -37,6 +39,35 @@ def try_laws(scenario: Scenario) -> None:
         except ControllerError as error:
             which = ", ".join(f"{kind} {law.name}" for kind, law in own.items())
             problems.append(Problem(scenario.source, 0, 0, f"{which}: {error}"))
+    if problems:
+        raise ScenarioError(problems)
+
+
+def try_plants(scenario: Scenario) -> None:
+    """Make the plant of each vehicle, start it, and let it make the first tick of a run, without a command.
+
+    Raises:
+        ScenarioError: plants raised, or returned what cannot be used; every one of them is in it.
+    """
+    if not scenario.plants:
+        return
+    try:
+        config = scenario.world_config
+    except PluginError:  # a law that may not run
+        return
+    tried: set[str] = set()
+    problems = []
+    for setup in config.vehicles:
+        if setup.plant is None:
+            continue
+        try:
+            World(replace(config, vehicles=(setup,))).advance(setup.id, ZERO)
+        except PlantError as error:
+            if setup.plant.name not in tried:
+                problems.append(Problem(scenario.source, 0, 0, f"plant {setup.plant.name}: {error}"))
+            tried.add(setup.plant.name)
+        except PluginError:  # one that may not run
+            continue
     if problems:
         raise ScenarioError(problems)
 

@@ -45,6 +45,8 @@ def _seeded(scenario: Scenario) -> Iterator[str]:
             yield "faults"
     if scenario.other_laws:
         yield "laws of yours, perhaps"
+    if scenario.plants:
+        yield "plants, perhaps"
 
 
 def _drawn(c: Condition) -> bool:

@@ -82,7 +82,7 @@ def check(
 
     Says what theory expects of it: whether the graph is connected and everyone reached, the eigenvalues of L+B, and
     whether the gains stay within the limits of the control loops. A law of your own is made once and given a first
-    sample, as in a run.
+    sample, as in a run; a plant makes a first step.
 
     \b
     Examples:
@@ -90,7 +90,7 @@ def check(
       fleet check paper --set vehicles=20
       fleet check paper --net '* delay 200ms' --fault 'at 20s kill 3'
     """
-    from fleet.analysis.first_sample import try_laws
+    from fleet.analysis.first_sample import try_laws, try_plants
     from fleet.analysis.preflight import warnings
     from fleet.analysis.stability import analyse
     from fleet.scenario.loading import load_scenario
@@ -98,6 +98,7 @@ def check(
     refused: list[Problem] = []
     loaded = load_scenario(scenario, [*overrides, *net, *fault], trust, refused=refused)
     try_laws(loaded)
+    try_plants(loaded)
     found = analyse(loaded)
     told = [*found.warnings, *warnings(loaded)]
     if as_json:

@@ -11,6 +11,7 @@ from rich.console import Console as Terminal
 
 from agents.errors import AgentError
 from fleet.analysis import punctuality
+from fleet.analysis.first_sample import try_plants
 from fleet.cores import cores
 from fleet.errors import RunBroken, StoppedError
 from fleet.execution.clock import WINDOW_NS, Clock
@@ -63,12 +64,14 @@ def execute(scenario: Scenario, options: Options, terminal: Terminal | None = No
         terminal: where progress is shown; None: stderr.
 
     Raises:
+        ScenarioError: a plant cannot be started.
         RunDirectoryError: the run directory cannot be made or written.
         LogError: the log cannot be created.
         PublishError: the journal was to be published and cannot be.
         RunBroken: the port is taken.
         ExternalError: somebody else is to start an agent, and the run is to be one process.
     """
+    try_plants(scenario)
     interrupts = DeferInterrupts()
     with interrupts.handling(), ExitStack() as while_it_lives:
         run = _prepare(scenario, options, terminal or Terminal(stderr=True), interrupts, while_it_lives)

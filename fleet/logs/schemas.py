@@ -61,6 +61,7 @@ STATE = tuple(
         ("q", "rad/s", "pitch rate"), ("r", "rad/s", "yaw rate"),
     )
 )  # fmt: skip
+ROLL = (Column("phi", "rad", "roll"), Column("p", "rad/s", "roll rate"))  # behind those of STATE, of a vehicle with it
 COMMAND = (
     Column("tau", "N, N m, N m", "surge force, pitch and yaw moment as the agent commanded them", 3),
     Column("applied", "N, N m, N m", "the same as the actuators applied them over the following tick", 3),
@@ -130,11 +131,16 @@ class Doubles:
     (`fleet.recorder.tick_messages`). A test parses the result with protobuf and compares.
     """
 
-    def __init__(self, columns: Sequence[Column], start: int = 0) -> None:
-        """`start`: the number of the first column's first double."""
+    def __init__(self, columns: Sequence[Column], start: int = 0, field: int = 1) -> None:
+        """Lay out a message, or the part of one.
+
+        Args:
+            start: the number of the first column's first double.
+            field: the number of the first column in the message.
+        """
         self.parts: list[bytes | int] = []  # the message: bytes as they are, and the numbers of the doubles
         layout = "<"
-        for number, column in enumerate(columns, start=1):
+        for number, column in enumerate(columns, start=field):
             before = head(number, column.width or None)
             width = column.width or 1
             self.parts += (before, *range(start, start + width))
@@ -187,7 +193,7 @@ def varint(value: int) -> bytes:
 
 
 def pose_schema() -> Schema:
-    """Foxglove's pose in a frame: position [m, NED] and orientation (body to NED, roll zero)."""
+    """Foxglove's pose in a frame: position [m, NED] and orientation (body to NED)."""
     units = {
         "pose.position": ["m", "north, east, down"],
         "pose.orientation": ["1", "unit quaternion, body to NED"],

@@ -17,15 +17,18 @@ from numpy.typing import NDArray
 
 from agents.signals import Layout
 from fleet.logs.batch import HEAD, MESSAGE, STAMP_BYTES, Batch
-from fleet.logs.schemas import COMMAND, ERROR, STATE, Doubles, pose_parts, signal_columns
+from fleet.logs.schemas import COMMAND, ERROR, ROLL, STATE, Doubles, pose_parts, signal_columns
 from fleet.recorder.metrics import VehicleError
 from fleet.recorder.transforms import NED, quaternion
 from netem.wire.messages import Command, Frame
+from world.signal import Signal, width_of
 
-# The doubles of one vehicle: the number of each kind's first one. Telemetry comes last, since its size is the agent's.
+# The doubles of one vehicle: the number of each kind's first one. Telemetry comes behind them, since its size is the
+# agent's, and last what only a vehicle with a plant has: phi, p, the values of the plant's signals, measured phi, p.
 _STATE, _NAV, _COMMAND, _ERROR, _QUATERNION, _TELEMETRY = 0, 10, 20, 26, 34, 38
 _VALUES = Struct(f"<{_TELEMETRY}d").pack_into  # all but telemetry
 _NO_NAV: tuple[float, ...] = (0.0,) * 10
+_NO_ROLL: tuple[float, ...] = (0.0,) * 2
 _NO_TAU: tuple[float, ...] = (0.0,) * 3
 _PARTS = {
     "pose": pose_parts(NED, _STATE, _QUATERNION),
@@ -68,27 +71,46 @@ class _Slot(NamedTuple):
 
     place: int
     telemetry: Callable[..., None]  # packs it, behind the rest
-    agent: int  # what it reports: a number among those that differ
+    plant: Callable[..., None] | None  # packs what its plant adds; None: it has none
+    behind: int  # where that begins
+    kind: int  # what it reports: a number among those that differ
+
+
+class _Kind(NamedTuple):
+    """What vehicles report."""
+
+    agent: Layout
+    plant: tuple[Signal, ...] | None  # None: they have none
 
 
 class TickMessages:
     """Makes the messages of one tick after the other. What it keeps does not grow with the run."""
 
-    def __init__(self, topics: Mapping[str, Mapping[int, Topic]], agents: Mapping[int, Layout]) -> None:
+    def __init__(
+        self,
+        topics: Mapping[str, Mapping[int, Topic]],
+        agents: Mapping[int, Layout],
+        plants: Mapping[int, tuple[Signal, ...]],
+    ) -> None:
         """Lay out the pool.
 
         Args:
             topics: of every topic group and vehicle.
             agents: what the agent of each vehicle reports.
+            plants: likewise the plant of each vehicle that has one.
         """
         self._topics = topics
-        self._agents = list(dict.fromkeys(agents.values()))  # those that differ
-        number = {agent: k for k, agent in enumerate(self._agents)}
+        kinds = {i: _Kind(agent, plants.get(i)) for i, agent in agents.items()}
+        self._kinds = list(dict.fromkeys(kinds.values()))  # those that differ
+        number = {kind: k for k, kind in enumerate(self._kinds)}
         self._slots: dict[int, _Slot] = {}
         place = _NUMBERS
-        for i, agent in agents.items():
-            self._slots[i] = _Slot(place, Struct(f"<{agent.size}d").pack_into, number[agent])
-            place += 8 * (_TELEMETRY + agent.size)
+        for i, kind in kinds.items():
+            behind = place + 8 * (_TELEMETRY + kind.agent.size)
+            added = 0 if kind.plant is None else 2 * len(ROLL) + width_of(kind.plant)
+            telemetry, plant = (Struct(f"<{size}d").pack_into for size in (kind.agent.size, added))
+            self._slots[i] = _Slot(place, telemetry, plant if added else None, behind, number[kind])
+            place = behind + 8 * added
         self._pool = bytearray(place)
         self._constants: dict[bytes, int] = {}  # their places
         self._size, self._added = place, list[bytes]()  # of the pool with what is still to be put at its end
@@ -121,10 +143,15 @@ class TickMessages:
             command = commands.get(i)
             tau, applied = (_NO_TAU, _NO_TAU) if command is None else (command.tau, row.tau)
             e, e_norm, formation, formation_norm = errors[i]
-            place, pack_telemetry, _ = self._slots[i]
+            place, pack_telemetry, pack_plant, behind, _ = self._slots[i]
+            phi = 0.0
+            if pack_plant is not None:
+                phi = row.plant[0]
+                pack_plant(pool, behind, *row.plant, *(nav[len(STATE) :] or _NO_ROLL))
+                nav = nav[: len(STATE)]
             _VALUES(
                 pool, place, *eta, *row.nu, *(nav or _NO_NAV), *tau, *applied, *e, e_norm, *formation, formation_norm,
-                *quaternion(eta[3], eta[4]),
+                *quaternion(eta[3], eta[4], phi),
             )  # fmt: skip
             telemetry = reported and command is not None and command.telemetry
             if telemetry:
@@ -175,7 +202,7 @@ class TickMessages:
         if key not in self._messages:
             channel, name = self._topics[group][i]
             slot = self._slots[i]
-            data = self._data(group, slot.agent, key[2])
+            data = self._data(group, slot.kind, key[2])
             data = np.where(data < 0, slot.place + ~data, data)
             head = self._constant(HEAD.pack(MESSAGE, STAMP_BYTES + len(data), channel, 0, 0, 0)[: -len(_FRAMED)])
             length = self._constant(pack("<I", len(data)))
@@ -184,11 +211,11 @@ class TickMessages:
             self._messages[key] = record, digested
         return self._messages[key]
 
-    def _data(self, group: str, agent: int, stamp: int) -> NDArray[np.int64]:
+    def _data(self, group: str, kind: int, stamp: int) -> NDArray[np.int64]:
         """Where the bytes of the encoded message come from; ~k for byte k of the vehicle's doubles."""
-        key = group, agent, stamp
+        key = group, kind, stamp
         if key not in self._encoded:
-            parts = _PARTS.get(group) or _telemetry(group, self._agents[agent])
+            parts = _parts(group, self._kinds[kind])
             places = list(range(_TIMESTAMP, _TIMESTAMP + stamp))
             for part in parts:
                 places += self._constant(part) if isinstance(part, bytes) else range(~(8 * part), ~(8 * part + 8), -1)
@@ -205,6 +232,15 @@ class TickMessages:
         return range(place, place + len(data))
 
 
-def _telemetry(group: str, agent: Layout) -> list[bytes | int]:
-    """The parts of a message of what an agent reports."""
-    return Doubles(signal_columns(getattr(agent, group)), _TELEMETRY + agent.group(group).start).parts
+def _parts(group: str, kind: _Kind) -> list[bytes | int]:
+    """The parts of a message of a topic group."""
+    agent, plant = kind
+    if group in ("guidance", "control"):
+        return Doubles(signal_columns(getattr(agent, group)), _TELEMETRY + agent.group(group).start).parts
+    if plant is None or group not in ("state", "nav", "plant"):
+        return _PARTS[group]
+    roll = _TELEMETRY + agent.size
+    if group == "plant":
+        return Doubles(signal_columns(plant), roll + len(ROLL)).parts
+    start = roll if group == "state" else roll + len(ROLL) + width_of(plant)
+    return [*_PARTS[group], *Doubles(ROLL, start, len(STATE) + 1).parts]

@@ -57,7 +57,8 @@ class Transforms:
         moves, vehicles = self._moves, self._vehicles
         for row in frame.vehicles:
             x, y, z, theta, psi = row.eta
-            found.append(field(b"\x0a", stamp + vehicles[row.id] + moves(x, y, z, *quaternion(theta, psi))))
+            turn = quaternion(theta, psi, row.plant[0] if row.plant else 0.0)
+            found.append(field(b"\x0a", stamp + vehicles[row.id] + moves(x, y, z, *turn)))
         return b"".join(found)
 
 
@@ -72,7 +73,11 @@ def enu(ned: Vec3) -> Vec3:
     return east, north, -down
 
 
-def quaternion(theta: float, psi: float) -> tuple[float, float, float, float]:
-    """(x, y, z, w) of R = Rz(psi) Ry(theta), body to NED; roll is not modelled."""
+def quaternion(theta: float, psi: float, phi: float = 0.0) -> tuple[float, float, float, float]:
+    """(x, y, z, w) of R = Rz(psi) Ry(theta) Rx(phi), body to NED."""
     ct, st, cp, sp = cos(theta / 2), sin(theta / 2), cos(psi / 2), sin(psi / 2)
-    return -sp * st, cp * st, sp * ct, cp * ct
+    x, y, z, w = -sp * st, cp * st, sp * ct, cp * ct
+    if not phi:
+        return x, y, z, w
+    c, s = cos(phi / 2), sin(phi / 2)
+    return c * x + s * w, c * y + s * z, c * z - s * y, c * w - s * x

@@ -30,6 +30,7 @@ from fleet.logs.schemas import (
     FROM_TICK,
     PACKET,
     REAL,
+    ROLL,
     SNAPSHOT,
     START,
     STATE,
@@ -50,6 +51,7 @@ from fleet.scenario.scenario import Scenario
 from fleet.scenario.sections.log_rates import without_snapshots
 from fleet.scenario.sections.timeline import Event
 from netem.wire.messages import Command, Fate, Frame
+from world.plants.classes import plant_class
 from world.plugins.loading import fingerprint
 from world.signal import Signal
 
@@ -105,12 +107,15 @@ class LogWriter:
         if start is not None:
             sink.attachment(START, "application/msgpack", start.snapshot.to_bytes())
         sink.metadata("run", run_metadata(scenario, start) | ({} if lockstep else {CLOCK: REAL}))
+        signals = {i: scenario.plant_signals(i) for i in range(1, scenario.vehicles + 1)}
+        plants = {i: own for i, own in signals.items() if own is not None}
         self._ticks = TickMessages(
             {
                 group: {i: self._topic(f"uuv/{i}/{group}", schema) for i, schema in schemas.items()}
-                for group, schemas in self._schemas().items()
+                for group, schemas in self._schemas(plants).items()
             },
             {i: scenario.layout(i) for i in range(1, scenario.vehicles + 1)},
+            plants,
         )
         self._scene = Scene(scenario, None if start is None else start.snapshot)
         self._drawn: dict[str, tuple[int, Callable[[Frame, bytes], bytes]]] = {}
@@ -129,10 +134,16 @@ class LogWriter:
         packet = flat_schema("Packet", PACKET)
         self._by_link = {(src, dst): self._channel(f"link/{src}-{dst}", packet) for src, dst in scenario.graph.links}
 
-    def _schemas(self) -> dict[str, dict[int, Schema]]:
-        """The schema of every topic group and vehicle; vehicles that run the same share it."""
+    def _schemas(self, plants: Mapping[int, tuple[Signal, ...]]) -> dict[str, dict[int, Schema]]:
+        """The schema of every topic group and vehicle; vehicles that run the same share it.
+
+        Args:
+            plants: what the plant of each vehicle reports that has one.
+        """
         ids = range(1, self._scenario.vehicles + 1)
         state = dict.fromkeys(ids, flat_schema("State", STATE))
+        if plants:
+            state |= dict.fromkeys(plants, flat_schema("StateWithRoll", STATE + ROLL))
         found: dict[str, dict[int, Schema]] = {
             "pose": dict.fromkeys(ids, pose_schema()),
             "state": state,
@@ -154,6 +165,14 @@ class LogWriter:
                 if (name, signals) not in made:
                     made[name, signals] = flat_schema(name, signal_columns(signals))
                 found[group][i] = made[name, signals]
+        for i, signals in plants.items():
+            if signals:
+                plant = self._scenario.controls[i - 1].plant
+                assert plant is not None
+                name = message_name(plant.name, "plant")
+                if (name, signals) not in made:
+                    made[name, signals] = flat_schema(name, signal_columns(signals))
+                found.setdefault("plant", {})[i] = made[name, signals]
         return found
 
     def _topic(self, name: str, schema: Schema) -> Topic:
@@ -244,8 +263,9 @@ def _start_metadata(start: Start) -> dict[str, str]:
 
 def _plugin_metadata(scenario: Scenario) -> dict[str, str]:
     """Whether the run can be resumed, and what identifies the laws that are not ours."""
-    sources = {law.name: fingerprint(law_class(kind, law)) for kind, law in scenario.other_laws}
-    return {"resumable": _resumable(scenario)} | {f"law {name}": f"sha256 {digest}" for name, digest in sources.items()}
+    sources = {f"law {law.name}": law_class(kind, law) for kind, law in scenario.other_laws}
+    sources |= {f"plant {name}": plant_class(name, plant.parameters or {}) for name, plant in scenario.plants.items()}
+    return {"resumable": _resumable(scenario)} | {what: f"sha256 {fingerprint(c)}" for what, c in sources.items()}
 
 
 def _resumable(scenario: Scenario) -> str:
@@ -259,7 +279,12 @@ def schema_name(config: AgentConfig, group: str) -> str:
     """What the message of a topic group is called, after the law that fills it."""
     running = laws(config)
     law = running.get({"guidance": "guidance", "control": "tracking"}[group]) or next(iter(running.values()))
-    if ":" in law.name:
-        return f"{law.name.replace(':', '.')}{group.capitalize()}"
-    words = re.findall(r"[A-Za-z0-9]+", law.name)
+    return message_name(law.name, group)
+
+
+def message_name(name: str, group: str) -> str:
+    """What the message of a topic group is called, after the law or plant that fills it."""
+    if ":" in name:
+        return f"{name.replace(':', '.')}{group.capitalize()}"
+    words = re.findall(r"[A-Za-z0-9]+", name)
     return "".join(word[0].upper() + word[1:] for word in words) + group.capitalize()

@@ -126,7 +126,7 @@ def _compare_metadata(verification: Verification, recorded: dict[str, str], here
         left, right = recorded.get(key), here.get(key)
         if left == right:
             continue
-        if key in _VERSIONS or key == "resumable" or key.startswith("law "):
+        if key in _VERSIONS or key == "resumable" or key.startswith(("law ", "plant ")):
             short = [value[:20] if value else "unknown" for value in (left, right)]
             verification.versions.append(f"{key}: recorded with {short[0]}, here is {short[1]}")
         else:

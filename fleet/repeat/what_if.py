@@ -24,6 +24,7 @@ from agents.plugged_agent import PluggedAgent
 from fleet.errors import FleetError
 from fleet.logs.decoder import Decoder
 from fleet.logs.reader import LogReader, Tell, log_path
+from fleet.logs.schemas import ROLL, STATE
 from fleet.recorder.snapshot import Start
 from fleet.repeat.recorded_run import recorded as read
 from fleet.repeat.resume import start_of
@@ -152,7 +153,7 @@ def what_if(
             due.append(deliveries[waiting])
             waiting += 1
         try:
-            step = core.step(Nav(life, tick, measured[:5], measured[5:]), due)
+            step = core.step(Nav(life, tick, measured[:5], measured[5:10], measured[10:]), due)
         except (AgentError, PluginError) as error:
             raise LawFailedError(str(error)) from None
         result.notes += [f"t = {at * scenario.tick_ns / 1e9:.2f} s: {text}" for at, text in core.take_notes()]
@@ -193,7 +194,7 @@ class _Answers:
 def _read(
     path: Path, agent: int, tick_ns: int, tell: Tell
 ) -> tuple[list[tuple[int, tuple[float, ...]]], dict[int, tuple[float, ...]], list[Delivery], Start | None]:
-    """(tick, measured eta and nu) of every sample; commands by tick; what was delivered, in order; where it began."""
+    """(tick, measured eta, nu, roll) of every sample; commands by tick; what was delivered, in order; its beginning."""
     navs: list[tuple[int, tuple[float, ...]]] = []
     commands: dict[int, tuple[float, ...]] = {}
     deliveries: list[Delivery] = []
@@ -203,8 +204,8 @@ def _read(
     for record in reader:
         if record.topic == nav:
             m = decode(record)
-            values = (m.x, m.y, m.z, m.theta, m.psi, m.u, m.v, m.w, m.q, m.r)
-            navs.append((record.log_ns // tick_ns, values))
+            columns = STATE + ROLL if "phi" in m.DESCRIPTOR.fields_by_name else STATE
+            navs.append((record.log_ns // tick_ns, tuple(getattr(m, column.name) for column in columns)))
         elif record.topic == command:
             commands[record.log_ns // tick_ns] = tuple(decode(record).tau)
         elif record.topic.startswith("link/") and record.topic.endswith(f"-{agent}"):

@@ -17,12 +17,13 @@ from fleet.quantities import vehicle_numbers
 from fleet.scenario.parts import Parts
 from fleet.scenario.schema.sea import CurrentSection
 from fleet.scenario.schema.spec import ScenarioSpec
-from fleet.scenario.schema.vehicle import VehicleSection
+from fleet.scenario.schema.vehicle import PlantSection, VehicleSection
 from fleet.scenario.sections.acoustic import inlined_modem
+from fleet.scenario.sections.formation import initial_rolls
 from fleet.scenario.sections.graph import Graph
 from fleet.scenario.sections.log_rates import log_every, memory_ticks
 from fleet.scenario.sections.modem_files import shipped_modems
-from fleet.scenario.sections.per_vehicle import Control, inlined_vehicle
+from fleet.scenario.sections.per_vehicle import Control, inlined_vehicle, model_name
 from fleet.scenario.sections.timeline import Plan
 from fleet.scenario.sections.vehicle_files import shipped_vehicles
 from fleet.scenario.text import yaml_writer
@@ -30,7 +31,9 @@ from netem.condition import Condition, Link
 from netem.config import NetemConfig
 from netem.modem import AcousticConfig
 from world import disturbance
-from world.config import Harmonic, NavNoise, VehicleSetup, WorldConfig
+from world.config import Harmonic, NavNoise, PlantSetup, VehicleSetup, WorldConfig
+from world.plants.classes import signals_of
+from world.signal import Signal
 from world.vectors import Vec3, Vec5, minus
 
 
@@ -134,6 +137,11 @@ class Scenario:
         """The periodic forces on every vehicle; empty: none."""
         return disturbance.PAPER if self.spec.sea.disturbance == "paper" else ()
 
+    @property
+    def plants(self) -> dict[str, PlantSection]:
+        """The plants of the vehicles by name; of those with one name the first."""
+        return {c.plant.name: c.plant for c in reversed(self.controls) if c.plant is not None}
+
     @cached_property
     def memory_ticks(self) -> int:
         """Ticks between two snapshots; 0: none. Imports the laws that are not built in, to see if they can."""
@@ -154,10 +162,7 @@ class Scenario:
             ticks=self.ticks,
             round_ticks=self.round_ticks,
             substeps=spec.physics.substeps,
-            vehicles=tuple(
-                VehicleSetup(i, eta0, nu0, control.vehicle, control.tau_max, control.tumble_limit, self.layout(i).size)
-                for i, ((eta0, nu0), control) in enumerate(zip(self.initial, self.controls, strict=True), start=1)
-            ),
+            vehicles=tuple(map(self._vehicle_setup, range(1, self.vehicles + 1))),
             disturbance=self.disturbance,
             current=spec.sea.current.mean,
             drift=_drift(spec.sea.current),
@@ -172,6 +177,19 @@ class Scenario:
                 rate_radps=spec.sensors.rate_noise,
             ),
         )
+
+    def _vehicle_setup(self, i: int) -> VehicleSetup:
+        (eta0, nu0), control, size = self.initial[i - 1], self.controls[i - 1], self.layout(i).size
+        plant = None
+        if (section := control.plant) is not None:
+            rolls = initial_rolls(self.spec.initial, self.vehicles)
+            plant = PlantSetup(section.name, section.parameters or {}, section.budget / 1e9, *rolls[i - 1])
+        return VehicleSetup(i, eta0, nu0, control.vehicle, control.tau_max, control.tumble_limit, size, plant)
+
+    def plant_signals(self, i: int) -> tuple[Signal, ...] | None:
+        """What the plant of vehicle i reports; None: it has none. Raises PluginError: it cannot be used."""
+        plant = self.controls[i - 1].plant
+        return None if plant is None else signals_of(plant.name, plant.parameters or {})
 
     def layout(self, i: int) -> Layout:
         """What agent i reports. Raises PluginError: one of its laws cannot be used."""
@@ -266,8 +284,10 @@ def _without_files(spec: ScenarioSpec, folder: Path | None) -> ScenarioSpec:
     """The same specification, with the numbers of a user's files of vehicles and modems in place of the files."""
 
     def in_numbers(section: VehicleSection | None) -> VehicleSection | None:
-        if section is None or section.model is None or section.model in shipped_vehicles():
+        if section is None or (section.model is None and section.plant is None):
             return section
+        if (model := model_name(section)) in shipped_vehicles():
+            return section.model_copy(update={"model": model})
         return inlined_vehicle(section, folder)
 
     per_vehicle = {

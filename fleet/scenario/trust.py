@@ -9,7 +9,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from agents.config import Law
 from fleet.errors import Problem
 from world.plugins.loading import admit
 from world.plugins.trust import NOTHING, Permission, Trust
@@ -27,23 +26,25 @@ class Policy:
     refused: list[Problem] | None = None  # collects the laws that may not run; None: they are errors
     typed: bool = True  # what overrides the text was typed on the command line
 
-    def admit(self, kind: str, law: Law, folder: Path | None, *, typed: bool) -> None:
-        """Let the module of a law be imported if it may run.
+    def admit(self, kind: str, name: str, folder: Path | None, *, typed: bool) -> None:
+        """Let the module of a plug-in be imported if it may run.
 
         Args:
+            kind: controller, plant, check, ...
+            name: of the plug-in.
             folder: where the scenario's file lies, if it is one.
-            typed: an override names the law.
+            typed: an override names it.
 
         Raises:
             UntrustedError: it may not.
-            PluginError: the name is none of a law.
+            PluginError: the name is none of a plug-in.
         """
         beside = () if folder is None else (folder,)
         own = () if self.stranger else beside
         if typed and self.typed:
             own = (Path(), *own)
         because = self.stranger or "the scenario is not beside it"
-        admit(kind, law.name, Permission(self.trust, own, (*beside, Path()), because))
+        admit(kind, name, Permission(self.trust, own, (*beside, Path()), because))
 
 
 READING = Policy(imports=False)

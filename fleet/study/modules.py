@@ -1,8 +1,8 @@
-"""The modules of laws that the runs of a study import and that are not installed, and how workers get them.
+"""The modules of laws and plants that the runs of a study import and that are not installed, and how workers get them.
 
 Workers of this machine import them where they lie. To other machines they travel with the runs, as bytes, and are
 written to a folder that exists as long as the worker. Only what was let in here when the scenarios were read travels:
-the files of the laws, and what these imported from the same folder.
+their files, and what these imported from the same folder.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from typing import NamedTuple
 from agents.controllers import BUILT_IN, laws
 from fleet.scenario.scenario import Scenario
 from fleet.study.errors import StudyError
+from world.plants.classes import module_of
 from world.plugins.trust import Permission, Place, Trust, find, permit
 
 MOST_BYTES = 4_000_000  # of all files that travel: they go with each batch of runs
@@ -34,8 +35,8 @@ class Modules(NamedTuple):
     Attributes:
         folder: of the scenario's file on this machine, in which they may lie; else they lie in the current one.
         files: of the modules.
-        fingerprints: SHA-256 of the files of the laws, by which workers let them in, too.
-        names: of the modules of laws.
+        fingerprints: SHA-256 of the files, by which workers let them in, too.
+        names: of the modules of laws and plants.
         carried: path below the folder where the search for modules begins, and content, of each file; empty: they
             are imported where they lie.
     """
@@ -51,11 +52,12 @@ NO_MODULES = Modules()
 
 
 def modules_of(scenarios: Iterable[Scenario], folder: Path | None) -> Modules:
-    """The modules of all laws of these scenarios.
+    """The modules of all laws and plants of these scenarios.
 
     Args:
-        folder: of the scenario's file, in which laws may lie.
+        folder: of the scenario's file, in which they may lie.
     """
+    scenarios = list(scenarios)
     names = {
         law.name.partition(":")[0]
         for scenario in scenarios
@@ -63,6 +65,7 @@ def modules_of(scenarios: Iterable[Scenario], folder: Path | None) -> Modules:
         for kind, law in laws(control).items()
         if law.name not in BUILT_IN[kind] and ":" in law.name  # others are entry points, which are installed
     }
+    names |= {module for s in scenarios for name in s.plants if (module := module_of(name)) is not None}
     beside = () if folder is None else (folder,)
     places = {name: place for name in sorted(names) if (place := find(name, [*beside, Path()])) is not None}
     own = {name: place for name, place in places.items() if not place.installed}

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fleet.logs.schemas import COMMAND, ERROR, STATE, signal_columns
+from fleet.logs.schemas import COMMAND, ERROR, ROLL, STATE, signal_columns
 from fleet.quantities import QuantityError, show_time, time_ns
 from fleet.recorder.metrics import VehicleError
 from fleet.recorder.separation import Separation
@@ -200,8 +200,11 @@ def _columns(scenario: Scenario, i: int) -> dict[str, _Place]:
     groups = {
         group: (signal_columns(getattr(layout, group)), layout.group(group).start) for group in ("guidance", "control")
     }
+    static = {group: (columns, 0) for group, columns in _STATIC.items()}
+    if (plant := scenario.plant_signals(i)) is not None:
+        static |= dict.fromkeys(("state", "nav"), (STATE + ROLL, 0)) | {"plant": (signal_columns(plant), 0)}
     found: dict[str, _Place] = {}
-    for group, (columns, start) in ({group: (columns, 0) for group, columns in _STATIC.items()} | groups).items():
+    for group, (columns, start) in (static | groups).items():
         for column in columns:
             name, width = f"{group}.{column.name}", column.width or 1
             units = column.unit.split(", ") if ", " in column.unit else [column.unit] * width
@@ -276,7 +279,9 @@ def _values(group: str, row: VehicleFrame, command: Command | None, error: Vehic
     """What a topic group has of a vehicle, flat; empty: nothing."""
     match group:
         case "state":
-            return (*row.eta, *row.nu)
+            return (*row.eta, *row.nu, *row.plant[: len(ROLL)])
+        case "plant":
+            return tuple(row.plant[len(ROLL) :])
         case "nav":
             return tuple(row.nav)
         case "error":

@@ -57,7 +57,7 @@ class Picture:
         self.at_s = at_s
         self.links = {link: LinkHistory(sent_s=at_s, arrived_s=at_s) for link in self._numbers}
         self._places: dict[int, Vec3] = {}
-        self._turns: dict[int, tuple[float, float]] = {}  # theta, psi [rad]
+        self._turns: dict[int, Vec3] = {}  # phi, theta, psi [rad]
         self._speeds: dict[int, float] = {}
         self._placed_s = -1.0
         self._packets: deque[list[Any]] = deque(maxlen=MOST_PACKETS)
@@ -155,16 +155,20 @@ class Picture:
             "placed": self.placed,
         }
 
+    def _vehicle(self, i: int) -> list[float]:
+        """Number, x, y, z [m, NED], theta, psi [rad], speed [m/s], and the roll [rad] of a vehicle that has one."""
+        phi, theta, psi = self._turns[i]
+        roll = (phi,) if self.scenario.controls[i - 1].plant is not None else ()
+        speed = round(self._speeds.get(i, 0.0), 3)
+        return [i, *_rounded(self._places[i]), *_rounded((theta, psi)), speed, *_rounded(roll)]
+
     def frame(self) -> Row:
         """The picture now, with the packets and samples that came since the frame before."""
         t = self.at_s
         reference = self.scenario.reference.at(t).position
         row: Row = {
             "t": round(t, 4),
-            "uuv": [
-                [i, *_rounded(self._places[i]), *_rounded(self._turns[i]), round(self._speeds.get(i, 0.0), 3)]
-                for i in sorted(self._places)
-            ],
+            "uuv": [self._vehicle(i) for i in sorted(self._places)],
             "ref": _rounded(reference),
             "links": [history.state(t, self._stale_s) for history in self.links.values()],
             "ages": [round(history.age_s(t), 2) for history in self.links.values()],
@@ -242,10 +246,11 @@ class Picture:
         self._fresh.append(sample)
 
 
-def _angles(x: float, y: float, z: float, w: float) -> tuple[float, float]:
-    """Pitch and heading [rad] of a unit quaternion, body to NED."""
+def _angles(x: float, y: float, z: float, w: float) -> Vec3:
+    """Roll, pitch and heading [rad] of a unit quaternion, body to NED."""
     pitch = asin(max(-1.0, min(1.0, 2.0 * (w * y - z * x))))
-    return pitch, atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+    roll = atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
+    return roll, pitch, atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
 
 
 def _rounded(values: Iterable[float]) -> list[float]:

@@ -8,18 +8,22 @@ from typing import get_args
 import msgspec
 
 from netem.errors import MalformedMessage
-from netem.wire.messages import Message
+from netem.wire.messages import Message, Nav
 
 LONGEST_REASON = 150  # characters, so that a sender cannot fill the logs
 _CLASSES: dict[str, type[msgspec.Struct]] = {cls.__struct_config__.tag: cls for cls in get_args(Message)}
 _NOT_FINITE = re.compile(r"Expected `float` [<>]= -?1\.79\S+(?= - at `\$(.*)`)")  # every field has a place
 _ENCODER = msgspec.msgpack.Encoder()
+_NAV_WITHOUT_ROLL = b"\x95"  # the head of an array of five
 _DECODER: msgspec.msgpack.Decoder[Message] = msgspec.msgpack.Decoder(Message)
 
 
 def encode(message: Message) -> bytes:
     """MessagePack array `[kind, field, ...]` of a declared message."""
-    return _ENCODER.encode(message)
+    data = _ENCODER.encode(message)
+    if type(message) is Nav and not message.roll:
+        return _NAV_WITHOUT_ROLL + data[1:-1]  # agents that were written before there was roll know it like this
+    return data
 
 
 def decode(data: bytes) -> Message:

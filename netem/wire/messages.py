@@ -24,6 +24,7 @@ Uint = Annotated[int, Meta(ge=0)]
 Text = Annotated[str, Meta(max_length=4096)]
 Real = Annotated[float, Meta(ge=-_GREATEST, le=_GREATEST)]  # the bounds refuse NaN and infinity
 Reals = tuple[Real, ...]
+Reals2 = Annotated[Reals, Meta(min_length=2, max_length=2)]
 Reals3 = Annotated[Reals, Meta(min_length=3, max_length=3)]
 Reals5 = Annotated[Reals, Meta(min_length=5, max_length=5)]
 
@@ -82,9 +83,10 @@ class VehicleFrame(Record, frozen=True):
     id: Annotated[Uint, about("vehicle number")]
     eta: Annotated[Reals5, about("true x, y, z (NED), theta, psi", "m, rad")]
     nu: Annotated[Reals5, about("true u, v, w (body, over ground), q, r", "m/s, rad/s")]
-    nav: Annotated[Reals, about("what its sensor reported: eta then nu; empty when not sensed")]
+    nav: Annotated[Reals, about("what its sensor reported: eta, nu, and roll if it has it; empty when not sensed")]
     tau: Annotated[Reals, about("applied thrust and moments after limits; empty at the end", "N, N m")]
     command: Annotated[bytes, about("the agent's Command message; empty when none")]
+    plant: Annotated[Reals, about("true phi, p and what its plant reports, in that order; empty without a plant")]
 
 
 class Arrival(Record, frozen=True):
@@ -151,6 +153,7 @@ class Nav(Record, frozen=True, tag="nav"):
     tick: Annotated[Uint, about("control tick; consecutive on this key", "tick")]
     eta: Annotated[Reals5, about("x, y, z (NED), theta, psi (unwrapped)", "m, rad")]
     nu: Annotated[Reals5, about("u, v, w (body, over ground), q, r", "m/s, rad/s")]
+    roll: Annotated[Reals2, about("phi, p; **left out** where the vehicle has no roll", "rad, rad/s")] = ()
 
 
 class End(Record, frozen=True, tag="end"):

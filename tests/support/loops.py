@@ -45,6 +45,7 @@ class Nav(NamedTuple):
     tick: int
     eta: Vec5
     nu: Vec5
+    roll: tuple[float, ...] = ()
 
 
 class Delivery(NamedTuple):

@@ -20,8 +20,9 @@ if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
 
 LAWS = "uuv_fleet.controllers"
+PLANTS = "uuv_fleet.plants"
 # The entry points of each kind of plug-in; those of laws share one group.
-GROUPS = dict.fromkeys(("controller", "guidance", "tracking", "agent"), LAWS)
+GROUPS = {**dict.fromkeys(("controller", "guidance", "tracking", "agent"), LAWS), "plant": PLANTS}
 
 _MAX_CLASSES = 8  # named in a hint
 

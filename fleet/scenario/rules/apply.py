@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from fleet.scenario.parts import Parts, UnknownValueError
-from fleet.scenario.rules import checks, faults, laws, motion, network, timing
+from fleet.scenario.rules import checks, faults, laws, motion, network, plants, timing
 from fleet.scenario.rules.report import Report
 
 
@@ -47,6 +47,8 @@ RULES: tuple[Callable[[Parts, Report], None], ...] = (
     checks.recovery_time,
     laws.laws,
     laws.effective,
+    plants.plants,
+    plants.rolls,
     laws.vehicles,
     laws.velocity_bounds,
     laws.gain_bounds,

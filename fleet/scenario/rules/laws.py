@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 from agents.config import Law
@@ -11,12 +12,11 @@ from agents.profiles import profile
 from agents.trajectory import PathError
 from fleet.quantities import RATE, SPEED, QuantityError, show, show_vector, vehicle_numbers
 from fleet.scenario.parts import Parts, UnknownValueError
+from fleet.scenario.rules.plugins import plugin
 from fleet.scenario.rules.report import Report, packed
 from fleet.scenario.schema.spec import ScenarioSpec
 from fleet.scenario.sections.per_vehicle import Entries, given, law_names, used, wrong_model
 from fleet.scenario.sections.vehicle_files import VehicleFileError, mass_problems
-from netem.parsing import nearest
-from world.errors import PluginError, UntrustedError
 from world.vectors import Vec3
 
 _BLEND_SAMPLES = 40  # of a change of the formation
@@ -61,22 +61,7 @@ def law(parts: Parts, report: Report, path: tuple[str, ...], kind: str, law: Law
         if law.parameters:
             report.add((*path, "parameters"), f"{law.name} takes none: its gains are keys of guidance and tracking")
         return
-    at = (*path, "law")
-    typed = report.typed(at)
-    if not (typed or report.policy.imports):
-        return
-    try:
-        report.policy.admit(kind, law, parts.folder, typed=typed)
-        load(kind, law)
-    except UntrustedError as error:
-        report.refuse(at, f"{law.name}: {error.problem}", error.hint)
-    except PluginError as error:
-        if ":" not in law.name and "does not load" not in error.problem:
-            close = nearest(law.name, built_in) if built_in else ""
-            known = f"known: {', '.join(built_in)}, or" if built_in else "write"
-            report.add(at, f'there is no {kind} "{law.name}"', close or f"{known} package.module:Class")
-        else:
-            report.add(at, f"{law.name}: {error.problem}", error.hint)
+    plugin(parts, report, (*path, "law"), kind, law.name, built_in, partial(load, kind, law))
 
 
 def effective(parts: Parts, report: Report) -> None:

@@ -44,6 +44,8 @@ class SensorBias(Section):
     yaw: SignedAngle = 0.0
     pitch_rate: SignedAngularRate = 0.0
     yaw_rate: SignedAngularRate = 0.0
+    roll: SignedAngle = 0.0  # of vehicles that have it
+    roll_rate: SignedAngularRate = 0.0
 
 
 class Efficiency(Section):

@@ -134,6 +134,8 @@ class InitialState(Section):
     heave: SignedSpeed = 0.0
     pitch_rate: SignedAngularRate = 0.0
     yaw_rate: SignedAngularRate = 0.0
+    roll: SignedAngle = 0.0  # of a vehicle with a plant; so is its rate
+    roll_rate: SignedAngularRate = 0.0
 
 
 class Scatter(Section):

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from typing import Annotated, Any
+
+from pydantic import BeforeValidator, PlainSerializer
+
 from fleet.scenario.schema.section import Section
 from fleet.scenario.schema.value_types import (
     AnyMoment,
@@ -13,13 +17,43 @@ from fleet.scenario.schema.value_types import (
     PitchLimit,
     Ratio,
     RotationDamping,
+    Time,
 )
+
+DEFAULT_BUDGET_NS = 10_000_000_000
+
+
+class PlantSection(Section):
+    """A vehicle with equations of its own: a plant by name, `package.module:Class` or entry point; see world.api."""
+
+    name: str
+    parameters: dict[str, Any] | None = None
+    budget: Time = DEFAULT_BUDGET_NS  # wall time that it may take for a tick; 0: any
+
+
+def _read_plant(value: Any) -> Any:
+    """A plant may be given by its name alone."""
+    return {"name": value} if isinstance(value, str) else value
+
+
+def _show_plant(section: PlantSection | None) -> Any:
+    if section is None:
+        return None
+    values = section.model_dump(exclude_defaults=True)
+    return section.name if set(values) == {"name"} else values
+
+
+PlantChoice = Annotated[PlantSection, BeforeValidator(_read_plant), PlainSerializer(_show_plant)]
 
 
 class VehicleSection(Section):
-    """The vehicle: a model, shipped or a TOML file, and what differs from it. Commands are clipped to the limits."""
+    """The vehicle: a model, shipped or a TOML file, and what differs from it. Commands are clipped to the limits.
 
-    model: str | None = None  # paper
+    With a plant the vehicle moves by equations of its own, and the model is what its controllers know of it.
+    """
+
+    plant: PlantChoice | None = None  # none: it moves by the equations of the 5-DOF model
+    model: str | None = None  # that of the plant, or paper
     m: Mass | None = None
     Iy: Inertia | None = None
     Iz: Inertia | None = None

@@ -17,7 +17,7 @@ from agents.trajectory import Motion
 from fleet.scenario.schema.motion import FormationSection, FormationShape, InitialSection
 from fleet.scenario.schema.shapes import DEFAULT_SPACING_M
 from netem.draws import uniform
-from world.vectors import Vec3, Vec5, plus
+from world.vectors import Vec2, Vec3, Vec5, plus
 
 
 def plans(formation: FormationSection, vehicles: int) -> tuple[Offset, ...]:
@@ -125,3 +125,10 @@ def initial_states(
         eta0 = (x + radius * (2.0 * dx - 1.0), y + radius * (2.0 * dy - 1.0), z + radius * dz, 0.0, yaw)
         states.append((eta0, (surge, 0.0, 0.0, 0.0, 0.0)))
     return tuple(states)
+
+
+def initial_rolls(initial: InitialSection, vehicles: int) -> tuple[Vec2, ...]:
+    """Roll [rad] and roll rate [rad/s] of every vehicle at the start; those without a plant have none."""
+    if initial.vehicles is None:
+        return ((0.0, 0.0),) * vehicles
+    return tuple((state.roll, state.roll_rate) for state in initial.vehicles)

@@ -13,6 +13,7 @@ from world.plugins.checks import resumable
 
 SNAPSHOT_NS = 10_000_000_000
 LOG_GROUPS = ("pose", "state", "nav", "command", "guidance", "control", "error")
+PLANT_GROUP = "plant"
 DRAWN_GROUPS = {"transforms": 100_000_000, "scene": 500_000_000}  # topics of the whole fleet: about how often [ns]
 
 
@@ -24,12 +25,18 @@ def snapshot_grid(spec: ScenarioSpec) -> int:
 
 def log_every(spec: ScenarioSpec) -> dict[str, int]:
     """Ticks between two records of each topic group; 0 for never."""
-    every = {group: getattr(spec.log, group) or spec.log.every for group in LOG_GROUPS}
+    groups = (*LOG_GROUPS, PLANT_GROUP) if _has_plants(spec) else LOG_GROUPS
+    every = {group: getattr(spec.log, group) or spec.log.every for group in groups}
     step = gcd(*every.values())  # what is drawn shall need no frame of its own
     for group, about_ns in DRAWN_GROUPS.items():
         wanted = getattr(spec.log, group)
         every[group] = max(1, -(-about_ns // (step * spec.tick))) * step if wanted is None else wanted
     return every
+
+
+def _has_plants(spec: ScenarioSpec) -> bool:
+    sections = [spec.vehicle, *(overrides.vehicle for overrides in spec.per_vehicle.values())]
+    return any(section is not None and section.plant is not None for section in sections)
 
 
 def memory_ticks(spec: ScenarioSpec, others: Iterable[tuple[str, Law]]) -> int:

@@ -14,8 +14,9 @@ from agents.profiles import profile
 from fleet.scenario.schema.control import GuidanceSection, LawSection, TrackingSection, VehicleOverrides
 from fleet.scenario.schema.section import Section
 from fleet.scenario.schema.spec import ScenarioSpec
-from fleet.scenario.schema.vehicle import ModelErrorSection, VehicleSection
+from fleet.scenario.schema.vehicle import ModelErrorSection, PlantSection, VehicleSection
 from fleet.scenario.sections import vehicle_files
+from world.plants.classes import model_of
 from world.tumble import LIMIT_RAD
 from world.vectors import Vec3
 from world.vehicle import VehicleParams
@@ -41,7 +42,8 @@ class Control:
     extrapolation: Extrapolation
     age_cap_s: float
     drop_after_s: float
-    vehicle: VehicleParams  # the truth
+    vehicle: VehicleParams  # the truth; of a vehicle with a plant, what is nearest to it
+    plant: PlantSection | None  # none: it moves by these parameters
     model: VehicleParams  # what the controller believes
     tau_max: Vec3  # N, N m, N m
     tumble_limit: float  # |pitch| beyond which it tumbles [rad]
@@ -69,8 +71,8 @@ def _over(below: VehicleOverrides, above: VehicleOverrides) -> VehicleOverrides:
             values[key] = low
         elif low is None or isinstance(high, (str, bool, LawSection)):
             values[key] = high
-        elif isinstance(high, VehicleSection) and high.model is not None:
-            values[key] = high  # another model, not this one with some of its numbers
+        elif isinstance(high, VehicleSection) and (high.model is not None or high.plant is not None):
+            values[key] = high  # another vehicle, not this one with some of its numbers
         else:
             # What was written, not what has a default: a vehicle's own timeout leaves its extrapolation alone.
             written = {name: value for name, value in given(high).items() if name in high.model_fields_set}
@@ -121,6 +123,7 @@ def control(choice: VehicleOverrides, tick_ns: int, vehicle: tuple[VehicleParams
         age_cap_s=choice.neighbours.age_cap / 1e9,
         drop_after_s=choice.neighbours.drop_after / 1e9,
         vehicle=params,
+        plant=choice.vehicle.plant,
         model=wrong_model(params, choice.model_error),
         tau_max=tau_max,
         tumble_limit=choice.vehicle.tumble_pitch or LIMIT_RAD,
@@ -135,7 +138,7 @@ def _law(section: LawSection | None) -> Law | None:
 
 def vehicle(section: VehicleSection, folder: Path | None) -> tuple[VehicleParams, Vec3]:
     """The parameters of a vehicle and its limits [N, N m, N m]. Raises VehicleFileError."""
-    model = vehicle_files.load_vehicle(section.model or "paper", folder)
+    model = vehicle_files.load_vehicle(model_name(section), folder)
     changes = given(section)
     params = replace(model.params, **{key: changes[key] for key in vehicle_files.PARAMETERS.keys() & changes.keys()})
     x, y, z = (
@@ -143,6 +146,13 @@ def vehicle(section: VehicleSection, folder: Path | None) -> tuple[VehicleParams
         for key, limit in zip(vehicle_files.LIMITS, model.tau_max, strict=True)
     )
     return params, (x, y, z)
+
+
+def model_name(section: VehicleSection) -> str:
+    """The model of a vehicle: the one that is named, else that of its plant, else the paper's."""
+    plant = section.plant
+    brought = model_of(plant.name, plant.parameters or {}) if plant is not None and section.model is None else None
+    return section.model or brought or "paper"
 
 
 def wrong_model(params: VehicleParams, errors: ModelErrorSection) -> VehicleParams:
@@ -216,5 +226,5 @@ def inlined_vehicle(section: VehicleSection, folder: Path | None) -> VehicleSect
     params, limits = vehicle(section, folder)
     values: dict[str, Any] = {key: getattr(params, key) for key in vehicle_files.PARAMETERS}
     values |= zip(vehicle_files.LIMITS, limits, strict=True)
-    values["tumble_pitch"] = section.tumble_pitch
+    values |= {"tumble_pitch": section.tumble_pitch, "plant": section.plant}
     return VehicleSection.model_construct(**values)

@@ -186,7 +186,7 @@ def _numbers_of(section: FaultAction) -> tuple[float, ...]:
     if (n := section.noise) is not None:
         return n.position_noise, n.angle_noise, n.velocity_noise, n.rate_noise
     if (b := section.bias) is not None:
-        return *b.position, b.pitch, b.yaw, *b.velocity, b.pitch_rate, b.yaw_rate
+        return *b.position, b.pitch, b.yaw, *b.velocity, b.pitch_rate, b.yaw_rate, b.roll, b.roll_rate
     if (e := section.efficiency) is not None:
         return e.surge, e.pitch, e.yaw
     if (s := section.saturate) is not None:

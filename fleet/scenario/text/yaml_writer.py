@@ -55,7 +55,7 @@ def _supplied(spec: ScenarioSpec) -> dict[str, tuple[str, dict[str, Any]]]:
     """The values that profile and model supply: section -> (origin, values), for vehicles without own entries."""
     supplied: dict[str, tuple[str, dict[str, Any]]] = {}
     model = spec.vehicle.model or "paper"
-    if set(given(spec.vehicle)) <= {"model", "tumble_pitch", *LIMITS}:
+    if set(given(spec.vehicle)) <= {"model", "plant", "tumble_pitch", *LIMITS}:
         supplied["vehicle"] = f"vehicle {model}", inlined_vehicle(VehicleSection(model=model), None).model_dump()
     choice = merged(spec, ())
     names = law_names(choice)

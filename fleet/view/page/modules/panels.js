@@ -110,7 +110,8 @@ export class Panels {
     const place = places.get(i);
     const turn = place ? ((place[5] * 180) / Math.PI + 360) % 360 : 0;
     const pitch = place ? (place[4] * 180) / Math.PI : 0;
-    write(this.facts, place ? `north ${place[1].toFixed(1)} m, east ${place[2].toFixed(1)} m, heading ${turn.toFixed(0)}°, pitch ${pitch.toFixed(0)}°` : "-");
+    const roll = place && place.length > 7 ? `, roll ${((place[7] * 180) / Math.PI).toFixed(0)}°` : "";
+    write(this.facts, place ? `north ${place[1].toFixed(1)} m, east ${place[2].toFixed(1)} m, heading ${turn.toFixed(0)}°, pitch ${pitch.toFixed(0)}°${roll}` : "-");
     const tau = COMMANDS.map(([, unit], k) => number(this.handlers.latest(`uuv/${i}/command.tau[${k}]`), 1, unit));
     write(this.commanded, `commands: ${COMMANDS.map(([what], k) => `${what} ${tau[k]}`).join(", ")}`);
     for (const { src, link, text } of this.heardOf) {

@@ -1,0 +1,74 @@
+"""What the name of a plant stands for: one that ships, or a class of the user's."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from importlib import import_module
+from typing import Any
+
+from world.errors import PluginError
+from world.plugins.checks import check_class, check_signals
+from world.plugins.loading import load_class
+from world.signal import Signal
+
+KIND = "plant"
+# The plants that ship: name -> `module:Class`. They are imported when a scenario names them.
+SHIPPED: dict[str, str] = {}
+METHODS: dict[str, tuple[str, ...]] = {
+    "start": ("pose", "velocity"),
+    "step": ("state", "tau", "water", "dt"),
+    "pose": ("state",),
+    "velocity": ("state",),
+}
+_TAKEN = frozenset(("phi", "p"))  # what every plant has besides what it reports
+
+
+def plant_class(name: str, parameters: Mapping[str, Any]) -> type[Any]:
+    """The class of a plant, checked.
+
+    Args:
+        name: of a plant that ships, `package.module:Class`, or an entry point of group `uuv_fleet.plants`.
+        parameters: what it is to be made with, besides its configuration.
+
+    Raises:
+        UntrustedError: its module is not installed, and was not let in with `admit`.
+        PluginError: there is no such class, or it cannot be used.
+    """
+    if name in SHIPPED:
+        module, _, class_name = SHIPPED[name].partition(":")
+        shipped: type[Any] = getattr(import_module(module), class_name)
+        _check(name, shipped, parameters)
+        return shipped
+    return load_class(KIND, name, lambda found: _check(name, found, parameters))
+
+
+def module_of(name: str) -> str | None:
+    """The module that the class of a plant is imported from; None: it ships, or is found by an entry point."""
+    return None if name in SHIPPED or ":" not in name else name.partition(":")[0]
+
+
+def model_of(name: str, parameters: Mapping[str, Any]) -> str | None:
+    """The vehicle file that a plant brings for the controllers; None: it brings none, or may not run."""
+    try:
+        model = getattr(plant_class(name, parameters), "model", None)
+    except PluginError:
+        return None
+    return model if isinstance(model, str) else None
+
+
+def signals_of(name: str, parameters: Mapping[str, Any]) -> tuple[Signal, ...]:
+    """What a plant reports besides its motion. Raises PluginError: it cannot be used."""
+    signals: tuple[Signal, ...] = getattr(plant_class(name, parameters), "signals", ())
+    return signals
+
+
+def _check(name: str, found: Any, parameters: Mapping[str, Any]) -> None:
+    check_class(KIND, name, found, METHODS, parameters, "world.api.PlantConfig")
+    signals = getattr(found, "signals", ())
+    check_signals(KIND, name, signals, _TAKEN)
+    if signals and not callable(getattr(found, "report", None)):
+        hint = "report(state) returns a dict with a number per signal"
+        raise PluginError(KIND, name, "it has signals and no method report", hint)
+    model = getattr(found, "model", None)
+    if model is not None and not isinstance(model, str):
+        raise PluginError(KIND, name, f"its model is {model!r:.80}", "expected the name of a vehicle file")

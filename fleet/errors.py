@@ -61,6 +61,7 @@ Exception
 │   ├── UnknownValueError
 │   ├── ViewError
 │   ├── ViewerError
+│   │   └── NoConnectionError
 │   └── WhatIfError
 │       └── LawFailedError
 ├── NetemError

@@ -59,6 +59,7 @@ Exception
 │   ├── UnknownValueError
 │   ├── ViewError
 │   ├── ViewerError
+│   │   └── NoConnectionError
 │   └── WhatIfError
 │       └── LawFailedError
 ├── NetemError

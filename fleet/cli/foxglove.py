@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 def serve(
-    source: LiveSource | LogSource, host: str, port: int | None, *, control: bool, rate: float | None, loop: bool
+    source: LiveSource | LogSource, host: str, port: int | None, *, control: bool, rate: float, loop: bool
 ) -> None:
     """Serve viewers: of a live run until it is over, of a log until Ctrl-C.
 
@@ -39,11 +39,7 @@ def serve(
 
     with StatusLine(Terminal(stderr=True), quiet=False) as line:
         if isinstance(source, LogSource):
-            if control:
-                raise click.UsageError("--control is about a live run: a log cannot be disturbed any more")
-            _serve_log(source, host, port, line, rate=1.0 if rate is None else rate, loop=loop)
-        elif rate is not None or loop:
-            raise click.UsageError("--rate and --loop are about logs; the pace of a live run: fleet clock speed")
+            _serve_log(source, host, port, line, rate=rate, loop=loop)
         else:
             _serve_live(source, host, port, line, control=control)
 

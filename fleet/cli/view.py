@@ -66,15 +66,22 @@ def view(
       fleet view --foxglove --control         the same, and a service call cuts a link
       fleet view --foxglove runs/latest       a log: play, pause, seek
     """
-    from fleet.view.source import find_source
+    from fleet.view.source import LiveSource, LogSource, find_source
 
     source = find_source(what, RUNS)
+    if isinstance(source, LogSource) and control:
+        raise click.UsageError("--control is about a live run: a log cannot be disturbed any more")
+    if isinstance(source, LiveSource) and (rate is not None or loop):
+        raise click.UsageError("--rate and --loop are about logs; the pace of a live run: fleet clock speed")
+    if isinstance(source, LiveSource) and control:
+        source.controlled()
+    rate = 1.0 if rate is None else rate
     if foxglove:
         from fleet.cli.foxglove import serve
 
         serve(source, host, port, control=control is True, rate=rate, loop=loop)
         return
-    show_page(source, host, port, may_act=control is not False, browser=not no_open, rate=rate or 1.0, loop=loop)
+    show_page(source, host, port, may_act=control is not False, browser=not no_open, rate=rate, loop=loop)
 
 
 def show_page(

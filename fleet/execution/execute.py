@@ -95,7 +95,8 @@ def _prepare(
 
     line = StatusLine(terminal, quiet=options.quiet)
     directory = while_it_lives.enter_context(closing(RunDirectory(options.out, scenario.name, scenario.seed)))
-    directory.write_scenario(scenario.to_yaml())
+    text = scenario.to_yaml()
+    directory.write_scenario(text)
     try:
         while_it_lives.callback(register(directory).unlink, missing_ok=True)
     except RegistryError as error:
@@ -104,7 +105,7 @@ def _prepare(
     number = (options.rendezvous and options.rendezvous.run) or secrets.token_hex(4)
     publication: Publication | NoPublication = NoPublication()
     if options.publish:
-        publication = Publication(number, directory.observe, line.print, wait=options.wait)
+        publication = Publication(number, directory.observe, text, line.print, wait=options.wait)
     lockstep = options.realtime_speed is None
     log = NoLog() if scenario.spec.log.none else LogFile(directory.log)
     writer = LogWriter(log, scenario, options.start, publication.publisher, lockstep=lockstep)

@@ -31,16 +31,19 @@ class NoPublication:
 class Publication:
     """A run that is published."""
 
-    def __init__(self, run: str, observe: Path, print_line: Callable[[str], None], *, wait: bool) -> None:
+    def __init__(
+        self, run: str, observe: Path, scenario: str, print_line: Callable[[str], None], *, wait: bool
+    ) -> None:
         """Prepare it; nothing is started.
 
         Args:
             run: its id; its keys begin with fleet/<run>/.
             observe: the file that says, while the run lives, where and as whom to subscribe.
+            scenario: of the run, as YAML.
             print_line: shows the operator a line that stays.
             wait: the run begins when there is a subscriber.
         """
-        self.publisher = LivePublisher(run, observe, wait=wait)  # what the log writer hands each message
+        self.publisher = LivePublisher(run, observe, scenario, wait=wait)  # what the log writer hands each message
         self._observe, self._print_line = observe, print_line
 
     def open(self) -> None:

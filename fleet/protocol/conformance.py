@@ -13,17 +13,35 @@ import shutil
 import tempfile
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from secrets import token_hex
 
-import msgpack
-
-from agents import payload
 from agents.join_file import JoinFile
 from fleet.errors import FleetError
 from fleet.hosts.rendezvous import Rendezvous
 from fleet.processes.ports import free_port
+from fleet.protocol.canned_messages import damaged, junk_of
+from fleet.protocol.checks import (
+    ASKS,
+    CHECKS,
+    COMMANDS,
+    DAMAGED,
+    EARLIER,
+    ENDS,
+    FORM,
+    GAP,
+    HELLO,
+    LATE,
+    MALFORMED,
+    MEMORY,
+    PARTS,
+    READY,
+    TOKEN,
+    TRANSMITS,
+    UNASKED,
+    Check,
+)
 from fleet.protocol.emulated_fleet import EmulatedFleet
 from fleet.scenario.scenario import Scenario
 from netem.errors import BusError, MalformedMessage, OutOfPlace
@@ -47,44 +65,6 @@ from netem.wire.messages import (
 ANSWER_S = 5.0  # until an answer counts as missing
 SILENCE_S = 0.3  # how long nothing must come where nothing may
 LIFE, BEGIN_ROUNDS = 1, 3  # the life that is asked for, and the round in which it begins: not what one might assume
-
-ASKS = "asks cfg for its slice"
-HELLO = "says hello on cmd and tx: role agent, its number, the incarnation of cfg, the protocol version"
-READY = "says hello with echo set on cmd, once both were echoed"
-TOKEN = "declares its liveliness token"
-COMMANDS = "answers each nav with one cmd: its incarnation and tick, three finite numbers, all telemetry or none"
-TRANSMITS = "puts one tx at each round tick, before the cmd, and none at other ticks"
-LATE = "waits with its answer until the inbox is known up to the tick"
-PARTS = "takes an inbox in parts for known only when the last is there"
-DAMAGED = "survives payloads that the network has damaged"
-MALFORMED = "drops malformed messages and goes on"
-EARLIER = "ignores nav, rx and end of an earlier life"
-GAP = "goes on after ticks in which it was not asked"
-MEMORY = "puts memory, if at all, before the cmd of a tick at which it is asked for"
-UNASKED = "puts nothing that it was not asked for"
-FORM = "puts well-formed messages of its own kinds only"
-ENDS = "closes its session when it is told the end"
-CHECKS = (
-    *(ASKS, HELLO, READY, TOKEN, COMMANDS, TRANSMITS, LATE, PARTS, DAMAGED),
-    *(MALFORMED, EARLIER, GAP, MEMORY, UNASKED, FORM, ENDS),
-)
-
-
-@dataclass(frozen=True, slots=True)
-class Check:
-    """One verdict; None if the exchange did not get that far."""
-
-    what: str
-    passed: bool | None
-    expected: str = ""
-    got: str = ""
-
-    def __str__(self) -> str:
-        if self.passed:
-            return f"pass  {self.what}"
-        if self.passed is None:
-            return f"----  {self.what}: not reached"
-        return f"FAIL  {self.what}: expected {self.expected}; got {self.got}"
 
 
 class ConformanceError(FleetError):
@@ -117,7 +97,7 @@ class Examination:
             meeting: where the agent may join with a certificate alone; its folder goes beside `file`.
 
         Raises:
-            ConformanceError: there is no such vehicle, the network is ideal, or the file exists.
+            ConformanceError: there is no such vehicle, the network is ideal, or the file or the folder exists.
         """
         if not 1 <= vehicle <= scenario.vehicles:
             raise ConformanceError(
@@ -125,7 +105,8 @@ class Examination:
             )
         if scenario.ideal:
             raise ConformanceError("nobody can join an ideal network: take a scenario with another")
-        for path in (file, file.with_suffix("")):
+        self._meeting = meeting or Rendezvous()
+        for path in (file, *([file.with_suffix("")] if vehicle in self._meeting.folders else [])):
             if path.exists():
                 raise ConformanceError(f"{path} is there already: choose another place with --join-file FILE")
         self._m = scenario.round_ticks
@@ -134,7 +115,6 @@ class Examination:
         self._state = scenario.initial[vehicle - 1]
         self._neighbours = [neighbour.id for neighbour in self._config.neighbours]
         self._i, self._file, self._port = vehicle, file, port
-        self._meeting = meeting or Rendezvous()
         self._keys = Keys(token_hex(4))
         self._reached: set[str] = set()
         self._failed: dict[str, tuple[str, str]] = {}
@@ -222,9 +202,10 @@ class Examination:
         self._known = begin
         self._ask(begin)
         self._reached |= {COMMANDS, TRANSMITS, MEMORY, UNASKED, FORM}
+        eta, _ = self._state
         self._send_nav(begin + 1)
         self._silence(LATE, begin + 1, f"no answer to nav {begin + 1} before an rx that covers it")
-        self._send_inbox(self._deliveries(begin), more=True)
+        self._send_inbox(damaged(self._neighbours[0] if self._neighbours else self._i + 1, begin, eta), more=True)
         self._silence(PARTS, begin + 1, "no answer while more of the inbox is to come")
         self._send_inbox()
         self._answer(begin + 1, DAMAGED)
@@ -232,7 +213,7 @@ class Examination:
         tick = begin + 2 * m + 1
         for k in range(begin + 2, tick):
             self._ask(k)
-        for junk in _JUNK:
+        for junk in junk_of(LIFE):
             self._fleet.nav(junk)
             self._fleet.rx(junk)
         self._ask(tick, MALFORMED)
@@ -366,29 +347,6 @@ class Examination:
         self._fleet.rx(encode(Inbox(LIFE, self._known + self._m, more, deliveries)))
         if not more:
             self._known += self._m
-
-    def _deliveries(self, sent: int) -> tuple[Delivery, ...]:
-        """What neighbours sent at a tick, and the same after a network has been at it."""
-        src = self._neighbours[0] if self._neighbours else self._i + 1
-        eta, _ = self._state
-        good = payload.encode(payload.StateMessage(src, sent, (eta[0] + 5.0, eta[1], eta[2]), (0.5, 0.0, 0.0)))
-        flipped = bytes([good[0], good[1] ^ 0x40, *good[2:]])
-        payloads = [good, flipped, good[:15], b"", bytes(range(63)), b"\xff" * 200]
-        return tuple(Delivery(sent + 1, sent, src, seq, 0, data) for seq, data in enumerate(payloads))
-
-
-# None of them is a message: no MessagePack, no array, no kind, too short, of wrong types, of an unknown kind.
-_JUNK = (
-    b"",
-    b"\xc1",
-    b"\xff" * 40,
-    msgpack.packb({"nav": 1}),
-    msgpack.packb([]),
-    msgpack.packb(["nav", LIFE]),
-    msgpack.packb(["nav", LIFE, "now", [0.0] * 5, [0.0] * 5]),
-    msgpack.packb(["rx", LIFE, None, False, []]),
-    msgpack.packb(["weather", LIFE, 1, [], []]),
-)
 
 
 def _shown(message: Message) -> str:

@@ -24,7 +24,7 @@ from fleet.errors import FleetError
 from fleet.logs.schemas import Schema
 from fleet.replay.observed import new_observed, write_observed
 
-ENTRY = Struct("<HIQQQI")  # channel, sequence, log time, publish time, number in the log, bytes that follow
+ENTRY = Struct("<HIQQQII")  # channel, sequence, log and publish time, places in log and topic, bytes that follow
 LENGTH = Struct("<I")  # of a batch
 PIPE_BYTES = 1 << 20  # the most that Linux gives an ordinary user
 BATCH_BYTES = 1 << 16
@@ -44,12 +44,13 @@ class PublishError(FleetError):
 class LivePublisher:
     """Publishes each message of a log writer; see `fleet.recorder.writer.Tap`. `open` starts the process."""
 
-    def __init__(self, run: str, observe: Path, *, wait: bool = False) -> None:
+    def __init__(self, run: str, observe: Path, scenario: str, *, wait: bool = False) -> None:
         """Prepare; `open` starts the process.
 
         Args:
             run: id of the run.
             observe: file that holds, while the run lives, where and as which user to subscribe.
+            scenario: of the run, as YAML: an observer asks for it.
             wait: whether `heard` will be called.
         """
         self.run = run
@@ -58,11 +59,13 @@ class LivePublisher:
         self.published = 0  # while there was a subscriber, as the process reports at its end
         self.endpoint = ""
         self._observe = observe
+        self._scenario = scenario
         self._channels: list[tuple[int, str, str]] = []
         self._schemas: dict[str, str] = {}
         self._batch: list[bytes] = []
         self._size = 0
         self._number = 0
+        self._places: dict[int, int] = {}  # how many messages there were, by channel
         self._rest = b""  # of a batch that is partly written
         self._gone = False
         self._process: subprocess.Popen[bytes] | None = None
@@ -70,6 +73,7 @@ class LivePublisher:
     def channel(self, number: int, topic: str, schema: Schema) -> None:
         """There will be messages on this channel."""
         self._channels.append((number, topic, schema.name))
+        self._places[number] = 0
         self._schemas[schema.name] = base64.b64encode(schema.descriptor_set).decode()
 
     def open(self) -> None:
@@ -83,6 +87,7 @@ class LivePublisher:
             "run": observed.run,
             "user": observed.user,
             "password": observed.password,
+            "scenario": self._scenario,
             "channels": self._channels,
             "schemas": self._schemas,
             "wait": self.wait,
@@ -128,8 +133,10 @@ class LivePublisher:
 
     def message(self, channel: int, log_ns: int, publish_ns: int, sequence: int, data: bytes) -> None:
         """A message was written to the log."""
-        self._batch.append(ENTRY.pack(channel, sequence, log_ns, publish_ns, self._number, len(data)))
+        place = self._places[channel]
+        self._batch.append(ENTRY.pack(channel, sequence, log_ns, publish_ns, self._number, place, len(data)))
         self._batch.append(data)
+        self._places[channel] = place + 1
         self._number += 1
         self._size += ENTRY.size + len(data)
         if self._size >= BATCH_BYTES:
@@ -160,16 +167,22 @@ class LivePublisher:
         self._rest = self._rest[count:]
         return not self._rest
 
+    def _write_all(self, deadline: float) -> None:
+        """Wait until the rest of the last batch is written, or it is too late."""
+        assert self._process is not None
+        while self._rest and not self._gone and not self._write_rest() and time.monotonic() < deadline:
+            select.select([], [_pipe(self._process.stdin)], [], 0.1)
+
     def close(self) -> None:
         """End the process, once it has published what it was given."""
         process = self._process
         self._observe.unlink(missing_ok=True)
         if process is None:
             return
-        self.flush()
         deadline = time.monotonic() + DRAIN_S
-        while self._rest and not self._gone and not self._write_rest() and time.monotonic() < deadline:
-            select.select([], [_pipe(process.stdin)], [], 0.1)
+        self._write_all(deadline)  # else there would be no room for what comes last
+        self.flush()
+        self._write_all(deadline)
         with contextlib.suppress(OSError):
             _pipe(process.stdin).close()
         self.published = self._answer(max(CLOSE_S, deadline - time.monotonic())).get("published", 0)

@@ -22,6 +22,7 @@ from fleet.errors import RunBroken
 from fleet.processes.ports import free_port
 from fleet.replay.attachment import Stamp, pack
 from fleet.replay.capture_format import zenoh_encoding
+from fleet.replay.missing import pack_counts
 from fleet.replay.observed import Observed, host_observed
 from fleet.replay.publisher import ENTRY, LENGTH
 from fleet.replay.topics import hand_out
@@ -64,12 +65,13 @@ def _publish() -> None:
         return
     keys = Keys(values["run"])
     schemas = {name: base64.b64decode(data) for name, data in values["schemas"].items()}
-    hand_out(bus, keys, {topic: schema for _, topic, schema in values["channels"]}, schemas)
+    hand_out(bus, keys, {topic: schema for _, topic, schema in values["channels"]}, schemas, values["scenario"])
     puts = {
         number: bus.publication(keys.log(topic), zenoh_encoding("protobuf", schema), drop=True)
         for number, topic, schema in values["channels"]
     }
     anybody = bus.publication(keys.log("**"), "zenoh/bytes", drop=True)
+    end = bus.publication(keys.log_end, "zenoh/bytes", drop=False)
     os.nice(NICE)
     _say({"endpoint": endpoint})
     if values["wait"]:
@@ -79,16 +81,19 @@ def _publish() -> None:
                 return
         time.sleep(SETTLE_S)
         _say({"heard": True})
-    published = 0
+    published, counts = 0, dict.fromkeys(puts, 0)
     while (batch := _batch(source)) is not None:
         at = 0 if anybody.matched else len(batch)
         while at < len(batch):
-            channel, sequence, log_ns, publish_ns, number, length = ENTRY.unpack_from(batch, at)
+            channel, sequence, log_ns, publish_ns, number, place, length = ENTRY.unpack_from(batch, at)
             at += ENTRY.size
-            puts[channel].put(batch[at : at + length], pack(Stamp(log_ns, publish_ns, sequence, number)))
+            puts[channel].put(batch[at : at + length], pack(Stamp(log_ns, publish_ns, sequence, number)), place)
             at += length
+            counts[channel] = place + 1
             published += 1
     _say({"published": published})
+    if end.matched:
+        end.put(pack_counts({topic: counts[number] for number, topic, _ in values["channels"]}), None)
     bus.close()  # sends what is queued, and waits for a subscriber that takes nothing; we are killed then
 
 

@@ -1,4 +1,4 @@
-"""Which topics a run or a replay publishes, and with which schemas: handed out, and asked for."""
+"""Which topics a run or a replay publishes, with which schemas, and of which scenario: handed out, and asked for."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from netem.wire.open_bus import OpenBus
 
 
 class TopicsError(FleetError):
-    """Nobody says which topics there are."""
+    """Nobody says which topics there are, or of which scenario."""
 
     status = 3
 
@@ -24,13 +24,18 @@ class PublishedTopic(NamedTuple):
     descriptor_set: bytes  # google.protobuf.FileDescriptorSet
 
 
-def hand_out(bus: OpenBus, keys: Keys, topics: dict[str, str], schemas: dict[str, bytes]) -> None:
-    """Answer queries for the topics and the schemas of a journal.
+def hand_out(
+    bus: OpenBus, keys: Keys, topics: dict[str, str], schemas: dict[str, bytes], scenario: str | None = None
+) -> None:
+    """Answer queries for the topics and the schemas of a journal, and for its scenario if there is one.
 
     Args:
         topics: the name of each topic's schema.
         schemas: the descriptor set of each schema.
+        scenario: as YAML.
     """
+    if scenario is not None:
+        bus.answer(keys.scenario, {keys.scenario: scenario.encode()})
     bus.answer(keys.topics, {keys.topics: msgpack.packb(topics)})
     bus.answer(keys.schema("*"), {keys.schema(name): data for name, data in schemas.items()})
 
@@ -53,3 +58,21 @@ def ask_topics(bus: OpenBus, keys: Keys) -> dict[str, PublishedTopic]:
         }
     except Exception as error:  # msgpack raises half a dozen unrelated types for bad bytes
         raise TopicsError(f"what is published below {keys.prefix} is not told as expected ({error!r})") from None
+
+
+def ask_scenario(bus: OpenBus, keys: Keys) -> str:
+    """The scenario of a live run that is published, as YAML.
+
+    Raises:
+        TopicsError: nobody answers, or not with a text.
+    """
+    answer = bus.ask(keys.scenario).get(keys.scenario)
+    try:
+        if answer is not None:
+            return answer.decode()
+    except ValueError:
+        pass
+    raise TopicsError(
+        f"nobody says of which scenario the journal below {keys.prefix} is: is it a replay, or is the run over, or of "
+        "an older version?"
+    )

@@ -2,22 +2,28 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from typing import Any
 
 from fleet.replay.attachment import unpack
 from fleet.replay.capture import PublisherGone
+from fleet.replay.missing import Missing, left_out
 from fleet.replay.topics import ask_topics
 from fleet.terminal.fitting import Piece
 from fleet.terminal.status_line import StatusLine
 from fleet.view.foxglove_server import FELL_BEHIND, Channel, FoxgloveServer, Subscription
 from fleet.view.foxglove_services import services
-from fleet.view.source import LiveSource, ViewerError
+from fleet.view.source import LiveSource
 from netem.wire.keys import Keys
-from netem.wire.open_bus import OpenBus
+from netem.wire.open_bus import OpenBus, place_of
 
 POLL_S = 0.02
-CLOCK = "transforms"  # the topic by which we know the time, and what was lost: it comes at a fixed period
+TELL_S = 2.0  # between two words on what is missing
+COME_S = 1.0  # after the run, for what is still on its way to us,
+REST_S = 5.0  # and then for what is on its way to viewers
+OVER = "the run is over"
+CLOCK = "transforms"  # the topic by which we know the time
 
 
 class LiveBridge:
@@ -34,10 +40,7 @@ class LiveBridge:
             TopicsError: the run does not say what it publishes.
             ViewerError: there is no port, or only the observer's credentials are at hand, and viewers are to control.
         """
-        if control and source.run is None:
-            raise ViewerError(
-                f"only what an observer needs is at hand ({source.directory}): the run can be watched, with --read-only"
-            )
+        offered = services(source.controlled()) if control else ()
         self._bus, self._keys = bus, Keys(source.observed.run)
         self._topics = ask_topics(bus, self._keys)
         self._numbers = {topic: n for n, topic in enumerate(sorted(self._topics))}
@@ -51,12 +54,14 @@ class LiveBridge:
                 )
                 for topic, n in self._numbers.items()
             },
-            services=services(source.run) if control and source.run is not None else (),
+            services=offered,
         )
         self._names = {n: topic for topic, n in self._numbers.items()}
         self._ends: dict[int, Callable[[], None]] = {}
         self._latest_ns = 0
-        self._ticks = Gaps()
+        self.missing = Missing()
+        self._told, self._told_s = 0, 0.0  # how many messages viewers were told are missing, and when
+        self._bus.subscribe(self._keys.log_end, lambda sample: self.missing.end(sample.payload.to_bytes()))
 
     def run(self, line: StatusLine) -> None:
         """Go on until the run is over."""
@@ -64,15 +69,35 @@ class LiveBridge:
         if CLOCK in self._numbers:
             self._fetch(self._numbers[CLOCK])
         while not over():
-            for event in self.server.events(POLL_S):
-                if isinstance(event, Subscription):
-                    self._follow(event.channel)
-            self.server.time(self._latest_ns)
-            if self.server.fell_behind():
-                line.print(FELL_BEHIND)
-            if line.due():
-                line.show(self._describe())
-        self.server.say("the run is over")
+            self._pass_on(line)
+            self._tell(line)
+        deadline = time.monotonic() + COME_S
+        while time.monotonic() < deadline and self.missing.to_come:
+            self._pass_on(line)
+        self._tell(line, last=True)
+        self.server.say(OVER)
+        deadline = time.monotonic() + REST_S
+        while time.monotonic() < deadline and self.server.viewers:  # their messages may wait in the server
+            self._pass_on(line)
+
+    def _pass_on(self, line: StatusLine) -> None:
+        for event in self.server.events(POLL_S):
+            if isinstance(event, Subscription):
+                self._follow(event.channel)
+        self.server.time(self._latest_ns)
+        if self.server.fell_behind():
+            line.print(FELL_BEHIND)
+        if line.due():
+            line.show(self._describe())
+
+    def _tell(self, line: StatusLine, *, last: bool = False) -> None:
+        """Say how many messages are missing, if they are more than before."""
+        now, count = time.monotonic(), self.missing.count if last else self.missing.lost
+        if count > self._told and (last or now - self._told_s >= TELL_S):
+            self._told, self._told_s = count, now
+            text = left_out(count)
+            self.server.say(text, warning=True)
+            line.print(text)
 
     def _follow(self, number: int) -> None:
         """Fetch a channel, or no longer, as viewers want."""
@@ -84,50 +109,26 @@ class LiveBridge:
 
     def _fetch(self, number: int) -> None:
         topic = self._names[number]
-        self._ends[number] = self._bus.subscribe(self._keys.log(topic), self._receiver(number, topic == CLOCK))
+        self.missing.forget(topic)
+        self._ends[number] = self._bus.subscribe(self._keys.log(topic), self._receiver(number, topic))
 
-    def _receiver(self, number: int, clock: bool) -> Callable[[Any], None]:
+    def _receiver(self, number: int, topic: str) -> Callable[[Any], None]:
         """What takes the samples of a channel, on a thread of zenoh's."""
 
         def receive(sample: Any) -> None:
             stamp = unpack(sample.attachment.to_bytes())
             self._latest_ns = max(self._latest_ns, stamp.log_ns)
-            if clock:
-                self._ticks.add(stamp.sequence)
+            self.missing.came(topic, place_of(sample))
             self.server.put(number, sample.payload.to_bytes(), stamp.log_ns)
 
         return receive
 
     def _describe(self) -> list[Piece]:
         viewers = self.server.viewers
-        lost = f"{self._ticks.lost} of {self._ticks.lost + self._ticks.came} {CLOCK} lost"
         return [
             Piece(0, [f"t = {self._latest_ns / 1e9:.2f} s"]),
             Piece(1, [f"{viewers} viewer{'' if viewers == 1 else 's'}"]),
             Piece(2, [f"{len(self.server.wanted)} of {len(self._topics)} topics", ""]),
             Piece(3, [f"{self.server.sent} messages", ""]),
-            Piece(2, [lost if self._ticks.lost else "", ""]),
+            Piece(2, [f"{self.missing.lost} missing" if self.missing.lost else "", ""]),
         ]
-
-
-class Gaps:
-    """What is missing in numbers that rise by a fixed step, which is the least that was seen."""
-
-    def __init__(self) -> None:
-        self.came = 0
-        self._first = self._last = self._step = 0
-
-    def add(self, number: int) -> None:
-        """The next number."""
-        if not self.came:
-            self._first = number
-        else:
-            rise = number - self._last
-            self._step = min(self._step or rise, rise)
-        self._last = number
-        self.came += 1
-
-    @property
-    def lost(self) -> int:
-        """How many did not come, between the first and the last."""
-        return (self._last - self._first) // self._step + 1 - self.came if self._step > 0 else 0

@@ -33,7 +33,7 @@ from foxglove.websocket import (
     StatusLevel,
 )
 
-from fleet.view.source import ViewerError
+from fleet.view.source import NoConnectionError, ViewerError
 
 TIME_NS = 16_000_000  # of wall time between two messages with the server's time
 BACKLOG = 20_000  # messages that wait for a client: some ticks of a large fleet
@@ -103,7 +103,7 @@ class FoxgloveServer:
             range_ns: of the time that clients may seek in; None: they have no control of it.
 
         Raises:
-            ViewerError: the port is taken, or the address is none of this host.
+            NoConnectionError: the port is taken, or the address is none of this host.
         """
         self._events: SimpleQueue[Subscription | PlaybackRequest] = SimpleQueue()
         self._wanted: set[tuple[int, int]] = set()  # channel and client
@@ -144,9 +144,7 @@ class FoxgloveServer:
             except RuntimeError as error:  # all that the SDK raises
                 if chosen == ports[-1]:
                     said = str(error).removeprefix("FoxgloveError: ")
-                    problem = ViewerError(f"cannot listen on {host}:{chosen}: {said}")
-                    problem.status = 3
-                    raise problem from None
+                    raise NoConnectionError(f"cannot listen on {host}:{chosen}: {said}") from None
         self.endpoint = f"ws://{f'[{host}]' if ':' in host else host}:{self._server.port}"
 
     @property

@@ -8,27 +8,26 @@ from __future__ import annotations
 
 import time
 from collections import deque
+from collections.abc import Callable, Collection
 from typing import Any
 
 from fleet.execution.connection import LiveRun, OpenConnection, RemoteError, is_live
 from fleet.execution.directory import RESULT, SCENARIO, in_use
-from fleet.logs.reader import LogReader, LogReadError
 from fleet.replay.attachment import unpack
+from fleet.replay.missing import Missing, left_out
 from fleet.replay.player import MeasuredRate
+from fleet.replay.topics import ask_scenario, ask_topics
 from fleet.scenario.loading import parse_scenario
-from fleet.scenario.scenario import Scenario
 from fleet.view.feed import FAULTS, TRANSFORMS, checks_asked, checks_so_far, link_of, take
 from fleet.view.picture import NOT_PLACED, SAMPLE_S, Picture, Row
-from fleet.view.signals import Signals
-from fleet.view.source import LiveSource, ViewerError
+from fleet.view.signals import published_signals
+from fleet.view.source import LiveSource, NoConnectionError
 from netem.errors import BusError
-from netem.whole_file import read_file
 from netem.wire.access import Credentials
 from netem.wire.keys import Keys
-from netem.wire.open_bus import OpenBus
+from netem.wire.open_bus import OpenBus, place_of
 
 MOST_WAITING = 50_000  # messages between two pictures
-_MOST_SCENARIO = 4_000_000  # bytes
 
 
 class LiveFeed:
@@ -40,40 +39,42 @@ class LiveFeed:
         """Subscribe.
 
         Raises:
-            ViewerError: the publisher cannot be reached, or there is no scenario beside its observe.json.
+            NoConnectionError: the publisher cannot be reached.
+            TopicsError: it does not say what it publishes.
             ScenarioError: that scenario is none for this version.
         """
         self.source = source
         self.name = source.directory.name
         self.log = source.directory / "run.mcap"
-        self.scenario = _scenario(source)
-        self.picture = Picture(self.scenario)
-        self.checks = checks_asked(self.scenario)  # as they stand
-        self.dropped = 0
+        self.missing = Missing()
         self._waiting: deque[Any] = deque(maxlen=MOST_WAITING)
         self._status: Row = {}
         self._over = ""  # why there is nothing more to come
         self._published = True
         self._rate = MeasuredRate()
-        self._known: Signals | None = None
+        self._ends: dict[str, Callable[[], None]] = {}  # of the subscriptions to topics of signals
         self._connection: OpenConnection | None = None
         observed = source.observed
         self._keys = Keys(observed.run)
         try:
             self._bus = OpenBus.connect(observed.endpoint, Credentials(observed.user, observed.password))
         except BusError as error:
-            raise ViewerError(f"the journal of {self.name} cannot be read: {error}") from None
+            raise NoConnectionError(f"the journal of {self.name} cannot be read: {error}") from None
+        text = ask_scenario(self._bus, self._keys)
+        self.scenario = parse_scenario(text, str(source.directory / SCENARIO))
+        self.picture = Picture(self.scenario)
+        self.checks = checks_asked(self.scenario)  # as they stand
+        self.signals = published_signals(ask_topics(self._bus, self._keys))
+        self._bus.subscribe(self._keys.log_end, lambda sample: self.missing.end(sample.payload.to_bytes()))
         for topic in (TRANSFORMS, FAULTS, "link/*"):
             self._subscribe(topic)
 
-    def _subscribe(self, topic: str) -> None:
-        self._bus.subscribe(self._keys.log(topic), self._receive)
+    def _subscribe(self, topic: str) -> Callable[[], None]:
+        return self._bus.subscribe(self._keys.log(topic), self._receive)
 
     def _receive(self, sample: Any) -> None:
         """On a thread of zenoh."""
-        if len(self._waiting) == MOST_WAITING:
-            self.dropped += 1
-        self._waiting.append(sample)
+        self._waiting.append(sample)  # when it is full, the oldest one goes
 
     @property
     def run(self) -> LiveRun | None:
@@ -92,6 +93,7 @@ class LiveFeed:
                 at_s = unpack(sample.attachment.to_bytes()).log_ns / 1e9
             except (ValueError, AttributeError):
                 continue  # not the publisher's
+            self.missing.came(topic, place_of(sample))
             data = sample.payload.to_bytes()
             if topic == TRANSFORMS:
                 # As fast as it goes, a run makes more of them than anybody can see.
@@ -101,7 +103,7 @@ class LiveFeed:
                 placed = at_s, data
             else:
                 take(self.picture, topic, at_s, data)
-                for name, value in self._known.values(topic, data) if self._known else ():
+                for name, value in self.signals.values(topic, data):
                     self.picture.signal(name, at_s, value)
         if placed is not None:
             take(self.picture, TRANSFORMS, *placed)
@@ -159,49 +161,31 @@ class LiveFeed:
             "rate": 0.0 if over or text == "paused" else round(self._rate.value, 2),
             "over": bool(over),
             "waiting": "" if over or waiting == text else waiting,
-            "note": "" if over else self._note(),
+            "note": self._note(),
         }
 
     def _note(self) -> str:
+        count = self.missing.count if self._over else self.missing.lost
+        lost = f"{left_out(count)}." if count else ""
+        if self._over:
+            return lost
         if not self._published:
             return "The publisher is gone: the run goes on, and nothing more of it is seen here."
-        return "" if self.picture.placed else NOT_PLACED
+        return lost if self.picture.placed else NOT_PLACED
 
-    def signals(self) -> Signals:
-        """What else a chart can show: what the log of the run, as far as it is written, declares."""
-        if self._known is None:
-            reader = LogReader(self.log)
-            try:
-                for _ in reader.blocks():
-                    break
-            except LogReadError:
-                return Signals([], {})
-            found = Signals(reader.channels.values(), reader.schemas)
-            if not found.by_name:  # nothing is written yet
-                return found
-            self._known = self._known or found  # another thread may have been first
-        return self._known
-
-    def watch(self, *names: str) -> None:
-        """Bring signals into the picture as well. Raises KeyError: there is none of a name."""
-        topics = self.signals().watch(*names)
-        for name in names:
-            self.picture.watch(name)
-        for topic in topics:
-            if link_of(topic) is None:  # those come already
-                self._subscribe(topic)
+    def follow(self, names: Collection[str]) -> None:
+        """Bring these signals and no others into the picture. Raises KeyError: there is none of a name."""
+        self.signals.follow(names)
+        self.picture.follow(names)
+        topics = {topic for topic in self.signals.followed if link_of(topic) is None}  # those of links come already
+        for topic in self._ends.keys() - topics:
+            self._ends.pop(topic)()
+        for topic in topics - self._ends.keys():
+            self.missing.forget(topic)
+            self._ends[topic] = self._subscribe(topic)
 
     def close(self) -> None:
         """End."""
         self._bus.close()
         if self._connection is not None:
             self._connection.close()
-
-
-def _scenario(source: LiveSource) -> Scenario:
-    path = source.directory / SCENARIO
-    try:
-        text = read_file(path, _MOST_SCENARIO).decode()
-    except (OSError, ValueError) as error:
-        raise ViewerError(f"{path} cannot be read, and without it nothing can be drawn: {error}") from None
-    return parse_scenario(text, str(path))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Collection
 from pathlib import Path
 
 from fleet.logs.run_name import run_name
@@ -40,7 +41,7 @@ class LogFeed:
         self.scenario: Scenario = run.script()
         self._tape = Tape(run.path)
         self._topics = {n: channel.topic for n, channel in self._tape.channels.items()}
-        self._signals = Signals(self._tape.channels.values(), self._tape.schemas)
+        self.signals = Signals(self._tape.channels.values(), self._tape.schemas)
         self.picture = Picture(self.scenario)
         self.picture.faults(self._all_faults())
         self.missing = self._tape.missing
@@ -53,7 +54,7 @@ class LogFeed:
         self.seek(0.0)
 
     def _tracked(self) -> Track:
-        more = self._signals.watched
+        more = self.signals.followed
         chosen = [n for n, t in self._topics.items() if t == TRANSFORMS or link_of(t) is not None or t in more]
         return Track(self._tape, chosen)
 
@@ -100,7 +101,7 @@ class LogFeed:
         for _, entry in self._track.entries(some):
             topic = entry.channel.topic
             take(self.picture, topic, entry.log_ns / 1e9, entry.data, moving=moving)
-            for name, value in self._signals.values(topic, entry.data):
+            for name, value in self.signals.values(topic, entry.data):
                 self.picture.signal(name, entry.log_ns / 1e9, value)
 
     def clock(self) -> Row:
@@ -158,15 +159,10 @@ class LogFeed:
                 return entry.log_ns / 1e9
         return None
 
-    def signals(self) -> Signals:
-        """What else a chart can show."""
-        return self._signals
-
-    def watch(self, *names: str) -> None:
-        """Bring signals into the picture as well. Raises KeyError: there is none of a name."""
-        self._signals.watch(*names)
-        for name in names:
-            self.picture.watch(name)
+    def follow(self, names: Collection[str]) -> None:
+        """Bring these signals and no others into the picture. Raises KeyError: there is none of a name."""
+        self.signals.follow(names)
+        self.picture.follow(names)
         at_s, player = self.picture.at_s, self.player
         self._track = self._tracked()
         self.player = self._player(int(at_s * 1e9), player.rate, paused=player.paused)

@@ -11,6 +11,7 @@ import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection, PatchCollection, PolyCollection
+from matplotlib.colors import to_rgba
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Ellipse
@@ -83,6 +84,7 @@ class MovieScene:
         self._size = 1.0 if count <= MANY else 0.7 if count <= CROWD else 0.4  # of what is drawn of each vehicle
         self._trails: dict[int, deque[list[float]]] = {}
         self._flying: list[_Flight] = []
+        self._rings: dict[tuple[int, float], tuple[float, float]] = {}  # by sender and time: from when to when [s]
         self._shown_s = [-APART_S] * len(self._links)  # when the last packet of a link was shown [s of the movie]
         self._drawn: list[Artist] = []
         self.figure = Figure(figsize=(WIDTH_IN, HEIGHT_IN))
@@ -151,6 +153,7 @@ class MovieScene:
             self._lines_of([camera.project([row[1:4], [*row[1:3], deep]]) for row in rows.values()], 0.0, "0.7", THIN)
         self._draw_trails(rows)
         self._draw_wanted(rows, wanted, frame["ref"])
+        self._draw_rings(rows, at_s)
         lanes = self._draw_links(rows, frame["links"])
         self._draw_packets(lanes, at_s)
         self._draw_hulls(rows, frame["states"])
@@ -258,7 +261,25 @@ class MovieScene:
                 self._shown_s[link] = begin_s
                 lasts_s = min(MOST_PACKET_S, max(PACKET_S, late_s / self._rate))
                 self._flying.append(_Flight(link, begin_s, begin_s + lasts_s, fate))
+                if self._setup["acoustic"] and fate != CUT:
+                    self._rings[self._links[link][0], sent_s] = begin_s, begin_s + lasts_s
         self._flying = [flight for flight in self._flying if flight.end_s > now_s]
+        self._rings = {sent: span for sent, span in self._rings.items() if span[1] > now_s}
+
+    def _draw_rings(self, rows: dict[int, list[Any]], now_s: float) -> None:
+        """Sound that spreads from who sends: at the end as wide as the farthest place in sight."""
+        turns = np.linspace(0.0, 2.0 * np.pi, 37)
+        circles, colours = [], []
+        for (src, _), (begin_s, end_s) in self._rings.items():
+            share = (now_s - begin_s) / (end_s - begin_s)
+            if share < 0.0 or src not in rows:
+                continue
+            north, east, down = rows[src][1:4]
+            radius = share * 2.0 * self._camera.radius
+            places = [north + radius * np.cos(turns), east + radius * np.sin(turns), np.full_like(turns, down)]
+            circles.append(self._camera.project(np.column_stack(places)))
+            colours.append(to_rgba(LOOKS[DELIVERED].colour, 0.7 * (1.0 - share)))
+        self._lines_of(circles, 2.0, colours, 1.2)
 
     def _draw_packets(self, lanes: list[Array | None], now_s: float) -> None:
         by_colour: dict[str, list[Array]] = {}

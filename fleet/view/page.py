@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import shlex
+from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
@@ -26,6 +27,8 @@ PERIOD_S = 0.05  # between two pictures
 LOOK_S = 1.0  # between two questions to the console
 MOST_AHEAD = 40  # pictures on their way to a browser; further ones are left out,
 TRY_AGAIN = 100  # but one of so many
+MOST_COMMANDS = 100  # of the last ones, that are listed
+ONLY_WATCHED = "this page may only watch"
 _HERE = Path(__file__).parent
 
 
@@ -52,9 +55,10 @@ class Page:
     def __init__(self, feed: LiveFeed | LogFeed, *, may_act: bool) -> None:
         self.feed = feed
         self.may_act = may_act and (not isinstance(feed, LiveFeed) or feed.run is not None)
-        self.commands: list[str] = []  # that had the effect of what was done here
+        self.commands: deque[str] = deque(maxlen=MOST_COMMANDS)  # that had the effect of what was done here
         self.dropped = 0  # pictures that a browser was too slow for
         self._viewers: list[Viewer] = []
+        self._followed: set[str] = set()  # signals
         self._busy = asyncio.Lock()  # one question at a time
         self.new = False
 
@@ -76,6 +80,14 @@ class Page:
     def _forget(self, viewer: Viewer) -> None:
         with suppress(ValueError):
             self._viewers.remove(viewer)
+        self.follow()
+
+    def follow(self) -> None:
+        """Follow the signals that any browser shows. Raises KeyError: there is none of a name."""
+        names = {name for viewer in self._viewers for some in viewer.signals.values() for name in some}
+        if names != self._followed:
+            self.feed.follow(names)
+            self._followed = names
 
     def tell_all(self, changes: Row) -> None:
         """Give every browser something."""
@@ -130,17 +142,21 @@ class Page:
             FleetError: it refuses, or nothing may be asked for here.
         """
         if not self.may_act or not isinstance(self.feed, LiveFeed):
-            raise FleetError("this page may only watch")
+            raise FleetError(ONLY_WATCHED)
         feed = self.feed
         async with self._busy:
             answer = await run.io_bound(feed.ask, op, **fields)
-        self.commands.append(command)
-        self.tell_all({"commands": self.commands})
+        self.note(command)
         if not self.feed.clock()["over"]:
             async with self._busy:
                 await run.io_bound(self.feed.look)
             self.new = True
         return answer or {}
+
+    def note(self, command: str) -> None:
+        """Add to the commands that had an effect."""
+        self.commands.append(command)
+        self.tell_all({"commands": list(self.commands)})
 
 
 class Viewer:
@@ -149,6 +165,7 @@ class Viewer:
     def __init__(self, page: Page) -> None:
         self._page = page
         self._ready = False
+        self.signals: dict[str, list[str]] = {}  # that it shows, by where: names
         self._sent = self._seen = self._left_out = 0
         feed = page.feed
         setup = feed.picture.setup() | {
@@ -196,20 +213,15 @@ class Viewer:
             case "ready":
                 self._ready = True
                 self._sent = self._seen = 0
-                names = list(feed.signals().by_name) if not feed.live else await run.io_bound(self._names)
-                self.give({"history": feed.picture.history(), "checks": feed.checks, "commands": page.commands,
-                           "names": names})  # fmt: skip
+                self.give({"history": feed.picture.history(), "checks": feed.checks,
+                           "commands": list(page.commands), "names": list(feed.signals.by_name)})  # fmt: skip
                 page.new = True
             case "seen":
                 self._seen = int(said["n"])
-            case "signal":
-                feed.watch(str(said["name"]))
-                self.give({"history": feed.picture.history()})
-            case "commands":  # of a vehicle that was chosen, where the run logs them
-                names = [name for name in commands_of(int(said["i"])) if name in feed.signals().by_name]
-                if names:
-                    feed.watch(*names)
-                    self.give({"history": feed.picture.history()})
+            case "signal":  # that the chart shows; none: empty
+                self._follow("chart", [str(said["name"])] if said["name"] else [])
+            case "commands":  # of a vehicle that was chosen, where the run logs them; none: 0
+                self._follow("vehicle", [name for name in commands_of(int(said["i"])) if name in feed.signals.by_name])
             case "link" | "vehicle" | "fleet" | "partition" as kind:
                 if self._form is not None:
                     self._form.open(kind, said)
@@ -225,8 +237,14 @@ class Viewer:
             case _ if isinstance(feed, LogFeed):
                 self._play(feed, said)
 
-    def _names(self) -> list[str]:
-        return list(self._page.feed.signals().by_name)
+    def _follow(self, where: str, names: list[str]) -> None:
+        before, self.signals = self.signals, self.signals | {where: names}
+        try:
+            self._page.follow()
+        except KeyError:
+            self.signals = before
+            raise
+        self.give({"history": self._page.feed.picture.history()})
 
     def _play(self, feed: LogFeed, said: Row) -> None:
         """What the time line of a log does."""
@@ -255,13 +273,13 @@ class Viewer:
         """The run so far as a scenario."""
         from fleet.repeat.recorded_run import script
 
-        feed = self._page.feed
-        path = feed.path if isinstance(feed, LogFeed) else feed.log
-        made = await run.io_bound(script, path)
+        page, feed = self._page, self._page.feed
+        if not page.may_act or not isinstance(feed, LiveFeed):
+            raise FleetError(ONLY_WATCHED)
+        made = await run.io_bound(script, feed.log)
         with self.element:
             ui.download.content(made.to_yaml() if made else "", f"{feed.scenario.name}-again.yaml")
-        self._page.commands.append(f"fleet script {shlex.quote(str(path))} > again.yaml")
-        self._page.tell_all({"commands": self._page.commands})
+        page.note(f"fleet script {shlex.quote(str(feed.log))} > again.yaml")
 
     def _tell(self, text: str) -> None:
         with self.element:

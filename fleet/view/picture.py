@@ -8,7 +8,7 @@ in m, north-east-down; times in s of simulated time.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from math import asin, atan2, dist
 from typing import Any
 
@@ -123,13 +123,16 @@ class Picture:
             known["to_s"] = min(at_s, self.end_s)
             known["until_healed"] = False
 
-    def watch(self, name: str) -> None:
-        """Keep a signal's values from now on."""
-        self._signals.setdefault(name, deque(maxlen=4 * MOST_SAMPLES))
-        self._new.setdefault(name, deque(maxlen=4 * MOST_SAMPLES))
+    def follow(self, names: Collection[str]) -> None:
+        """Keep the values of these signals from now on, and of no others."""
+        for values in (self._signals, self._new):
+            for name in values.keys() - set(names):
+                del values[name]
+            for name in names:
+                values.setdefault(name, deque(maxlen=4 * MOST_SAMPLES))
 
     def signal(self, name: str, at_s: float, value: float) -> None:
-        """Take a value of a signal that is watched; of values that come faster, some are left out."""
+        """Take a value of a signal that is followed; of values that come faster, some are left out."""
         values = self._signals[name]
         if not values or at_s - values[-1][0] >= SAMPLE_S / 4 - 1e-9:
             values.append((round(at_s, 3), value))

@@ -16,7 +16,7 @@ from pathlib import Path
 
 from fleet.view.live_feed import LiveFeed
 from fleet.view.log_feed import LogFeed
-from fleet.view.source import ViewerError
+from fleet.view.source import NoConnectionError, ViewerError
 
 LOOPBACK = "127.0.0.1"
 
@@ -53,7 +53,8 @@ def open_door(host: str = LOOPBACK, port: int | None = None) -> Door:
         port: None or 0: a free one.
 
     Raises:
-        ViewerError: NiceGUI is not installed, the address is not one of this machine, or the port is taken.
+        ViewerError: NiceGUI is not installed.
+        NoConnectionError: the address is not one of this machine, or the port is taken.
     """
     if find_spec("nicegui") is None:
         raise ViewerError("the page needs NiceGUI, which is not installed: pip install 'uuv-fleet[view]'")
@@ -63,7 +64,7 @@ def open_door(host: str = LOOPBACK, port: int | None = None) -> Door:
     except (OSError, UnicodeError) as error:  # of a name that no host can have
         where = f"port {port} of {host}" if port else host
         what = f"{where} cannot be listened on ({getattr(error, 'strerror', None) or error})"
-        raise ViewerError(f"{what}; --port chooses another, and without it a free one is taken") from None
+        raise NoConnectionError(f"{what}; --port chooses another, and without it a free one is taken") from None
     return Door(host, found.getsockname()[1], found, secrets.token_urlsafe(24))
 
 

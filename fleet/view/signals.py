@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from typing import Any, NamedTuple
 
 from google.protobuf.descriptor import FieldDescriptor
@@ -10,6 +10,7 @@ from google.protobuf.message import DecodeError
 from mcap.records import Channel, Schema
 
 from fleet.logs.decoder import message_class, units_of
+from fleet.replay.topics import PublishedTopic
 from netem.parsing import nearest
 
 OF_THE_FLEET = ("transforms", "scene", "faults", "snapshot")  # topics with no signals to choose
@@ -40,7 +41,7 @@ class Signals:
     def __init__(self, channels: Iterable[Channel], schemas: dict[int, Schema]) -> None:
         self._classes: dict[str, Any] = {}
         self.by_name: dict[str, Signal] = {}
-        self.watched: dict[str, list[Signal]] = {}  # by topic
+        self.followed: dict[str, list[Signal]] = {}  # by topic
         for channel in sorted(channels, key=lambda channel: channel.topic):
             schema = schemas.get(channel.schema_id)
             if channel.topic in OF_THE_FLEET or schema is None or not schema.name.startswith("uuv_fleet."):
@@ -56,21 +57,18 @@ class Signals:
                     unit = each[(index or 0) % len(each)]
                     self.by_name[name] = Signal(name, channel.topic, field.name, index, unit)
 
-    def watch(self, *names: str) -> list[str]:
-        """Follow signals; returns the topics of which none was followed. Raises KeyError: there is none of a name."""
+    def follow(self, names: Collection[str]) -> None:
+        """Follow these signals and no others. Raises KeyError: there is none of a name, and all stays as it was."""
         for name in names:
             if name not in self.by_name:
                 raise KeyError(nearest(name, self.by_name) or "the log has no such signal")
-        before = set(self.watched)
-        for signal in map(self.by_name.__getitem__, names):
-            some = self.watched.setdefault(signal.topic, [])
-            if signal not in some:
-                some.append(signal)
-        return [topic for topic in self.watched if topic not in before]
+        self.followed = {}
+        for signal in map(self.by_name.__getitem__, sorted(names)):
+            self.followed.setdefault(signal.topic, []).append(signal)
 
     def values(self, topic: str, data: bytes) -> Iterator[tuple[str, float]]:
         """What a message says of the signals that are followed; nothing if it is damaged."""
-        if not (some := self.watched.get(topic)):
+        if not (some := self.followed.get(topic)):
             return
         try:
             message = self._classes[topic].FromString(data)
@@ -79,6 +77,15 @@ class Signals:
         for signal in some:
             if (value := signal.value(message)) is not None:
                 yield signal.name, value
+
+
+def published_signals(topics: Mapping[str, PublishedTopic]) -> Signals:
+    """The signals of a journal that is published; their units are in its log only."""
+    channels, schemas = [], {}
+    for number, (topic, (name, descriptor_set)) in enumerate(topics.items(), start=1):
+        channels.append(Channel(number, topic, "protobuf", {}, number))
+        schemas[number] = Schema(number, descriptor_set, "protobuf", name)
+    return Signals(channels, schemas)
 
 
 def commands_of(vehicle: int) -> list[str]:

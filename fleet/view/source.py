@@ -20,6 +20,12 @@ class ViewerError(FleetError):
     """There is nothing that can be shown, or it cannot be shown in this way."""
 
 
+class NoConnectionError(ViewerError):
+    """There is no port to listen on, or nobody answers at one."""
+
+    status = 3
+
+
 @dataclass(frozen=True, slots=True)
 class LiveSource:
     """A live run: who may read its journal, and who may ask its console.
@@ -33,6 +39,14 @@ class LiveSource:
     directory: Path
     observed: Observed
     run: LiveRun | None
+
+    def controlled(self) -> LiveRun:
+        """The run, to be disturbed. Raises ViewerError: it can only be watched."""
+        if self.run is None:
+            raise ViewerError(
+                f"only what an observer needs is at hand ({self.directory}): the run can be watched, with --read-only"
+            )
+        return self.run
 
 
 @dataclass(frozen=True, slots=True)

@@ -98,7 +98,7 @@ class Bus:
             **listening(endpoints),
             "transport/auth/usrpwd/dictionary_file": str(users),
             "access_control": control,
-            **({} if listener is None else server_tls(listener)),
+            **({} if listener is None else server_tls(listener, mutual=bool(listener.certified))),
         }
         try:
             bus = cls(open_session("router", settings), endpoint)

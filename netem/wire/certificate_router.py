@@ -48,7 +48,7 @@ class CertificateRouter:
             **UNIVERSAL,
             "id": session_id,
             **listening([*listener.endpoints]),
-            **server_tls(listener),
+            **server_tls(listener, mutual=True),  # also where no vehicle is external
             "access_control": certificate_control(keys, agents),
         }
         try:

@@ -99,6 +99,16 @@ class Keys:
         return f"fleet/{self.run}/topics"
 
     @property
+    def scenario(self) -> str:
+        """Query: the scenario of a live run that is published, as YAML."""
+        return f"fleet/{self.run}/scenario"
+
+    @property
+    def log_end(self) -> str:
+        """Put once by the publisher of a live run, after the last message: how many messages each topic had."""
+        return f"fleet/{self.run}/log-end"
+
+    @property
     def clock(self) -> str:
         """The present time of a replay, for programs that use it as their clock."""
         return f"fleet/{self.run}/clock"

@@ -38,8 +38,10 @@ class Publication:
         status: Any = self._publisher.matching_status  # the stub says bool, and the object is always true
         return bool(getattr(status, "matching", status))
 
-    def put(self, payload: bytes, attachment: bytes | None) -> None:
-        self._publisher.put(payload, attachment=attachment)
+    def put(self, payload: bytes, attachment: bytes | None, place: int | None = None) -> None:
+        """Put a sample; `place` is how many were put on the key before it, with those that were left out."""
+        source = None if place is None else zenoh.SourceInfo(self._publisher.id, place)
+        self._publisher.put(payload, attachment=attachment, source_info=source)
 
     def delete(self, attachment: bytes | None) -> None:
         self._publisher.delete(attachment=attachment)
@@ -175,6 +177,12 @@ class OpenBus:
         """Send what is queued and close the session."""
         self._held.clear()
         self._session.close()  # type: ignore[no-untyped-call]
+
+
+def place_of(received: Any) -> int | None:
+    """How many samples were put on the key before this one; None: its publisher does not say."""
+    source = received.source_info
+    return None if source is None else int(source.source_sn)
 
 
 def sample_of(received: Any) -> ZenohSample:

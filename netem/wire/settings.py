@@ -97,14 +97,18 @@ def client_tls(credentials: Credentials) -> dict[str, Any]:
     return settings
 
 
-def server_tls(listener: Listener) -> dict[str, Any]:
-    """The other side of `client_tls`; empty when the listener has no certificate."""
+def server_tls(listener: Listener, *, mutual: bool) -> dict[str, Any]:
+    """The other side of `client_tls`; empty when the listener has no certificate.
+
+    Args:
+        mutual: whether everybody has to show a certificate.
+    """
     settings: dict[str, Any] = {}
     if listener.certificate:
         settings[f"{_TLS}/root_ca_certificate_base64"] = _base64(listener.ca)
         settings[f"{_TLS}/listen_certificate_base64"] = _base64(listener.certificate)
         settings[f"{_TLS}/listen_private_key_base64"] = _base64(listener.key)
-        settings[f"{_TLS}/enable_mtls"] = bool(listener.certified)
+        settings[f"{_TLS}/enable_mtls"] = mutual
     return settings
 
 

@@ -117,12 +117,12 @@ class LiveRun:
         """A signal to the console, or to its whole process group as a terminal would send it."""
         (os.killpg if group else os.kill)(self.pid, number)
 
-    def status(self, limit: float = 30.0) -> int:
+    def status(self, limit: float = READY_S) -> int:
         """The exit status, a shell's 128 + n for death by signal n; waits for the end."""
         code = self._process.wait(limit)
         return code if code >= 0 else 128 - code
 
-    def until_nobody_is_left(self, limit: float = 5.0) -> None:
+    def until_nobody_is_left(self, limit: float = READY_S) -> None:
         """Wait until no process that belonged to the run is alive."""
         wait_for(lambda: not self.alive(), limit, f"the end of {[_title(p) for p in self.alive()]}")
 

@@ -2,19 +2,48 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+from collections import deque
 from types import SimpleNamespace
 from typing import Any
 
-from in_process_runs import Alone, log_of
+from small_scenario import small
 
+from fleet.replay.missing import Missing, pack_counts
 from fleet.view.live_feed import LiveFeed
+from fleet.view.picture import Picture
 
 
-def test_signals_are_looked_up_again_until_the_log_has_some(alone: Alone, tmp_path: Path) -> None:
-    whole = Path(log_of(alone("paper", "duration=2 s", "checks={}"))).read_bytes()
-    feed: Any = SimpleNamespace(log=tmp_path / "run.mcap", _known=None)
-    feed.log.write_bytes(whole[:64])  # as it is before its first second is written
-    assert not LiveFeed.signals(feed).by_name
-    feed.log.write_bytes(whole)
-    assert "uuv/1/state.z" in LiveFeed.signals(feed).by_name
+def test_messages_that_did_not_come_are_said_also_when_the_run_is_over() -> None:
+    feed: Any = object.__new__(LiveFeed)
+    vars(feed).update(missing=Missing(), picture=Picture(small()), _over="", _published=True, _status={})
+    feed._rate = SimpleNamespace(value=1.0)
+    assert feed.clock()["note"] == ""
+    feed.missing.came("transforms", 0)
+    feed.missing.came("transforms", 3)
+    assert feed.clock()["note"].startswith("2 messages were left out")
+    feed.missing.end(pack_counts({"transforms": 5}))
+    assert feed.clock()["note"].startswith("2 messages")  # the last one may be on its way
+    feed._over = "the run is over"
+    assert feed.clock()["note"].startswith("3 messages were left out")
+
+
+def test_what_the_queue_has_no_room_for_is_counted() -> None:
+    feed: Any = object.__new__(LiveFeed)
+    vars(feed).update(missing=Missing(), picture=Picture(small()), _waiting=deque(maxlen=3))
+    feed._keys = SimpleNamespace(log=lambda topic: f"x/{topic}")
+    feed._rate = SimpleNamespace(update=lambda *_: None)
+    feed.signals = SimpleNamespace(values=lambda *_: ())
+    stamp = SimpleNamespace(to_bytes=lambda: bytes([0x94, 0, 0, 0, 0]))
+    for count in (1, 6):
+        for _ in range(count):
+            place = feed.__dict__["place"] = feed.__dict__.get("place", -1) + 1
+            feed._receive(
+                SimpleNamespace(
+                    key_expr="x/faults",
+                    attachment=stamp,
+                    payload=SimpleNamespace(to_bytes=lambda: b"\xff"),
+                    source_info=SimpleNamespace(source_sn=place),
+                )
+            )
+        assert feed.advance()
+    assert feed.missing.count == 3

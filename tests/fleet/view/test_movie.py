@@ -13,6 +13,7 @@ from in_process_runs import Alone, log_of
 from PIL import Image, ImageChops
 from small_scenario import small
 
+from fleet.scenario.loading import load_scenario
 from fleet.view.log_feed import LogFeed
 from fleet.view.movie import write
 from fleet.view.movie_scene import FAULT, LOOKS, MovieScene
@@ -95,6 +96,26 @@ def test_a_fleet_that_is_nowhere_leaves_the_scene_empty() -> None:
     scene.draw(picture.frame(), 0.0)
     scene.figure.canvas.draw()
     assert "t = 0.0 s" in texts(scene)
+
+
+@pytest.mark.parametrize(("scenario", "rings"), [("acoustic-s2c", 1), ("paper", 0)])
+def test_sound_spreads_from_who_sends(scenario: str, rings: int) -> None:
+    """One ring, however many hear it; none of a packet that its sender could not send."""
+    picture = Picture(load_scenario(scenario))
+    scene = MovieScene(picture, 0.0, 10.0, 1.0, above=True)
+    links = picture.setup()["links"]
+    heard = [[k, 1.0, 0.5, "arrived"] for k, (src, _) in enumerate(links) if src == 2]
+    cut = [[k, 1.0, 0.5, "cut"] for k, (src, _) in enumerate(links) if src == 3]
+    rows = [[i, 10.0 * i, 0.0, 5.0, 0.0, 0.0, 0.5] for i in range(1, 5)]
+    scene.draw(picture.frame() | {"uuv": rows, "packets": heard + cut}, 1.6)
+    assert len(circles(scene)) == rings
+    scene.draw(picture.frame() | {"uuv": rows, "packets": []}, 3.0)
+    assert not circles(scene)
+
+
+def circles(scene: MovieScene) -> list[Any]:
+    lines = scene.figure.findobj(matplotlib.collections.LineCollection)
+    return [path for some in lines for path in some.get_segments() if len(path) == 37]
 
 
 def test_a_long_fault_is_cut_short() -> None:

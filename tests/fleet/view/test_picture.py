@@ -140,12 +140,14 @@ def test_places_that_are_no_numbers_are_left_open() -> None:
 
 def test_signals_are_thinned() -> None:
     picture = Picture(small())
-    picture.watch("uuv/1/state.z")
+    picture.follow({"uuv/1/state.z"})
     for tick in range(100):
         picture.signal("uuv/1/state.z", tick * 0.01, float(tick))
     values = shown(picture)["signals"]["uuv/1/state.z"]
     assert values[:3] == [[0, 0], [0.05, 5], [0.1, 10]] and len(values) == 20
     assert "signals" not in shown(picture)
+    picture.follow({"uuv/1/state.x"})
+    assert picture.history()["signals"] == {"uuv/1/state.x": []}
 
 
 def test_a_formation_that_changes_is_told_again_and_again() -> None:

@@ -30,16 +30,18 @@ def test_numbers_of_vehicles_and_links_are_offered_with_their_units(signals: Sig
 
 def test_only_what_is_followed_has_values(signals: Signals) -> None:
     assert list(signals.values("uuv/1/state", b"")) == []
-    assert signals.watch("uuv/1/state.x", "uuv/1/state.z") == ["uuv/1/state"]
-    assert signals.watch("uuv/1/state.x", *commands_of(1)) == ["uuv/1/command"]
+    signals.follow({"uuv/1/state.x", "uuv/1/state.z", *commands_of(1)})
+    assert list(signals.followed) == ["uuv/1/command", "uuv/1/state"]
     assert list(signals.values("uuv/1/state", b"")) == [("uuv/1/state.x", 0.0), ("uuv/1/state.z", 0.0)]
     with pytest.raises(KeyError, match="uuv/2/state"):
-        signals.watch("uuv/3/state.x", "uuv/2/stat.x")
-    assert list(signals.watched) == ["uuv/1/state", "uuv/1/command"]  # all or none
+        signals.follow(["uuv/3/state.x", "uuv/2/stat.x"])
+    assert list(signals.followed) == ["uuv/1/command", "uuv/1/state"]  # all or none
+    signals.follow(commands_of(1))
+    assert list(signals.values("uuv/1/state", b"")) == []
 
 
 def test_a_damaged_message_has_no_value(signals: Signals) -> None:
-    signals.watch("uuv/1/state.x", *commands_of(1))
+    signals.follow({"uuv/1/state.x", *commands_of(1)})
     assert list(signals.values("uuv/1/state", b"\x0f\xff")) == []
     assert list(signals.values("uuv/1/command", b"")) == []
 

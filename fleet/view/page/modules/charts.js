@@ -133,7 +133,7 @@ export class Charts {
 
   pick(name) {
     this.name = name;
-    if (name) this.choose(name);
+    this.choose(name);
   }
 
   history(history) {

@@ -22,7 +22,7 @@ export function render({ model, el }) {
   const choose = (i) => {
     scene.chosen = bar.chosen = i ? panels.choose(i) : panels.choose(panels.chosen);
     scene.dirty = true;
-    if (panels.chosen) say({ do: "commands", i: panels.chosen });
+    say({ do: "commands", i: panels.chosen });
     if (model.get("frame")) panels.frame(model.get("frame"));
   };
   const inject = (i) => setup.may_act && say({ do: "vehicle", i });

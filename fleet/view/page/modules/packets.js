@@ -9,6 +9,16 @@ const MOST = 500; // at once
 const LOST_AT = 0.55; // share of the way at which a lost packet vanishes
 const CUT_AT = 0.3;
 
+// A cross, in the colour and width of the context: something does not get through.
+export function drawCross(g, x, y, half) {
+  g.beginPath();
+  g.moveTo(x - half, y - half);
+  g.lineTo(x + half, y + half);
+  g.moveTo(x - half, y + half);
+  g.lineTo(x + half, y - half);
+  g.stroke();
+}
+
 export class Packets {
   #flying = [];
   #rings = new Map();
@@ -48,12 +58,7 @@ export class Packets {
       g.fillStyle = g.strokeStyle = PACKETS[fate];
       if (share > stop) {
         g.lineWidth = 1.8;
-        g.beginPath();
-        g.moveTo(x - 4, y - 4);
-        g.lineTo(x + 4, y + 4);
-        g.moveTo(x - 4, y + 4);
-        g.lineTo(x + 4, y - 4);
-        g.stroke();
+        drawCross(g, x, y, 4);
       } else {
         g.beginPath();
         g.arc(x, y, 3, 0, 7);

@@ -4,7 +4,7 @@ import { LINKS, SILENT, hull } from "./colours.js";
 import { between, distanceToSegment, isLeft, lane, round } from "./geometry.js";
 import { fitted } from "./dom.js";
 import { axis, drawHull, drawnSize } from "./hull.js";
-import { Packets } from "./packets.js";
+import { Packets, drawCross } from "./packets.js";
 
 const FRAME_MS = 33;
 const TRAIL_S = 30;
@@ -260,7 +260,10 @@ export class Scene {
       g.stroke();
       g.setLineDash([]);
       this.drawTip(ends, state === "delivered" ? 6 : 8);
-      if (state === "down") this.drawCut(between(ends[0], ends[1], 0.5));
+      if (state === "down") {
+        g.lineWidth = 3;
+        drawCross(g, ...between(ends[0], ends[1], 0.5), 5);
+      }
       g.globalAlpha = 1;
       return ends;
     });
@@ -275,17 +278,6 @@ export class Scene {
       g.lineTo(b[0] - size * Math.cos(turn + side), b[1] - size * Math.sin(turn + side));
     }
     g.fill();
-  }
-
-  drawCut([x, y]) {
-    const { g } = this;
-    g.lineWidth = 3;
-    g.beginPath();
-    g.moveTo(x - 5, y - 5);
-    g.lineTo(x + 5, y + 5);
-    g.moveTo(x - 5, y + 5);
-    g.lineTo(x + 5, y - 5);
-    g.stroke();
   }
 
   drawHulls(frame, rows, project, scale) {

@@ -11,6 +11,7 @@ from rich.console import Console as Terminal
 
 from agents.errors import AgentError
 from fleet.analysis import punctuality
+from fleet.checks.own_checks import OwnChecks
 from fleet.cores import cores
 from fleet.errors import RunBroken, StoppedError
 from fleet.execution.clock import WINDOW_NS, Clock
@@ -68,6 +69,7 @@ def execute(scenario: Scenario, options: Options, terminal: Terminal | None = No
         PublishError: the journal was to be published and cannot be.
         RunBroken: the port is taken.
         ExternalError: somebody else is to start an agent, and the run is to be one process.
+        CheckError: a check in Python cannot be made.
     """
     interrupts = DeferInterrupts()
     with interrupts.handling(), ExitStack() as while_it_lives:
@@ -90,6 +92,8 @@ def _prepare(
     elif options.port is not None:
         free_port(options.port)  # before anything is made
 
+    # Before anything is made, too: one in Python may be wrong.
+    checks = OwnChecks.asked(scenario, 0 if options.start is None else options.start.snapshot.tick)
     line = StatusLine(terminal, quiet=options.quiet)
     directory = while_it_lives.enter_context(closing(RunDirectory(options.out, scenario.name, scenario.seed)))
     directory.write_scenario(scenario.to_yaml())
@@ -106,7 +110,7 @@ def _prepare(
     log = NoLog() if scenario.spec.log.none else LogFile(directory.log)
     writer = LogWriter(log, scenario, options.start, publication.publisher, lockstep=lockstep)
     publication.open()
-    journal = Journal(scenario, writer, interrupts)
+    journal = Journal(scenario, writer, interrupts, checks)
     runner: Runner
     if in_process:
         runner = InProcess(scenario, journal, options.start)

@@ -1,8 +1,8 @@
-"""The modules of laws that the runs of a study import and that are not installed, and how workers get them.
+"""The modules of laws and checks that the runs of a study import and that are not installed, and how workers get them.
 
 Workers of this machine import them where they lie. To other machines they travel with the runs, as bytes, and are
 written to a folder that exists as long as the worker. Only what was let in here when the scenarios were read travels:
-the files of the laws, and what these imported from the same folder.
+the files of the laws and checks, and what these imported from the same folder.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import shutil
 import sys
 import tempfile
 import threading
-from collections.abc import Iterable
+from collections.abc import Sequence
 from functools import lru_cache
 from importlib import import_module
 from pathlib import Path, PurePosixPath
@@ -35,7 +35,7 @@ class Modules(NamedTuple):
         folder: of the scenario's file on this machine, in which they may lie; else they lie in the current one.
         files: of the modules.
         fingerprints: SHA-256 of the files of the laws, by which workers let them in, too.
-        names: of the modules of laws.
+        names: of the modules of laws and checks.
         carried: path below the folder where the search for modules begins, and content, of each file; empty: they
             are imported where they lie.
     """
@@ -50,8 +50,8 @@ class Modules(NamedTuple):
 NO_MODULES = Modules()
 
 
-def modules_of(scenarios: Iterable[Scenario], folder: Path | None) -> Modules:
-    """The modules of all laws of these scenarios.
+def modules_of(scenarios: Sequence[Scenario], folder: Path | None) -> Modules:
+    """The modules of all laws and checks of these scenarios.
 
     Args:
         folder: of the scenario's file, in which laws may lie.
@@ -63,6 +63,7 @@ def modules_of(scenarios: Iterable[Scenario], folder: Path | None) -> Modules:
         for kind, law in laws(control).items()
         if law.name not in BUILT_IN[kind] and ":" in law.name  # others are entry points, which are installed
     }
+    names |= {name.partition(":")[0] for scenario in scenarios for name in scenario.spec.checks.python or ()}
     beside = () if folder is None else (folder,)
     places = {name: place for name in sorted(names) if (place := find(name, [*beside, Path()])) is not None}
     own = {name: place for name, place in places.items() if not place.installed}

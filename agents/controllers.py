@@ -97,8 +97,8 @@ def laws(config: LawChoice) -> dict[str, Law]:
     return {"guidance": config.guidance_law, "tracking": config.tracking_law}
 
 
-def layout(config: AgentConfig) -> Layout:
-    """What an agent with this configuration reports.
+def layout(config: LawChoice) -> Layout:
+    """What an agent with these laws reports.
 
     Raises:
         PluginError: one of its laws cannot be used.

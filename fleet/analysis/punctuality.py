@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from fleet.analysis.verdicts import Verdict
+from fleet.checks.verdict import Verdict
 
 ON_TIME, DEGRADED = "on time", "degraded"
 MOST_MISSED = 0.01  # share of its ticks that an agent may miss by default

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
-from math import inf, isfinite
+from math import inf
 from typing import Any
 
+from fleet.checks.verdict import Verdict
 from fleet.quantities import vehicle_names, vehicle_numbers
 from fleet.recorder.journal import Journal
 from fleet.scenario.scenario import Scenario
@@ -22,24 +22,6 @@ from fleet.scenario.schema.checks import (
 )
 from netem.condition import Link
 from netem.selectors import parse_selector, select
-
-
-@dataclass(frozen=True, slots=True)
-class Verdict:
-    """One check: what was asked and what was found, in words and as numbers."""
-
-    check: str
-    passed: bool
-    asked: str
-    found: str
-    value: float | None = None  # what is compared with the limit; None where there was nothing to judge
-    limit: float | None = None
-    unit: str = ""
-
-    def to_values(self) -> dict[str, Any]:
-        """Plain values; JSON knows no infinity, so that is None as well."""
-        values = asdict(self)
-        return values | {"value": self.value if self.value is not None and isfinite(self.value) else None}
 
 
 def judge(scenario: Scenario, journal: Journal, middleware_lost: int) -> list[Verdict]:
@@ -80,6 +62,8 @@ def judge(scenario: Scenario, journal: Journal, middleware_lost: int) -> list[Ve
         verdicts.append(Verdict("ledger", not unbalanced, "balanced", found, len(unbalanced), 0, "links"))
     if checks.middleware_loss is not None:
         verdicts.append(_at_most("middleware_loss", checks.middleware_loss, middleware_lost))
+    if journal.checks is not None:
+        verdicts += journal.checks.verdicts(over=journal.complete)
     return verdicts
 
 
@@ -90,7 +74,7 @@ def standing(scenario: Scenario, journal: Journal) -> list[dict[str, Any]]:
     """The checks of a run that goes on: rows with check, asked, found, and passed (so far); None: not judged yet."""
     rows = []
     for verdict in judge(scenario, journal, middleware_lost=0):
-        nothing_yet = verdict.value is None and not verdict.passed
+        nothing_yet = verdict.value is None and not verdict.passed and verdict.moment is None
         is_open = nothing_yet or verdict.check in OF_THE_END
         rows.append({
             "check": verdict.check,

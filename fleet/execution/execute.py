@@ -12,6 +12,7 @@ from rich.console import Console as Terminal
 from agents.errors import AgentError
 from fleet.analysis import punctuality
 from fleet.analysis.first_sample import try_plants
+from fleet.checks.own_checks import OwnChecks
 from fleet.cores import cores
 from fleet.errors import RunBroken, StoppedError
 from fleet.execution.clock import WINDOW_NS, Clock
@@ -70,6 +71,7 @@ def execute(scenario: Scenario, options: Options, terminal: Terminal | None = No
         PublishError: the journal was to be published and cannot be.
         RunBroken: the port is taken.
         ExternalError: somebody else is to start an agent, and the run is to be one process.
+        CheckError: a check in Python cannot be made.
     """
     try_plants(scenario)
     interrupts = DeferInterrupts()
@@ -93,6 +95,8 @@ def _prepare(
     elif options.port is not None:
         free_port(options.port)  # before anything is made
 
+    # Before anything is made, too: one in Python may be wrong.
+    checks = OwnChecks.asked(scenario, 0 if options.start is None else options.start.snapshot.tick)
     line = StatusLine(terminal, quiet=options.quiet)
     directory = while_it_lives.enter_context(closing(RunDirectory(options.out, scenario.name, scenario.seed)))
     text = scenario.to_yaml()
@@ -110,7 +114,7 @@ def _prepare(
     log = NoLog() if scenario.spec.log.none else LogFile(directory.log)
     writer = LogWriter(log, scenario, options.start, publication.publisher, lockstep=lockstep)
     publication.open()
-    journal = Journal(scenario, writer, interrupts)
+    journal = Journal(scenario, writer, interrupts, checks)
     runner: Runner
     if in_process:
         runner = InProcess(scenario, journal, options.start)

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from agents.errors import AgentError
+from fleet.checks.own_checks import OwnChecks
 from fleet.cores import cores
 from fleet.errors import RunBroken
 from fleet.execution.clock import Clock
@@ -79,11 +80,13 @@ def judged(
 
     Raises:
         LogError: the log cannot be written.
+        CheckError: a check in Python cannot be made.
     """
     refuse(scenario, "a run in one process")
     file = log or NoLog()
     writer = LogWriter(file, scenario)
-    journal = Journal(scenario, writer if watcher is None else WatchedLog(writer, watcher))
+    recorded = writer if watcher is None else WatchedLog(writer, watcher)
+    journal = Journal(scenario, recorded, checks=OwnChecks.asked(scenario))
     runner = InProcess(scenario, journal)
     result = Result(Status.PASS)
     tick_s = scenario.tick_ns / 1e9

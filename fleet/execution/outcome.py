@@ -9,7 +9,8 @@ from enum import IntEnum
 from pathlib import Path
 from typing import Any
 
-from fleet.analysis.verdicts import Verdict, judge, judge_expected
+from fleet.analysis.verdicts import judge, judge_expected
+from fleet.checks.verdict import Verdict
 from fleet.execution.runner import Runner
 from fleet.recorder.journal import Journal, Spell
 from fleet.recorder.log_file import LogError, LogFile

@@ -26,11 +26,16 @@ class ResultError(FleetError):
     """There is a result, and it cannot be used."""
 
 
+class _Moment(msgspec.Struct):
+    at_s: Annotated[float, msgspec.Meta(ge=0, le=1e15)]
+
+
 class _Check(msgspec.Struct):
     check: str
     passed: bool
     asked: str
     found: str
+    moment: _Moment | None = None
 
 
 class _Vehicle(msgspec.Struct):

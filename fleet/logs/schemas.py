@@ -18,6 +18,7 @@ from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 from google.protobuf.descriptor import FileDescriptor
 from google.protobuf.timestamp_pb2 import Timestamp
 
+from fleet.scenario.sections import signals
 from world.signal import Signal
 
 PACKAGE = "uuv_fleet"
@@ -52,26 +53,12 @@ class Schema:
     units: str  # JSON: column -> [unit, meaning]
 
 
-STATE = tuple(
-    Column(name, unit, meaning)
-    for name, unit, meaning in (
-        ("x", "m", "north"), ("y", "m", "east"), ("z", "m", "down"),
-        ("theta", "rad", "pitch"), ("psi", "rad", "yaw, unwrapped"),
-        ("u", "m/s", "surge over ground"), ("v", "m/s", "sway over ground"), ("w", "m/s", "heave over ground"),
-        ("q", "rad/s", "pitch rate"), ("r", "rad/s", "yaw rate"),
-    )
-)  # fmt: skip
-ROLL = (Column("phi", "rad", "roll"), Column("p", "rad/s", "roll rate"))  # behind those of STATE, of a vehicle with it
-COMMAND = (
-    Column("tau", "N, N m, N m", "surge force, pitch and yaw moment as the agent commanded them", 3),
-    Column("applied", "N, N m, N m", "the same as the actuators applied them over the following tick", 3),
-)
-ERROR = (
-    Column("e", "m", "consensus error from true positions, NED", 3),
-    Column("e_norm", "m", "its Euclidean norm"),
-    Column("formation", "m", "true position minus desired position, NED", 3),
-    Column("formation_norm", "m", "its Euclidean norm"),
-)
+def signal_columns(declared: tuple[Signal, ...]) -> tuple[Column, ...]:
+    """The columns of a topic group."""
+    return tuple(Column(s.name, s.unit, s.meaning, 0 if s.width == 1 else s.width) for s in declared)
+
+
+STATE, ROLL, COMMAND, ERROR = map(signal_columns, (signals.STATE, signals.ROLL, signals.COMMAND, signals.ERROR))
 FAULT = (
     Column("fault", "", "its id", type=STRING),
     Column("action", "", "begins or ends", type=STRING),
@@ -88,11 +75,6 @@ PACKET = (
     Column("payload", "", "the payload's bytes, as they arrived", type=BYTES),
     Column("corrupted", "", "whether the link changed the payload", type=BOOL),
 )
-
-
-def signal_columns(signals: tuple[Signal, ...]) -> tuple[Column, ...]:
-    """The columns of a controller's telemetry group."""
-    return tuple(Column(s.name, s.unit, s.meaning, 0 if s.width == 1 else s.width) for s in signals)
 
 
 def flat_schema(name: str, columns: tuple[Column, ...]) -> Schema:

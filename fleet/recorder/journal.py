@@ -16,6 +16,7 @@ from typing import NamedTuple, Protocol
 import msgpack
 from msgspec import structs
 
+from fleet.checks.own_checks import OwnChecks
 from fleet.recorder.connectivity import Connectivity
 from fleet.recorder.metrics import Metrics, VehicleError
 from fleet.recorder.separation import Separation
@@ -51,14 +52,23 @@ class Sink(Protocol):
 class Journal:
     """Orders, judges and records what the world and netem report. In-process and distributed runs share it."""
 
-    def __init__(self, scenario: Scenario, log: Sink, whole: AbstractContextManager[None] | None = None) -> None:
+    def __init__(
+        self,
+        scenario: Scenario,
+        log: Sink,
+        whole: AbstractContextManager[None] | None = None,
+        checks: OwnChecks | None = None,
+    ) -> None:
         """Begin an empty journal.
 
         Args:
             log: receives everything in order.
             whole: is entered around writes that must not be interrupted half way.
+            checks: of the user's own, that see everything in the same order; None: there are none, or nothing is
+                judged.
         """
         self.log = log
+        self.checks = checks
         self._whole = nullcontext() if whole is None else whole
         self.metrics = Metrics(scenario)
         self.ledger = Ledger(scenario.graph.links)
@@ -165,7 +175,10 @@ class Journal:
             self._write_fates(frame.tick - 1)
             commands = {row.id: _command(row.command) for row in frame.vehicles if row.command}
             self._write_events(frame)
-            self.log.frame(frame, commands, self.metrics.frame(frame, commands))
+            errors = self.metrics.frame(frame, commands)
+            self.log.frame(frame, commands, errors)
+            if self.checks is not None:
+                self.checks.frame(frame, commands, errors)
             if self.separation is not None:
                 self.separation.frame(frame)
             network = self._network.pop(frame.tick, b"")
@@ -248,6 +261,8 @@ class Journal:
 
     def _happens(self, event: Event) -> None:
         self.happened.append(event)
+        if self.checks is not None:
+            self.checks.event(event)
         if event.action == "begins":
             self.active.append(event.fault)
         elif event.fault in self.active:
@@ -262,6 +277,8 @@ class Journal:
             self.ages.settle(fate)
             if self.connectivity is not None:
                 self.connectivity.settle(fate)
+            if self.checks is not None:
+                self.checks.settle(fate)
             self.log.packet(fate)
 
 

@@ -15,7 +15,7 @@ from fleet.logs.schemas import CLOCK, REAL, START
 from fleet.quantities import show_time
 from fleet.scenario.loading import parse_scenario
 from fleet.scenario.scenario import Scenario
-from fleet.scenario.schema.checks import EVERY
+from fleet.scenario.schema.checks import EVERY, Recovery, SignalCheck
 from fleet.scenario.sections.timeline import is_fault
 from fleet.scenario.text.fault_words import FaultWordsError, read_fault
 from fleet.scenario.text.overrides import Override
@@ -142,9 +142,18 @@ def rerun(
 
 def _recoveries(planned: Scenario, ended: set[str]) -> list[str]:
     """The checks of recovery without those from a fault that the run did not see end, which a scenario must not ask."""
-    checks = planned.spec.checks.recovery_time or []
-    kept = [check.model_dump(exclude_none=True) for check in checks if check.fault in {*ended, EVERY}]
-    return [f"checks.recovery_time={json.dumps(kept)}"] if len(kept) < len(checks) else []
+    section = planned.spec.checks
+    changes = []
+    for key in ("recovery_time", "signal"):
+        checks: list[Recovery | SignalCheck] = getattr(section, key) or []
+        kept = [
+            check.model_dump(exclude_none=True, exclude_defaults=True)
+            for check in checks
+            if check.fault in {*ended, EVERY, None}
+        ]
+        if len(kept) < len(checks):
+            changes.append(f"checks.{key}={json.dumps(kept)}")
+    return changes
 
 
 def _entries(events: list[tuple[int, Any]], end_ns: int) -> list[dict[str, Any]]:

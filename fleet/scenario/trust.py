@@ -25,6 +25,7 @@ class Policy:
     imports: bool = True  # False: a law that the text names is taken by its name, and nothing is imported
     refused: list[Problem] | None = None  # collects the laws that may not run; None: they are errors
     typed: bool = True  # what overrides the text was typed on the command line
+    checks: bool = True  # False: nothing is judged, so checks in Python are not imported
 
     def admit(self, kind: str, name: str, folder: Path | None, *, typed: bool) -> None:
         """Let the module of a plug-in be imported if it may run.

@@ -16,6 +16,7 @@ from fleet.quantities import describe_value
 from fleet.scenario.parts import Parts, UnknownValueError
 from fleet.scenario.rules.apply import check
 from fleet.scenario.rules.report import Report, dotted
+from fleet.scenario.schema.checks import PYTHON
 from fleet.scenario.schema.section import Section, section_of
 from fleet.scenario.schema.spec import ScenarioSpec
 from fleet.scenario.text.yaml_reader import Items, Mapping, Node, locate, plain, text_place
@@ -134,14 +135,15 @@ def _explain(root: Mapping, error: ErrorDetails) -> Problem:
 def _in_file(root: Mapping, loc: Loc) -> Loc:
     """The path in the file of a path in the model.
 
-    The model has a step more for the form of `initial`, and for an entry that the file writes without its list.
+    The model has a step more for the form of `initial`, for checks in Python, and for an entry that the file writes
+    without its list.
     """
     if loc[0] == "initial" and len(loc) > 1:
         return loc[:1] + loc[2:]
     path: Loc = ()
     node: Node | None = root
     for step in loc:
-        if isinstance(node, Mapping) and isinstance(step, int):
+        if step == PYTHON or (isinstance(node, Mapping) and isinstance(step, int)):
             continue
         path += (step,)
         if isinstance(node, Mapping):

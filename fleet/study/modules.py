@@ -1,4 +1,4 @@
-"""The modules of laws and plants that the runs of a study import and that are not installed, and how workers get them.
+"""The modules of plug-ins that the runs of a study import and that are not installed, and how workers get them.
 
 Workers of this machine import them where they lie. To other machines they travel with the runs, as bytes, and are
 written to a folder that exists as long as the worker. Only what was let in here when the scenarios were read travels:
@@ -36,7 +36,7 @@ class Modules(NamedTuple):
         folder: of the scenario's file on this machine, in which they may lie; else they lie in the current one.
         files: of the modules.
         fingerprints: SHA-256 of the files, by which workers let them in, too.
-        names: of the modules of laws and plants.
+        names: of the modules of laws, plants and checks.
         carried: path below the folder where the search for modules begins, and content, of each file; empty: they
             are imported where they lie.
     """
@@ -52,7 +52,7 @@ NO_MODULES = Modules()
 
 
 def modules_of(scenarios: Iterable[Scenario], folder: Path | None) -> Modules:
-    """The modules of all laws and plants of these scenarios.
+    """The modules of all laws, plants and checks of these scenarios.
 
     Args:
         folder: of the scenario's file, in which they may lie.
@@ -66,6 +66,7 @@ def modules_of(scenarios: Iterable[Scenario], folder: Path | None) -> Modules:
         if law.name not in BUILT_IN[kind] and ":" in law.name  # others are entry points, which are installed
     }
     names |= {module for s in scenarios for name in s.plants if (module := module_of(name)) is not None}
+    names |= {name.partition(":")[0] for scenario in scenarios for name in scenario.spec.checks.python or ()}
     beside = () if folder is None else (folder,)
     places = {name: place for name in sorted(names) if (place := find(name, [*beside, Path()])) is not None}
     own = {name: place for name, place in places.items() if not place.installed}

@@ -1,8 +1,7 @@
 """Measures by signal: `p95 |error.e|` is a number of every run, computed from the samples that its log would have.
 
-A signal is named as `fleet diff` names it, by topic and field: `uuv/3/error.e_norm`, or `error.e_norm` for all
-vehicles. `command.tau_0` is the first component of a vector, as in exported tables; `|...|` is the absolute value, of a
-vector its Euclidean norm.
+A signal is named as in `fleet.scenario.sections.signals`, `error.e_norm` for that of all vehicles; here it may also be
+that of one, `uuv/3/error.e_norm`.
 """
 
 from __future__ import annotations
@@ -17,19 +16,20 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fleet.logs.schemas import COMMAND, ERROR, ROLL, STATE, signal_columns
+from fleet.checks.values import values_of
 from fleet.quantities import QuantityError, show_time, time_ns
 from fleet.recorder.metrics import VehicleError
 from fleet.recorder.separation import Separation
 from fleet.scenario.scenario import Scenario
+from fleet.scenario.sections.signals import NAME, SignalError, SignalName, places, unit_of
 from fleet.study.errors import StudyError
 from fleet.study.measures import SEPARATION, STANDING, Column
 from netem.parsing import nearest
-from netem.wire.messages import Command, Frame, VehicleFrame
+from netem.wire.messages import Command, Frame
 
 _EXAMPLE = '"p95 |error.e|", "max |control.u_err|", "final uuv/3/state.z" or "mean error.e_norm after 20 s"'
 _GRAMMAR = re.compile(
-    r"(?P<how>\w[\w.]*)\s+(?P<bar>\|)?\s*(?:uuv/(?P<vehicle>\*|[1-9]\d{0,5})/)?(?P<name>[A-Za-z]\w*\.\w+)\s*(?(bar)\|)"
+    rf"(?P<how>\w[\w.]*)\s+(?P<bar>\|)?\s*(?:uuv/(?P<vehicle>\*|[1-9]\d{{0,5}})/)?(?P<name>{NAME})\s*(?(bar)\|)"
     r"(?:\s+after\s+(?P<after>\S.*))?",
     re.ASCII,
 )
@@ -42,7 +42,6 @@ _HOW: dict[str, Callable[[NDArray[np.float64]], float]] = {
     "rms": lambda values: float(np.sqrt(np.mean(values**2))),
     "final": lambda values: float(values[-1]),
 }
-_STATIC = {"state": STATE, "nav": STATE, "command": COMMAND, "error": ERROR}
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,13 +72,6 @@ class SignalMeasure:
         if percentile := _PERCENTILE.fullmatch(self.how):
             return float(np.percentile(values, float(percentile[1])))
         return _HOW[self.how](values)
-
-
-class _Place(NamedTuple):
-    """Where a signal is among the values of its topic group."""
-
-    values: slice
-    unit: str
 
 
 def is_signal(name: str) -> bool:
@@ -158,62 +150,21 @@ def find_columns(names: Iterable[str], columns: Iterable[Column] = STANDING) -> 
 
 
 def _column(measure: SignalMeasure, scenarios: Sequence[Scenario]) -> Column:
-    units: set[str] = set()
-    known: dict[str, int] = {}  # every name, and its width
     most = max(scenario.vehicles for scenario in scenarios)
     if measure.vehicle is not None and measure.vehicle > most:
         raise StudyError(f'"{measure}": there is no vehicle {measure.vehicle}; they are 1 to {most}')
-    for scenario in scenarios:
-        for i in _vehicles(measure, scenario):
-            columns = _columns(scenario, i)
-            known |= {name: place.values.stop - place.values.start for name, place in columns.items()}
-            if measure.name in columns:
-                units.add(columns[measure.name].unit)
-    if not units:
-        raise StudyError(f'"{measure}": there is no signal {measure.name}; {_hint(measure.name, known)}')
-    width, unit = known[measure.name], ", ".join(units)
-    if width > 1 and not measure.absolute:
-        name = measure.name
-        raise StudyError(f'"{measure}": {name} has {width} values: choose {name}_0 to {name}_{width - 1}, or |{name}|')
-    if len(units) > 1 or ", " in unit:
-        raise StudyError(f'"{measure}": {measure.name} has several units, {unit}: choose one')
+    some = (places(scenario.layout(i)) for scenario in scenarios for i in _vehicles(measure, scenario))
+    try:
+        unit = unit_of(SignalName(measure.name, measure.absolute), some)
+    except SignalError as error:
+        raise StudyError(f'"{measure}": {error}') from None
     return Column(str(measure), "" if unit == "1" else unit)
-
-
-def _hint(name: str, known: Mapping[str, int]) -> str:
-    group, _, field = name.partition(".")
-    beside = [other.partition(".")[2] for other in known if other.startswith(f"{group}.")]
-    if not beside:
-        return nearest(name, known) or f"there are {', '.join(dict.fromkeys(n.partition('.')[0] for n in known))}"
-    return nearest(field, beside) or f"{group} has {', '.join(beside)}"
 
 
 def _vehicles(measure: SignalMeasure, scenario: Scenario) -> range:
     if measure.vehicle is None:
         return range(1, scenario.vehicles + 1)
     return range(measure.vehicle, min(measure.vehicle, scenario.vehicles) + 1)
-
-
-def _columns(scenario: Scenario, i: int) -> dict[str, _Place]:
-    """Every signal of a vehicle, vectors and their components, by name."""
-    layout = scenario.layout(i)
-    groups = {
-        group: (signal_columns(getattr(layout, group)), layout.group(group).start) for group in ("guidance", "control")
-    }
-    static = {group: (columns, 0) for group, columns in _STATIC.items()}
-    if (plant := scenario.plant_signals(i)) is not None:
-        static |= dict.fromkeys(("state", "nav"), (STATE + ROLL, 0)) | {"plant": (signal_columns(plant), 0)}
-    found: dict[str, _Place] = {}
-    for group, (columns, start) in (static | groups).items():
-        for column in columns:
-            name, width = f"{group}.{column.name}", column.width or 1
-            units = column.unit.split(", ") if ", " in column.unit else [column.unit] * width
-            found[name] = _Place(slice(start, start + width), column.unit)
-            if column.width:
-                for k, unit in enumerate(units):
-                    found.setdefault(f"{name}_{k}", _Place(slice(start + k, start + k + 1), unit))
-            start += width
-    return found
 
 
 class _Kept(NamedTuple):
@@ -241,7 +192,7 @@ class Samples:
         self._kept: dict[int, list[_Kept]] = {}
         for measure in self._names.values():
             for i in _vehicles(measure, scenario):
-                if (place := _columns(scenario, i).get(measure.name)) is not None:
+                if (place := places(scenario.layout(i)).get(measure.name)) is not None:
                     group = measure.name.partition(".")[0]
                     first = -(-measure.after_ns // scenario.tick_ns)
                     kept = _Kept(measure, group, place.values, scenario.log_every[group], first, array("d"))
@@ -257,7 +208,7 @@ class Samples:
             for measure, group, place, every, first, samples in self._kept.get(row.id, ()):
                 if tick < first or (tick % every and tick != self._last):
                     continue
-                values = _values(group, row, commands.get(row.id), errors[row.id])[place]
+                values = values_of(group, row, commands.get(row.id), errors[row.id])[place]
                 if values:
                     samples.append(hypot(*values) if measure.absolute else values[0])
 
@@ -273,20 +224,3 @@ class Samples:
         there = [values[~np.isnan(values)] for values in every]
         join = min if measure.how == "min" else max
         return join((measure.of(values) for values in there if len(values)), default=nan)
-
-
-def _values(group: str, row: VehicleFrame, command: Command | None, error: VehicleError) -> tuple[float, ...]:
-    """What a topic group has of a vehicle, flat; empty: nothing."""
-    match group:
-        case "state":
-            return (*row.eta, *row.nu, *row.plant[: len(ROLL)])
-        case "plant":
-            return tuple(row.plant[len(ROLL) :])
-        case "nav":
-            return tuple(row.nav)
-        case "error":
-            return (*error.e, error.e_norm, *error.formation, error.formation_norm)
-        case "command":
-            return () if command is None else (*command.tau, *row.tau)
-        case _:
-            return () if command is None else tuple(command.telemetry)

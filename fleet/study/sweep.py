@@ -194,8 +194,9 @@ def check_names(scenarios: Sequence[Scenario]) -> list[str]:
         name
         for scenario in scenarios
         for name in type(scenario.spec.checks).model_fields
-        if getattr(scenario.spec.checks, name) is not None
+        if getattr(scenario.spec.checks, name) is not None and name not in ("signal", "python")
     ]
+    declared += [check.name for scenario in scenarios for check in scenario.spec.checks.own()]
     expected = ["expect"] if any(scenario.spec.expect != "pass" for scenario in scenarios) else []
     return list(dict.fromkeys([*declared, *always, *expected]))
 

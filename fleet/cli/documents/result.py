@@ -12,6 +12,30 @@ from fleet.execution.outcome import Result
 Metres = float | None  # null: the motion left the finite numbers
 
 
+class DecidingMessage(Struct):
+    """The message that made the difference to a vehicle when a check failed."""
+
+    src: Annotated[int, Meta(description="Sending vehicle.")]
+    dst: Annotated[int, Meta(description="Receiving vehicle.")]
+    sent_s: Annotated[float, Meta(description="When it was sent [s].")]
+    at_s: Annotated[float, Meta(description="When its fate became final [s].")]
+    fate: Annotated[str, Meta(description="delivered, corrupted, in flight, or the cause of its loss.")]
+    heard_s: Annotated[
+        float | None, Meta(description="When the newest that arrived on this link had been sent [s]; null: none has.")
+    ]
+
+
+class FailedMoment(Struct):
+    """When a check failed, and what was so then."""
+
+    tick: Annotated[int, Meta(description="Tick.")]
+    at_s: Annotated[float, Meta(description="The same as a time [s].")]
+    vehicles: Annotated[list[int], Meta(description="Vehicles that failed it; none: it is not about single ones.")]
+    values: Annotated[dict[str, float | None], Meta(description="What failed it, by signal; null: not finite.")]
+    faults: Annotated[list[str], Meta(description="Ids of the faults that were active.")]
+    message: Annotated[DecidingMessage | None, Meta(description="The message that made the difference; null: none.")]
+
+
 class CheckResult(Struct):
     """One check of the scenario."""
 
@@ -22,6 +46,9 @@ class CheckResult(Struct):
     value: Annotated[float | None, Meta(description="The number that is compared; null: nothing was found.")]
     limit: Annotated[float | None, Meta(description="What it is compared with; null: it is only reported.")]
     unit: Annotated[str, Meta(description="Unit of both.")]
+    moment: Annotated[
+        FailedMoment | None, Meta(description="Of one of your own checks, when it failed; null: it did not.")
+    ] = None
 
 
 class VehicleResult(Struct):

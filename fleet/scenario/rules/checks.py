@@ -2,12 +2,24 @@
 
 from __future__ import annotations
 
-from fleet.quantities import show_time, vehicle_numbers
+import re
+from collections.abc import Mapping
+
+from agents.config import Law
+from agents.controllers import BUILT_IN, laws, layout
+from fleet.errors import FleetError
+from fleet.quantities import describe_value, show_time, vehicle_numbers
 from fleet.scenario.parts import Parts
 from fleet.scenario.rules.faults import fault_names
 from fleet.scenario.rules.report import LINKS_SHOWN, Report, vehicles_exist, whole_multiple
-from fleet.scenario.schema.checks import EVERY
+from fleet.scenario.schema.checks import CHECK_NAME, EVERY, OF_THE_SCHEMA
+from fleet.scenario.sections.python_checks import load_check, parameters_of
+from fleet.scenario.sections.signal_checks import SignalCheckError, ask, of_a_law
+from fleet.scenario.sections.signals import Place, places
 from netem.selectors import parse_selector, select
+from world.errors import PluginError, UntrustedError
+
+Path = tuple[str | int, ...]  # of a key
 
 
 def checks(parts: Parts, report: Report) -> None:
@@ -56,17 +68,87 @@ def recovery_time(parts: Parts, report: Report) -> None:
     known, lasting = fault_names(parts)
     one = bool(report.keys("checks", "recovery_time"))  # given without the list
     for index, check in enumerate(checks):
-        path: tuple[str | int, ...] = ("checks", "recovery_time", *(() if one else (index,)))
-        if check.fault == EVERY:
-            if EVERY in known:
-                message = f'"{EVERY}" means each fault, and a fault is called so'
-                report.add((*path, "fault"), message, "give that fault another id")
-        elif check.fault not in known:
-            shown = f"known: {', '.join([*known[:LINKS_SHOWN], EVERY])}" if known else "the scenario has none"
-            more = f" and {len(known) - LINKS_SHOWN} more" if len(known) > LINKS_SHOWN else ""
-            report.add((*path, "fault"), f'there is no fault "{check.fault[:40]}"', shown + more)
-        elif check.fault in lasting:
-            message = f'"{check.fault}" lasts to the end of the run: nothing can recover from it'
-            report.add((*path, "fault"), message, 'give the fault a "for"')
+        path: Path = ("checks", "recovery_time", *(() if one else (index,)))
+        _ends(report, (*path, "fault"), check.fault, known, lasting)
         if check.vehicles:
             vehicles_exist(spec, report, (*path, "vehicles"), check.vehicles)
+
+
+def _ends(report: Report, path: Path, fault: str, known: list[str], lasting: set[str]) -> None:
+    """Report a fault that there is not, or that does not end."""
+    if fault == EVERY:
+        if EVERY in known:
+            message = f'"{EVERY}" means each fault, and a fault is called so'
+            report.add(path, message, "give that fault another id")
+    elif fault not in known:
+        shown = f"known: {', '.join([*known[:LINKS_SHOWN], EVERY])}" if known else "the scenario has none"
+        more = f" and {len(known) - LINKS_SHOWN} more" if len(known) > LINKS_SHOWN else ""
+        report.add(path, f'there is no fault "{fault[:40]}"', shown + more)
+    elif fault in lasting:
+        message = f'"{fault}" lasts to the end of the run: nothing can recover from it'
+        report.add(path, message, 'give the fault a "for"')
+
+
+def signal(parts: Parts, report: Report) -> None:
+    """Each check on a signal makes sense, and its signal is one of these vehicles."""
+    spec = parts.spec
+    checks = spec.checks.signal
+    if not checks:
+        return
+    one = bool(report.keys("checks", "signal"))  # given without the list
+    vehicles = _signals(parts, report)
+    for index, check in enumerate(checks):
+        path: Path = ("checks", "signal", *(() if one else (index,)))
+        if vehicles is not None or not of_a_law(check.topic):
+            try:
+                ask(check, vehicles or dict.fromkeys(range(1, spec.vehicles + 1), places(None)))
+            except SignalCheckError as error:
+                report.add((*path, error.key), error.problem, error.hint)
+        if check.fault is not None and not report.mistaken("faults", "nemesis"):
+            _ends(report, (*path, "fault"), check.fault, *fault_names(parts))
+
+
+def _signals(parts: Parts, report: Report) -> dict[int, Mapping[str, Place]] | None:
+    """The signals of every vehicle; None: they are not known, because a law is wrong or must not be imported."""
+    try:
+        controls = parts.controls
+        running = ((kind, law) for control in controls for kind, law in laws(control).items())
+        others = any(law.name not in BUILT_IN[kind] for kind, law in running)
+        if others and (not report.policy.imports or report.mistaken("agent", "controller", "guidance", "tracking")):
+            return None
+        return {i: places(layout(control)) for i, control in enumerate(controls, start=1)}
+    except (FleetError, PluginError):  # reported where it is about
+        return None
+
+
+def python(parts: Parts, report: Report) -> None:
+    """Each check in Python can be imported, and made with its parameters."""
+    for name, each in (parts.spec.checks.python or {}).items():
+        typed = report.typed(("checks", name))
+        if not (typed or report.policy.imports) or not report.policy.checks:
+            continue
+        try:
+            report.policy.admit("check", Law(name), parts.folder, typed=typed)
+            for one in each:
+                load_check(name, parameters_of(one))
+        except UntrustedError as error:
+            report.refuse(("checks", name), error.problem, error.hint)
+        except PluginError as error:
+            report.add(("checks", name), error.problem, error.hint)
+
+
+def names(parts: Parts, report: Report) -> None:
+    """No two verdicts have the same name."""
+    seen: set[str] = set()
+    for check in parts.spec.checks.own():
+        name = check.name
+        path: Path = (
+            ("checks", check.key, "name")
+            if report.keys("checks", check.key)
+            else ("checks", check.key, check.place, "name")
+        )
+        if check.given and not re.fullmatch(CHECK_NAME, name):
+            report.add(path, f"expected letters, digits, _, . and -, got {describe_value(name)}", "a letter first")
+        elif check.given and (name in seen or name in OF_THE_SCHEMA):
+            report.add(path, f'another check is called "{name}"', "every verdict has a name of its own")
+        seen.add(name)

@@ -2,12 +2,21 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from collections.abc import Iterator
+from typing import Annotated, Any, Literal, NamedTuple
 
-from pydantic import BeforeValidator, PlainSerializer
+from pydantic import (
+    BeforeValidator,
+    Field,
+    PlainSerializer,
+    SerializerFunctionWrapHandler,
+    model_serializer,
+    model_validator,
+)
 
+from fleet.quantities import describe_value
 from fleet.scenario.schema.section import Section
-from fleet.scenario.schema.value_types import Count, LinkSelector, Period, PositiveLength, Time, VehicleNumbers
+from fleet.scenario.schema.value_types import Count, LinkSelector, Period, PositiveLength, Time, VehicleNumbers, mistake
 
 
 class Below(Section):
@@ -90,16 +99,90 @@ class Connected(Section):
     vehicles: VehicleNumbers | None = None  # the vehicles that must be connected; all
 
 
-def _recoveries(value: Any) -> Any:
+def _quantity(value: Any) -> Any:
+    if isinstance(value, (str, int, float)):  # a bool is an int
+        return value
+    raise mistake(f"expected a value with its unit, got {describe_value(value)}")
+
+
+def _range(value: Any) -> Any:
+    if isinstance(value, list):
+        if len(value) != 2:
+            raise mistake(f"expected a range of two values such as [0 m, 30 m], got {len(value)}")
+        return [_quantity(one) for one in value]
+    return _quantity(value)
+
+
+def _everyone(value: Any) -> Any:
+    return None if value == "all" else value
+
+
+Quantity = Annotated[Any, BeforeValidator(_quantity)]  # as written: what unit it needs, the signal says
+CHECK_NAME = r"[A-Za-z][A-Za-z0-9_.-]{0,63}"
+
+
+class SignalCheck(Section):
+    """A condition on a signal of some vehicles, or between them, and when it has to hold."""
+
+    name: str | None = None  # of the verdict; the signal's
+    topic: str  # topic group, dot, field: `state.z`, `|error.e|`
+    vehicles: Annotated[VehicleNumbers | None, BeforeValidator(_everyone)] = None
+    below: Quantity | None = None
+    above: Quantity | None = None
+    equals: Quantity | None = None
+    within: Annotated[Any, BeforeValidator(_range)] = None  # a range; beside `equals` how far off it may be
+    spread_below: Quantity | None = None  # the largest value of any vehicle minus the least
+    at_most_one: Literal[True] | None = None  # vehicle whose value is true: not 0
+    agree_within: Period | None = None  # all values are equal, but for stretches shorter than this
+    never: Literal[True] | None = None  # the condition must not hold
+    eventually_within: Period | None = None  # it must hold at some time, not always
+    for_at_least: Period | None = None  # a time for which it holds without a break
+    fault: str | None = None  # with `eventually_within`: counted from the end of this fault, or of EVERY
+    after: Time = 0
+
+
+CONDITIONS = ("below", "above", "equals", "within", "spread_below", "at_most_one", "agree_within")
+
+
+def _instances(value: Any) -> Any:
+    """The parameters of one check of a class, or of several."""
+    each = value if isinstance(value, list) else [value]
+    for one in each:
+        if not isinstance(one, dict | None):
+            raise mistake(f"expected the parameters of the check as a mapping, got {describe_value(one)}")
+        if one and not isinstance(one.get("name", ""), str):
+            raise mistake(f"expected its name as a text, got {describe_value(one['name'])}")
+    return [one or {} for one in each]
+
+
+PYTHON = "<module>:<Class>"  # stands for the keys that name a class
+Instances = Annotated[list[dict[str, Any]], BeforeValidator(_instances)]
+
+
+def _listed(value: Any) -> Any:
     """A single check may be given without the list."""
     if isinstance(value, dict):
         return [value]
     return None if value == [] else value
 
 
-def _show_recoveries(recoveries: list[Recovery] | None) -> Any:
-    shown = [entry.model_dump(exclude_none=True) for entry in recoveries or ()]
+def _show_list(checks: list[Any] | None) -> Any:
+    shown = [entry.model_dump(exclude_none=True) for entry in checks or ()]
     return shown[0] if len(shown) == 1 else shown or None
+
+
+def _show_signals(checks: list[SignalCheck] | None) -> Any:
+    shown = [entry.model_dump(exclude_none=True, exclude_defaults=True) for entry in checks or ()]
+    return shown[0] if len(shown) == 1 else shown or None
+
+
+class OwnCheck(NamedTuple):
+    """One of the user's own checks: where it is, and what its verdict is called."""
+
+    key: str  # `signal`, or `package.module:Class`
+    place: int  # among those of this key
+    name: str
+    given: bool  # the name is the user's
 
 
 class ChecksSection(Section):
@@ -107,9 +190,7 @@ class ChecksSection(Section):
 
     formation_error: Below | None = None  # |eta_i - eta_i^d|
     consensus_error: Below | None = None  # |e_i| from true positions
-    recovery_time: Annotated[list[Recovery] | None, BeforeValidator(_recoveries), PlainSerializer(_show_recoveries)] = (
-        None
-    )
+    recovery_time: Annotated[list[Recovery] | None, BeforeValidator(_listed), PlainSerializer(_show_list)] = None
     min_separation: MinSeparation | None = None
     max_age: MaxAge | None = None
     connected: Connected | None = None
@@ -118,3 +199,39 @@ class ChecksSection(Section):
     qp_infeasible: AtMost | None = None
     ledger: Literal["balanced"] | None = None
     middleware_loss: AtMost | None = None
+    signal: Annotated[list[SignalCheck] | None, BeforeValidator(_listed), PlainSerializer(_show_signals)] = None
+    python: Annotated[dict[str, Instances] | None, Field(alias=PYTHON)] = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _read_python(cls, value: Any) -> Any:
+        """Put the checks that are classes under one key."""
+        if not isinstance(value, dict) or PYTHON in value:
+            return value
+        classes = {key: one for key, one in value.items() if isinstance(key, str) and ":" in key}
+        return {key: one for key, one in value.items() if key not in classes} | ({PYTHON: classes} if classes else {})
+
+    @model_serializer(mode="wrap")
+    def _show_python(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        shown: dict[str, Any] = write(self)
+        classes = shown.pop(PYTHON, None) or shown.pop("python", None) or {}
+        return shown | {name: each[0] if len(each) == 1 else each for name, each in classes.items()}
+
+    def own(self) -> Iterator[OwnCheck]:
+        """The user's own checks; each name comes once, unless two were given the same."""
+        named: list[tuple[str, int, str | None, str]] = []
+        for k, check in enumerate(self.signal or ()):
+            named.append(("signal", k, check.name, check.topic.strip("| ")))
+        for key, each in (self.python or {}).items():
+            named += [(key, k, one.get("name"), key.rpartition(":")[2]) for k, one in enumerate(each)]
+        taken = {*OF_THE_SCHEMA, *(given for _, _, given, _ in named if given is not None)}
+        for key, k, given, otherwise in named:
+            name, number = given or otherwise, 1
+            while given is None and name in taken:
+                number += 1
+                name = f"{otherwise}-{number}"
+            taken.add(name)
+            yield OwnCheck(key, k, name, given is not None)
+
+
+OF_THE_SCHEMA = frozenset({*ChecksSection.model_fields, "expect", "on_time"})  # names that verdicts have already

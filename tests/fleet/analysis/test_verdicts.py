@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 from small_scenario import SMALL, WILD, small
 
 from fleet.analysis.stability import analyse
-from fleet.analysis.verdicts import Verdict, judge, standing
+from fleet.analysis.verdicts import judge, standing
+from fleet.checks.verdict import Verdict
 from fleet.cli.result_table import MOST_ROWS, show
 from fleet.errors import ScenarioError
 from fleet.execution.execute import execute

@@ -10,7 +10,7 @@ import pytest
 from rich.console import Console as Terminal
 from screens import assert_screen
 
-from fleet.analysis.verdicts import Verdict
+from fleet.checks.verdict import Verdict
 from fleet.cli.result_table import show
 from fleet.execution.outcome import Result, Status
 

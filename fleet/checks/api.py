@@ -1,0 +1,105 @@
+"""What a check in Python is given and what it returns: the interface of your own checks.
+
+A check is a class, made once per run as `Check(facts, **parameters)`: what it may know of the scenario, and the
+parameters that the scenario gives it. It has
+
+* `step(tick)`: called at every tick of which the log has samples; returns None, or a `Failure` if the property is
+  broken at that tick. The first failure decides; after it the check is not called any more;
+* optionally `verdict()`: asked at the end, and while a run goes on as if it ended now, so it must change nothing. It
+  returns None, a text about what was found, or a `Failure` for what can only be judged at the end.
+
+`docs/guide/your-checks.md` is the guide; `fleet new check NAME` writes a template.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple, Protocol
+
+from fleet.quantities import time_ns
+from fleet.quantities import vehicle_numbers as vehicle_numbers
+
+__all__ = ["Check", "Facts", "Failure", "Fault", "Packet", "Tick", "Vehicle", "seconds", "vehicle_numbers"]
+
+
+class Fault(NamedTuple):
+    """A fault that is active."""
+
+    id: str
+    what: str  # in the words of a scenario: kill 3
+    since: float  # s
+
+
+class Facts(NamedTuple):
+    """What a check may know of the scenario."""
+
+    scenario: str  # its name
+    seed: int
+    vehicles: int  # how many; their numbers are 1 to this one
+    duration: float  # s
+    tick: float  # length of a tick [s]
+    begin: float  # where the run begins [s]: 0, or the moment from which it goes on
+    links: tuple[tuple[int, int], ...]  # directed: sender, receiver
+    units: Mapping[int, Mapping[str, str]]  # by vehicle and signal, "1" of one without
+
+
+class Packet(NamedTuple):
+    """A packet whose fate has become final; times in s."""
+
+    src: int
+    dst: int
+    sent: float
+    at: float  # when its fate became final
+    fate: str  # delivered, in flight, or the cause of the loss
+    corrupted: bool
+    payload: bytes
+
+
+class Vehicle(Protocol):
+    """One vehicle at one tick."""
+
+    @property
+    def id(self) -> int: ...
+
+    @property
+    def alive(self) -> bool:
+        """Whether it has an agent that no fault has ended, and has not diverged."""
+
+    def __getitem__(self, signal: str) -> Any:
+        """The value of a signal such as `state.z` or `control.e`, in its unit of the log.
+
+        Returns:
+            A number, of a vector a tuple of them; None if the vehicle did not report it at this tick.
+
+        Raises:
+            KeyError: no such signal.
+        """
+
+
+class Tick(NamedTuple):
+    """All that is known at one tick."""
+
+    tick: int
+    t: float  # s
+    vehicles: tuple[Vehicle, ...]  # all, by number
+    faults: tuple[Fault, ...]  # that are active
+    packets: tuple[Packet, ...]  # whose fates have become final since the step before
+
+
+class Failure(NamedTuple):
+    """The property is broken."""
+
+    message: str  # what is wrong, in one line
+    vehicles: tuple[int, ...] = ()  # whose fault it is
+    values: Mapping[str, float] = {}  # what shows it, by name
+
+
+class Check(Protocol):
+    """A check; `verdict` may be left out."""
+
+    def step(self, tick: Tick) -> Failure | None: ...
+
+
+def seconds(time: Any) -> float:
+    """A time such as "2 s" or "50 ms" in s, for parameters. Raises fleet.quantities.QuantityError."""
+    return time_ns(time) / 1e9

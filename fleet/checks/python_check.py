@@ -1,0 +1,179 @@
+"""A check in Python while it is judged: behind a fence, so that whatever it does becomes its verdict."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from functools import partial
+from math import isnan
+from typing import Any
+
+from fleet.checks.api import Facts, Failure, Fault, Packet, Tick, Vehicle
+from fleet.checks.values import TickValues
+from fleet.checks.verdict import Moment, Verdict, who
+from fleet.errors import FleetError
+from fleet.scenario.scenario import Scenario
+from fleet.scenario.sections.python_checks import load_check, parameters_of
+from fleet.scenario.sections.signals import Place
+from netem.parsing import nearest
+from netem.wire.messages import Fate
+from world.errors import PluginError
+from world.plugins.fence import Fence, shown
+
+BUDGET_S = 5.0  # of wall time, that one call may take
+_MOST_TEXT = 300  # characters of a message, or of a text about what was found
+_MOST_VALUES = 100  # of a failure, and vehicles
+
+
+class CheckError(FleetError):
+    """A check in Python cannot be made, or cannot go on; `where` is the file and line at fault, or ""."""
+
+    def __init__(self, check: str, problem: str, where: str = "") -> None:
+        super().__init__(f"check {check}: {problem}" + (f" ({where})" if where else ""))
+        self.check = check
+        self.problem = problem
+        self.where = where
+
+
+class SeenVehicle:
+    """One vehicle at one tick, as a check sees it."""
+
+    __slots__ = ("_places", "_values", "alive", "id")
+
+    def __init__(self, number: int, alive: bool, values: TickValues, places: Mapping[str, Place]) -> None:
+        self.id, self.alive = number, alive
+        self._values, self._places = values, places
+
+    def __getitem__(self, signal: str) -> Any:
+        """The value of a signal; None if the vehicle did not report it at this tick.
+
+        Raises:
+            KeyError: no such signal.
+        """
+        place = self._places.get(signal)
+        if place is None:
+            hint = nearest(str(signal), self._places) or f"it has {', '.join(self._places)}"
+            raise KeyError(f"vehicle {self.id} has no signal {signal!r}; {hint}")
+        found = self._values.values(self.id, signal.partition(".")[0])[place.values]
+        if not found or (place.width == 1 and isnan(found[0])):
+            return None
+        return found[0] if place.width == 1 else found
+
+
+class RunningPythonCheck:
+    """A check in Python, and how it came out so far."""
+
+    def __init__(self, name: str, class_name: str, given: Mapping[str, Any], facts: Facts) -> None:
+        """Make it.
+
+        Args:
+            class_name: `package.module:Class`.
+            given: what the scenario has of it.
+
+        Raises:
+            CheckError: it cannot be made.
+        """
+        self.name = name
+        parameters = parameters_of(given)
+        self._vehicles = facts.vehicles
+        # What it prints goes to standard error; there is no place for notes beside a verdict.
+        self._fence = Fence(class_name, BUDGET_S, [], partial(_error, class_name))
+        try:
+            found = load_check(class_name, parameters)
+        except PluginError as error:
+            raise CheckError(class_name, error.problem, error.hint) from None
+        self._check = self._fence.make(found, facts, parameters)
+        about = next(iter((found.__doc__ or class_name).strip().splitlines()), class_name).rstrip(".")
+        self.words = ", ".join([about, *(f"{key} {shown(value).strip(chr(39))}" for key, value in parameters.items())])
+        self._failure: Failure | None = None
+        self._at_s = 0.0
+        self.broken = ""
+
+    def step(
+        self, tick: int, t: float, vehicles: Sequence[Vehicle], faults: Sequence[Fault], packets: Sequence[Packet]
+    ) -> Failure | None:
+        """Show it a tick; returns how the property is broken, if it is, the first time."""
+        if self._failure is not None:
+            return None
+        self._at_s = t
+        method = getattr(self._check, "step", None)
+        seen = Tick(tick, t, tuple(vehicles), tuple(faults), tuple(packets))
+        try:
+            self._failure = self._checked(tick, method, self._fence.call(tick, method, seen))  # type: ignore[arg-type]
+        except CheckError as error:
+            self._break(error)
+        return self._failure
+
+    def verdict(self, moment: Moment | None, now: int, *, over: bool) -> Verdict:
+        """The verdict so far.
+
+        Args:
+            moment: at which it failed.
+            now: the newest tick.
+            over: the run has come to its end.
+        """
+        found = "as asked"
+        method = getattr(self._check, "verdict", None)
+        if self._failure is None and callable(method):
+            try:
+                answer = self._fence.call(now, method)
+                if isinstance(answer, str):
+                    found = " ".join(answer.split())[:_MOST_TEXT] or found
+                elif (failure := self._checked(now, method, answer)) is not None:
+                    return Verdict(self.name, False, self.words, f"{failure.message}{who(list(failure.vehicles))}")
+            except CheckError as error:
+                self._break(error)
+        if self._failure is None:
+            return Verdict(self.name, True, self.words, found)
+        found = self._failure.message if self.broken else f"{self._failure.message}{who(list(self._failure.vehicles))}"
+        return Verdict(self.name, False, self.words, f"{found} at {self._at_s:g} s", moment=moment)
+
+    def _break(self, error: CheckError) -> None:
+        where = f" ({error.where})" if error.where else ""
+        self.broken = f"the check is broken, so nothing is known: {error.problem}{where}"
+        self._failure = Failure(self.broken)
+
+    def _checked(self, tick: int, method: Any, answer: Any) -> Failure | None:
+        """What it returned, if that can be used."""
+        if answer is None:
+            return None
+        if not isinstance(answer, Failure):
+            expected = "None or a fleet.checks.api.Failure"
+            raise self._fence.wrong(tick, method, f"returned {shown(answer)}: expected {expected}")
+        message, vehicles, values = answer
+        if not isinstance(message, str):
+            raise self._fence.wrong(tick, method, f"returned a Failure with message {shown(message)}: expected a text")
+        try:
+            numbers = tuple(int(i) for i in vehicles)[:_MOST_VALUES]
+            found = {str(name): float(value) for name, value in list(values.items())[:_MOST_VALUES]}
+        except Exception:  # whatever the user's objects raise when they are asked
+            text = f"returned a Failure with vehicles {shown(vehicles)} and values {shown(values)}"
+            raise self._fence.wrong(tick, method, f"{text}: expected numbers, and numbers by name") from None
+        if strangers := [i for i in numbers if not 1 <= i <= self._vehicles]:
+            raise self._fence.wrong(tick, method, f"returned a Failure of vehicle {strangers[0]}: there is none")
+        return Failure(" ".join(message.split())[:_MOST_TEXT] or "broken", numbers, found)
+
+
+def _error(class_name: str, tick: int, problem: str, where: str) -> CheckError:
+    return CheckError(class_name, problem, where)
+
+
+def facts_of(scenario: Scenario, begin: int, places: Mapping[int, Mapping[str, Place]]) -> Facts:
+    """What checks may know of a scenario whose run begins at a tick."""
+    return Facts(
+        scenario=scenario.name,
+        seed=scenario.seed,
+        vehicles=scenario.vehicles,
+        duration=scenario.duration_ns / 1e9,
+        tick=scenario.tick_ns / 1e9,
+        begin=begin * scenario.tick_ns / 1e9,
+        links=tuple(scenario.graph.links),
+        units={i: {name: place.unit for name, place in signals.items()} for i, signals in places.items()},
+    )
+
+
+def packets_of(fates: Iterable[Fate], tick_s: float) -> list[Packet]:
+    """Fates as checks see them."""
+    return [
+        Packet(f.src, f.dst, f.sent_tick * tick_s, f.final_tick * tick_s, str(f.cause), f.corrupted, f.payload)
+        for f in fates
+    ]

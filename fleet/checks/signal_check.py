@@ -1,0 +1,263 @@
+"""A check on a signal while it is judged: sample by sample, in memory that does not grow with the run."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import inf, isnan
+
+from fleet.checks.api import Failure
+from fleet.checks.values import TickValues
+from fleet.checks.verdict import Moment, Verdict, who
+from fleet.scenario.scenario import Scenario
+from fleet.scenario.schema.checks import EVERY
+from fleet.scenario.sections.signal_checks import AskedOfSignal
+from fleet.scenario.sections.signals import places
+from fleet.scenario.sections.timeline import Event
+
+Unit = tuple[int, ...]  # the vehicle that a number belongs to, or those that make a spread or are true
+_FLEET: Unit = ()  # one number of all vehicles
+
+
+class RunningSignalCheck:
+    """A check on a signal, and what was found so far."""
+
+    def __init__(self, name: str, asked: AskedOfSignal, scenario: Scenario) -> None:
+        self.name, self.words = name, asked.words
+        self._asked, self._tick_ns, self._last = asked, scenario.tick_ns, scenario.ticks
+        self._every = scenario.log_every[asked.signal.group]
+        self._after = -(-asked.after_ns // scenario.tick_ns)
+        self._places = [
+            (i, place.values)
+            for i in asked.vehicles
+            if (place := places(scenario.layout(i)).get(asked.signal.name)) is not None
+        ]
+        self._safety = _Safety(asked, scenario.tick_ns) if asked.within_ns is None else None
+        self._liveness = None if self._safety else _Liveness(asked, scenario, self._after)
+
+    def event(self, event: Event) -> None:
+        """A fault begins or ends."""
+        if self._liveness is not None:
+            self._liveness.event(event)
+
+    def step(self, values: TickValues) -> Failure | None:
+        """Take the samples of a tick; returns how the check fails if it fails at this tick, the first time."""
+        tick = values.tick
+        if tick < self._after or (tick % self._every and tick != self._last):
+            return None
+        signal, found = self._asked.signal, list[tuple[int, float | None]]()
+        for i, place in self._places:
+            some = values.values(i, signal.group)[place]
+            value = signal.value(some) if some else None
+            found.append((i, None if value is None or isnan(value) else value))  # NaN: nothing to report
+        numbers = found if self._asked.condition.over == "each" else None
+        there = [(i, value) for i, value in found if value is not None]
+        judge = self._safety or self._liveness
+        assert judge is not None
+        each = [((i,), value) for i, value in numbers] if numbers is not None else [_joined(self._asked, there)]
+        units = judge.step(tick, each)
+        if units is None:
+            return None
+        shown = dict(there)
+        some_values = {f"uuv/{i}/{signal}": shown[i] for i in units if i in shown}
+        return Failure(judge.failure, units, some_values)
+
+    def verdict(self, moment: Moment | None, now: int, *, over: bool) -> Verdict:
+        """The verdict so far.
+
+        Args:
+            moment: at which the check failed.
+            now: the newest tick.
+            over: the run has come to its end.
+        """
+        judge = self._safety or self._liveness
+        assert judge is not None
+        passed, found, value, limit, unit = judge.found(now, over=over)
+        return Verdict(self.name, passed and moment is None, self.words, found, value, limit, unit, moment)
+
+
+def _joined(asked: AskedOfSignal, there: Sequence[tuple[int, float]]) -> tuple[Unit, float | None]:
+    """The number of the fleet, and the vehicles that make it."""
+    if asked.condition.over == "true":
+        true = tuple(i for i, value in there if value)
+        return true, float(len(true)) if there else None
+    if len(there) < 2:
+        return _FLEET, None
+    low, high = min(there, key=lambda one: one[1]), max(there, key=lambda one: one[1])
+    # Of equal infinities the difference is no number.
+    return tuple(sorted((low[0], high[0]))), 0.0 if low[1] == high[1] else high[1] - low[1]
+
+
+_Found = tuple[bool, str, float | None, float | None, str]  # passed, found, value, limit, unit
+
+
+class _Safety:
+    """Something bad never happens, or never lasts so long."""
+
+    def __init__(self, asked: AskedOfSignal, tick_ns: int) -> None:
+        self._asked, self._tick_ns = asked, tick_ns
+        self._since: dict[Unit, int] = {}  # where a stretch of bad samples began
+        self._worst: tuple[float, float, Unit, int] | None = None  # how bad, value, whose, tick
+        self._longest: tuple[int, Unit, int] | None = None  # ticks, whose, since
+        self._first = -1  # tick at which it failed
+        self.failure = ""
+
+    def step(self, tick: int, numbers: Sequence[tuple[Unit, float | None]]) -> Unit | None:
+        asked = self._asked
+        condition, each, failed = asked.condition, asked.condition.over == "each", list[int]()
+        values: list[float] = []
+        for unit, value in numbers:
+            key = unit if each else _FLEET
+            if value is None:
+                self._since.pop(key, None)
+                continue
+            bad = self._badness(value)
+            if self._worst is None or bad > self._worst[0]:
+                self._worst = bad, value, unit, tick
+            if condition.holds(value) != asked.negated:
+                self._since.pop(key, None)
+                continue
+            since = self._since.setdefault(key, tick)
+            if self._longest is None or tick - since > self._longest[0]:
+                self._longest = tick - since, unit, since
+            if (tick - since) * self._tick_ns >= asked.least_ns:
+                failed += unit
+                values.append(value)
+        if not values or self.failure:
+            return None
+        listed = ", ".join(self._show(value) for value in values[:8])
+        more = f" and {len(failed) - 8} more" if len(failed) > 8 else ""
+        lasting = f", for {self._s(self._longest[0])} s by then" if asked.least_ns > 1 and self._longest else ""
+        self.failure = f"{listed}{who(failed[:8])}{more} at {self._s(tick)} s{lasting}"
+        self._first = tick
+        return tuple(failed)
+
+    def found(self, now: int, *, over: bool) -> _Found:
+        asked, worst = self._asked, self._worst
+        unit = "" if asked.unit == "1" else asked.unit
+        limit = asked.condition.limit
+        if asked.least_ns > 1:
+            limit, unit = asked.least_ns / 1e9, "s"
+        if worst is None:
+            return False, "no sample" + ("" if over else " yet"), None, limit, unit
+        if asked.least_ns > 1:
+            value, words = 0.0, "at no time"
+            if self._longest is not None:
+                length, whose, since = self._longest
+                value = length * self._tick_ns / 1e9
+                words = f"for at most {value:g} s{who(list(whose))}, from {self._s(since)} s"
+        else:
+            _, value, whose, tick = worst
+            words = "" if tick == self._first else f"{self._side()} {self._show(value)}{who(list(whose))}"
+            words += f" at {self._s(tick)} s" if words else ""
+        return not self.failure, "; ".join(filter(None, (self.failure, words))), value, limit, unit
+
+    def _badness(self, value: float) -> float:
+        condition = self._asked.condition
+        if condition.low == -inf:
+            bad = value
+        elif condition.high == inf:
+            bad = -value
+        else:
+            bad = max(condition.low - value, value - condition.high)
+        return -bad if self._asked.negated else bad
+
+    def _side(self) -> str:
+        condition = self._asked.condition
+        if condition.low == -inf or condition.high == inf:
+            return "at most" if (condition.low == -inf) != self._asked.negated else "at least"
+        return "nearest to it" if self._asked.negated else "farthest off"
+
+    def _show(self, value: float) -> str:
+        over = self._asked.condition.over
+        if over == "true":
+            return f"{value:g} true"
+        return f"{value:.4g}{'' if self._asked.unit == '1' else f' {self._asked.unit}'}{' apart' * (over == 'spread')}"
+
+    def _s(self, ticks: int) -> str:
+        return f"{ticks * self._tick_ns / 1e9:g}"
+
+
+class _Liveness:
+    """Something good happens at last: within a time after the start, or after the end of faults."""
+
+    def __init__(self, asked: AskedOfSignal, scenario: Scenario, after: int) -> None:
+        self._asked, self._tick_ns, self._last, self._after = asked, scenario.tick_ns, scenario.ticks, after
+        self._begin: int | None = after if asked.fault is None else None  # of the wait that goes on
+        self._whose = ""  # fault
+        self._since: dict[Unit, int] = {}  # where it began to hold
+        self._done: set[Unit] = set()
+        self._slowest: tuple[int, Unit, str] | None = None  # ticks, whose, after which fault
+        self._judged = self._dropped = 0  # waits
+        self.failure = ""
+
+    def event(self, event: Event) -> None:
+        """A wait begins where a fault ends, and is given up where another begins: it had no fair chance."""
+        asked = self._asked
+        if asked.fault is None or not event.is_fault:
+            return
+        if event.action == "begins":
+            self._dropped += self._begin is not None
+            self._begin = None
+        elif asked.fault in (EVERY, event.fault) and self._after <= event.tick < self._last:
+            self._dropped += self._begin is not None
+            self._begin, self._whose = event.tick, event.fault
+            self._since, self._done = {}, set()
+
+    def step(self, tick: int, numbers: Sequence[tuple[Unit, float | None]]) -> Unit | None:
+        begin, asked = self._begin, self._asked
+        if begin is None:
+            return None
+        each, late, failed = asked.condition.over == "each", False, list[int]()
+        assert asked.within_ns is not None
+        for unit, value in numbers:
+            key = unit if each else _FLEET
+            if key in self._done:
+                continue
+            since = tick
+            if value is not None and asked.condition.holds(value):
+                since = self._since.setdefault(key, tick)
+                if (since - begin) * self._tick_ns <= asked.within_ns:
+                    if (tick - since) * self._tick_ns >= asked.least_ns:
+                        self._done.add(key)
+                        if self._slowest is None or since - begin > self._slowest[0]:
+                            self._slowest = since - begin, unit, self._whose
+                    continue
+            else:
+                self._since.pop(key, None)
+            if (tick - begin) * self._tick_ns > asked.within_ns:
+                failed += unit
+                late = True
+        if len(self._done) == (len(numbers) if each else 1):
+            self._judged += 1
+            self._begin = None
+        if not late:
+            return None
+        self._begin = None
+        if self.failure:
+            return None
+        more = f" and {len(failed) - 8} more" if len(failed) > 8 else ""
+        self.failure = f"not within {asked.within_ns / 1e9:g} s after {self._since_when(begin)}{who(failed[:8])}{more}"
+        return tuple(failed)
+
+    def _since_when(self, begin: int) -> str:
+        at = f"{begin * self._tick_ns / 1e9:g} s"
+        return f"fault {self._whose} ended at {at}" if self._whose else at
+
+    def found(self, now: int, *, over: bool) -> _Found:
+        asked = self._asked
+        assert asked.within_ns is not None
+        limit = asked.within_ns / 1e9
+        if self.failure:
+            return False, self.failure, inf, limit, "s"
+        dropped = f"; {self._dropped} waits were cut short by another fault" if self._dropped else ""
+        if self._begin is not None:
+            waited = f"{(now - self._begin) * self._tick_ns / 1e9:g} s after {self._since_when(self._begin)}"
+            words = f"the run ended {waited}, too soon to say" if over else "there is still time"
+            return False, words + dropped, None, limit, "s"
+        if self._slowest is None:
+            words = "no fault has ended" if not over else "no fault ended while the run lasted"
+            return False, (dropped[2:] or words), None, limit, "s"
+        ticks, unit, fault = self._slowest
+        took = ticks * self._tick_ns / 1e9
+        each = f", the slowest of {self._judged}, after fault {fault}" if fault and self._judged > 1 else ""
+        return True, f"after {took:g} s{who(list(unit))}{each}{dropped}", took, limit, "s"

@@ -1,0 +1,224 @@
+"""What a check on a signal asks, in SI units: which values must hold what, and when.
+
+| kind | word | what must hold |
+|---|---|---|
+| safety | (none) | the condition, in every sample |
+| safety | `never` | it must not hold; with `for_at_least`: not for so long without a break |
+| liveness | `eventually_within` | it must begin to hold so soon, with `for_at_least`: and go on for so long |
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from fractions import Fraction
+from math import inf
+from typing import Any, Literal
+
+from fleet.errors import FleetError
+from fleet.quantities import DIMENSIONS, NUMBER, Dimension, QuantityError, describe_value, show_time, vehicle_numbers
+from fleet.quantities import scalar as quantity
+from fleet.scenario.schema.checks import CONDITIONS, EVERY, SignalCheck
+from fleet.scenario.sections.signals import OF_THE_LAWS, Place, SignalError, SignalName, parse_name, unit_of
+
+Over = Literal["each", "spread", "true"]  # what is compared: each vehicle's value, their spread, how many are true
+
+
+class SignalCheckError(FleetError):
+    """A check on a signal that makes no sense; `key` of it is wrong."""
+
+    def __init__(self, key: str, problem: str, hint: str = "") -> None:
+        super().__init__(f"{key}: {problem}" + (f"; {hint}" if hint else ""))
+        self.key = key
+        self.problem = problem
+        self.hint = hint
+
+
+@dataclass(frozen=True, slots=True)
+class Condition:
+    """Values for which something holds: those from `low` to `high`, without these two if it is `strict`."""
+
+    over: Over
+    low: float
+    high: float
+    strict: bool
+    words: str
+    limit: float | None = None  # what values are compared with, if that is one value
+
+    def holds(self, value: float) -> bool:
+        """Whether it holds for a value."""
+        return self.low < value < self.high if self.strict else self.low <= value <= self.high
+
+
+@dataclass(frozen=True, slots=True)
+class AskedOfSignal:
+    """A check on a signal, in SI units; times in ns.
+
+    Attributes:
+        unit: "1": none.
+        negated: samples for which the condition holds count against the check, not those for which it does not.
+        within_ns: of a liveness property: how soon it must begin to hold; None: it is a safety property.
+        least_ns: how long a stretch of such samples lasts that breaks a safety property, 0: one sample does; of a
+            liveness property how long it must hold.
+        fault: from the end of which a liveness property counts; None: from `after_ns`.
+    """
+
+    signal: SignalName
+    unit: str
+    vehicles: tuple[int, ...]
+    condition: Condition
+    negated: bool
+    within_ns: int | None
+    least_ns: int
+    fault: str | None
+    after_ns: int
+    words: str
+
+
+def ask(check: SignalCheck, vehicles: Mapping[int, Mapping[str, Place]]) -> AskedOfSignal:
+    """What a check asks.
+
+    Args:
+        vehicles: the signals of every vehicle of the scenario.
+
+    Raises:
+        SignalCheckError: it makes no sense.
+    """
+    signal = parse_name(check.topic)
+    if signal is None:
+        problem = f"{describe_value(check.topic)} names no signal"
+        raise SignalCheckError("topic", problem, 'write one such as state.z or "|error.e|"')
+    some = tuple(vehicles) if check.vehicles is None else tuple(dict.fromkeys(vehicle_numbers(check.vehicles)))
+    if strangers := [i for i in some if i not in vehicles]:
+        problem = f"there is no vehicle {strangers[0]}: they are 1 to {len(vehicles)}"
+        raise SignalCheckError("vehicles", problem)
+    try:
+        unit = unit_of(signal, (vehicles[i] for i in some))
+    except SignalError as error:
+        raise SignalCheckError("topic", error.problem, error.hint) from None
+    condition = _condition(check, unit)
+    if condition.over != "each" and len(some) < 2:
+        raise SignalCheckError(_given(check)[0], "compares vehicles, and there is one", "name two or more")
+    _check_times(check)
+    # Values agree within 5 s if no stretch without that is longer.
+    least = check.for_at_least or 0 if check.agree_within is None else check.agree_within + 1
+    words = f"{signal} {_when(check, condition)}"
+    within = check.eventually_within
+    return AskedOfSignal(
+        signal, unit, some, condition, bool(check.never), within, least, check.fault, check.after, words
+    )
+
+
+def of_a_law(text: str) -> bool:
+    """Whether a text names a signal of those that the laws of a vehicle declare."""
+    signal = parse_name(text)
+    return signal is not None and signal.group in OF_THE_LAWS
+
+
+def _given(check: SignalCheck) -> list[str]:
+    return [key for key in CONDITIONS if getattr(check, key) is not None]
+
+
+def _check_times(check: SignalCheck) -> None:
+    timed = [key for key in ("never", "eventually_within", "for_at_least") if getattr(check, key) is not None]
+    if check.agree_within is not None and timed:
+        raise SignalCheckError(timed[0], 'has no meaning beside "agree_within"', "which says itself when it must hold")
+    if check.never and check.eventually_within is not None:
+        raise SignalCheckError("never", 'stands beside "eventually_within"', "write two checks")
+    if timed == ["for_at_least"]:
+        hint = "without one of them the condition has to hold all the time"
+        raise SignalCheckError("for_at_least", 'needs "never" or "eventually_within"', hint)
+    if check.fault is not None and check.eventually_within is None:
+        raise SignalCheckError("fault", 'needs "eventually_within"', "the time after the end of the fault")
+
+
+def _condition(check: SignalCheck, unit: str) -> Condition:
+    given = _given(check)
+    if not given:
+        raise SignalCheckError("topic", "nothing is asked of it", f"one of {', '.join(CONDITIONS)}")
+    if len(given) > 1 and given != ["equals", "within"]:
+        raise SignalCheckError(given[1], f'stands beside "{given[0]}"', "write two checks")
+    key = given[0]
+    value = None if key in ("at_most_one", "agree_within", "within") else _number(key, getattr(check, key), unit)
+    shown = "" if value is None else _shown(getattr(check, key))
+    match key:
+        case "below":
+            assert value is not None
+            return Condition("each", -inf, value, True, f"below {shown}", value)
+        case "above":
+            assert value is not None
+            return Condition("each", value, inf, True, f"above {shown}", value)
+        case "spread_below":
+            assert value is not None
+            return Condition("spread", -inf, value, True, f"spread over the vehicles below {shown}", value)
+        case "equals":
+            assert value is not None
+            return _equals(check, value, shown, unit)
+        case "at_most_one":
+            return Condition("true", -inf, 1.0, False, "true in at most one vehicle", 1.0)
+        case "agree_within":
+            return Condition("spread", 0.0, 0.0, False, "the same in all vehicles")
+        case _:
+            return _range(check.within, unit)
+
+
+def _equals(check: SignalCheck, value: float, shown: str, unit: str) -> Condition:
+    if isinstance(check.within, list):
+        raise SignalCheckError("within", 'beside "equals" it is one value', "how far off the signal may be")
+    off = 0.0 if check.within is None else _number("within", check.within, unit)
+    words = f"equals {shown}" + (f" within {_shown(check.within)}" if off else "")
+    return Condition("each", value - off, value + off, False, words)
+
+
+def _range(given: Any, unit: str) -> Condition:
+    if not isinstance(given, list):
+        problem = f"expected a range such as [0, 30], got {describe_value(given)}"
+        raise SignalCheckError("within", problem, 'one value stands beside "equals"')
+    low, high = (_number("within", one, unit) for one in given)
+    if low > high:
+        problem = f"{_shown(given[0])} is above {_shown(given[1])}"
+        raise SignalCheckError("within", problem, "the lower one comes first")
+    words = f"between {_shown(given[0])} and {_shown(given[1])}"
+    return Condition("each", low, high, False, words)
+
+
+def _number(key: str, given: Any, unit: str) -> float:
+    if isinstance(given, bool) and unit == "1":
+        return float(given)
+    try:
+        return quantity(given, dimension_of(unit))
+    except QuantityError as error:
+        raise SignalCheckError(key, error.message, error.hint) from None
+
+
+def dimension_of(unit: str) -> Dimension:
+    """The dimension that a signal's unit is the SI unit of; of a unit that is not known here it is the only one."""
+    if unit == "1":
+        return NUMBER
+    for dimension in DIMENSIONS:
+        if dimension.units.get(unit) == 1:
+            return dimension
+    return Dimension(f"a value in {unit}", f"1 {unit}", {unit: Fraction(1)})
+
+
+def _shown(given: Any) -> str:
+    """A value as the scenario writes it."""
+    return " ".join(given.split()) if isinstance(given, str) else str(given).lower()
+
+
+def _when(check: SignalCheck, condition: Condition) -> str:
+    words = [condition.words]
+    if check.never:
+        words = ["never", *words]
+    if check.eventually_within is not None:
+        begin = "the start" if check.after == 0 else show_time(check.after)
+        if check.fault is not None:
+            begin = "every fault" if check.fault == EVERY else f"fault {check.fault}"
+        words.append(f"within {show_time(check.eventually_within)} after {begin}")
+    if check.for_at_least is not None:
+        words.append(f"for {show_time(check.for_at_least)} or longer")
+    if check.agree_within is not None:
+        words.append(f"within {show_time(check.agree_within)}")
+    if check.after and (check.eventually_within is None or check.fault is not None):
+        words.append(f"after {show_time(check.after)}")
+    return " ".join(words) + (f", vehicles {check.vehicles}" if check.vehicles else "")

@@ -1,0 +1,146 @@
+"""The signals of a vehicle by name: what a log has of it, with units.
+
+A signal is named as `fleet diff` names it, by topic and field: `error.e_norm`. `command.tau_0` is the first component
+of a vector, as in exported tables; `|error.e|` is the absolute value, of a vector its Euclidean norm.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from math import hypot
+from typing import NamedTuple
+
+from agents.signals import Layout
+from fleet.errors import FleetError
+from netem.parsing import nearest
+from world.signal import Signal
+
+STATE = tuple(
+    Signal(name, unit, meaning)
+    for name, unit, meaning in (
+        ("x", "m", "north"), ("y", "m", "east"), ("z", "m", "down"),
+        ("theta", "rad", "pitch"), ("psi", "rad", "yaw, unwrapped"),
+        ("u", "m/s", "surge over ground"), ("v", "m/s", "sway over ground"), ("w", "m/s", "heave over ground"),
+        ("q", "rad/s", "pitch rate"), ("r", "rad/s", "yaw rate"),
+    )
+)  # fmt: skip
+ROLL = (Signal("phi", "rad", "roll"), Signal("p", "rad/s", "roll rate"))  # behind those of STATE, of a vehicle with it
+COMMAND = (
+    Signal("tau", "N, N m, N m", "surge force, pitch and yaw moment as the agent commanded them", 3),
+    Signal("applied", "N, N m, N m", "the same as the actuators applied them over the following tick", 3),
+)
+ERROR = (
+    Signal("e", "m", "consensus error from true positions, NED", 3),
+    Signal("e_norm", "m", "its Euclidean norm"),
+    Signal("formation", "m", "true position minus desired position, NED", 3),
+    Signal("formation_norm", "m", "its Euclidean norm"),
+)
+_ALWAYS = {"state": STATE, "nav": STATE, "command": COMMAND, "error": ERROR}
+OF_THE_LAWS = ("guidance", "control")  # groups whose signals the laws of a vehicle declare
+GROUPS = (*_ALWAYS, *OF_THE_LAWS)
+
+NAME = r"[A-Za-z]\w*\.\w+"
+_GRAMMAR = re.compile(rf"(?P<bar>\|)?\s*(?P<name>{NAME})\s*(?(bar)\|)", re.ASCII)
+
+
+class SignalError(FleetError):
+    """A text names no signal of these vehicles."""
+
+    def __init__(self, problem: str, hint: str = "") -> None:
+        super().__init__(f"{problem}; {hint}" if hint else problem)
+        self.problem = problem
+        self.hint = hint
+
+
+class Place(NamedTuple):
+    """Where a signal is among the values of its topic group."""
+
+    values: slice
+    unit: str
+
+    @property
+    def width(self) -> int:
+        """How many values it has."""
+        return int(self.values.stop - self.values.start)
+
+
+class SignalName(NamedTuple):
+    """A signal, or the absolute value or norm of one."""
+
+    name: str  # topic group, dot, field
+    absolute: bool = False
+
+    def __str__(self) -> str:
+        return f"|{self.name}|" if self.absolute else self.name
+
+    @property
+    def group(self) -> str:
+        """Its topic group."""
+        return self.name.partition(".")[0]
+
+    def value(self, values: Sequence[float]) -> float:
+        """The number that its values come to; there is at least one."""
+        return hypot(*values) if self.absolute else values[0]
+
+
+def parse_name(text: str) -> SignalName | None:
+    """The signal that a text such as `state.z` or `|error.e|` names; None: it is no such text."""
+    found = _GRAMMAR.fullmatch(text.strip()) if len(text) <= 200 else None
+    return None if found is None else SignalName(found["name"], found["bar"] is not None)
+
+
+def places(layout: Layout | None) -> dict[str, Place]:
+    """Every signal of a vehicle, vectors and their components, by name.
+
+    Args:
+        layout: what its agent reports; None: that is not known.
+    """
+    groups = {group: (signals, 0) for group, signals in _ALWAYS.items()}
+    if layout is not None:
+        groups |= {group: (getattr(layout, group), layout.group(group).start) for group in OF_THE_LAWS}
+    found: dict[str, Place] = {}
+    for group, (signals, start) in groups.items():
+        for signal in signals:
+            name, width = f"{group}.{signal.name}", signal.width
+            units = signal.unit.split(", ") if ", " in signal.unit else [signal.unit] * width
+            found[name] = Place(slice(start, start + width), signal.unit)
+            if width > 1:
+                for k, unit in enumerate(units):
+                    found.setdefault(f"{name}_{k}", Place(slice(start + k, start + k + 1), unit))
+            start += width
+    return found
+
+
+def unit_of(signal: SignalName, vehicles: Iterable[Mapping[str, Place]]) -> str:
+    """The unit of a signal, which some of these vehicles have; "1": it has none.
+
+    Args:
+        vehicles: the signals of each.
+
+    Raises:
+        SignalError: none has it, it has several values, or several units.
+    """
+    known: dict[str, int] = {}  # every name, and its width
+    units: set[str] = set()
+    for signals in vehicles:
+        known |= {name: place.width for name, place in signals.items()}
+        if signal.name in signals:
+            units.add(signals[signal.name].unit)
+    name = signal.name
+    if not units:
+        raise SignalError(f"there is no signal {name}", _hint(name, known))
+    if (width := known[name]) > 1 and not signal.absolute:
+        raise SignalError(f"{name} has {width} values", f"choose {name}_0 to {name}_{width - 1}, or |{name}|")
+    unit = ", ".join(sorted(units))
+    if len(units) > 1 or ", " in unit:
+        raise SignalError(f"{name} has several units, {unit}", "choose one")
+    return unit
+
+
+def _hint(name: str, known: Mapping[str, int]) -> str:
+    group, _, field = name.partition(".")
+    beside = [other.partition(".")[2] for other in known if other.startswith(f"{group}.")]
+    if not beside:
+        return nearest(name, known) or f"there are {', '.join(dict.fromkeys(n.partition('.')[0] for n in known))}"
+    return nearest(field, beside) or f"{group} has {', '.join(beside)}"

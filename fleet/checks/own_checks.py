@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from math import isfinite
 
+from agents.signals import Layout
 from fleet.checks.api import Failure, Fault
 from fleet.checks.last_messages import LastMessages
 from fleet.checks.python_check import RunningPythonCheck, SeenVehicle, facts_of, packets_of
@@ -22,6 +23,7 @@ from fleet.scenario.sections.signal_checks import ask
 from fleet.scenario.sections.signals import GROUPS, places
 from fleet.scenario.sections.timeline import DIVERGED, Event
 from netem.wire.messages import Command, Fate, Frame
+from world.errors import PluginError
 
 
 class OwnChecks:
@@ -32,15 +34,15 @@ class OwnChecks:
         checks = scenario.spec.checks
         self._tick_s, self._last = scenario.tick_ns / 1e9, scenario.ticks
         self._every = {group: scenario.log_every[group] for group in GROUPS}
-        self._places = {i: places(scenario.layout(i)) for i in range(1, scenario.vehicles + 1)}
+        self._places = {i: places(layout_of(scenario, i)) for i in range(1, scenario.vehicles + 1)}
         self._messages = LastMessages(scenario.graph.links, scenario.tick_ns)
         self._signals: list[RunningSignalCheck] = []
         self._python: list[RunningPythonCheck] = []
         facts = facts_of(scenario, begin, self._places) if checks.python else None
         for key, place, name, _ in checks.own():
             if facts is None or key not in (checks.python or {}):
-                check = (checks.signal or [])[place]
-                self._signals.append(RunningSignalCheck(name, ask(check, self._places), scenario))
+                asked = ask((checks.signal or [])[place], self._places)
+                self._signals.append(RunningSignalCheck(name, asked, scenario, self._places))
             else:
                 self._python.append(RunningPythonCheck(name, key, (checks.python or {})[key][place], facts))
         self._moments: dict[str, Moment] = {}  # at which checks failed, by name
@@ -63,6 +65,11 @@ class OwnChecks:
         """
         checks = scenario.spec.checks
         return cls(scenario, begin) if checks.signal or checks.python else None
+
+    @property
+    def groups(self) -> frozenset[str]:
+        """The topic groups that the checks look at: all, if one is in Python."""
+        return frozenset(GROUPS) if self._python else frozenset(check.group for check in self._signals)
 
     def frame(self, frame: Frame, commands: Mapping[int, Command], errors: Mapping[int, Error]) -> None:
         """Take a frame, with all vehicles in it."""
@@ -141,6 +148,14 @@ class OwnChecks:
             list(self._active),
             self._messages.of(failure.vehicles),
         )
+
+
+def layout_of(scenario: Scenario, i: int) -> Layout | None:
+    """What agent i reports; None: that is not known here, because a law of a log may not run."""
+    try:
+        return scenario.layout(i)
+    except PluginError:
+        return None
 
 
 def _ended(what: str) -> list[int]:

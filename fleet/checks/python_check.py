@@ -86,7 +86,6 @@ class RunningPythonCheck:
         self.words = ", ".join([about, *(f"{key} {shown(value).strip(chr(39))}" for key, value in parameters.items())])
         self._failure: Failure | None = None
         self._at_s = 0.0
-        self.broken = ""
 
     def step(
         self, tick: int, t: float, vehicles: Sequence[Vehicle], faults: Sequence[Fault], packets: Sequence[Packet]
@@ -119,18 +118,16 @@ class RunningPythonCheck:
                 if isinstance(answer, str):
                     found = " ".join(answer.split())[:_MOST_TEXT] or found
                 elif (failure := self._checked(now, method, answer)) is not None:
-                    return Verdict(self.name, False, self.words, f"{failure.message}{who(list(failure.vehicles))}")
+                    return Verdict(self.name, False, self.words, _words(failure))
             except CheckError as error:
                 self._break(error)
         if self._failure is None:
             return Verdict(self.name, True, self.words, found)
-        found = self._failure.message if self.broken else f"{self._failure.message}{who(list(self._failure.vehicles))}"
-        return Verdict(self.name, False, self.words, f"{found} at {self._at_s:g} s", moment=moment)
+        return Verdict(self.name, False, self.words, f"{_words(self._failure)} at {self._at_s:g} s", moment=moment)
 
     def _break(self, error: CheckError) -> None:
         where = f" ({error.where})" if error.where else ""
-        self.broken = f"the check is broken, so nothing is known: {error.problem}{where}"
-        self._failure = Failure(self.broken)
+        self._failure = Failure(f"the check is broken, so nothing is known: {error.problem}{where}")
 
     def _checked(self, tick: int, method: Any, answer: Any) -> Failure | None:
         """What it returned, if that can be used."""
@@ -151,6 +148,11 @@ class RunningPythonCheck:
         if strangers := [i for i in numbers if not 1 <= i <= self._vehicles]:
             raise self._fence.wrong(tick, method, f"returned a Failure of vehicle {strangers[0]}: there is none")
         return Failure(" ".join(message.split())[:_MOST_TEXT] or "broken", numbers, found)
+
+
+def _words(failure: Failure) -> str:
+    values = ", ".join(f"{name} {value:.4g}" for name, value in list(failure.values.items())[:4])
+    return f"{failure.message}{who(list(failure.vehicles))}{f', {values}' if values else ''}"
 
 
 def _error(class_name: str, tick: int, problem: str, where: str) -> CheckError:

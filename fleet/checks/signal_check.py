@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from math import inf, isnan
 
 from fleet.checks.api import Failure
@@ -11,7 +11,7 @@ from fleet.checks.verdict import Moment, Verdict, who
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.schema.checks import EVERY
 from fleet.scenario.sections.signal_checks import AskedOfSignal
-from fleet.scenario.sections.signals import places
+from fleet.scenario.sections.signals import Place
 from fleet.scenario.sections.timeline import Event
 
 Unit = tuple[int, ...]  # the vehicle that a number belongs to, or those that make a spread or are true
@@ -21,15 +21,16 @@ _FLEET: Unit = ()  # one number of all vehicles
 class RunningSignalCheck:
     """A check on a signal, and what was found so far."""
 
-    def __init__(self, name: str, asked: AskedOfSignal, scenario: Scenario) -> None:
-        self.name, self.words = name, asked.words
+    def __init__(
+        self, name: str, asked: AskedOfSignal, scenario: Scenario, vehicles: Mapping[int, Mapping[str, Place]]
+    ) -> None:
+        """`vehicles`: the signals of each."""
+        self.name, self.words, self.group = name, asked.words, asked.signal.group
         self._asked, self._tick_ns, self._last = asked, scenario.tick_ns, scenario.ticks
         self._every = scenario.log_every[asked.signal.group]
         self._after = -(-asked.after_ns // scenario.tick_ns)
         self._places = [
-            (i, place.values)
-            for i in asked.vehicles
-            if (place := places(scenario.layout(i)).get(asked.signal.name)) is not None
+            (i, place.values) for i in asked.vehicles if (place := vehicles[i].get(asked.signal.name)) is not None
         ]
         self._safety = _Safety(asked, scenario.tick_ns) if asked.within_ns is None else None
         self._liveness = None if self._safety else _Liveness(asked, scenario, self._after)

@@ -1,4 +1,4 @@
-"""The command `fleet new`: a law of your own with a scenario that uses it, or a scenario, as templates that run."""
+"""The command `fleet new`: a law or a check with a scenario that uses it, or a scenario, as templates that run."""
 
 from __future__ import annotations
 
@@ -19,10 +19,13 @@ _IMPORTED = {
     "AgentConfig",
     "Command",
     "Delivery",
+    "Facts",
+    "Failure",
     "Nav",
     "PAYLOAD",
     "Sample",
     "Signal",
+    "Tick",
 }  # imported by the templates
 
 
@@ -63,12 +66,29 @@ def controller(name: str, kind: str, folder: Path) -> None:
       fleet new controller pid
       fleet new controller swarm --kind guidance --dir laws
     """
-    law, scenario = write_law(kind, name, folder)
+    _tell(*write_law(kind, name, folder), folder)
+
+
+@new.command()
+@click.argument("name")
+@_folder
+def check(name: str, folder: Path) -> None:
+    """Write NAME.py, a check of your own that runs as it is, and NAME.yaml, a scenario that uses it.
+
+    \b
+    Examples:
+      fleet new check too_near
+      fleet new check one_leader --dir checks
+    """
+    _tell(*write_check(name, folder), folder)
+
+
+def _tell(module: Path, scenario: Path, folder: Path) -> None:
     import shlex
 
-    below = folder.resolve().is_relative_to(Path().resolve())  # a law outside of the current directory needs --trust
+    below = folder.resolve().is_relative_to(Path().resolve())  # a module outside of the current directory needs --trust
     there, file = ("", scenario) if below else (f"cd {shlex.quote(str(folder))} && ", scenario.name)
-    click.echo(f"wrote {law} and {scenario}; now: {there}fleet run {shlex.quote(str(file))}")
+    click.echo(f"wrote {module} and {scenario}; now: {there}fleet run {shlex.quote(str(file))}")
 
 
 @new.command()
@@ -129,6 +149,31 @@ def write_law(kind: str, name: str, folder: Path) -> tuple[Path, Path]:
     Raises:
         NewFileError: the name is none for a module, belongs to another one, or a file is in the way.
     """
+    choice = f"{kind}: {name}:{_class_name(name, 'Law')}"
+    other = {"guidance": "tracking: neurodynamic", "tracking": "guidance: optimal"}.get(kind)
+    if other is not None:
+        choice += f"\n{other}  # the other half is the paper's, with gentle gains\nprofile: hardened"
+    return _write_module(name, folder, (f"{kind}.py", "law.yaml"), "Law", {"THE_CHOICE": choice})
+
+
+def write_check(name: str, folder: Path) -> tuple[Path, Path]:
+    """Write `name`.py with a check and `name`.yaml into `folder`. Raises NewFileError as `write_law`."""
+    return _write_module(name, folder, ("check.py", "check.yaml"), "Check", {})
+
+
+def _class_name(name: str, kind: str) -> str:
+    class_name = "".join(part[:1].upper() + part[1:] for part in name.split("_") if part) or kind
+    return class_name + kind * (keyword.iskeyword(class_name) or class_name in _IMPORTED)
+
+
+def _write_module(
+    name: str, folder: Path, templates: tuple[str, str], kind: str, more: Mapping[str, str]
+) -> tuple[Path, Path]:
+    """Write a module and a scenario from templates, in which the_law and TheLaw stand for names; `more` replaces, too.
+
+    Raises:
+        NewFileError: the name is none for a module, belongs to another one, or a file is in the way.
+    """
     if not name.isascii() or not name.isidentifier() or keyword.iskeyword(name):
         raise NewFileError(f"{name!r} cannot name a Python module: letters, digits and _, not a digit first")
     written = (folder / f"{name}.py", folder / f"{name}.yaml")
@@ -137,19 +182,12 @@ def write_law(kind: str, name: str, folder: Path) -> tuple[Path, Path]:
         raise NewFileError(
             f"Python has a module {name!r} already ({place}) and would find that one; choose another name"
         )
-    class_name = "".join(part[:1].upper() + part[1:] for part in name.split("_") if part) or "Law"
-    class_name += "Law" * (keyword.iskeyword(class_name) or class_name in _IMPORTED)
     from importlib import resources
 
-    templates = resources.files("fleet.templates")
-    choice = f"{kind}: {name}:{class_name}"
-    other = {"guidance": "tracking: neurodynamic", "tracking": "guidance: optimal"}.get(kind)
-    if other is not None:
-        choice += f"\n{other}  # the other half is the paper's, with gentle gains\nprofile: hardened"
-    values = {"THE_CHOICE": choice, "the_law": name, "TheLaw": class_name}
+    values = {**more, "the_law": name, "TheLaw": _class_name(name, kind)}
     texts = {}
-    for path, template in zip(written, (f"{kind}.py", "law.yaml"), strict=True):
-        text = (templates / template).read_text("utf-8")
+    for path, template in zip(written, templates, strict=True):
+        text = (resources.files("fleet.templates") / template).read_text("utf-8")
         texts[path] = re.sub("|".join(values), lambda match: values[match[0]], text)
     _write(folder, texts)
     return written

@@ -1,4 +1,7 @@
-"""The commands that check a log: verify (against a new run), diff (against another log), recover (repair it)."""
+"""The commands that check a log.
+
+verify (against a new run), check-log (by checks), diff (against another log), recover (repair it).
+"""
 
 from __future__ import annotations
 
@@ -17,6 +20,7 @@ if TYPE_CHECKING:
     from world.plugins.trust import Trust
 
 _VERIFY = "Exit status: 0 reproduced, 1 not, 2 no log of ours or it cannot be run here, 3 no message is left in it."
+_CHECK_LOG = "Exit status: 0 every check passes, 1 one does not, 2 no log of ours, or a check makes no sense."
 _DIFF = "Exit status: 0 the same (or within the tolerance), 1 different, 2 one of them is no log."
 _RECOVER = "Exit status: 0 whole, 1 nothing can be recovered, 2 usage, 3 something is lost."
 _log = click.Path(path_type=Path)
@@ -53,6 +57,41 @@ def verify(log: Path, trust: Trust, as_json: bool, quiet: bool) -> None:
     else:
         say("\n".join(verification_lines(found)))
     sys.exit(0 if found.reproduced else 1)
+
+
+@click.command(cls=TrustingCommand, epilog=_CHECK_LOG)
+@log_argument
+@click.option("--set", "overrides", metavar="checks=...", multiple=True,
+              help="Other checks than those of the run, as in a scenario; repeatable.")  # fmt: skip
+@trust_option
+@json_option
+@click.option("-q", "--quiet", is_flag=True, help="No progress.")
+def check_log(log: Path, overrides: tuple[str, ...], trust: Trust, as_json: bool, quiet: bool) -> None:
+    """Judge LOG by your own checks, on signals and in Python, without running it again.
+
+    Those of its scenario, or others. A log that was cut is judged up to where it is whole. Checks of other kinds,
+    such as formation_error, are judged by the run.
+
+    \b
+    Examples:
+      fleet check-log --set 'checks={signal: {topic: state.z, below: 30 m}}'
+      fleet check-log runs/latest --set 'checks={"my_checks:OneLeader": {grace: 2 s}}'
+    """
+    from fleet.repeat.check_log import check_log as check
+    from fleet.terminal.progress import showing
+
+    with showing(f"reading {log}", quiet=quiet) as reading:
+        found = check(log, overrides, trust, reading)
+    if as_json:
+        from fleet.cli.documents.logs import judged
+
+        print_document(judged(found))
+    else:
+        for verdict in found.verdicts:
+            say(f"{'pass' if verdict.passed else 'FAIL'}  {verdict.check}: {verdict.asked}; found {verdict.found}")
+        how_far = f"judged up to t = {found.until_s:g} s of {found.end_s:g} s"
+        say(f"{how_far}, as far as the file goes: {found.missing}" if found.missing else how_far)
+    sys.exit(0 if found.passed else 1)
 
 
 @click.command(epilog=_DIFF)
@@ -134,4 +173,4 @@ def recover(log: Path, out: Path | None) -> None:
     sys.exit(1 if found.nothing else 3 if found.lost else 0)
 
 
-COMMANDS = (verify, diff, recover)
+COMMANDS = (verify, check_log, diff, recover)

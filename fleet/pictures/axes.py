@@ -16,6 +16,7 @@ from fleet.logs.open_log import FaultInterval
 from fleet.logs.records import Array
 from fleet.palette import COLOURS
 from fleet.pictures.bands import Series, band_legend, draw_band, outlier_style, outliers, spread
+from fleet.pictures.failures import draw_failures
 from fleet.pictures.runs import NothingToDraw, Run, View, first_words
 from fleet.pictures.shades import shade
 from fleet.pictures.style import COLUMN_IN, LABEL_PT, LEGEND_PT, STYLE_NAMES, STYLES, TEXT_PT, THIN, panels
@@ -39,7 +40,7 @@ def over_time(
 def finish(figure: Figure, axes: Sequence[Axes], runs: Sequence[Run], notes: Sequence[str] = ()) -> None:
     """Shade the faults, name them above the first axis, label the time axis and put the words below it."""
     named = _shade(axes, runs)
-    lines = [*named, *notes, *(_cut(run, len(runs)) for run in runs if run.log.missing)]
+    lines = [*named, *draw_failures(axes, runs), *notes, *(_cut(run, len(runs)) for run in runs if run.log.missing)]
     axes[-1].set_xlabel("\n".join(["time [s]", *lines]))
     rows = {text.xyann[1] for text in axes[0].texts if isinstance(text, Annotation) and text.get_gid() == "fault-name"}
     _grow(figure, TEXT_PT * len(lines) + LABEL_PT * len(rows))

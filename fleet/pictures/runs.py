@@ -17,6 +17,7 @@ from fleet.errors import FleetError
 from fleet.logs.open_log import Log, open_drawn
 from fleet.logs.reader import digest
 from fleet.logs.records import Array
+from fleet.logs.result_file import ResultError, read_result
 from fleet.logs.run_name import run_name
 from fleet.pictures.style import Origin
 from fleet.scenario.scenario import Scenario
@@ -79,6 +80,17 @@ class Run:
     def digest(self) -> str:
         """The digest of the log, as `fleet run` prints it."""
         return digest(self.log.path)
+
+    @cached_property
+    def failures(self) -> list[tuple[str, float]]:
+        """Name and time [s] of each check that failed at a moment, as the result beside the log has it."""
+        try:
+            result = read_result(self.log.path)
+        except (FileNotFoundError, ResultError):
+            return []
+        if result["digest"] != self.digest:  # of another log
+            return []
+        return [(row["check"], row["moment"]["at_s"]) for row in result["checks"] if row["moment"] is not None]
 
     @cached_property
     def tick_s(self) -> float:

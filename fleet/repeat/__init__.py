@@ -1,1 +1,1 @@
-"""A recorded run once more: verified, continued, or with another agent."""
+"""A recorded run once more: verified, continued, with another agent, or judged by other checks."""

@@ -18,7 +18,7 @@ from fleet.cli.documents import live, runs
 from fleet.cli.documents.boundary import BoundaryFound
 from fleet.cli.documents.check import Checked
 from fleet.cli.documents.listing import Scenarios
-from fleet.cli.documents.logs import Compared, LogContents, Verified
+from fleet.cli.documents.logs import Compared, LogContents, LogJudged, Verified
 from fleet.cli.documents.result import Ran
 from fleet.cli.documents.search import FirstFailing
 from fleet.cli.documents.study import Less, Swept
@@ -35,6 +35,7 @@ DOCUMENTS: dict[str, type[Struct]] = {
     "bench study": StudyMeasured,
     "boundary": BoundaryFound,
     "check": Checked,
+    "check-log": LogJudged,
     "clock": live.ClockSet,
     "diff": Compared,
     "faults": live.Faults,

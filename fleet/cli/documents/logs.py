@@ -9,10 +9,12 @@ from typing import Annotated
 
 from msgspec import Meta, Struct, convert
 
+from fleet.cli.documents.result import CheckResult
 from fleet.logs.decoder import Value
 from fleet.logs.deviation import Comparison
 from fleet.logs.first_difference import Difference, Side, same
 from fleet.logs.info import Info
+from fleet.repeat.check_log import JudgedLog
 from fleet.repeat.verify import Verification
 
 Missing = Annotated[str, Meta(description="What is missing in the file; empty: it is whole.")]
@@ -108,6 +110,29 @@ class LogContents(Struct):
     run: Annotated[dict[str, str], Meta(description="What determines the run; empty: it is no log of a run.")]
     topics: Annotated[dict[str, tuple[str, int]], Meta(description="Schema and number of messages, by topic.")]
     missing: Missing
+
+
+class LogJudged(Struct):
+    """`fleet check-log --json`: a log judged by checks."""
+
+    log: Annotated[str, Meta(description="Path of the log.")]
+    passed: Annotated[bool, Meta(description="Whether every check passed.")]
+    until_s: Annotated[float, Meta(description="Simulated time up to which it was judged [s].")]
+    end_s: Annotated[float, Meta(description="Simulated time at which the run was to end [s].")]
+    missing: Missing
+    checks: Annotated[list[CheckResult], Meta(description="The verdicts.")]
+
+
+def judged(found: JudgedLog) -> LogJudged:
+    """The document of a log that was judged."""
+    return LogJudged(
+        log=str(found.path),
+        passed=found.passed,
+        until_s=found.until_s,
+        end_s=found.end_s,
+        missing=found.missing,
+        checks=[convert(verdict.to_values(), CheckResult) for verdict in found.verdicts],
+    )
 
 
 def verified(found: Verification) -> Verified:

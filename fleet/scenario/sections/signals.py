@@ -96,11 +96,8 @@ def places(layout: Layout | None) -> dict[str, Place]:
     Args:
         layout: what its agent reports; None: that is not known.
     """
-    groups = {group: (signals, 0) for group, signals in _ALWAYS.items()}
-    if layout is not None:
-        groups |= {group: (getattr(layout, group), layout.group(group).start) for group in OF_THE_LAWS}
     found: dict[str, Place] = {}
-    for group, (signals, start) in groups.items():
+    for group, (start, signals) in _groups(layout).items():
         for signal in signals:
             name, width = f"{group}.{signal.name}", signal.width
             units = signal.unit.split(", ") if ", " in signal.unit else [signal.unit] * width
@@ -110,6 +107,21 @@ def places(layout: Layout | None) -> dict[str, Place]:
                     found.setdefault(f"{name}_{k}", Place(slice(start + k, start + k + 1), unit))
             start += width
     return found
+
+
+def flat_signals(layout: Layout | None) -> dict[str, tuple[int, list[tuple[str, int]]]]:
+    """By topic group where its values begin, and name and number of values of each signal; as `places` has them."""
+    return {
+        group: (start, [(signal.name, signal.width) for signal in signals])
+        for group, (start, signals) in _groups(layout).items()
+    }
+
+
+def _groups(layout: Layout | None) -> dict[str, tuple[int, tuple[Signal, ...]]]:
+    groups = {group: (0, signals) for group, signals in _ALWAYS.items()}
+    if layout is not None:
+        groups |= {group: (layout.group(group).start, getattr(layout, group)) for group in OF_THE_LAWS}
+    return groups
 
 
 def unit_of(signal: SignalName, vehicles: Iterable[Mapping[str, Place]]) -> str:

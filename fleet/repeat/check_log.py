@@ -1,0 +1,170 @@
+"""`fleet check-log`: a recorded run judged by checks of the user's own, as if they had been asked when it was made."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from math import nan
+from pathlib import Path
+from typing import Any
+
+from fleet.checks.own_checks import OwnChecks, layout_of
+from fleet.checks.values import LoggedValues, Values
+from fleet.checks.verdict import Verdict
+from fleet.errors import FleetError
+from fleet.logs.decoder import Decoder
+from fleet.logs.reader import LogReader, Record
+from fleet.logs.schemas import FROM_TICK
+from fleet.repeat.recorded_run import recorded
+from fleet.scenario.scenario import Scenario
+from fleet.scenario.sections.signals import flat_signals
+from fleet.scenario.sections.timeline import Event
+from fleet.scenario.text.overrides import Override
+from fleet.scenario.trust import Policy
+from netem.wire.messages import Fate
+from world.plugins.trust import NOTHING, Trust
+
+FAULTS = "faults"  # topic
+
+
+class CheckLogError(FleetError):
+    """There is nothing to judge, or the log cannot be judged by this."""
+
+
+@dataclass(frozen=True, slots=True)
+class JudgedLog:
+    """A log, and the verdicts of checks on it."""
+
+    path: Path
+    until_s: float  # time up to which it was judged
+    end_s: float  # of the run as planned
+    missing: str  # of the file; "": it is whole
+    verdicts: list[Verdict]
+
+    @property
+    def passed(self) -> bool:
+        """Whether every check passed."""
+        return all(verdict.passed for verdict in self.verdicts)
+
+
+def check_log(
+    path: Path,
+    overrides: Sequence[str] = (),
+    trust: Trust = NOTHING,
+    reading: Callable[[float], None] = lambda share: None,
+) -> JudgedLog:
+    """Judge a log by its scenario's own checks, or by others.
+
+    Args:
+        overrides: `checks...=...` as for `fleet run --set`.
+        trust: which modules of checks may run that are neither installed nor the user's own.
+        reading: called with the share of the file that was read, twice from its beginning.
+
+    Raises:
+        LogReadError, ScriptError: there is no log of ours.
+        ScenarioError: an override is wrong, or the log's scenario is none for this version.
+        CheckLogError: there is nothing to judge.
+        SignalCheckError, CheckError: a check makes no sense for this log, or cannot be made.
+    """
+    for text in overrides:
+        if (key := text.partition("=")[0].strip()).partition(".")[0] != "checks":
+            raise CheckLogError(
+                f"--set {key}: only checks can be other ones than those of the run; fleet run has --set"
+            )
+    source = recorded(path, reading)
+    # A law that may not run is no mistake here, unless a check is about one of its signals.
+    scenario = source.script([Override.of(text) for text in overrides], Policy(trust, refused=[]))
+    begin = source.reader.metadata.get("run", {}).get(FROM_TICK, "0")
+    first = int(begin) if begin.isdecimal() else 0
+    checks = OwnChecks.asked(scenario, first)
+    if checks is None:
+        raise CheckLogError(
+            f"{source.path}: nothing to judge: its scenario has no check on a signal and none in Python; its others "
+            "were judged by the run. Give one, as in --set 'checks={signal: {topic: state.z, below: 30 m}}'"
+        )
+    for event in scenario.faults.events:
+        if event.tick < first:  # of a run that went on from another, whose log does not have it
+            checks.event(event)
+    feed = _Feed(scenario, checks)
+    reader = LogReader(source.path, reading)
+    feed.read(reader)
+    if feed.newest < 0:
+        raise CheckLogError(f"{source.path} holds no sample to judge{f': {reader.missing}' if reader.missing else ''}")
+    complete = not reader.missing and feed.newest == scenario.ticks
+    return JudgedLog(
+        source.path,
+        feed.newest * scenario.tick_ns / 1e9,
+        scenario.duration_ns / 1e9,
+        reader.missing,
+        checks.verdicts(over=complete),
+    )
+
+
+class _Feed:
+    """Shows checks what a log holds, in its order: the faults of a tick, its values, and its fates."""
+
+    def __init__(self, scenario: Scenario, checks: OwnChecks) -> None:
+        self._checks, self._tick_ns = checks, scenario.tick_ns
+        self._links = {f"link/{src}-{dst}": (src, dst) for src, dst in scenario.graph.links}
+        self._samples = {
+            f"uuv/{i}/{group}": (i, group, signals)
+            for i in range(1, scenario.vehicles + 1)
+            for group, signals in flat_signals(layout_of(scenario, i)).items()
+            if group in checks.groups
+        }
+        self._found: dict[tuple[int, str], Values] = {}  # of the tick that is read
+        self._tick = -1
+        self.newest = -1  # tick that was judged
+
+    def read(self, reader: LogReader) -> None:
+        """Show all of a log; of the last tick of one that is cut something may be missing, so it is left out."""
+        decode = Decoder(reader).message
+        for record in reader.of({FAULTS, *self._links, *self._samples}):
+            if (message := decode(record)) is None:  # damaged
+                continue
+            if record.topic in self._samples:
+                self._sample(record, message)
+            elif record.topic in self._links:
+                self._show()
+                self._checks.settle(self._fate(record, message))
+            else:
+                self._show()
+                tick = record.log_ns // self._tick_ns
+                self._checks.event(Event(tick, message.fault, message.action, message.what))
+        if not reader.missing:
+            self._show()
+
+    def _sample(self, record: Record, message: Any) -> None:
+        tick = record.log_ns // self._tick_ns
+        if tick != self._tick:
+            self._show()
+            self._tick = tick
+        i, group, (start, signals) = self._samples[record.topic]
+        values: list[float] = [nan] * start
+        for name, width in signals:
+            value = getattr(message, name, None)  # a log of another version may lack it
+            values += [nan] * width if value is None else [value] if width == 1 else value
+        self._found[i, group] = tuple(values)
+
+    def _show(self) -> None:
+        """The values of the tick are known: what follows is something else."""
+        if not self._found:
+            return
+        self._checks.take(LoggedValues(self._tick, self._found))
+        self.newest, self._found = self._tick, {}
+
+    def _fate(self, record: Record, message: Any) -> Fate:
+        src, dst = self._links[record.topic]
+        return Fate(
+            final_tick=record.log_ns // self._tick_ns,
+            src=src,
+            dst=dst,
+            seq=message.seq,
+            copy=message.copy,
+            sent_tick=record.publish_ns // self._tick_ns,
+            due_tick=round(message.due * 1e9 / self._tick_ns),
+            delay_ns=round(message.delay * 1e9),
+            cause=message.fate,
+            corrupted=message.corrupted,
+            payload=message.payload,
+        )

@@ -72,7 +72,7 @@ class Vehicle(Protocol):
             A number, of a vector a tuple of them; None if the vehicle did not report it at this tick.
 
         Raises:
-            KeyError: no such signal.
+            LookupError: no such signal.
         """
 
 

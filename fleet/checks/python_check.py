@@ -47,12 +47,12 @@ class SeenVehicle:
         """The value of a signal; None if the vehicle did not report it at this tick.
 
         Raises:
-            KeyError: no such signal.
+            LookupError: no such signal.
         """
         place = self._places.get(signal)
         if place is None:
             hint = nearest(str(signal), self._places) or f"it has {', '.join(self._places)}"
-            raise KeyError(f"vehicle {self.id} has no signal {signal!r}; {hint}")
+            raise LookupError(f"vehicle {self.id} has no signal {signal!r}; {hint}")
         found = self._values.values(self.id, signal.partition(".")[0])[place.values]
         if not found or (place.width == 1 and isnan(found[0])):
             return None

@@ -84,8 +84,9 @@ def _joined(asked: AskedOfSignal, there: Sequence[tuple[int, float]]) -> tuple[U
     if len(there) < 2:
         return _FLEET, None
     low, high = min(there, key=lambda one: one[1]), max(there, key=lambda one: one[1])
-    # Of equal infinities the difference is no number.
-    return tuple(sorted((low[0], high[0]))), 0.0 if low[1] == high[1] else high[1] - low[1]
+    if low[1] == high[1]:  # of equal infinities the difference is no number
+        return _FLEET, 0.0
+    return tuple(sorted((low[0], high[0]))), high[1] - low[1]
 
 
 _Found = tuple[bool, str, float | None, float | None, str]  # passed, found, value, limit, unit
@@ -99,7 +100,8 @@ class _Safety:
         self._since: dict[Unit, int] = {}  # where a stretch of bad samples began
         self._worst: tuple[float, float, Unit, int] | None = None  # how bad, value, whose, tick
         self._longest: tuple[int, Unit, int] | None = None  # ticks, whose, since
-        self._first = -1  # tick at which it failed
+        self._first = -1  # tick at which it failed, and the longest stretch by then
+        self._by_then: tuple[int, Unit, int] | None = None
         self.failure = ""
 
     def step(self, tick: int, numbers: Sequence[tuple[Unit, float | None]]) -> Unit | None:
@@ -129,7 +131,7 @@ class _Safety:
         more = f" and {len(failed) - 8} more" if len(failed) > 8 else ""
         lasting = f", for {self._s(self._longest[0])} s by then" if asked.least_ns > 1 and self._longest else ""
         self.failure = f"{listed}{who(failed[:8])}{more} at {self._s(tick)} s{lasting}"
-        self._first = tick
+        self._first, self._by_then = tick, self._longest
         return tuple(failed)
 
     def found(self, now: int, *, over: bool) -> _Found:
@@ -146,6 +148,8 @@ class _Safety:
                 length, whose, since = self._longest
                 value = length * self._tick_ns / 1e9
                 words = f"for at most {value:g} s{who(list(whose))}, from {self._s(since)} s"
+            if self.failure and self._longest == self._by_then:
+                words = ""  # that is said
         else:
             _, value, whose, tick = worst
             words = "" if tick == self._first else f"{self._side()} {self._show(value)}{who(list(whose))}"
@@ -187,7 +191,8 @@ class _Liveness:
         self._whose = ""  # fault
         self._since: dict[Unit, int] = {}  # where it began to hold
         self._done: set[Unit] = set()
-        self._slowest: tuple[int, Unit, str] | None = None  # ticks, whose, after which fault
+        self._took: tuple[int, Unit, str] | None = None  # ticks, whose, after which fault: the slowest of this wait
+        self._slowest: tuple[int, Unit, str] | None = None  # of all waits that were judged
         self._judged = self._dropped = 0  # waits
         self.failure = ""
 
@@ -202,7 +207,7 @@ class _Liveness:
         elif asked.fault in (EVERY, event.fault) and self._after <= event.tick < self._last:
             self._dropped += self._begin is not None
             self._begin, self._whose = event.tick, event.fault
-            self._since, self._done = {}, set()
+            self._since, self._done, self._took = {}, set(), None
 
     def step(self, tick: int, numbers: Sequence[tuple[Unit, float | None]]) -> Unit | None:
         begin, asked = self._begin, self._asked
@@ -220,8 +225,8 @@ class _Liveness:
                 if (since - begin) * self._tick_ns <= asked.within_ns:
                     if (tick - since) * self._tick_ns >= asked.least_ns:
                         self._done.add(key)
-                        if self._slowest is None or since - begin > self._slowest[0]:
-                            self._slowest = since - begin, unit, self._whose
+                        if self._took is None or since - begin > self._took[0]:
+                            self._took = since - begin, unit, self._whose
                     continue
             else:
                 self._since.pop(key, None)
@@ -230,6 +235,8 @@ class _Liveness:
                 late = True
         if len(self._done) == (len(numbers) if each else 1):
             self._judged += 1
+            if self._slowest is None or (self._took is not None and self._took[0] > self._slowest[0]):
+                self._slowest = self._took
             self._begin = None
         if not late:
             return None
@@ -250,7 +257,8 @@ class _Liveness:
         limit = asked.within_ns / 1e9
         if self.failure:
             return False, self.failure, inf, limit, "s"
-        dropped = f"; {self._dropped} waits were cut short by another fault" if self._dropped else ""
+        waits = f"{self._dropped} waits were" if self._dropped > 1 else "a wait was"
+        dropped = f"; {waits} cut short by another fault" if self._dropped else ""
         if self._begin is not None:
             waited = f"{(now - self._begin) * self._tick_ns / 1e9:g} s after {self._since_when(self._begin)}"
             words = f"the run ended {waited}, too soon to say" if over else "there is still time"

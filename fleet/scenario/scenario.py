@@ -32,6 +32,7 @@ from netem.config import NetemConfig
 from netem.modem import AcousticConfig
 from world import disturbance
 from world.config import Harmonic, NavNoise, PlantSetup, VehicleSetup, WorldConfig
+from world.plants.classes import signals_of
 from world.signal import Signal
 from world.vectors import Vec3, Vec5, minus
 
@@ -187,7 +188,8 @@ class Scenario:
 
     def plant_signals(self, i: int) -> tuple[Signal, ...] | None:
         """What the plant of vehicle i reports; None: it has none. Raises PluginError: it cannot be used."""
-        return self.controls[i - 1].plant_signals()
+        plant = self.controls[i - 1].plant
+        return None if plant is None else signals_of(plant.name, plant.parameters or {})
 
     def layout(self, i: int) -> Layout:
         """What agent i reports. Raises PluginError: one of its laws cannot be used."""

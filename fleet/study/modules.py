@@ -1,4 +1,4 @@
-"""The modules of laws, plants and checks that the runs of a study import and that are not installed, for workers.
+"""The modules of plug-ins that the runs of a study import and that are not installed, and how workers get them.
 
 Workers of this machine import them where they lie. To other machines they travel with the runs, as bytes, and are
 written to a folder that exists as long as the worker. Only what was let in here when the scenarios were read travels:

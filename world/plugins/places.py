@@ -13,7 +13,7 @@ import world
 
 _MAX_TEXT = 300  # characters of the text of an error
 _LIBRARIES = tuple({sysconfig.get_path(name) + os.sep for name in ("stdlib", "platstdlib", "purelib", "platlib")})
-_PACKAGES = {Path(world.__file__).parent.with_name(name) for name in ("world", "agents")}
+_PACKAGES = {Path(world.__file__).parent.with_name(name) for name in ("world", "agents", "fleet")}
 _SITE = "-packages" + os.sep  # site-packages, and Debian's dist-packages
 
 

@@ -1,0 +1,51 @@
+"""The message that made the difference: what a vehicle missed, or else what it received last."""
+
+from __future__ import annotations
+
+from fed_checks import fate, fed
+
+from fleet.checks.last_messages import LastMessages
+
+LINKS = [(1, 2), (2, 1), (2, 3), (3, 2)]
+
+
+def test_a_link_whose_last_packet_was_lost_is_named_before_one_that_works() -> None:
+    last = LastMessages(LINKS, 10_000_000)
+    assert last.of([2]) is None
+    for sent in (0, 10, 20):
+        last.settle(fate(3, 2, sent))
+    for sent in (0, 10):
+        last.settle(fate(1, 2, sent))
+    last.settle(fate(1, 2, 20, "partition", final=20))
+    found = last.of([2])
+    assert found is not None
+    assert (found.src, found.dst, found.sent_s, found.fate, found.heard_s) == (1, 2, 0.2, "partition", 0.1)
+    assert (
+        found.words
+        == "the last message that vehicle 2 missed: 1->2, sent at 0.2 s, partition; it had the last before from 0.1 s"
+    )
+    last.settle(fate(1, 2, 30))
+    again = last.of([2])
+    assert again is not None and again.fate == "delivered" and (again.src, again.sent_s) == (1, 0.3)
+    assert last.of([3]) is None
+
+
+def test_of_several_links_the_one_that_is_silent_for_longest() -> None:
+    last = LastMessages(LINKS, 10_000_000)
+    last.settle(fate(3, 2, 0))
+    last.settle(fate(3, 2, 10, "loss", final=10))
+    last.settle(fate(1, 2, 10, "down", final=10))
+    found = last.of([1, 2])
+    assert found is not None and (found.src, found.heard_s) == (1, None)
+    assert found.words.endswith("down; it had nothing before")
+
+
+def test_a_message_of_the_tick_of_the_failure_counts() -> None:
+    """It is used at that tick, and the log has it behind the values of the tick."""
+    fates = [fate(1, 2, 0), fate(1, 2, 99), fate(1, 2, 104)]
+    (verdict,) = fed(
+        "signal: {topic: nav.z, below: 8 m}", lambda i, t: 9.0 if i == 2 and t >= 1.0 else 5.0, fates=fates
+    )
+    assert verdict.moment is not None and verdict.moment.message is not None
+    assert (verdict.moment.message.sent_s, verdict.moment.message.at_s) == (0.99, 1.0)
+    assert "the last message that vehicle 2 received: 1->2, sent at 0.99 s, due at 1 s" in verdict.found

@@ -1,0 +1,195 @@
+"""Checks in Python: what they see, and that whatever they do wrong becomes their verdict and names the line."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import pytest
+from fed_checks import FAULTS, fate, fed
+from small_scenario import SMALL, small
+
+import fleet.checks.python_check
+from fleet.checks.python_check import CheckError
+from fleet.checks.verdict import Verdict
+from fleet.errors import ScenarioError
+from fleet.execution.judged import judged
+from fleet.scenario.loading import load_scenario
+
+HEAD = "from fleet.checks.api import Failure, seconds\n\n\n"
+
+
+@pytest.fixture
+def module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The file of a module `own_checks_here`, which may be imported."""
+    monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delitem(sys.modules, "own_checks_here", raising=False)
+    return tmp_path / "own_checks_here.py"
+
+
+def verdict(module: Path, code: str, parameters: str = "{}", **more: object) -> Verdict:
+    module.write_text(HEAD + code)
+    depth = lambda i, t: 9.0 if i == 2 and t >= 1.0 else 5.0  # noqa: E731
+    (found,) = fed(f'"own_checks_here:Check": {parameters}', depth, **more)  # type: ignore[arg-type]
+    return found
+
+
+SEES = '''\
+class Check:
+    """Sees what is there"""
+
+    def __init__(self, facts, *, until="0 s"):
+        assert (facts.vehicles, facts.tick, facts.duration, facts.begin) == (3, 0.01, 4.0, 0.0)
+        assert (1, 2) in facts.links and facts.units[1]["nav.z"] == "m"
+        self.until, self.seen, self.packets = seconds(until), [], []
+
+    def step(self, tick):
+        assert [vehicle.id for vehicle in tick.vehicles] == [1, 2, 3]
+        one = tick.vehicles[1]
+        assert one["nav.x"] == 0.0 and one["state.z"] is None and one["control.u_err"] is None
+        self.packets += [(packet.src, packet.dst, packet.fate, packet.sent) for packet in tick.packets]
+        now = tuple(fault.id for fault in tick.faults), tuple(v.id for v in tick.vehicles if not v.alive)
+        if now not in self.seen:
+            self.seen.append(now)
+
+    def verdict(self):
+        return f"{self.seen} {self.packets}"
+'''
+
+
+def test_a_check_sees_faults_lives_and_packets(module: Path) -> None:
+    faults = "faults=[{id: cut, at: 1 s, for: 1 s, down: 1->2}, {id: gone, at: 1500 ms, for: 1 s, kill: 3}]"
+    found = verdict(module, SEES, "{until: 2 s}", faults=faults, fates=[fate(1, 2, 0), fate(1, 2, 5, "loss", final=5)])
+    seen = "[((), ()), (('cut',), ()), (('cut', 'gone'), (3,)), (('gone',), (3,))]"
+    assert found == Verdict(
+        "Check", True, "Sees what is there, until 2 s", f"{seen} [(1, 2, 'delivered', 0.0), (1, 2, 'loss', 0.05)]"
+    )
+
+
+DEEP = """\
+class Check:
+    def __init__(self, facts): pass
+    def step(self, tick):
+        for one in tick.vehicles:
+            if one["nav.z"] > 8: return Failure("too\\n deep", (one.id,), {"z": one["nav.z"]})
+"""
+
+
+def test_a_failure_has_its_moment(module: Path) -> None:
+    fates = [fate(1, 2, 0), fate(1, 2, 50), fate(1, 2, 99, "down", final=99)]
+    found = verdict(module, DEEP, faults=FAULTS, fates=fates)
+    moment = found.moment
+    assert not found.passed and moment is not None and moment.message is not None
+    assert (moment.tick, moment.at_s, moment.vehicles, moment.values, moment.faults) == (
+        100,
+        1.0,
+        [2],
+        {"z": 9.0},
+        ["cut"],
+    )
+    assert (moment.message.fate, moment.message.heard_s) == ("down", 0.5)
+    assert found.found == (
+        "too deep (vehicle 2), z 9 at 1 s; fault cut active; the last message that vehicle 2 missed: 1->2, sent at 0.99 s, "
+        "down; it had the last before from 0.5 s"
+    )
+
+
+def test_the_end_may_show_a_failure(module: Path) -> None:
+    code = "class Check:\n    def __init__(self, facts): pass\n    def step(self, tick): pass\n"
+    never = code + "    def verdict(self): return Failure('never a leader', (1, 2))\n"
+    found = verdict(module, never)
+    assert (found.passed, found.found, found.moment) == (False, "never a leader (vehicles 1, 2)", None)
+
+
+STEP = "class Check:\n    def __init__(self, facts): self.n = 0\n    def step(self, tick):\n        "
+
+
+@pytest.mark.parametrize(
+    ("body", "words"),
+    [
+        ("raise ValueError('why not')", "Check raised ValueError: why not (own_checks_here.py:7) at 0 s"),
+        ("raise SystemExit", "Check raised SystemExit (own_checks_here.py:7) at 0 s"),
+        ("tick.vehicles[0]['nav.zz']", "vehicle 1 has no signal 'nav.zz'; did you mean"),
+        (
+            "return True",
+            "Check returned True: expected None or a fleet.checks.api.Failure (own_checks_here.py:6) at 0 s",
+        ),
+        ("return Failure(3)", "Check returned a Failure with message 3: expected a text"),
+        ("return Failure('x', 3)", "Check returned a Failure with vehicles 3 and values {}: expected numbers"),
+        ("return Failure('x', (9,))", "Check returned a Failure of vehicle 9: there is none"),
+        ("return Failure('x', (), {'a': 'b'})", "with vehicles () and values {'a': 'b'}: expected numbers"),
+        ("while True: pass", "Check took longer than its budget of 50 ms (own_checks_here.py:7) at 0 s"),
+    ],
+)
+def test_a_broken_check_is_no_pass(module: Path, monkeypatch: pytest.MonkeyPatch, body: str, words: str) -> None:
+    monkeypatch.setattr(fleet.checks.python_check, "BUDGET_S", 0.05)
+    found = verdict(module, STEP + body + "\n")
+    assert not found.passed and found.moment is not None and found.moment.tick == 0
+    assert found.found.startswith("the check is broken, so nothing is known: ") and words in found.found
+
+
+def test_a_broken_verdict_is_no_pass(module: Path) -> None:
+    found = verdict(module, STEP + "return None\n    def verdict(self): return 1 / 0\n")
+    assert not found.passed
+    assert "Check raised ZeroDivisionError: division by zero (own_checks_here.py:8)" in found.found
+
+
+def test_one_that_cannot_be_made_is_found_before_the_run(module: Path) -> None:
+    with pytest.raises(
+        CheckError, match=r"own_checks_here:Check: Check raised ValueError: no \(own_checks_here.py:5\)"
+    ):
+        verdict(
+            module,
+            "class Check:\n    def __init__(self, facts): raise ValueError('no')\n    def step(self, tick): pass\n",
+        )
+
+
+@pytest.mark.parametrize(
+    ("code", "key", "words"),
+    [
+        (None, "own_checks_here:Check", "there is no module 'own_checks_here'"),
+        ("x = 1\n", "own_checks_here:Check", "module 'own_checks_here' has no 'Check'"),
+        ("1 / 0\n", "own_checks_here:Check", "importing it failed: ZeroDivisionError: division by zero"),
+        ("class Check: pass\n", "own_checks_here:Check", "it has no method step"),
+        (
+            "class Check:\n    def step(self): pass\n",
+            "own_checks_here:Check",
+            "its step cannot be called as step(tick)",
+        ),
+        (DEEP, "own_checks_here:Check", "cannot be made with these parameters: got an unexpected keyword argument 'x'"),
+        (DEEP, "own checks:Check", "expected package.module:Class"),
+    ],
+)
+def test_what_cannot_be_used_is_refused_with_its_line(module: Path, code: str | None, key: str, words: str) -> None:
+    if code is not None:
+        module.write_text(HEAD + code)
+    scenario = module.with_name("here.yaml")
+    scenario.write_text(SMALL + f'checks:\n  "{key}": {{x: 1}}\n')
+    with pytest.raises(ScenarioError) as caught:
+        load_scenario(scenario)
+    (problem,) = caught.value.problems
+    assert problem.line == SMALL.count("\n") + 2
+    assert words in problem.message
+
+
+def test_a_check_that_nobody_allowed_does_not_run(module: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = module.parent / "elsewhere"
+    folder.mkdir()
+    (folder / "other_checks_there.py").write_text("raise SystemExit('this ran')\n")
+    (folder / "here.yaml").write_text(SMALL + 'checks: {"other_checks_there:Check": {}}\n')
+    (module.parent / "work").mkdir()
+    monkeypatch.chdir(module.parent / "work")
+    with pytest.raises(ScenarioError, match="would run .*other_checks_there.py, which is not installed"):
+        load_scenario(folder / "here.yaml")
+
+
+def test_a_real_run_is_kept_whatever_its_check_does(module: Path) -> None:
+    module.write_text(HEAD + STEP + "if tick.t > 0.5: raise ValueError('late')\n")
+    scenario = module.with_name("here.yaml")
+    scenario.write_text(SMALL + "checks:\n  own_checks_here:Check:\n")
+    result = judged(load_scenario(scenario))
+    assert result.status.name == "CHECK_FAILED"
+    row = next(check for check in result.values["checks"] if check["check"] == "Check")
+    assert "raised ValueError: late" in row["found"] and row["moment"]["at_s"] == 0.51
+    assert result.digest == judged(small()).digest  # a check changes no byte

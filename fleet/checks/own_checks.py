@@ -24,6 +24,7 @@ from fleet.scenario.sections.signals import GROUPS, places
 from fleet.scenario.sections.timeline import DIVERGED, Event
 from netem.wire.messages import Command, Fate, Frame
 from world.errors import PluginError
+from world.signal import Signal
 
 
 class OwnChecks:
@@ -33,8 +34,8 @@ class OwnChecks:
         """Make them; see `asked`."""
         checks = scenario.spec.checks
         self._tick_s, self._last = scenario.tick_ns / 1e9, scenario.ticks
-        self._every = {group: scenario.log_every[group] for group in GROUPS}
-        self._places = {i: places(layout_of(scenario, i)) for i in range(1, scenario.vehicles + 1)}
+        self._every = {group: scenario.log_every[group] for group in GROUPS if group in scenario.log_every}
+        self._places = {i: places(*reported(scenario, i)) for i in range(1, scenario.vehicles + 1)}
         self._messages = LastMessages(scenario.graph.links, scenario.tick_ns)
         self._signals: list[RunningSignalCheck] = []
         self._python: list[RunningPythonCheck] = []
@@ -150,12 +151,20 @@ class OwnChecks:
         )
 
 
-def layout_of(scenario: Scenario, i: int) -> Layout | None:
-    """What agent i reports; None: that is not known here, because a law of a log may not run."""
+def reported(scenario: Scenario, i: int) -> tuple[Layout | None, tuple[Signal, ...] | None]:
+    """What agent i and the plant of vehicle i report.
+
+    None: its laws are not known here, because those of a log may not run; it has no plant. A plant that may not run
+    reports nothing but its motion.
+    """
     try:
-        return scenario.layout(i)
+        laws = scenario.layout(i)
     except PluginError:
-        return None
+        laws = None
+    try:
+        return laws, scenario.plant_signals(i)
+    except PluginError:
+        return laws, ()
 
 
 def _ended(what: str) -> list[int]:

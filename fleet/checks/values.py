@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Protocol
 
+from fleet.scenario.sections.signals import ROLL
 from netem.wire.messages import Command, Frame, VehicleFrame
 from world.vectors import Vec3
 
 Values = tuple[float, ...]
+ROLL_SIZE = len(ROLL)
 
 
 class Error(Protocol):
@@ -38,7 +40,9 @@ def values_of(group: str, row: VehicleFrame, command: Command | None, error: Err
     """What a topic group has of a vehicle, flat; empty: nothing."""
     match group:
         case "state":
-            return (*row.eta, *row.nu)
+            return (*row.eta, *row.nu, *row.plant[:ROLL_SIZE])
+        case "plant":
+            return tuple(row.plant[ROLL_SIZE:])
         case "nav":
             return tuple(row.nav)
         case "error":

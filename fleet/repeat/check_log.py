@@ -8,7 +8,7 @@ from math import nan
 from pathlib import Path
 from typing import Any
 
-from fleet.checks.own_checks import OwnChecks, layout_of
+from fleet.checks.own_checks import OwnChecks, reported
 from fleet.checks.values import LoggedValues, Values
 from fleet.checks.verdict import Verdict
 from fleet.errors import FleetError
@@ -109,7 +109,7 @@ class _Feed:
         self._samples = {
             f"uuv/{i}/{group}": (i, group, signals)
             for i in range(1, scenario.vehicles + 1)
-            for group, signals in flat_signals(layout_of(scenario, i)).items()
+            for group, signals in flat_signals(*reported(scenario, i)).items()
             if group in checks.groups
         }
         self._found: dict[tuple[int, str], Values] = {}  # of the tick that is read

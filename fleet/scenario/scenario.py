@@ -32,7 +32,6 @@ from netem.config import NetemConfig
 from netem.modem import AcousticConfig
 from world import disturbance
 from world.config import Harmonic, NavNoise, PlantSetup, VehicleSetup, WorldConfig
-from world.plants.classes import signals_of
 from world.signal import Signal
 from world.vectors import Vec3, Vec5, minus
 
@@ -188,8 +187,7 @@ class Scenario:
 
     def plant_signals(self, i: int) -> tuple[Signal, ...] | None:
         """What the plant of vehicle i reports; None: it has none. Raises PluginError: it cannot be used."""
-        plant = self.controls[i - 1].plant
-        return None if plant is None else signals_of(plant.name, plant.parameters or {})
+        return self.controls[i - 1].plant_signals()
 
     def layout(self, i: int) -> Layout:
         """What agent i reports. Raises PluginError: one of its laws cannot be used."""

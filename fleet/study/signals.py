@@ -153,7 +153,8 @@ def _column(measure: SignalMeasure, scenarios: Sequence[Scenario]) -> Column:
     most = max(scenario.vehicles for scenario in scenarios)
     if measure.vehicle is not None and measure.vehicle > most:
         raise StudyError(f'"{measure}": there is no vehicle {measure.vehicle}; they are 1 to {most}')
-    some = (places(scenario.layout(i)) for scenario in scenarios for i in _vehicles(measure, scenario))
+    each = ((scenario, i) for scenario in scenarios for i in _vehicles(measure, scenario))
+    some = (places(scenario.layout(i), scenario.plant_signals(i)) for scenario, i in each)
     try:
         unit = unit_of(SignalName(measure.name, measure.absolute), some)
     except SignalError as error:
@@ -192,7 +193,7 @@ class Samples:
         self._kept: dict[int, list[_Kept]] = {}
         for measure in self._names.values():
             for i in _vehicles(measure, scenario):
-                if (place := places(scenario.layout(i)).get(measure.name)) is not None:
+                if (place := places(scenario.layout(i), scenario.plant_signals(i)).get(measure.name)) is not None:
                     group = measure.name.partition(".")[0]
                     first = -(-measure.after_ns // scenario.tick_ns)
                     kept = _Kept(measure, group, place.values, scenario.log_every[group], first, array("d"))

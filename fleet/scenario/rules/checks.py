@@ -3,21 +3,23 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from functools import partial
+from typing import Any
 
-from agents.config import Law
 from agents.controllers import BUILT_IN, laws, layout
 from fleet.errors import FleetError
 from fleet.quantities import describe_value, show_time, vehicle_numbers
 from fleet.scenario.parts import Parts
 from fleet.scenario.rules.faults import fault_names
+from fleet.scenario.rules.plugins import plugin
 from fleet.scenario.rules.report import LINKS_SHOWN, Report, vehicles_exist, whole_multiple
 from fleet.scenario.schema.checks import CHECK_NAME, EVERY, OF_THE_SCHEMA
 from fleet.scenario.sections.python_checks import load_check, parameters_of
-from fleet.scenario.sections.signal_checks import SignalCheckError, ask, of_a_law
+from fleet.scenario.sections.signal_checks import SignalCheckError, ask, of_a_plugin
 from fleet.scenario.sections.signals import Place, places
 from netem.selectors import parse_selector, select
-from world.errors import PluginError, UntrustedError
+from world.errors import PluginError
 
 Path = tuple[str | int, ...]  # of a key
 
@@ -99,9 +101,9 @@ def signal(parts: Parts, report: Report) -> None:
     vehicles = _signals(parts, report)
     for index, check in enumerate(checks):
         path: Path = ("checks", "signal", *(() if one else (index,)))
-        if vehicles is not None or not of_a_law(check.topic):
+        if vehicles is not None or not of_a_plugin(check.topic):
             try:
-                ask(check, vehicles or dict.fromkeys(range(1, spec.vehicles + 1), places(None)))
+                ask(check, vehicles or dict.fromkeys(range(1, spec.vehicles + 1), places(None, None)))
             except SignalCheckError as error:
                 report.add((*path, error.key), error.problem, error.hint)
         if check.fault is not None and not report.mistaken("faults", "nemesis"):
@@ -116,7 +118,7 @@ def _signals(parts: Parts, report: Report) -> dict[int, Mapping[str, Place]] | N
         others = any(law.name not in BUILT_IN[kind] for kind, law in running)
         if others and (not report.policy.imports or report.mistaken("agent", "controller", "guidance", "tracking")):
             return None
-        return {i: places(layout(control)) for i, control in enumerate(controls, start=1)}
+        return {i: places(layout(control), control.plant_signals()) for i, control in enumerate(controls, start=1)}
     except (FleetError, PluginError):  # reported where it is about
         return None
 
@@ -124,17 +126,13 @@ def _signals(parts: Parts, report: Report) -> dict[int, Mapping[str, Place]] | N
 def python(parts: Parts, report: Report) -> None:
     """Each check in Python can be imported, and made with its parameters."""
     for name, each in (parts.spec.checks.python or {}).items():
-        typed = report.typed(("checks", name))
-        if not (typed or report.policy.imports) or not report.policy.checks:
-            continue
-        try:
-            report.policy.admit("check", Law(name), parts.folder, typed=typed)
-            for one in each:
-                load_check(name, parameters_of(one))
-        except UntrustedError as error:
-            report.refuse(("checks", name), error.problem, error.hint)
-        except PluginError as error:
-            report.add(("checks", name), error.problem, error.hint)
+        if report.policy.checks:
+            plugin(parts, report, ("checks", name), "check", name, (), partial(_load_all, name, each))
+
+
+def _load_all(name: str, each: Iterable[Mapping[str, Any]]) -> None:
+    for one in each:
+        load_check(name, parameters_of(one))
 
 
 def names(parts: Parts, report: Report) -> None:

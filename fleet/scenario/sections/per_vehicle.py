@@ -16,7 +16,8 @@ from fleet.scenario.schema.section import Section
 from fleet.scenario.schema.spec import ScenarioSpec
 from fleet.scenario.schema.vehicle import ModelErrorSection, PlantSection, VehicleSection
 from fleet.scenario.sections import vehicle_files
-from world.plants.classes import model_of
+from world.plants.classes import model_of, signals_of
+from world.signal import Signal
 from world.tumble import LIMIT_RAD
 from world.vectors import Vec3
 from world.vehicle import VehicleParams
@@ -49,6 +50,10 @@ class Control:
     tumble_limit: float  # |pitch| beyond which it tumbles [rad]
     external: bool  # the run does not start its agent
     knows_reference: bool  # also if it does not follow it
+
+    def plant_signals(self) -> tuple[Signal, ...] | None:
+        """What its plant reports; None: it has none. Raises PluginError: it cannot be used."""
+        return None if self.plant is None else signals_of(self.plant.name, self.plant.parameters or {})
 
     @property
     def cascade(self) -> bool:

@@ -19,7 +19,16 @@ from fleet.errors import FleetError
 from fleet.quantities import DIMENSIONS, NUMBER, Dimension, QuantityError, describe_value, show_time, vehicle_numbers
 from fleet.quantities import scalar as quantity
 from fleet.scenario.schema.checks import CONDITIONS, EVERY, SignalCheck
-from fleet.scenario.sections.signals import OF_THE_LAWS, Place, SignalError, SignalName, parse_name, unit_of
+from fleet.scenario.sections.signals import (
+    OF_THE_LAWS,
+    OF_THE_PLANT,
+    Place,
+    SignalError,
+    SignalName,
+    parse_name,
+    places,
+    unit_of,
+)
 
 Over = Literal["each", "spread", "true"]  # what is compared: each vehicle's value, their spread, how many are true
 
@@ -109,10 +118,13 @@ def ask(check: SignalCheck, vehicles: Mapping[int, Mapping[str, Place]]) -> Aske
     )
 
 
-def of_a_law(text: str) -> bool:
-    """Whether a text names a signal of those that the laws of a vehicle declare."""
+def of_a_plugin(text: str) -> bool:
+    """Whether a text names a signal that only a vehicle's laws or its plant may have."""
     signal = parse_name(text)
-    return signal is not None and signal.group in OF_THE_LAWS
+    if signal is None:
+        return False
+    of_roll = places(None, ()).keys() - places(None, None).keys()
+    return signal.group in (*OF_THE_LAWS, OF_THE_PLANT) or signal.name in of_roll
 
 
 def _given(check: SignalCheck) -> list[str]:

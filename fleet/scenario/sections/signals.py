@@ -38,7 +38,8 @@ ERROR = (
 )
 _ALWAYS = {"state": STATE, "nav": STATE, "command": COMMAND, "error": ERROR}
 OF_THE_LAWS = ("guidance", "control")  # groups whose signals the laws of a vehicle declare
-GROUPS = (*_ALWAYS, *OF_THE_LAWS)
+OF_THE_PLANT = "plant"  # the group whose signals the plant of a vehicle declares
+GROUPS = (*_ALWAYS, OF_THE_PLANT, *OF_THE_LAWS)
 
 NAME = r"[A-Za-z]\w*\.\w+"
 _GRAMMAR = re.compile(rf"(?P<bar>\|)?\s*(?P<name>{NAME})\s*(?(bar)\|)", re.ASCII)
@@ -90,14 +91,15 @@ def parse_name(text: str) -> SignalName | None:
     return None if found is None else SignalName(found["name"], found["bar"] is not None)
 
 
-def places(layout: Layout | None) -> dict[str, Place]:
+def places(layout: Layout | None, plant: tuple[Signal, ...] | None) -> dict[str, Place]:
     """Every signal of a vehicle, vectors and their components, by name.
 
     Args:
         layout: what its agent reports; None: that is not known.
+        plant: what its plant reports; None: it has none.
     """
     found: dict[str, Place] = {}
-    for group, (start, signals) in _groups(layout).items():
+    for group, (start, signals) in _groups(layout, plant).items():
         for signal in signals:
             name, width = f"{group}.{signal.name}", signal.width
             units = signal.unit.split(", ") if ", " in signal.unit else [signal.unit] * width
@@ -109,16 +111,20 @@ def places(layout: Layout | None) -> dict[str, Place]:
     return found
 
 
-def flat_signals(layout: Layout | None) -> dict[str, tuple[int, list[tuple[str, int]]]]:
+def flat_signals(
+    layout: Layout | None, plant: tuple[Signal, ...] | None
+) -> dict[str, tuple[int, list[tuple[str, int]]]]:
     """By topic group where its values begin, and name and number of values of each signal; as `places` has them."""
     return {
         group: (start, [(signal.name, signal.width) for signal in signals])
-        for group, (start, signals) in _groups(layout).items()
+        for group, (start, signals) in _groups(layout, plant).items()
     }
 
 
-def _groups(layout: Layout | None) -> dict[str, tuple[int, tuple[Signal, ...]]]:
+def _groups(layout: Layout | None, plant: tuple[Signal, ...] | None) -> dict[str, tuple[int, tuple[Signal, ...]]]:
     groups = {group: (0, signals) for group, signals in _ALWAYS.items()}
+    if plant is not None:
+        groups |= dict.fromkeys(("state", "nav"), (0, STATE + ROLL)) | {OF_THE_PLANT: (0, plant)}
     if layout is not None:
         groups |= {group: (layout.group(group).start, getattr(layout, group)) for group in OF_THE_LAWS}
     return groups

@@ -28,14 +28,20 @@ def served(*arguments: str) -> Iterator[str]:
         assert process.stdout is not None
         try:
             printed = ""
-            while (found := _ADDRESS.search(printed)) is None:
+            while not (address := address_in(printed)):
                 line = process.stdout.readline()
                 assert line, f"it ended: {printed}"
                 printed += line
-            yield found.group()
+            yield address
         finally:
             process.terminate()
             process.wait(SOON_S)
+
+
+def address_in(printed: str) -> str:
+    """The address of a page, of what a command printed; empty: it printed none yet."""
+    found = _ADDRESS.search(printed)
+    return found.group() if found else ""
 
 
 class Tab:
@@ -69,14 +75,30 @@ class Tab:
             const box = scene.canvas.getBoundingClientRect();
             return [box.x + p[0] + 0.6 * (q[0] - p[0]), box.y + p[1] + 0.6 * (q[1] - p[1])];
         }}"""
+        x, y = self._at_rest(where)
+        return x, y
+
+    def vehicles(self) -> dict[int, tuple[float, float]]:
+        """Where on the page the vehicles are drawn, once the view has come to rest."""
+        where = """() => {
+            const scene = document.querySelector(".fleet-view").fleet.scene;
+            scene.dirty = true;
+            const box = scene.canvas.getBoundingClientRect();
+            return scene.spots.toSorted((a, b) => a.i - b.i).flatMap(({ i, x, y }) => [box.x + x, box.y + y]);
+        }"""
+        found = self._at_rest(where)
+        return {k + 1: (found[2 * k], found[2 * k + 1]) for k in range(len(found) // 2)}
+
+    def _at_rest(self, where: str) -> list[float]:
+        """The coordinates that a function of the page gives, once they stay as they are."""
         places: list[list[float]] = []
 
         def rests() -> bool:
             places.append(self.page.evaluate(where))
-            return len(places) > 5 and dist(places[-6], places[-1]) < 1.0
+            return len(places) > 5 and len(places[-1]) > 0 and dist(places[-6], places[-1]) < 1.0
 
         wait_for(rests, SOON_S, "a view at rest")
-        return places[-1][0], places[-1][1]
+        return places[-1]
 
 
 @contextmanager

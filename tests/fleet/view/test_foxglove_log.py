@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-from foxglove_client import Viewer, viewer
+from foxglove_client import LIMIT_S, Viewer, viewer
 from showing import Fingers, going_on
 from traffic import log as log
 from traffic import records as records
@@ -99,7 +99,7 @@ def test_only_what_is_asked_for_is_decoded(log: Path, records: list[Record]) -> 
                 watcher.until(lambda: watcher.messages[-1].log_ns == 2 * S)
                 assert len(watcher.of("scene")) == 1
                 assert bridge.server.sent == len(watcher.messages)
-            wait_for(lambda: not bridge.server.viewers, 10.0, "the viewer to leave")
+            wait_for(lambda: not bridge.server.viewers, LIMIT_S, "the viewer to leave")
             with viewer(bridge.server.endpoint) as watcher:
                 watcher.subscribe("uuv/2/error")  # somebody comes after the end: it begins again
                 watcher.until(lambda: watcher.of("uuv/2/error"))

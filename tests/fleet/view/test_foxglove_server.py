@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
-from foxglove_client import viewer
+from foxglove_client import LIMIT_S, viewer
 from waiting import wait_for
 
 from fleet.view.foxglove_server import BACKLOG, Channel, FoxgloveServer, ServiceOffer
@@ -39,7 +39,7 @@ def test_nobody_waits_for_a_viewer_that_takes_nothing() -> None:
     try:
         with viewer(server.endpoint, most=10) as slow:
             slow.subscribe("a")
-            assert wait_for(lambda: server.events(0.1), 10.0, "a subscription") and server.viewers == 1
+            assert wait_for(lambda: server.events(0.1), LIMIT_S, "a subscription") and server.viewers == 1
             for n in range(count):
                 server.put(7, data, n)
             assert server.sent == count

@@ -2,25 +2,32 @@
 
 from __future__ import annotations
 
+import shutil
+import signal
 from collections.abc import Iterator
 from contextlib import closing
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 from urllib.error import HTTPError
 from urllib.request import urlopen
 
 import pytest
-from browser import browser, served, tab
+from browser import SOON_S, address_in, browser, served, tab
 from in_process_runs import Alone, log_of
 from live import LiveRun
 from tool import tool
 from waiting import wait_for
 
+from fleet.execution.directory import OBSERVE, SCENARIO
+from fleet.repeat.recorded_run import script
+from fleet.scenario.loading import parse_scenario
+from fleet.view.live_feed import LiveFeed
 from fleet.view.server import Browser
+from fleet.view.source import LiveSource, find_source
 
 pytestmark = pytest.mark.slow
 
-SOON_S = 20.0
 LONG = ("paper", "--publish", "--speed", "1", "--duration", "300 s", "--set", "checks={}")
 
 
@@ -61,8 +68,25 @@ def test_a_click_on_a_link_cuts_it_and_another_viewer_heals_it(opened: Any, tmp_
         one.page.locator(".fleet-faults").get_by_text("no fault").wait_for()
         one.page.locator(".fleet-commands").get_by_text("fleet heal live-1").wait_for()
 
+        wait_for(lambda: "1->2" in script(run.log).to_yaml(), SOON_S, "the fault in the log")
+        with one.page.expect_download() as saved:
+            one.page.get_by_role("button", name="Save as scenario").click()
+        again = parse_scenario(Path(saved.value.path()).read_text(), "again.yaml")
+        assert again.to_yaml() == script(run.log).to_yaml()
+        two.page.locator(".fleet-commands").get_by_text("fleet script").wait_for()
+
         one.page.get_by_role("heading", name="Checks, so far").wait_for()
         one.page.locator(".fleet-checks .pass").get_by_text("deaths").wait_for()
+
+        given = Path(shutil.copy(run.directory / OBSERVE, tmp_path / "given.json"))
+        watched = find_source(str(given), tmp_path)  # what an observer has, and nothing else
+        assert isinstance(watched, LiveSource)
+        with closing(LiveFeed(watched)) as feed:
+            assert feed.scenario.to_yaml() == (run.directory / SCENARIO).read_text()
+            feed.follow({"uuv/1/state.z"})
+            wait_for(lambda: feed.advance() and feed.picture.history()["signals"]["uuv/1/state.z"], SOON_S, "a value")
+            feed.follow(())
+            assert not feed._ends and not feed.picture.history()["signals"]
 
         tool(tmp_path, "stop")
         one.page.locator(".fleet-rate").get_by_text("the run is over").wait_for()
@@ -78,29 +102,64 @@ def assert_nobody_gets_in_without_the_token(address: str) -> None:
         caught.value.close()
 
 
-def test_a_log_is_played_and_searched(opened: Any, alone: Alone) -> None:
-    log = log_of(alone("paper", "duration=20 s", "faults=[{at: 5 s, for: 3 s, partition: halves}]", "checks={}"))
-    with served(str(log)) as address:
+def test_a_log_of_a_hundred_vehicles_is_played_and_searched(opened: Any, alone: Alone) -> None:
+    settings = (
+        "vehicles=100",
+        "duration=2 s",
+        "faults=[{at: 1 s, for: 500 ms, partition: halves}]",
+        "log.snapshot=0 s",
+    )
+    with served(str(log_of(alone("paper", *settings, "checks={tumbled: waived}")))) as address:
         assert_nobody_gets_in_without_the_token(address)
         with closing(Browser(address)) as led:  # as `fleet view` opens it: from a file of this user
             page = tab(opened, address, led.file.as_uri())
         page.page.get_by_role("button", name="Next fault").click()
-        wait_for(lambda: page.time_s() == 5.0, SOON_S, "the beginning of the fault")
+        wait_for(lambda: page.time_s() == 1.0, SOON_S, "the beginning of the fault")
         page.page.locator(".fleet-faults").get_by_text("partition").wait_for()
+        assert len(page.vehicles()) == page.page.locator(".fleet-side tbody tr").count() == 100
         slider = page.page.get_by_label("Time in the log [s]")
         slider.focus()
         slider.press("Home")
         wait_for(lambda: page.time_s() == 0.0, SOON_S, "the beginning of the log")
         page.page.get_by_role("button", name="Play").press("Enter")
         wait_for(lambda: page.time_s() > 0.3, SOON_S, "a later time")
-        page.page.get_by_role("button", name="1 ★").click()
+        page.page.get_by_role("button", name="1 ★", exact=True).click()
         page.page.locator(".fleet-detail").get_by_text("commands: surge").get_by_text("N m").wait_for()
         page.page.get_by_role("heading", name="Checks, of the whole run").wait_for()
         picture = page.page.get_by_role("img", name="The fleet and its links")
         picture.press("t")
         page.page.get_by_role("button", name="In 3D").wait_for()
         chosen = page.page.get_by_label("Signal to show")
-        chosen.fill("uuv/1/state.z")
+        chosen.fill("uuv/100/state.z")
         chosen.press("Enter")
-        page.page.locator(".fleet-chart-unit").get_by_text("now 5.").wait_for()
+        page.page.locator(".fleet-chart-unit").get_by_text("now ").wait_for()
         assert page.wrong == []
+
+
+def test_a_line_through_the_fleet_parts_it_and_ctrl_c_ends_run_and_page(opened: Any, tmp_path: Path) -> None:
+    with LiveRun(tmp_path, *LONG, "--view") as run:
+        address = wait_for(lambda: address_in(run.printed), SOON_S, "the address")
+        page = tab(opened, address)
+        page.page.get_by_role("button", name="Pause").click()
+        page.page.get_by_role("button", name="Resume").wait_for()
+        places = page.vehicles()
+        across = sorted(x for x, _ in places.values())
+        _, x = max((right - left, (left + right) / 2) for left, right in pairwise(across))
+        page.page.get_by_role("button", name="Cut with a line").click()
+        _, y = places[1]
+        page.page.mouse.move(x, y - 30)
+        page.page.mouse.down()
+        page.page.mouse.move(x, y + 30, steps=3)
+        page.page.mouse.up()
+        typed = page.page.get_by_label("Fault, in the words of fleet inject").input_value()
+        parts = {frozenset(map(int, part.split(","))) for part in typed.removeprefix("partition ").split(" / ")}
+        left = frozenset(i for i, place in places.items() if place[0] < x)
+        assert parts == {left, frozenset(places) - left}
+        page.page.get_by_role("button", name="Inject").click()
+        page.page.locator(".fleet-faults").get_by_text(typed).wait_for()
+        assert page.wrong == []
+        assert any("fleet.view.companion" in " ".join(process.cmdline()) for process in run.family())
+        run.send(signal.SIGINT, group=True)
+        assert run.status() == 130, run.printed
+        run.until_nobody_is_left()
+        assert "Traceback" not in run.printed

@@ -62,9 +62,8 @@ class Agent(Brain):
     def transmit(self, nav: Nav) -> tuple[bytes, ...]:
         """The payloads to every neighbour: own position and velocity over ground at this tick."""
         eta, nu = self._measured(nav)
-        message = StateMessage(
-            self.config.id, nav.tick, eta[:3], earth_velocity(eta, nu, nav.roll[0] if nav.roll else 0.0)
-        )
+        phi = nav.roll[0] if nav.roll else 0.0
+        message = StateMessage(self.config.id, nav.tick, eta[:3], earth_velocity(eta, nu, phi))
         if self.config.codec == "full":
             return (encode(message),)
         try:

@@ -43,9 +43,7 @@ class Sample(NamedTuple):
     e: Vec3  # consensus error [m, NED], eq. (8)
     c: float  # sum of the weights in e [1]
     seed: str  # of this vehicle's random numbers at this tick
-    roll: tuple[
-        float, ...
-    ] = ()  # own measured phi [rad], p [rad/s] of a vehicle that has them; `velocity` allows for it
+    roll: tuple[float, ...] = ()  # own measured phi [rad], p [rad/s] of a vehicle with a plant; in `velocity` already
 
     def rng(self) -> Random:
         """A random generator for this vehicle and tick; call this once per sample.

@@ -36,8 +36,8 @@ def take(timeout):
     """The next message for this life as [kind, incarnation, ...]; None for any other, or when there is none."""
     try:
         kind, *fields = msgpack.unpackb(came.get(timeout=timeout).to_bytes())
-        size = {"nav": 4, "rx": 4, "end": 3, "hello": 5}[kind]
-        if len(fields) == size and (kind == "hello" or (fields[0] == life and isinstance(fields[1], int))):
+        sizes = {"nav": (4, 5), "rx": (4,), "end": (3,), "hello": (5,)}[kind]  # a nav may have roll, too
+        if len(fields) in sizes and (kind == "hello" or (fields[0] == life and isinstance(fields[1], int))):
             return [kind, *fields]
     except queue.Empty:
         if not session.info.routers_zid():
@@ -77,7 +77,7 @@ token = session.liveliness().declare_token(f"{prefix}/alive/agent-{me}")
 known, nav, inbox, heard = told["begin"], None, [], {}
 while not (message := take(2.0)) or message[0] != "end":
     match message:
-        case ["nav", _, tick, eta, nu]:
+        case ["nav", _, tick, eta, nu, *_]:
             nav = tick, eta, nu
         case ["rx", _, until, more, deliveries]:
             inbox += deliveries

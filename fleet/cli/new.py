@@ -1,4 +1,4 @@
-"""The command `fleet new`: a law or a check with a scenario that uses it, or a scenario, as templates that run."""
+"""The command `fleet new`: a law, a check or a vehicle with a scenario, or a scenario, as templates that run."""
 
 from __future__ import annotations
 
@@ -23,9 +23,14 @@ _IMPORTED = {
     "Failure",
     "Nav",
     "PAYLOAD",
+    "PlantConfig",
     "Sample",
+    "Sequence",
     "Signal",
     "Tick",
+    "Vec3",
+    "Vec6",
+    "Water",
 }  # imported by the templates
 
 
@@ -81,6 +86,20 @@ def check(name: str, folder: Path) -> None:
       fleet new check one_leader --dir checks
     """
     _tell(*write_check(name, folder), folder)
+
+
+@new.command()
+@click.argument("name")
+@_folder
+def plant(name: str, folder: Path) -> None:
+    """Write NAME.py, a vehicle in six degrees of freedom that runs as it is, and NAME.yaml, a scenario that uses it.
+
+    \b
+    Examples:
+      fleet new plant glider
+      fleet new plant glider --dir vehicles
+    """
+    _tell(*write_plant(name, folder), folder)
 
 
 def _tell(module: Path, scenario: Path, folder: Path) -> None:
@@ -159,6 +178,11 @@ def write_law(kind: str, name: str, folder: Path) -> tuple[Path, Path]:
 def write_check(name: str, folder: Path) -> tuple[Path, Path]:
     """Write `name`.py with a check and `name`.yaml into `folder`. Raises NewFileError as `write_law`."""
     return _write_module(name, folder, ("check.py", "check.yaml"), "Check", {})
+
+
+def write_plant(name: str, folder: Path) -> tuple[Path, Path]:
+    """Write `name`.py with a plant and `name`.yaml into `folder`. Raises NewFileError as `write_law`."""
+    return _write_module(name, folder, ("plant.py", "plant.yaml"), "Plant", {})
 
 
 def _class_name(name: str, kind: str) -> str:

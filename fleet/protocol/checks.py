@@ -16,13 +16,14 @@ DAMAGED = "survives payloads that the network has damaged"
 MALFORMED = "drops malformed messages and goes on"
 EARLIER = "ignores nav, rx and end of an earlier life"
 GAP = "goes on after ticks in which it was not asked"
+ROLLS = "answers a nav with roll, its sixth field"
 MEMORY = "puts memory, if at all, before the cmd of a tick at which it is asked for"
 UNASKED = "puts nothing that it was not asked for"
 FORM = "puts well-formed messages of its own kinds only"
 ENDS = "closes its session when it is told the end"
 CHECKS = (
     *(ASKS, HELLO, READY, TOKEN, COMMANDS, TRANSMITS, LATE, PARTS, DAMAGED),
-    *(MALFORMED, EARLIER, GAP, MEMORY, UNASKED, FORM, ENDS),
+    *(MALFORMED, EARLIER, GAP, ROLLS, MEMORY, UNASKED, FORM, ENDS),
 )
 
 

@@ -37,6 +37,7 @@ from fleet.protocol.checks import (
     MEMORY,
     PARTS,
     READY,
+    ROLLS,
     TOKEN,
     TRANSMITS,
     UNASKED,
@@ -113,6 +114,7 @@ class Examination:
         self._config = replace(scenario.agent_config(vehicle), memory_ticks=2 * self._m)
         self._telemetry = scenario.layout(vehicle).size
         self._state = scenario.initial[vehicle - 1]
+        self._roll: tuple[float, ...] = ()
         self._neighbours = [neighbour.id for neighbour in self._config.neighbours]
         self._i, self._file, self._port = vehicle, file, port
         self._keys = Keys(token_hex(4))
@@ -226,7 +228,10 @@ class Examination:
         tick += 2 * m + 2
         self._ask(tick, GAP)
         self._reached.add(GAP)
-        for k in range(tick + 1, tick + 3 * m + 1):
+        self._roll = (0.05, 0.01)
+        self._ask(tick + 1, ROLLS)
+        self._reached.add(ROLLS)
+        for k in range(tick + 2, tick + 3 * m + 1):
             self._ask(k)
         self._end(tick + 3 * m + 1)
 
@@ -341,7 +346,7 @@ class Examination:
                 self._fail(UNASKED, "nothing after the end", _shown(taken[1]))
 
     def _send_nav(self, tick: int) -> None:
-        self._fleet.nav(encode(Nav(LIFE, tick, *self._state)))
+        self._fleet.nav(encode(Nav(LIFE, tick, *self._state, self._roll)))
 
     def _send_inbox(self, deliveries: tuple[Delivery, ...] = (), *, more: bool = False) -> None:
         self._fleet.rx(encode(Inbox(LIFE, self._known + self._m, more, deliveries)))

@@ -317,7 +317,7 @@ def noisy(noise: NavNoise, vehicles: int = 4, seed: int = 1) -> WorldConfig:
 
 def test_without_noise_the_sensor_tells_the_truth() -> None:
     world = World(noisy(NavNoise()))
-    assert all(world.sense(i) == world.state(i) for i in world.ids)
+    assert all(world.sense(i) == (*world.state(i), ()) for i in world.ids)
 
 
 def test_noise_depends_on_nothing_but_seed_vehicle_tick_and_component() -> None:

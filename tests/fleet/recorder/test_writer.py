@@ -21,7 +21,7 @@ from small_scenario import small
 from fleet.bench.plain_log import PlainLog
 from fleet.bench.recorder import Calls
 from fleet.logs.reader import LogReader
-from fleet.logs.schemas import COMMAND, ERROR, FAULT, PACKET, STATE, flat_schema, signal_columns, stamp_of
+from fleet.logs.schemas import COMMAND, ERROR, FAULT, PACKET, ROLL, STATE, flat_schema, signal_columns, stamp_of
 from fleet.recorder import tick_messages
 from fleet.recorder.log_file import LogFile
 from fleet.recorder.metrics import VehicleError
@@ -30,12 +30,14 @@ from fleet.recorder.snapshot import Snapshot
 from fleet.recorder.transforms import quaternion
 from fleet.recorder.writer import LogWriter
 from fleet.scenario.scenario import Scenario
-from fleet.scenario.sections.log_rates import LOG_GROUPS
+from fleet.scenario.sections.log_rates import LOG_GROUPS, PLANT_GROUP
 from fleet.scenario.sections.timeline import Event
 from netem.causes import Cause
 from netem.wire.messages import Command, Fate, Frame, VehicleFrame
+from world.signal import width_of
 
 # Every vehicle another law, whose signals are not the others'.
+PLANT = "per_vehicle={'2': {vehicle: {plant: 'own_plants:Rolling'}}}"  # and one of them a plant
 LAWS = "per_vehicle={'1': {controller: boc}, '2': {controller: bsmc}, '3': {tracking: sliding-mode}}"
 TICKS = 300  # of 10 ms
 RATES = st.sampled_from([1, 1, 2, 3])
@@ -46,7 +48,7 @@ VALUES = (0.0, -0.0, 1.0, -1e-300, 3.141592653589793, 2.0**60, float("inf"), flo
 def scenarios(draw: st.DrawFn) -> Scenario:
     rates = {group: f"{draw(RATES)} ticks" for group in LOG_GROUPS}
     rates |= {group: f"{draw(st.integers(0, 3))} ticks" for group in ("transforms", "scene")}
-    return small("duration=3 s", f"log={rates}", *draw(st.sampled_from([(), (LAWS,)])))
+    return small("duration=3 s", f"log={rates}", *draw(st.sampled_from([(), (LAWS,), (PLANT,)])))
 
 
 class Drawn:
@@ -89,9 +91,11 @@ class Drawn:
             if asked and self._some():
                 telemetry = self._reals(self._scenario.layout(i).size) if self._some() else ()
                 commands[i] = Command(0, tick, self._reals(3), telemetry)
-            nav = self._reals(10) if asked else ()
+            signals = self._scenario.plant_signals(i)
+            nav = self._reals(10 if signals is None else 12) if asked else ()
+            plant = () if signals is None else self._finite(2 + width_of(signals))
             command, tau = (b"c", self._reals(3)) if i in commands else (b"", ())
-            rows.append(VehicleFrame(i, self._finite(5), self._finite(5), nav, tau, command))
+            rows.append(VehicleFrame(i, self._finite(5), self._finite(5), nav, tau, command, plant))
             e, formation = self._reals(3), self._reals(3)
             errors[i] = VehicleError(e, abs(e[0]), formation, abs(formation[1]))
         return Frame(tick, False, (), (), tuple(rows), b""), commands, errors
@@ -139,7 +143,7 @@ def frame_entries(
     scenario: Scenario, frame: Frame, commands: dict[int, Command], errors: dict[int, VehicleError]
 ) -> list[Entry]:
     found: list[Entry] = []
-    for group in LOG_GROUPS:
+    for group in (*LOG_GROUPS, PLANT_GROUP) if scenario.plants else LOG_GROUPS:
         if frame.tick % scenario.log_every[group] and frame.tick != TICKS:
             continue
         for row in frame.vehicles:
@@ -148,9 +152,11 @@ def frame_entries(
             if group == "pose":
                 data = pose(at, row)
             elif group == "state":
-                data = encoded(STATE, row.eta + row.nu)
+                data = encoded(STATE + ROLL if row.plant else STATE, row.eta + row.nu + row.plant[:2])
             elif group == "nav" and row.nav:
-                data = encoded(STATE, row.nav)
+                data = encoded(STATE + ROLL if row.plant else STATE, row.nav)
+            elif group == "plant" and row.plant:
+                data = encoded(signal_columns(scenario.plant_signals(i) or ()), row.plant[2:])
             elif group == "error":
                 e = errors[i]
                 data = encoded(ERROR, (*e.e, e.e_norm, *e.formation, e.formation_norm))
@@ -167,7 +173,7 @@ def frame_entries(
 def pose(at_ns: int, row: VehicleFrame) -> bytes:
     """By protobuf, but for its doubles, which are there even when they are zero."""
     xyz = encoded(STATE[:3], row.eta[:3])
-    turn = encoded(STATE[:4], quaternion(*row.eta[3:]))
+    turn = encoded(STATE[:4], quaternion(*row.eta[3:], *row.plant[:1]))
     places = b"\x0a" + bytes([len(xyz)]) + xyz + b"\x12" + bytes([len(turn)]) + turn
     before = PoseInFrame(timestamp=stamp_of(at_ns), frame_id="ned").SerializeToString()
     return before + b"\x1a" + bytes([len(places)]) + places

@@ -100,6 +100,19 @@ def test_integers_are_read_as_reals() -> None:
     assert {type(x) for x in found.eta + found.nu} == {float}
 
 
+def test_a_nav_without_roll_is_the_one_that_it_always_was() -> None:
+    """Agents that were written when no vehicle could roll go on."""
+    old = msgpack.packb(["nav", 0, 3, [1.0, 2.0, 3.0, 4.0, 5.0], [0.5, 0.0, 0.0, 0.0, 0.0]])
+    nav = Nav(0, 3, (1.0, 2.0, 3.0, 4.0, 5.0), (0.5, 0.0, 0.0, 0.0, 0.0))
+    assert encode(nav) == old
+    assert decode(old) == nav
+    rolled = Nav(0, 3, nav.eta, nav.nu, (0.1, -0.2))
+    assert msgpack.unpackb(encode(rolled)) == [*msgpack.unpackb(old), [0.1, -0.2]]
+    assert decode(encode(rolled)) == rolled
+    with pytest.raises(MalformedMessage, match="roll"):
+        decode(msgpack.packb([*msgpack.unpackb(old), []]))
+
+
 def test_telemetry_may_hold_anything() -> None:
     """Telemetry is for people and decides nothing: a NaN in it is shown, not refused."""
     found = decode(encode(Command(0, 1, (0.0, 0.0, 0.0), (nan, inf, -inf))))
@@ -144,8 +157,12 @@ def test_every_field_refuses_what_it_is_not(kind: str) -> None:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_wrong_number_of_fields(kind: str) -> None:
-    good = [plainest(field.wire) for field in fields_of(declared()[kind][0]).values()]
-    for fields in ([], good[:-1], good[1:], [*good, 0], [*good, None]):
+    cls = declared()[kind][0]
+    good = [plainest(field.wire) for field in fields_of(cls).values()]
+    may_lack = len(cls.__struct_defaults__)
+    if may_lack:
+        decode(msgpack.packb([kind, *good[:-may_lack]]))
+    for fields in ([], good[: -1 - may_lack], good[1:], [*good, 0], [*good, None]):
         with pytest.raises(MalformedMessage):
             decode(msgpack.packb([kind, *fields]))
 

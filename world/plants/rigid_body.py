@@ -164,7 +164,9 @@ def added_coriolis(added: Vec6, nu_r: Vec6) -> Vec6:
     )
 
 
-def rk4(rate: Callable[[tuple[float, ...]], tuple[float, ...]], state: tuple[float, ...], h: float) -> tuple[float, ...]:
+def rk4(
+    rate: Callable[[tuple[float, ...]], tuple[float, ...]], state: tuple[float, ...], h: float
+) -> tuple[float, ...]:
     """One classical Runge-Kutta step of fourth order: the state h [s] later, where `rate` is its time derivative."""
     half = 0.5 * h
     a = rate(state)

@@ -13,7 +13,7 @@ from world.signal import Signal
 
 KIND = "plant"
 # The plants that ship: name -> `module:Class`. They are imported when a scenario names them.
-SHIPPED: dict[str, str] = {}
+SHIPPED: dict[str, str] = {"remus100": "world.plants.remus100:Remus100"}
 METHODS: dict[str, tuple[str, ...]] = {
     "start": ("pose", "velocity"),
     "step": ("state", "tau", "water", "dt"),

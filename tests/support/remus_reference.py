@@ -1,0 +1,141 @@
+"""Manoeuvres of a REMUS 100, and how Fossen's Python Vehicle Simulator makes them.
+
+`python tests/support/remus_reference.py` writes `tests/golden/remus100.npz` again; it needs the package
+`python_vehicle_simulator` (github.com/cybergalactic/PythonVehicleSimulator, MIT licence), which no registry has.
+
+A row of a run has the columns x, y, z [m], phi, theta, psi [rad], u, v, w [m/s], p, q, r [rad/s], n [rpm], rudder, stern [rad].
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from math import cos, exp, pi, radians, sin
+from typing import Any, NamedTuple
+
+import numpy as np
+from repository import GOLDEN
+
+FILE = GOLDEN / "remus100.npz"
+EVERY_S = 0.5  # between two rows
+STEP_S = 0.001  # of the reference, which integrates by Euler's method
+Run = np.ndarray[Any, Any]
+
+
+class Manoeuvre(NamedTuple):
+    """What the actuators are told, and the water."""
+
+    seconds: int
+    commands: Callable[[float], tuple[float, float, float]]  # of t [s]: n [rpm], rudder, stern [rad]
+    current: float = 0.0  # [m/s]
+    towards: float = 0.0  # where the current goes [rad]
+    cruising: bool = True  # begins at 1.9 m/s and 1200 rpm; otherwise at rest
+
+
+def _at(t: float, begin: float, degrees: float) -> float:
+    return radians(degrees) if t >= begin else 0.0
+
+
+MANOEUVRES = {
+    "propeller": Manoeuvre(60, lambda t: (1525.0, 0.0, 0.0), cruising=False),
+    "rudder": Manoeuvre(60, lambda t: (1200.0, _at(t, 5.0, 5.0), 0.0)),
+    "stern": Manoeuvre(60, lambda t: (1200.0, 0.0, _at(t, 5.0, 5.0))),
+    "circle": Manoeuvre(90, lambda t: (1200.0, radians(15.0), 0.0)),
+    "dive": Manoeuvre(60, lambda t: (1200.0, 0.0, radians(15.0 if t < 10.0 else -5.0 if t < 20.0 else 0.0))),
+    "astern": Manoeuvre(90, lambda t: (1200.0, 0.0, 0.0), 0.5, 0.0),
+    "abeam": Manoeuvre(90, lambda t: (1200.0, _at(t, 30.0, 5.0), 0.0), 0.5, 0.5 * pi),
+}
+
+
+def stored() -> dict[str, tuple[Run, Run]]:
+    """For each manoeuvre the run of the reference, and that of the reference with our terms of the hull."""
+    with np.load(FILE) as file:
+        return {name: (file[name], file[f"{name}, our hull"]) for name in MANOEUVRES}
+
+
+def reference(manoeuvre: Manoeuvre, our_hull: bool) -> Run:
+    """A run of `python_vehicle_simulator`.
+
+    Args:
+        manoeuvre: what happens.
+        our_hull: its lift, cross-flow drag and low-speed damping in heave are replaced by those that docs/background/plants.md
+            says we have, written here a second time; and a current carries the whole motion along, as it does.
+    """
+    from python_vehicle_simulator.vehicles import remus100 as module
+
+    kept = module.forceLiftDrag, module.crossFlowDrag
+    carried = our_hull and manoeuvre.current
+    try:
+        vehicle = module.remus100(
+            V_current=0.0 if carried else manoeuvre.current, beta_current=np.degrees(manoeuvre.towards)
+        )
+        if our_hull:
+            heave_damping = vehicle.M[2][2] / vehicle.T_heave
+            module.forceLiftDrag = lambda *_: np.zeros(6)
+            module.crossFlowDrag = lambda L, B, _, nu: _hull(L, B, vehicle.S, vehicle.CD_0, heave_damping, nu)
+        return _driven(vehicle, manoeuvre, manoeuvre.current if carried else 0.0)
+    finally:
+        module.forceLiftDrag, module.crossFlowDrag = kept
+
+
+def _driven(vehicle: Any, manoeuvre: Manoeuvre, drift: float) -> Run:
+    from python_vehicle_simulator.lib.gnc import attitudeEuler
+
+    eta = np.zeros(6)
+    c, s = drift * cos(manoeuvre.towards), drift * sin(manoeuvre.towards)
+    nu = np.array([1.9 if manoeuvre.cruising else 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]) - (c, s, 0.0, 0.0, 0.0, 0.0)
+    actual = np.array([0.0, 0.0, 1200.0 if manoeuvre.cruising else 0.0])
+    rows = []
+    for k in range(round(manoeuvre.seconds / STEP_S) + 1):
+        t = k * STEP_S
+        if k % round(EVERY_S / STEP_S) == 0:
+            phi, theta, psi = eta[3:]
+            down = sin(theta) * sin(phi), sin(theta) * cos(phi)
+            over_ground = nu[:3] + (
+                cos(psi) * cos(theta) * c + sin(psi) * cos(theta) * s,
+                (cos(psi) * down[0] - sin(psi) * cos(phi)) * c + (sin(psi) * down[0] + cos(psi) * cos(phi)) * s,
+                (cos(psi) * down[1] + sin(psi) * sin(phi)) * c + (sin(psi) * down[1] - cos(psi) * sin(phi)) * s,
+            )
+            place = eta[:3] + (c * t, s * t, 0.0)
+            rows.append(np.r_[place, eta[3:], over_ground, nu[3:], actual[2], actual[0], actual[1]])
+        n, rudder, stern = manoeuvre.commands(t)
+        nu_next, actual = vehicle.dynamics(eta, nu, actual, np.array([rudder, stern, n]), STEP_S)
+        eta = attitudeEuler(eta, nu, STEP_S)
+        nu = nu_next
+    return np.array(rows)
+
+
+def _hull(L: float, B: float, S: float, C_D0: float, heave_damping: float, nu: Run) -> Run:
+    """Lift and drag alike to all sides, strips along the hull across the flow in both planes [N, N m]."""
+    rho, strips = 1026.0, 400
+    u, v, w, _, q, r = nu
+    x = (np.arange(strips) + 0.5) * L / strips - 0.5 * L
+    across = np.hypot(v, w)
+    speed2 = u * u + across * across
+    alpha = np.arctan2(across, u)
+    aspect = B * B / S
+    C_L = pi * aspect / (1.0 + np.sqrt(1.0 + (aspect / 2.0) ** 2)) * np.sin(alpha) * np.cos(alpha)
+    C_D = C_D0 + C_L * C_L / (pi * 0.7 * aspect)
+    lift, drag = 0.5 * rho * speed2 * S * C_L, 0.5 * rho * speed2 * S * C_D
+    side = -(lift * np.cos(alpha) + drag * np.sin(alpha))
+    to_v, to_w = (v / across, w / across) if across else (0.0, 0.0)
+    section = -0.5 * rho * B * 1.2 * L / strips
+    sway, heave = (section * np.abs(flow) * flow for flow in (v + x * r, w - x * q))
+    fades = heave_damping * (1.0 - exp(-3.0 * np.sqrt(speed2))) * w
+    return np.array(
+        [
+            lift * np.sin(alpha) - drag * np.cos(alpha),
+            side * to_v + sway.sum(),
+            side * to_w + heave.sum() + fades,
+            0.0,
+            -(x * heave).sum(),
+            (x * sway).sum(),
+        ]
+    )
+
+
+if __name__ == "__main__":
+    runs = {}
+    for name, manoeuvre in MANOEUVRES.items():
+        runs[name] = reference(manoeuvre, False)
+        runs[f"{name}, our hull"] = reference(manoeuvre, True)
+    np.savez_compressed(FILE, **{name: run.astype(np.float32) for name, run in runs.items()})

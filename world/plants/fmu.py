@@ -34,7 +34,6 @@ from world.plants.fmu_variables import (
     variables,
 )
 
-PREFIX = "fmu:"
 _LONGEST_S = 60.0  # for any answer of the unit, also where no budget is set
 _TOLERANCE = 1e-3  # by how much a unit may begin elsewhere than the scenario says [m, rad, m/s, rad/s]
 _NO_LIMIT = 1e9  # [N, N m]; the limits of the scenario hold anyway
@@ -53,7 +52,7 @@ def fmu_class(path: Path, parameters: Mapping[str, Any]) -> type[FmuPlant]:
     found = variables(model, **parameters)
 
     class Unit(FmuPlant):
-        file = path
+        plugin_file = path
         facts = facts_
         uses = found
         signals = tuple(signal for signal, _ in found.signals)
@@ -64,7 +63,7 @@ def fmu_class(path: Path, parameters: Mapping[str, Any]) -> type[FmuPlant]:
 class FmuPlant:
     """A vehicle inside an FMU. Its state is the time [s] and the outputs; the rest is inside the unit."""
 
-    file: ClassVar[Path]
+    plugin_file: ClassVar[Path]  # by which the log knows it again
     facts: ClassVar[Facts]
     uses: ClassVar[Variables]
     signals: ClassVar[tuple[Signal, ...]] = ()
@@ -93,7 +92,7 @@ class FmuPlant:
         self.limits: Vec3 = (x, y, z)
         folder = Path(tempfile.mkdtemp(prefix="uuv-fleet-fmu-"))  # only this user may look into it
         try:
-            unpack(self.file, folder)
+            unpack(self.plugin_file, folder)
             self._process, self._connection = _started(folder)
         except BaseException:
             shutil.rmtree(folder, ignore_errors=True)
@@ -206,7 +205,7 @@ class FmuPlant:
 
 
 def _started(folder: Path) -> tuple[subprocess.Popen[bytes], Connection]:
-    """A process for the unit in a folder. Its standard input is a pipe that ends with this process, and Ctrl-C is ours."""
+    """A process for the unit in a folder. Its standard input ends with this one, and Ctrl-C is not for it."""
     ours, theirs = Pipe()
     with theirs:
         number = theirs.fileno()

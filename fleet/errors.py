@@ -75,6 +75,7 @@ Exception
 ├── OutputError
 └── WorldError
     ├── CommandError
+    ├── FmuError
     ├── IntegrationError
     │   └── NonFiniteStateError
     ├── PluginError

@@ -50,6 +50,7 @@ class PlantSetup:
     budget_s: float  # the longest that it may take for a tick [s of wall time]; 0: any time
     phi0: float = 0.0  # roll at the start [rad]
     p0: float = 0.0  # roll rate at the start [rad/s]
+    file: str = ""  # of a plant that is an FMU: where it lies; the user has let it run
 
 
 @dataclass(frozen=True, slots=True)

@@ -67,3 +67,12 @@ class PluginError(WorldError):
 
 class UntrustedError(PluginError):
     """The module exists and may not run: it is not installed, and the user has not allowed it."""
+
+
+class FmuError(WorldError):
+    """A unit of FMI (an FMU) cannot be used, or failed while it ran."""
+
+    def __init__(self, problem: str, hint: str = "") -> None:
+        super().__init__(problem + (f"; {hint}" if hint else ""))
+        self.problem = problem
+        self.hint = hint

@@ -32,6 +32,7 @@ from netem.config import NetemConfig
 from netem.modem import AcousticConfig
 from world import disturbance
 from world.config import Harmonic, NavNoise, PlantSetup, VehicleSetup, WorldConfig
+from world.plants.classes import file_of
 from world.signal import Signal
 from world.vectors import Vec3, Vec5, minus
 
@@ -182,7 +183,8 @@ class Scenario:
         plant = None
         if (section := control.plant) is not None:
             rolls = initial_rolls(self.spec.initial, self.vehicles)
-            plant = PlantSetup(section.name, section.parameters or {}, section.budget / 1e9, *rolls[i - 1])
+            file = str(file_of(section.name) or "")
+            plant = PlantSetup(section.name, section.parameters or {}, section.budget / 1e9, *rolls[i - 1], file)
         return VehicleSetup(i, eta0, nu0, control.vehicle, control.tau_max, control.tumble_limit, size, plant)
 
     def plant_signals(self, i: int) -> tuple[Signal, ...] | None:

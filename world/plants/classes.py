@@ -4,16 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from importlib import import_module
+from pathlib import Path
 from typing import Any
 
-from world.errors import PluginError
+from world.errors import FmuError, PluginError, UntrustedError
 from world.plugins.checks import check_class, check_signals
-from world.plugins.loading import load_class
+from world.plugins.loading import load_class, unit_file
+from world.plugins.trust import permitted_file
 from world.signal import Signal
 
 KIND = "plant"
 # The plants that ship: name -> `module:Class`. They are imported when a scenario names them.
-SHIPPED: dict[str, str] = {"remus100": "world.plants.remus100:Remus100"}
+SHIPPED: dict[str, str] = {
+    "bluerov2": "world.plants.bluerov2:BlueROV2",
+    "remus100": "world.plants.remus100:Remus100",
+}
 METHODS: dict[str, tuple[str, ...]] = {
     "start": ("pose", "velocity"),
     "step": ("state", "tau", "water", "dt"),
@@ -27,11 +32,11 @@ def plant_class(name: str, parameters: Mapping[str, Any]) -> type[Any]:
     """The class of a plant, checked.
 
     Args:
-        name: of a plant that ships, `package.module:Class`, or an entry point of group `uuv_fleet.plants`.
+        name: of a plant that ships, `package.module:Class`, an entry point of group `uuv_fleet.plants`, or `fmu:FILE`.
         parameters: what it is to be made with, besides its configuration.
 
     Raises:
-        UntrustedError: its module is not installed, and was not let in with `admit`.
+        UntrustedError: its module or file is not installed, and was not let in with `admit`.
         PluginError: there is no such class, or it cannot be used.
     """
     if name in SHIPPED:
@@ -39,12 +44,24 @@ def plant_class(name: str, parameters: Mapping[str, Any]) -> type[Any]:
         shipped: type[Any] = getattr(import_module(module), class_name)
         _check(name, shipped, parameters)
         return shipped
+    if unit_file(KIND, name):
+        unit = _unit_class(name, parameters)
+        _check(name, unit, parameters)
+        return unit
     return load_class(KIND, name, lambda found: _check(name, found, parameters))
 
 
 def module_of(name: str) -> str | None:
-    """The module that the class of a plant is imported from; None: it ships, or is found by an entry point."""
-    return None if name in SHIPPED or ":" not in name else name.partition(":")[0]
+    """The module that the class of a plant is imported from; None: it ships, or is an FMU or an entry point."""
+    return None if name in SHIPPED or ":" not in name or unit_file(KIND, name) else name.partition(":")[0]
+
+
+def file_of(name: str) -> Path | None:
+    """Where the file of a plant lies that is one and may run; None: it is a class, or nobody has let it run."""
+    try:
+        return permitted_file(KIND, name) if unit_file(KIND, name) else None
+    except UntrustedError:
+        return None
 
 
 def model_of(name: str, parameters: Mapping[str, Any]) -> str | None:
@@ -60,6 +77,15 @@ def signals_of(name: str, parameters: Mapping[str, Any]) -> tuple[Signal, ...]:
     """What a plant reports besides its motion. Raises PluginError: it cannot be used."""
     signals: tuple[Signal, ...] = getattr(plant_class(name, parameters), "signals", ())
     return signals
+
+
+def _unit_class(name: str, parameters: Mapping[str, Any]) -> type[Any]:
+    from world.plants.fmu import fmu_class  # and with it what starts processes
+
+    try:
+        return fmu_class(permitted_file(KIND, name), parameters)
+    except FmuError as error:
+        raise PluginError(KIND, name, error.problem, error.hint) from None
 
 
 def _check(name: str, found: Any, parameters: Mapping[str, Any]) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from functools import partial
 from math import cos, isfinite, sin
+from pathlib import Path
 from typing import Any
 
 from world.api import PlantConfig, PlantState, Water
@@ -13,6 +14,7 @@ from world.errors import PlantError
 from world.plants.classes import plant_class
 from world.plugins.checks import MAX_NUMBERS, resumable
 from world.plugins.fence import Fence, numbers_of, shown
+from world.plugins.trust import allow_file
 from world.signal import Signal
 from world.vectors import Vec2, Vec3, Vec5, Vec6
 
@@ -35,6 +37,8 @@ class FencedPlant:
         self.pose: Vec6 = (0.0,) * 6
         self.velocity: Vec6 = (0.0,) * 6
         self.reported: tuple[float, ...] = ()  # the values of its signals
+        if setup.file:
+            allow_file(setup.name, Path(setup.file))
         plant = plant_class(setup.name, setup.parameters)
         self._signals: tuple[Signal, ...] = getattr(plant, "signals", ())
         self._resumable = resumable(plant)

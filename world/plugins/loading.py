@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from world.errors import PluginError
 from world.plugins.places import article, place_of, shown_path, words_of
-from world.plugins.trust import ONLY_INSTALLED, Permission, permit
+from world.plugins.trust import ONLY_INSTALLED, Permission, permit, permit_file
 
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
@@ -23,8 +23,13 @@ LAWS = "uuv_fleet.controllers"
 PLANTS = "uuv_fleet.plants"
 # The entry points of each kind of plug-in; those of laws share one group.
 GROUPS = {**dict.fromkeys(("controller", "guidance", "tracking", "agent"), LAWS), "plant": PLANTS}
-
+_UNIT = "fmu:"  # what begins the name of a plant that is an FMU, before its file
 _MAX_CLASSES = 8  # named in a hint
+
+
+def unit_file(kind: str, name: str) -> str:
+    """The file of a plant that is an FMU; "": the name is that of a class."""
+    return name.removeprefix(_UNIT) if kind == "plant" and name.startswith(_UNIT) else ""
 
 
 def load_class(kind: str, name: str, check: Callable[[Any], None]) -> type[Any]:
@@ -59,23 +64,25 @@ def admit(kind: str, name: str, permission: Permission = ONLY_INSTALLED) -> None
 
     Args:
         kind: controller, plant, check, ...; see `GROUPS`.
-        name: of the plug-in: `package.module:Class`, or the name of an entry point.
+        name: of the plug-in: `package.module:Class`, the name of an entry point, or `fmu:FILE` of a plant.
         permission: what may run besides what is installed.
 
     Raises:
         UntrustedError: it may not.
         PluginError: the name is none of a plug-in.
     """
-    if ":" in name:
+    if unit_file(kind, name):
+        permit_file(kind, name, unit_file(kind, name), permission)
+    elif ":" in name:
         permit(kind, name, _module_name(kind, name), permission)
     elif (point := installed(GROUPS[kind]).get(name)) is not None:
         permit(kind, name, point.value.partition(":")[0].strip(), permission)
 
 
 def fingerprint(plugin_class: type[Any]) -> str:
-    """SHA-256 of the file that a plug-in's class is written in, to find out later whether it is still the same."""
+    """SHA-256 of the file that a plug-in is written in, to find out later whether it is still the same."""
     try:
-        path = inspect.getsourcefile(plugin_class)
+        path = getattr(plugin_class, "plugin_file", None) or inspect.getsourcefile(plugin_class)
         return hashlib.sha256(Path(path or "").read_bytes()).hexdigest()
     except (OSError, TypeError):
         return "unknown"

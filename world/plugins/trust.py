@@ -2,7 +2,7 @@
 
 To import a module is to run it. Scenarios, logs and runs of strangers name plug-ins, so a name alone runs nothing: a
 module runs if it is installed, if it lies in a folder that is the user's own, or if the user allowed it. Nothing is
-imported to find that out.
+imported to find that out. A plug-in that is a file of native code obeys the same rules, and is never installed.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ SHA256 = "sha256:"  # what begins a fingerprint on the command line
 
 _added: list[str] = []  # folders that are on `sys.path` for the sake of modules that were allowed
 _allowed: set[str] = set()  # modules outside of what is installed that may run
+_files: dict[str, Path] = {}  # plug-ins that are files and may run: by name, where they lie
 
 
 def _print_nothing(text: str) -> None:
@@ -92,14 +93,57 @@ def permit(kind: str, name: str, module: str, permission: Permission) -> None:
             _allow(module, place)
             return
         because = f"everybody may write into {place.folder}"
-    shown, digests = " and ".join(map(_shown, place.files)) or _shown(place.folder), _fingerprints(place)
+    _need_trust(kind, name, place.files, place.folder, trust, because)
+    _allow(module, place)
+
+
+def permit_file(kind: str, name: str, file: str, permission: Permission) -> None:
+    """Let a plug-in run that is a file of native code, if it may.
+
+    Args:
+        kind: of the plug-in, for the message.
+        name: by which it is asked for afterwards, see `permitted_file`.
+        file: its path, absolute or within one of the folders of the permission.
+        permission: what may run.
+
+    Raises:
+        UntrustedError: it may not run.
+        PluginError: there is no such file.
+    """
+    folders = [*permission.own, *permission.elsewhere]
+    path = next((path for folder in folders if (path := Path(folder, file).resolve()).is_file()), None)
+    if path is None:
+        raise PluginError(kind, name, f"there is no file {file}", "it must lie beside the scenario or where you are")
+    because = permission.because
+    own = any(path.is_relative_to(folder.resolve()) for folder in permission.own)
+    if own and (folder := next((f for f in (str(path), str(path.parent)) if _open_to_all(f)), "")):
+        own, because = False, f"everybody may write into {folder}"
+    if not own:
+        _need_trust(kind, name, (str(path),), str(path.parent), permission.trust, because)
+    _files[name] = path
+
+
+def permitted_file(kind: str, name: str) -> Path:
+    """Where a plug-in lies that `permit_file` let run. Raises UntrustedError: none did."""
+    if name not in _files:
+        raise UntrustedError(kind, name, "nobody allowed it", "--trust runs it")
+    return _files[name]
+
+
+def allow_file(name: str, path: Path) -> None:
+    """Let a plug-in run that another process has let run, which started this one."""
+    _files[name] = path
+
+
+def _need_trust(kind: str, name: str, files: tuple[str, ...], folder: str, trust: Trust, because: str) -> None:
+    """Raise UntrustedError unless the user trusts these files, which lie in a folder; say so if they do."""
+    shown, digests = " and ".join(map(_shown, files)) or _shown(folder), _fingerprints(files)
     if not trust.everything and not (digests and trust.fingerprints.issuperset(digests)):
         listed = " ".join(f"--trust {SHA256}{digest}" for digest in digests)
         hint = "read it first; --trust runs it" + (f", {listed} runs it only as it is now" if digests else "")
         raise UntrustedError(kind, name, f"would run {shown}, which is not installed, and {because}", hint)
     listed = ", ".join(SHA256 + digest[:16] for digest in digests)
     trust.notify(f"{kind} {name} runs {shown} ({listed}), as --trust allows")
-    _allow(module, place)
 
 
 def find(module: str, folders: Iterable[Path]) -> Place | None:
@@ -173,12 +217,12 @@ def _open_to_all(folder: str) -> bool:
         return True
 
 
-def _fingerprints(place: Place) -> list[str]:
+def _fingerprints(files: tuple[str, ...]) -> list[str]:
     """SHA-256 of each file; nothing if one cannot be read."""
     import hashlib  # loads OpenSSL, which --help needs not
 
     try:
-        return [hashlib.sha256(Path(file).read_bytes()).hexdigest() for file in place.files]
+        return [hashlib.sha256(Path(file).read_bytes()).hexdigest() for file in files]
     except OSError:
         return []
 

@@ -1,0 +1,167 @@
+"""The process in which an FMU runs: it is native code, which may crash, print, or never return.
+
+It is started as a file, imports nothing of this package, and answers requests on a connection until the other side
+closes it. When its standard input ends, the process that started it has gone: then it removes the unpacked unit and
+ends, even while the unit is busy.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import sys
+import threading
+from collections import deque
+from collections.abc import Callable
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any
+
+import msgpack
+
+_LINES = 3  # of what the unit says that an error quotes
+
+
+class _Said:
+    """Takes what fmpy prints of the unit's messages: it goes on to standard error, and errors quote its end."""
+
+    def __init__(self) -> None:
+        self.lines: deque[str] = deque(maxlen=_LINES)
+
+    def write(self, text: str) -> int:
+        self.lines.extend(line[:200] for line in text.splitlines() if line.strip())
+        return sys.stderr.write(text)
+
+    def flush(self) -> None:
+        sys.stderr.flush()
+
+
+class _Unit:
+    """One FMU of co-simulation, of FMI 2 or 3 alike."""
+
+    def __init__(
+        self,
+        version: int,
+        name: str,
+        guid: str,
+        folder: str,
+        library: str,
+        initial: list[int],
+        start: list[tuple[str, int, Any]],
+        inputs: list[int],
+        outputs: list[int],
+    ) -> None:
+        from fmpy.fmi2 import FMU2Slave
+        from fmpy.fmi3 import FMU3Slave
+
+        self._version, self._initial, self._start = version, initial, start
+        self._inputs, self._outputs = inputs, outputs
+        slave = FMU2Slave if version == 2 else FMU3Slave
+        self._fmu = slave(
+            guid=guid,
+            modelIdentifier=name,
+            unzipDirectory=folder,
+            instanceName=name,
+            libraryPath=os.path.join(folder, library),
+        )
+        self._get = self._fmu.getReal if version == 2 else self._fmu.getFloat64
+        self._set = self._fmu.setReal if version == 2 else self._fmu.setFloat64
+        self._fmu.instantiate()
+        self._begun = False
+
+    def start(self, initial: list[float]) -> list[float]:
+        """Begin at time 0, with the values of the initial variables; the values of the outputs there."""
+        fmu = self._fmu
+        if self._begun:
+            fmu.reset()
+        for setter, reference, value in self._start:
+            getattr(fmu, setter)([reference], [value])
+        if self._initial:
+            self._set(self._initial, initial)
+        if self._version == 2:
+            fmu.setupExperiment(startTime=0.0)
+            fmu.enterInitializationMode()
+        else:
+            fmu.enterInitializationMode(startTime=0.0)
+        fmu.exitInitializationMode()
+        self._begun = True
+        return list(self._get(self._outputs))
+
+    def step(self, time_s: float, dt_s: float, inputs: list[float]) -> list[float]:
+        """Go one step; the values of the outputs at its end."""
+        if self._inputs:
+            self._set(self._inputs, inputs)
+        answer = self._fmu.doStep(currentCommunicationPoint=time_s, communicationStepSize=dt_s)
+        if answer is not None and answer[1]:  # FMI 3: event, terminate, returned early, last time
+            raise RuntimeError("it asks to end the simulation")
+        return list(self._get(self._outputs))
+
+    def save(self) -> bytes:
+        """The unit's state."""
+        fmu = self._fmu
+        if self._version == 2:
+            state = fmu.getFMUstate()
+            try:
+                return bytes(fmu.serializeFMUstate(state))
+            finally:
+                fmu.freeFMUstate(state)
+        state = fmu.getFMUState()
+        try:
+            return bytes(fmu.serializeFMUState(state))
+        finally:
+            fmu.freeFMUState(state)
+
+    def load(self, saved: bytes) -> None:
+        """Go on from a state that `save` gave, perhaps in another process."""
+        fmu = self._fmu
+        if self._version == 2:
+            state = fmu.deSerializeFMUstate(saved)
+            fmu.setFMUstate(state)
+            fmu.freeFMUstate(state)
+        else:
+            state = fmu.deserializeFMUState(saved)
+            fmu.setFMUState(state)
+            fmu.freeFMUState(state)
+        self._begun = True
+
+
+def _end_with_parent(folder: str) -> None:
+    """End this process, from a thread of its own, when the other side has gone."""
+
+    def watch() -> None:
+        while os.read(0, 1):
+            pass
+        shutil.rmtree(folder, ignore_errors=True)
+        os._exit(0)
+
+    threading.Thread(target=watch, daemon=True).start()
+
+
+def main(number: int, folder: str) -> None:
+    """Answer the requests on the connection of a file descriptor, about the unit that is unpacked in a folder."""
+    _end_with_parent(str(Path(folder).resolve()))
+    said = _Said()
+    sys.stdout = said
+    connection = Connection(number)
+    unit: _Unit | None = None
+    while True:
+        try:
+            verb, values = msgpack.unpackb(connection.recv_bytes())
+        except EOFError:
+            return
+        said.lines.clear()
+        try:
+            if unit is None:
+                unit, answer = _Unit(*values), None
+            else:
+                method: Callable[..., Any] = getattr(unit, verb)
+                answer = method(*values)
+        except Exception as error:  # whatever fmpy raises: the other side names vehicle and tick
+            text = str(error).splitlines()[0] if str(error) else type(error).__name__
+            connection.send_bytes(msgpack.packb([False, "; ".join([text[:300], *said.lines])]))
+        else:
+            connection.send_bytes(msgpack.packb([True, answer]))
+
+
+if __name__ == "__main__":
+    main(int(sys.argv[1]), sys.argv[2])

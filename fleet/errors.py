@@ -77,7 +77,8 @@ Exception
     ├── CommandError
     ├── FmuError
     ├── IntegrationError
-    │   └── NonFiniteStateError
+    │   ├── NonFiniteStateError
+    │   └── PlantError
     ├── PluginError
     │   └── UntrustedError
     └── UnknownVehicleError

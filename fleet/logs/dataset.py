@@ -29,11 +29,16 @@ EXTRA = "tables"
 # The units that we know udunits to have; a law of the user may state others, which stay in long_name.
 _NAMES = "1|m|s|kg|rad|N|J|W|Pa|Hz|K|V|A"
 _UNIT = re.compile(rf"({_NAMES})([ /]({_NAMES})([0-9])?)*")
-# https://cfconventions.org/standard-names.html; theta is from the horizontal, and there is no roll
+# https://cfconventions.org/standard-names.html; theta is from the horizontal
 _STANDARD = {
-    ("uuv_fleet.State", "z"): "depth",
-    ("uuv_fleet.State", "theta"): "platform_pitch_fore_up",
-    ("uuv_fleet.State", "psi"): "platform_orientation",
+    (f"uuv_fleet.{state}", column): name
+    for state in ("State", "StateWithRoll")
+    for column, name in (
+        ("z", "depth"),
+        ("theta", "platform_pitch_fore_up"),
+        ("psi", "platform_orientation"),
+        ("phi", "platform_roll_starboard_down"),
+    )
 }
 
 

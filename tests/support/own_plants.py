@@ -21,7 +21,7 @@ class Rolling:
         return (*pose, *velocity, 0.0)
 
     def step(self, state: tuple[float, ...], tau: Vec3, water: Water, dt: float) -> tuple[float, ...]:
-        x, y, z, phi, theta, psi, u, v, w, p, q, r, thrust = state
+        phi, theta, psi, u, v, w, p, q, r, thrust = state[3:]
         k, (m1, m2, m3, m5, m6) = self._model, self._model.inertia
         X, Y, Z, K, M, N = water.wrench
         cx, cy, cz = water.current

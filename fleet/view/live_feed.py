@@ -60,11 +60,15 @@ class LiveFeed:
             self._bus = OpenBus.connect(observed.endpoint, Credentials(observed.user, observed.password))
         except BusError as error:
             raise NoConnectionError(f"the journal of {self.name} cannot be read: {error}") from None
-        text = ask_scenario(self._bus, self._keys)
-        self.scenario = parse_scenario(text, str(source.directory / SCENARIO))
+        try:
+            text = ask_scenario(self._bus, self._keys)
+            self.scenario = parse_scenario(text, str(source.directory / SCENARIO))
+            self.signals = published_signals(ask_topics(self._bus, self._keys))
+        except BaseException:
+            self._bus.close()
+            raise
         self.picture = Picture(self.scenario)
         self.checks = checks_asked(self.scenario)  # as they stand
-        self.signals = published_signals(ask_topics(self._bus, self._keys))
         self._bus.subscribe(self._keys.log_end, lambda sample: self.missing.end(sample.payload.to_bytes()))
         for topic in (TRANSFORMS, FAULTS, "link/*"):
             self._subscribe(topic)

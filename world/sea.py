@@ -280,6 +280,12 @@ class World:
         """Let a tick pass without integrating vehicle i, whose motion diverged: it stays where it was."""
         self._vehicles[i].tick += 1
 
+    def close(self) -> None:
+        """End what the plants hold; no vehicle is moved afterwards."""
+        for vehicle in self._vehicles.values():
+            if vehicle.plant is not None:
+                vehicle.plant.close()
+
     def memory(self, i: int) -> list[Any]:
         """All that vehicle i's next ticks depend on besides its faults.
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import closing
 from dataclasses import replace
 
 from agents.config import AgentConfig, Law
@@ -61,7 +62,8 @@ def try_plants(scenario: Scenario) -> None:
         if setup.plant is None:
             continue
         try:
-            World(replace(config, vehicles=(setup,))).advance(setup.id, ZERO)
+            with closing(World(replace(config, vehicles=(setup,)))) as world:
+                world.advance(setup.id, ZERO)
         except PlantError as error:
             if setup.plant.name not in tried:
                 problems.append(Problem(scenario.source, 0, 0, f"plant {setup.plant.name}: {error}"))

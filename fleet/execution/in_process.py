@@ -101,6 +101,8 @@ class InProcess:
         except (MalformedMessage, OutOfPlace) as error:
             who = {WORLD: "the world", NETEM: "netem"}.get(self._speaker, f"agent {self._speaker}")
             raise RunBroken(f"{who} sent what cannot be used: {error}") from error
+        finally:
+            self._world.state.world.close()
         self._journal.links(self.rounds.close(self._scenario.ticks))
         self.closing = Closing(entered=self.rounds.netem.entered)
 

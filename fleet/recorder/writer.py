@@ -165,6 +165,8 @@ class LogWriter:
                 if (name, signals) not in made:
                     made[name, signals] = flat_schema(name, signal_columns(signals))
                 found[group][i] = made[name, signals]
+        if plants:
+            found["plant"] = {}
         for i, signals in plants.items():
             if signals:
                 plant = self._scenario.controls[i - 1].plant
@@ -172,7 +174,7 @@ class LogWriter:
                 name = message_name(plant.name, "plant")
                 if (name, signals) not in made:
                     made[name, signals] = flat_schema(name, signal_columns(signals))
-                found.setdefault("plant", {})[i] = made[name, signals]
+                found["plant"][i] = made[name, signals]
         return found
 
     def _topic(self, name: str, schema: Schema) -> Topic:

@@ -1,4 +1,4 @@
-"""The modules of plug-ins that the runs of a study import and that are not installed, and how workers get them.
+"""The modules of plug-ins, and the FMUs, that the runs of a study need, and how workers get them.
 
 Workers of this machine import them where they lie. To other machines they travel with the runs, as bytes, and are
 written to a folder that exists as long as the worker. Only what was let in here when the scenarios were read travels:
@@ -22,7 +22,8 @@ from typing import NamedTuple
 from agents.controllers import BUILT_IN, laws
 from fleet.scenario.scenario import Scenario
 from fleet.study.errors import StudyError
-from world.plants.classes import module_of
+from world.plants.classes import file_of, module_of
+from world.plugins.loading import unit_file
 from world.plugins.trust import Permission, Place, Trust, find, permit
 
 MOST_BYTES = 4_000_000  # of all files that travel: they go with each batch of runs
@@ -37,6 +38,7 @@ class Modules(NamedTuple):
         files: of the modules.
         fingerprints: SHA-256 of the files, by which workers let them in, too.
         names: of the modules of laws, plants and checks.
+        units: the files of plants that are FMUs, as the scenarios name them.
         carried: path below the folder where the search for modules begins, and content, of each file; empty: they
             are imported where they lie.
     """
@@ -45,6 +47,7 @@ class Modules(NamedTuple):
     files: tuple[str, ...] = ()
     fingerprints: tuple[str, ...] = ()
     names: tuple[str, ...] = ()
+    units: tuple[str, ...] = ()
     carried: tuple[tuple[str, bytes], ...] = ()
 
 
@@ -70,9 +73,15 @@ def modules_of(scenarios: Iterable[Scenario], folder: Path | None) -> Modules:
     beside = () if folder is None else (folder,)
     places = {name: place for name in sorted(names) if (place := find(name, [*beside, Path()])) is not None}
     own = {name: place for name, place in places.items() if not place.installed}
-    files = tuple(dict.fromkeys(file for place in own.values() for file in place.files))
+    units = {
+        unit: file
+        for s in scenarios
+        for name in s.plants
+        if (unit := unit_file("plant", name)) and (file := file_of(name))
+    }
+    files = tuple(dict.fromkeys([*(file for place in own.values() for file in place.files), *map(str, units.values())]))
     digests = tuple(hashlib.sha256(Path(file).read_bytes()).hexdigest() for file in files)
-    return Modules(None if folder is None else str(folder.resolve()), files, digests, tuple(names))
+    return Modules(None if folder is None else str(folder.resolve()), files, digests, tuple(names), tuple(units))
 
 
 def packed(modules: Modules) -> Modules:
@@ -93,6 +102,11 @@ def packed(modules: Modules) -> Modules:
             path = Path(file).resolve().relative_to(Path(place.folder).resolve()).as_posix()
             if found.setdefault(path, data) != data:
                 raise StudyError(f"two files {path} in different folders cannot both go to the workers: rename one")
+    for unit in modules.units:
+        if PurePosixPath(unit).is_absolute() or ".." in PurePosixPath(unit).parts:
+            raise StudyError(f"{unit} cannot go to the workers: it must lie beside the scenario")
+        lies = next(path for folder in [*beside, Path()] if (path := folder / unit).is_file())
+        found[PurePosixPath(unit).as_posix()] = lies.read_bytes()
     if (size := sum(map(len, found.values()))) > MOST_BYTES:
         raise StudyError(f"the laws take {size} bytes, and {MOST_BYTES} can go to the workers: install them there")
     return modules._replace(folder=None, carried=tuple(sorted(found.items())))
@@ -120,7 +134,7 @@ def folder_of(modules: Modules) -> Path | None:
     with _writing:
         folder = _written(modules.carried)
     contents = {data for _, data in modules.carried}
-    for path, _ in modules.carried:
+    for path in (path for path, _ in modules.carried if path.endswith(".py")):
         name = path.removesuffix(".py").removesuffix("/__init__").replace("/", ".")
         place = find(name, [folder])
         if place is None or not contents.issuperset(Path(file).read_bytes() for file in place.files):

@@ -42,7 +42,10 @@ class FencedPlant:
         plant = plant_class(setup.name, setup.parameters)
         self._signals: tuple[Signal, ...] = getattr(plant, "signals", ())
         self._resumable = resumable(plant)
-        self._fence = Fence(setup.name, setup.budget_s, self.notes, partial(PlantError, config.vehicle))
+        failure = partial(PlantError, config.vehicle)
+        if setup.file:  # no line of a program is at fault
+            failure = partial(_failure_without_line, config.vehicle)
+        self._fence = Fence(setup.name, setup.budget_s, self.notes, failure)
         self._plant = self._fence.make(plant, config, setup.parameters)
         self.limits = self._limits()
 
@@ -96,6 +99,11 @@ class FencedPlant:
             PlantError: it failed; it is where it was before.
         """
         self._take(tick, self._plant.step, self._fence.call(tick, self._moved, tau, current, wrenches, dt))
+
+    def close(self) -> None:
+        """End what the plant holds; it is not used afterwards."""
+        if callable(close := getattr(self._plant, "close", None)):
+            close()
 
     def memory(self) -> list[Any]:
         """All that its next steps depend on, for `restore`: [name, roll, state, what else it remembers]."""
@@ -171,6 +179,10 @@ class FencedPlant:
             text = f"has the limits {shown(plant.limits)}: expected three finite numbers, none below 0"
             raise fence.wrong(0, type(plant), text)
         return found[0], found[1], found[2]
+
+
+def _failure_without_line(vehicle: int, tick: int, problem: str, where: str) -> PlantError:
+    return PlantError(vehicle, tick, problem, "")
 
 
 def _numbers(value: Any) -> tuple[float, ...]:

@@ -172,6 +172,10 @@ class FmuPlant:
             raise FmuError(problem, "run it from the start")
         self._ask("load", values)
 
+    def close(self) -> None:
+        """End the unit's process."""
+        self._close()
+
     def _output(self, state: PlantState, key: str) -> float:
         return state[self._at[key]] if key in self._at else 0.0
 
@@ -200,7 +204,7 @@ class FmuPlant:
             self._close()
             raise
         if not good:
-            raise FmuError(f"failed: {answer}")
+            raise FmuError(answer)
         return answer
 
 

@@ -93,7 +93,7 @@ class _Unit:
             self._set(self._inputs, inputs)
         answer = self._fmu.doStep(currentCommunicationPoint=time_s, communicationStepSize=dt_s)
         if answer is not None and answer[1]:  # FMI 3: event, terminate, returned early, last time
-            raise RuntimeError("it asks to end the simulation")
+            raise RuntimeError("asks to end the simulation")
         return list(self._get(self._outputs))
 
     def save(self) -> bytes:
@@ -125,8 +125,8 @@ class _Unit:
         self._begun = True
 
 
-def _end_with_parent(folder: str) -> None:
-    """End this process, from a thread of its own, when the other side has gone."""
+def _end_with_parent(folder: str) -> threading.Thread:
+    """The thread that ends this process when the other side has gone."""
 
     def watch() -> None:
         while os.read(0, 1):
@@ -134,12 +134,14 @@ def _end_with_parent(folder: str) -> None:
         shutil.rmtree(folder, ignore_errors=True)
         os._exit(0)
 
-    threading.Thread(target=watch, daemon=True).start()
+    thread = threading.Thread(target=watch, daemon=True)
+    thread.start()
+    return thread
 
 
 def main(number: int, folder: str) -> None:
     """Answer the requests on the connection of a file descriptor, about the unit that is unpacked in a folder."""
-    _end_with_parent(str(Path(folder).resolve()))
+    end = _end_with_parent(str(Path(folder).resolve()))
     said = _Said()
     sys.stdout = said
     connection = Connection(number)
@@ -148,6 +150,7 @@ def main(number: int, folder: str) -> None:
         try:
             verb, values = msgpack.unpackb(connection.recv_bytes())
         except EOFError:
+            end.join()  # it has more to do than to end
             return
         said.lines.clear()
         try:
@@ -158,7 +161,7 @@ def main(number: int, folder: str) -> None:
                 answer = method(*values)
         except Exception as error:  # whatever fmpy raises: the other side names vehicle and tick
             text = str(error).splitlines()[0] if str(error) else type(error).__name__
-            connection.send_bytes(msgpack.packb([False, "; ".join([text[:300], *said.lines])]))
+            connection.send_bytes(msgpack.packb([False, ": ".join([text[:300].rstrip("."), *said.lines])]))
         else:
             connection.send_bytes(msgpack.packb([True, answer]))
 

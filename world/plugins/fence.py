@@ -20,6 +20,7 @@ from time import perf_counter
 from types import FrameType
 from typing import Any
 
+from world.errors import FmuError
 from world.plugins.checks import MAX_NUMBERS
 from world.plugins.places import in_library, place_of, place_of_line, place_of_method, words_of
 from world.signal import Signal
@@ -74,7 +75,9 @@ class Fence:
             by_hand = isinstance(error, (KeyboardInterrupt, BdbQuit))  # Ctrl-C, `q` in the debugger
             if by_hand and parent_process() is None:
                 raise KeyboardInterrupt from None
-            problem = f"{self._name} raised {words_of(error)}"
+            # An FMU's words are about itself; a class of the user's raises something.
+            said = str(error) if isinstance(error, FmuError) else f"raised {words_of(error)}"
+            problem = f"{self._name} {said}"
             if isinstance(error, BdbQuit):  # an agent process has no terminal
                 problem += ": to debug, run it with --in-process"
             raise self._failure(tick, problem, place_of(error) or place_of_method(function)) from error

@@ -88,7 +88,8 @@ class OwnChecks:
         """A fault begins or ends; comes before the values of its tick."""
         self._judge()
         if event.action == "begins":
-            self._active[event.fault] = Fault(event.fault, event.what, event.tick * self._tick_s)
+            if event.is_fault:
+                self._active[event.fault] = Fault(event.fault, event.what, event.tick * self._tick_s)
             if dead := _ended(event.what):
                 self._dead[event.fault] = dead
         else:

@@ -68,9 +68,8 @@ def check_log(
     """
     for text in overrides:
         if (key := text.partition("=")[0].strip()).partition(".")[0] != "checks":
-            raise CheckLogError(
-                f"--set {key}: only checks can be other ones than those of the run; fleet run has --set"
-            )
+            hint = f"another run is fleet run --set {key}"
+            raise CheckLogError(f"--set {key}: a log can be judged by other checks, and by nothing else; {hint}")
     source = recorded(path, reading)
     # A law that may not run is no mistake here, unless a check is about one of its signals.
     scenario = source.script([Override.of(text) for text in overrides], Policy(trust, refused=[]))

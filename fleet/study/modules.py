@@ -105,7 +105,7 @@ def packed(modules: Modules) -> Modules:
     for unit in modules.units:
         if PurePosixPath(unit).is_absolute() or ".." in PurePosixPath(unit).parts:
             raise StudyError(f"{unit} cannot go to the workers: it must lie beside the scenario")
-        lies = next(path for folder in [*beside, Path()] if (path := folder / unit).is_file())
+        lies = next(there for folder in [*beside, Path()] if (there := folder / unit).is_file())
         found[PurePosixPath(unit).as_posix()] = lies.read_bytes()
     if (size := sum(map(len, found.values()))) > MOST_BYTES:
         raise StudyError(f"the laws take {size} bytes, and {MOST_BYTES} can go to the workers: install them there")

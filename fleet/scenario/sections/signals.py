@@ -149,10 +149,10 @@ def unit_of(signal: SignalName, vehicles: Iterable[Mapping[str, Place]]) -> str:
     if not units:
         raise SignalError(f"there is no signal {name}", _hint(name, known))
     if (width := known[name]) > 1 and not signal.absolute:
-        raise SignalError(f"{name} has {width} values", f"choose {name}_0 to {name}_{width - 1}, or |{name}|")
+        raise SignalError(f"{name} has {width} values: choose {name}_0 to {name}_{width - 1}, or |{name}|")
     unit = ", ".join(sorted(units))
     if len(units) > 1 or ", " in unit:
-        raise SignalError(f"{name} has several units, {unit}", "choose one")
+        raise SignalError(f"{name} has several units, {unit}: choose one")
     return unit
 
 

@@ -90,8 +90,8 @@ def test_a_failure_has_its_moment(module: Path) -> None:
     )
     assert (moment.message.fate, moment.message.heard_s) == ("down", 0.5)
     assert found.found == (
-        "too deep (vehicle 2), z 9 at 1 s; fault cut active; the last message that vehicle 2 missed: 1->2, sent at 0.99 s, "
-        "down; it had the last before from 0.5 s"
+        "too deep (vehicle 2), z 9 at 1 s; fault cut active; the last message that vehicle 2 missed: 1->2, sent at "
+        "0.99 s, down; it had the last before from 0.5 s"
     )
 
 
@@ -180,7 +180,7 @@ def test_a_check_that_nobody_allowed_does_not_run(module: Path, monkeypatch: pyt
     (folder / "here.yaml").write_text(SMALL + 'checks: {"other_checks_there:Check": {}}\n')
     (module.parent / "work").mkdir()
     monkeypatch.chdir(module.parent / "work")
-    with pytest.raises(ScenarioError, match="would run .*other_checks_there.py, which is not installed"):
+    with pytest.raises(ScenarioError, match=r"would run .*other_checks_there.py, which is not installed"):
         load_scenario(folder / "here.yaml")
 
 

@@ -1,4 +1,4 @@
-"""Checks on signals: what breaks them and what does not, what they find, and that they need no more memory with time."""
+"""Checks on signals: what breaks them and what does not, what they find, and that their memory does not grow."""
 
 from __future__ import annotations
 

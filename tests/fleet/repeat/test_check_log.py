@@ -1,0 +1,158 @@
+"""A log judged by checks: the verdicts of the run itself, also of one that was cut, thinned, or goes on."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+from small_scenario import SMALL
+
+from fleet.checks.verdict import Verdict
+from fleet.cli.main import cli
+from fleet.errors import ScenarioError
+from fleet.execution.execute import execute
+from fleet.execution.options import Options
+from fleet.execution.outcome import Result
+from fleet.repeat.check_log import CheckLogError, check_log
+from fleet.repeat.resume import continuation
+from fleet.scenario.loading import load_scenario
+
+MODULE = """\
+from fleet.checks.api import Failure
+
+
+class Packets:
+    \"\"\"Counts what it is shown\"\"\"
+
+    def __init__(self, facts):
+        self.begin, self.counts = facts.begin, [0, 0, 0]
+
+    def step(self, tick):
+        self.counts[0] += 1
+        self.counts[1] += len(tick.packets)
+        self.counts[2] += len(tick.faults)
+        if tick.vehicles[0]["control.u_err"] is None and tick.t < 2:
+            return Failure("no control", (1,))
+
+    def verdict(self):
+        return f"{self.begin:g} s: {self.counts}"
+"""
+CHECKS = """\
+duration: 2 s
+faults: [{id: cut, at: 500 ms, for: 500 ms, down: 1->2}]
+checks:
+  signal:
+    - {name: low, topic: state.z, below: 1 m}
+    - {name: speed, topic: control.u_err, within: [-9 m/s, 9 m/s], after: 1 s}
+    - {name: norm, topic: "|error.e|", never: true, above: 10 mm, for_at_least: 300 ms}
+    - {name: again, topic: error.e_norm, below: 1 mm, eventually_within: 200 ms, fault: every}
+    - {name: spread, topic: command.tau_0, spread_below: 1000 N}
+  "packets_seen_here:Packets": {}
+"""
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(str(tmp_path))  # installed, so to speak
+    monkeypatch.delitem(sys.modules, "packets_seen_here", raising=False)
+    (tmp_path / "packets_seen_here.py").write_text(MODULE)
+    (tmp_path / "here.yaml").write_text(SMALL.replace("duration: 1 s\n", "") + CHECKS)
+    return tmp_path
+
+
+def run(*overrides: str) -> Result:
+    return execute(load_scenario("here.yaml", overrides), Options(Path("runs"), in_process=True, quiet=True))
+
+
+def own(result: Result) -> list[Verdict]:
+    names = ("low", "speed", "norm", "again", "spread", "Packets")
+    return [verdict for verdict in result.verdicts if verdict.check in names]
+
+
+LOSSY = "network.links={1->2: loss 50 %}"
+
+
+@pytest.mark.parametrize("change", ["seed=1", "log.every=4 ticks", "log.state=3 ticks", LOSSY])
+def test_a_log_gives_the_verdicts_of_its_run(folder: Path, change: str) -> None:
+    result = run(change)
+    assert result.directory is not None
+    again = check_log(result.directory)
+    assert again.verdicts == own(result)
+    assert {verdict.check: verdict.passed for verdict in again.verdicts} == {
+        "low": False, "speed": True, "norm": False, "again": False, "spread": True, "Packets": True,
+    }  # fmt: skip
+    norm, late = again.verdicts[2].moment, again.verdicts[3].moment
+    assert norm is not None and norm.message is not None and late is not None and late.at_s > 1.2
+    assert (again.until_s, again.end_s, again.missing, again.passed) == (2.0, 2.0, "", False)
+    row = next(check for check in result.values["checks"] if check["check"] == "norm")
+    assert row["moment"]["message"]["dst"] in row["moment"]["vehicles"]
+
+
+def test_a_cut_log_is_judged_to_where_it_is_whole(folder: Path) -> None:
+    result = run("duration=20 s")
+    assert result.directory is not None
+    log = result.directory / "run.mcap"
+    (folder / "cut.mcap").write_bytes(log.read_bytes()[: log.stat().st_size * 2 // 3])
+    asked = "checks={signal: {topic: state.x, below: 1000 m, eventually_within: 19 s}}"
+    found = check_log(folder / "cut.mcap", [asked])
+    assert found.passed and 0.0 < found.until_s < 20.0 and "cut" in found.missing
+    late = check_log(folder / "cut.mcap", [asked.replace("below", "above")])
+    assert not late.passed and late.verdicts[0].found == "there is still time"
+    (folder / "stump.mcap").write_bytes(log.read_bytes()[:2000])
+    with pytest.raises(Exception, match="holds no") as caught:
+        check_log(folder / "stump.mcap")
+    assert type(caught.value).__name__ in ("ScriptError", "CheckLogError")
+
+
+def test_a_run_that_goes_on_is_judged_from_there(folder: Path) -> None:
+    first = run("log.snapshot=500 ms")
+    assert first.directory is not None
+    scenario, start = continuation(first.directory, 1_000_000_000)
+    result = execute(scenario, Options(Path("runs"), in_process=True, quiet=True, start=start))
+    assert result.directory is not None
+    verdicts = own(result)
+    assert verdicts[-1].found.startswith("1 s: [101, ")
+    assert check_log(result.directory).verdicts == verdicts
+
+
+def test_what_cannot_be_judged_is_said(folder: Path) -> None:
+    result = run()
+    assert result.directory is not None
+    with pytest.raises(CheckLogError, match="another run is fleet run --set seed"):
+        check_log(result.directory, ["seed=3"])
+    with pytest.raises(CheckLogError, match="nothing to judge"):
+        check_log(result.directory, ["checks={formation_error: {below: 3 m}}"])
+    with pytest.raises(ScenarioError, match=r"there is no signal state\.zz"):
+        check_log(result.directory, ["checks={signal: {topic: state.zz, below: 3 m}}"])
+
+
+def test_the_command(folder: Path) -> None:
+    result = run()
+    runner = CliRunner()
+    printed = runner.invoke(cli, ["check-log", str(result.directory), "-q"])
+    assert printed.exit_code == 1
+    assert "FAIL  low: state.z below 1 m; found 1.0" in printed.output
+    assert "judged up to t = 2 s of 2 s" in printed.output
+    asked = ["--set", "checks={signal: {name: deep, topic: state.z, below: 90 m}}"]
+    good = runner.invoke(cli, ["check-log", str(result.directory), "-q", "--json", *asked])
+    assert good.exit_code == 0, good.output
+    document = json.loads(good.stdout)
+    assert document["passed"] and [row["check"] for row in document["checks"]] == ["deep"]
+    assert document["checks"][0]["moment"] is None
+
+
+def test_a_check_of_a_stranger_needs_trust(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    result = run()
+    assert result.directory is not None
+    log = result.directory.resolve()
+    (folder / "strange_checks_here.py").write_text(MODULE)
+    elsewhere = folder / "work"
+    elsewhere.mkdir()
+    monkeypatch.chdir(elsewhere)
+    (elsewhere / "own_one_here.py").write_text(MODULE.replace("Packets", "Own"))
+    typed = check_log(log, ['checks={"own_one_here:Own": {}}'])
+    assert [verdict.check for verdict in typed.verdicts] == ["Own"]

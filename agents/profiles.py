@@ -71,10 +71,30 @@ LAW_DEFAULTS: dict[str, dict[str, Any]] = {
     "sliding-mode": {"k_u": 20.0, "k_q": 15.0, "k_r": 15.0},  # listed: switching gains of the three surfaces
 }
 
+# For the plant remus100 at 1.5 m/s: its propeller and fins lag, and its fins are weak. docs/background/plants.md derives it.
+_REMUS = replace(
+    _HARDENED,
+    K0=(0.12, 0.12, 0.12),  # chosen
+    k_min=0.12,  # chosen: with 0.2 to 0.3 what is lost and late drives the fins from stop to stop
+    k_max=0.12,  # chosen
+    rho_lo=(-2.2, -2.2, -0.4),  # chosen: any course; the stern plane holds a pitch of 22 degrees at 1.5 m/s
+    rho_hi=(2.2, 2.2, 0.4),  # chosen: the propeller reaches 2.5 m/s
+    slew=0.1,  # chosen, m/s^2
+)
+_REMUS_TRACKING = replace(
+    _TRACKING,
+    k_u=1.0,  # chosen: k_u b / a = 3 1/s, behind a propeller of 1 s
+    k_q=1.0,  # chosen: k_q b / a = 3 1/s, behind fins of 0.1 s; with 1.5 and k_psi = 0.5 the course swings
+    k_r=1.0,  # chosen, likewise
+    k_theta=0.3,  # chosen: a tenth of the rate of the loop of q
+    k_psi=0.3,  # chosen, likewise
+)
+
 PROFILES: dict[str, tuple[GuidanceParams, TrackingParams]] = {
     "paper": (_PAPER, _TRACKING),
     "consistent": (_CONSISTENT, _TRACKING),
     "hardened": (_HARDENED, _TRACKING),
+    "remus100": (_REMUS, _REMUS_TRACKING),
 }
 
 

@@ -323,6 +323,9 @@ def linear_fleet(scenario: Scenario, gains: Sequence[Vec3 | None]) -> LinearFlee
         raise NotLinear("what is heard over an acoustic channel has no fixed age")
     if None in gains:
         raise NotLinear(f"vehicle {gains.index(None) + 1} runs a law that is not one of those that ship")
+    for i, control in enumerate(scenario.controls, start=1):
+        if control.plant is not None:
+            raise NotLinear(f"vehicle {i} is the plant {control.plant.name}, which has equations of its own")
     K = np.array(gains)
     if K.max() <= 0.0:
         raise NotLinear("no gain is above 0")

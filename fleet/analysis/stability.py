@@ -311,7 +311,7 @@ def _vehicle_warnings(scenario: Scenario) -> list[str]:
     unstable = []
     for i, control in enumerate(scenario.controls, start=1):
         m1, m2, m3, *_ = control.vehicle.inertia
-        if control.cascade and not (m1 < m2 and m1 < m3):
+        if control.plant is None and control.cascade and not (m1 < m2 and m1 < m3):
             unstable.append(i)
     if unstable:
         warnings.append(

@@ -18,7 +18,7 @@ from fleet.scenario.loading import load_scenario
 GALLERY = {
     "lossy": 10, "burst": 10, "partition-heal": 35, "kill": 30, "kill-restart": 40, "gauss-markov-current": 12,
     "nemesis": 45, "acoustic-80bps": 25, "acoustic-s2c": 20, "rough-sea": 10, "breakdown": 30, "follow-the-leader": 20,
-    "leader-lost": 70, "leader-lost-standby": 70, "acoustic-noise": 25,
+    "leader-lost": 70, "leader-lost-standby": 70, "acoustic-noise": 25, "remus": 5, "mixed": 5,
 }  # fmt: skip
 PAGE = ROOT / "docs" / "guide" / "scenarios.md"
 LONG = 10  # [s]; a distributed run of more is one of the slow tests
@@ -27,7 +27,7 @@ LONG = 10  # [s]; a distributed run of more is one of the slow tests
 # Slow, since there is a quick one of the same kind: another leader, another disturbance, another channel.
 LONGEST = (
     *("leader-lost", "leader-lost-standby", "follow-the-leader", "nemesis", "gauss-markov-current"),
-    *("partition-heal", "rough-sea"),
+    *("partition-heal", "rough-sea", "remus", "mixed"),
     *("acoustic-noise", "acoustic-80bps", "acoustic-s2c"),
 )
 
@@ -75,6 +75,9 @@ def test_distributed_is_in_process(name: str, seconds: int, tmp_path: Path) -> N
         ("rough-sea", {"network.links": "{'*': delay 500ms 50ms loss 30%}"}, False),
         ("follow-the-leader", {"network.links": "{'*': delay 200ms 50ms loss 80%}"}, False),
         ("follow-the-leader", {"network.links": "{'*': delay 1s 200ms loss 30%}"}, False),
+        # gains for actuators without lag; a speed at which fins have no force
+        ("remus", {"profile": "hardened", "guidance": "{rho_lo: -2 -2 -0.4 m/s, rho_hi: 2 2 0.4 m/s}"}, False),
+        ("remus", {"reference.velocity": "0.4 0.05 0 m/s"}, False),
         ("leader-lost", {"knows_reference": "true"}, True),  # as in the scenario survey
         ("leader-lost-standby", {"graph.standby": "null"}, False),
     ],

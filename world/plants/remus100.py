@@ -12,9 +12,9 @@ section 8.4 (torpedo-shaped AUVs), with the propeller and the drag of B. Allen, 
 system performance enhancements on REMUS AUVs", OCEANS 2000. docs/background/plants.md compares it with an independent
 implementation and with the coefficients that T. Prestero found (MIT/WHOI 2001), and says where it deviates and why.
 
-The hull is symmetric about its axis: lift and cross-flow drag are the same up and down as to the sides. The Munk moments
-and the Coriolis forces of the added mass in surge, sway and heave are left out, as Fossen does: the hull is taken to be
-neutral in yaw and pitch, which in the vehicle the fins see to.
+The hull is symmetric about its axis: lift and cross-flow drag are the same up and down as to the sides. The Munk
+moments and the Coriolis forces that belong to them are left out, as Fossen does: the hull is taken to be neutral in
+yaw and pitch.
 """
 
 from __future__ import annotations

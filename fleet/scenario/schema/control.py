@@ -82,7 +82,7 @@ class TrackingSection(Section):
     u_eps: PositiveSpeed | None = None
 
 
-Profile = Literal["paper", "consistent", "hardened"]
+Profile = Literal["paper", "consistent", "hardened", "remus100"]
 GuidanceChoice = Annotated[GuidanceSection, BeforeValidator(named)]
 TrackingChoice = Annotated[TrackingSection, BeforeValidator(named)]
 

@@ -200,3 +200,12 @@ def test_who_does_not_know_the_trajectory_goes_by_the_velocities_that_it_hears()
     assert fleet is not None
     assert [member.told for member in fleet.members] == [True, False, False, False]
     assert fleet.unstable(0.3) == 0
+
+
+def test_of_vehicles_with_equations_of_their_own_nothing_linear_is_said() -> None:
+    """By their numbers for controllers the loop of this fleet would grow, and its angles would be unstable; it flies."""
+    scenario = load_scenario("remus")
+    found = analyse(scenario)
+    assert found.not_linear == "vehicle 1 is the plant remus100, which has equations of its own"
+    assert found.at_settled is None
+    assert found.warnings == []

@@ -15,6 +15,8 @@ Exception
 ├── FleetError
 │   ├── BenchError
 │   ├── CertsError
+│   ├── CheckError
+│   ├── CheckLogError
 │   ├── ConformanceError
 │   ├── DataFileError
 │   │   └── VehicleFileError
@@ -50,6 +52,8 @@ Exception
 │   ├── ScenarioError
 │   ├── ScriptError
 │   ├── SelectionError
+│   ├── SignalCheckError
+│   ├── SignalError
 │   ├── SnapshotError
 │   ├── StoppedError
 │   ├── StudyError

@@ -4,18 +4,21 @@ from __future__ import annotations
 
 import re
 import shlex
+from importlib import import_module
 from pathlib import Path
 
 import pytest
 from click.testing import CliRunner, Result
 
 from fleet.cli.main import cli
-from fleet.cli.new import write_scenario
+from fleet.cli.new import write_plant, write_scenario
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
 from fleet.execution.outcome import Status
 from fleet.scenario.catalogue import shipped_scenarios
 from fleet.scenario.loading import load_scenario, parse_scenario
+from fleet.scenario.sections.vehicle_files import load_vehicle
+from world.api import PlantConfig, Water
 
 SWITCHED_OFF = re.compile(r"^ *#(?=[^ #\n])", re.M)  # a key that may be switched on; prose has a space behind its #
 
@@ -96,3 +99,42 @@ def test_what_is_refused(arguments: list[str], words: str, tmp_path: Path) -> No
     assert words in refused.stderr
     assert [path.name for path in tmp_path.iterdir()] == ["there.yaml"]
     assert (tmp_path / "there.yaml").read_text() == "mine"
+
+
+def test_a_plant_is_checked_and_runs_as_it_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    written = CliRunner().invoke(cli, ["new", "plant", "sea_glider"])
+    assert written.stdout == "wrote sea_glider.py and sea_glider.yaml; now: fleet run sea_glider.yaml\n"
+    assert "class SeaGlider:" in Path("sea_glider.py").read_text("utf-8")
+    checked = CliRunner().invoke(cli, ["check", "sea_glider.yaml"])
+    assert (checked.exit_code, checked.stderr) == (0, "")
+
+
+def test_a_current_carries_the_template_of_a_plant_along(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What it does in the water does not depend on where the water goes."""
+    monkeypatch.syspath_prepend(str(tmp_path))
+    write_plant("drifting_glider", tmp_path)
+    config = PlantConfig(1, 0.01, 1, load_vehicle("paper").params)
+    plant = import_module("drifting_glider").DriftingGlider(config)
+    current, none = (0.3, -0.2, 0.1), (0.0, 0.0, 0.0)
+    states = [plant.start((0.0,) * 6, (0.5 + c[0], c[1], c[2], 0.0, 0.0, 0.0)) for c in (current, none)]
+    for _ in range(600):
+        for k, c in enumerate((current, none)):
+            states[k] = plant.step(states[k], (5.0, 0.3, -0.6), Water(c, (0.0,) * 6), 0.005)
+    carried, still = map(plant.pose, states)
+    assert abs(still[3]) > 0.01 and abs(still[5]) > 0.1
+    assert carried[3:] == pytest.approx(still[3:], abs=1e-5)
+    assert carried[:3] == pytest.approx([a + 3.0 * c for a, c in zip(still[:3], current, strict=True)], abs=1e-4)
+
+
+@pytest.mark.slow
+def test_the_fleet_of_the_template_of_a_plant_holds_its_formation(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    module, scenario = write_plant("ocean_glider", Path())
+    assert module.exists()
+    result = execute(load_scenario(scenario), Options(tmp_path, in_process=True, quiet=True))
+    assert result.status is Status.PASS, result.verdicts

@@ -1,0 +1,134 @@
+"""Plants in a scenario: who has which, what is wrong with one, and that nobody's runs unasked."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+from random import getrandbits
+
+import pytest
+from small_scenario import SMALL, only_problem, small
+
+from fleet.scenario.loading import parse_scenario
+from fleet.scenario.scenario import Scenario
+from fleet.study.modules import modules_of
+from world.config import PlantSetup
+
+ROLLING = "vehicle.plant=own_plants:Rolling"
+STATES = "initial=[{position: 0 0 5 m, roll: 10 deg, roll_rate: 1 rad/s}, {position: 0 5 5 m}, {position: 0 9 5 m}]"
+
+
+def plants(scenario: Scenario) -> list[PlantSetup | None]:
+    return [setup.plant for setup in scenario.world_config.vehicles]
+
+
+def test_a_plant_is_per_vehicle_and_its_model_goes_with_it() -> None:
+    scenario = small(
+        ROLLING,
+        "vehicle.surge_force=7 N",
+        "per_vehicle={'2': {vehicle: {model: paper}}, "
+        "'3': {vehicle: {plant: {name: 'own_plants:Weak', parameters: {lag: 0.1}, budget: 50 ms}}}}",
+    )
+    rolling, none, weak = plants(scenario)
+    assert rolling == PlantSetup("own_plants:Rolling", {}, 10.0)
+    assert none is None
+    assert weak == PlantSetup("own_plants:Weak", {"lag": 0.1}, 0.05)
+    assert [control.tau_max[0] for control in scenario.controls] == [7.0, 20.0, 20.0]
+    again = parse_scenario(scenario.to_yaml(), "again.yaml")
+    assert again == scenario
+    assert plants(again) == plants(scenario)
+    assert "model: paper" in scenario.to_yaml()  # so that whoever reads a log need not import the plant
+
+
+def test_a_shipped_plant_brings_its_model() -> None:
+    scenario = small("vehicle.plant=remus100")
+    assert scenario.spec.vehicle.model == "remus100"
+    assert scenario.controls == small("vehicle={plant: remus100, model: remus100}").controls
+
+
+def test_without_a_plant_all_is_as_it_was() -> None:
+    scenario = small()
+    assert plants(scenario) == [None] * 3
+    assert "plant" not in scenario.log_every
+    assert "plant" not in scenario.to_yaml()
+    assert small(ROLLING).log_every["plant"] == 1
+
+
+def test_roll_at_the_start() -> None:
+    setup = plants(small(ROLLING, STATES))[0]
+    assert setup is not None
+    assert (setup.phi0, setup.p0) == (pytest.approx(0.17453292519943295), 1.0)
+    said = only_problem(STATES, "per_vehicle={'2-3': {vehicle: {plant: 'own_plants:Rolling'}}}")
+    assert "initial.1.roll: has no effect on vehicle 1, which cannot roll" in said
+
+
+@pytest.mark.parametrize(
+    ("plant", "said"),
+    [
+        ("remus10", 'there is no plant "remus10"'),
+        ("own_plants:Nothing", "module 'own_plants' has no 'Nothing'"),
+        ("no_such_module_at_all:Plant", "there is no module 'no_such_module_at_all'"),
+        ("own_plants:Lacking", "own_plants:Lacking: it has no method pose"),
+        ("{name: 'own_plants:Rolling', parameters: {mass: 3}}", "cannot be made with these parameters"),
+        ("{name: remus100, parameters: {wings: 2}}", "remus100: cannot be made with these parameters"),
+        ("{name: 'own_plants:Rolling', budget: -1 s}", "vehicle.plant.budget"),
+        ("{parameters: {mass: 3}}", '"name" is missing in "vehicle.plant"'),
+        ("3", "vehicle.plant: expected a mapping of keys to values"),
+    ],
+)
+def test_what_is_wrong_stands_at_its_place(plant: str, said: str) -> None:
+    assert said in only_problem(f"vehicle.plant={plant}")
+
+
+PLANT = """\
+import pathlib
+pathlib.Path(__file__).with_suffix(".mark").touch()
+from own_plants import Rolling
+"""
+
+
+def fleet(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+    """A command as a user types it: with the test's plants on no path but that of Python."""
+    command = [sys.executable, "-P", "-m", "fleet", *arguments]
+    support = str(Path(__file__).parents[3] / "support")
+    return subprocess.run(
+        command, cwd=folder, capture_output=True, text=True, timeout=60, env={"PYTHONPATH": support, "PATH": ""}
+    )
+
+
+def test_a_stranger_s_plant_does_not_run(tmp_path: Path) -> None:
+    there, here = tmp_path / "there", tmp_path / "here"
+    there.mkdir()
+    here.mkdir()
+    name = f"hull_{getrandbits(40):x}"
+    (there / f"{name}.py").write_text(PLANT)
+    (there / "s.yaml").write_text(f"{SMALL}vehicle: {{plant: '{name}:Rolling'}}\n")
+    mark = there / f"{name}.mark"
+    ran = fleet(there, "run", "s.yaml", "--in-process", "-q")
+    assert ran.returncode == 0, ran.stderr
+    assert mark.exists()
+    mark.unlink()
+    log = str(next((there / "runs").glob("s-1-*")) / "run.mcap")
+    refused = fleet(here, "run", "../there/s.yaml", "--in-process", "-q")
+    assert (refused.returncode, mark.exists()) == (2, False)
+    assert f"vehicle.plant: {name}:Rolling: would run" in refused.stderr
+    for command in (["info", log], ["script", log], ["export", log, "--csv", "tables"]):
+        read = fleet(here, *command)
+        assert (read.returncode, mark.exists()) == (0, False), read.stderr
+    (here / f"{name}.py").write_text(PLANT)
+    refused = fleet(here, "verify", log)
+    assert refused.returncode == 2 and "would run" in refused.stderr
+    assert not (here / f"{name}.mark").exists()
+    trusted = fleet(here, "verify", log, "--trust")
+    assert trusted.returncode == 0, trusted.stderr
+    assert (here / f"{name}.mark").exists()
+
+
+def test_a_plant_travels_to_the_workers_of_a_study(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    name = f"hull_{getrandbits(40):x}"
+    (tmp_path / f"{name}.py").write_text("from own_plants import Rolling\n")
+    monkeypatch.chdir(tmp_path)
+    modules = modules_of([small(f"vehicle.plant={name}:Rolling")], None)
+    assert modules.names == (name,)
+    assert modules.files == (str(tmp_path / f"{name}.py"),)

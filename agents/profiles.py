@@ -71,7 +71,7 @@ LAW_DEFAULTS: dict[str, dict[str, Any]] = {
     "sliding-mode": {"k_u": 20.0, "k_q": 15.0, "k_r": 15.0},  # listed: switching gains of the three surfaces
 }
 
-# For the plant remus100 at 1.5 m/s: its propeller and fins lag, and its fins are weak. docs/background/plants.md derives it.
+# For the plant remus100 at 1.5 m/s, whose actuators lag and whose fins are weak; docs/background/plants.md derives it.
 _REMUS = replace(
     _HARDENED,
     K0=(0.12, 0.12, 0.12),  # chosen

@@ -71,12 +71,12 @@ LAW_DEFAULTS: dict[str, dict[str, Any]] = {
     "sliding-mode": {"k_u": 20.0, "k_q": 15.0, "k_r": 15.0},  # listed: switching gains of the three surfaces
 }
 
-# For the plant remus100 at 1.5 m/s: its propeller and fins lag, and its fins are weak. docs/background/plants.md derives it.
+# For the plant remus100 at 1.5 m/s, whose actuators lag and whose fins are weak; docs/background/plants.md derives it.
 _REMUS = replace(
     _HARDENED,
     K0=(0.12, 0.12, 0.12),  # chosen
     k_min=0.12,  # chosen: with 0.2 to 0.3 what is lost and late drives the fins from stop to stop
-    k_max=0.12,  # chosen
+    k_max=0.13,  # chosen
     rho_lo=(-2.2, -2.2, -0.4),  # chosen: any course; the stern plane holds a pitch of 22 degrees at 1.5 m/s
     rho_hi=(2.2, 2.2, 0.4),  # chosen: the propeller reaches 2.5 m/s
     slew=0.1,  # chosen, m/s^2

@@ -203,7 +203,7 @@ def test_who_does_not_know_the_trajectory_goes_by_the_velocities_that_it_hears()
 
 
 def test_of_vehicles_with_equations_of_their_own_nothing_linear_is_said() -> None:
-    """By their numbers for controllers the loop of this fleet would grow, and its angles would be unstable; it flies."""
+    """By the numbers of their model the loop of this fleet would grow and its angles be unstable; it flies."""
     scenario = load_scenario("remus")
     found = analyse(scenario)
     assert found.not_linear == "vehicle 1 is the plant remus100, which has equations of its own"

@@ -86,6 +86,7 @@ class RunningPythonCheck:
         self.words = ", ".join([about, *(f"{key} {shown(value).strip(chr(39))}" for key, value in parameters.items())])
         self._failure: Failure | None = None
         self._at_s = 0.0
+        self._broken = False
 
     def step(
         self, tick: int, t: float, vehicles: Sequence[Vehicle], faults: Sequence[Fault], packets: Sequence[Packet]
@@ -110,23 +111,29 @@ class RunningPythonCheck:
             now: the newest tick.
             over: the run has come to its end.
         """
-        found = "as asked"
+        found, value = "as asked", 1.0  # it failed once
         method = getattr(self._check, "verdict", None)
         if self._failure is None and callable(method):
             try:
                 answer = self._fence.call(now, method)
                 if isinstance(answer, str):
                     found = " ".join(answer.split())[:_MOST_TEXT] or found
-                elif (failure := self._checked(now, method, answer)) is not None:
-                    return Verdict(self.name, False, self.words, _words(failure))
+                elif (at_end := self._checked(now, method, answer)) is not None:
+                    # What only the end can show is not failed while the run goes on.
+                    return self._verdict(False, _words(at_end), value if over else None)
             except CheckError as error:
                 self._break(error)
         if self._failure is None:
-            return Verdict(self.name, True, self.words, found)
-        return Verdict(self.name, False, self.words, f"{_words(self._failure)} at {self._at_s:g} s", moment=moment)
+            return self._verdict(True, found, 0.0)
+        found = f"{_words(self._failure)} at {self._at_s:g} s"
+        return self._verdict(False, found, None if self._broken else value, moment)
+
+    def _verdict(self, passed: bool, found: str, value: float | None, moment: Moment | None = None) -> Verdict:
+        return Verdict(self.name, passed, self.words, found, value, 0.0, "times", moment)
 
     def _break(self, error: CheckError) -> None:
         where = f" ({error.where})" if error.where else ""
+        self._broken = True
         self._failure = Failure(f"the check is broken, so nothing is known: {error.problem}{where}")
 
     def _checked(self, tick: int, method: Any, answer: Any) -> Failure | None:

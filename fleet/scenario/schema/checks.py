@@ -117,6 +117,13 @@ def _everyone(value: Any) -> Any:
     return None if value == "all" else value
 
 
+def _true(value: Any) -> Any:
+    if value is not True:
+        raise mistake(f"expected true, got {describe_value(value)}", hint="or leave it out")
+    return value
+
+
+OnlyTrue = Annotated[Literal[True] | None, BeforeValidator(_true)]
 Quantity = Annotated[Any, BeforeValidator(_quantity)]  # as written: what unit it needs, the signal says
 CHECK_NAME = r"[A-Za-z][A-Za-z0-9_.-]{0,63}"
 
@@ -132,9 +139,9 @@ class SignalCheck(Section):
     equals: Quantity | None = None
     within: Annotated[Any, BeforeValidator(_range)] = None  # a range; beside `equals` how far off it may be
     spread_below: Quantity | None = None  # the largest value of any vehicle minus the least
-    at_most_one: Literal[True] | None = None  # vehicle whose value is true: not 0
+    at_most_one: OnlyTrue = None  # vehicle whose value is true: not 0
     agree_within: Period | None = None  # all values are equal, but for stretches shorter than this
-    never: Literal[True] | None = None  # the condition must not hold
+    never: OnlyTrue = None  # the condition must not hold
     eventually_within: Period | None = None  # it must hold at some time, not always
     for_at_least: Period | None = None  # a time for which it holds without a break
     fault: str | None = None  # with `eventually_within`: counted from the end of this fault, or of EVERY

@@ -62,9 +62,9 @@ def test_a_check_sees_faults_lives_and_packets(module: Path) -> None:
     faults = "faults=[{id: cut, at: 1 s, for: 1 s, down: 1->2}, {id: gone, at: 1500 ms, for: 1 s, kill: 3}]"
     found = verdict(module, SEES, "{until: 2 s}", faults=faults, fates=[fate(1, 2, 0), fate(1, 2, 5, "loss", final=5)])
     seen = "[((), ()), (('cut',), ()), (('cut', 'gone'), (3,)), (('gone',), (3,))]"
-    assert found == Verdict(
-        "Check", True, "Sees what is there, until 2 s", f"{seen} [(1, 2, 'delivered', 0.0), (1, 2, 'loss', 0.05)]"
-    )
+    packets = "[(1, 2, 'delivered', 0.0), (1, 2, 'loss', 0.05)]"
+    words = "Sees what is there, until 2 s"
+    assert found == Verdict("Check", True, words, f"{seen} {packets}", 0.0, 0.0, "times")
 
 
 DEEP = """\
@@ -99,7 +99,14 @@ def test_the_end_may_show_a_failure(module: Path) -> None:
     code = "class Check:\n    def __init__(self, facts): pass\n    def step(self, tick): pass\n"
     never = code + "    def verdict(self): return Failure('never a leader', (1, 2))\n"
     found = verdict(module, never)
-    assert (found.passed, found.found, found.moment) == (False, "never a leader (vehicles 1, 2)", None)
+    assert (found.passed, found.found, found.moment, found.value) == (
+        False,
+        "never a leader (vehicles 1, 2)",
+        None,
+        1.0,
+    )
+    going_on = verdict(module, never, until_s=1.0)
+    assert (going_on.passed, going_on.value) == (False, None)  # which is shown as not judged yet
 
 
 STEP = "class Check:\n    def __init__(self, facts): self.n = 0\n    def step(self, tick):\n        "
@@ -125,7 +132,7 @@ STEP = "class Check:\n    def __init__(self, facts): self.n = 0\n    def step(se
 def test_a_broken_check_is_no_pass(module: Path, monkeypatch: pytest.MonkeyPatch, body: str, words: str) -> None:
     monkeypatch.setattr(fleet.checks.python_check, "BUDGET_S", 0.05)
     found = verdict(module, STEP + body + "\n")
-    assert not found.passed and found.moment is not None and found.moment.tick == 0
+    assert not found.passed and found.moment is not None and found.moment.tick == 0 and found.value is None
     assert found.found.startswith("the check is broken, so nothing is known: ") and words in found.found
 
 

@@ -301,6 +301,7 @@ def test_result_file(tmp_path: Path) -> None:
         "value": 0,
         "limit": 0,
         "unit": "links",
+        "moment": None,
     }
     assert list(values["vehicles"]) == ["1", "2", "3", "4"]
     assert set(values["ledger"]) == {"1->2", "2->3", "3->4"}

@@ -1,0 +1,102 @@
+"""The user's own checks in a scenario: what is read, written back and refused, each mistake at its place."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from small_scenario import SMALL, WILD, only_problem, small
+
+from fleet.errors import ScenarioError
+from fleet.scenario.loading import parse_scenario
+from fleet.scenario.schema.checks import SignalCheck
+
+CUT = "faults=[{id: cut, at: 100 ms, for: 100 ms, down: 1->2}, {id: off, at: 300 ms, down: 2->3}]"
+
+
+@pytest.mark.parametrize(
+    ("check", "words"),
+    [
+        ("topic: state.zz, below: 3 m", 'checks.signal.topic: there is no signal state.zz'),
+        ("topic: statee.z, below: 3 m", 'did you mean "state.z"?'),
+        ("topic: control.nothing, below: 3 m", "control has"),
+        ("topic: z, below: 3 m", '"z" names no signal'),
+        ("topic: '|state.z', below: 3 m", "names no signal"),
+        ("topic: error.e, below: 3 m", "error.e has 3 values: choose error.e_0 to error.e_2, or |error.e|"),
+        ("topic: '|command.tau|', below: 3 N", "command.tau has several units, N, N m, N m: choose one"),
+        ("topic: state.z", "nothing is asked of it"),
+        ("topic: state.z, below: 3", 'expected a length such as "0.1 m", got "3" without a unit'),
+        ("topic: state.z, below: 3 s", 'got a time, "3 s"'),
+        ("topic: state.theta, below: 3 degrees", 'got the unknown unit "degrees"'),
+        ("topic: guidance.neighbours_heard, below: 3 m", 'expected a number such as "0.8", got "3 m"'),
+        ("topic: state.z, below: [3]", "expected a value with its unit, got a list"),
+        ("topic: state.z, below: .nan", "every number must be finite"),
+        ("topic: state.z, below: 3 m, above: 1 m", 'checks.signal.above: stands beside "below"'),
+        ("topic: state.z, within: 3 m", "expected a range such as"),
+        ("topic: state.z, within: [3 m]", "expected a range of two values"),
+        ("topic: state.z, within: [3 m, 1 m]", "3 m is above 1 m"),
+        ("topic: state.z, equals: 3 m, within: [1 m, 2 m]", 'beside "equals" it is one value'),
+        ("topic: state.z, below: 3 m, never: false", "checks.signal.never: expected true, got false"),
+        ("topic: state.z, below: 3 m, never: true, eventually_within: 1 s", 'stands beside "eventually_within"'),
+        ("topic: state.z, below: 3 m, for_at_least: 1 s", 'needs "never" or "eventually_within"'),
+        ("topic: state.z, agree_within: 3 s, never: true", 'has no meaning beside "agree_within"'),
+        ("topic: state.z, below: 3 m, fault: every", 'fault: needs "eventually_within"'),
+        ("topic: state.z, below: 3 m, eventually_within: 1 s, fault: cat", 'there is no fault "cat"'),
+        ("topic: state.z, below: 3 m, eventually_within: 1 s, fault: off", '"off" lasts to the end of the run'),
+        ("topic: state.z, spread_below: 3 m, vehicles: 2", "compares vehicles, and there is one"),
+        ("topic: state.z, below: 3 m, vehicles: 2-4", "there is no vehicle 4: they are 1 to 3"),
+        ("topic: state.z, below: 3 m, vehicles: some", "expected vehicle numbers"),
+        ("topic: state.z, below: 3 m, name: ledger", 'another check is called "ledger"'),
+        ("topic: state.z, below: 3 m, name: a b", "expected letters, digits, _, . and -"),
+        ("topic: state.z, below: 3 m, wihtin: 3", 'unknown key "checks.signal.wihtin"'),
+        ("below: 3 m", '"topic" is missing in "checks.signal"'),
+    ],
+)  # fmt: skip
+def test_what_makes_no_sense_is_refused(check: str, words: str) -> None:
+    assert words in only_problem(f"checks={{signal: {{{check}}}}}", CUT)
+
+
+def test_a_mistake_has_its_line() -> None:
+    text = SMALL + "checks:\n  signal:\n    - {topic: state.x, below: 3 m}\n    - {topic: state.y, below: 3 kg}\n"
+    with pytest.raises(ScenarioError) as caught:
+        parse_scenario(text, "small.yaml")
+    (problem,) = caught.value.problems
+    assert (problem.line, problem.message.partition(": ")[0]) == (SMALL.count("\n") + 4, "checks.signal.2.below")
+
+
+def test_an_unknown_key_of_checks_is_still_unknown() -> None:
+    assert 'unknown key "checks.ledgr"' in only_problem("checks={ledgr: balanced}")
+    assert 'unknown key "checks.python"' in only_problem("checks={python: {}}")
+    assert "expected the parameters of the check as a mapping" in only_problem('checks={"a.b:C": 3}')
+
+
+def test_names_are_unique() -> None:
+    scenario = small("checks={signal: [{topic: state.z, below: 9 m}, {topic: state.z, above: 0 m}, "
+                     "{topic: '|error.e|', below: 9 m}, {name: state.z-2, topic: state.x, below: 9 m}]}")  # fmt: skip
+    assert [check.name for check in scenario.spec.checks.own()] == ["state.z", "state.z-3", "error.e", "state.z-2"]
+    twice = "checks={signal: [{name: a, topic: state.z, below: 9 m}, {name: a, topic: state.z, above: 0 m}]}"
+    assert 'checks.signal.2.name: another check is called "a"' in only_problem(twice)
+
+
+def test_a_scenario_is_written_back() -> None:
+    scenario = small(
+        "checks={signal: [{name: a, topic: '|error.e|', equals: 3 m, within: 10 cm, vehicles: all, after: 300 ms}, "
+        "{topic: state.z, within: [1 m, 2 m], never: true, for_at_least: 1 s}, {topic: state.u, at_most_one: true}]}"
+    )
+    again = parse_scenario(scenario.to_yaml(), "small.yaml")
+    assert again == scenario and "never: true" in scenario.to_yaml()
+    assert "signal" not in small().to_yaml()
+    classes = '"no_module_here:A": [{x: 2 s, name: one}, {}]'
+    with_class = parse_scenario(f"{SMALL}checks: {{{classes}, ledger: balanced}}\n", "s")
+    assert "no_module_here:A" in with_class.to_yaml()
+    assert parse_scenario(with_class.to_yaml(), "s") == with_class
+    assert [check.name for check in with_class.spec.checks.own()] == ["one", "A"]
+
+
+@given(key=st.sampled_from([*SignalCheck.model_fields, "signal"]), value=WILD)
+def test_anything_is_read_or_refused(key: str, value: str) -> None:
+    check = value if key == "signal" else f"{{topic: state.z, below: 3 m, {key}: {value}}}"
+    with suppress(ScenarioError):
+        small(f"checks.signal={check}")

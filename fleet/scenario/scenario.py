@@ -20,6 +20,7 @@ from fleet.scenario.schema.spec import ScenarioSpec
 from fleet.scenario.schema.vehicle import VehicleSection
 from fleet.scenario.sections.acoustic import inlined_modem
 from fleet.scenario.sections.graph import Graph
+from fleet.scenario.sections.keep_apart import keep_apart_params
 from fleet.scenario.sections.log_rates import log_every, memory_ticks
 from fleet.scenario.sections.modem_files import shipped_modems
 from fleet.scenario.sections.per_vehicle import Control, inlined_vehicle
@@ -219,6 +220,7 @@ class Scenario:
             codec=spec.network.payload,
             standby_for=standby,
             standby_after_s=0.0 if spec.graph.standby is None else spec.graph.standby.after / 1e9,
+            keep_apart=keep_apart_params(spec.keep_apart),
         )
 
     def standby_for(self, i: int) -> tuple[int, ...]:

@@ -47,6 +47,7 @@ RULES: tuple[Callable[[Parts, Report], None], ...] = (
     checks.recovery_time,
     laws.laws,
     laws.effective,
+    laws.keep_apart,
     laws.vehicles,
     laws.velocity_bounds,
     laws.gain_bounds,

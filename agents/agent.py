@@ -50,7 +50,7 @@ class Agent(Brain):
             config.codec,
             config.round_ticks,
         )
-        self._controller = build(config, self._notes)
+        self._controller = build(config, self._notes, self._neighbours)
         self._seed = f"{config.seed}/controller/{config.id}/"
         self._offsets = {neighbour.id: neighbour.offset for neighbour in config.neighbours}
         self._leads = False

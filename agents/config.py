@@ -73,6 +73,29 @@ class TrackingParams:
 
 
 @dataclass(frozen=True, slots=True)
+class Cylinder:
+    """A vertical cylinder that no vehicle may enter, from the surface to the bottom."""
+
+    north: float  # m, of its axis
+    east: float  # m
+    radius: float  # m
+
+
+@dataclass(frozen=True, slots=True)
+class KeepApartParams:
+    """The filter that keeps vehicles apart (agents/laws/keep_apart.py)."""
+
+    distance: float  # m, of any two vehicles
+    obstacles: tuple[Cylinder, ...]
+    gain: float  # 1/s, of the barrier
+    lag_s: float  # longest lag of the velocity behind the command
+    slew: float  # m/s^2 per axis, limit of how fast the filter changes the command
+    acceleration: float  # m/s^2, limit of what a neighbour does
+    speed: float  # m/s, likewise; and on each axis the limit of what the filter commands
+    age_cap_s: float  # what is older is extrapolated no further, and its margin grows no more
+
+
+@dataclass(frozen=True, slots=True)
 class Law:
     """A law by name (one that ships, `module:Class`, or an entry point) and what it is made with."""
 
@@ -109,6 +132,7 @@ class AgentConfig:
     memory_ticks: int = 0  # how often it sends all that it remembers to the world; 0: never
     standby_for: tuple[int, ...] = ()  # while it hears none of these neighbours it follows the reference itself
     standby_after_s: float = 0.0  # for so long
+    keep_apart: KeepApartParams | None = None  # between guidance and tracking; None: nothing is there
 
     def desired(self, t: float) -> Motion:
         """Where this vehicle should be at time t [s], and how it should move: pd_i = eta_1^d + p_i and its rate.

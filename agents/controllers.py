@@ -9,10 +9,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, NamedTuple, Protocol
 
-from agents.config import AgentConfig, Law
+from agents.config import AgentConfig, KeepApartParams, Law
 from agents.laws.backstepping import BacksteppingTracking, NeurodynamicTracking, SlidingModeTracking
 from agents.laws.guidance import FixedGuidance, OptimalGuidance
+from agents.laws.keep_apart import KeepApart
 from agents.laws.velocity_command import direction_command, floor_speed
+from agents.neighbours import NeighbourTable
 from agents.plugins.fenced_law import FencedLaw
 from agents.plugins.laws import load
 from agents.sample import Command, Sample
@@ -86,6 +88,8 @@ class LawChoice(Protocol):
     def guidance_law(self) -> Law: ...
     @property
     def tracking_law(self) -> Law: ...
+    @property
+    def keep_apart(self) -> KeepApartParams | None: ...
 
 
 def laws(config: LawChoice) -> dict[str, Law]:
@@ -108,7 +112,8 @@ def layout(config: LawChoice) -> Layout:
         return Layout((), signals["agent"])
     if "controller" in signals:
         return Layout(HEARD, signals["controller"])
-    return Layout((*HEARD, *COMMANDED, *signals["guidance"]), signals["tracking"])
+    keep_apart = () if config.keep_apart is None else KeepApart.signals
+    return Layout((*HEARD, *COMMANDED, *signals["guidance"], *keep_apart), signals["tracking"])
 
 
 class FencedController:
@@ -132,12 +137,22 @@ class FencedController:
 
 
 class Cascade:
-    """A guidance law followed by a tracking law."""
+    """A guidance law followed by a tracking law, and by what keeps vehicles apart between them."""
 
-    def __init__(self, config: AgentConfig, notes: Notes) -> None:
+    def __init__(self, config: AgentConfig, notes: Notes, neighbours: NeighbourTable | None = None) -> None:
+        """
+        Args:
+            config: the agent's slice of the scenario.
+            notes: takes (tick, text) of what a person should know about the laws.
+            neighbours: what is kept apart from; without them nothing is.
+        """
         self._params = config.tracking
         self.guidance = _make("guidance", config, config.guidance_law, "velocity", notes)
         self.tracking = _make("tracking", config, config.tracking_law, "(tau1, tau2, tau3)", notes)
+        self._neighbours = neighbours
+        self._keep_apart: KeepApart | None = None
+        if config.keep_apart is not None and neighbours is not None:
+            self._keep_apart = KeepApart(config.keep_apart, config.tracking.u_floor)
         self._held: tuple[float, float] | None = None  # theta_cmd, psi_cmd of the previous sample
 
     def step(self, sample: Sample) -> tuple[Vec3, tuple[float, ...]]:
@@ -145,6 +160,9 @@ class Cascade:
         params, nu = self._params, sample.nu
         theta, psi = sample.eta[3:] if self._held is None else self._held
         rho, guidance = self.guidance.step(sample)
+        if self._keep_apart is not None and self._neighbours is not None:
+            rho, change = self._keep_apart.step(rho, sample, self._neighbours.seen(sample.tick))
+            guidance = (*guidance, *change)
         u_cmd, theta, psi = direction_command(rho, theta, psi, params.rho_eps)
         self._held = (theta, psi)
         u_cmd = floor_speed(u_cmd, nu[1], nu[2], params.u_floor)
@@ -153,30 +171,41 @@ class Cascade:
 
     def counters(self) -> dict[str, int]:
         failures = getattr(self.guidance, "failures", None)
-        return {} if failures is None else {"qp_failures": failures}
+        found: dict[str, int] = {} if failures is None else {"qp_failures": failures}
+        if self._keep_apart is not None:
+            found["keep_apart_infeasible"] = self._keep_apart.infeasible
+        return found
 
     def state(self) -> Any:
         held = None if self._held is None else list(self._held)
-        return {"held": held, "guidance": self.guidance.state(), "tracking": self.tracking.state()}
+        values = {"held": held, "guidance": self.guidance.state(), "tracking": self.tracking.state()}
+        if self._keep_apart is not None:
+            values["keep_apart"] = self._keep_apart.state()
+        return values
 
     def restore(self, values: Any) -> None:
         self._held = None if values["held"] is None else tuple(values["held"])
         self.guidance.restore(values["guidance"])
         self.tracking.restore(values["tracking"])
+        if self._keep_apart is not None and "keep_apart" in values:  # not in the memory of a run without
+            self._keep_apart.restore(values["keep_apart"])
 
 
-def build(config: AgentConfig, notes: Notes) -> Cascade | FencedController:
+def build(config: AgentConfig, notes: Notes, neighbours: NeighbourTable) -> Cascade | FencedController:
     """The controller of one agent.
 
     Args:
         config: the agent's slice of the scenario.
         notes: takes (tick, text) of what a person should know about the laws.
+        neighbours: what it knows of them.
 
     Raises:
         PluginError: one of its laws cannot be used.
         ControllerError: one of its laws cannot be made.
     """
-    return Cascade(config, notes) if config.controller is None else FencedController(config, config.controller, notes)
+    if config.controller is not None:
+        return FencedController(config, config.controller, notes)
+    return Cascade(config, notes, neighbours)
 
 
 def _make(kind: str, config: AgentConfig, law: Law, what: str, notes: Notes) -> RunningLaw:

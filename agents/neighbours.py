@@ -26,6 +26,7 @@ from typing import Any
 from agents.compact import decode as decode_compact
 from agents.config import Codec, Extrapolation, Neighbour
 from agents.errors import PayloadError
+from agents.laws.keep_apart import Seen
 from agents.offset import Offset
 from agents.payload import CAUSES, StateMessage, decode
 from agents.sample import NeighbourState
@@ -128,6 +129,17 @@ class NeighbourTable:
             delta = offset.at(now * tick_s).position if offset.changes else offset.start
             states.append(NeighbourState(neighbour.id, neighbour.weight, delta, position, message.velocity, age))
         return tuple(states)
+
+    def seen(self, now: int) -> list[Seen]:
+        """The states that `heard` goes by, as they were sampled, by ascending number."""
+        found = []
+        for message in self._newest.values():
+            if message is None:
+                continue
+            ticks = now - message.sent_tick
+            if self._drop_after is None or ticks <= self._drop_after:
+                found.append(Seen(message.sender, message.position, message.velocity, ticks * self._tick_s))
+        return found
 
     def newest(self, ids: Iterable[int]) -> int | None:
         """Tick at which the newest state heard from any of these neighbours was sampled; None: none was heard."""

@@ -34,9 +34,9 @@ class Dimension:
     example: str
     units: dict[str, Fraction]
 
-    def vector_example(self) -> str:
+    def vector_example(self, count: int) -> str:
         number, _, unit = self.example.partition(" ")
-        return f"{number} 0 0 {unit}".rstrip()
+        return f"{number}{' 0' * (count - 1)} {unit}".rstrip()
 
 
 def _units(**sizes: str | int) -> dict[str, Fraction]:
@@ -92,7 +92,7 @@ def parse(value: Any, dimension: Dimension, count: int = 1) -> tuple[Fraction, .
     Raises:
         QuantityError: not a finite quantity of this dimension and length.
     """
-    example = dimension.example if count == 1 else dimension.vector_example()
+    example = dimension.vector_example(count)
     expected = f'expected {_phrase(dimension, count)} such as "{example}"'
     if isinstance(value, bool) or not isinstance(value, (int, float, str)):
         raise QuantityError(f"{expected}, got {describe_value(value)}")
@@ -118,6 +118,12 @@ def vector(value: Any, dimension: Dimension) -> Vec3:
     """Three numbers with one unit, such as `5 1 5 m`, as floats in SI units. Raises QuantityError."""
     x, y, z = parse(value, dimension, 3)
     return _float(x), _float(y), _float(z)
+
+
+def pair(value: Any, dimension: Dimension) -> tuple[float, float]:
+    """Two numbers with one unit, such as `5 1 m`, as floats in SI units. Raises QuantityError."""
+    x, y = parse(value, dimension, 2)
+    return _float(x), _float(y)
 
 
 def time_ns(value: Any) -> int:
@@ -227,7 +233,7 @@ def _factor(unit: str, dimension: Dimension, expected: str, text: str, column: i
 def _phrase(dimension: Dimension, count: int) -> str:
     if count == 1:
         return dimension.name
-    return f"{dimension.name} for x, y and z"
+    return f"{dimension.name} for {'x and y' if count == 2 else 'x, y and z'}"
 
 
 def _float(number: Fraction) -> float:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from agents.config import AgentConfig, GuidanceParams, Law, Neighbour, TrackingParams
+from agents.config import AgentConfig, Cylinder, GuidanceParams, KeepApartParams, Law, Neighbour, TrackingParams
 from agents.offset import Change, Offset
 from agents.trajectory import Circle, Line, Path
 from world.vehicle import VehicleParams
@@ -42,6 +42,7 @@ FIELDS: dict[type, dict[str, Meaning]] = {
         "memory_ticks": ("uint", "tick", "between two `memory` messages, which yours may leave out; 0: none"),
         "standby_for": ("uint[*]", "", "neighbours; while it hears none of them it follows the reference itself"),
         "standby_after_s": ("real", "s", "for so long it must not have heard them"),
+        "keep_apart": ("KeepApartParams or null", "", "what keeps vehicles apart; yours may do the same"),
     },
     Neighbour: {
         "id": ("uint", "", "the neighbour's number j, `src` of its deliveries"),
@@ -81,6 +82,21 @@ FIELDS: dict[type, dict[str, Meaning]] = {
     Law: {
         "name": ("str", "", "one of ours, or module:Class"),
         "parameters": ("map", "", "what it is made with"),
+    },
+    KeepApartParams: {
+        "distance": ("real", "m", "between any two vehicles"),
+        "obstacles": ("Cylinder[*]", "", "vertical cylinders that no vehicle may enter"),
+        "gain": ("real", "1/s", "of the barrier"),
+        "lag_s": ("real", "s", "longest lag of the velocity behind the command"),
+        "slew": ("real", "m/s^2", "per axis, limit of how fast the filter changes the command"),
+        "acceleration": ("real", "m/s^2", "limit of what a neighbour does"),
+        "speed": ("real", "m/s", "likewise; and on each axis the limit of what the filter commands"),
+        "age_cap_s": ("real", "s", "what is older is extrapolated no further, and its margin grows no more"),
+    },
+    Cylinder: {
+        "north": ("real", "m", "of the axis"),
+        "east": ("real", "m", ""),
+        "radius": ("real", "m", ""),
     },
     VehicleParams: {
         "m": ("real", "kg", "mass"),

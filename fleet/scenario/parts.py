@@ -21,6 +21,7 @@ from fleet.scenario.schema.spec import ScenarioSpec
 from fleet.scenario.sections import formation, graph, nemesis, per_vehicle, reference, timeline
 from fleet.scenario.sections.acoustic import compile_acoustic, modem_numbers
 from fleet.scenario.sections.graph import Graph
+from fleet.scenario.sections.keep_apart import keep_apart_params
 from fleet.scenario.sections.modem_files import modem_of
 from fleet.scenario.sections.per_vehicle import Control, Entries
 from netem.condition import Condition, Link
@@ -166,8 +167,8 @@ class Parts:
     @cached_property
     def controls(self) -> tuple[Control, ...]:
         """What each vehicle is and runs. Raises VehicleFileError: a model cannot be read."""
-        tick = self.spec.tick
-        made = {e: per_vehicle.control(choice, tick, self.vehicle(e)) for e, choice in self.choices()}
+        tick, apart = self.spec.tick, keep_apart_params(self.spec.keep_apart)
+        made = {e: per_vehicle.control(choice, tick, self.vehicle(e), apart) for e, choice in self.choices()}
         return tuple(made[self.entries(i)] for i in range(1, self.spec.vehicles + 1))
 
     def sections(self, key: str) -> Iterator[tuple[tuple[str, ...], Any]]:

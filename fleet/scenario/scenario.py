@@ -237,6 +237,7 @@ class Scenario:
             codec=spec.network.payload,
             standby_for=standby,
             standby_after_s=0.0 if spec.graph.standby is None else spec.graph.standby.after / 1e9,
+            keep_apart=control.keep_apart,
         )
 
     def standby_for(self, i: int) -> tuple[int, ...]:

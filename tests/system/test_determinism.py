@@ -36,7 +36,7 @@ ROUGH = "network.links={'*': 'delay 200ms 50ms loss 30%'}"
 
 # What each adds: nothing; loss, jitter and the disturbance; draws in the world process; frames that are not sent
 # every tick, and an end tick between two of them; a last round that is cut; the tightest coupling there is; a
-# graph in which vehicles hear more than one other, and numbers of two digits.
+# graph in which vehicles hear more than one other, and numbers of two digits; a QP at every tick.
 CASES: dict[str, tuple[str, list[str]]] = {
     "paper": ("paper", ["duration=4 s"]),
     "rough-sea": ("rough-sea", ["duration=6 s"]),
@@ -44,6 +44,7 @@ CASES: dict[str, tuple[str, list[str]]] = {
     "thinned log": ("rough-sea", ["duration=3 s", "log.every=7 ticks", "log.pose=21 ticks"]),
     "short last round": ("paper", ["duration=3.07 s", ROUGH]),
     "a round per tick": ("paper", ["duration=2 s", "network.period=10 ms", ROUGH]),
+    "kept apart": ("crossing", ["duration=3 s", "keep_apart.distance=25 m"]),
     "twelve in a ring": ("paper", ["vehicles=12", "graph.shape=ring", "duration=2 s", *NOISE, ROUGH]),
 }
 

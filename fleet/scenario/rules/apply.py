@@ -52,6 +52,7 @@ RULES: tuple[Callable[[Parts, Report], None], ...] = (
     laws.effective,
     plants.plants,
     plants.rolls,
+    laws.keep_apart,
     laws.vehicles,
     laws.velocity_bounds,
     laws.gain_bounds,

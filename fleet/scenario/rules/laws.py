@@ -83,6 +83,15 @@ def effective(parts: Parts, report: Report) -> None:
                 report.add((*path, kind, "law"), message, key=True)
 
 
+def keep_apart(parts: Parts, report: Report) -> None:
+    """The filter has a guidance and a tracking law to stand between."""
+    if parts.spec.keep_apart is None:
+        return
+    if all(law_names(parts.choice(parts.entries(i))) is None for i in range(1, parts.spec.vehicles + 1)):
+        message = "has no effect: it acts between guidance and tracking, and every vehicle has a law in place of both"
+        report.add(("keep_apart",), message, key=True)
+
+
 def vehicles(parts: Parts, report: Report) -> None:
     """Each vehicle's numbers can be read, and make a vehicle; so does what the controller believes."""
     for entries, choice in parts.choices():

@@ -25,6 +25,7 @@ from fleet.scenario.schema.control import (
     VehicleOverrides,
 )
 from fleet.scenario.schema.faults import FaultEntry, NemesisSection
+from fleet.scenario.schema.keep_apart import KeepApartSection
 from fleet.scenario.schema.motion import (
     FormationSection,
     GraphSection,
@@ -120,6 +121,7 @@ class ScenarioSpec(Section):
     on_controller_error: OnError = "abort"
     controller_budget: Time = 0  # wall time that a law of the user may take for a sample; 0: any
     neighbours: NeighboursSection = NeighboursSection()
+    keep_apart: KeepApartSection | None = None  # between guidance and tracking
     per_vehicle: dict[VehicleNumbers, VehicleOverrides] = {}  # "3" or "2-4, 7"; later ones over earlier ones
     network: Annotated[NetworkSection, BeforeValidator(read_network), PlainSerializer(show_network)]
     physics: PhysicsSection = PhysicsSection()

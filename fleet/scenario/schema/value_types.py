@@ -116,6 +116,9 @@ Weights = Annotated[Vec3, _vector(q.NUMBER, "not negative")]
 Length = Annotated[float, _scalar(q.LENGTH, "not negative")]
 PositiveLength = Annotated[float, _scalar(q.LENGTH, "positive")]
 Position = Annotated[Vec3, _vector(q.LENGTH)]
+PlanPosition = Annotated[
+    tuple[float, float], Text(lambda v: q.pair(v, q.LENGTH), lambda v: q.show_vector(v, q.LENGTH))
+]  # north, east
 SignedSpeed = Annotated[float, _scalar(q.SPEED)]
 Speed = Annotated[float, _scalar(q.SPEED, "not negative")]
 PositiveSpeed = Annotated[float, _scalar(q.SPEED, "positive")]

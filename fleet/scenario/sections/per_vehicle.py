@@ -8,7 +8,7 @@ from functools import reduce
 from pathlib import Path
 from typing import Any
 
-from agents.config import Extrapolation, GuidanceParams, Law, TrackingParams
+from agents.config import Extrapolation, GuidanceParams, KeepApartParams, Law, TrackingParams
 from agents.controllers import CONTROLLERS, GUIDANCE, TRACKING
 from agents.profiles import profile
 from fleet.scenario.schema.control import GuidanceSection, LawSection, TrackingSection, VehicleOverrides
@@ -50,6 +50,7 @@ class Control:
     tumble_limit: float  # |pitch| beyond which it tumbles [rad]
     external: bool  # the run does not start its agent
     knows_reference: bool  # also if it does not follow it
+    keep_apart: KeepApartParams | None  # of all vehicles
 
     def plant_signals(self) -> tuple[Signal, ...] | None:
         """What its plant reports; None: it has none. Raises PluginError: it cannot be used."""
@@ -105,12 +106,15 @@ def law_names(choice: VehicleOverrides) -> tuple[str, str] | None:
     return choice.guidance.law or guidance, choice.tracking.law or tracking
 
 
-def control(choice: VehicleOverrides, tick_ns: int, vehicle: tuple[VehicleParams, Vec3]) -> Control:
+def control(
+    choice: VehicleOverrides, tick_ns: int, vehicle: tuple[VehicleParams, Vec3], keep_apart: KeepApartParams | None
+) -> Control:
     """What a vehicle of a valid scenario is and runs.
 
     Args:
         choice: every section as it holds for this vehicle.
         vehicle: its parameters and its limits [N, N m, N m].
+        keep_apart: the filter of all vehicles.
     """
     assert choice.controller is not None and choice.guidance is not None and choice.tracking is not None
     assert choice.neighbours is not None and choice.vehicle is not None and choice.model_error is not None
@@ -134,6 +138,7 @@ def control(choice: VehicleOverrides, tick_ns: int, vehicle: tuple[VehicleParams
         tumble_limit=choice.vehicle.tumble_pitch or LIMIT_RAD,
         external=bool(choice.external),
         knows_reference=choice.knows_reference is not False,
+        keep_apart=keep_apart,
     )
 
 

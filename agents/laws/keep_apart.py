@@ -1,0 +1,250 @@
+"""Keep vehicles apart and out of vertical cylinders: a filter on the commanded velocity, solved as a QP.
+
+| symbol | meaning | unit | frame |
+|---|---|---|---|
+| p_i, v_i | own measured position and velocity over ground | m, m/s | NED |
+| p_j, v_j, A | last state heard from neighbour j, and its age | m, m/s, s | NED |
+| n | unit vector from the neighbour, where it should be now, or from the axis of the cylinder, to the vehicle | 1 | NED |
+| D, R | least distance of two vehicles, radius of a cylinder | m | - |
+| h | distance along n, less D or R | m | - |
+| rho | commanded velocity | m/s | NED |
+| b | the vehicle's heading | 1 | NED |
+| a, T | gain of the barrier; longest lag of the velocity behind rho | 1/s, s | - |
+| margin(A) | what the neighbour can have done since it sampled | m | - |
+
+    minimise   |rho - target|^2 / 2 + PENALTY s
+    subject to n' (rho - m) + s >= -(a/2) (h - margin(A) + T n' (v_i - v_j)),  m = (v_i + v_j) / 2,   of each neighbour
+               n' rho       + s >= -a (h + T n' v_i),                                                of each cylinder
+               b' rho >= least ahead,   s >= 0,   |rho| at most `speed` on each axis and CLIMB `speed` downwards or upwards
+
+Both halves of a pair sum up to n' (rho_i - rho_j) >= -a (h + T h'). With v' = (rho - v) / tau, for each lag tau up to T,
+this keeps h >= 0 if h + T h' >= 0 at the start. docs/guide/keep-apart.md derives it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from math import cos, hypot, sin, sqrt
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+import piqp
+
+from agents.config import KeepApartParams
+from agents.laws.velocity_command import slew
+from agents.sample import Sample
+from world.signal import Signal
+from world.vectors import ZERO, Vec3, dot, minus, moved, plus, scale
+
+# Of a unit of slack. Larger than the multipliers of constraints that can be kept, so that these have no slack.
+PENALTY = 1000.0
+TOLERANCE = 1e-10  # of PIQP
+SLACK = 1e-6  # m/s; more than this is an infeasible problem
+CLIMB = 0.3  # greatest vertical velocity over `speed`: a vehicle climbs by pitching, and must not stand on its nose
+ASIDE = 0.5  # of the velocity that is lost along a constraint, what is added across it
+SIDE = 0.1  # a relative course that passes by less than this to port, over its length, has no side: starboard then
+_HESSIAN = np.diag([1.0, 1.0, 1.0, 0.0]).copy(order="F")  # of rho and the slack; PIQP wants columns
+_LINEAR = np.array([0.0, 0.0, 0.0, PENALTY])
+
+
+class Seen(NamedTuple):
+    """The last state heard from a neighbour, as it was sampled."""
+
+    id: int
+    position: Vec3  # m, NED
+    velocity: Vec3  # over ground [m/s, NED]
+    age: float  # s
+
+
+class Bound(NamedTuple):
+    """One constraint on the commanded velocity: n' rho >= least."""
+
+    n: Vec3  # unit vector away from what must not be approached, NED
+    least: float  # m/s
+    moves: Vec3  # velocity of what must not be approached [m/s, NED]
+
+
+class Filtered(NamedTuple):
+    """A commanded velocity that keeps apart."""
+
+    rho: Vec3  # m/s, NED
+    active: int  # constraints that hold with equality, or not at all
+    slack: float  # by how much the worst constraint is missed [m/s]
+
+
+def margin(age: float, speed: float, params: KeepApartParams) -> float:
+    """The distance [m] that makes up for the age of what is known of a neighbour.
+
+    A vehicle whose acceleration is at most alpha and whose speed is at most V differs by no more than
+    eta = min(alpha A, |v| + V) from the velocity v that it had, and by no more than delta, the integral of eta, from where
+    that velocity would have taken it. The constraint needs delta + (1/a + T) eta.
+
+    Args:
+        age: A [s]; what is beyond `age_cap_s` counts no more.
+        speed: |v| when it sampled [m/s].
+        params: `acceleration` and `speed` are the limits alpha and V.
+    """
+    alpha, span = params.acceleration, min(age, params.age_cap_s)
+    most = speed + params.speed
+    ramp = min(span, most / alpha)  # how long its velocity can go on to differ more
+    eta = alpha * ramp
+    delta = 0.5 * eta * ramp + eta * (span - ramp)
+    return delta + (1.0 / params.gain + params.lag_s) * eta
+
+
+def bounds(position: Vec3, velocity: Vec3, neighbours: Iterable[Seen], params: KeepApartParams) -> list[Bound]:
+    """The constraint of each neighbour, then of each cylinder.
+
+    What is exactly in the same place is taken to be south of the vehicle, so that it has a direction.
+
+    Args:
+        position: own, p_i [m, NED].
+        velocity: own, over ground, v_i [m/s, NED].
+        neighbours: those heard so far.
+        params: distances, gain, lag and limits.
+    """
+    a, lag = params.gain, params.lag_s
+    found = []
+    for _, place, v, age in neighbours:
+        span = min(age, params.age_cap_s)
+        n, distance = _direction(minus(position, moved(place, v, span)))
+        h = distance - params.distance - margin(age, sqrt(dot(v, v)), params)
+        moves = v if age <= params.age_cap_s else ZERO  # it is taken to wait where the extrapolation ends
+        own, its = dot(n, velocity), dot(n, moves)
+        found.append(Bound(n, 0.5 * (own + its) - 0.5 * a * (h + lag * (own - its)), moves))
+    for obstacle in params.obstacles:
+        n, distance = _direction((position[0] - obstacle.north, position[1] - obstacle.east, 0.0))
+        h = distance - obstacle.radius
+        found.append(Bound(n, -a * (h + lag * dot(n, velocity)), ZERO))
+    return found
+
+
+def apart(rho: Vec3, found: Sequence[Bound], ahead: Bound, params: KeepApartParams) -> Filtered:
+    """The commanded velocity that keeps every constraint, or misses the worst of them by as little as possible.
+
+    It is the one nearest to a target. Where rho keeps all constraints, that is rho. Otherwise the target is rho and, across
+    the direction of the constraint that rho misses most, half as much velocity as it must lose along it: so a vehicle turns
+    aside rather than stops, and two that meet head-on pass each other.
+
+    Args:
+        rho: the commanded velocity of the guidance [m/s, NED].
+        found: the constraints.
+        ahead: the least commanded velocity along the vehicle, which cannot hover; less where rho itself has less.
+        params: the limits of the commanded velocity.
+    """
+    missed = [bound.least - dot(bound.n, rho) for bound in found]
+    worst = max(missed, default=0.0)
+    if worst <= 0.0:
+        return Filtered(rho, 0, 0.0)
+    first = found[missed.index(worst)]
+    target = moved(rho, _aside(first, rho), ASIDE * worst)
+    answer = _nearest(target, found, (ahead.n, min(ahead.least, dot(ahead.n, rho))), _widest(rho, params.speed))
+    if answer is None:  # what PIQP cannot solve
+        answer = moved(rho, first.n, worst)
+    rest = [bound.least - dot(bound.n, answer) for bound in found]
+    slack = max(rest)
+    return Filtered(answer, sum(left >= -SLACK for left in rest), slack if slack > SLACK else 0.0)
+
+
+def _widest(rho: Vec3, speed: float) -> Vec3:
+    """The greatest commanded velocity on each axis [m/s]; rho itself is within it."""
+    x, y, z = rho
+    return max(speed, abs(x)), max(speed, abs(y)), max(CLIMB * speed, abs(z))
+
+
+def _nearest(target: Vec3, found: Sequence[Bound], ahead: tuple[Vec3, float], widest: Vec3) -> Vec3 | None:
+    """The velocity [m/s, NED] nearest to `target` with the least slack; None: PIQP has no solution.
+
+    Every call sets up its own solver, for the reason that agents/laws/gain_qp.py gives.
+    """
+    along, least = ahead
+    solver: Any = piqp.DenseSolver()
+    settings = solver.settings
+    settings.eps_abs = settings.eps_rel = TOLERANCE
+    settings.eps_duality_gap_abs = settings.eps_duality_gap_rel = TOLERANCE
+    solver.setup(
+        _HESSIAN,
+        _LINEAR - np.array([*target, 0.0]),
+        G=np.array([*([*bound.n, 1.0] for bound in found), [*along, 0.0]], order="F"),
+        h_l=np.array([*(bound.least for bound in found), least]),
+        x_l=np.array([*scale(widest, -1.0), 0.0]),
+        x_u=np.array([*widest, np.inf]),
+    )
+    if solver.solve() != piqp.PIQP_SOLVED:
+        return None
+    north, east, down, _ = solver.result.x.tolist()
+    return north, east, down
+
+
+def _aside(bound: Bound, rho: Vec3) -> Vec3:
+    """The horizontal direction in which to pass: where the relative course passes already, to starboard if nowhere."""
+    x, y, _ = bound.n
+    level = hypot(x, y)
+    if level == 0.0:
+        return ZERO  # straight above or below: no side
+    starboard = (y / level, -x / level, 0.0)  # of the course -n
+    relative = minus(rho, bound.moves)
+    port = dot(starboard, relative) < -SIDE * sqrt(dot(relative, relative))
+    return scale(starboard, -1.0) if port else starboard
+
+
+def _direction(away: Vec3) -> tuple[Vec3, float]:
+    """Unit vector and length."""
+    length = sqrt(dot(away, away))
+    return (scale(away, 1.0 / length), length) if length > 0.0 else ((1.0, 0.0, 0.0), 0.0)
+
+
+class KeepApart:
+    """The filter of one vehicle.
+
+    It remembers its last change, since it changes the command no faster than `slew`, and how often there was no velocity
+    that keeps every constraint.
+    """
+
+    signals: ClassVar[tuple[Signal, ...]] = (
+        Signal("keep_apart_active", "1", "constraints that hold with equality, or not at all"),
+        Signal("keep_apart_slack", "m/s", "by how much the worst constraint is missed; 0: all are kept"),
+        Signal("keep_apart_infeasible", "1", "samples with slack since the start"),
+        Signal("keep_apart_change", "m/s", "commanded velocity less that of the guidance, NED", 3),
+    )
+
+    def __init__(self, params: KeepApartParams, least_ahead: float) -> None:
+        """
+        Args:
+            params: distances, gain, lag and limits.
+            least_ahead: the least commanded velocity along the vehicle [m/s].
+        """
+        self._params = params
+        self._least_ahead = least_ahead
+        self._change: Vec3 = ZERO
+        self.infeasible = 0
+
+    def step(self, rho: Vec3, sample: Sample, neighbours: Iterable[Seen]) -> tuple[Vec3, tuple[float, ...]]:
+        """Answer one sample.
+
+        Args:
+            rho: the commanded velocity of the guidance [m/s, NED].
+            sample: own `eta` [m, rad, NED] and `velocity` [m/s, NED].
+            neighbours: those heard so far.
+
+        Returns:
+            The commanded velocity [m/s, NED], and the values of `signals`, flat.
+        """
+        params, heading = self._params, sample.eta[4]
+        ahead = Bound((cos(heading), sin(heading), 0.0), self._least_ahead, ZERO)
+        found = bounds(sample.eta[:3], sample.velocity, neighbours, params)
+        goal, active, slack = apart(rho, found, ahead, params)
+        self.infeasible += slack > 0.0
+        self._change = slew(minus(goal, rho), self._change, params.slew * sample.dt)
+        answer = rho if self._change == ZERO else plus(rho, self._change)
+        return answer, (float(active), slack, float(self.infeasible), *self._change)
+
+    def state(self) -> dict[str, Any]:
+        """Plain values of everything that the next sample depends on."""
+        return {"change": list(self._change), "infeasible": self.infeasible}
+
+    def restore(self, values: dict[str, Any]) -> None:
+        """Continue from `state()`."""
+        x, y, z = values["change"]
+        self._change = (x, y, z)
+        self.infeasible = values["infeasible"]

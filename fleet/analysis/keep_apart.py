@@ -1,0 +1,54 @@
+"""What the section `keep_apart` cannot do in a scenario, as warnings before a run."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from itertools import combinations
+from math import dist
+
+from fleet.quantities import vehicle_names
+from fleet.scenario.scenario import Scenario
+from fleet.scenario.schema.keep_apart import KeepApartSection
+from world.vectors import Vec3, plus
+
+
+def keep_apart_warnings(scenario: Scenario) -> Iterator[str]:
+    """One sentence for each; none without the section."""
+    section = scenario.spec.keep_apart
+    if section is None:
+        return
+    without = [i for i, control in enumerate(scenario.controls, start=1) if not control.cascade]
+    if without:
+        yield (
+            f"keep_apart acts between guidance and tracking: {vehicle_names(without)} with a law in place of both "
+            f"{'does' if len(without) == 1 else 'do'} nothing for it, and the others do their half only"
+        )
+    links = set(scenario.graph.links)
+    pairs = combinations(range(1, scenario.vehicles + 1), 2)
+    deaf = [(i, j) for i, j in pairs if (i, j) not in links or (j, i) not in links]
+    if deaf:
+        more = f", and {len(deaf) - 1} more pairs like them" if len(deaf) > 1 else ""
+        yield (
+            f"keep_apart: vehicles {deaf[0][0]} and {deaf[0][1]} do not both hear each other{more}; a vehicle keeps apart "
+            "from those that it hears, so add links to the graph"
+        )
+    yield from _too_near("at the start", [eta[:3] for eta, _ in scenario.initial], section)
+    end = scenario.duration_ns / 1e9
+    place = scenario.reference.at(end).position
+    there = [plan.at(end).position for plan in scenario.plans]
+    yield from _too_near("in the formation at the end", [plus(place, offset) for offset in there], section)
+
+
+def _too_near(when: str, places: Sequence[Vec3], section: KeepApartSection) -> Iterator[str]:
+    numbered = list(enumerate(places, start=1))
+    pairs = [(dist(p, q), i, j) for (i, p), (j, q) in combinations(numbered, 2)]
+    nearest = min(pairs, default=None)
+    if nearest is not None and nearest[0] < section.distance:
+        yield (
+            f"keep_apart: {when} vehicles {nearest[1]} and {nearest[2]} are {nearest[0]:.4g} m apart, and "
+            f"{section.distance:g} m is asked for"
+        )
+    for number, obstacle in enumerate(section.obstacles, start=1):
+        inside = [i for i, (north, east, _) in numbered if dist((north, east), obstacle.at) < obstacle.radius]
+        if inside:
+            yield f"keep_apart: {when} {vehicle_names(inside)} {'is' if len(inside) == 1 else 'are'} within obstacle {number}"

@@ -1,0 +1,49 @@
+"""Vehicles kept apart in whole runs: columns that cross over a bad network, and a cylinder on the course."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import fleet
+from fleet.execution.execute import execute
+from fleet.execution.judged import run
+from fleet.execution.options import Options
+from fleet.execution.outcome import Status
+from fleet.scenario.loading import parse_scenario
+
+CYLINDER = """\
+title: A cylinder lies on the course
+vehicles: 1
+duration: 60 s
+reference: {start: 0 0 10 m, velocity: 0.7 0 0 m/s}
+formation: {offsets: [0 0 0 m]}
+graph: {shape: complete}
+initial: {scatter: 0 m, surge: 0.7 m/s, around: reference}
+profile: hardened
+guidance: {rho_lo: 0.2 -1 -0.4 m/s, rho_hi: 1.4 1 0.4 m/s}
+network: {period: 100 ms}
+keep_apart: {distance: 3 m, obstacles: [{at: 20 0 m, radius: 2 m}]}
+"""
+
+
+@pytest.mark.parametrize("changes", [{}, {"network.links": "{}"}, {"keep_apart": "null"}], ids=["lossy", "good", "off"])
+def test_columns_cross_and_keep_their_distance(changes: dict[str, str]) -> None:
+    """Over 30 % of loss and 300 ms of delay, over a good network; and not without the section."""
+    result = run("crossing", set={**changes, "log": "none"})
+    failed = {verdict.check for verdict in result.verdicts if not verdict.passed}
+    assert failed == ({"min_separation"} if "keep_apart" in changes else set()), result.verdicts
+
+
+def test_a_vehicle_goes_round_a_cylinder_on_its_course(tmp_path: Path) -> None:
+    result = execute(parse_scenario(CYLINDER, "cylinder.yaml"), Options(tmp_path, in_process=True, quiet=True))
+    assert result.status is Status.PASS, result.verdicts
+    log = fleet.open_log(result.directory)
+    state, guidance = log["uuv/1/state"], log["uuv/1/guidance"]
+    assert np.hypot(state.x - 20.0, state.y).min() > 2.0
+    assert state.x[-1] > 35.0, "it is past the cylinder"
+    assert abs(state.y[-1]) < 0.5, "and on its course again"
+    assert guidance.keep_apart_active.max() == 1.0
+    assert guidance.keep_apart_infeasible[-1] == 0.0

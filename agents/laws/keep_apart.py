@@ -4,7 +4,7 @@
 |---|---|---|---|
 | p_i, v_i | own measured position and velocity over ground | m, m/s | NED |
 | p_j, v_j, A | last state heard from neighbour j, and its age | m, m/s, s | NED |
-| n | unit vector from the neighbour, where it should be now, or from the axis of the cylinder, to the vehicle | 1 | NED |
+| n | unit vector to the vehicle from where the neighbour should be now, or from the axis of a cylinder | 1 | NED |
 | D, R | least distance of two vehicles, radius of a cylinder | m | - |
 | h | distance along n, less D or R | m | - |
 | rho | commanded velocity | m/s | NED |
@@ -13,12 +13,12 @@
 | margin(A) | what the neighbour can have done since it sampled | m | - |
 
     minimise   |rho - target|^2 / 2 + PENALTY s
-    subject to n' (rho - m) + s >= -(a/2) (h - margin(A) + T n' (v_i - v_j)),  m = (v_i + v_j) / 2,   of each neighbour
-               n' rho       + s >= -a (h + T n' v_i),                                                of each cylinder
-               b' rho >= least ahead,   s >= 0,   |rho| at most `speed` on each axis and CLIMB `speed` downwards or upwards
+    subject to n' (rho - m) + s >= -(a/2) (h - margin(A) + T n' (v_i - v_j)),  m = (v_i + v_j) / 2,  of each neighbour
+               n' rho       + s >= -a (h + T n' v_i),                                               of each cylinder
+               b' rho >= least ahead,   s >= 0,   |rho| <= speed on each axis, CLIMB speed on the vertical one
 
-Both halves of a pair sum up to n' (rho_i - rho_j) >= -a (h + T h'). With v' = (rho - v) / tau, for each lag tau up to T,
-this keeps h >= 0 if h + T h' >= 0 at the start. docs/guide/keep-apart.md derives it.
+Both halves of a pair sum up to n' (rho_i - rho_j) >= -a (h + T h'). With v' = (rho - v) / tau, for each lag tau up
+to T, this keeps h >= 0 if h + T h' >= 0 at the start. docs/guide/keep-apart.md derives it.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from agents.config import KeepApartParams
 from agents.laws.velocity_command import slew
 from agents.sample import Sample
 from world.signal import Signal
-from world.vectors import ZERO, Vec3, dot, minus, moved, plus, scale
+from world.vectors import ZERO, Vec3, dot, minus, moved, scale
 
 # Of a unit of slack. Larger than the multipliers of constraints that can be kept, so that these have no slack.
 PENALTY = 1000.0
@@ -76,8 +76,8 @@ def margin(age: float, speed: float, params: KeepApartParams) -> float:
     """The distance [m] that makes up for the age of what is known of a neighbour.
 
     A vehicle whose acceleration is at most alpha and whose speed is at most V differs by no more than
-    eta = min(alpha A, |v| + V) from the velocity v that it had, and by no more than delta, the integral of eta, from where
-    that velocity would have taken it. The constraint needs delta + (1/a + T) eta.
+    eta = min(alpha A, |v| + V) from the velocity v that it had, and by no more than delta, the integral of eta, from
+    where that velocity would have taken it. The constraint needs delta + (1/a + T) eta.
 
     Args:
         age: A [s]; what is beyond `age_cap_s` counts no more.
@@ -122,9 +122,9 @@ def bounds(position: Vec3, velocity: Vec3, neighbours: Iterable[Seen], params: K
 def apart(rho: Vec3, found: Sequence[Bound], ahead: Bound, params: KeepApartParams) -> Filtered:
     """The commanded velocity that keeps every constraint, or misses the worst of them by as little as possible.
 
-    It is the one nearest to a target. Where rho keeps all constraints, that is rho. Otherwise the target is rho and, across
-    the direction of the constraint that rho misses most, half as much velocity as it must lose along it: so a vehicle turns
-    aside rather than stops, and two that meet head-on pass each other.
+    It is the one nearest to a target. Where rho keeps all constraints, that is rho. Otherwise the target is rho and,
+    across the direction of the constraint that rho misses most, half as much velocity as it must lose along it: so a
+    vehicle turns aside rather than stops, and two that meet head-on pass each other.
 
     Args:
         rho: the commanded velocity of the guidance [m/s, NED].
@@ -177,7 +177,7 @@ def _nearest(target: Vec3, found: Sequence[Bound], ahead: tuple[Vec3, float], wi
 
 
 def _aside(bound: Bound, rho: Vec3) -> Vec3:
-    """The horizontal direction in which to pass: where the relative course passes already, to starboard if nowhere."""
+    """The horizontal direction in which to pass: where the relative course passes already, else to starboard."""
     x, y, _ = bound.n
     level = hypot(x, y)
     if level == 0.0:
@@ -197,8 +197,8 @@ def _direction(away: Vec3) -> tuple[Vec3, float]:
 class KeepApart:
     """The filter of one vehicle.
 
-    It remembers its last change, since it changes the command no faster than `slew`, and how often there was no velocity
-    that keeps every constraint.
+    While it changes the command, that moves no faster than `slew`, so the filter remembers its last answer; and it
+    counts how often there was no velocity that keeps every constraint.
     """
 
     signals: ClassVar[tuple[Signal, ...]] = (
@@ -216,7 +216,8 @@ class KeepApart:
         """
         self._params = params
         self._least_ahead = least_ahead
-        self._change: Vec3 = ZERO
+        self._answer: Vec3 | None = None  # to the sample before
+        self._changes = False  # whether that was another velocity than the guidance's
         self.infeasible = 0
 
     def step(self, rho: Vec3, sample: Sample, neighbours: Iterable[Seen]) -> tuple[Vec3, tuple[float, ...]]:
@@ -235,16 +236,20 @@ class KeepApart:
         found = bounds(sample.eta[:3], sample.velocity, neighbours, params)
         goal, active, slack = apart(rho, found, ahead, params)
         self.infeasible += slack > 0.0
-        self._change = slew(minus(goal, rho), self._change, params.slew * sample.dt)
-        answer = rho if self._change == ZERO else plus(rho, self._change)
-        return answer, (float(active), slack, float(self.infeasible), *self._change)
+        if active or self._changes:
+            before = rho if self._answer is None else self._answer
+            goal = slew(goal, before, params.slew * sample.dt)
+        self._answer, self._changes = goal, goal != rho
+        return goal, (float(active), slack, float(self.infeasible), *minus(goal, rho))
 
     def state(self) -> dict[str, Any]:
         """Plain values of everything that the next sample depends on."""
-        return {"change": list(self._change), "infeasible": self.infeasible}
+        answer = None if self._answer is None else list(self._answer)
+        return {"answer": answer, "changes": self._changes, "infeasible": self.infeasible}
 
     def restore(self, values: dict[str, Any]) -> None:
         """Continue from `state()`."""
-        x, y, z = values["change"]
-        self._change = (x, y, z)
+        answer = values["answer"]
+        self._answer = None if answer is None else (answer[0], answer[1], answer[2])
+        self._changes = values["changes"]
         self.infeasible = values["infeasible"]

@@ -29,8 +29,8 @@ def keep_apart_warnings(scenario: Scenario) -> Iterator[str]:
     if deaf:
         more = f", and {len(deaf) - 1} more pairs like them" if len(deaf) > 1 else ""
         yield (
-            f"keep_apart: vehicles {deaf[0][0]} and {deaf[0][1]} do not both hear each other{more}; a vehicle keeps apart "
-            "from those that it hears, so add links to the graph"
+            f"keep_apart: vehicles {deaf[0][0]} and {deaf[0][1]} do not both hear each other{more}; a vehicle keeps "
+            "apart from those that it hears, so add links to the graph"
         )
     yield from _too_near("at the start", [eta[:3] for eta, _ in scenario.initial], section)
     end = scenario.duration_ns / 1e9
@@ -51,4 +51,5 @@ def _too_near(when: str, places: Sequence[Vec3], section: KeepApartSection) -> I
     for number, obstacle in enumerate(section.obstacles, start=1):
         inside = [i for i, (north, east, _) in numbered if dist((north, east), obstacle.at) < obstacle.radius]
         if inside:
-            yield f"keep_apart: {when} {vehicle_names(inside)} {'is' if len(inside) == 1 else 'are'} within obstacle {number}"
+            verb = "is" if len(inside) == 1 else "are"
+            yield f"keep_apart: {when} {vehicle_names(inside)} {verb} within obstacle {number}"

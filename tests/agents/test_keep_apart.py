@@ -1,4 +1,4 @@
-"""The filter that keeps vehicles apart: its constraints hold, the distance it is for holds, and it does no more than that."""
+"""The filter that keeps vehicles apart: its constraints hold, so does the distance, and it does no more than that."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ def test_the_margin_grows_with_age_up_to_the_cap(a: float, b: float, speed: floa
 
 @given(speed, angle, st.lists(angle, min_size=1, max_size=20))
 def test_the_margin_covers_what_a_neighbour_can_have_done(start: float, heading: float, pushes: list[float]) -> None:
-    """Pushed with the greatest acceleration in any directions it is no farther away, and no faster or slower, than told."""
+    """Pushed with the greatest acceleration in any directions it is no farther away, and no faster, than told."""
     dt, v0 = 0.1, course(start, heading)
     p, v = ZERO, v0
     for push in pushes:

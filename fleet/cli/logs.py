@@ -15,7 +15,7 @@ from fleet.cli.study_pictures import check_options, is_study, measure_option, pl
 from fleet.cli.types import Vehicles, Window, Words
 from fleet.terminal.folding import say
 
-KINDS = ("track", "error", "velocity", "inputs", "commands", "gains", "links", "messages", "ages", "timing")
+KINDS = ("track", "error", "velocity", "attitude", "inputs", "commands", "gains", "links", "messages", "ages", "timing")
 PARTS = ("track-3d", "formation")  # single pictures of track and error
 FORMATS = ("png", "svg", "pdf")
 _OF_LOGS = {name: f"--{name}" for name in ("what", "compare", "vehicles", "window")}
@@ -72,9 +72,9 @@ def plot(
 ) -> None:
     """Draw pictures of LOG (an MCAP file, or a run directory), as wide as a column of a journal.
 
-    Tracks, consensus and formation errors with what the checks ask, velocity errors, inputs, commands and gains with
-    their limits, shares of packets by fate, messages in space and time, ages of information; faults are shaded.
-    Prints the files.
+    Tracks, consensus and formation errors with what the checks ask, velocity errors, attitude, inputs, commands and
+    gains with their limits, shares of packets by fate, messages in space and time, ages of information; faults are
+    shaded. Prints the files.
 
     Of the directory of a study: pass rate and measures with intervals as heat maps, curves or boxes, a sample as
     parallel coordinates, and differences in pairs of runs with the same seed. Hatched: runs without the number.

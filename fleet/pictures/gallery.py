@@ -27,6 +27,7 @@ WHAT: dict[str, tuple[tuple[str, str, Draw], ...]] = {
         ("formation", "Distance of each vehicle from its place in the formation", signals.formation),
     ),
     "velocity": (("velocity", "Velocity tracking errors z", signals.velocity),),
+    "attitude": (("attitude", "Roll, pitch and heading of the hulls", signals.attitude),),
     "inputs": (("inputs", "Force and moments as applied, limits, and where a limit was met", signals.inputs),),
     "commands": (("commands", "Velocity commands and the bounds that the optimisation keeps", signals.commands),),
     "gains": (("gains", "Gains that the optimisation chooses, and their bounds", signals.gains),),
@@ -35,6 +36,8 @@ WHAT: dict[str, tuple[tuple[str, str, Draw], ...]] = {
     "ages": (("ages", "Age of what was last heard on each link", exchange.ages),),
     "timing": (("timing", "On a wall clock: how late agents answered, what delays became", timing.punctuality),),
 }
+# Those that are left out where everything is asked for, if they hold for none of the runs.
+_ONLY_IF: dict[str, Callable[[Run], bool]] = {"timing": timing.on_wall_clock, "attitude": signals.rolls}
 PER_RUN = frozenset({"links", "messages", "timing"})  # those that show one run only: of several, each has its own
 
 
@@ -59,7 +62,7 @@ def _each(
     single = {picture[0]: (picture,) for pictures in WHAT.values() for picture in pictures}
     for number, kind in enumerate(what):
         share(number / len(what))
-        if kind == "timing" and asked_for_all and not any(map(timing.on_wall_clock, runs)):
+        if asked_for_all and kind in _ONLY_IF and not any(map(_ONLY_IF[kind], runs)):
             continue
         for name, title, make in WHAT.get(kind) or single[kind]:
             if name in begun:

@@ -99,6 +99,24 @@ def velocity(runs: Sequence[Run], view: View) -> Figure:
     return figure
 
 
+def rolls(run: Run) -> bool:
+    """Whether a vehicle of a run has roll."""
+    return run.scenario is not None and bool(run.scenario.plants)
+
+
+def attitude(runs: Sequence[Run], view: View) -> Figure:
+    """Attitude of each hull: roll, of vehicles that have it, pitch and heading."""
+    rows = [("phi", "roll")] if any(map(rolls, runs)) else []
+    rows += [("theta", "pitch"), ("psi", "heading")]
+    figure, axes = over_time(len(rows), runs, view)
+    panel = [(ax, component("state", name, change=np.degrees)) for ax, (name, _) in zip(axes, rows, strict=True)]
+    notes = draw_lines(figure, panel, runs, view)
+    for ax, (_, label) in zip(axes, rows, strict=True):
+        ax.set_ylabel(f"{label} [deg]")
+    finish(figure, axes, runs, notes)
+    return figure
+
+
 def inputs(runs: Sequence[Run], view: View) -> Figure:
     """Force and moments as applied; heavy where the commanded ones are at their limit."""
     figure, axes = over_time(3, runs, view)

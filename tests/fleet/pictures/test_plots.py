@@ -25,6 +25,7 @@ from fleet.cli.main import cli
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
 from fleet.logs.export import export
+from fleet.logs.open_log import open_log
 from fleet.logs.run_name import run_name
 from fleet.logs.table import ExportError, columns
 from fleet.pictures import exchange, signals
@@ -199,6 +200,19 @@ def test_two_runs_on_one_axis(directories: dict[str, Path]) -> None:
     assert set(pictures(both, ["links", "ages"])) == {"links-faulty", "links-mixed", "ages"}
     same = load([directories["faulty"], directories["faulty"]])
     assert len({run.label for run in same}) == 2
+
+
+def test_attitude_has_roll_where_a_vehicle_has(runs: dict[str, Run], tmp_path: Path) -> None:
+    asked = ["duration=200 ms", "per_vehicle.2.vehicle.plant=own_plants:Rolling"]
+    rolled = execute(load_scenario("paper", asked), Options(tmp_path, in_process=True, quiet=True))
+    assert len(figure_of(runs["one"], "attitude", "attitude").axes) == 2
+    roll, _, heading = figure_of(*load([rolled.directory]), "attitude", "attitude").axes
+    assert (roll.get_ylabel(), heading.get_ylabel()) == ("roll [deg]", "heading [deg]")
+    (line,) = roll.get_lines()
+    truth = open_log(rolled.directory)["uuv/2/state"].phi
+    assert np.allclose(np.asarray(line.get_ydata()), np.degrees(truth))
+    assert "attitude" not in pictures(runs["one"], list(WHAT))
+    assert "attitude" in pictures(*load([rolled.directory]), list(WHAT))
 
 
 def test_what_is_missing_is_said(runs: dict[str, Run]) -> None:

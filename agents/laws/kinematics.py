@@ -20,7 +20,7 @@ def earth_velocity(eta: Vec5, nu: Vec5, phi: float = 0.0) -> Vec3:
     """Velocity over ground in earth axes: R(theta, psi) (u, v, w), the first three rows of eq. (1).
 
     Of a vehicle that rolls it is R(phi, theta, psi) (u, v, w). Without phi the answer is then wrong by at most
-    2 sin(|phi| / 2) hypot(v, w): 2 cm/s at 10 degrees and 0.1 m/s of sway.
+    `2 sin(|phi| / 2) hypot(v, w)`: 2 cm/s at 10 degrees and 0.1 m/s of sway.
 
     Args:
         eta: x, y, z [m, NED], theta, psi [rad].

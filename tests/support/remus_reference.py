@@ -149,7 +149,7 @@ def _driven(vehicle: Any, manoeuvre: Manoeuvre, drift: float) -> Run:
             place = eta[:3] + np.array([c * t, s * t, 0.0])
             rows.append(np.r_[place, eta[3:], over_ground, nu[3:], actual[2], actual[0], actual[1]])
         n, rudder, stern = manoeuvre.commands(t)
-        nu_next, actual = vehicle.dynamics(eta, nu, actual, np.array([rudder, stern, n]), STEP_S)
+        nu_next, actual = vehicle.dynamics(eta, nu.copy(), actual, np.array([rudder, stern, n]), STEP_S)
         eta = attitudeEuler(eta, nu, STEP_S)
         nu = nu_next
     return np.array(rows)

@@ -43,7 +43,7 @@ class OwnChecks:
         for key, place, name, _ in checks.own():
             if facts is None or key not in (checks.python or {}):
                 asked = ask((checks.signal or [])[place], self._places)
-                self._signals.append(RunningSignalCheck(name, asked, scenario, self._places))
+                self._signals.append(RunningSignalCheck(name, asked, scenario, self._places, begin))
             else:
                 self._python.append(RunningPythonCheck(name, key, (checks.python or {})[key][place], facts))
         self._moments: dict[str, Moment] = {}  # at which checks failed, by name

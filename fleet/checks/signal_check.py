@@ -22,13 +22,23 @@ class RunningSignalCheck:
     """A check on a signal, and what was found so far."""
 
     def __init__(
-        self, name: str, asked: AskedOfSignal, scenario: Scenario, vehicles: Mapping[int, Mapping[str, Place]]
+        self,
+        name: str,
+        asked: AskedOfSignal,
+        scenario: Scenario,
+        vehicles: Mapping[int, Mapping[str, Place]],
+        begin: int,
     ) -> None:
-        """`vehicles`: the signals of each."""
+        """Begin with the run.
+
+        Args:
+            vehicles: the signals of each.
+            begin: tick at which the run begins. What was before counts in nothing.
+        """
         self.name, self.words, self.group = name, asked.words, asked.signal.group
         self._asked, self._tick_ns, self._last = asked, scenario.tick_ns, scenario.ticks
         self._every = scenario.log_every[asked.signal.group]
-        self._after = -(-asked.after_ns // scenario.tick_ns)
+        self._after = max(begin, -(-asked.after_ns // scenario.tick_ns))
         self._places = [
             (i, place.values) for i in asked.vehicles if (place := vehicles[i].get(asked.signal.name)) is not None
         ]

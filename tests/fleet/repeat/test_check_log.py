@@ -111,10 +111,12 @@ def test_a_cut_log_is_judged_to_where_it_is_whole(folder: Path) -> None:
 def test_a_run_that_goes_on_is_judged_from_there(folder: Path) -> None:
     first = run("log.snapshot=500 ms")
     assert first.directory is not None
-    scenario, start = continuation(first.directory, 1_000_000_000)
+    asked = "{name: spread, topic: state.z, below: 99 m, eventually_within: 100 ms}"  # after where it begins
+    scenario, start = continuation(first.directory, 1_000_000_000, [f"checks.signal.5={asked}"])
     result = execute(scenario, Options(Path("runs"), in_process=True, quiet=True, start=start))
     assert result.directory is not None
     verdicts = own(result)
+    assert (verdicts[4].passed, verdicts[4].value) == (True, 0.0)
     assert verdicts[-1].found.startswith("1 s: [101, ")
     assert check_log(result.directory).verdicts == verdicts
 

@@ -1,8 +1,9 @@
-"""Agents of a protocol without vehicles: they exchange payloads in rounds over a network that loses, delays and repeats."""
+"""Agents of a protocol without vehicles: they exchange payloads in rounds over a network that loses, delays, repeats."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
+from itertools import pairwise
 from random import Random
 from typing import Any
 
@@ -115,4 +116,4 @@ def ring(n: int) -> list[Link]:
 
 
 def line(*order: int) -> list[Link]:
-    return both_ways(*zip(order, order[1:], strict=False))
+    return both_ways(*pairwise(order))

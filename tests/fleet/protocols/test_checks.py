@@ -46,7 +46,7 @@ MEASURED = (10.0, 20.0, 60.0)
         ([(0.0, (), MEASURED, MEASURED), (2.0, (), MEASURED, (30.0, 30.2, 29.8))], 2.0, (2, 3)),
         ([(0.0, CUT, MEASURED, MEASURED), (2.0, CUT, MEASURED, (10.0, 40.0, 40.0))], None, ()),
         ([(0.0, CUT, MEASURED, MEASURED), (2.0, CUT, MEASURED, (30.0, 30.0, 30.0))], 2.0, (1,)),
-        ([(0.0, (), (10.0, None, 60.0), (35.0, None, 35.0)), (2.0, (), (10.0, None, 60.0), (35.0, None, 35.0))], None, ()),
+        ([(t, (), (10.0, None, 60.0), (35.0, None, 35.0)) for t in (0.0, 2.0)], None, ()),
         ([(0.0, (), MEASURED, MEASURED), (1.5, CUT, MEASURED, MEASURED), (3.4, CUT, MEASURED, MEASURED)], None, ()),
     ],
     ids=["settles", "two are off", "per side", "not per side", "without the dead", "the sides changed"],

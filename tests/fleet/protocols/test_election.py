@@ -63,7 +63,7 @@ def test_a_quorum_of_the_fleet_never_has_two_leaders(seed: int, links: Any, loss
 @settings(max_examples=12, deadline=None)
 @given(seed=st.integers(0, 10**6), links=st.sampled_from(GRAPHS), quorum=st.sampled_from(["fleet", "side"]))
 def test_all_agree_within_the_bound_after_any_history(seed: int, links: Any, quorum: Any) -> None:
-    """Two leases and seven times what news take across, after the last change; a quorum of a side has one leader then."""
+    """Two leases and seven times what news take across, after the last change; a side has one leader from a lease on."""
     spread = 8  # rounds: over four links of up to two rounds
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(election, "FormationAgent", Still)
@@ -229,7 +229,7 @@ def test_its_memory_goes_on() -> None:
 
 @pytest.mark.parametrize("parameters", [{"vehicles": 4}, {"vehicles": 5, "quorum": "most"}])
 def test_parameters_that_make_no_sense_are_refused(parameters: Any) -> None:
-    with pytest.raises(ValueError, match="expected fleet or side|there is a vehicle 5"):
+    with pytest.raises(ValueError, match=r"expected fleet or side|there is a vehicle 5"):
         Election(SCENARIO.agent_config(5), **parameters)
 
 

@@ -5,7 +5,7 @@ which it was made, candidate, tick up to which it grants that candidate a lease]
 
 * A vehicle grants to one candidate at a time: it turns to another one only when all that it granted before has expired.
   After its start it first listens for one lease, because a life before may have granted.
-* It extends its grant while the candidate is fresh and leads. Otherwise it turns to the lowest number that is fresh.
+* It grants to the leader that it knows of; if there is none, to the lowest number that is fresh.
 * What it grants lasts one lease from the candidate's newest record, so who is not heard leads for one lease at most.
 * A vehicle leads while more than half of the voters grant to it: of the whole fleet (`quorum: fleet`), or of those
   whose records are fresh (`quorum: side`).
@@ -104,9 +104,8 @@ class Election:
         if self._silent_until < 0:
             self._silent_until = tick + self._lease
         fresh = self._fresh(tick)
-        wanted = self._candidate
-        if wanted not in fresh or self._leader(fresh, tick) != wanted:
-            wanted = min(fresh)
+        leader = self._leader(fresh, tick)
+        wanted = leader if leader in fresh else min(fresh)
         if tick >= self._silent_until and (wanted == self._candidate or tick >= self._until):
             self._candidate = wanted
             self._until = max(self._until, fresh[wanted].made + self._lease)

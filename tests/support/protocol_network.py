@@ -1,4 +1,4 @@
-"""Agents of a protocol without vehicles: they exchange payloads in rounds over a network that loses, delays, repeats."""
+"""Agents of a protocol without vehicles: they exchange payloads over a network that loses, delays and repeats."""
 
 from __future__ import annotations
 

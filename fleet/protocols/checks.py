@@ -112,7 +112,9 @@ class AgreeAfterHeal:
         elapsed = tick.t - self._sides.since
         for side in self._sides.groups:
             named = [tick.vehicles[i - 1]["control.leader"] for i in side]
-            if None in named or (len(set(named)) == 1 and self._may_be(int(named[0]), side, tick)):
+            if None in named:  # the log has no sample of it at this tick
+                return None
+            if len(set(named)) == 1 and self._may_be(int(named[0]), side, tick):
                 continue
             if elapsed < self._within:
                 self._agreed_since = None

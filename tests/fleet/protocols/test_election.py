@@ -100,11 +100,15 @@ def test_the_lowest_number_leads_first() -> None:
     assert leaders(net) == [1]
 
 
-def test_when_the_leader_ends_another_follows_within_a_lease_and_twice_across() -> None:
+@pytest.mark.parametrize("rounds", [1, 2, 4])
+def test_when_the_leader_ends_another_follows_within_the_bound(rounds: int) -> None:
+    """A lease, what news take across, and a round; a link takes so many rounds."""
     net = network()
-    net.run(2 * LEASE)
+    delay = (ROUND_TICKS * rounds, ROUND_TICKS * rounds)
+    net.run(3 * LEASE, delay=delay)
+    assert leaders(net) == [1]
     net.kill(1)
-    net.run(LEASE + 2 * 3 + 1)  # three links from 2 to 5 are left
+    net.run(LEASE + 3 * rounds + 1, delay=delay)  # three links from 2 to 5 are left
     assert agreed(net, 2, 2, 3, 4, 5)
     assert leaders(net) == [2]
 

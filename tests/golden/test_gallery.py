@@ -18,7 +18,8 @@ from fleet.scenario.loading import load_scenario
 GALLERY = {
     "lossy": 10, "burst": 10, "partition-heal": 35, "kill": 30, "kill-restart": 40, "gauss-markov-current": 12,
     "nemesis": 45, "acoustic-80bps": 25, "acoustic-s2c": 20, "rough-sea": 10, "breakdown": 30, "follow-the-leader": 20,
-    "leader-lost": 70, "leader-lost-standby": 70, "acoustic-noise": 25, "remus": 5, "mixed": 5,
+    "leader-lost": 70, "leader-lost-standby": 70, "acoustic-noise": 25, "remus": 5, "mixed": 5, "average": 20,
+    "average-naive": 5, "election": 40, "election-slow": 8,
 }  # fmt: skip
 PAGE = ROOT / "docs" / "guide" / "scenarios.md"
 LONG = 10  # [s]; a distributed run of more is one of the slow tests
@@ -29,6 +30,7 @@ LONGEST = (
     *("leader-lost", "leader-lost-standby", "follow-the-leader", "nemesis", "gauss-markov-current"),
     *("partition-heal", "rough-sea", "remus", "mixed"),
     *("acoustic-noise", "acoustic-80bps", "acoustic-s2c"),
+    *("average", "election"),
 )
 
 
@@ -63,6 +65,9 @@ def test_distributed_is_in_process(name: str, seconds: int, tmp_path: Path) -> N
     assert fleet.values["deaths"] == {}
 
 
+OF_PROTOCOLS = {"TrueMean", "AtMostOneLeader", "AgreeAfterHeal"}
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "changes", "passes"),
@@ -80,6 +85,11 @@ def test_distributed_is_in_process(name: str, seconds: int, tmp_path: Path) -> N
         ("remus", {"reference.velocity": "0.4 0.05 0 m/s"}, False),
         ("leader-lost", {"knows_reference": "true"}, True),  # as in the scenario survey
         ("leader-lost-standby", {"graph.standby": "null"}, False),
+        ("average-naive", {"network.links": "{}"}, True),
+        ("average", {"agent": "fleet.protocols.average:NaiveAverage"}, False),
+        ("election-slow", {"network.links": "{'*': delay 300ms}"}, True),
+        ("election-slow", {"agent.parameters.quorum": "fleet"}, False),
+        ("election", {"agent.parameters.quorum": "side"}, False),
     ],
     ids=lambda value: value if isinstance(value, str) else "",
 )
@@ -90,7 +100,7 @@ def test_in_these_the_network_matters(name: str, changes: dict[str, str], passes
     result = execute(thin, Options(tmp_path, in_process=True, quiet=True))
     failed = {verdict.check for verdict in result.verdicts if not verdict.passed}
     assert (result.status is Status.PASS) is passes, result.verdicts
-    assert failed <= {"formation_error", "tumbled", "qp_infeasible"}  # nothing of ours
+    assert failed <= {"formation_error", "tumbled", "qp_infeasible", *OF_PROTOCOLS}  # nothing of ours
 
 
 def test_the_page_says_what_each_teaches() -> None:

@@ -106,9 +106,10 @@ def test_modules_and_functions_that_a_page_names_exist(page: str) -> None:
 
 
 COMMAND = re.compile(r"(?:^|`|&& |\| |bin/)fleet ([a-z][^`#\n|&]*)", re.MULTILINE)
+PAGES_OF_THE_SITE = [page for page in sorted(ROOT.glob("docs/*/**/*.md")) if "_build" not in page.parts]
 WITH_COMMANDS = {
     path: COMMAND.findall((ROOT / path).read_text("utf-8"))
-    for path in ["README.md", "CONTRIBUTING.md", *(str(p.relative_to(ROOT)) for p in sorted(ROOT.glob("docs/*/*.md")))]
+    for path in ["README.md", "CONTRIBUTING.md", *(str(p.relative_to(ROOT)) for p in PAGES_OF_THE_SITE)]
 }
 
 

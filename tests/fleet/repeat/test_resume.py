@@ -61,6 +61,12 @@ def since(directory: Path, ns: int) -> list[Record]:
         ("crossing", ["duration=2 s", "keep_apart.distance=25 m"]),
         pytest.param("helix", ["duration=2 s", "sensors.position_noise=5 cm"], marks=pytest.mark.slow),
         ("rough-sea", ["duration=2 s", "per_vehicle={'2': {controller: bsmc}}", "network.payload=compact"]),
+        (
+            "average",
+            ["duration=2.4 s", "faults=[{at: 800 ms, for: 1 s, kill: 3}]", "agent.parameters.forget_after_s=1"],
+        ),
+        pytest.param("average-naive", ["duration=1 s", "expect=pass"], marks=pytest.mark.slow),
+        ("election", ["duration=3 s", "faults=[{at: 1.5 s, for: 1 s, kill: 1}]", "agent.parameters.lease_s=1"]),
     ],
     ids=lambda value: value if isinstance(value, str) else "",
 )

@@ -1,0 +1,143 @@
+"""Checks on what the protocols promise."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from fleet.checks.api import Facts, Failure, Tick, seconds
+from fleet.checks.sides import Sides
+
+
+class TrueMean:
+    """Every average is that of what the vehicles on its side have measured."""
+
+    def __init__(self, facts: Facts, *, below: float = 0.01, within: str = "10 s") -> None:
+        """Make it.
+
+        Args:
+            facts: what is known of the scenario.
+            below: how far off an average may be [degC].
+            within: after the start, and after every change of the sides, so much time is allowed.
+        """
+        self._below, self._within = below, seconds(within)
+        self._sides = Sides(facts)
+        self._found = "never judged: the sides changed all the time"
+
+    def step(self, tick: Tick) -> Failure | None:
+        """Compare the averages with the mean, on every side."""
+        self._sides.update(tick)
+        if tick.t - self._sides.since < self._within:
+            return None
+        worst = 0.0
+        for side in self._sides.groups:
+            measured = [tick.vehicles[i - 1]["control.measured"] for i in side]
+            averages = [tick.vehicles[i - 1]["control.average"] for i in side]
+            if None in measured or None in averages:
+                return None
+            mean = sum(measured) / len(side)
+            off = [average - mean for average in averages]
+            if max(map(abs, off)) >= self._below:
+                those = tuple(i for i, each in zip(side, off, strict=True) if abs(each) >= self._below)
+                text = f"the mean of vehicles {_shown(side)} is {mean:.6g} degC, and their averages are off by up to"
+                values = {"mean [degC]": mean, "sum of all errors [degC]": sum(off)}
+                return Failure(f"{text} {max(off, key=abs):.3g} degC", those, values)
+            worst = max(worst, *map(abs, off))
+        self._found = f"off by {worst:.2g} degC at most at {tick.t:g} s"
+        return None
+
+    def verdict(self) -> str:
+        """How far off the averages were last."""
+        return self._found
+
+
+class AtMostOneLeader:
+    """No two vehicles lead at the same time."""
+
+    def __init__(self, facts: Facts, *, per: Literal["fleet", "side"] = "fleet", grace: str = "0 s") -> None:
+        """Make it.
+
+        Args:
+            facts: what is known of the scenario.
+            per: one leader in the whole fleet, or one on each side of a partition.
+            grace: after the start, and after every change of the sides, so long there may be more.
+        """
+        if per not in ("fleet", "side"):
+            raise ValueError(f"per: expected fleet or side, got {per!r:.40}")
+        self._per_side, self._grace = per == "side", seconds(grace)
+        self._sides = Sides(facts)
+        self._most = 0
+
+    def step(self, tick: Tick) -> Failure | None:
+        """Count those that lead."""
+        self._sides.update(tick)
+        leaders = [vehicle.id for vehicle in tick.vehicles if vehicle.alive and vehicle["control.leads"] == 1.0]
+        groups = self._sides.groups if self._per_side else (tuple(vehicle.id for vehicle in tick.vehicles),)
+        for group in groups:
+            of_these = tuple(i for i in leaders if i in group)
+            self._most = max(self._most, len(of_these))
+            if len(of_these) > 1 and tick.t - self._sides.since >= self._grace:
+                where = f"of the side {_shown(group)} " if self._per_side else ""
+                return Failure(f"{len(of_these)} vehicles {where}lead at once", of_these)
+        return None
+
+    def verdict(self) -> str:
+        """How many led at once, also within the grace."""
+        return f"{self._most} at once at most" + (" on a side, with the grace" if self._grace else "")
+
+
+class AgreeAfterHeal:
+    """All vehicles of a side name the same leader, which leads."""
+
+    def __init__(self, facts: Facts, *, within: str, quorum: Literal["fleet", "side"] = "fleet") -> None:
+        """Make it.
+
+        Args:
+            facts: what is known of the scenario.
+            within: so long after the start, and after every change of the sides, such as a heal or the death of a
+                vehicle, they must agree, and must go on to until the next change.
+            quorum: as that of the agents; with `fleet`, sides of half the fleet or less must agree that there is no
+                leader.
+        """
+        if quorum not in ("fleet", "side"):
+            raise ValueError(f"quorum: expected fleet or side, got {quorum!r:.40}")
+        self._within, self._of_fleet = seconds(within), quorum == "fleet"
+        self._vehicles = facts.vehicles
+        self._sides = Sides(facts)
+        self._agreed_since: float | None = None  # the change [s] after which they have agreed; None: they do not
+        self._longest = 0.0  # from a change to the agreement [s]
+
+    def step(self, tick: Tick) -> Failure | None:
+        """Compare what they name."""
+        self._sides.update(tick)
+        elapsed = tick.t - self._sides.since
+        for side in self._sides.groups:
+            named = [tick.vehicles[i - 1]["control.leader"] for i in side]
+            if None in named:  # the log has no sample of it at this tick
+                return None
+            if len(set(named)) == 1 and self._may_be(int(named[0]), side, tick):
+                continue
+            if elapsed < self._within:
+                self._agreed_since = None
+                return None
+            said = ", ".join(f"{i} names {int(n) or 'nobody'}" for i, n in zip(side, named, strict=True))
+            return Failure(f"no leader is agreed on {elapsed:.4g} s after the sides changed: {said}", side)
+        if self._agreed_since != self._sides.since:
+            self._agreed_since = self._sides.since
+            self._longest = max(self._longest, elapsed)
+        return None
+
+    def verdict(self) -> str | Failure:
+        """How long it took to agree."""
+        if self._agreed_since is None:
+            return Failure("there was no agreement when the run ended, too early to judge it")
+        return f"agreed {self._longest:.4g} s after a change at the latest"
+
+    def _may_be(self, leader: int, side: tuple[int, ...], tick: Tick) -> bool:
+        """Whether it is right that a side names this leader; 0: none."""
+        if leader:
+            return leader in side and tick.vehicles[leader - 1]["control.leads"] == 1.0
+        return self._of_fleet and 2 * len(side) <= self._vehicles
+
+
+def _shown(vehicles: tuple[int, ...]) -> str:
+    return ", ".join(map(str, vehicles))

@@ -1,0 +1,151 @@
+"""Leader election with leases, flooded through neighbours.
+
+Every vehicle sends a record of itself, and the newest record of every other that it has heard of: [vehicle, tick at
+which it was made, candidate, tick up to which it grants that candidate a lease]. A record is fresh for one lease.
+
+* A vehicle grants to one candidate at a time: it turns to another one only when all that it granted before has expired.
+  After its start it first listens for one lease, because a life before may have granted.
+* It grants to the leader that it knows of; if there is none, to the lowest number that is fresh.
+* What it grants lasts one lease from the candidate's newest record, so who is not heard leads for one lease at most.
+* A vehicle leads while more than half of the voters grant to it: of the whole fleet (`quorum: fleet`), or of those
+  whose records are fresh (`quorum: side`).
+
+What this promises, and on which assumptions, is in docs/guide/protocols/election.md. Leases are those of C. Gray and
+D. Cheriton ("Leases", SOSP 1989); the clocks of all vehicles agree.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable
+from typing import Any, Literal, NamedTuple
+
+from agents.api import AgentConfig, Delivery, FormationAgent, Nav, Signal, Telemetry, Vec3, pack
+from fleet.protocols.received import is_count, received
+
+RECORDS = "election"  # kind of its messages
+NOBODY = 0
+
+
+class _Record(NamedTuple):
+    made: int  # tick
+    candidate: int  # NOBODY: it grants nothing
+    until: int  # tick from which the grant has expired
+
+
+class Election:
+    """Keeps the formation, and elects a leader."""
+
+    signals = (
+        Signal("leads", "1", "1 while it is the leader"),
+        Signal("leader", "1", "number of the leader that it knows of; 0: none"),
+        Signal("candidate", "1", "number of the vehicle that it grants a lease; 0: none"),
+        Signal("known", "1", "vehicles that it has heard of within a lease, itself included"),
+        Signal("refused", "1", "messages that were damaged or made no sense"),
+    )
+
+    def __init__(
+        self,
+        config: AgentConfig,
+        *,
+        vehicles: int,
+        lease_s: float = 3.0,
+        quorum: Literal["fleet", "side"] = "fleet",
+    ) -> None:
+        """Make it.
+
+        Args:
+            config: the agent's own slice of the scenario.
+            vehicles: how many there are in the fleet; their numbers are 1 to this one.
+            lease_s: how long a grant and a record last [s].
+            quorum: more than half of whom make a leader: of the fleet, or of those that a vehicle has heard of within a
+                lease, so that each side of a partition elects its own.
+        """
+        if quorum not in ("fleet", "side"):
+            raise ValueError(f"quorum: expected fleet or side, got {quorum!r:.40}")
+        if not config.id <= vehicles:
+            raise ValueError(f"vehicles: there is a vehicle {config.id}, and vehicles is {vehicles!r:.40}")
+        self._id, self._vehicles, self._of_fleet = config.id, vehicles, quorum == "fleet"
+        self._formation = FormationAgent(config)
+        self._lease = round(lease_s * 1e9 / config.tick_ns)  # ticks
+        self._silent_until = -1  # tick from which it may grant; -1: not begun
+        self._candidate, self._until = NOBODY, 0  # its newest grant
+        self._others: dict[int, _Record] = {}
+        self._refused = 0
+
+    def transmit(self, nav: Nav) -> list[bytes]:
+        """The formation's payload, and all records that are fresh."""
+        self._grant(nav.tick)
+        records = [[i, *record] for i, record in self._fresh(nav.tick).items()]
+        return [*self._formation.transmit(nav), pack(RECORDS, records)]
+
+    def decide(self, nav: Nav, deliveries: Iterable[Delivery]) -> tuple[Vec3, Telemetry]:
+        """Steer as the formation asks, take the records that arrive, and see who leads."""
+        deliveries = list(deliveries)
+        tau, _ = self._formation.decide(nav, deliveries)
+        messages, refused = received(RECORDS, deliveries, self._is_valid)
+        self._refused += refused
+        for _, records in messages:
+            for i, *values in records:
+                if i != self._id and (i not in self._others or values[0] > self._others[i].made):
+                    self._others[i] = _Record(*values)
+        fresh = self._fresh(nav.tick)
+        leader = self._leader(fresh, nav.tick)
+        return tau, {
+            "leads": float(leader == self._id),
+            "leader": leader,
+            "candidate": self._candidate if nav.tick < self._until else NOBODY,
+            "known": len(fresh),
+            "refused": self._refused,
+        }
+
+    def _grant(self, tick: int) -> None:
+        """Extend the grant, let it expire, or grant to another candidate."""
+        if self._silent_until < 0:
+            self._silent_until = tick + self._lease
+        fresh = self._fresh(tick)
+        leader = self._leader(fresh, tick)
+        wanted = leader if leader in fresh else min(fresh)
+        if tick >= self._silent_until and (wanted == self._candidate or tick >= self._until):
+            self._candidate = wanted
+            self._until = max(self._until, fresh[wanted].made + self._lease)
+
+    def _fresh(self, tick: int) -> dict[int, _Record]:
+        """The records of the last lease, by vehicle, its own included."""
+        own = _Record(tick, self._candidate, self._until)
+        others = {i: record for i, record in self._others.items() if tick < record.made + self._lease}
+        return {self._id: own, **others}
+
+    def _leader(self, fresh: dict[int, _Record], tick: int) -> int:
+        """Whom more than half of the voters grant a lease, as far as is known here."""
+        votes = Counter(record.candidate for record in fresh.values() if tick < record.until)
+        voters = self._vehicles if self._of_fleet else len(fresh)
+        return next((i for i, count in votes.items() if i != NOBODY and 2 * count > voters), NOBODY)
+
+    def _is_valid(self, values: Any, delivery: Delivery) -> bool:
+        """Whether these are records of vehicles of this fleet, made by now, that grant for a lease at most."""
+        return (
+            isinstance(values, list)
+            and len(values) <= self._vehicles
+            and all(isinstance(record, list) and len(record) == 4 for record in values)
+            and all(
+                is_count(i, self._vehicles)
+                and i != NOBODY
+                and is_count(made, delivery.sent_tick)
+                and is_count(candidate, self._vehicles)
+                and is_count(until, made + self._lease)
+                for i, made, candidate, until in values
+            )
+        )
+
+    def state(self) -> dict[str, Any]:
+        """Everything that the next sample depends on."""
+        own = [self._silent_until, self._candidate, self._until, self._refused]
+        others = [[i, *record] for i, record in self._others.items()]
+        return {"formation": self._formation.state(), "own": own, "others": others}
+
+    def restore(self, values: dict[str, Any]) -> None:
+        """Continue from `state()`."""
+        self._formation.restore(values["formation"])
+        self._silent_until, self._candidate, self._until, self._refused = values["own"]
+        self._others = {i: _Record(*record) for i, *record in values["others"]}

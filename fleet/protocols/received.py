@@ -1,0 +1,44 @@
+"""The messages of one protocol among what an agent receives."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from typing import Any
+
+from agents.api import Delivery, PayloadError, unpack
+
+
+def received(
+    kind: str, deliveries: Iterable[Delivery], valid: Callable[[Any, Delivery], bool]
+) -> tuple[list[tuple[Delivery, Any]], int]:
+    """The messages of a kind that make sense.
+
+    Args:
+        kind: as given to `agents.api.pack`; what is of another kind or protocol is passed over.
+        valid: whether the values of a message are such as this protocol sends.
+
+    Returns:
+        The deliveries with their values, in order; and how many were refused, because they were damaged or not valid.
+    """
+    found, refused = [], 0
+    for delivery in deliveries:
+        try:
+            values = unpack(kind, delivery.payload)
+        except PayloadError as error:
+            refused += error.cause != "version"
+            continue
+        if valid(values, delivery):
+            found.append((delivery, values))
+        else:
+            refused += 1
+    return found, refused
+
+
+def is_real(value: Any, most: float) -> bool:
+    """Whether a value of a message is a number of at most this size."""
+    return type(value) in (int, float) and -most <= value <= most
+
+
+def is_count(value: Any, most: int) -> bool:
+    """Whether a value of a message is an integer from 0 to this one."""
+    return type(value) is int and 0 <= value <= most

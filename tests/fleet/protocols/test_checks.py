@@ -1,0 +1,125 @@
+"""The checks of the protocols, on histories that are written down here."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from fleet.checks.api import Facts, Failure, Fault, Tick
+from fleet.protocols.checks import AgreeAfterHeal, AtMostOneLeader, TrueMean
+
+LINKS = tuple((a, b) for a in range(1, 4) for b in range(1, 4) if a != b)
+FACTS = Facts("three", 1, 3, 10.0, 0.1, 0.0, LINKS, {})
+CUT = ("partition 1 / 2,3",)
+
+
+class Seen:
+    def __init__(self, number: int, alive: bool, values: dict[str, float]) -> None:
+        self.id, self.alive, self._values = number, alive, values
+
+    def __getitem__(self, signal: str) -> float | None:
+        return self._values.get(signal.removeprefix("control."))
+
+
+def first_failure(check: Any, history: list[tuple[Any, ...]], signals: tuple[str, ...]) -> tuple[float, Failure] | None:
+    """Feed it [t, faults, per signal a value for each vehicle; None: it is dead]."""
+    for t, faults, *columns in history:
+        vehicles = []
+        for k in range(3):
+            values = [column[k] for column in columns]
+            alive = None not in values
+            vehicles.append(Seen(k + 1, alive, dict(zip(signals, values, strict=True)) if alive else {}))
+        active = tuple(Fault(f"f{n}", what, t) for n, what in enumerate(faults))
+        if (failure := check.step(Tick(round(10 * t), t, tuple(vehicles), active, ()))) is not None:
+            return t, failure
+    return None
+
+
+MEASURED = (10.0, 20.0, 60.0)
+
+
+@pytest.mark.parametrize(
+    ("history", "at", "vehicles"),
+    [
+        ([(0.0, (), MEASURED, MEASURED), (1.9, (), MEASURED, MEASURED), (2.0, (), MEASURED, (30.0,) * 3)], None, ()),
+        ([(0.0, (), MEASURED, MEASURED), (2.0, (), MEASURED, (30.0, 30.2, 29.8))], 2.0, (2, 3)),
+        ([(0.0, CUT, MEASURED, MEASURED), (2.0, CUT, MEASURED, (10.0, 40.0, 40.0))], None, ()),
+        ([(0.0, CUT, MEASURED, MEASURED), (2.0, CUT, MEASURED, (30.0, 30.0, 30.0))], 2.0, (1,)),
+        ([(t, (), (10.0, None, 60.0), (35.0, None, 35.0)) for t in (0.0, 2.0)], None, ()),
+        ([(0.0, (), MEASURED, MEASURED), (1.5, CUT, MEASURED, MEASURED), (3.4, CUT, MEASURED, MEASURED)], None, ()),
+    ],
+    ids=["settles", "two are off", "per side", "not per side", "without the dead", "the sides changed"],
+)  # fmt: skip
+def test_true_mean(history: list[Any], at: float | None, vehicles: tuple[int, ...]) -> None:
+    found = first_failure(TrueMean(FACTS, below=0.1, within="2 s"), history, ("measured", "average"))
+    assert (found and found[0], found[1].vehicles if found else ()) == (at, vehicles)
+
+
+def test_true_mean_says_how_much_is_lost() -> None:
+    history = [(0.0, (), MEASURED, (31.0, 31.0, 31.0))]
+    found = first_failure(TrueMean(FACTS, within="0 s"), history, ("measured", "average"))
+    assert found is not None
+    assert found[1].values == {"mean [degC]": 30.0, "sum of all errors [degC]": 3.0}
+
+
+ONE, TWO = (1.0, 0.0, 0.0), (1.0, 0.0, 1.0)
+
+
+@pytest.mark.parametrize(
+    ("parameters", "history", "at"),
+    [
+        ({}, [(0.0, (), ONE), (1.0, (), ONE)], None),
+        ({}, [(0.0, (), ONE), (1.0, CUT, TWO)], 1.0),
+        ({"per": "side"}, [(0.0, CUT, TWO)], None),
+        ({"per": "side"}, [(0.0, CUT, (0.0, 1.0, 1.0))], 0.0),
+        ({"per": "side", "grace": "1 s"}, [(0.0, CUT, TWO), (3.0, (), TWO), (3.9, (), TWO), (4.0, (), ONE)], None),
+        ({"per": "side", "grace": "1 s"}, [(0.0, CUT, TWO), (3.0, (), TWO), (4.0, (), TWO)], 4.0),
+        ({}, [(0.0, (), (1.0, 0.0, None)), (1.0, (), (None, 0.0, 1.0))], None),
+    ],
+)
+def test_at_most_one_leader(parameters: Any, history: list[Any], at: float | None) -> None:
+    found = first_failure(AtMostOneLeader(FACTS, **parameters), history, ("leads",))
+    assert (found and found[0]) == at
+    if found:
+        assert len(found[1].vehicles) == 2
+
+
+NONE, FIRST, THIRD = ((0.0,) * 3, (0.0,) * 3), (ONE, (1.0,) * 3), ((0.0, 0.0, 1.0), (3.0,) * 3)
+
+
+@pytest.mark.parametrize(
+    ("quorum", "history", "at"),
+    [
+        ("fleet", [(0.0, (), *NONE), (1.0, (), *FIRST), (9.0, (), *FIRST)], None),
+        ("fleet", [(0.0, (), *NONE), (2.0, (), *NONE)], 2.0),
+        ("fleet", [(0.0, (), *FIRST), (2.0, (), ONE, (1.0, 1.0, 2.0))], 2.0),
+        ("fleet", [(0.0, (), *FIRST), (2.0, (), (0.0,) * 3, (1.0,) * 3)], 2.0),
+        ("fleet", [(0.0, (), *FIRST), (5.0, CUT, *FIRST), (7.0, CUT, (0.0, 0.0, 1.0), (0.0, 3.0, 3.0))], None),
+        ("side", [(0.0, (), *FIRST), (5.0, CUT, *FIRST), (7.0, CUT, (0.0, 0.0, 1.0), (0.0, 3.0, 3.0))], 7.0),
+        ("side", [(0.0, CUT, *NONE), (2.0, CUT, (1.0, 0.0, 1.0), (1.0, 3.0, 3.0)), (3.0, (), *NONE), (5.0, (), *THIRD)],
+         None),
+        ("fleet", [(0.0, (), *FIRST), (5.0, (), (None, 0.0, 0.0), (None, 1.0, 1.0)), (7.0, (), (None, 0.0, 0.0),
+                   (None, 1.0, 1.0))], 7.0),
+    ],
+)  # fmt: skip
+def test_agree_after_heal(quorum: Any, history: list[Any], at: float | None) -> None:
+    check = AgreeAfterHeal(FACTS, within="2 s", quorum=quorum)
+    found = first_failure(check, history, ("leads", "leader"))
+    assert (found and found[0]) == at
+    if found:
+        assert "after the sides changed" in found[1].message
+
+
+def test_a_run_that_ends_before_there_is_agreement_does_not_pass() -> None:
+    check = AgreeAfterHeal(FACTS, within="2 s")
+    assert first_failure(check, [(0.0, (), *NONE), (1.0, (), *NONE)], ("leads", "leader")) is None
+    assert isinstance(check.verdict(), Failure)
+    assert first_failure(check, [(1.5, (), *FIRST)], ("leads", "leader")) is None
+    assert check.verdict() == "agreed 1.5 s after a change at the latest"
+
+
+@pytest.mark.parametrize(("check", "given"), [(AtMostOneLeader, {"per": "x"}), (AgreeAfterHeal, {"quorum": "x"})])
+def test_parameters_that_make_no_sense_are_refused(check: Any, given: Any) -> None:
+    with pytest.raises(ValueError, match="expected fleet or side, got 'x'"):
+        check(FACTS, **({"within": "1 s"} if check is AgreeAfterHeal else {}), **given)

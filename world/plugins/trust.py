@@ -110,6 +110,7 @@ def permit_file(kind: str, name: str, file: str, permission: Permission) -> None
         UntrustedError: it may not run.
         PluginError: there is no such file.
     """
+    _files.pop(name, None)  # what another scenario calls so is another file
     folders = [*permission.own, *permission.elsewhere]
     path = next((path for folder in folders if (path := Path(folder, file).resolve()).is_file()), None)
     if path is None:

@@ -1,0 +1,152 @@
+"""Runs with a vehicle that is an FMU: alone and distributed, resumed, failing, and of a stranger."""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+from fmu_units import VARIABLES, build, description
+from repository import ROOT
+from small_scenario import SMALL
+
+from fleet.cli.main import cli
+from fleet.execution.execute import execute
+from fleet.execution.options import Options
+from fleet.execution.outcome import Result, Status
+from fleet.logs.open_log import open_log
+from fleet.logs.reader import digest
+from fleet.scenario.loading import load_scenario
+from fleet.study.modules import folder_of, modules_of, packed
+
+PLANTS = """\
+vehicle: {plant: {name: "fmu:two.fmu", parameters: {signals: {effort: effort}}}}
+per_vehicle: {2: {vehicle: {plant: "fmu:three.fmu"}}}
+"""
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The user's folder, in which a scenario and its units lie."""
+    build(tmp_path / "two.fmu", 2)
+    build(tmp_path / "three.fmu", 3)
+    (tmp_path / "units.yaml").write_text(SMALL + PLANTS, "utf-8")
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def call(*arguments: str) -> tuple[int, str]:
+    """The exit status of a command, and what it says on one line."""
+    result = CliRunner().invoke(cli, arguments)
+    return result.exit_code, " ".join(result.output.split())
+
+
+def run(*overrides: str, distributed: bool = False) -> Result:
+    scenario = load_scenario("units.yaml", overrides)
+    return execute(scenario, Options(Path("runs"), in_process=not distributed, quiet=True))
+
+
+def test_a_fleet_of_units_gives_the_same_bytes_alone_and_distributed(folder: Path) -> None:
+    alone, distributed = run(), run(distributed=True)
+    assert (alone.status, distributed.status) == (Status.PASS, Status.PASS)
+    assert digest(alone.directory / "run.mcap") == digest(distributed.directory / "run.mcap")
+    log = open_log(alone.directory)
+    effort = log["uuv/1/plant"].effort
+    assert effort[-1] > effort[0] == 0.0
+    assert "uuv/2/plant" not in log.topics
+    assert log["uuv/2/state"].x[-1] > log["uuv/2/state"].x[0]
+
+
+def test_units_that_report_nothing_are_recorded(folder: Path) -> None:
+    log = open_log(run('vehicle={plant: "fmu:two.fmu"}', "per_vehicle={}").directory)
+    assert not [topic for topic in log.topics if topic.endswith("/plant")]
+    assert log["uuv/3/state"].phi[-1] == 0.0
+
+
+def test_a_run_goes_on_from_its_log_bit_for_bit(folder: Path) -> None:
+    whole = run("log.snapshot=500 ms")
+    status, said = call("run", "--from", f"{whole.directory}@0.5s", "--in-process", "--out", "rest", "--trust")
+    assert status == 0, said
+    [rest] = (path for path in Path("rest").iterdir() if not path.is_symlink())
+    one, other = open_log(whole.directory), open_log(rest)
+    assert one["uuv/1/plant"].effort[-1] == other["uuv/1/plant"].effort[-1] > 0.0
+    assert one["uuv/2/state"].u[-1] == other["uuv/2/state"].u[-1]
+
+
+def test_a_run_whose_unit_cannot_save_its_state_is_not_resumed(folder: Path) -> None:
+    build(folder / "two.fmu", 2, description(2, saves=False))
+    whole = run("log.snapshot=500 ms", "per_vehicle={}")
+    status, said = call("run", "--from", f"{whole.directory}@0.5s", "--in-process", "--trust")
+    assert status != 0
+    assert "two.fmu cannot save its state" in said
+    assert "its run cannot be resumed; run it from the start" in said
+
+
+def test_a_unit_that_hangs_ends_its_vehicle_and_nothing_else(folder: Path) -> None:
+    plant = 'vehicle={plant: {name: "fmu:two.fmu", parameters: {start: {hang_at: 0.5}}, budget: 300 ms}}'
+    status, said = call("run", "units.yaml", "--set", plant, "--out", "runs")
+    assert status != 0
+    assert "tick 50" in said
+    assert "vehicle 1: error: two.fmu took longer than its budget of 300 ms" in said
+    log = open_log(Path("runs/latest"))
+    assert log["uuv/2/state"].t[-1] == pytest.approx(1.0)
+    assert log["uuv/2/state"].x[-1] > log["uuv/2/state"].x[len(log["uuv/2/state"].x) // 2]
+
+
+@pytest.mark.parametrize("command", ["run", "check"])
+def test_a_strangers_unit_does_not_run_unasked(command: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    elsewhere = folder / "elsewhere"
+    elsewhere.mkdir()
+    monkeypatch.chdir(elsewhere)
+    out = ["--in-process", "--out", "runs"] if command == "run" else []
+    status, said = call(command, "../units.yaml", *out)
+    assert "would run" in said
+    assert "two.fmu, which is not installed, and the scenario that names it lies outside" in said
+    assert "--trust sha256:" in said
+    if command == "run":
+        assert status == 2
+        assert not Path("runs").exists()
+        digests = [hashlib.sha256((folder / name).read_bytes()).hexdigest() for name in ("two.fmu", "three.fmu")]
+        trusted = [word for one in digests for word in ("--trust", f"sha256:{one}")]
+        assert call(command, "../units.yaml", *out, *trusted)[0] == 0
+        build(folder / "two.fmu", 2, description(2, saves=False))  # not what was trusted any more
+        assert call(command, "../units.yaml", *out, *trusted)[0] == 2
+
+
+def test_a_log_runs_no_unit_unasked(folder: Path) -> None:
+    directory = run().directory
+    status, said = call("verify", str(directory))
+    assert status != 0
+    assert "two.fmu, which is not installed, and a log names it" in said
+    assert call("verify", str(directory), "--trust")[0] == 0
+
+
+def test_a_unit_that_is_not_there_is_named_with_its_line(folder: Path) -> None:
+    status, said = call("check", "units.yaml", "--set", "vehicle.plant=fmu:four.fmu")
+    assert status == 2
+    assert "there is no file four.fmu; it must lie beside the scenario" in said or "there is no file four.fmu" in said
+
+
+def test_units_travel_to_workers_of_other_machines(folder: Path) -> None:
+    modules = packed(modules_of([load_scenario("units.yaml")], folder))
+    assert modules.units == ("two.fmu", "three.fmu")
+    assert [path for path, _ in modules.carried] == ["three.fmu", "two.fmu"]
+    there = folder_of(modules)
+    assert there is not None
+    assert (there / "two.fmu").read_bytes() == (folder / "two.fmu").read_bytes()
+    assert set(modules.fingerprints) == {
+        hashlib.sha256((folder / name).read_bytes()).hexdigest() for name in ("two.fmu", "three.fmu")
+    }
+
+
+def test_the_scenario_of_the_guide_runs(folder: Path) -> None:
+    """Its unit has other names, and a signal."""
+    names = {"surge_force": "thrust", "theta": "attitude.pitch", "effort": "propeller.n"}
+    names |= {f"{axis}_start": f"{axis}0" for axis in "xyz"}
+    text = description(3, [(names.get(name, name), unit, causality) for name, unit, causality in VARIABLES])
+    build(folder / "auv.fmu", 3, text)
+    page = (ROOT / "docs/guide/fmu.md").read_text("utf-8")
+    (folder / "units.yaml").write_text(SMALL + page.partition("```yaml\n")[2].partition("```")[0], "utf-8")
+    log = open_log(run().directory)
+    assert log["uuv/3/plant"].rpm[-1] > 0.0

@@ -89,7 +89,7 @@ def test_a_plant_that_fails_is_left_behind(tmp_path: Path) -> None:
     failing = "per_vehicle.2.vehicle={plant: {name: 'own_plants:Failing', parameters: {how: raise, at: 60}}}"
     result = run(mixed(failing), tmp_path / "on")
     assert result.status is Status.CHECK_FAILED  # a death that no fault asked for
-    (note,) = [note for note in result.notes if "vehicle 2" in note]
+    (note,) = [note for note in result.values["notes"] if "vehicle 2" in note]
     assert "error: Failing raised ZeroDivisionError: no water (" in note
     assert "vehicle 2 is not integrated any more" in note
     assert len(open_log(result.directory)["uuv/2/state"].x) == 201

@@ -9,7 +9,6 @@ import signal
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from multiprocessing import resource_tracker
 from types import FrameType, TracebackType
 from typing import Any
 
@@ -62,6 +61,8 @@ def out_of_reach() -> Iterator[None]:
     Ctrl-C, and the end of a terminal, reach the whole group; the one that started the others alone decides what they
     mean, also while those are still importing.
     """
+    from multiprocessing import resource_tracker  # --help needs it not
+
     # The tracker is started by the first process of multiprocessing, and that lifts the block of SIGINT.
     with _blocked(signal.SIGHUP):
         resource_tracker.ensure_running()

@@ -25,17 +25,18 @@ from agents.api import (
     FormationAgent,
     Motion,
     Nav,
-    PayloadError,
     Signal,
     Telemetry,
     Vec3,
     pack,
-    unpack,
 )
 from fleet.protocols.bidder import NOBODY, Bidder, News
+from fleet.protocols.received import is_count, is_real, received
 
 KIND = "bundle-auction"
 MOST_PLACES = 32
+_LARGEST = 1_000_000  # number of a vehicle
+_FARTHEST_M = 1e6
 _AHEAD_M = 0.5  # how far ahead of the vehicle the point is that it steers for
 
 
@@ -54,7 +55,7 @@ class BundleAuction:
     def __init__(
         self,
         config: AgentConfig,
-        places: Sequence[Sequence[float]],
+        places: list[list[float]],
         bundle: int = 3,
         speed_mps: float = 0.7,
         discount: float = 0.98,
@@ -75,7 +76,7 @@ class BundleAuction:
         Raises:
             ValueError: one of them is out of range.
         """
-        self._places = _checked(places)
+        self._places = places_of(places)
         if not 1 <= bundle <= MOST_PLACES:
             raise ValueError(f"bundle: expected 1 to {MOST_PLACES}, got {bundle!r}")
         for name, value in (("speed_mps", speed_mps), ("reach_m", reach_m), ("silence_s", silence_s)):
@@ -127,38 +128,25 @@ class BundleAuction:
 
     def _hear(self, deliveries: Iterable[Delivery]) -> None:
         """Take in the messages of neighbours; what cannot be is refused and counted."""
-        for delivery in deliveries:
-            try:
-                values = unpack(KIND, delivery.payload)
-            except PayloadError as error:
-                self._refused += error.cause != "version"  # which is another protocol's, such as the formation's
-                continue
-            try:
-                news, done = self._read(delivery, values)
-            except (TypeError, ValueError):
-                self._refused += 1
-                continue
-            self._bidder.hear(delivery.src, news)
+        messages, refused = received(KIND, deliveries, self._valid)
+        self._refused += refused
+        for delivery, (bids, winners, heard, done) in messages:
+            self._bidder.hear(delivery.src, News(bids, winners, dict(heard)))
             self._close(done)
 
-    def _read(self, delivery: Delivery, values: Any) -> tuple[News, list[int]]:
-        """A message with the values that one can have.
-
-        Raises:
-            TypeError, ValueError: it has others: another number of places, a bid above the worth of a place, news from
-                the future, or a sender that is not the packet's.
-        """
-        bids, winners, heard, done = values
+    def _valid(self, values: Any, delivery: Delivery) -> bool:
+        """Whether a message is about as many places, bids at most what one is worth, and has no news from the future."""
         count = len(self._places)
-        known = {_whole(m, 1, _LARGEST): _whole(tick, 0, delivery.sent_tick) for m, tick in heard}
-        if known.get(delivery.src) != delivery.sent_tick:
-            raise ValueError("the sender is another one, or the message is older than it says")
-        if not len(bids) == len(winners) == count:
-            raise ValueError("another number of places")
-        if not all(isinstance(bid, float) and 0.0 <= bid <= 1.0 for bid in bids):
-            raise ValueError("a bid above the worth of a place")
-        news = News(bids, [_whole(winner, 0, _LARGEST) for winner in winners], known)
-        return news, [_whole(j, 0, count - 1) for j in done]
+        match values:
+            case [[*bids], [*winners], [*heard], [*done]] if len(bids) == len(winners) == count:
+                return (
+                    all(is_real(bid, 1.0) and bid >= 0.0 for bid in bids)
+                    and all(is_count(winner, _LARGEST) for winner in winners)
+                    and all(_is_news(pair, delivery.sent_tick) for pair in heard)
+                    and [delivery.src, delivery.sent_tick] in heard
+                    and all(is_count(j, count - 1) for j in done)
+                )
+        return False
 
     def _release(self, tick: int) -> None:
         """Free the tasks of vehicles of which there has been no news for long."""
@@ -227,14 +215,9 @@ class BundleAuction:
         self._released, self._refused = values["counts"]
 
 
-_LARGEST = 1_000_000  # number of a vehicle
-
-
-def _whole(value: Any, least: int, most: int) -> int:
-    """A whole number in a range. Raises ValueError."""
-    if not (type(value) is int and least <= value <= most):
-        raise ValueError(f"expected a whole number from {least} to {most}, got {value!r:.40}")
-    return value
+def _is_news(pair: Any, latest: int) -> bool:
+    """Whether it is a vehicle and a tick at which there was news of it."""
+    return isinstance(pair, list) and len(pair) == 2 and is_count(pair[0], _LARGEST) and is_count(pair[1], latest)
 
 
 def _position(nav: Nav) -> Vec3:
@@ -242,18 +225,18 @@ def _position(nav: Nav) -> Vec3:
     return x, y, z
 
 
-def _checked(places: Sequence[Sequence[float]]) -> tuple[Vec3, ...]:
-    """Places as tuples of floats. Raises ValueError."""
-    if not (isinstance(places, list) and 1 <= len(places) <= MOST_PLACES):
-        raise ValueError(f"places: expected a list of 1 to {MOST_PLACES} places, got {places!r:.80}")
+def places_of(given: Any) -> tuple[Vec3, ...]:
+    """Places [m, NED] as a scenario gives them: a list of x, y, z.
+
+    Raises:
+        ValueError: they are no such list, or too many.
+    """
+    if not (isinstance(given, list) and 1 <= len(given) <= MOST_PLACES):
+        raise ValueError(f"places: expected a list of 1 to {MOST_PLACES} places, got {given!r:.80}")
     found: list[Vec3] = []
-    for place in places:
-        if not isinstance(place, list) or len(place) != 3 or not all(_is_number(value) for value in place):
+    for place in given:
+        if not (isinstance(place, list) and len(place) == 3 and all(is_real(value, _FARTHEST_M) for value in place)):
             raise ValueError(f"places: expected x, y and z in m such as [10, 0, 5], got {place!r:.80}")
         x, y, z = place
         found.append((float(x), float(y), float(z)))
     return tuple(found)
-
-
-def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and isfinite(value)

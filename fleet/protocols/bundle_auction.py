@@ -77,8 +77,8 @@ class BundleAuction:
             ValueError: one of them is out of range.
         """
         self._places = places_of(places)
-        if not 1 <= bundle <= MOST_PLACES:
-            raise ValueError(f"bundle: expected 1 to {MOST_PLACES}, got {bundle!r}")
+        if not (type(bundle) is int and 1 <= bundle <= MOST_PLACES):
+            raise ValueError(f"bundle: expected a whole number from 1 to {MOST_PLACES}, got {bundle!r}")
         for name, value in (("speed_mps", speed_mps), ("reach_m", reach_m), ("silence_s", silence_s)):
             if not (isfinite(value) and value > 0.0):
                 raise ValueError(f"{name}: expected a number above 0, got {value!r}")
@@ -107,13 +107,15 @@ class BundleAuction:
     def decide(self, nav: Nav, deliveries: Iterable[Delivery]) -> tuple[Vec3, Telemetry]:
         """Take part in the auction, and go on to the next place."""
         deliveries = list(deliveries)
-        self._hear(deliveries)
+        news = self._hear(deliveries)
         position = _position(nav)
         self._release(nav.tick)
         self._visit(position)
         if self._plan is None:
             self._plan = nav.tick * self._tick_s, position
-        self._bidder.choose(self._score, frozenset(self._done))
+            news = True
+        if news:  # without it the same would be chosen
+            self._bidder.choose(self._score, frozenset(self._done))
         target = self._bidder.path[0] if self._bidder.path else None
         tau, _ = self._formation.decide(nav, deliveries, course=self._course(nav, position, target))
         winners = [0.0 if j in self._done else float(winner) for j, winner in enumerate(self._bidder.winners)]
@@ -126,16 +128,17 @@ class BundleAuction:
             "refused": float(self._refused),
         }
 
-    def _hear(self, deliveries: Iterable[Delivery]) -> None:
-        """Take in the messages of neighbours; what cannot be is refused and counted."""
+    def _hear(self, deliveries: Iterable[Delivery]) -> bool:
+        """Take in the messages of neighbours; what cannot be is refused and counted. Returns whether there were any."""
         messages, refused = received(KIND, deliveries, self._valid)
         self._refused += refused
         for delivery, (bids, winners, heard, done) in messages:
             self._bidder.hear(delivery.src, News(bids, winners, dict(heard)))
             self._close(done)
+        return bool(messages)
 
     def _valid(self, values: Any, delivery: Delivery) -> bool:
-        """Whether a message is about as many places, bids at most what one is worth, and has no news from the future."""
+        """Whether a message is about as many places, bids no more than one is worth, and has no news of the future."""
         count = len(self._places)
         match values:
             case [[*bids], [*winners], [*heard], [*done]] if len(bids) == len(winners) == count:

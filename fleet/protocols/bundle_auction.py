@@ -35,7 +35,7 @@ from fleet.protocols.received import is_count, is_real, received
 
 KIND = "bundle-auction"
 MOST_PLACES = 32
-_LARGEST = 1_000_000  # number of a vehicle
+_LARGEST = 1000  # number of a vehicle; this bounds what is remembered and sent, whatever a neighbour says
 _FARTHEST_M = 1e6
 _AHEAD_M = 0.5  # how far ahead of the vehicle the point is that it steers for
 
@@ -189,6 +189,8 @@ class BundleAuction:
             return None if self._config.reference is None else self._config.desired(nav.tick * self._tick_s)
         goal = self._places[target]
         distance = dist(position, goal)
+        if distance == 0.0:
+            return Motion(goal, (0.0, 0.0, 0.0))
         x, y, z = ((g - p) / distance for g, p in zip(goal, position, strict=True))
         ahead = min(_AHEAD_M, distance)
         px, py, pz = position

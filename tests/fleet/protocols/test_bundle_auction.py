@@ -83,6 +83,13 @@ def test_what_is_visited_is_nobodys_any_more() -> None:
     assert (told["done"], told["winner"][0]) == (1.0, 0.0)
 
 
+def test_a_place_where_it_is_already_is_visited() -> None:
+    one = agent(places=[[0.0, 0.0, 0.0], [0.0, 0.0, 0.0], [9.0, 0.0, 0.0]], bundle=3)
+    told = [one.decide(nav(tick), [])[1] for tick in range(4)]
+    assert [each["done"] for each in told] == [0.0, 1.0, 2.0, 2.0]
+    assert [each["target"] for each in told][2:] == [3.0, 3.0]
+
+
 def test_a_message_is_believed() -> None:
     told = heard(message(bid=0.999))
     assert list(told["winner"])[:4] == [2.0] * 4
@@ -95,6 +102,8 @@ def test_a_message_is_believed() -> None:
         message(bid=1.5),  # more than any place is worth: a lie
         message(bid=-0.1),
         message(winner=-1),
+        message(winner=1001),  # there is no such vehicle, and what is remembered must not grow without end
+        message(heard=[[2, 10], [1001, 10]]),
         message(winners=[2, 2, 2]),
         message(bids=[0.5, 0.5, 0.5, "x"]),
         message(bids=[True] * 4),

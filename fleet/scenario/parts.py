@@ -145,10 +145,10 @@ class Parts:
             yield entries, self.choice(entries)
 
     def guidance(self) -> Iterator[tuple[Entries, str, GuidanceSection, str]]:
-        """(entries, law, section, profile) of the choices with which a guidance law runs."""
+        """(entries, law, section, profile) of the choices with which a guidance law is sure to run."""
         for entries, choice in self.choices():
             names = per_vehicle.law_names(choice)
-            if names is not None:
+            if names is not None and choice.agent is None:
                 assert choice.guidance is not None and choice.profile is not None
                 yield entries, names[0], choice.guidance, choice.profile
 

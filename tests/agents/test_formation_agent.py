@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -83,3 +84,13 @@ def test_its_memory_goes_on(config: Any) -> None:
         first.decide(nav(tick, 0.1 * tick), [])
     second.restore(first.state())
     assert second.decide(nav(5, 0.5), []) == first.decide(nav(5, 0.5), [])
+
+
+def test_it_steers_as_the_scenario_says(example: str) -> None:
+    """Laws and their parameters hold beside a whole agent as without it."""
+    laws = ["controller=bc", "profile=hardened", "guidance={K0: 1 2 3 1/s}", "tracking={k_u: 3 1/s}"]
+    plain, beside = (
+        load_scenario("paper", [*SHORT, *laws, *more]).agent_config(1) for more in ([], [f"agent={example}"])
+    )
+    assert (beside.guidance_law.name, beside.tracking.k_u, beside.guidance.K0) == ("fixed", 3.0, (1.0, 2.0, 3.0))
+    assert beside == replace(plain, agent=beside.agent, memory_ticks=0)  # the example has no state()

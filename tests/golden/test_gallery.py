@@ -20,6 +20,7 @@ GALLERY = {
     "nemesis": 45, "acoustic-80bps": 25, "acoustic-s2c": 20, "rough-sea": 10, "breakdown": 30, "follow-the-leader": 20,
     "leader-lost": 70, "leader-lost-standby": 70, "acoustic-noise": 25, "remus": 5, "mixed": 5, "average": 20,
     "average-naive": 5, "election": 40, "election-slow": 8,
+    "event-triggered": 8, "event-triggered-loss": 3, "auction": 17, "auction-partition": 10,
 }  # fmt: skip
 PAGE = ROOT / "docs" / "guide" / "scenarios.md"
 LONG = 10  # [s]; a distributed run of more is one of the slow tests
@@ -30,7 +31,7 @@ LONGEST = (
     *("leader-lost", "leader-lost-standby", "follow-the-leader", "nemesis", "gauss-markov-current"),
     *("partition-heal", "rough-sea", "remus", "mixed"),
     *("acoustic-noise", "acoustic-80bps", "acoustic-s2c"),
-    *("average", "election"),
+    *("average", "election", "event-triggered", "auction-partition"),
 )
 
 
@@ -65,7 +66,7 @@ def test_distributed_is_in_process(name: str, seconds: int, tmp_path: Path) -> N
     assert fleet.values["deaths"] == {}
 
 
-OF_PROTOCOLS = {"TrueMean", "AtMostOneLeader", "AgreeAfterHeal"}
+OF_PROTOCOLS = {"TrueMean", "AtMostOneLeader", "AgreeAfterHeal", "NoConflict"}
 
 
 @pytest.mark.slow
@@ -90,6 +91,10 @@ OF_PROTOCOLS = {"TrueMean", "AtMostOneLeader", "AgreeAfterHeal"}
         ("election-slow", {"network.links": "{'*': delay 300ms}"}, True),
         ("election-slow", {"agent.parameters.quorum": "fleet"}, False),
         ("election", {"agent.parameters.quorum": "side"}, False),
+        ("event-triggered", {"network.links": "{'*': delay 100ms loss 30%}"}, False),
+        ("event-triggered-loss", {"agent.parameters.threshold_m": "0"}, True),
+        ("auction", {"faults": "[{at: 3 s, for: 12 s, partition: '1,2 / 3,4'}]"}, False),
+        ("auction-partition", {"faults": "[]"}, True),
     ],
     ids=lambda value: value if isinstance(value, str) else "",
 )

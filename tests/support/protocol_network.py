@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 from msgspec import structs
 
-from agents.api import Delivery, Nav, Vec3
+from agents.api import Delivery, Motion, Nav, Vec3
 
 ROUND_TICKS = 10  # of 10 ms
 Link = tuple[int, int]
@@ -25,7 +25,9 @@ class Still:
     def transmit(self, nav: Nav) -> tuple[bytes, ...]:
         return ()
 
-    def decide(self, nav: Nav, deliveries: Iterable[Delivery]) -> tuple[Vec3, dict[str, float]]:
+    def decide(
+        self, nav: Nav, deliveries: Iterable[Delivery], course: Motion | None = None
+    ) -> tuple[Vec3, dict[str, float]]:
         return (0.0, 0.0, 0.0), {}
 
     def state(self) -> dict[str, Any]:
@@ -38,7 +40,7 @@ class Still:
 @pytest.fixture
 def stand_still(monkeypatch: pytest.MonkeyPatch) -> None:
     """Protocols need no vehicles."""
-    for name in ("average", "election"):
+    for name in ("average", "election", "bundle_auction"):
         monkeypatch.setattr(f"fleet.protocols.{name}.FormationAgent", Still)
 
 

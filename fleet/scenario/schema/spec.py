@@ -113,7 +113,7 @@ class ScenarioSpec(Section):
     model_error: ModelErrorSection = ModelErrorSection()
     external: bool | None = None  # true: the run starts no agent
     knows_reference: bool | None = None  # false: only those in graph.reference and graph.standby know it
-    agent: LawChoice | None = None  # in place of controller, guidance and tracking
+    agent: LawChoice | None = None  # in place of controller, guidance and tracking, which it may use
     controller: LawChoice = LawSection(law="nboc")
     profile: Profile = "paper"
     guidance: GuidanceChoice = GuidanceSection()

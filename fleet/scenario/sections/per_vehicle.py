@@ -34,7 +34,7 @@ Entries = tuple[str, ...]  # keys of per_vehicle
 class Control:
     """What one vehicle is and runs."""
 
-    agent: Law | None
+    agent: Law | None  # a user's; it may use the laws below
     controller: Law | None  # a user's
     guidance_law: Law
     tracking_law: Law
@@ -97,10 +97,10 @@ def _over(below: VehicleOverrides, above: VehicleOverrides) -> VehicleOverrides:
 
 
 def law_names(choice: VehicleOverrides) -> tuple[str, str] | None:
-    """The guidance and the tracking law of a choice; None if neither runs."""
+    """The guidance and the tracking law of a choice, which a whole agent may use, too; None: a controller instead."""
     assert choice.controller is not None and choice.guidance is not None and choice.tracking is not None
     pair = CONTROLLERS.get(choice.controller.law)
-    if choice.agent is not None or (pair is None and not (choice.guidance.law and choice.tracking.law)):
+    if pair is None and not (choice.guidance.law and choice.tracking.law):
         return None
     guidance, tracking = (pair.guidance, pair.tracking) if pair else ("", "")
     return choice.guidance.law or guidance, choice.tracking.law or tracking
@@ -123,7 +123,7 @@ def control(
     params, tau_max = vehicle
     return Control(
         agent=_law(choice.agent),
-        controller=_law(choice.controller) if choice.agent is None and names is None else None,
+        controller=_law(choice.controller) if names is None else None,
         guidance_law=Law(guidance_name, choice.guidance.parameters or {}),
         tracking_law=Law(tracking_name, choice.tracking.parameters or {}),
         guidance=guidance_params(choice.profile or "paper", guidance_name, choice.guidance, tick_ns),

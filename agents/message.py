@@ -42,7 +42,11 @@ def pack(kind: str, values: Any) -> bytes:
     if not _plain(values):
         text = f"expected plain values with finite numbers, in {_DEEPEST} lists at most"
         raise ValueError(f"{kind}: {text}, got {values!r:.80}")
-    body = bytes((VERSION, len(kind))) + kind.encode("ascii") + msgspec.msgpack.encode(values)
+    try:
+        content = msgspec.msgpack.encode(values)
+    except (TypeError, OverflowError) as error:  # a float of numpy, an integer beyond 64 bits
+        raise ValueError(f"{kind}: {error}") from None
+    body = bytes((VERSION, len(kind))) + kind.encode("ascii") + content
     return body + crc32(body).to_bytes(4, "little")
 
 

@@ -7,6 +7,7 @@ from math import inf, nan
 from typing import Any
 from zlib import crc32
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -68,6 +69,10 @@ def test_numbers_that_are_not_finite_and_depths_are_refused_on_both_sides() -> N
         pack("", 1)
     with pytest.raises(ValueError, match="plain values"):
         pack("mine", {1j})
+    with pytest.raises(ValueError, match=r"mine: .*numpy\.float64"):
+        pack("mine", np.float64(1.5))
+    with pytest.raises(ValueError, match="mine: "):
+        pack("mine", [2**70])
 
 
 def test_a_state_message_is_told_apart_by_its_first_byte() -> None:

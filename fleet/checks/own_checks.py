@@ -74,10 +74,12 @@ class OwnChecks:
 
     def frame(self, frame: Frame, commands: Mapping[int, Command], errors: Mapping[int, Error]) -> None:
         """Take a frame, with all vehicles in it."""
-        tick = frame.tick
-        due = frozenset(group for group, every in self._every.items() if tick % every == 0 or tick == self._last)
-        if due:
+        if due := self.due(frame.tick):
             self.take(FrameValues(frame, commands, errors, due))
+
+    def due(self, tick: int) -> frozenset[str]:
+        """The topic groups of which the log has samples at a tick."""
+        return frozenset(group for group, every in self._every.items() if tick % every == 0 or tick == self._last)
 
     def take(self, values: TickValues) -> None:
         """Take the values of a tick."""
@@ -86,6 +88,8 @@ class OwnChecks:
 
     def event(self, event: Event) -> None:
         """A fault begins or ends; comes before the values of its tick."""
+        if event.action == "ends" and event.tick >= self._last:
+            return  # with the run: at its last tick it is still there, and the agent that it ended is not
         self._judge()
         if event.action == "begins":
             if event.is_fault:

@@ -122,6 +122,8 @@ class RunningPythonCheck:
                     # What only the end can show is not failed while the run goes on.
                     return self._verdict(False, _words(at_end), value if over else None)
             except CheckError as error:
+                if not over:  # it may have too little to go by; whether anybody asks now must change nothing
+                    return self._verdict(False, _broken(error).message, None)
                 self._break(error)
         if self._failure is None:
             return self._verdict(True, found, 0.0)
@@ -132,9 +134,7 @@ class RunningPythonCheck:
         return Verdict(self.name, passed, self.words, found, value, 0.0, "times", moment)
 
     def _break(self, error: CheckError) -> None:
-        where = f" ({error.where})" if error.where else ""
-        self._broken = True
-        self._failure = Failure(f"the check is broken, so nothing is known: {error.problem}{where}")
+        self._broken, self._failure = True, _broken(error)
 
     def _checked(self, tick: int, method: Any, answer: Any) -> Failure | None:
         """What it returned, if that can be used."""
@@ -155,6 +155,11 @@ class RunningPythonCheck:
         if strangers := [i for i in numbers if not 1 <= i <= self._vehicles]:
             raise self._fence.wrong(tick, method, f"returned a Failure of vehicle {strangers[0]}: there is none")
         return Failure(" ".join(message.split())[:_MOST_TEXT] or "broken", numbers, found)
+
+
+def _broken(error: CheckError) -> Failure:
+    where = f" ({error.where})" if error.where else ""
+    return Failure(f"the check is broken, so nothing is known: {error.problem}{where}")
 
 
 def _words(failure: Failure) -> str:

@@ -11,7 +11,7 @@ from typing import Any
 from fleet.checks.own_checks import OwnChecks, reported
 from fleet.checks.values import LoggedValues, Values
 from fleet.checks.verdict import Verdict
-from fleet.errors import FleetError
+from fleet.errors import FleetError, Problem, ScenarioError
 from fleet.logs.decoder import Decoder
 from fleet.logs.reader import LogReader, Record
 from fleet.logs.schemas import FROM_TICK
@@ -71,8 +71,10 @@ def check_log(
             hint = f"another run is fleet run --set {key}"
             raise CheckLogError(f"--set {key}: a log can be judged by other checks, and by nothing else; {hint}")
     source = recorded(path, reading)
-    # A law that may not run is no mistake here, unless a check is about one of its signals.
-    scenario = source.script([Override.of(text) for text in overrides], Policy(trust, refused=[]))
+    refused: list[Problem] = []  # a law that may not run is no mistake here, unless a check is about one of its signals
+    scenario = source.script([Override.of(text) for text in overrides], Policy(trust, refused=refused))
+    if strangers := [problem for problem in refused if problem.key.partition(".")[0] == "checks"]:
+        raise ScenarioError(strangers)
     begin = source.reader.metadata.get("run", {}).get(FROM_TICK, "0")
     first = int(begin) if begin.isdecimal() else 0
     checks = OwnChecks.asked(scenario, first)
@@ -81,12 +83,15 @@ def check_log(
             f"{source.path}: nothing to judge: its scenario has no check on a signal and none in Python; its others "
             "were judged by the run. Give one, as in --set 'checks={signal: {topic: state.z, below: 30 m}}'"
         )
+    if overrides and (others := _not_judged(scenario, source.script())):
+        problem = "a log is judged by checks on signals and in Python only, and this one needs a run"
+        raise CheckLogError(f"--set checks.{others[0]}: {problem}; fleet run --set has the same words")
     for event in scenario.faults.events:
         if event.tick < first:  # of a run that went on from another, whose log does not have it
             checks.event(event)
-    feed = _Feed(scenario, checks)
+    feed = _Feed(scenario, checks, first)
     reader = LogReader(source.path, reading)
-    feed.read(reader)
+    feed.read(reader, None if source.reader.missing else source.last_ns // scenario.tick_ns)
     if feed.newest < 0:
         raise CheckLogError(f"{source.path} holds no sample to judge{f': {reader.missing}' if reader.missing else ''}")
     complete = not reader.missing and feed.newest == scenario.ticks
@@ -99,10 +104,17 @@ def check_log(
     )
 
 
+def _not_judged(asked: Scenario, recorded: Scenario) -> list[str]:
+    """The checks that an override asks for and that only a run can judge."""
+    now, before = (one.spec.checks.model_dump(exclude={"signal", "python"}) for one in (asked, recorded))
+    return [key for key, check in now.items() if ":" not in key and check is not None and check != before.get(key)]
+
+
 class _Feed:
     """Shows checks what a log holds, in its order: the faults of a tick, its values, and its fates."""
 
-    def __init__(self, scenario: Scenario, checks: OwnChecks) -> None:
+    def __init__(self, scenario: Scenario, checks: OwnChecks, first: int) -> None:
+        """`first`: tick at which the log begins."""
         self._checks, self._tick_ns = checks, scenario.tick_ns
         self._links = {f"link/{src}-{dst}": (src, dst) for src, dst in scenario.graph.links}
         self._samples = {
@@ -113,10 +125,18 @@ class _Feed:
         }
         self._found: dict[tuple[int, str], Values] = {}  # of the tick that is read
         self._tick = -1
+        self._whole = False
+        self._next = first  # tick up to before which everything is shown
         self.newest = -1  # tick that was judged
 
-    def read(self, reader: LogReader) -> None:
-        """Show all of a log; of the last tick of one that is cut something may be missing, so it is left out."""
+    def read(self, reader: LogReader, last: int | None) -> None:
+        """Show all of a log.
+
+        Args:
+            last: its last tick, and it is whole: where it has no sample nobody reported. None: it is not whole. What it
+                has no sample of may be what is missing, also at its last tick, which is left out.
+        """
+        self._whole = last is not None
         decode = Decoder(reader).message
         for record in reader.of({FAULTS, *self._links, *self._samples}):
             if (message := decode(record)) is None:  # damaged
@@ -125,18 +145,22 @@ class _Feed:
                 self._sample(record, message)
             elif record.topic in self._links:
                 self._show()
+                self._show_silence(record.log_ns // self._tick_ns + 1)
                 self._checks.settle(self._fate(record, message))
             else:
                 self._show()
                 tick = record.log_ns // self._tick_ns
+                self._show_silence(tick)
                 self._checks.event(Event(tick, message.fault, message.action, message.what))
-        if not reader.missing:
+        if last is not None:
             self._show()
+            self._show_silence(last + 1)
 
     def _sample(self, record: Record, message: Any) -> None:
         tick = record.log_ns // self._tick_ns
         if tick != self._tick:
             self._show()
+            self._show_silence(tick)
             self._tick = tick
         i, group, (start, signals) = self._samples[record.topic]
         values: list[float] = [nan] * start
@@ -149,8 +173,18 @@ class _Feed:
         """The values of the tick are known: what follows is something else."""
         if not self._found:
             return
-        self._checks.take(LoggedValues(self._tick, self._found))
-        self.newest, self._found = self._tick, {}
+        self._take(self._tick, self._found)
+        self._found = {}
+
+    def _show_silence(self, until: int) -> None:
+        """The ticks before one at which a sample is due and the log has none: a run shows them to its checks, too."""
+        for tick in range(self._next, until) if self._whole else ():
+            if self._checks.due(tick):
+                self._take(tick, {})
+
+    def _take(self, tick: int, found: dict[tuple[int, str], Values]) -> None:
+        self._checks.take(LoggedValues(tick, found))
+        self.newest, self._next = tick, tick + 1
 
     def _fate(self, record: Record, message: Any) -> Fate:
         src, dst = self._links[record.topic]

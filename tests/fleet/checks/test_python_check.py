@@ -136,6 +136,35 @@ def test_a_broken_check_is_no_pass(module: Path, monkeypatch: pytest.MonkeyPatch
     assert found.found.startswith("the check is broken, so nothing is known: ") and words in found.found
 
 
+EARLY = """\
+class Check:
+    def __init__(self, facts): self.seen = []
+    def step(self, tick):
+        if tick.t > 1: self.seen.append(tick.t)
+    def verdict(self): return f"{max(self.seen):g} s"
+"""
+
+
+def test_a_verdict_that_comes_too_early_changes_nothing(module: Path) -> None:
+    asked_once, asked_often = verdict(module, EARLY), verdict(module, EARLY, at_once=False)
+    assert asked_once.passed and asked_once.found == "4 s"
+    assert asked_often == asked_once
+
+
+DIES = """\
+class Check:
+    def __init__(self, facts): self.seen = []
+    def step(self, tick):
+        self.seen.append((tick.t, [one.id for one in tick.vehicles if one.alive], [one.id for one in tick.faults]))
+    def verdict(self): return str(self.seen[-1])
+"""
+
+
+def test_what_lasts_to_the_end_is_there_at_the_last_tick(module: Path) -> None:
+    found = verdict(module, DIES, faults="faults=[{id: gone, at: 1 s, kill: 2}]")
+    assert found.found == "(4.0, [1, 3], ['gone'])"
+
+
 def test_a_broken_verdict_is_no_pass(module: Path) -> None:
     found = verdict(module, STEP + "return None\n    def verdict(self): return 1 / 0\n")
     assert not found.passed

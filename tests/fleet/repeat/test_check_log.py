@@ -92,6 +92,23 @@ def test_a_log_gives_the_verdicts_of_its_run(folder: Path, change: str) -> None:
     assert row["moment"]["message"]["dst"] in row["moment"]["vehicles"]
 
 
+SILENT = """checks={deaths: waived, signal: [
+{name: late, topic: guidance.neighbours_heard, above: 9, eventually_within: 1 s},
+{name: none, topic: guidance.neighbours_heard, above: 0, after: 600 ms},
+{name: soon, topic: guidance.neighbours_heard, above: 9, eventually_within: 1900 ms}]}"""
+
+
+def test_silence_in_a_log_is_judged_as_in_its_run(folder: Path) -> None:
+    result = run("faults=[{id: gone, at: 500 ms, kill: 1-3}]", SILENT)
+    assert result.directory is not None
+    again = check_log(result.directory)
+    assert again.verdicts == [verdict for verdict in result.verdicts if verdict.check in ("late", "none", "soon")]
+    assert [verdict.found.partition(";")[0] for verdict in again.verdicts] == [
+        "not within 1 s after 0 s (vehicles 1, 2, 3)", "no sample", "not within 1.9 s after 0 s (vehicles 1, 2, 3)",
+    ]  # fmt: skip
+    assert again.until_s == 2.0
+
+
 def test_a_cut_log_is_judged_to_where_it_is_whole(folder: Path) -> None:
     result = run("duration=20 s")
     assert result.directory is not None
@@ -128,6 +145,8 @@ def test_what_cannot_be_judged_is_said(folder: Path) -> None:
         check_log(result.directory, ["seed=3"])
     with pytest.raises(CheckLogError, match="nothing to judge"):
         check_log(result.directory, ["checks={formation_error: {below: 3 m}}"])
+    with pytest.raises(CheckLogError, match=r"checks\.min_separation: a log is judged by checks on signals"):
+        check_log(result.directory, ["checks.min_separation.above=3 m"])
     with pytest.raises(ScenarioError, match=r"there is no signal state\.zz"):
         check_log(result.directory, ["checks={signal: {topic: state.zz, below: 3 m}}"])
 
@@ -158,3 +177,10 @@ def test_a_check_of_a_stranger_needs_trust(folder: Path, monkeypatch: pytest.Mon
     (elsewhere / "own_one_here.py").write_text(MODULE.replace("Packets", "Own"))
     typed = check_log(log, ['checks={"own_one_here:Own": {}}'])
     assert [verdict.check for verdict in typed.verdicts] == ["Own"]
+    monkeypatch.chdir(folder)  # it lies here still, but is installed no more
+    monkeypatch.setattr(sys, "path", [entry for entry in sys.path if entry != str(folder)])
+    monkeypatch.delitem(sys.modules, "packets_seen_here")
+    monkeypatch.setattr("world.plugins.trust._allowed", set())  # as in a new process
+    with pytest.raises(ScenarioError, match=r"(?s)would run packets_seen_here\.py.* a log names it.*--trust"):
+        check_log(log)
+    assert "packets_seen_here" not in sys.modules

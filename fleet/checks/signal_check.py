@@ -149,7 +149,7 @@ class _Safety:
         unit = "" if asked.unit == "1" else asked.unit
         limit = asked.condition.limit
         if asked.least_ns > 1:
-            limit, unit = asked.least_ns / 1e9, "s"
+            limit, unit = round(asked.least_ns / 1e9, 6), "s"  # without the 1 ns of "longer than"
         if worst is None:
             return False, "no sample" + ("" if over else " yet"), None, limit, unit
         if asked.least_ns > 1:

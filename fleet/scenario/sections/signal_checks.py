@@ -105,6 +105,9 @@ def ask(check: SignalCheck, vehicles: Mapping[int, Mapping[str, Place]]) -> Aske
         unit = unit_of(signal, (vehicles[i] for i in some))
     except SignalError as error:
         raise SignalCheckError("topic", error.problem, error.hint) from None
+    if check.vehicles is not None and (without := [i for i in some if signal.name not in vehicles[i]]):
+        hint = "without the key all that have the signal count"
+        raise SignalCheckError("vehicles", f"vehicle {without[0]} has no signal {signal.name}", hint)
     condition = _condition(check, unit)
     if condition.over != "each" and len(some) < 2:
         raise SignalCheckError(_given(check)[0], "compares vehicles, and there is one", "name two or more")

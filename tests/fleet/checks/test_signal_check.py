@@ -71,6 +71,10 @@ def test_what_is_asked_is_found(check: str, passed: bool, value: float, words: s
     assert (verdict.moment is None) == passed
 
 
+def test_the_limit_of_agreement_is_the_time_as_given() -> None:
+    assert one("agree_within: 490 ms", peak).limit == 0.49
+
+
 def test_at_most_one_counts_those_that_are_not_zero() -> None:
     leads = {1: (0.0, 2.0), 3: (1.5, 4.0)}  # vehicle -> from, to [s]
 

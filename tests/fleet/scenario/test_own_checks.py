@@ -58,6 +58,15 @@ def test_what_makes_no_sense_is_refused(check: str, words: str) -> None:
     assert words in only_problem(f"checks={{signal: {{{check}}}}}", CUT)
 
 
+def test_a_vehicle_that_is_named_has_the_signal() -> None:
+    checks = "checks={{signal: {{topic: state.phi, below: 1 rad{}}}}}"
+    plant = "per_vehicle={2: {vehicle: {plant: remus100}}}"
+    assert small(checks.format(""), plant).spec.checks.signal
+    assert small(checks.format(", vehicles: 2"), plant).spec.checks.signal
+    words = "checks.signal.vehicles: vehicle 1 has no signal state.phi"
+    assert words in only_problem(checks.format(", vehicles: 1-2"), plant)
+
+
 def test_a_mistake_has_its_line() -> None:
     text = SMALL + "checks:\n  signal:\n    - {topic: state.x, below: 3 m}\n    - {topic: state.y, below: 3 kg}\n"
     with pytest.raises(ScenarioError) as caught:

@@ -21,6 +21,7 @@ from world.plugins.fence import Fence, shown
 
 BUDGET_S = 5.0  # of wall time, that one call may take
 _MOST_TEXT = 300  # characters of a message, or of a text about what was found
+_MOST_PARAMETER = 50  # characters of one in the words of its check
 _MOST_VALUES = 100  # of a failure, and vehicles
 
 
@@ -83,7 +84,7 @@ class RunningPythonCheck:
             raise CheckError(class_name, error.problem, error.hint) from None
         self._check = self._fence.make(found, facts, parameters)
         about = next(iter((found.__doc__ or class_name).strip().splitlines()), class_name).rstrip(".")
-        self.words = ", ".join([about, *(f"{key} {shown(value).strip(chr(39))}" for key, value in parameters.items())])
+        self.words = ", ".join([about, *(f"{key} {_short(value)}" for key, value in parameters.items())])
         self._failure: Failure | None = None
         self._at_s = 0.0
         self._broken = False
@@ -160,6 +161,11 @@ class RunningPythonCheck:
 def _broken(error: CheckError) -> Failure:
     where = f" ({error.where})" if error.where else ""
     return Failure(f"the check is broken, so nothing is known: {error.problem}{where}")
+
+
+def _short(parameter: Any) -> str:
+    text = shown(parameter).strip("'")
+    return text if len(text) <= _MOST_PARAMETER else f"{text[:_MOST_PARAMETER]}..."
 
 
 def _words(failure: Failure) -> str:

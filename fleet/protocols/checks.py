@@ -21,7 +21,7 @@ class TrueMean:
         """
         self._below, self._within = below, seconds(within)
         self._sides = Sides(facts)
-        self._found = "never judged: the sides changed all the time"
+        self._found = ""
 
     def step(self, tick: Tick) -> Failure | None:
         """Compare the averages with the mean, on every side."""
@@ -45,9 +45,9 @@ class TrueMean:
         self._found = f"off by {worst:.2g} degC at most at {tick.t:g} s"
         return None
 
-    def verdict(self) -> str:
+    def verdict(self) -> str | Failure:
         """How far off the averages were last."""
-        return self._found
+        return self._found or Failure("no sample: the sides changed again, or the run ended, before it was judged")
 
 
 class AtMostOneLeader:

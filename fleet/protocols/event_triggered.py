@@ -128,4 +128,5 @@ def _motion(nav: Nav) -> Motion:
     """Own position [m, NED] and velocity over ground [m/s, NED]."""
     x, y, z, theta, psi = nav.eta
     u, v, w, q, r = nav.nu
-    return Motion((x, y, z), earth_velocity((x, y, z, theta, psi), (u, v, w, q, r)))
+    phi = nav.roll[0] if nav.roll else 0.0
+    return Motion((x, y, z), earth_velocity((x, y, z, theta, psi), (u, v, w, q, r), phi))

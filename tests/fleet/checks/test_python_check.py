@@ -76,6 +76,12 @@ class Check:
 """
 
 
+def test_a_long_parameter_is_cut_where_that_is_seen(module: Path) -> None:
+    code = "class Check:\n    def __init__(self, facts, *, places, n): pass\n    def step(self, tick): pass\n"
+    found = verdict(module, code, f"{{places: {[[1, 2, 3]] * 20}, n: 2}}")
+    assert found.asked.endswith("[1, 2, 3], [1, 2..., n 2")
+
+
 def test_a_failure_has_its_moment(module: Path) -> None:
     fates = [fate(1, 2, 0), fate(1, 2, 50), fate(1, 2, 99, "down", final=99)]
     found = verdict(module, DEEP, faults=FAULTS, fates=fates)

@@ -56,6 +56,15 @@ def test_true_mean(history: list[Any], at: float | None, vehicles: tuple[int, ..
     assert (found and found[0], found[1].vehicles if found else ()) == (at, vehicles)
 
 
+def test_true_mean_that_was_never_judged_is_no_pass() -> None:
+    check = TrueMean(FACTS, below=0.1, within="2 s")
+    history = [(0.0, (), MEASURED, MEASURED), (1.5, CUT, MEASURED, MEASURED), (3.4, CUT, MEASURED, MEASURED)]
+    assert first_failure(check, history, ("measured", "average")) is None
+    assert isinstance(check.verdict(), Failure)
+    assert first_failure(check, [(3.6, CUT, MEASURED, (10.0, 40.0, 40.0))], ("measured", "average")) is None
+    assert check.verdict() == "off by 0 degC at most at 3.6 s"
+
+
 def test_true_mean_says_how_much_is_lost() -> None:
     history = [(0.0, (), MEASURED, (31.0, 31.0, 31.0))]
     found = first_failure(TrueMean(FACTS, within="0 s"), history, ("measured", "average"))

@@ -10,6 +10,7 @@ from protocol_network import delivery
 from small_scenario import small
 
 from agents.api import FormationAgent, Nav, pack
+from agents.payload import decode
 from fleet.protocols.event_triggered import EventTriggered
 
 ROUND = 5  # ticks of 10 ms
@@ -57,6 +58,14 @@ def test_without_a_threshold_it_always_sends() -> None:
 def test_it_speaks_up_when_neighbours_would_be_wrong(extrapolate: str, speed: float, first: int | None) -> None:
     agent = EventTriggered(config(extrapolate), threshold_m=0.1, ahead_s=0.0)
     assert sending(agent, *straight(12, speed))[:2] == [0, *([] if first is None else [first])]
+
+
+def test_what_it_compares_is_what_it_tells_also_where_there_is_roll() -> None:
+    agent = EventTriggered(config())
+    (payload,) = agent.transmit(Nav(0, 0, (0.0, 0.0, 5.0, 0.0, 0.0), (0.5, 0.0, 0.3, 0.0, 0.0), (0.5, 0.0)))
+    told = decode(payload)
+    assert told.velocity[1] < -0.1
+    assert agent.state()["told"] == [0, *told.position, *told.velocity]
 
 
 def test_a_new_velocity_is_news_at_once() -> None:

@@ -31,7 +31,7 @@ import numpy as np
 import piqp
 
 from agents.config import KeepApartParams
-from agents.laws.velocity_command import slew
+from agents.laws.velocity_command import clip, slew
 from agents.sample import Sample
 from world.signal import Signal
 from world.vectors import ZERO, Vec3, dot, minus, moved, scale
@@ -138,9 +138,10 @@ def apart(rho: Vec3, found: Sequence[Bound], ahead: Bound, params: KeepApartPara
         return Filtered(rho, 0, 0.0)
     first = found[missed.index(worst)]
     target = moved(rho, _aside(first, rho), ASIDE * worst)
-    answer = _nearest(target, found, (ahead.n, min(ahead.least, dot(ahead.n, rho))), _widest(rho, params.speed))
-    if answer is None:  # what PIQP cannot solve
-        answer = moved(rho, first.n, worst)
+    widest = _widest(rho, params.speed)
+    answer = _nearest(target, found, (ahead.n, min(ahead.least, dot(ahead.n, rho))), widest)
+    if answer is None:  # what PIQP cannot solve, such as the velocities of a neighbour that lies
+        answer = clip(moved(rho, first.n, worst), scale(widest, -1.0), widest)
     rest = [bound.least - dot(bound.n, answer) for bound in found]
     slack = max(rest)
     return Filtered(answer, sum(left >= -SLACK for left in rest), slack if slack > SLACK else 0.0)

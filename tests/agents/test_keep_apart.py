@@ -13,7 +13,7 @@ from small_scenario import SMALL, only_problem, small
 from agents.api import Sample
 from agents.config import AgentConfig, Cylinder, KeepApartParams
 from agents.controllers import layout
-from agents.laws.keep_apart import SLACK, Bound, KeepApart, Seen, apart, bounds, margin
+from agents.laws.keep_apart import CLIMB, SLACK, Bound, KeepApart, Seen, apart, bounds, margin
 from agents.neighbours import NeighbourTable
 from agents.offset import Offset
 from agents.payload import StateMessage, encode
@@ -153,6 +153,23 @@ def test_a_vehicle_in_the_same_place_has_a_direction_and_a_silent_one_waits() ->
     assert same.n == (1.0, 0.0, 0.0)
     (silent,) = bounds((10.0, 0.0, 0.0), ZERO, [Seen(2, ZERO, (1.0, 0.0, 0.0), 60.0)], PARAMS)
     assert silent.moves == ZERO
+
+
+def test_who_lies_commands_no_more_than_the_limits() -> None:
+    """With velocities as these PIQP has no solution."""
+    told = [
+        Seen(2, (0.04187392196785255, -0.11650458459085053, 0.08785437130200653),
+             (-0.7487883734950451, 667610588.9104146, -571125895.1464382), 3.0),
+        Seen(3, (23.708085515209522, -1.1885579682217953, -11.583630656001633),
+             (-239638786.07243124, -0.002545501091738789, 0.038841624405204334), 0.1),
+        Seen(4, (-0.7005369965286111, -0.6350931936699283, 0.11379344867769291),
+             (0.500625621243773, 0.4956729001881177, -0.5280680162544973), 3.0),
+    ]  # fmt: skip
+    own = (-0.8198351009023108, 0.6446614719310506, 0.019146732905085395)
+    rho = (1.0581352924977927, 0.2818074237756427, 0.33212083406733894)
+    ahead = Bound((math.cos(2.7652084546664186), math.sin(2.7652084546664186), 0.0), 0.05, ZERO)
+    north, east, down = apart(rho, bounds(ZERO, own, told, PARAMS), ahead, PARAMS).rho
+    assert max(abs(north), abs(east)) <= PARAMS.speed and abs(down) <= CLIMB * PARAMS.speed
 
 
 def test_the_table_gives_states_as_they_were_sampled_and_leaves_out_whom_it_drops() -> None:

@@ -84,7 +84,7 @@ def test_what_is_inside_is_saved_and_restored_in_another_process(version: int, t
     path = build(tmp_path / "auv.fmu", version)
     with fenced(path, signals={"effort": "effort"}) as plant, fenced(path, signals={"effort": "effort"}) as other:
         advance(plant, 20)
-        memory = plant.memory()
+        memory = plant.memory(20)
         other.restore(20, memory, (0.0,) * 5, (0.0,) * 5)
         advance(plant, 5)
         advance(other, 5)
@@ -97,7 +97,7 @@ def test_a_unit_that_cannot_save_its_state_is_not_resumed(tmp_path: Path) -> Non
     with fenced(path) as plant:
         advance(plant, 2)
         with pytest.raises(PlantError, match=r"tick 2: .*cannot save its state .*its run cannot be resumed"):
-            plant.restore(2, plant.memory(), (0.0,) * 5, (0.0,) * 5)
+            plant.restore(2, plant.memory(20), (0.0,) * 5, (0.0,) * 5)
 
 
 def renamed(**names: tuple[str, str]) -> list[tuple[str, str, str]]:

@@ -131,7 +131,9 @@ class Lockstep:
     def _note_memory(self, i: int, k: int, *, asked: bool) -> None:
         """Note what vehicle i remembers before tick k, if it is time; an agent that is asked sends its own later."""
         if self._memory_ticks and k % self._memory_ticks == 0 and k:
-            self._memories.setdefault(k, {})[i] = self.state.memory(i, None if asked else b"")
+            vehicles = self._memories.setdefault(k, {})
+            if (known := self.state.memory(i, None if asked else b"")) is not None:
+                vehicles[i] = known
 
     def _complete_memory(self, i: int, k: int, agent: bytes) -> None:
         """Add to what vehicle i remembers before tick k, if anything, what its agent does."""

@@ -143,19 +143,24 @@ class RunState:
         if k + 1 == self.config.ticks:
             self.frames.row(k + 1, VehicleFrame(i, *self.world.state(i), (), (), b"", self.world.of_plant(i)))
 
-    def memory(self, i: int, agent: bytes | None) -> VehicleMemory:
-        """All that the next ticks of vehicle i depend on.
+    def memory(self, i: int, agent: bytes | None) -> VehicleMemory | None:
+        """All that the next ticks of vehicle i depend on; None, with a note, where its plant cannot say that.
 
         Args:
             agent: what its agent remembers; None: that is still to come.
         """
+        try:
+            motion = self.world.memory(i, moves=i not in self._diverged)
+        except IntegrationError as error:
+            self.notes.append((i, error.tick, f"error: {error.reason}; no snapshot is logged at this tick"))
+            return None
         condition: str | list[int] | bool = False
         if i in self._diverged:
             condition = DIVERGED
         elif i in self._tumblings:
             condition = [*Tumbling(int(i in self._tumbled), *self._tumblings[i])]
         delayed = [[tick, list(tau)] for tick, tau in sorted(self._delayed[i].items())]
-        return VehicleMemory(i, self.world.memory(i), list(self.tau[i]), delayed, condition, agent)
+        return VehicleMemory(i, motion, list(self.tau[i]), delayed, condition, agent)
 
     def resume(self, tick: int, memory: dict[str, Any]) -> None:
         """Go on at a tick with what was remembered before it in another run of the same vehicles.

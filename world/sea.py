@@ -286,15 +286,22 @@ class World:
             if vehicle.plant is not None:
                 vehicle.plant.close()
 
-    def memory(self, i: int) -> list[Any]:
+    def memory(self, i: int, *, moves: bool = True) -> list[Any]:
         """All that vehicle i's next ticks depend on besides its faults.
+
+        Args:
+            i: the vehicle's number.
+            moves: whether it is still integrated; a plant that failed is not asked what it remembers.
 
         Returns:
             MessagePack values [tick, state, held], and behind them what its plant remembers, for `remember`.
+
+        Raises:
+            PlantError: its plant cannot say what it remembers.
         """
         held = [[fault, list(values)] for (fault, j), values in sorted(self._held.items()) if j == i]
         vehicle = self._vehicles[i]
-        own = [] if vehicle.plant is None else [vehicle.plant.memory()]
+        own = [] if vehicle.plant is None else [vehicle.plant.memory(vehicle.tick, moves=moves)]
         return [vehicle.tick, list(vehicle.state), held, *own]
 
     def remember(self, i: int, values: list[Any]) -> None:

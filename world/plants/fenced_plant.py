@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from contextlib import suppress
 from functools import partial
 from math import cos, isfinite, sin
 from pathlib import Path
 from typing import Any
+
+import msgpack
 
 from world.api import PlantConfig, PlantState, Water
 from world.config import PlantSetup
@@ -14,6 +17,7 @@ from world.errors import PlantError
 from world.plants.classes import plant_class
 from world.plugins.checks import MAX_NUMBERS, resumable
 from world.plugins.fence import Fence, numbers_of, shown
+from world.plugins.places import words_of
 from world.plugins.trust import allow_file
 from world.signal import Signal
 from world.vectors import Vec2, Vec3, Vec5, Vec6
@@ -103,11 +107,30 @@ class FencedPlant:
     def close(self) -> None:
         """End what the plant holds; it is not used afterwards."""
         if callable(close := getattr(self._plant, "close", None)):
-            close()
+            with suppress(Exception, SystemExit):  # the run is over, and its result stands
+                close()
 
-    def memory(self) -> list[Any]:
-        """All that its next steps depend on, for `restore`: [name, roll, state, what else it remembers]."""
-        return [self.name, [*self.roll], [*self.state], self._plant.state() if self._resumable else None]
+    def memory(self, tick: int, *, moves: bool = True) -> list[Any]:
+        """All that its next steps depend on, for `restore`: [name, roll, state, what else it remembers].
+
+        Args:
+            tick: at which it is.
+            moves: whether it has next steps; a plant that failed is not asked what else it remembers.
+
+        Raises:
+            PlantError: it cannot say what else it remembers.
+        """
+        inside = self._remembered(tick) if self._resumable and moves else None
+        return [self.name, [*self.roll], [*self.state], inside]
+
+    def _remembered(self, tick: int) -> Any:
+        """A copy of what the plant remembers besides its state, which its next steps leave alone."""
+        values = self._fence.call(tick, self._plant.state)
+        try:
+            return msgpack.unpackb(msgpack.packb(values))
+        except Exception as error:  # whatever packing the user's objects raises
+            text = f"returned from state() {shown(values)}, which a log cannot hold: {words_of(error)}"
+            raise self._fence.wrong(tick, self._plant.state, text) from None
 
     def restore(self, tick: int, values: list[Any] | None, pose: Vec5, velocity: Vec5) -> None:
         """Continue from what `memory` returned in another run; from where a vehicle of another kind was, otherwise.
@@ -172,11 +195,12 @@ class FencedPlant:
 
     def _limits(self) -> Vec3:
         plant, fence = self._plant, self._fence
-        if not hasattr(plant, "limits"):
+        limits = fence.call(0, getattr, plant, "limits", None)
+        if limits is None:
             raise fence.wrong(0, type(plant), "has no limits: largest surge force [N], pitch and yaw moment [N m]")
-        found = _numbers(plant.limits)
+        found = _numbers(limits)
         if len(found) != 3 or not all(isfinite(limit) and limit >= 0.0 for limit in found):
-            text = f"has the limits {shown(plant.limits)}: expected three finite numbers, none below 0"
+            text = f"has the limits {shown(limits)}: expected three finite numbers, none below 0"
             raise fence.wrong(0, type(plant), text)
         return found[0], found[1], found[2]
 

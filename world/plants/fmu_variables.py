@@ -176,13 +176,18 @@ class _Reader:
 
     def __init__(self, model: Any) -> None:
         self._known = {variable.name: variable for variable in model.modelVariables}
+        self._setters = _SETTERS | (_OF_FMI_3 if model.fmiVersion.startswith("3.") else {})
         self._units = {unit.name: unit.baseUnit for unit in model.unitDefinitions if unit.baseUnit is not None}
 
     def variables(self, inputs: Any, outputs: Any, initial: Any, start: Any, signals: Any) -> Variables:
         chosen = _names("inputs", inputs, COMMAND | CURRENT | WRENCH)
-        taken = self._group("inputs", COMMAND | CURRENT | WRENCH, chosen, frozenset(COMMAND))
-        for key, name in chosen.items():
-            if key in taken and self._known[name].causality not in ("input", "parameter"):
+        namesakes = {  # what only has the name of a part of the water by chance, such as a mass M
+            key: NONE for key in CURRENT | WRENCH if key in self._known and self._known[key].causality != "input"
+        }
+        taken = self._group("inputs", COMMAND | CURRENT | WRENCH, namesakes | chosen, frozenset(COMMAND))
+        for key in taken:
+            name = chosen.get(key, key)
+            if self._known[name].causality not in ("input", "parameter"):
                 hint = "it must be an input, or a tunable parameter"
                 raise FmuError(f"inputs.{key}: {name!r} is of causality {self._known[name].causality}", hint)
         named = _names("outputs", outputs, MOTION)
@@ -263,9 +268,9 @@ class _Reader:
             whole = kind.startswith(("Int", "UInt", "Enum"))
             if not right or variable.dimensions or (whole and value != int(value)):
                 raise FmuError(f"start.{name}: expected a {kind}, got {value!r:.80}")
-            if kind not in _SETTERS:
-                raise FmuError(f"start.{name}: a {kind} cannot be given here", f"known: {', '.join(_SETTERS)}")
-            yield _SETTERS[kind], variable.valueReference, int(value) if whole else value
+            if kind not in self._setters:
+                raise FmuError(f"start.{name}: a {kind} cannot be given here", f"known: {', '.join(self._setters)}")
+            yield self._setters[kind], variable.valueReference, int(value) if whole else value
 
 
 # The setter of fmpy for each type.
@@ -280,6 +285,7 @@ _SETTERS = {
     "Boolean": "setBoolean",
     "String": "setString",
 }
+_OF_FMI_3 = {"Enumeration": "setInt64"}
 
 
 def _texts(group: str, value: Any) -> dict[str, str]:

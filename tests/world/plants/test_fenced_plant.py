@@ -14,6 +14,7 @@ from world.config import NavNoise, PlantSetup, WorldConfig
 from world.errors import PlantError, PluginError
 from world.faults import WorldFault
 from world.plants import fenced_plant
+from world.run_state import RunState
 from world.sea import World
 
 TAU = (3.0, 0.4, -0.6)
@@ -126,6 +127,7 @@ def test_a_failure_names_vehicle_tick_and_line_and_leaves_the_vehicle_where_it_w
     ("name", "said"),
     [
         ("Elsewhere", "vehicle 2, tick 0: Elsewhere has the pose (0, -10, 0, 0, 0, 0) at its start: expected (-1, "),
+        ("RaisingLimits", "vehicle 2, tick 0: RaisingLimits raised LookupError: no data sheet ("),
         ("NoLimits", "vehicle 2, tick 0: NoLimits has the limits (20.0, -1.0, 20.0): expected three finite numbers"),
     ],
 )
@@ -153,6 +155,42 @@ def test_it_goes_on_from_what_was_remembered(name: str) -> None:
     drive(sea, 30)
     drive(other, 30)
     assert everything(other) == everything(sea)
+
+
+@pytest.mark.parametrize(
+    ("values", "said"),
+    [
+        (None, "Forgetful raised LookupError: no memory ("),
+        ("an object", "Forgetful returned from state() <object object>, which a log cannot hold: TypeError: "),
+        ("loop", "Forgetful took longer than its budget of 50 ms ("),
+    ],
+)
+def test_what_cannot_be_remembered_is_named_and_the_run_goes_on_without_a_snapshot(values: Any, said: str) -> None:
+    state = RunState(config("Forgetful", budget_s=0.05, values=values), 1)
+    state.grant(5)
+    drive(state.world, 3)
+    assert state.memory(2, b"") is None
+    ((vehicle, tick, text),) = state.notes
+    assert (vehicle, tick) == (2, 3)
+    assert text.startswith(f"error: {said}")
+    assert "own_plants.py:" in text and text.endswith("no snapshot is logged at this tick")
+    drive(state.world, 1)
+
+
+def test_what_is_remembered_is_not_changed_by_the_steps_after_it() -> None:
+    sea = World(config("Sharing"))
+    drive(sea, 3)
+    memory = sea.memory(2)
+    before = msgpack.packb(memory)
+    drive(sea, 3)
+    assert msgpack.packb(memory) == before
+
+
+def test_a_plant_that_cannot_be_ended_does_not_take_the_result_with_it() -> None:
+    sea = World(config("Clinging"))
+    drive(sea, 1)
+    sea.close()
+    assert sea.tick(2) == 1
 
 
 def test_another_vehicle_begins_with_the_motion_that_was() -> None:

@@ -8,6 +8,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -22,6 +23,7 @@ from world.plants import fmu
 from world.plants.classes import plant_class
 from world.plants.fenced_plant import FencedPlant
 from world.plants.fmu import FmuPlant, fmu_class
+from world.plants.fmu_variables import _Reader
 from world.vehicle import VehicleParams
 
 CONFIG = PlantConfig(2, 0.01, 1, VehicleParams(*[1.0] * 14))
@@ -82,7 +84,7 @@ def test_what_is_inside_is_saved_and_restored_in_another_process(version: int, t
     path = build(tmp_path / "auv.fmu", version)
     with fenced(path, signals={"effort": "effort"}) as plant, fenced(path, signals={"effort": "effort"}) as other:
         advance(plant, 20)
-        memory = plant.memory()
+        memory = plant.memory(20)
         other.restore(20, memory, (0.0,) * 5, (0.0,) * 5)
         advance(plant, 5)
         advance(other, 5)
@@ -95,7 +97,7 @@ def test_a_unit_that_cannot_save_its_state_is_not_resumed(tmp_path: Path) -> Non
     with fenced(path) as plant:
         advance(plant, 2)
         with pytest.raises(PlantError, match=r"tick 2: .*cannot save its state .*its run cannot be resumed"):
-            plant.restore(2, plant.memory(), (0.0,) * 5, (0.0,) * 5)
+            plant.restore(2, plant.memory(20), (0.0,) * 5, (0.0,) * 5)
 
 
 def renamed(**names: tuple[str, str]) -> list[tuple[str, str, str]]:
@@ -147,6 +149,27 @@ def test_water_that_a_unit_does_not_take_is_an_error_unless_the_user_says_so(tmp
     with unit(path, inputs={"current": "none", "wrench": "none"}) as plant:
         state = plant.start(REST, REST)
         assert plant.step(state, TAU, SEA, H) == plant.step(plant.start(REST, REST), TAU, CALM, H)
+
+
+def test_a_variable_that_only_has_the_name_of_a_part_of_the_water_is_left_alone(tmp_path: Path) -> None:
+    # A mass M, and one K without a unit: to write the disturbance into them would be another vehicle.
+    others = {"M": ("M", "kg", "parameter"), "K": ("K", "", "parameter")}
+    rows = [others.get(row[0], row) for row in VARIABLES]
+    with unit(build(tmp_path / "auv.fmu", 2, description(2, rows))) as plant:
+        assert not {"K", "M"} & plant.uses.inputs.keys()
+        state = plant.step(plant.start(REST, REST), TAU, CALM, H)
+        with pytest.raises(FmuError, match=r"takes no M, and the sea has one; map inputs.M, or write"):
+            plant.step(state, TAU, Water((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0, 1.0, 0.0)), H)
+    rows = [("surge_force", "N", "output") if row[0] == "surge_force" else row for row in VARIABLES]
+    with pytest.raises(FmuError, match=r"inputs.surge_force: 'surge_force' is of causality output"):
+        fmu_class(build(tmp_path / "auv.fmu", 2, description(2, rows)), {})
+
+
+@pytest.mark.parametrize(("version", "setter"), [(2, "setInteger"), (3, "setInt64")])
+def test_an_enumeration_is_set_as_its_version_of_fmi_does(version: int, setter: str) -> None:
+    mode = SimpleNamespace(name="mode", type="Enumeration", dimensions=[], valueReference=7)
+    known = SimpleNamespace(modelVariables=[mode], unitDefinitions=[], fmiVersion=f"{version}.0")
+    assert list(_Reader(known)._start({"mode": 2})) == [(setter, 7, 2)]
 
 
 def test_a_start_that_the_unit_does_not_take_says_what_to_map(tmp_path: Path) -> None:

@@ -45,8 +45,12 @@ class FencedLaw:
         return vector, fence.telemetry(tick, method, self._signals, answer[1])
 
     def state(self) -> Any:
-        """The law's state, or None when it has none."""
-        return self._law.state() if self._resumable else None
+        """The law's state, or None when it has none.
+
+        Raises:
+            ControllerError: its state() raised, took too long, or returned what a log cannot hold.
+        """
+        return self._fence.remembered(self._law.state) if self._resumable else None
 
     def restore(self, values: Any) -> None:
         """Continue from `state()`; a law without one begins from the start."""

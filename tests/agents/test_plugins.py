@@ -421,6 +421,27 @@ def test_failures_abort_a_distributed_run(kind: str, module: Callable[[str], str
     assert json.loads((result.directory / "result.json").read_text("utf-8"))["exit"] == 3
 
 
+@pytest.mark.parametrize("in_process", [True, False])
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ("return 1 / 0", "Law raised ZeroDivisionError: division by zero"),
+        ("return {1j: 2}", "Law returned from state() {1j: 2}, which a log cannot hold: TypeError"),
+    ],
+)
+def test_a_law_that_cannot_say_what_it_remembers_is_named(
+    line: str, words: str, in_process: bool, module: Callable[[str], str], tmp_path: Path
+) -> None:
+    """Also a failure of state() is one of the law, with vehicle, tick and line."""
+    name = module(GOOD.replace('return {"count": self.count}\n\n    def restore', f"{line}\n\n    def restore"))
+    s = scenario(f"per_vehicle.2.controller={name}:Law", "log.snapshot=100 ms")
+    result = run(s, tmp_path, in_process=in_process)
+    assert result.status is Status.BROKEN
+    said = "\n".join([result.reason, *result.lines])
+    assert f"agent 2, tick 9: {words}" in said, said
+    assert f"{name}.py:" in said
+
+
 @pytest.mark.slow
 def test_coasting_is_the_same_in_processes(module: Callable[[str], str], tmp_path: Path) -> None:
     """Every kind of failure at once, one per vehicle, at different ticks: the run goes on, each vehicle without

@@ -9,15 +9,12 @@ from math import cos, isfinite, sin
 from pathlib import Path
 from typing import Any
 
-import msgpack
-
 from world.api import PlantConfig, PlantState, Water
 from world.config import PlantSetup
 from world.errors import PlantError
 from world.plants.classes import plant_class
 from world.plugins.checks import MAX_NUMBERS, resumable
 from world.plugins.fence import Fence, numbers_of, shown
-from world.plugins.places import words_of
 from world.plugins.trust import allow_file
 from world.signal import Signal
 from world.vectors import Vec2, Vec3, Vec5, Vec6
@@ -120,17 +117,8 @@ class FencedPlant:
         Raises:
             PlantError: it cannot say what else it remembers.
         """
-        inside = self._remembered(tick) if self._resumable and moves else None
+        inside = self._fence.remembered(self._plant.state, tick) if self._resumable and moves else None
         return [self.name, [*self.roll], [*self.state], inside]
-
-    def _remembered(self, tick: int) -> Any:
-        """A copy of what the plant remembers besides its state, which its next steps leave alone."""
-        values = self._fence.call(tick, self._plant.state)
-        try:
-            return msgpack.unpackb(msgpack.packb(values))
-        except Exception as error:  # whatever packing the user's objects raises
-            text = f"returned from state() {shown(values)}, which a log cannot hold: {words_of(error)}"
-            raise self._fence.wrong(tick, self._plant.state, text) from None
 
     def restore(self, tick: int, values: list[Any] | None, pose: Vec5, velocity: Vec5) -> None:
         """Continue from what `memory` returned in another run; from where a vehicle of another kind was, otherwise.

@@ -63,8 +63,8 @@ class Plant(Protocol):
       as propeller revolutions; a number, or `width` numbers, for each name;
     * `state()` and `restore(values)`: what cannot be in the state, as plain values (None, bool, int, float, str,
       bytes, list, dict). A plant that has these two is asked and restored when a run is resumed from its log.
-    * `close()`: ends what it holds, such as a process; it is not used afterwards. The world of a distributed run just ends
-      without a call: what it holds must end with its process.
+    * `close()`: ends what it holds, such as a process; it is not used afterwards. The world of a distributed run just
+      ends without a call: what it holds must end with its process.
     """
 
     @property

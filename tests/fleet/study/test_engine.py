@@ -105,6 +105,7 @@ def test_a_law_that_lets_nothing_else_run_ends_its_worker_once(engine: Engine, t
         f"{SMALL}controller: stuck_law:Law\n", "small.yaml", folder=tmp_path, policy=Policy(stranger="")
     )
     modules = modules_of([stuck], tmp_path)
+    wait_for(lambda: len(engine.client.run(os.getpid)) == 2, 30, "two workers: a test before may have ended one")
     before = set(engine.client.run(os.getpid).values())
     good = (task._replace(timeout_s=30.0) for task in tasks(4))
     rows = made(engine, iter([Task("stuck", 1, 1, NAME, stuck.to_yaml(), 1.0, modules), *good]))

@@ -18,6 +18,7 @@ from world.run_state import RunState
 from world.sea import World
 
 TAU = (3.0, 0.4, -0.6)
+LONG_S = 1.0  # a budget: garbage of all tests before, collected on a busy machine, has taken 0.5 s
 
 
 def config(
@@ -106,11 +107,11 @@ def test_the_sensor_knows_roll() -> None:
         ("text", "returned the state 'forward': expected 13 numbers"),
         ("pose", "expected pose (x, y, z, phi, theta, psi), six finite numbers"),
         ("report", "lacks fins"),
-        ("loop", "took longer than its budget of 500 ms"),
+        ("loop", "took longer than its budget of 1000 ms"),
     ],
 )
 def test_a_failure_names_vehicle_tick_and_line_and_leaves_the_vehicle_where_it_was(how: str, said: str) -> None:
-    sea = World(config("Failing", budget_s=0.5, how=how, at=3))
+    sea = World(config("Failing", budget_s=LONG_S if how == "loop" else 0.0, how=how, at=3))
     drive(sea, 3)
     before = everything(sea)
     with pytest.raises(PlantError) as caught:
@@ -162,11 +163,11 @@ def test_it_goes_on_from_what_was_remembered(name: str) -> None:
     [
         (None, "Forgetful raised LookupError: no memory ("),
         ("an object", "Forgetful returned from state() <object object>, which a log cannot hold: TypeError: "),
-        ("loop", "Forgetful took longer than its budget of 500 ms ("),
+        ("loop", "Forgetful took longer than its budget of 1000 ms ("),
     ],
 )
 def test_what_cannot_be_remembered_is_named_and_the_run_goes_on_without_a_snapshot(values: Any, said: str) -> None:
-    state = RunState(config("Forgetful", budget_s=0.5, values=values), 1)
+    state = RunState(config("Forgetful", budget_s=LONG_S if values == "loop" else 0.0, values=values), 1)
     state.grant(5)
     drive(state.world, 3)
     assert state.memory(2, b"") is None

@@ -31,7 +31,7 @@ export class Bar {
   live(onLine) {
     const { say } = this;
     if (!this.setup.may_act) return [make("span", { class: "fleet-badge" }, "watching only")];
-    this.pause = this.button("Pause", () => say({ do: "clock", how: this.paused ? "resume" : "pause" }));
+    this.pause = this.button("Pause", () => say({ do: "clock", how: this.paused ? "resume" : "pause" }), "space");
     const speed = make(
       "select",
       { ariaLabel: "Speed of the run", class: "fleet-select", onchange: (event) => say({ do: "clock", how: "speed", value: SPEEDS[event.target.value][1] }) },
@@ -57,7 +57,7 @@ export class Bar {
   log() {
     const { say, setup } = this;
     const end = setup.log_end_s;
-    this.pause = this.button("Play", () => say({ do: "toggle" }));
+    this.pause = this.button("Play", () => say({ do: "toggle" }), "space");
     this.slider = make("input", {
       type: "range", min: 0, max: end, step: 0.1, value: 0, ariaLabel: "Time in the log [s]", class: "fleet-slider",
       oninput: () => this.seek(),

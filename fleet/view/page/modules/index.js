@@ -80,10 +80,19 @@ export function render({ model, el }) {
     "change:names": () => charting.names(model.get("names")),
   };
   for (const [event, listener] of Object.entries(listeners)) model.on(event, listener);
+  // Space holds and goes on, where it does nothing else: not in fields and on buttons.
+  const hold = (event) => {
+    const free = event.target === document.body || event.target === scene.canvas;
+    if (event.key !== " " || event.repeat || !free || !bar.pause || bar.pause.disabled) return;
+    event.preventDefault();
+    bar.pause.click();
+  };
+  document.addEventListener("keydown", hold);
   el.fleet = { scene }; // for tests, and for who looks with the tools of the browser
   say({ do: "ready" });
   return () => {
     for (const [event, listener] of Object.entries(listeners)) model.off(event, listener);
+    document.removeEventListener("keydown", hold);
     scene.end();
     charting.end();
   };

@@ -36,6 +36,8 @@ from fleet.terminal.table import columns, show
 RATE = 100  # samples per second
 SAMPLE_S = 0.1  # between two looks at the processes' times
 END_S = 10.0  # for a run that is to end before its time
+STILL_S = 30.0  # without work: py-spy stops processes to look into them, and seldom one stays stopped
+TRIES = 2
 AGENTS, CONSOLE = "agents", "console"
 ZENOH, IMPORTS, OTHER = "zenoh", "imports", ""
 # By how a file's path begins below the packages; the innermost function with such a file decides.
@@ -112,6 +114,10 @@ class Times:
         keys = [key for key in self.user if key[0] in pids and (known is None or key not in known)]
         return sum(self.user[key] for key in keys), sum(self.kernel[key] for key in keys)
 
+    def total(self) -> float:
+        """CPU time of all of them [s]."""
+        return sum(self.user.values()) + sum(self.kernel.values())
+
 
 def _role(command: list[str]) -> str:
     words = " ".join(command)
@@ -141,33 +147,48 @@ def measure_profile(arguments: Sequence[str], scenario: str, out: Path) -> Profi
     spy = py_spy()
     if spy is None:
         raise BenchError("a profile needs py-spy, which is not installed: pip install 'uuv-fleet[profile]'")
-    with tempfile.TemporaryDirectory(prefix="uuv-fleet-bench-") as name:
-        folder = Path(name)
-        command = [spy, "record", "--subprocesses", "--native", "--function", "--rate", str(RATE)]
-        command += ["--format", "speedscope", "--output", str(folder / "stacks.json"), "--"]
-        command += [sys.executable, "-P", "-m", "fleet", "run", *arguments, "--out", str(folder / "run"), "--quiet"]
-        times = Times()
-        said = _run(command, folder / "said.txt", times)
-        result = result_of(folder / "run")
-        if result.get("status", "pass") not in ("pass", "check_failed"):
-            raise BenchError(f"the run was {result['status']}: {result.get('reason', '')}")
-        if not result or not (folder / "stacks.json").exists():
-            raise BenchError(f"py-spy made no profile: {said}; if it may not look into processes: {_HINT}")
-        stacks = read_stacks((folder / "stacks.json").read_bytes())
-        wall = result["wall"]
+    for _ in range(TRIES):
+        with tempfile.TemporaryDirectory(prefix="uuv-fleet-bench-") as name:
+            folder = Path(name)
+            command = [spy, "record", "--subprocesses", "--native", "--function", "--rate", str(RATE)]
+            command += ["--format", "speedscope", "--output", str(folder / "stacks.json"), "--"]
+            command += [sys.executable, "-P", "-m", "fleet", "run", *arguments, "--out", str(folder / "run"), "--quiet"]
+            times = Times()
+            said = _run(command, folder / "said.txt", times)
+            if said is None:
+                continue
+            result = result_of(folder / "run")
+            if result.get("status", "pass") not in ("pass", "check_failed"):
+                raise BenchError(f"the run was {result['status']}: {result.get('reason', '')}")
+            if not result or not (folder / "stacks.json").exists():
+                raise BenchError(f"py-spy made no profile: {said}; if it may not look into processes: {_HINT}")
+            stacks = read_stacks((folder / "stacks.json").read_bytes())
+            wall = result["wall"]
+            break
+    else:
+        raise BenchError(f"the run stood still under py-spy for {STILL_S:g} s, {TRIES} times: try another py-spy")
     out.mkdir(parents=True, exist_ok=True)
     rows = _rows(stacks, times, out, scenario, in_process=wall["in_process"])
     return Profiled(scenario, cores(), wall["x_real_time"], sorted(rows, key=lambda row: -row.cpu_s))
 
 
-def _run(command: list[str], said: Path, times: Times) -> str:
-    """Run py-spy to its end, and return what it said last."""
+def _run(command: list[str], said: Path, times: Times) -> str | None:
+    """Run py-spy to its end, and return what it said last; None: the run stood still and was ended."""
+    still = False
     with said.open("wb") as file, _session(command, file) as process:
         done = threading.Event()
 
         def watch() -> None:
+            nonlocal still
+            worked, since = 0.0, time.monotonic()
             while not done.wait(SAMPLE_S):
                 times.look(process.pid)
+                if times.total() > worked + 0.05:
+                    worked, since = times.total(), time.monotonic()
+                elif time.monotonic() - since > STILL_S:
+                    still = True
+                    process.kill()
+                    return
 
         watcher = threading.Thread(target=watch, daemon=True)
         watcher.start()
@@ -176,6 +197,8 @@ def _run(command: list[str], said: Path, times: Times) -> str:
         finally:
             done.set()
             watcher.join()
+    if still:
+        return None
     lines = [line for line in said.read_text("utf-8", "replace").splitlines() if line.strip()]
     return " ".join(lines[-1:])[:300] or f"it exited with status {process.returncode}"
 

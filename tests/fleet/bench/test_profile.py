@@ -141,6 +141,26 @@ def test_a_run_that_breaks_is_no_profile(tmp_path: Path, monkeypatch: pytest.Mon
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.parametrize("tries", [1, 2])
+def test_a_run_that_stands_still_is_ended_and_made_once_more(
+    tries: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """py-spy has left a process stopped for ever."""
+    stuck = tmp_path / "py-spy"
+    stuck.write_text(f"#!/bin/sh\necho $$ >>{tmp_path}/sessions\nsleep 60 &\nwait\n")
+    stuck.chmod(0o755)
+    monkeypatch.setattr(profile, "py_spy", lambda: str(stuck))
+    monkeypatch.setattr(profile, "STILL_S", 0.3)
+    monkeypatch.setattr(profile, "TRIES", tries)
+    status, line = run("-o", str(tmp_path / "out"))
+    assert (status, line) == (
+        3, f"fleet: the run stood still under py-spy for 0.3 s, {tries} times: try another py-spy"
+    )  # fmt: skip
+    sessions = (tmp_path / "sessions").read_text().split()
+    assert len(sessions) == tries
+    assert [of_session(int(session)) for session in sessions] == [[]] * tries
+
+
 def test_an_interrupt_lets_the_run_end_by_itself_and_leaves_nobody(tmp_path: Path) -> None:
     """The run, which is not the first of the group, gets the time to clean up that it needs."""
     script = f"(trap 'sleep 0.3; echo cleaned >{tmp_path}/said; exit' TERM; touch {tmp_path}/ready; sleep 60 & wait) &"

@@ -17,7 +17,14 @@ def keep_apart_warnings(scenario: Scenario) -> Iterator[str]:
     section = scenario.spec.keep_apart
     if section is None:
         return
-    without = [i for i, control in enumerate(scenario.controls, start=1) if not control.cascade]
+    controls = list(enumerate(scenario.controls, start=1))
+    agents = [i for i, control in controls if control.agent is not None]
+    if agents:
+        yield (
+            f"keep_apart acts within a FormationAgent: if the agent of {vehicle_names(agents)} has none, or steers by "
+            "itself, it does nothing for it, and the others do their half only"
+        )
+    without = [i for i, control in controls if control.agent is None and control.controller is not None]
     if without:
         yield (
             f"keep_apart acts between guidance and tracking: {vehicle_names(without)} with a law in place of both "

@@ -17,6 +17,7 @@ from fleet.logs.reader import LogReader, Record
 from fleet.logs.schemas import FROM_TICK
 from fleet.repeat.recorded_run import recorded
 from fleet.scenario.scenario import Scenario
+from fleet.scenario.sections.signal_checks import SignalCheckError
 from fleet.scenario.sections.signals import flat_signals
 from fleet.scenario.sections.timeline import Event
 from fleet.scenario.text.overrides import Override
@@ -77,7 +78,15 @@ def check_log(
         raise ScenarioError(strangers)
     begin = source.reader.metadata.get("run", {}).get(FROM_TICK, "0")
     first = int(begin) if begin.isdecimal() else 0
-    checks = OwnChecks.asked(scenario, first)
+    try:
+        checks = OwnChecks.asked(scenario, first)
+    except SignalCheckError as error:
+        if not refused or error.key not in ("topic", "vehicles"):
+            raise
+        law = refused[0]
+        why = "; ".join(filter(None, (law.message.partition(": ")[2], law.hint)))
+        hint = f"what laws and plants of this log report is not known here, because of {why}"
+        raise SignalCheckError(error.key, error.problem, hint) from None
     if checks is None:
         raise CheckLogError(
             f"{source.path}: nothing to judge: its scenario has no check on a signal and none in Python; its others "

@@ -23,9 +23,15 @@ class Policy:
     trust: Trust = NOTHING
     stranger: str = A_LOG  # why only installed modules may be named; "": the user's own scenario
     imports: bool = True  # False: a law that the text names is taken by its name, and nothing is imported
-    refused: list[Problem] | None = None  # collects the laws that may not run; None: they are errors
+    # Collects the laws that may not run, and of a log those that are not there; None: they are errors.
+    refused: list[Problem] | None = None
     typed: bool = True  # what overrides the text was typed on the command line
     checks: bool = True  # False: nothing is judged, so checks in Python are not imported
+
+    @property
+    def of_a_log(self) -> bool:
+        """Whether the text comes from a log, and is read without the laws that may not run or are not there."""
+        return self.refused is not None and self.stranger == A_LOG
 
     def admit(self, kind: str, name: str, folder: Path | None, *, typed: bool) -> None:
         """Let the module of a plug-in be imported if it may run.

@@ -200,7 +200,9 @@ def test_a_law_in_place_of_guidance_and_tracking_leaves_no_place_for_it() -> Non
     text = SMALL + "keep_apart: {distance: 3 m}\n"
     with pytest.raises(ScenarioError, match="every vehicle has a law in place of both"):
         parse_scenario(text, "small.yaml", ["controller=elsewhere:Law"])
-    assert parse_scenario(text + "agent: elsewhere:Agent\n", "small.yaml").spec.keep_apart  # within it
+    within = parse_scenario(text + "agent: elsewhere:Agent\n", "small.yaml")
+    (told,) = [line for line in warnings(within) if "a FormationAgent" in line]
+    assert "if the agent of vehicles 1, 2, 3 has none" in told
     some = parse_scenario(text + "per_vehicle: {'3': {controller: elsewhere:Law}}\n", "small.yaml")
     assert any("vehicle 3 with a law in place of both does nothing" in line for line in warnings(some))
 

@@ -41,7 +41,9 @@ def plugin(
     except UntrustedError as error:
         report.refuse(at, f"{name}: {error.problem}", error.hint)
     except PluginError as error:
-        if name not in shipped and ":" not in name and "does not load" not in error.problem:
+        if not typed and report.policy.of_a_log:  # of somebody whose modules are not here
+            report.refuse(at, f"{name}: {error.problem}", error.hint)
+        elif name not in shipped and ":" not in name and "does not load" not in error.problem:
             close = nearest(name, shipped) if shipped else ""
             known = f"known: {', '.join(shipped)}, or" if shipped else "write"
             report.add(at, f'there is no {kind} "{name}"', close or f"{known} package.module:Class")

@@ -6,6 +6,7 @@ from typing import Annotated, Any, Literal, get_args
 
 from pydantic import BeforeValidator, Field
 
+from fleet.quantities import describe_value
 from fleet.scenario.schema.sea import Current, SensorsSection
 from fleet.scenario.schema.section import Section
 from fleet.scenario.schema.value_types import (
@@ -104,10 +105,18 @@ class FaultTimes(Section):
     for_: Annotated[Period | None, Field(alias="for")] = None  # to the end
 
 
+def _conditions(value: Any) -> Any:
+    if isinstance(value, str):
+        text = 'expected links with their condition, such as link: {"1->2": loss 30% delay 2s}'
+        raise mistake(f"{text}, got {describe_value(value)}")
+    return value
+
+
 class FaultAction(Section):
     """What a fault does: exactly one of these keys is given. This list of kinds is the one that all others follow."""
 
-    link: dict[LinkSelector, LinkCondition] | None = None  # in place of the links' own conditions
+    # In place of the links' own conditions.
+    link: Annotated[dict[LinkSelector, LinkCondition] | None, BeforeValidator(_conditions)] = None
     down: LinkSelector | None = None
     up: LinkSelector | None = None  # the end of every down, and of the links' own
     partition: str | None = None  # "1,2 / 3,4", or halves, one, majority, ring, bridge, isolate:3

@@ -19,6 +19,7 @@ from fleet.execution.outcome import Result
 from fleet.repeat.check_log import CheckLogError, check_log
 from fleet.repeat.resume import continuation
 from fleet.scenario.loading import load_scenario
+from fleet.scenario.sections.signal_checks import SignalCheckError
 
 MODULE = """\
 from fleet.checks.api import Failure
@@ -39,6 +40,20 @@ class Packets:
 
     def verdict(self):
         return f"{self.begin:g} s: {self.counts}"
+"""
+AGENT = """\
+from agents.api import FormationAgent, Signal
+
+
+class Mine(FormationAgent):
+    signals = (Signal("mine", "1", "always 3"),)
+
+    def __init__(self, config):
+        super().__init__(config)
+        self.signals = type(self).signals
+
+    def decide(self, nav, deliveries):
+        return super().decide(nav, deliveries)[0], {"mine": 3.0}
 """
 CHECKS = """\
 duration: 2 s
@@ -184,3 +199,29 @@ def test_a_check_of_a_stranger_needs_trust(folder: Path, monkeypatch: pytest.Mon
     with pytest.raises(ScenarioError, match=r"(?s)would run packets_seen_here\.py.* a log names it.*--trust"):
         check_log(log)
     assert "packets_seen_here" not in sys.modules
+
+
+def test_a_signal_of_a_law_that_may_not_run_is_not_just_unknown(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (folder / "strange_agent_here.py").write_text(AGENT)
+    scenario = load_scenario("here.yaml", ["agent=strange_agent_here:Mine", "checks={}", "duration=200 ms"])
+    result = execute(scenario, Options(Path("runs"), in_process=True, quiet=True))
+    assert result.directory is not None
+    log = result.directory.resolve()
+    asked = ["checks={signal: {topic: control.mine, equals: 3}}"]
+    assert check_log(log, asked).passed
+    elsewhere = folder / "work"
+    elsewhere.mkdir()
+    monkeypatch.chdir(elsewhere)
+    monkeypatch.setattr(sys, "path", [entry for entry in sys.path if entry != str(folder)])
+    monkeypatch.delitem(sys.modules, "strange_agent_here")
+    monkeypatch.setattr("world.plugins.trust._allowed", set())  # as in a new process
+
+    def unknown(why: str) -> None:
+        with pytest.raises(SignalCheckError, match=rf"no signal control\.mine; .* not known here, because of {why}"):
+            check_log(log, asked)
+        assert check_log(log, ["checks={signal: {topic: state.z, above: 0 m}}"]).passed
+
+    unknown("strange_agent_here:Mine: there is no module 'strange_agent_here'")
+    (elsewhere / "strange_agent_here.py").write_text(AGENT)
+    unknown(r"strange_agent_here:Mine: would run strange_agent_here\.py, .*--trust")
+    assert "strange_agent_here" not in sys.modules

@@ -236,6 +236,7 @@ def test_a_timeline_compiles_and_prints_back() -> None:
         ("{at: 5 ms, mute: 1}", "is not a whole number of ticks"),
         ("{at: 0 s, link 1->3: loss 30%}", "the graph has no link 1->3"),
         ("{at: 0 s, link: {}}", "names no link"),
+        ("{at: 0 s, link: 1->2}", 'such as link: {"1->2": loss 30% delay 2s}, got "1->2"'),
         ("{at: 0 s, link 1->2: lss 30%}", 'did you mean "loss"?'),
         ("{at: 0 s, partition: halfs}", "is no partition of vehicles 1 to 3"),
         ("{at: 0 s, noise: {}}", "changes nothing"),

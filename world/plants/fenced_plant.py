@@ -164,7 +164,8 @@ class FencedPlant:
         fence, plant = self._fence, self._plant
         state, size = _numbers(said[0]), len(self.state)
         if len(state) != size:
-            text = f"returned the state {shown(said[0])}: expected {size} numbers, as the state before has"
+            what = f"a state of {len(state)} numbers" if state else f"the state {shown(said[0])}"
+            text = f"returned {what}: expected {size} numbers, as the state before has"
             raise fence.wrong(tick, method, text)
         if not all(map(isfinite, state)):
             raise fence.wrong(tick, method, f"returned the state {shown(state)}: every number must be finite")

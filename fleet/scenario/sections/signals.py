@@ -161,4 +161,4 @@ def _hint(name: str, known: Mapping[str, int]) -> str:
     beside = [other.partition(".")[2] for other in known if other.startswith(f"{group}.")]
     if not beside:
         return nearest(name, known) or f"there are {', '.join(dict.fromkeys(n.partition('.')[0] for n in known))}"
-    return nearest(field, beside) or f"{group} has {', '.join(beside)}"
+    return nearest(field, beside).replace('"', f'"{group}.', 1) or f"{group} has {', '.join(beside)}"

@@ -81,7 +81,7 @@ def test_a_dead_agent_reports_nothing() -> None:
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("p95 error.e_nrm", 'no signal error.e_nrm; did you mean "e_norm"'),
+        ("p95 error.e_nrm", 'no signal error.e_nrm; did you mean "error.e_norm"'),
         ("p95 error.zzz", "error has e, e_0, e_1, e_2, e_norm"),
         ("p95 weather.wind", "there are state, nav, command, error, guidance, control"),
         ("max command.tau", r"3 values: choose command.tau_0 to command.tau_2, or \|command.tau\|"),

@@ -239,7 +239,7 @@ def test_measures_of_signals_are_columns(small_file: str, tmp_path: Path) -> Non
     assert frame["separation_min_m"].between(2.0, 6.0).all()
     assert list(study.summary()[0].medians) == ["p95 |error.e|", "separation_min_m"]
     assert list(study.summary("p95 |error.e|")[0].medians) == ["p95 |error.e|"]
-    with pytest.raises(StudyError, match=r'no signal error\.e_nrm; did you mean "e_norm"'):
+    with pytest.raises(StudyError, match=r'no signal error\.e_nrm; did you mean "error.e_norm"'):
         prepare(replace(wanted, settings=Settings(measures=("max error.e_nrm",))), tmp_path / "other")
     assert not (tmp_path / "other").exists()
 

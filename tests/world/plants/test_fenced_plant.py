@@ -103,7 +103,7 @@ def test_the_sensor_knows_roll() -> None:
     [
         ("raise", "raised ZeroDivisionError: no water"),
         ("nan", "returned the state (nan, "),
-        ("short", "expected 13 numbers, as the state before has"),
+        ("short", "returned a state of 12 numbers: expected 13 numbers, as the state before has"),
         ("text", "returned the state 'forward': expected 13 numbers"),
         ("pose", "expected pose (x, y, z, phi, theta, psi), six finite numbers"),
         ("report", "lacks fins"),

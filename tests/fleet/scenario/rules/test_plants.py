@@ -132,3 +132,16 @@ def test_a_plant_travels_to_the_workers_of_a_study(tmp_path: Path, monkeypatch: 
     modules = modules_of([small(f"vehicle.plant={name}:Rolling")], None)
     assert modules.names == (name,)
     assert modules.files == (str(tmp_path / f"{name}.py"),)
+
+
+def test_a_signal_of_a_plant_beside_the_scenario_is_known_to_its_checks(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    name = f"hull_{getrandbits(40):x}"
+    (tmp_path / f"{name}.py").write_text(PLANT)
+    text = f"{SMALL}vehicle: {{plant: '{name}:Rolling'}}\nchecks: {{signal: {{topic: plant.rol, above: 1}}}}\n"
+    (tmp_path / "s.yaml").write_text(text)
+    monkeypatch.chdir(tmp_path)
+    checked = fleet(tmp_path, "check", "s.yaml")
+    assert checked.returncode == 2, checked.stderr
+    assert "checks.signal.topic: there is no signal plant.rol" in checked.stderr

@@ -11,6 +11,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.patches import Circle
 from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.mplot3d.art3d import Line3DCollection
 
@@ -31,6 +32,7 @@ _TALL = 1.3  # times as high as wide: then the legend stands beside the tracks
 _EXAGGERATIONS = (1, 2, 5, 10, 20, 50, 100)
 _MARK = 3.5  # pt
 _FAINT: dict[str, Any] = {"linewidths": 0.3, "alpha": 0.4, "zorder": 2, "gid": "others"}
+_CYLINDER: dict[str, Any] = {"facecolor": "0.85", "edgecolor": "0.4", "linewidth": 0.5, "zorder": 1, "gid": "obstacle"}
 _DOTS: dict[str, Any] = {"s": 1.5, "linewidths": 0, "zorder": 2, "gid": "ends"}
 
 
@@ -60,6 +62,9 @@ def top(runs: Sequence[Run], view: View) -> Figure:
     edges = [edge for run in runs for edge in _shapes(run, view)]
     for a, b in edges:
         ax.plot([a[1], b[1]], [a[0], b[0]], color="0.78", linewidth=0.5, zorder=1, gid="formation")
+    cylinders = _cylinders(runs)
+    for (north, east), radius in cylinders:
+        ax.add_patch(Circle((east, north), radius, **_CYLINDER))
     for run in runs:
         reference = _reference(run, view)
         if reference is not None:
@@ -101,6 +106,9 @@ def top(runs: Sequence[Run], view: View) -> Figure:
     ax.xaxis.set_major_locator(MaxNLocator(4 if tall else 6))
     ax.set_xlabel("east [m]")
     ax.set_ylabel("north [m]")
+    if cylinders:
+        face = {"markerfacecolor": _CYLINDER["facecolor"], "markeredgecolor": _CYLINDER["edgecolor"]}
+        entries.append(Line2D([], [], linestyle="", marker="o", markersize=6, label="obstacle", **face))
     entries += _explained(happened, runs, linked=bool(edges), flat=True)
     _finish(figure, runs, [one for one, _ in happened], [])
     if tall:
@@ -307,3 +315,9 @@ def _reference(run: Run, view: View) -> Array | None:
         return None
     first, last = view.window or (0.0, run.log.end)
     return np.array([run.scenario.reference.at(t).position for t in np.linspace(first, last, _REFERENCE_POINTS)])
+
+
+def _cylinders(runs: Sequence[Run]) -> list[tuple[tuple[float, float], float]]:
+    """North and east of the axis [m], and radius [m], of each obstacle that vehicles were to keep out of."""
+    sections = [run.scenario.spec.keep_apart for run in runs if run.scenario is not None]
+    return sorted({(tuple(one.at), one.radius) for section in sections if section for one in section.obstacles})

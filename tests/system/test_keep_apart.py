@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
+from repository import ROOT
 
 import fleet
 from fleet.execution.execute import execute
@@ -47,3 +49,17 @@ def test_a_vehicle_goes_round_a_cylinder_on_its_course(tmp_path: Path) -> None:
     assert abs(state.y[-1]) < 0.5, "and on its course again"
     assert guidance.keep_apart_active.max() == 1.0
     assert guidance.keep_apart_infeasible[-1] == 0.0
+
+
+@pytest.mark.parametrize("changes", [{}, {"keep_apart": "null"}], ids=["on", "off"])
+def test_the_page_s_own_scenario_and_check(
+    changes: dict[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    page = (ROOT / "docs/guide/keep-apart.md").read_text("utf-8")
+    for name, text in re.findall(r"```(?:python|yaml)\n# (\w+\.\w+)\n(.*?)```", page, re.S):
+        (tmp_path / name).write_text(text, "utf-8")
+    monkeypatch.chdir(tmp_path)
+    result = run("pile.yaml", set={**changes, "log": "none"})
+    failed = {verdict.check for verdict in result.verdicts if not verdict.passed}
+    assert failed == ({"Outside"} if changes else set()), result.verdicts
+    assert {"Outside", "min_separation"} <= {verdict.check for verdict in result.verdicts}

@@ -17,6 +17,7 @@ from click.testing import CliRunner
 from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
+from matplotlib.patches import Circle
 from repository import ROOT
 
 import fleet
@@ -269,6 +270,16 @@ def test_track_has_east_to_the_right_and_north_up(runs: dict[str, Run]) -> None:
     drawn = space._box_aspect
     assert drawn[0] / east == pytest.approx(drawn[1] / north)
     assert drawn[2] / (low - high) == pytest.approx(factor * drawn[0] / east)
+
+
+def test_track_shows_the_obstacles_of_the_scenario(tmp_path: Path) -> None:
+    obstacles = "keep_apart={distance: 1 m, obstacles: [{at: 20 -3 m, radius: 2 m}]}"
+    (run,) = load([logged(tmp_path, "paper", "duration=500 ms", obstacles)])
+    figure = figure_of(run, "track", "track")
+    (drawn,) = (patch for patch in figure.axes[0].patches if patch.get_gid() == "obstacle")
+    assert isinstance(drawn, Circle)
+    assert (drawn.center, drawn.radius) == ((-3.0, 20.0), 2.0)
+    assert "obstacle" in [text.get_text() for legend in figure.legends for text in legend.get_texts()]
 
 
 def test_every_fate_has_a_mark_of_its_own() -> None:

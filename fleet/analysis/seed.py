@@ -44,9 +44,9 @@ def _seeded(scenario: Scenario) -> Iterator[str]:
         if random or part.id in drawn:
             yield "faults"
     if scenario.other_laws:
-        yield "laws of yours, perhaps"
+        yield "perhaps laws of yours"
     if scenario.plants:
-        yield "plants, perhaps"
+        yield "perhaps plants"
 
 
 def _drawn(c: Condition) -> bool:

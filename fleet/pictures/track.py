@@ -320,4 +320,5 @@ def _reference(run: Run, view: View) -> Array | None:
 def _cylinders(runs: Sequence[Run]) -> list[tuple[tuple[float, float], float]]:
     """North and east of the axis [m], and radius [m], of each obstacle that vehicles were to keep out of."""
     sections = [run.scenario.spec.keep_apart for run in runs if run.scenario is not None]
-    return sorted({(tuple(one.at), one.radius) for section in sections if section for one in section.obstacles})
+    obstacles = [one for section in sections if section is not None for one in section.obstacles]
+    return sorted({((one.at[0], one.at[1]), one.radius) for one in obstacles})

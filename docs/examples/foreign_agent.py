@@ -41,9 +41,7 @@ def take(timeout):
             return [kind, *fields]
     except queue.Empty:
         if not session.info.routers_zid():
-            sys.exit("the run is gone")
-    except KeyboardInterrupt:  # it leaves the run; without that its token would stay, and the run would wait
-        sys.exit(session.close() or 130)
+            sys.exit(session.close() or "the run is gone")
     except Exception as error:
         print(f"dropped a malformed message: {error!r}", file=sys.stderr)
     return None
@@ -66,34 +64,36 @@ def law(t, eta, nu, heard):
     return [float(max(-top, min(top, value))) for value, top in zip(tau, own["tau_max"])], velocity
 
 
-echoed = set()
-while echoed != {"world", "netem"}:
-    for put in (cmd, tx):
-        put(msgpack.packb(["hello", "agent", me, life, join["version"], False]))
-    while len(echoed) < 2 and (message := take(0.1)) and message[0] == "hello":
-        echoed.add(message[1])
-cmd(msgpack.packb(["hello", "agent", me, life, join["version"], True]))
-token = session.liveliness().declare_token(f"{prefix}/alive/agent-{me}")
-known, nav, inbox, heard = told["begin"], None, [], {}
-while not (message := take(2.0)) or message[0] != "end":
-    match message:
-        case ["nav", _, tick, eta, nu, *_]:
-            nav = tick, eta, nu
-        case ["rx", _, until, more, deliveries]:
-            inbox += deliveries
-            known = known if more else until
-    if nav and (nav[0] <= known or told.get("clock") == "real"):  # everything that was due by then is here
-        tick, eta, nu = nav
-        for _, _, src, _, _, data in (delivery for delivery in inbox if delivery[0] <= tick):
-            if len(data) == 63 and zlib.crc32(data[:-4]) == int.from_bytes(data[-4:], "little"):
-                _, _, sent, *numbers = STATE.unpack(data[:-4])
-                heard[src] = max(heard.get(src, (-1.0,)), (sent * Ts, numbers[:3], numbers[3:]))
-        inbox = [delivery for delivery in inbox if delivery[0] > tick]
-        tau, velocity = law(tick * Ts, eta, nu, heard)
-        if tick % own["round_ticks"] == 0:
-            state = STATE.pack(1, me, tick, *eta[:3], *velocity)
-            tx(msgpack.packb(["tx", life, tick, [state + zlib.crc32(state).to_bytes(4, "little")]]))
-        cmd(msgpack.packb(["cmd", life, tick, tau, []]))
-        nav = None
+try:
+    echoed = set()
+    while echoed != {"world", "netem"}:
+        for put in (cmd, tx):
+            put(msgpack.packb(["hello", "agent", me, life, join["version"], False]))
+        while len(echoed) < 2 and (message := take(0.1)) and message[0] == "hello":
+            echoed.add(message[1])
+    cmd(msgpack.packb(["hello", "agent", me, life, join["version"], True]))
+    token = session.liveliness().declare_token(f"{prefix}/alive/agent-{me}")
+    known, nav, inbox, heard = told["begin"], None, [], {}
+    while not (message := take(2.0)) or message[0] != "end":
+        match message:
+            case ["nav", _, tick, eta, nu, *_]:
+                nav = tick
+            case ["rx", _, until, more, deliveries]:
+                inbox += deliveries
+                known = known if more else until
+        if nav is not None and (nav <= known or told.get("clock") == "real"):  # everything that was due by then is here
+            for _, _, src, _, _, data in (delivery for delivery in inbox if delivery[0] <= tick):
+                if len(data) == 63 and zlib.crc32(data[:-4]) == int.from_bytes(data[-4:], "little"):
+                    _, _, sent, *numbers = STATE.unpack(data[:-4])
+                    heard[src] = max(heard.get(src, (-1.0,)), (sent * Ts, numbers[:3], numbers[3:]))
+            inbox = [delivery for delivery in inbox if delivery[0] > tick]
+            tau, velocity = law(tick * Ts, eta, nu, heard)
+            if tick % own["round_ticks"] == 0:
+                state = STATE.pack(1, me, tick, *eta[:3], *velocity)
+                tx(msgpack.packb(["tx", life, tick, [state + zlib.crc32(state).to_bytes(4, "little")]]))
+            cmd(msgpack.packb(["cmd", life, tick, tau, []]))
+            nav = None
+except KeyboardInterrupt:  # it leaves the run; without that its token would stay, and the run would wait
+    sys.exit(session.close() or 130)
 session.close()
 print(message[3])

@@ -82,18 +82,18 @@ def test_the_example_and_our_agent_pass(tmp_path: Path) -> None:
 
 # What is changed in the example, and the check that must notice.
 BROKEN = {
-    "answers before its inbox is there": ("nav[0] <= known", "True", checks.LATE),
+    "answers before its inbox is there": ("nav <= known", "True", checks.LATE),
     "takes a part for the whole": ("known if more else until", "until", checks.PARTS),
     "sends nothing": ('if tick % own["round_ticks"] == 0:', "if False:", checks.TRANSMITS),
     "sends at every tick": ('if tick % own["round_ticks"] == 0:', "if True:", checks.TRANSMITS),
     "transmits after its command": (
-        "        if tick %",
-        '        cmd(msgpack.packb(["cmd", life, tick, tau, []]))\n        if tick %',
+        "            if tick %",
+        '            cmd(msgpack.packb(["cmd", life, tick, tau, []]))\n            if tick %',
         checks.TRANSMITS,
     ),
     "answers twice": (
-        "        nav = None",
-        '        nav = None\n        cmd(msgpack.packb(["cmd", life, tick, tau, []]))',
+        "            nav = None",
+        '            nav = None\n            cmd(msgpack.packb(["cmd", life, tick, tau, []]))',
         checks.UNASKED,
     ),
     "does not look for damage": (

@@ -147,29 +147,32 @@ def measure_profile(arguments: Sequence[str], scenario: str, out: Path) -> Profi
     spy = py_spy()
     if spy is None:
         raise BenchError("a profile needs py-spy, which is not installed: pip install 'uuv-fleet[profile]'")
-    for _ in range(TRIES):
-        with tempfile.TemporaryDirectory(prefix="uuv-fleet-bench-") as name:
-            folder = Path(name)
-            command = [spy, "record", "--subprocesses", "--native", "--function", "--rate", str(RATE)]
-            command += ["--format", "speedscope", "--output", str(folder / "stacks.json"), "--"]
-            command += [sys.executable, "-P", "-m", "fleet", "run", *arguments, "--out", str(folder / "run"), "--quiet"]
-            times = Times()
-            said = _run(command, folder / "said.txt", times)
-            if said is None:
-                continue
-            result = result_of(folder / "run")
-            if result.get("status", "pass") not in ("pass", "check_failed"):
-                raise BenchError(f"the run was {result['status']}: {result.get('reason', '')}")
-            if not result or not (folder / "stacks.json").exists():
-                raise BenchError(f"py-spy made no profile: {said}; if it may not look into processes: {_HINT}")
-            stacks = read_stacks((folder / "stacks.json").read_bytes())
-            wall = result["wall"]
-            break
-    else:
+    found = next(filter(None, (_watched(spy, arguments) for _ in range(TRIES))), None)
+    if found is None:
         raise BenchError(f"the run stood still under py-spy for {STILL_S:g} s, {TRIES} times: try another py-spy")
+    stacks, times, wall = found
     out.mkdir(parents=True, exist_ok=True)
     rows = _rows(stacks, times, out, scenario, in_process=wall["in_process"])
     return Profiled(scenario, cores(), wall["x_real_time"], sorted(rows, key=lambda row: -row.cpu_s))
+
+
+def _watched(spy: str, arguments: Sequence[str]) -> tuple[Stacks, Times, dict[str, Any]] | None:
+    """What py-spy saw of a run, its CPU times, and how fast it was; None: it stood still and was ended."""
+    with tempfile.TemporaryDirectory(prefix="uuv-fleet-bench-") as name:
+        folder = Path(name)
+        command = [spy, "record", "--subprocesses", "--native", "--function", "--rate", str(RATE)]
+        command += ["--format", "speedscope", "--output", str(folder / "stacks.json"), "--"]
+        command += [sys.executable, "-P", "-m", "fleet", "run", *arguments, "--out", str(folder / "run"), "--quiet"]
+        times = Times()
+        said = _run(command, folder / "said.txt", times)
+        if said is None:
+            return None
+        result = result_of(folder / "run")
+        if result.get("status", "pass") not in ("pass", "check_failed"):
+            raise BenchError(f"the run was {result['status']}: {result.get('reason', '')}")
+        if not result or not (folder / "stacks.json").exists():
+            raise BenchError(f"py-spy made no profile: {said}; if it may not look into processes: {_HINT}")
+        return read_stacks((folder / "stacks.json").read_bytes()), times, result["wall"]
 
 
 def _run(command: list[str], said: Path, times: Times) -> str | None:

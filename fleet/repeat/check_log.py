@@ -84,7 +84,7 @@ def check_log(
         if not refused or error.key not in ("topic", "vehicles"):
             raise
         law = refused[0]
-        why = "; ".join(filter(None, (law.message.partition(": ")[2], law.hint)))
+        why = "; ".join(filter(None, (law.message.removeprefix(f"{law.key}: "), law.hint)))
         hint = f"what laws and plants of this log report is not known here, because of {why}"
         raise SignalCheckError(error.key, error.problem, hint) from None
     if checks is None:

@@ -31,6 +31,7 @@ from fleet.quantities import vehicle_names
 from fleet.recorder.connectivity import Connectivity
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.sections.acoustic import describe_noise, describe_turns, greatest_age_s
+from fleet.scenario.sections.graph import reached
 from fleet.scenario.sections.per_vehicle import Control
 from world.vectors import Vec3
 
@@ -347,16 +348,12 @@ def _components(scenario: Scenario) -> list[list[int]]:
 
 
 def _unreached(scenario: Scenario) -> list[int]:
-    reached = {i for i in range(1, scenario.vehicles + 1) if scenario.b[i - 1] > 0.0}
-    hears: dict[int, list[int]] = {}
+    vehicles = range(1, scenario.vehicles + 1)
+    hearers: dict[int, list[int]] = {}
     for src, dst in scenario.graph.links:
-        hears.setdefault(src, []).append(dst)
-    front = list(reached)
-    while front:
-        new = [dst for dst in hears.get(front.pop(), ()) if dst not in reached]
-        reached.update(new)
-        front += new
-    return [i for i in range(1, scenario.vehicles + 1) if i not in reached]
+        hearers.setdefault(src, []).append(dst)
+    told = reached((i for i in vehicles if scenario.b[i - 1] > 0.0), hearers)
+    return [i for i in vehicles if i not in told]
 
 
 def _number(value: complex) -> str:

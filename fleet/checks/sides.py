@@ -6,6 +6,7 @@ from collections.abc import Iterable
 
 from fleet.checks.api import Facts, Fault, Tick
 from fleet.quantities import vehicle_numbers
+from fleet.scenario.sections.graph import reached
 from fleet.scenario.sections.partitions import partition
 from netem.condition import Link
 from netem.selectors import parse_selector, select
@@ -65,17 +66,6 @@ class Sides:
         for source, target in sorted(links):
             if source in heard_by and target in heard_by:
                 heard_by[source].append(target)
-        reached = {i: _reached(i, heard_by) for i in there}
-        groups = {tuple(j for j in there if j in reached[i] and i in reached[j]) for i in there}
+        hearers = {i: reached([i], heard_by) for i in there}
+        groups = {tuple(j for j in there if j in hearers[i] and i in hearers[j]) for i in there}
         return tuple(sorted(groups))
-
-
-def _reached(start: int, heard_by: dict[int, list[int]]) -> set[int]:
-    """The vehicles that what one says can reach, itself included."""
-    found, left = {start}, [start]
-    while left:
-        for j in heard_by[left.pop()]:
-            if j not in found:
-                found.add(j)
-                left.append(j)
-    return found

@@ -9,6 +9,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from math import dist
@@ -43,6 +44,22 @@ class Graph:
         for (src, dst), weight in self.weights.items():
             found.setdefault(dst, []).append((src, weight))
         return found
+
+
+def reached(starts: Iterable[int], hearers: Mapping[int, Iterable[int]]) -> set[int]:
+    """The vehicles that what `starts` say can reach, also through others; themselves included.
+
+    Args:
+        hearers: who receives from a vehicle; none where it is missing.
+    """
+    found = set(starts)
+    left = list(found)
+    while left:
+        for j in hearers.get(left.pop(), ()):
+            if j not in found:
+                found.add(j)
+                left.append(j)
+    return found
 
 
 def parse_edge(text: str) -> Link | None:

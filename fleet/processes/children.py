@@ -72,6 +72,7 @@ class Children:
         self._on_exit = on_exit
         self._context = multiprocessing.get_context("forkserver")
         self.by_role: dict[str, Child] = {}
+        self._forkserver: int | None = None  # the one that started them: they have ended if it has
         self._stopping = threading.Event()
         self._watcher: threading.Thread | None = None
 
@@ -85,7 +86,8 @@ class Children:
 
         Raises:
             TimeoutError: the fork server did not answer, and was ended.
-            OSError, EOFError: the fork server has ended, or there is no room for another process.
+            OSError, EOFError: the fork server has ended, and so what it started before; or there is no room for
+                another process.
             KeyboardInterrupt: it came meanwhile; the process was started.
         """
         _set_preload()
@@ -95,9 +97,16 @@ class Children:
         # A process that is there is known, and so will be ended, before an interrupt is raised. The block alone does
         # not see to that: another thread may take the signal, and then Python raises in this one.
         with deferring_interrupts():
+            # Else multiprocessing would start another one, and nobody would learn how this one ended.
+            if self._forkserver is not None and (death := forkserver_death()) is not None:
+                raise ChildProcessError(death)
             with _forkserver_starting(), _bounded_wait():
                 process.start()
             self.by_role[role] = Child(role, process, log_path)
+            started_by = _forkserver_pid()
+            if self._forkserver not in (None, started_by):  # it ended in between
+                raise ChildProcessError(f"the fork server (pid {self._forkserver}) is gone")
+            self._forkserver = started_by
 
     def watch(self) -> None:
         """Begin to call `on_exit`, also for processes that are started later."""

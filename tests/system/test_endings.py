@@ -78,7 +78,7 @@ def test_a_death_that_a_suspended_fork_server_does_not_tell(tmp_path: Path) -> N
 @pytest.mark.slow
 def test_nothing_starts_behind_a_suspended_fork_server(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The wait is bounded, and the next run of this process gets a fork server that works."""
-    ours = Children(lambda _: None)
+    ours, theirs = Children(lambda _: None), Children(lambda _: None)
     try:
         ours.start("one", "fleet one [test]", tmp_path / "one.log", _wait)
         server = psutil.Process(children._forkserver_pid() or 0)
@@ -88,10 +88,25 @@ def test_nothing_starts_behind_a_suspended_fork_server(tmp_path: Path, monkeypat
             ours.start("two", "fleet two [test]", tmp_path / "two.log", _wait)
         monkeypatch.setattr(children, "START_S", 20.0)
         wait_for(lambda: gone(server), 5.0, "the end of the fork server")
-        ours.start("three", "fleet three [test]", tmp_path / "three.log", _wait)
-        assert psutil.pid_exists(ours.by_role["three"].pid)
+        theirs.start("three", "fleet three [test]", tmp_path / "three.log", _wait)
+        assert psutil.pid_exists(theirs.by_role["three"].pid)
         # What is started beside it knows nothing of that: it would take us for its parent, and end at once.
         assert _shell(["list"], ">/dev/null").returncode == 0
+    finally:
+        ours.stop()
+        theirs.stop()
+
+
+def test_a_run_does_not_go_on_with_another_fork_server(tmp_path: Path) -> None:
+    """The processes that the first one started have ended with it, and it is told how it ended."""
+    ours = Children(lambda _: None)
+    try:
+        ours.start("one", "fleet one [test]", tmp_path / "one.log", _wait)
+        server = psutil.Process(children._forkserver_pid() or 0)
+        server.kill()
+        wait_for(lambda: gone(server), 5.0, "the end of the fork server")
+        with pytest.raises(ChildProcessError, match=rf"the fork server \(pid {server.pid}\) was killed by SIGKILL"):
+            ours.start("two", "fleet two [test]", tmp_path / "two.log", _wait)
     finally:
         ours.stop()
 

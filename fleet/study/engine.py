@@ -36,6 +36,9 @@ _BATCH_S = 0.5  # a batch takes about so long, and is one run if that takes long
 _LARGEST_BATCH = 16
 _CONNECT_S = 10
 _JOIN_S = 60  # for a worker of a cluster that is there
+# Workers start again by themselves. Dask's cluster gives a place up for good that is empty so long after a worker died
+# there, also when another one has died in it since.
+_NEVER = "1000 days"
 LOST = f"the worker that made it died {TIMES} times; is there enough memory?"
 
 Row = dict[str, Any]
@@ -151,6 +154,7 @@ def local_engine(workers: int, *, dashboard: bool = False) -> Iterator[Engine]:
 
     children_ignore_the_folder()
     with ExitStack() as stack:
+        stack.enter_context(dask.config.set({"distributed.deploy.lost-worker-timeout": _NEVER}))
         try:
             # Ctrl-C and the end of the terminal are for this process alone. Dask's profiler
             # keeps the stacks of each second for an hour, in each worker.

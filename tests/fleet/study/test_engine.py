@@ -11,6 +11,7 @@ from math import inf
 from pathlib import Path
 from typing import Any
 
+import dask
 import pytest
 from failing_laws import failing
 from small_scenario import SMALL, small
@@ -50,23 +51,42 @@ def test_every_run_is_made_once(engine: Engine) -> None:
     assert {row["status"] for row in rows} <= DONE
 
 
-def test_a_worker_that_is_killed_costs_no_run(engine: Engine) -> None:
-    def workers() -> dict[str, int]:
-        return engine.client.run(os.getpid)
+def workers(engine: Engine) -> set[int]:
+    """The process ids of those that answer."""
+    answers = engine.client.run(os.getpid, on_error="return")  # one may end while it is asked
+    return {found for found in answers.values() if isinstance(found, int)}
 
-    before = workers()
+
+def two_workers(engine: Engine) -> set[int]:
+    """Their process ids; empty: there are not two."""
+    found = workers(engine)
+    return found if len(found) == 2 else set()
+
+
+def test_a_worker_that_is_killed_costs_no_run(engine: Engine) -> None:
+    before = workers(engine)
     killed: list[int] = []
 
     def kill_one() -> None:
         if not killed:
-            killed.append(next(iter(before.values())))
+            killed.append(min(before))
             os.kill(killed[0], signal.SIGKILL)
 
     rows = made(engine, tasks(12, "8 s"), wait=kill_one)
     assert killed
     assert sorted(row["seed"] for row in rows) == list(range(12))
     assert {row["status"] for row in rows} <= DONE
-    wait_for(lambda: len(workers()) == 2 and killed[0] not in workers().values(), 30, "another worker in its place")
+    wait_for(lambda: len(workers(engine) - set(killed)) == 2, 30, "another worker in its place")
+
+
+@pytest.mark.slow
+def test_the_place_of_a_worker_that_dies_is_never_given_up() -> None:
+    """Dask does so where a place is empty when some time has gone by since a worker died there."""
+    with dask.config.set({"distributed.deploy.lost-worker-timeout": "100 ms"}), local_engine(1) as engine:
+        (killed,) = workers(engine)
+        os.kill(killed, signal.SIGKILL)
+        wait_for(lambda: workers(engine) - {killed}, 30, "another worker in its place")
+        assert len(engine.client.cluster.workers) == 1  # places
 
 
 @pytest.mark.slow
@@ -105,14 +125,12 @@ def test_a_law_that_lets_nothing_else_run_ends_its_worker_once(engine: Engine, t
         f"{SMALL}controller: stuck_law:Law\n", "small.yaml", folder=tmp_path, policy=Policy(stranger="")
     )
     modules = modules_of([stuck], tmp_path)
-    wait_for(lambda: len(engine.client.run(os.getpid)) == 2, 30, "two workers: a test before may have ended one")
-    before = set(engine.client.run(os.getpid).values())
+    before = wait_for(lambda: two_workers(engine), 30, "two workers: a test before may have ended one")
     good = (task._replace(timeout_s=30.0) for task in tasks(4))
     rows = made(engine, iter([Task("stuck", 1, 1, NAME, stuck.to_yaml(), 1.0, modules), *good]))
     assert [row["reason"] for row in rows if row["key"] == "stuck"] == ["took longer than 1 s"]
     assert {row["status"] for row in rows if row["key"] != "stuck"} <= DONE
-    wait_for(lambda: len(engine.client.run(os.getpid)) == 2, 30, "another worker in its place")
-    assert len(before - set(engine.client.run(os.getpid).values())) == 1
+    assert len(before - wait_for(lambda: two_workers(engine), 30, "another worker in its place")) == 1
 
 
 STRANGER = """

@@ -61,11 +61,12 @@ class _Partial:
         info = self._section.model_fields.get(name)
         if info is None:  # something that only a whole section can do
             raise UnknownValueError
-        if name not in self._data:
+        key = info.alias or name
+        if key not in self._data:
             if info.is_required():
                 raise UnknownValueError
             return info.get_default(call_default_factory=True)
-        value = self._data[name]
+        value = self._data[key]
         kind = _kind(self._section, name)
         try:
             return kind.validate_python(value, strict=True)
@@ -177,6 +178,7 @@ def _everywhere() -> list[str]:
 
 def _paths(section: type[Section], prefix: str) -> Iterator[str]:
     for name, info in section.model_fields.items():
+        name = info.alias or name
         yield prefix + name
         below = section_of(info.annotation)
         if below is not None:

@@ -213,7 +213,7 @@ class ChecksSection(Section):
     @classmethod
     def _read_python(cls, value: Any) -> Any:
         """Put the checks that are classes under one key."""
-        if not isinstance(value, dict) or PYTHON in value:
+        if not isinstance(value, dict):
             return value
         classes = {key: one for key, one in value.items() if isinstance(key, str) and ":" in key}
         return {key: one for key, one in value.items() if key not in classes} | ({PYTHON: classes} if classes else {})

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import time
 from dataclasses import fields, replace
 from itertools import pairwise
@@ -600,6 +601,21 @@ def _key_paths(section: type[Section] = ScenarioSpec) -> list[str]:
         if isinstance(info.annotation, type) and issubclass(info.annotation, Section):
             paths += [f"{key}.{below}" for below in _key_paths(info.annotation)]
     return paths
+
+
+@pytest.mark.parametrize(
+    ("override", "said"),
+    [
+        ("checks.python=0: {}", 'unknown key "checks.python"'),
+        ("checks={python: {'a:B': {}}}", 'unknown key "checks.python"'),
+        ("checks={'<module>:<Class>': {abc: {}}}", "expected package.module:Class"),
+        ("faults=[{at: 1 s, for_: 2 s, down: '*'}]", 'unknown key "faults.1.for_"'),
+    ],
+)
+def test_what_fields_are_called_here_is_no_key(override: str, said: str) -> None:
+    with pytest.raises(ScenarioError, match=re.escape(said)) as caught:
+        small(override)
+    assert 'did you mean "checks.python"' not in str(caught.value)
 
 
 WILD_OVERRIDES = st.lists(

@@ -10,6 +10,7 @@ import signal
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
@@ -80,15 +81,15 @@ def test_nothing_starts_behind_a_suspended_fork_server(tmp_path: Path, monkeypat
     """The wait is bounded, and the next run of this process gets a fork server that works."""
     ours, theirs = Children(lambda _: None), Children(lambda _: None)
     try:
-        ours.start("one", "fleet one [test]", tmp_path / "one.log", _wait)
+        ours.start("one", "fleet one [test]", tmp_path / "one.log", time.sleep, 3600)
         server = psutil.Process(children._forkserver_pid() or 0)
         server.suspend()
         monkeypatch.setattr(children, "START_S", 0.3)
         with pytest.raises(TimeoutError, match=rf"the fork server \(pid {server.pid}\) is suspended, for 0.3 s now"):
-            ours.start("two", "fleet two [test]", tmp_path / "two.log", _wait)
+            ours.start("two", "fleet two [test]", tmp_path / "two.log", time.sleep, 3600)
         monkeypatch.setattr(children, "START_S", 20.0)
         wait_for(lambda: gone(server), 5.0, "the end of the fork server")
-        theirs.start("three", "fleet three [test]", tmp_path / "three.log", _wait)
+        theirs.start("three", "fleet three [test]", tmp_path / "three.log", time.sleep, 3600)
         assert psutil.pid_exists(theirs.by_role["three"].pid)
         # What is started beside it knows nothing of that: it would take us for its parent, and end at once.
         assert _shell(["list"], ">/dev/null").returncode == 0
@@ -101,18 +102,14 @@ def test_a_run_does_not_go_on_with_another_fork_server(tmp_path: Path) -> None:
     """The processes that the first one started have ended with it, and it is told how it ended."""
     ours = Children(lambda _: None)
     try:
-        ours.start("one", "fleet one [test]", tmp_path / "one.log", _wait)
+        ours.start("one", "fleet one [test]", tmp_path / "one.log", time.sleep, 3600)
         server = psutil.Process(children._forkserver_pid() or 0)
         server.kill()
         wait_for(lambda: gone(server), 5.0, "the end of the fork server")
         with pytest.raises(ChildProcessError, match=rf"the fork server \(pid {server.pid}\) was killed by SIGKILL"):
-            ours.start("two", "fleet two [test]", tmp_path / "two.log", _wait)
+            ours.start("two", "fleet two [test]", tmp_path / "two.log", time.sleep, 3600)
     finally:
         ours.stop()
-
-
-def _wait() -> None:
-    threading.Event().wait()
 
 
 # --- Ctrl-C while processes are started and ended -------------------------------
@@ -132,7 +129,7 @@ def test_a_process_that_is_started_when_ctrl_c_comes_is_known(tmp_path: Path, mo
     ours = Children(lambda _: None)
     try:
         with pytest.raises(KeyboardInterrupt):
-            ours.start("one", "fleet one [test]", tmp_path / "one.log", _wait)
+            ours.start("one", "fleet one [test]", tmp_path / "one.log", time.sleep, 3600)
         process = psutil.Process(ours.by_role["one"].pid)
     finally:
         ours.stop()

@@ -14,6 +14,7 @@ from mcap.records import Channel, Schema
 
 from fleet.logs.reader import LogReader, Record
 
+UNITS = "units"  # what of a channel's metadata says them, as JSON: field -> [unit, meaning]
 MOST_DECODED = 8 << 20  # bytes of a message: decoded, it takes up to fifty times as much
 MOST_VALUES = 100_000  # of a message that is shown field by field
 
@@ -81,7 +82,7 @@ def _class(schema: Schema | None) -> Any:
 def units_of(channel: Channel) -> dict[str, str]:
     """The unit of each field that has one, as the channel's metadata say; none if they say nothing that can be read."""
     try:
-        return {name: str(unit) for name, (unit, _) in json.loads(channel.metadata.get("units", "{}")).items()}
+        return {name: str(unit) for name, (unit, _) in json.loads(channel.metadata.get(UNITS, "{}")).items()}
     except (ValueError, TypeError, AttributeError):
         return {}
 

@@ -6,6 +6,7 @@ import time
 from dataclasses import dataclass
 
 from fleet.errors import FleetError
+from fleet.logs.decoder import UNITS
 from fleet.logs.schemas import stamp_of
 from fleet.logs.tape import Tape, Track
 from fleet.replay.attachment import Stamp, pack
@@ -120,7 +121,12 @@ class Replay:
                 for n, key in self.key_of.items()
                 if tape.channels[n].schema_id in tape.schemas
             }
-            hand_out(bus, self.keys, topics, {schema.name: schema.data for schema in tape.schemas.values()})
+            units = {
+                tape.schemas[channel.schema_id].name: channel.metadata[UNITS]
+                for channel in tape.channels.values()
+                if channel.schema_id in tape.schemas and UNITS in channel.metadata
+            }
+            hand_out(bus, self.keys, topics, {schema.name: schema.data for schema in tape.schemas.values()}, units)
         if self._wishes.clock_hz is not None:
             key = self.keys.clock if self.ours else "clock"
             self._clock = bus.publication(key, CLOCK_ENCODING, drop=True)

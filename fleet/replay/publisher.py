@@ -62,6 +62,7 @@ class LivePublisher:
         self._scenario = scenario
         self._channels: list[tuple[int, str, str]] = []
         self._schemas: dict[str, str] = {}
+        self._units: dict[str, str] = {}
         self._batch: list[bytes] = []
         self._size = 0
         self._number = 0
@@ -75,6 +76,7 @@ class LivePublisher:
         self._channels.append((number, topic, schema.name))
         self._places[number] = 0
         self._schemas[schema.name] = base64.b64encode(schema.descriptor_set).decode()
+        self._units[schema.name] = schema.units
 
     def open(self) -> None:
         """Start the process and wait until it listens.
@@ -90,6 +92,7 @@ class LivePublisher:
             "scenario": self._scenario,
             "channels": self._channels,
             "schemas": self._schemas,
+            "units": self._units,
             "wait": self.wait,
         }
         # A group of its own: Ctrl-C is the console's business. It ends with the pipe, also when we are killed.

@@ -65,7 +65,8 @@ def _publish() -> None:
         return
     keys = Keys(values["run"])
     schemas = {name: base64.b64decode(data) for name, data in values["schemas"].items()}
-    hand_out(bus, keys, {topic: schema for _, topic, schema in values["channels"]}, schemas, values["scenario"])
+    topics = {topic: schema for _, topic, schema in values["channels"]}
+    hand_out(bus, keys, topics, schemas, values["units"], values["scenario"])
     puts = {
         number: bus.publication(keys.log(topic), zenoh_encoding("protobuf", schema), drop=True)
         for number, topic, schema in values["channels"]

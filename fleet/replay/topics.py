@@ -22,21 +22,29 @@ class PublishedTopic(NamedTuple):
 
     schema: str  # its name
     descriptor_set: bytes  # google.protobuf.FileDescriptorSet
+    units: str  # JSON: field -> [unit, meaning]; empty: not known
 
 
 def hand_out(
-    bus: OpenBus, keys: Keys, topics: dict[str, str], schemas: dict[str, bytes], scenario: str | None = None
+    bus: OpenBus,
+    keys: Keys,
+    topics: dict[str, str],
+    schemas: dict[str, bytes],
+    units: dict[str, str],
+    scenario: str | None = None,
 ) -> None:
-    """Answer queries for the topics and the schemas of a journal, and for its scenario if there is one.
+    """Answer queries for the topics, schemas and units of a journal, and for its scenario if there is one.
 
     Args:
         topics: the name of each topic's schema.
         schemas: the descriptor set of each schema.
+        units: of the fields of each schema, as its channels have them in the log.
         scenario: as YAML.
     """
     if scenario is not None:
         bus.answer(keys.scenario, {keys.scenario: scenario.encode()})
     bus.answer(keys.topics, {keys.topics: msgpack.packb(topics)})
+    bus.answer(keys.units, {keys.units: msgpack.packb(units)})
     bus.answer(keys.schema("*"), {keys.schema(name): data for name, data in schemas.items()})
 
 
@@ -52,9 +60,12 @@ def ask_topics(bus: OpenBus, keys: Keys) -> dict[str, PublishedTopic]:
             f"nobody says what is published below {keys.prefix}: is the run over, or of an older version?"
         )
     schemas = bus.ask(keys.schema("*"))
+    told = bus.ask(keys.units).get(keys.units)
     try:
+        units = msgpack.unpackb(told) if told is not None else {}
         return {
-            topic: PublishedTopic(name, schemas[keys.schema(name)]) for topic, name in msgpack.unpackb(answer).items()
+            topic: PublishedTopic(name, schemas[keys.schema(name)], str(units.get(name, "")))
+            for topic, name in msgpack.unpackb(answer).items()
         }
     except Exception as error:  # msgpack raises half a dozen unrelated types for bad bytes
         raise TopicsError(f"what is published below {keys.prefix} is not told as expected ({error!r})") from None

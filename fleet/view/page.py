@@ -214,7 +214,7 @@ class Viewer:
                 self._ready = True
                 self._sent = self._seen = 0
                 self.give({"history": feed.picture.history(), "checks": feed.checks,
-                           "commands": list(page.commands), "names": list(feed.signals.by_name)})  # fmt: skip
+                           "commands": list(page.commands), "signals": feed.signals.units})  # fmt: skip
                 page.new = True
             case "seen":
                 self._seen = int(said["n"])

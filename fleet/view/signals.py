@@ -9,7 +9,7 @@ from google.protobuf.descriptor import FieldDescriptor
 from google.protobuf.message import DecodeError
 from mcap.records import Channel, Schema
 
-from fleet.logs.decoder import message_class, units_of
+from fleet.logs.decoder import UNITS, message_class, units_of
 from fleet.replay.topics import PublishedTopic
 from netem.parsing import nearest
 
@@ -57,6 +57,11 @@ class Signals:
                     unit = each[(index or 0) % len(each)]
                     self.by_name[name] = Signal(name, channel.topic, field.name, index, unit)
 
+    @property
+    def units(self) -> dict[str, str]:
+        """The unit of each signal, by its name."""
+        return {name: signal.unit for name, signal in self.by_name.items()}
+
     def follow(self, names: Collection[str]) -> None:
         """Follow these signals and no others. Raises KeyError: there is none of a name, and all stays as it was."""
         for name in names:
@@ -80,10 +85,10 @@ class Signals:
 
 
 def published_signals(topics: Mapping[str, PublishedTopic]) -> Signals:
-    """The signals of a journal that is published; their units are in its log only."""
+    """The signals of a journal that is published."""
     channels, schemas = [], {}
-    for number, (topic, (name, descriptor_set)) in enumerate(topics.items(), start=1):
-        channels.append(Channel(number, topic, "protobuf", {}, number))
+    for number, (topic, (name, descriptor_set, units)) in enumerate(topics.items(), start=1):
+        channels.append(Channel(number, topic, "protobuf", {UNITS: units}, number))
         schemas[number] = Schema(number, descriptor_set, "protobuf", name)
     return Signals(channels, schemas)
 

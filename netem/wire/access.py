@@ -156,8 +156,9 @@ def certificate_control(keys: Keys, vehicles: tuple[int, ...]) -> dict[str, Any]
 
 def observer_control(keys: Keys) -> dict[str, Any]:
     """The list for the router of a published run or of a replay: the observer may listen to the journal and to the
-    clock and ask for topics, schemas and the scenario, and put nothing."""
-    heard, asked = [keys.log("**"), keys.log_end, keys.clock], [keys.topics, keys.schema("**"), keys.scenario]
+    clock and ask for topics, schemas, units and the scenario, and put nothing."""
+    heard = [keys.log("**"), keys.log_end, keys.clock]
+    asked = [keys.topics, keys.schema("**"), keys.units, keys.scenario]
     listed = _List()
     listed.allow(
         OBSERVER,

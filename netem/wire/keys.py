@@ -99,6 +99,11 @@ class Keys:
         return f"fleet/{self.run}/topics"
 
     @property
+    def units(self) -> str:
+        """Query: a MessagePack map from the name of each schema to JSON, which maps its fields to [unit, meaning]."""
+        return f"fleet/{self.run}/units"
+
+    @property
     def scenario(self) -> str:
         """Query: the scenario of a live run that is published, as YAML."""
         return f"fleet/{self.run}/scenario"

@@ -113,7 +113,9 @@ def test_whoever_listens_can_ask_for_topics_and_schemas(log: Path) -> None:
     names = {f"twin/{topic[6:]}": topic for topic in of_topic if topic.startswith("uuv/1/")} | {
         "transforms": "transforms"
     }
-    assert topics == {name: (of_topic[topic], schemas[of_topic[topic]]) for name, topic in names.items()}
+    units = {channel.topic: channel.metadata["units"] for channel in tape.channels.values()}
+    assert topics == {name: (of_topic[topic], schemas[of_topic[topic]], units[topic]) for name, topic in names.items()}
+    assert json.loads(topics["twin/state"].units)["psi"][0] == "rad"
 
 
 def test_nobody_and_nonsense_are_told_apart_from_topics() -> None:

@@ -98,6 +98,7 @@ export class Charts {
     this.samples = [];
     this.signals = new Map();
     this.spans = new Map(); // of faults, by id
+    this.units = new Map(); // of the signals that there are, by name
     this.name = "";
     this.choose = choose;
     const each = (column) => () =>
@@ -127,8 +128,10 @@ export class Charts {
     this.drawn = 0;
   }
 
-  names(names) {
-    this.list.replaceChildren(...names.map((name) => make("option", { value: name })));
+  // Signals to choose from: the unit of each, by its name.
+  offer(units) {
+    this.units = new Map(Object.entries(units));
+    this.list.replaceChildren(...Object.keys(units).map((name) => make("option", { value: name })));
   }
 
   pick(name) {
@@ -176,7 +179,8 @@ export class Charts {
     for (const chart of this.charts) chart.draw(this.now, this.spans.values());
     const values = this.signals.get(this.name);
     const value = values?.at(-1)?.[1];
-    write(this.chosen.unit, values?.length ? `now ${value == null ? "not a finite number" : value.toPrecision(4)}` : "");
+    const now = value == null ? "not a finite number" : `${value.toPrecision(4)} ${this.units.get(this.name) ?? ""}`;
+    write(this.chosen.unit, values?.length ? `now ${now}`.trimEnd() : "");
   }
 
   end() {

@@ -107,8 +107,10 @@ class MovieScene:
                 [], [], color="0.3", marker="o", markersize=7, linestyle="", fillstyle="none", label="desired place"
             ),
         ]
-        self._scene.legend(handles=handles, loc="lower left", ncols=len(handles), borderpad=0.2, columnspacing=1.2,
-                           handletextpad=0.5)  # fmt: skip
+        if self._setup["obstacles_m"]:
+            handles.append(Line2D([], [], color="0.8", marker="o", markersize=7, linestyle="", label="obstacle"))
+        self._scene.legend(handles=handles, loc="lower left", ncols=len(handles), borderpad=0.2, handletextpad=0.5,
+                           columnspacing=0.7 if self._setup["obstacles_m"] else 1.2)  # fmt: skip
         self._chart = self.figure.add_axes((0.09, 0.095, 0.89, 0.165))
         self._chart.set(xlim=(begin_s, end_s), xlabel="time [s]")
         self._chart.set_ylabel("error [m]")
@@ -148,6 +150,7 @@ class MovieScene:
         camera.follow(np.array([*(row[1:4] for row in rows.values()), *wanted]))
         deep = max([*wanted[:, 2], *(row[3] for row in rows.values())]) + 0.35 * camera.radius
         self._draw_floor(deep)
+        self._draw_obstacles(deep)
         self._draw_compass()
         if not camera.above:
             self._lines_of([camera.project([row[1:4], [*row[1:3], deep]]) for row in rows.values()], 0.0, "0.7", THIN)
@@ -194,6 +197,18 @@ class MovieScene:
         parts += [camera.project([(north - reach, east + k, deep), (north + reach, east + k, deep)]) for k in away]
         self._lines_of(parts, -1.0, "0.9", 0.5, antialiased=False)  # which makes a GIF a quarter smaller
         self._text(SCENE_PT[0] - 8, 6, f"grid {step:g} m", size=LABEL_PT, color="0.35", ha="right")
+
+    def _draw_obstacles(self, deep: float) -> None:
+        """Cylinders that vehicles are to keep out of: their circles on the floor and above, and the sides between."""
+        turns = np.linspace(0.0, 2.0 * np.pi, 37)
+        top = max(0.0, self._camera.centre[2] - 1.5 * self._camera.radius)
+        for north, east, radius in self._setup["obstacles_m"]:
+            across = north + radius * np.cos(turns), east + radius * np.sin(turns)
+            low, high = (self._camera.project(np.column_stack([*across, np.full_like(turns, z)])) for z in (deep, top))
+            sides = [np.vstack([low[k : k + 2], high[[k + 1, k]]])[:, :2] for k in range(36)]
+            self._add(PolyCollection(sides, facecolor="0.5", alpha=0.06, zorder=-0.5))
+            self._add(PolyCollection([low[:, :2], high[:, :2]], facecolor=to_rgba("0.5", 0.15), edgecolor="0.45",
+                                     linewidth=THIN, zorder=-0.5))  # fmt: skip
 
     def _draw_compass(self) -> None:
         north, east, down = self._camera.centre
@@ -348,7 +363,7 @@ def _step(value: float) -> float:
 
 def _axis(row: list[Any], length: float) -> tuple[Array, Array]:
     """Tail and nose of a vehicle of a frame [m]."""
-    _, north, east, down, pitch, heading, _ = row
+    north, east, down, pitch, heading = row[1:6]
     half = length / 2 * np.array([cos(pitch) * cos(heading), cos(pitch) * sin(heading), -sin(pitch)])
     place = np.array([north, east, down])
     return place - half, place + half

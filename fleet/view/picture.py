@@ -142,7 +142,7 @@ class Picture:
 
     def setup(self) -> Row:
         """What stays as it is: names, links, sizes, desired places."""
-        scenario = self.scenario
+        scenario, apart = self.scenario, self.scenario.spec.keep_apart
         widths = [diameter(control.vehicle.m) for control in scenario.controls]
         return {
             "scenario": scenario.name,
@@ -154,6 +154,7 @@ class Picture:
             "offsets_m": [_rounded(plan.at(0.0).position) for plan in scenario.plans],
             "leaders": [i for i, b in enumerate(scenario.b, start=1) if b],
             "acoustic": scenario.acoustic is not None,
+            "obstacles_m": [_rounded((*one.at[:2], one.radius)) for one in apart.obstacles] if apart else [],
             "round_s": self._round_s,
             "placed": self.placed,
         }

@@ -8,6 +8,7 @@ from shutil import which
 from typing import Any
 
 import matplotlib
+import numpy as np
 import pytest
 from in_process_runs import Alone, log_of
 from PIL import Image, ImageChops
@@ -75,6 +76,36 @@ def test_a_picture_names_the_time_and_the_faults_and_draws_links_by_their_state(
     assert "t = 0.3 s" in texts(before) and not [text for text in texts(before) if "left" in text]
     assert FAULT in colours(cut) and FAULT not in colours(before)
     assert LOOKS["delivered"].colour in colours(before)
+
+
+def test_vehicles_with_roll_are_drawn(alone: Alone) -> None:
+    scene = drawn_at(log_of(alone("remus", "duration=500 ms", "checks={}")), 0.4)
+    assert {"1", "2", "3", "4"} <= set(texts(scene))
+
+
+@pytest.mark.parametrize("above", [True, False])
+def test_obstacles_are_drawn_where_they_are(above: bool, alone: Alone) -> None:
+    cylinder = "keep_apart={distance: 1 m, obstacles: [{at: 12 -4 m, radius: 2 m}]}"
+    log = log_of(alone("paper", "duration=500 ms", "checks={}", "profile=hardened", cylinder))
+    scene, plain = drawn_at(log, 0.4, above=above), drawn_at(log_of(alone("paper", *SHORT)), 0.4, above=above)
+    assert "obstacle" in texts(scene) and "obstacle" not in texts(plain)
+    assert not rings(plain)
+    low, high = rings(scene)  # on the floor, and above
+    centres = scene._camera.project([(12.0, -4.0, down) for down in (0.0, 20.0)])
+    if above:
+        radius = 2.0 * scene._camera.scale
+        assert np.hypot(*(low - centres[0, :2]).T) == pytest.approx(np.full(len(low), radius))
+        assert low == pytest.approx(high)
+    else:
+        assert low[:, 1].max() < high[:, 1].min()
+        assert [ring[:, 0].mean() for ring in (low, high)] == pytest.approx(centres[:, 0], abs=1.0)
+
+
+def rings(scene: MovieScene) -> list[Any]:
+    """The points of the circles of obstacles."""
+    found = scene.figure.findobj(matplotlib.collections.PolyCollection)
+    paths = [path.vertices for some in found for path in some.get_paths()]
+    return [points for points in paths if len(points) == 38]
 
 
 def test_errors_are_those_of_the_frame(log: Path) -> None:

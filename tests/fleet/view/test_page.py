@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 import signal
 from collections.abc import Iterator
@@ -85,6 +86,7 @@ def test_a_click_on_a_link_cuts_it_and_another_viewer_heals_it(opened: Any, tmp_
             assert feed.scenario.to_yaml() == (run.directory / SCENARIO).read_text()
             feed.follow({"uuv/1/state.z"})
             wait_for(lambda: feed.advance() and feed.picture.history()["signals"]["uuv/1/state.z"], SOON_S, "a value")
+            assert feed.signals.units["uuv/1/state.z"] == "m"
             feed.follow(())
             assert not feed._ends and not feed.picture.history()["signals"]
 
@@ -136,7 +138,7 @@ def test_a_log_of_a_hundred_vehicles_is_played_and_searched(opened: Any, alone: 
         chosen = page.page.get_by_label("Signal to show")
         chosen.fill("uuv/100/state.z")
         chosen.press("Enter")
-        page.page.locator(".fleet-chart-unit").get_by_text("now ").wait_for()
+        page.page.locator(".fleet-chart-unit").get_by_text(re.compile(r"now -?[\d.]+ m$")).wait_for()
         assert page.wrong == []
 
 

@@ -41,7 +41,7 @@ export function render({ model, el }) {
     },
     onLine: (groups) => groups.every((group) => group.length) && say({ do: "partition", groups }),
   });
-  stage.append(legend());
+  stage.append(legend(setup));
   const view = () => {
     scene.camera.fromAbove(!scene.camera.above);
     bar.view.textContent = scene.camera.above ? "In 3D" : "From above";
@@ -77,7 +77,7 @@ export function render({ model, el }) {
     "change:checks": () => panels.writeChecks(model.get("checks")),
     "change:commands": () => panels.writeCommands(model.get("commands")),
     "change:problem": () => bar.problem(model.get("problem")),
-    "change:names": () => charting.names(model.get("names")),
+    "change:signals": () => charting.offer(model.get("signals")),
   };
   for (const [event, listener] of Object.entries(listeners)) model.on(event, listener);
   // Space holds and goes on, where it does nothing else: not in fields and on buttons.

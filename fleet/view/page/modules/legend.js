@@ -2,7 +2,7 @@
 import { LINKS, PACKETS } from "./colours.js";
 import { make } from "./dom.js";
 
-export function legend() {
+export function legend({ obstacles_m: obstacles }) {
   const shown = Object.entries(LINKS).filter(([state]) => state !== "unused");
   const rows = shown.map(([, { name, colour, width, dash, says }]) => {
     const line = `<svg width="30" height="8" aria-hidden="true"><line x1="0" y1="4" x2="30" y2="4" stroke="${colour}" stroke-width="${width}" stroke-dasharray="${dash.join(" ")}"/></svg>`;
@@ -14,5 +14,7 @@ export function legend() {
   packet.insertAdjacentHTML("afterbegin", `<svg width="10" height="10" aria-hidden="true"><circle cx="5" cy="5" r="3" fill="${PACKETS.arrived}"/></svg>`);
   const place = make("span", { title: "where the vehicle should be" }, "desired place");
   place.insertAdjacentHTML("afterbegin", `<svg width="18" height="16" aria-hidden="true"><circle cx="9" cy="8" r="6.5" fill="none" stroke="#b9cbdd" stroke-dasharray="3 3" stroke-width="1.5"/></svg>`);
-  return make("div", { class: "fleet-legend" }, ...rows, packet, place);
+  const more = obstacles.length ? [make("span", { title: "a cylinder that vehicles are to keep out of" }, "obstacle")] : [];
+  for (const row of more) row.insertAdjacentHTML("afterbegin", `<svg width="18" height="16" aria-hidden="true"><circle cx="9" cy="8" r="6.5" fill="#c8d4e0" fill-opacity="0.25" stroke="#dce4ec"/></svg>`);
+  return make("div", { class: "fleet-legend" }, ...rows, packet, place, ...more);
 }

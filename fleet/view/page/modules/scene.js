@@ -4,6 +4,7 @@ import { LINKS, SILENT, hull } from "./colours.js";
 import { between, distanceToSegment, isLeft, lane, round } from "./geometry.js";
 import { fitted } from "./dom.js";
 import { axis, drawHull, drawnSize } from "./hull.js";
+import { drawObstacles } from "./obstacles.js";
 import { Packets, drawCross } from "./packets.js";
 
 const FRAME_MS = 33;
@@ -129,6 +130,7 @@ export class Scene {
     const deep = Math.max(...rows.map((row) => row[3]), ...wanted.map((place) => place[2]));
     const floor = deep + 0.35 * camera.radius;
     this.drawFloor(project, floor);
+    drawObstacles(this.g, this.setup.obstacles_m, { camera, project, floor });
     if (!camera.above) this.drawStems(rows, project, floor);
     this.drawTrails(rows, project);
     this.drawWanted(rows, wanted, project, frame.ref);

@@ -65,7 +65,7 @@ class Engine:
     workers: int
     dashboard: str
     here: bool
-    notes: str = ""  # a folder where workers of this machine say that a run took too long; empty: they do not
+    notes: str = ""  # a folder where workers of this machine say which run they make; empty: they do not
 
     def carry(self, modules: Modules) -> Modules:
         """The modules of laws as runs on these workers need them.
@@ -90,6 +90,7 @@ class Engine:
         waiting: deque[list[Task]] = deque()
         under_way: dict[Future[Any], list[Task]] = {}
         died: Counter[str] = Counter()  # under which run how many workers did, by key
+        unexplained = 0  # batches in a row that were lost, none of whose runs had begun
         size = 1
 
         def submit() -> None:
@@ -109,12 +110,17 @@ class Engine:
                     slowest = max((row["wall_s"] for row in rows if isfinite(row["wall_s"])), default=_BATCH_S)
                     size = max(1, min(_LARGEST_BATCH, int(_BATCH_S / max(slowest, 1e-3))))
                     take(rows)
+                    unexplained = 0
                     continue
+                guilty = self._guilty(batch)
+                unexplained = 0 if guilty else unexplained + 1
+                if unexplained > TIMES * _AHEAD * self.workers:  # workers die before they begin with any run
+                    guilty = {task.key for task in batch}
                 for task in batch:
-                    died[task.key] += len(batch) == 1  # which of several killed the worker is not known
+                    died[task.key] += task.key in guilty
                     if task.note and _written(task.note):
                         take([lost_row(task, str(TimedOut(task)))])
-                    elif len(batch) == 1 and died[task.key] >= self._most_deaths:
+                    elif task.key in guilty and died[task.key] >= self._most_deaths:
                         take([lost_row(task, reason_of(future.exception()))])
                     else:
                         waiting.append([task])
@@ -126,9 +132,13 @@ class Engine:
         return TIMES if self.here else 1
 
     def _noted(self, task: Task) -> Task:
-        if not self.notes or not isfinite(task.timeout_s):
-            return task
-        return task._replace(note=os.path.join(self.notes, f"{task.key}-{task.point}"))
+        return task._replace(note=os.path.join(self.notes, f"{task.key}-{task.point}")) if self.notes else task
+
+    def _guilty(self, batch: list[Task]) -> set[str]:
+        """The keys of the runs of a lost batch under which its worker died: not of those that only waited there."""
+        if self.notes:
+            return {task.key for task in batch if _begun(task.note)}
+        return {task.key for task in batch} if len(batch) == 1 else set()  # of several it is not known
 
 
 def make_batch(tasks: list[Task]) -> list[Row]:
@@ -276,6 +286,16 @@ def reason_of(error: BaseException | None) -> str:
     """Why a worker gave no row."""
     killed = isinstance(error, WorkerDied) or type(error).__name__ == "KilledWorker"
     return LOST if killed else f"{type(error).__name__}: {error!s:.500}"
+
+
+def _begun(note: str) -> bool:
+    """Whether a run had begun; its next one has not."""
+    if not _written(note):
+        try:
+            os.unlink(note)
+        except FileNotFoundError:
+            return False
+    return True
 
 
 def _written(note: str) -> bool:

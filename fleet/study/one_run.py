@@ -49,7 +49,7 @@ class Task(NamedTuple):
     modules: Modules = NO_MODULES  # that may run besides installed ones
     signals: tuple[str, ...] = ()  # measures of signals, by name
     log: str = ""  # the run directory that is to be made; empty: none
-    note: str = ""  # a file: see `_ending_itself`
+    note: str = ""  # a file that is there while the run goes on, and not empty if it took too long
 
 
 class TimedOut(FleetError):
@@ -66,7 +66,8 @@ class _AbandonedError(BaseException):
 def make_run(task: Task) -> dict[str, Any]:
     """Make a run; returns its row: `key`, `point`, `seed`, `status`, `reason`, `digest`, verdicts and measures."""
     about = {"key": task.key, "point": task.point, "seed": task.seed, "wall_s": nan}
-    row = _in_time(task) if isfinite(task.timeout_s) else _made(task)
+    with _noted(task):
+        row = _in_time(task) if isfinite(task.timeout_s) else _made(task)
     return about | row | {"version": version("uuv-fleet"), "cores": cores()}
 
 
@@ -83,30 +84,31 @@ def _in_time(task: Task) -> dict[str, Any]:
             rows.append(_made(task))
 
     thread = threading.Thread(target=make, daemon=True)
-    with _ending_itself(task):
-        thread.start()
-        thread.join(task.timeout_s + _GRACE_S)
+    thread.start()
+    thread.join(task.timeout_s + _GRACE_S)
     if thread.is_alive():
         ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(thread.ident or 0), ctypes.py_object(_AbandonedError))
     return rows[0] if rows else _failed(TimedOut(task))
 
 
 @contextmanager
-def _ending_itself(task: Task) -> Iterator[None]:
-    """While a law lets no other thread run, in a long regular expression for example, only a process can end itself.
+def _noted(task: Task) -> Iterator[None]:
+    """Leave word of what this process does: if it dies, its file `note` says that it was during this run.
 
-    Before it does, it writes something into the file `note` of the task, so that the run is not made once more.
+    Where a law lets no other thread run, in a long regular expression for example, the process ends itself. Before it
+    does, it writes something into the file, so that the run is not made once more.
     """
     if not task.note:  # more than one run may go on in this process
         yield
         return
     with open(task.note, "wb") as file:
-        faulthandler.dump_traceback_later(task.timeout_s + 3 * _GRACE_S, exit=True, file=file)
+        if isfinite(task.timeout_s):
+            faulthandler.dump_traceback_later(task.timeout_s + 3 * _GRACE_S, exit=True, file=file)
         try:
             yield
         finally:
             faulthandler.cancel_dump_traceback_later()
-    os.unlink(task.note)
+            os.unlink(task.note)
 
 
 def _made(task: Task) -> dict[str, Any]:

@@ -7,8 +7,10 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterator
+from itertools import chain
 from math import inf
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import dask
@@ -17,6 +19,7 @@ from failing_laws import failing
 from small_scenario import SMALL, small
 from waiting import wait_for
 
+from fleet.processes.workers import WorkerDied
 from fleet.scenario.loading import parse_scenario
 from fleet.scenario.trust import Policy
 from fleet.study.engine import LOST, Engine, check_versions, local_engine, need_extra, remote_engine, versions
@@ -116,6 +119,45 @@ def test_a_law_of_the_users_runs_there_and_one_that_kills_its_workers_costs_its_
     assert (rows["b"]["status"], rows["b"]["reason"]) == (FAILED, LOST)
     assert rows["d"]["status"] == FAILED
     assert "a study names it" in rows["d"]["reason"]
+
+
+class Lost(SimpleNamespace):
+    """A batch of a worker that makes one after the other: some kill it, and then all that it was given is lost."""
+
+    status = "error"
+
+    def exception(self) -> Exception:
+        return WorkerDied("gone")
+
+    def result(self) -> list[dict[str, Any]]:
+        return [{"key": task.key, "wall_s": 1.0, "status": "pass"} for task in self.batch]
+
+    __hash__ = object.__hash__
+
+
+@pytest.mark.parametrize("begins", [True, False], ids=["while it makes a run", "before it begins with any"])
+def test_only_the_run_that_a_worker_made_when_it_died_is_blamed(
+    begins: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def finished(under_way: dict[Lost, list[Task]], wait: Any) -> list[Lost]:
+        first, *_ = under_way
+        (task,) = first.batch
+        if not task.key.startswith("deadly"):
+            first.status = "finished"
+            return [first]
+        if begins:
+            Path(task.note).touch()
+        return list(under_way)
+
+    monkeypatch.setattr("fleet.study.engine._finished", finished)
+    client: Any = SimpleNamespace(submit=lambda _, batch, pure: Lost(batch=batch))
+    engine = Engine(client, 1, "", here=True, notes=str(tmp_path))
+    killers = (task._replace(key=f"deadly-{task.seed}") for task in tasks(4))
+    rows = {row["key"]: row for row in made(engine, chain(killers, tasks(4)))}
+    assert {row["reason"] for key, row in rows.items() if key.startswith("deadly")} == {LOST}
+    good = {row["status"] for key, row in rows.items() if not key.startswith("deadly")}
+    assert good == {"pass"} if begins else len(rows) == 8  # it comes to an end all the same
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.slow

@@ -21,7 +21,8 @@ from fleet.quantities import QuantityError, vehicle_numbers
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.sections.signal_checks import ask
 from fleet.scenario.sections.signals import GROUPS, places
-from fleet.scenario.sections.timeline import DIVERGED, Event
+from fleet.scenario.sections.timeline import Event
+from fleet.scenario.sections.vehicle_events import DIVERGED
 from netem.wire.messages import Command, Fate, Frame
 from world.errors import PluginError
 from world.signal import Signal

@@ -20,9 +20,11 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 import fleet.logs.topic as held
+from fleet.logs.fault_intervals import FaultInterval, fault_intervals
 from fleet.logs.reader import LogReader, LogReadError, Tell, log_path
 from fleet.logs.records import Block
 from fleet.logs.topic import LogKeyError, Topic
+from fleet.scenario.sections.vehicle_events import is_fault
 from netem.parsing import nearest
 
 if TYPE_CHECKING:
@@ -32,20 +34,7 @@ if TYPE_CHECKING:
 
     from fleet.scenario.scenario import Scenario
 
-MOST_EVENTS = 200_000  # of faults
 BUCKETS = 4000  # spans of time that a picture can show, at most
-
-
-class FaultInterval(NamedTuple):
-    """A fault of the log, and when it was active, in s of simulated time.
-
-    A fault whose end is not in the log lasts to the end of the log.
-    """
-
-    id: str  # as in the scenario, or f1, f2, ...
-    begin: float  # [s]
-    end: float  # [s]
-    what: str  # kind and arguments, such as `kill 3`
 
 
 class Log:
@@ -169,27 +158,24 @@ class Log:
             raise LogReadError(f"{self.path} holds no scenario: it was not written by fleet run, or cut at its start")
         return parse_scenario(self.scenario_text, str(self.path))
 
-    @cached_property
+    @property
     def faults(self) -> list[FaultInterval]:
         """The faults in the order in which they began; empty for a log without the topic `faults`.
 
         Raises:
             LogReadError: the log holds more events of faults than are read.
         """
-        if "faults" not in self or not len(self["faults"]):
-            return []
-        topic = self["faults"]
-        if len(topic) > MOST_EVENTS:
-            raise LogReadError(
-                f"{self.path} holds {len(topic)} events of faults, more than the {MOST_EVENTS} that are read"
-            )
-        found: dict[str, FaultInterval] = {}
-        for at, name, action, what in zip(topic.t, topic["fault"], topic["action"], topic["what"], strict=True):
-            if action == "begins":
-                found[name] = FaultInterval(name, float(at), self.end, what)
-            elif name in found:
-                found[name] = found[name]._replace(end=float(at))
-        return list(found.values())
+        return [interval for interval in self._intervals if is_fault(interval.what)]
+
+    @property
+    def events(self) -> list[FaultInterval]:
+        """When vehicles were tumbled or diverged, in the order in which that began. Raises LogReadError as `faults`."""
+        return [interval for interval in self._intervals if not is_fault(interval.what)]
+
+    @cached_property
+    def _intervals(self) -> list[FaultInterval]:
+        """Faults and events, as the topic `faults` has them."""
+        return fault_intervals(self["faults"], self.end) if "faults" in self else []
 
 
 def open_log(

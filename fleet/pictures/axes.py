@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.text import Annotation
 
-from fleet.logs.open_log import FaultInterval
+from fleet.logs.fault_intervals import FaultInterval
 from fleet.logs.records import Array
 from fleet.palette import COLOURS
 from fleet.pictures.bands import Series, band_legend, draw_band, outlier_style, outliers, spread
@@ -180,7 +180,7 @@ def bounds(ax: Axes, values: Sequence[tuple[float, float]], what: str, unit: str
 def _shade(axes: Sequence[Axes], runs: Sequence[Run]) -> list[str]:
     whose: dict[FaultInterval, list[str]] = {}
     for run in runs:
-        for fault in run.log.faults:
+        for fault in (*run.log.faults, *run.log.events):
             whose.setdefault(fault, []).append(run.label)
     # A fault that not every run had is named with those that had it.
     called = [

@@ -14,9 +14,9 @@ from matplotlib.font_manager import FontProperties
 from matplotlib.lines import Line2D
 from matplotlib.transforms import ScaledTranslation
 
-from fleet.logs.open_log import FaultInterval
+from fleet.logs.fault_intervals import FaultInterval
 from fleet.pictures.style import LABEL_PT, THIN
-from fleet.scenario.sections.timeline import is_fault
+from fleet.scenario.sections.vehicle_events import is_fault
 
 Span = tuple[float, float]
 

@@ -10,7 +10,6 @@ from matplotlib.axes import Axes
 from fleet.pictures.runs import Run
 from fleet.pictures.style import LABEL_PT, NORMAL
 from fleet.scenario.schema.checks import EVERY, Below, Recovery
-from fleet.scenario.sections.timeline import is_fault
 
 
 class Threshold(NamedTuple):
@@ -44,7 +43,7 @@ def thresholds(runs: Sequence[Run], error: str) -> list[Threshold]:
 
 
 def _recoveries(check: Recovery, run: Run) -> list[Threshold]:
-    faults = [fault for fault in run.log.faults if is_fault(fault.what)]
+    faults = run.log.faults
     allowed = check.below / 1e9
     found = []
     for fault in faults:

@@ -10,7 +10,7 @@ import numpy as np
 from fleet.logs.records import Array
 from fleet.pictures.runs import Run, View, first_words
 from fleet.quantities import vehicle_numbers
-from fleet.scenario.sections.timeline import DIVERGED, TUMBLED
+from fleet.scenario.sections.vehicle_events import DIVERGED, TUMBLED
 
 # What begins a fault's text -> (what became of the vehicle, mark).
 MARKS = {"kill": ("agent dead", "X"), TUMBLED: (TUMBLED, "*"), DIVERGED: (DIVERGED, "P")}
@@ -34,7 +34,7 @@ def happenings(run: Run, view: View, tracks: Mapping[int, tuple[Array, Array]]) 
         tracks: times [s] and positions (samples, 3) [m, NED] of each vehicle.
     """
     found = []
-    for fault in run.log.faults:
+    for fault in (*run.log.faults, *run.log.events):
         kind, _, who = fault.what.partition(" ")
         for i in numbers(who) if kind in MARKS else ():
             if i in tracks and (view.window is None or view.window[0] <= fault.begin <= view.window[1]):

@@ -22,7 +22,8 @@ from fleet.recorder.metrics import Metrics, VehicleError
 from fleet.recorder.separation import Separation
 from fleet.recorder.snapshot import Snapshot
 from fleet.scenario.scenario import Scenario, frame_every
-from fleet.scenario.sections.timeline import DIVERGED, TUMBLED, Event, event_order
+from fleet.scenario.sections.timeline import Event, event_order
+from fleet.scenario.sections.vehicle_events import DIVERGED, TUMBLED
 from netem.ages import Ages
 from netem.errors import OutOfPlace
 from netem.ledger import Ledger

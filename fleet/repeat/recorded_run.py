@@ -16,7 +16,7 @@ from fleet.quantities import show_time
 from fleet.scenario.loading import parse_scenario
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.schema.checks import EVERY, Recovery, SignalCheck
-from fleet.scenario.sections.timeline import is_fault
+from fleet.scenario.sections.vehicle_events import is_fault
 from fleet.scenario.text.fault_words import FaultWordsError, read_fault
 from fleet.scenario.text.overrides import Override
 from fleet.scenario.trust import READING, Policy

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from fleet.logs.open_log import FaultInterval
+from fleet.logs.fault_intervals import FaultInterval
 from fleet.pictures.shades import shade
 from fleet.pictures.style import COLUMN_IN, FORMATS, Origin, legend, limit, line, panels, save
 from fleet.repeat.what_if import COMPONENTS, WhatIf, WhatIfError

@@ -15,7 +15,7 @@ from typing import Any
 from fleet.quantities import QuantityError, vehicle_numbers
 from fleet.recorder.scene import SLENDER, diameter
 from fleet.scenario.scenario import Scenario, timeline
-from fleet.scenario.sections.timeline import DIVERGED, TUMBLED
+from fleet.scenario.sections.vehicle_events import DIVERGED, TUMBLED
 from fleet.view.links import LinkHistory, fate_of, stale_after
 from netem.condition import Link
 from world.vectors import Vec3

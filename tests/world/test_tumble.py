@@ -100,7 +100,7 @@ def test_a_tumble_is_in_log_verdict_and_numbers_and_the_agent_takes_over(tmp_pat
     assert "vehicle 3" in verdict.found
     assert all(v.passed for v in result.verdicts if v.check != "tumbled")
     log = open_log(result.directory)
-    spell = next(f for f in log.faults if f.id == "tumbled-3")
+    spell = next(f for f in log.events if f.id == "tumbled-3")
     assert spell.what == "tumbled 3"
     assert result.values["tumbles"][0]["vehicle"] == 3
     assert result.values["tumbles"][0]["from_s"] == spell.begin

@@ -25,6 +25,7 @@ from fleet.quantities import vehicle_numbers
 from fleet.scenario.schema.faults import ACTIONS, FaultAction, FaultSection
 from fleet.scenario.schema.spec import ScenarioSpec
 from fleet.scenario.sections.partitions import partition
+from fleet.scenario.sections.vehicle_events import is_fault
 from netem.condition import Link
 from netem.faults import FaultKind, NetFault
 from netem.grammar import print_condition
@@ -34,7 +35,6 @@ from world.faults import WorldFault, WorldFaultKind
 
 OF_THE_NETWORK: tuple[str, ...] = get_args(FaultKind)
 OF_THE_WORLD: tuple[str, ...] = tuple(kind for kind in get_args(WorldFaultKind) if kind not in ("pause", "slow"))
-TUMBLED, DIVERGED = "tumbled", "diverged"  # in the log: what happened to a vehicle, which no scenario asks for
 MOST_RESTARTS = 3  # of one agent that no fault has killed: its next life would end the same way
 
 
@@ -51,11 +51,6 @@ class Event:
     def is_fault(self) -> bool:
         """Whether it is a fault; a vehicle that tumbles is the consequence of one."""
         return is_fault(self.what)
-
-
-def is_fault(what: str) -> bool:
-    """Whether the text of an event in the log is that of a fault, and not of what happened to a vehicle."""
-    return what.partition(" ")[0] not in (TUMBLED, DIVERGED)
 
 
 @dataclass(frozen=True, slots=True)

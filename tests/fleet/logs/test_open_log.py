@@ -22,7 +22,8 @@ from fleet.errors import ScenarioError
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
 from fleet.logs.export import export
-from fleet.logs.open_log import FaultInterval, LogKeyError
+from fleet.logs.fault_intervals import FaultInterval
+from fleet.logs.open_log import LogKeyError
 from fleet.logs.reader import LogReadError
 from fleet.scenario.loading import load_scenario
 
@@ -109,9 +110,9 @@ def test_what_the_log_says_of_itself(run: Path) -> None:
     assert log.vehicles == [1, 2, 3, 4]
     assert log.links == [(1, 2), (2, 1), (2, 3), (3, 2), (3, 4), (4, 3)]
     assert log.end == 2.0
-    crash, down, *tumbles = log.faults
+    crash, down = log.faults
     assert (crash, down) == (FaultInterval("crash", 1.0, 1.5, "kill 2"), FaultInterval("f2", 1.2, 2.0, "down 3->4"))
-    assert [(t.id, t.end, t.what) for t in tumbles] == [(f"tumbled-{i}", 2.0, f"tumbled {i}") for i in (2, 3)]
+    assert [(t.id, t.end, t.what) for t in log.events] == [(f"tumbled-{i}", 2.0, f"tumbled {i}") for i in (2, 3)]
     assert len(log) == len(log.topics) == len(list(log))
     assert f"{log.messages} messages in 38 topics, 2 s" in repr(log)
 

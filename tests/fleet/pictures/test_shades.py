@@ -7,7 +7,7 @@ from itertools import combinations
 import pytest
 from matplotlib.text import Text
 
-from fleet.logs.open_log import FaultInterval
+from fleet.logs.fault_intervals import FaultInterval
 from fleet.pictures.shades import shade, union, words
 from fleet.pictures.style import COLUMN_IN, panels
 

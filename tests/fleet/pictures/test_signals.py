@@ -13,7 +13,7 @@ from matplotlib.colors import to_rgb
 
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
-from fleet.logs.open_log import FaultInterval
+from fleet.logs.fault_intervals import FaultInterval
 from fleet.pictures import signals
 from fleet.pictures.runs import Run, View, load
 from fleet.pictures.style import panels
@@ -105,7 +105,7 @@ def test_every_recovery_has_a_line_until_the_next_fault(run: Run) -> None:
     text = run.log.scenario_text.replace("fault: crash", "fault: every")
     other = Run(run.log, "other")
     other.log.__dict__.pop("scenario", None)
-    other.log.__dict__["faults"] = [
+    other.log.__dict__["_intervals"] = [
         FaultInterval("a", 0.5, 1.0, "kill 1"),
         FaultInterval("b", 4.0, 4.5, "kill 2"),
     ]
@@ -115,7 +115,7 @@ def test_every_recovery_has_a_line_until_the_next_fault(run: Run) -> None:
         assert [(one.begin, one.end) for one in found] == [(3.0, 4.0)]
     finally:
         other.log.scenario_text = before
-        for name in ("faults", "scenario"):
+        for name in ("_intervals", "scenario"):
             other.log.__dict__.pop(name, None)
 
 

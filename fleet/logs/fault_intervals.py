@@ -1,0 +1,45 @@
+"""From when to when each fault of a log lasted, and each event of a vehicle."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from fleet.logs.reader import LogReadError
+from fleet.logs.topic import Topic
+
+MOST_EVENTS = 200_000  # of faults
+
+
+class FaultInterval(NamedTuple):
+    """A fault of the log, and when it was active, in s of simulated time.
+
+    A fault whose end is not in the log lasts to the end of the log.
+    """
+
+    id: str  # as in the scenario, or f1, f2, ...
+    begin: float  # [s]
+    end: float  # [s]
+    what: str  # kind and arguments, such as `kill 3`
+
+
+def fault_intervals(topic: Topic, end: float) -> list[FaultInterval]:
+    """Faults and events of vehicles, in the order in which they began.
+
+    Args:
+        topic: `faults`, the beginnings and ends.
+        end: of the log [s]; what has no end lasts until then.
+
+    Raises:
+        LogReadError: there are more than are read.
+    """
+    if len(topic) > MOST_EVENTS:
+        raise LogReadError(f"the log holds {len(topic)} events of faults, more than the {MOST_EVENTS} that are read")
+    if not len(topic):
+        return []
+    found: dict[str, FaultInterval] = {}
+    for at, name, action, what in zip(topic.t, topic["fault"], topic["action"], topic["what"], strict=True):
+        if action == "begins":
+            found[name] = FaultInterval(name, float(at), end, what)
+        elif name in found:
+            found[name] = found[name]._replace(end=float(at))
+    return list(found.values())

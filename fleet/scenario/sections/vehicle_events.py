@@ -1,0 +1,42 @@
+"""What happened to vehicles in a run, apart from its faults: how often each tumbled or diverged.
+
+A vehicle that tumbles ten times is one thing to know, not ten; and it is a consequence of the faults, not one of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import NamedTuple
+
+TUMBLED, DIVERGED = "tumbled", "diverged"  # first words of such an event in the log; no scenario asks for one
+
+
+def is_fault(what: str) -> bool:
+    """Whether the text of an event in the log is that of a fault, and not of what happened to a vehicle."""
+    return what.partition(" ")[0] not in (TUMBLED, DIVERGED)
+
+
+class VehicleEvents(NamedTuple):
+    """All events of one kind that happened to one vehicle."""
+
+    what: str  # such as `tumbled 3`
+    times: int
+    first_s: float
+
+    def __str__(self) -> str:
+        """A line such as `tumbled 3: 10 times, first at 12.45 s`."""
+        return f"{self.what}: {f'{self.times} times, first ' if self.times > 1 else ''}at {self.first_s:.10g} s"
+
+
+def vehicle_events(happened: Iterable[tuple[str, float]]) -> list[VehicleEvents]:
+    """One row for each vehicle and kind of event, in the order in which they first happened.
+
+    Args:
+        happened: text and beginning [s] of faults and events, in any order; faults are left out.
+    """
+    times: dict[str, list[float]] = {}
+    for what, at_s in happened:
+        if not is_fault(what):
+            times.setdefault(what, []).append(at_s)
+    rows = [VehicleEvents(what, len(some), min(some)) for what, some in times.items()]
+    return sorted(rows, key=lambda row: (row.first_s, row.what))

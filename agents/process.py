@@ -126,5 +126,6 @@ def _give_up(shell: Shell, vehicle: int, tick: int, error: Exception) -> NoRetur
     shell.note(vehicle, tick, f"controller failed: {error}")
     if error.__cause__ is not None:
         traceback.print_exception(error.__cause__)
-    sys.stderr.writelines(traceback.format_exception_only(error))
+    else:
+        sys.stderr.writelines(traceback.format_exception_only(error))
     sys.exit(CONTROLLER_FAILED)

@@ -30,6 +30,10 @@ _OFFERED = {
 __all__ = ["Boundary", "Log", "Result", "Study", "boundary", "open_log", "open_study", "run", "sweep"]
 
 
+def __dir__() -> list[str]:
+    return sorted({*__all__, *(name for name in globals() if name.startswith("__"))})
+
+
 def __getattr__(name: str) -> Any:
     # Every command imports this package; numpy and protobuf come with the first use.
     if name in _OFFERED:

@@ -10,6 +10,7 @@ from rich.text import Text
 
 from fleet.analysis.preflight import large_log_hint
 from fleet.analysis.punctuality import summary
+from fleet.execution.notes import folded, without_agent
 from fleet.execution.outcome import Result, Status
 from fleet.recorder.metrics import WorstAndMedian
 from fleet.terminal import table
@@ -44,7 +45,8 @@ def show(result: Result, terminal: Terminal) -> None:
     for verdict in result.verdicts:
         style, mark = ("green", "pass") if verdict.passed else ("red", "FAIL")
         say(f"{verdict.check}: {verdict.asked}; found {verdict.found}", style, mark)
-    notes = values["notes"]
+    explained = {without_agent(line) for line in result.lines}
+    notes = folded(note for note in values["notes"] if without_agent(note) not in explained)
     for note in notes[:MOST_ROWS]:
         say(note, mark="note")
     if len(notes) > MOST_ROWS:

@@ -113,13 +113,14 @@ def sweep(
     from fleet.scenario.trust import TYPED
     from fleet.study.catalogue import shipped_studies
     from fleet.study.errors import StudyError
+    from fleet.study.load_points import load_points
     from fleet.study.signals import find_columns
     from fleet.study.spec import StudySpec, set_values, varied
     from fleet.study.store import Store
     from fleet.study.study import engine_of, new_directory
     from fleet.study.study_file import NamedStudy, study_named
     from fleet.study.summary import DEFAULT
-    from fleet.study.sweep import declared, load_points, logs_to_make, modules_again, prepare, refuse_border, run_study
+    from fleet.study.sweep import declared, logs_to_make, modules_again, prepare, refuse_border, run_study
 
     keys = {"seeds": seeds, "draw": draw, "until": until, "most_seeds": most_seeds}
     chosen_keys: dict[str, Any] = {key: value for key, value in keys.items() if _is_given(key)}
@@ -260,7 +261,7 @@ def _show(store: Store, measures: Any) -> None:
         columns.append(Column("without\nresult", [str(row.failed) for row in rows], 0))
     columns.append(Column("passed\n95 % interval", [_share(row.passed) for row in rows], 0))
     for rank, (name, unit) in enumerate(((measure.name, measure.unit) for measure in measures), start=4):
-        heading = f"{name.removesuffix('_' + unit)}\nmedian" + (f" [{unit}]" if unit else "")
+        heading = f"{name}\nmedian" + (f" [{unit}]" if unit else "")
         columns.append(Column(heading, [_number(row.medians[name], row.passed.runs) for row in rows], rank))
     counts = sorted({row.runs for row in rows}) or [0]
     seeds = f"{counts[0]} to {counts[-1]}" if len(counts) > 1 else f"{counts[0]}"

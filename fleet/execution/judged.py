@@ -6,7 +6,7 @@ import json
 import time
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, Never
 
 from agents.errors import AgentError
 from fleet.checks.own_checks import OwnChecks
@@ -36,6 +36,7 @@ def run(
     seed: int | None = None,
     trust: Trust = NOTHING,
     progress: Callable[[float], None] | None = None,
+    **unknown: Never,
 ) -> Result:
     """Run a scenario in this process and judge it; no file is written.
 
@@ -55,7 +56,11 @@ def run(
     Raises:
         ScenarioError: with every mistake that was found.
         ExternalError: somebody else is to start an agent.
+        TypeError: an argument is unknown; keys of the scenario go into `set`.
     """
+    if unknown:
+        given: dict[str, Any] = dict(unknown)
+        raise TypeError(f"run() has no argument {next(iter(unknown))!r}; keys of the scenario go into set={given}")
     changes = override_texts(set)
     if seed is not None:
         changes.append(f"seed={seed}")

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
+from collections.abc import Iterable
 
 from fleet.errors import printable
 from netem.errors import MalformedMessage
@@ -13,6 +15,8 @@ from netem.wire.messages import Note
 from netem.wire.queues import Quota
 
 MOST_NOTES = 1000
+_ALIKE = " (so did agent"  # begins what `folded` adds
+_AGENT = re.compile(r"\bagent (\d+)\b")
 
 
 def tick_text(tick: int, tick_ns: int) -> str:
@@ -23,6 +27,24 @@ def tick_text(tick: int, tick_ns: int) -> str:
 def note_text(tick: int, tick_ns: int, who: str, text: str) -> str:
     """A note as the console and the result show it."""
     return f"{tick_text(tick, tick_ns)} {who}: {text}"
+
+
+def without_agent(note: str) -> str:
+    """The note without the number of its agent: the same text for agents that report the same, and when folded."""
+    return _AGENT.sub("agent", note.partition(_ALIKE)[0])
+
+
+def folded(notes: Iterable[str]) -> list[str]:
+    """Each note once: of agents that report the same, the first note stands, and the others are named behind it."""
+    alike: dict[str, list[str]] = {}
+    for note in notes:
+        alike.setdefault(without_agent(note), []).append(note)
+    lines = []
+    for first, *others in alike.values():
+        numbers = sorted({int(found[1]) for note in others if (found := _AGENT.search(note))})
+        named = ", ".join(map(str, numbers))
+        lines.append(f"{first}{_ALIKE}{'s' if len(numbers) > 1 else ''} {named})" if numbers else first)
+    return lines
 
 
 class Notes:

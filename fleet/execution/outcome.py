@@ -12,6 +12,7 @@ from typing import Any
 from fleet.analysis.verdicts import judge, judge_expected
 from fleet.checks.verdict import Verdict
 from fleet.execution.runner import Runner
+from fleet.notebook import html_table
 from fleet.recorder.journal import Journal, Spell
 from fleet.recorder.log_file import LogError, LogFile
 from fleet.recorder.no_log import NoLog
@@ -30,7 +31,7 @@ class Status(IntEnum):
     INTERRUPTED = 130
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, repr=False)
 class Result:
     """What a run came to.
 
@@ -56,6 +57,21 @@ class Result:
     def passed(self) -> bool:
         """Whether it came to its end and every check passed."""
         return self.status is Status.PASS
+
+    def __repr__(self) -> str:
+        failed = [verdict.check for verdict in self.verdicts if not verdict.passed]
+        said = f"{len(self.verdicts) - len(failed)} of {len(self.verdicts)} checks passed"
+        said = self.reason or said + (f", failed: {', '.join(failed)}" if failed else "")
+        return f"<Result of {self._run}: {self.status.name.lower()}; {said}>"
+
+    def _repr_html_(self) -> str:
+        rows = [(one.check, "pass" if one.passed else "FAIL", one.asked, one.found) for one in self.verdicts]
+        title = f"{self._run}: {self.status.name.lower()}" + (f", {self.reason}" if self.reason else "")
+        return html_table(title, ("check", "", "asked", "found"), sorted(rows, key=lambda row: row[1] == "pass"))
+
+    @property
+    def _run(self) -> str:
+        return f"{self.values.get('scenario', 'a run')} with seed {self.values.get('seed', '?')}"
 
 
 def settle(journal: Journal, log: LogFile | NoLog, runner: Runner, result: Result) -> None:

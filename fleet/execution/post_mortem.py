@@ -6,6 +6,7 @@ from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 from fleet.errors import RunBroken
+from fleet.execution.notes import folded, without_agent
 from fleet.processes.children import (
     FORKSERVER_LOST,
     Child,
@@ -28,7 +29,7 @@ def explain(exits: Sequence[Exit], children: Mapping[str, Child], notes: Sequenc
     Args:
         exits: at least one, all of those that ended at about the same time.
         children: by role.
-        notes: of the run; those about the agent that ended are repeated.
+        notes: of the run; those about the agent that ended are repeated, with the other agents that report the same.
         at: the time in the run, in words.
     """
     if any(e.code == FORKSERVER_LOST for e in exits) and (death := forkserver_death(_REAPED_S)) is not None:
@@ -37,11 +38,16 @@ def explain(exits: Sequence[Exit], children: Mapping[str, Child], notes: Sequenc
     first, *others = sorted(exits, key=lambda e: (e.role != WORLD, e.code >= 0, e.role))
     child = children[first.role]
     reason = f"{first.role.replace('-', ' ')} (pid {child.pid}) {describe_exit(first.code)} at {at}"
-    lines = [
-        *(note for note in notes if f"agent {first.role.removeprefix('agent-')}:" in note),
-        f"last lines of {child.log_path}:",
-        *(f"  {line}" for line in child.tail() or ["(nothing printed)"]),
-    ]
+    about = [note for note in notes if f"agent {first.role.removeprefix('agent-')}:" in note]
+    alike = {without_agent(note) for note in about}
+    lines = folded([*about, *(note for note in notes if note not in about and without_agent(note) in alike)])
+    tail = child.tail()
+    # A traceback ends in what the note says.
+    if about and any(line.lstrip().startswith(("Traceback ", 'File "')) for line in tail):
+        lines.append(f"the traceback is in {child.log_path}")
+    else:
+        lines.append(f"last lines of {child.log_path}:")
+        lines += [f"  {line}" for line in tail or ["(nothing printed)"]]
     if others:
         named = ", ".join(f"{e.role} ({describe_exit(e.code)})" for e in others[:MOST_NAMED])
         lines.append("also ended: " + named + _more(len(others)))

@@ -24,6 +24,7 @@ from fleet.logs.fault_intervals import FaultInterval, fault_intervals
 from fleet.logs.reader import LogReader, LogReadError, Tell, log_path
 from fleet.logs.records import Block
 from fleet.logs.topic import LogKeyError, Topic
+from fleet.notebook import html_table
 from fleet.scenario.sections.vehicle_events import is_fault
 from netem.parsing import nearest
 
@@ -86,6 +87,10 @@ class Log:
     def __repr__(self) -> str:
         word = f", NOT WHOLE: {self.missing}" if self.missing else ""
         return f"<{self.path}: {self.messages} messages in {len(self)} topics, {self.end:g} s{word}>"
+
+    def _repr_html_(self) -> str:
+        rows = [(topic.name, topic.schema, len(topic)) for topic in self._topics.values()]
+        return html_table(repr(self)[1:-1], ("topic", "message", "samples"), rows)
 
     @property
     def topics(self) -> list[str]:

@@ -187,6 +187,9 @@ class Topic:
     def __getattr__(self, field: str) -> Array:
         if field.startswith("_"):  # pickle, copy and notebooks ask for names of their own
             raise AttributeError(field)
+        if field in ("to_pandas", "to_xarray"):
+            call = f"log.to_pandas({self.name!r})" if field == "to_pandas" else f"log.to_xarray()[{self.name!r}]"
+            raise AttributeError(f"a topic has no {field}: the log makes the table, with {call}")
         try:
             return self[field]
         except LogKeyError as error:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from fleet.execution.judged import Changes, override_texts
+from fleet.notebook import html_table
 from fleet.scenario.text.overrides import FAULT, NET, SET, Override
 from fleet.study.border_theory import theory
 from fleet.study.borders import SEEDS, WIDTH, Border, Borders, Tell, find_borders, parse_along, prepare_borders
@@ -27,6 +28,21 @@ class Boundary:
     def __init__(self, store: Store) -> None:
         self.study = Study(store)  # its rows
         self._borders = Borders(store)
+
+    def __repr__(self) -> str:
+        count, scenario = self._borders.count, self._borders.store.record.scenario
+        borders = f"{count} border{'' if count == 1 else 's'} of {scenario} along {self._borders.along.key}"
+        return f"<Boundary {self.study.directory}: {borders}>"
+
+    def _repr_html_(self) -> str:
+        found = self.borders
+        unit = f" [{self._borders.along.unit}]" if self._borders.along.unit else ""
+        headings = [*(found[0].values if found else ()), f"border{unit}", "interval of 95 %", "", "runs"]
+        rows = [
+            [*row.values.values(), f"{row.value:.3g}", f"{row.low:.3g} to {row.high:.3g}", row.where, row.runs]
+            for row in found
+        ]
+        return html_table(repr(self)[1:-1], headings, rows)
 
     @property
     def borders(self) -> list[Border]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager
-from math import inf
+from math import inf, isnan
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,6 +13,7 @@ from fleet.execution.execute import execute
 from fleet.execution.judged import Changes, override_texts
 from fleet.execution.options import Options
 from fleet.execution.outcome import Result
+from fleet.notebook import html_table
 from fleet.processes.processors import processors
 from fleet.quantities import show_time
 from fleet.scenario.loading import parse_scenario
@@ -23,7 +24,7 @@ from fleet.study.one_run import A_STUDY, FAILED
 from fleet.study.settings import KeepLogs
 from fleet.study.signals import find_columns
 from fleet.study.spec import StudySpec, seeds_text, set_values
-from fleet.study.statistics import Comparison, compare
+from fleet.study.statistics import Comparison, Estimate, compare
 from fleet.study.store import Store
 from fleet.study.study_file import NamedStudy, study_named
 from fleet.study.summary import PointSummary, summarise
@@ -43,6 +44,16 @@ class Study:
 
     def __init__(self, store: Store) -> None:
         self._store = store
+
+    def __repr__(self) -> str:
+        return f"<Study {self.directory}: {self._store.record.scenario} over {', '.join(self.axes) or 'seeds alone'}>"
+
+    def _repr_html_(self) -> str:
+        rows = self.summary()
+        measures = list(rows[0].medians) if rows else []
+        cells = ([*row.values.values(), row.runs, *(row.passed, *row.medians.values())] for row in rows)
+        headings = [*self.axes, "runs", "pass rate", *(f"median of {name}" for name in measures)]
+        return html_table(repr(self)[1:-1], headings, [[_cell(value) for value in row] for row in cells])
 
     @property
     def directory(self) -> Path:
@@ -130,6 +141,11 @@ class Study:
         others = [other for other in self.axes if other != key]
         pairs = frame[[*others, "seed", key]].assign(_values=values)
         table = pairs.pivot(index=[*others, "seed"], columns=key, values="_values").astype(float)
+        if not table[[first, second]].notna().all(axis="columns").any():
+            same = ", ".join(["seed", *others])
+            raise StudyError(
+                f"{measure} has no pair: no run at {key}={first} has a partner at {key}={second} with the same {same}"
+            )
         return compare(table[first].tolist(), table[second].tolist())
 
     def plot(self, *measures: str, folder: str | Path | None = None, formats: Sequence[str] = ("png",)) -> list[Path]:
@@ -275,6 +291,13 @@ def engine_of(workers: int | None, scheduler: Any, *, dashboard: bool = False) -
 def new_directory(scenario: str, out: Path = Path("studies")) -> Path:
     """Where a new study of a scenario goes."""
     return out / f"{Path(scenario).stem}-{time.strftime(STAMP, time.gmtime())}"
+
+
+def _cell(value: float | str | Estimate) -> str:
+    """A value of a key, or a number with its interval, for a table."""
+    if isinstance(value, Estimate):
+        return f"{value.value:.3g}" + ("" if isnan(value.low) else f" ({value.low:.3g} to {value.high:.3g})")
+    return value if isinstance(value, str) else f"{value:g}"
 
 
 def _time_text(seconds: float | None) -> str | None:

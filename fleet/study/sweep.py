@@ -6,7 +6,7 @@ import shutil
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import nullcontext, suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import partial
 from importlib.metadata import version
 from math import inf
@@ -15,14 +15,14 @@ from typing import Any
 
 import msgspec
 
-from fleet.errors import Problem, ScenarioError
 from fleet.execution.external_agents import refuse
 from fleet.processes.processors import processors
-from fleet.scenario.loading import load_scenario, parse_scenario
+from fleet.scenario.loading import parse_scenario
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.trust import Policy
 from fleet.study.engine import Engine, Row, local_engine
 from fleet.study.errors import StudyError
+from fleet.study.load_points import load_points
 from fleet.study.measures import STANDING, Column
 from fleet.study.modules import NO_MODULES, Modules, modules_of
 from fleet.study.one_run import A_STUDY, FAILED, Task
@@ -71,29 +71,6 @@ class Progress:
     def left_s(self) -> float:
         """Estimated wall time to the end [s]."""
         return (self.runs - self.made) / self.rate if self.new else inf
-
-
-def load_points(plan: Plan, trust: Trust = NOTHING, *, refused: list[Problem] | None = None) -> list[Scenario]:
-    """The scenario of each point.
-
-    Args:
-        refused: a list to which the laws that may not run are appended; None: such a law is an error.
-
-    Raises:
-        ScenarioError: with the mistakes of all points, each once.
-    """
-    scenarios: list[Scenario] = []
-    mistakes: dict[Problem, list[Point]] = {}
-    for point in plan.points:
-        try:
-            scenario = load_scenario(plan.scenario, point.changes, trust, refused=refused, origin=plan.origin)
-            scenarios.append(scenario)
-        except ScenarioError as error:
-            for problem in error.problems:
-                mistakes.setdefault(problem, []).append(point)
-    if mistakes:
-        raise ScenarioError([_with_points(problem, points, len(plan.points)) for problem, points in mistakes.items()])
-    return scenarios
 
 
 def prepare(
@@ -178,13 +155,6 @@ def _modules(scenarios: Sequence[Scenario], folder: Path | None) -> Modules:
     for scenario in scenarios:
         refuse(scenario, "a run of a study")
     return modules_of(scenarios, folder)
-
-
-def _with_points(problem: Problem, points: list[Point], of: int) -> Problem:
-    """The mistake, and in which points it is, if not in all."""
-    if len(points) == of:
-        return problem
-    return replace(problem, message=f"{problem.message} (in {len(points)} of {of} points, first {points[0].shown})")
 
 
 def check_names(scenarios: Sequence[Scenario]) -> list[str]:

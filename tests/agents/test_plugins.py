@@ -158,6 +158,7 @@ MISTAKES = [
     ("import sys\nsys.exit(0)", "{}:Law", {}, "importing it failed: SystemExit: 0", ".py:2"),
     (GOOD, "{}:Lwa", {}, "has no 'Lwa'", "it has Law ("),
     (GOOD, "json:Law", {}, "module 'json' has no 'Law'", "json/__init__.py"),  # the one that was found
+    (GOOD, "token:Law", {}, "module 'token' has no 'Law'", "call your file my_token.py"),  # Python's own is found first
     ("Law = 3", "{}:Law", {}, "expected a class, got int", ""),
     ("class Law: pass", "{}:Law", {}, "it has no method step", "a controller needs step"),
     (GOOD.replace(STEP, "def step(self):"), "{}:Law", {}, "cannot be called as step(sample): too many", ".py:10"),

@@ -115,6 +115,9 @@ def _import(kind: str, name: str) -> Any:
         listed = f"it has {', '.join(classes[:_MAX_CLASSES])}{more}" if classes else "it has no class at all"
         file = getattr(module, "__file__", None)
         hint = f"{listed} ({shown_path(file)})" if file else listed
+        if (top := module_name.partition(".")[0]) in sys.stdlib_module_names:
+            hint = f"Python's own module of that name hides yours: call your file my_{top}.py, for example"
+            hint += f" ({shown_path(file)})" if file else ""
         raise PluginError(kind, name, f"module {module_name!r} has no {class_name!r}", hint)
     return getattr(module, class_name)
 

@@ -6,6 +6,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+from fleet.execution.notes import folded, without_agent
 from fleet.execution.post_mortem import explain
 from fleet.processes.children import Child, Exit
 
@@ -22,3 +23,22 @@ def test_of_many_that_ended_few_are_named(tmp_path: Path) -> None:
     (others,) = [line for line in error.lines if line.startswith("also ended")]
     assert others.endswith(" and 991 more")
     assert others.count("exited with status 1") == 8
+
+
+def test_an_error_that_all_agents_report_is_told_once(tmp_path: Path) -> None:
+    """What four agents raise when they are made is one line, and the traceback stays in its file."""
+    log = tmp_path / "a.log"
+    log.write_text('Traceback (most recent call last):\n  File "law.py", line 3, in __init__\nValueError: no good\n')
+    children: dict[str, Any] = {
+        f"agent-{i}": Child(f"agent-{i}", SimpleNamespace(pid=i), log)  # type: ignore[arg-type]
+        for i in range(1, 5)
+    }
+    exits = [Exit(role, 70, child.pid) for role, child in children.items()]
+    notes = [f"t = 0.00 s (tick 0) agent {i}: failed: agent {i}, tick 0: no good (law.py:3)" for i in (2, 1, 4, 3)]
+    notes.append("t = 0.00 s (tick 0) agent 4: something else")
+    error = explain(exits, children, notes, "t = 0.00 s (tick 0)")
+    assert "\n".join(error.lines).count("no good") == 1
+    assert error.lines[0] == f"{notes[1]} (so did agents 2, 3, 4)"
+    assert error.lines[1] == f"the traceback is in {log}"
+    assert without_agent(error.lines[0]) == without_agent(notes[0])  # so that a table of notes leaves them out
+    assert folded(notes) == [f"{notes[0]} (so did agents 1, 3, 4)", notes[4]]

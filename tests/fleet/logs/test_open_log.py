@@ -218,3 +218,10 @@ def test_example_of_the_page(run: Path, monkeypatch: pytest.MonkeyPatch, tmp_pat
         exec(block, names)
     assert isinstance(names["log"], fleet.Log)
     assert (tmp_path / "errors.png").exists()
+
+
+def test_a_log_as_a_table_and_the_call_that_makes_a_table_of_a_topic(run: Path) -> None:
+    log = fleet.open_log(run, ["uuv/1/state"])
+    assert "<td>uuv/1/state</td><td>uuv_fleet.State</td><td>201</td>" in log._repr_html_()
+    with pytest.raises(AttributeError, match=r"log.to_pandas\('uuv/1/state'\)"):
+        log["uuv/1/state"].to_pandas()

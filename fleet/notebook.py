@@ -1,0 +1,23 @@
+"""Tables for notebooks: what `_repr_html_` of a result, a log or a study returns."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from html import escape
+from typing import Any
+
+MOST_ROWS = 60
+
+
+def html_table(title: str, headings: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
+    """A table in HTML; every cell is shown as text, and rows beyond the first 60 are counted."""
+    body = [[escape(str(cell)) for cell in row] for row in rows]
+    lines = [f"<table><caption>{escape(title)}</caption>", _row("th", map(escape, headings))]
+    lines += [_row("td", row) for row in body[:MOST_ROWS]]
+    if len(body) > MOST_ROWS:
+        lines.append(f'<tr><td colspan="{len(headings)}">and {len(body) - MOST_ROWS} more</td></tr>')
+    return "\n".join([*lines, "</table>"])
+
+
+def _row(tag: str, cells: Iterable[str]) -> str:
+    return "<tr>" + "".join(f"<{tag}>{cell}</{tag}>" for cell in cells) + "</tr>"

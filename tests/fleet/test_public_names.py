@@ -1,0 +1,66 @@
+"""What `import fleet` offers, and what its objects say of themselves in a shell and in a notebook."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from made_up_study import CONTROLLER, DELAY, LOSS, Row, made_up, usual
+
+import fleet
+from fleet.checks.verdict import Verdict
+from fleet.execution.outcome import Result, Status
+from fleet.notebook import MOST_ROWS, html_table
+from fleet.study.errors import StudyError
+from fleet.study.study import Study
+
+
+def test_dir_lists_what_is_offered() -> None:
+    assert [name for name in dir(fleet) if not name.startswith("_")] == sorted(fleet.__all__)
+
+
+def test_a_key_of_the_scenario_that_is_given_as_an_argument() -> None:
+    with pytest.raises(TypeError, match=r"has no argument 'duration'; .* set=\{'duration': '5 s'\}"):
+        fleet.run("paper", duration="5 s")  # type: ignore[arg-type]
+
+
+def verdict(name: str, *, passed: bool) -> Verdict:
+    return Verdict(name, passed, "below <1 m>", "2 m", 2.0, 1.0, "m")
+
+
+def test_a_result_in_a_line_and_as_a_table() -> None:
+    values = {"scenario": "ring", "seed": 7}
+    result = Result(Status.CHECK_FAILED, values=values)
+    result.verdicts = [verdict("deaths", passed=True), verdict("formation_error", passed=False)]
+    assert repr(result) == "<Result of ring with seed 7: check_failed; 1 of 2 checks passed, failed: formation_error>"
+    table = result._repr_html_()
+    assert table.index("formation_error") < table.index("deaths")  # what failed comes first
+    assert "below &lt;1 m&gt;" in table
+    broken = Result(Status.BROKEN, reason="agent 2 ended", values=values)
+    assert repr(broken) == "<Result of ring with seed 7: broken; agent 2 ended>"
+    assert "agent 2 ended" in broken._repr_html_()
+
+
+def test_a_study_in_a_line_and_as_a_table(tmp_path: Path) -> None:
+    study = Study(made_up(tmp_path / "s", CONTROLLER, DELAY, row=usual))
+    assert repr(study) == f"<Study {tmp_path / 's'}: small over controller, network.links.*.delay>"
+    table = study._repr_html_()
+    assert table.count("<tr>") == 5  # headings, and two controllers at two delays
+    assert "<th>median of formation_final_m</th>" in table
+
+
+def test_runs_without_a_partner_are_not_compared(tmp_path: Path) -> None:
+    def apart(values: Row, seed: int) -> Row | None:
+        return usual(values, seed) if (values["network.links.*.loss"] == 0.0) == (seed == 1) else None
+
+    study = Study(made_up(tmp_path / "s", LOSS, row=apart))
+    with pytest.raises(
+        StudyError, match=r"e_rms_m has no pair: no run at .*=0.0 has a partner at .*=60.0 .* same seed"
+    ):
+        study.compare("network.links.*.loss", 0.0, 60.0, "e_rms_m")
+    assert study.compare("network.links.*.loss", 30.0, 60.0, "e_rms_m").difference.runs == 2
+
+
+def test_a_long_table_counts_what_it_leaves_out() -> None:
+    assert html_table("t", ["n"], ([n] for n in range(MOST_ROWS + 3))).count("<td>") == MOST_ROWS
+    assert "and 3 more" in html_table("t", ["n"], ([n] for n in range(MOST_ROWS + 3)))

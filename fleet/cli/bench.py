@@ -10,10 +10,9 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from fleet.cli.completion import scenarios
 from fleet.cli.documents.output import as_document, json_option, print_document
 from fleet.cli.group import ListingGroup
-from fleet.cli.types import OVERRIDES, Numbers
+from fleet.cli.types import Numbers
 from fleet.terminal.folding import stdout
 
 if TYPE_CHECKING:
@@ -142,97 +141,6 @@ def real(agents: list[int], speeds: list[float], output: Path | None, as_json: b
 
 
 @bench.command()
-@click.argument("scenario", shell_complete=scenarios)
-@click.option("--duration", metavar="TIME", default="20 s", show_default=True, help="Simulated.")
-@click.option("--in-process", is_flag=True, help="One process, no zenoh.")
-@OVERRIDES
-@click.option("-o", "--out", metavar="DIR", type=click.Path(path_type=Path, file_okay=False), default=Path("profile"),
-              show_default=True, help="Where the flame graphs go.")  # fmt: skip
-@json_option
-def profile(
-    scenario: str, duration: str, in_process: bool, overrides: tuple[str, ...], out: Path, as_json: bool
-) -> None:
-    """Run SCENARIO and show where its time goes: a table, and a flame graph (SVG) for each kind of process.
-
-    Needs py-spy: pip install 'uuv-fleet[profile]'. A run that is watched is slower. The checks of the scenario are left
-    out.
-
-    \b
-    Examples:
-      fleet bench profile paper
-      fleet bench profile paper --set vehicles=20 --duration '10 s' -o twenty
-      fleet bench profile paper --in-process
-    """
-    from fleet.bench.profile import measure_profile, show_profile
-    from fleet.scenario.loading import load_scenario
-
-    changes = [*overrides, f"duration={duration}", "checks={}"]
-    name = load_scenario(scenario, changes).name  # a mistake in it is told now
-    words = [scenario, *(word for change in changes for word in ("--set", change)), *["--in-process"] * in_process]
-    found = measure_profile(words, name, out)
-    if as_json:
-        print_document(found)
-    else:
-        show_profile(found, stdout())
-
-
-@bench.command()
-@_agents("100,300")
-@click.option(
-    "--suspend", metavar="SECONDS", type=click.FloatRange(0.1, 3600.0), default=30.0, show_default=True,
-    help="How long the console is stopped.",
-)  # fmt: skip
-@_output
-@json_option
-def stress(agents: list[int], suspend: float, output: Path | None, as_json: bool) -> None:
-    """Try large fleets, floods by an agent, a stopped console and a reader that never reads.
-
-    \b
-    Examples:
-      fleet bench stress
-      fleet bench stress --agents 20 --suspend 1
-    """
-    from fleet.bench.stress import Stressed, measure_stress, stress_failures, stress_table
-
-    rows = measure_stress(agents, suspend, _say)
-    failures = stress_failures(rows)
-    _give(Stressed(rows, failures), output, as_json=as_json)
-    if not as_json:
-        stdout().print(stress_table(rows))
-    _end(failures, as_json=as_json)
-
-
-@bench.command()
-@click.option("--vehicles", type=click.IntRange(2, 1000), default=20, show_default=True, help="Fleet size.")
-@click.option(
-    "--duration", metavar="SECONDS", type=click.FloatRange(30.0, 1e6), default=3600.0, show_default=True,
-    help="Simulated, in one process.",
-)  # fmt: skip
-@click.option(
-    "--distributed", metavar="SECONDS", type=click.FloatRange(30.0, 1e6), default=300.0, show_default=True,
-    help="Simulated, distributed.",
-)  # fmt: skip
-@_output
-@json_option
-def soak(vehicles: int, duration: float, distributed: float, output: Path | None, as_json: bool) -> None:
-    """Run for long under random faults: is memory flat, the ledger balanced, the digest the same, nobody left?
-
-    \b
-    Examples:
-      fleet bench soak
-      fleet bench soak --vehicles 6 --duration 120 --distributed 60
-    """
-    from fleet.bench.soak import Soaked, measure_soak, show_soak, soak_failures
-
-    rows = measure_soak(vehicles, duration, distributed, _say)
-    failures = soak_failures(rows)
-    _give(Soaked(rows, failures), output, as_json=as_json)
-    if not as_json:
-        show_soak(rows, stdout())
-    _end(failures, as_json=as_json)
-
-
-@bench.command()
 @_agents("4,20,100,300,1000")
 @click.option("--tick", metavar="TIME", default="100 ms", show_default=True, help="Of the scenario, with its unit.")
 @click.option(
@@ -308,12 +216,6 @@ def _give(document: Struct, output: Path | None, *, as_json: bool) -> None:
         output.write_text(as_document(document) + "\n", "utf-8")
     if as_json:
         print_document(document)
-
-
-def _end(wrong: list[str], *, as_json: bool) -> None:
-    for line in wrong:
-        click.echo(f"FAIL  {line}", err=as_json)
-    sys.exit(1 if wrong else 0)
 
 
 def _end_compared(found: Comparison | None) -> None:

@@ -8,10 +8,7 @@ from __future__ import annotations
 from msgspec import Struct
 
 from fleet.bench.figures import ComparedFiles, Measured
-from fleet.bench.profile import Profiled
 from fleet.bench.scale import Scaled
-from fleet.bench.soak import Soaked
-from fleet.bench.stress import Stressed
 from fleet.bench.studies import StudyMeasured
 from fleet.bench.wall_clock import OnWallClock
 from fleet.cli.documents import live, runs
@@ -27,11 +24,8 @@ from fleet.cli.documents.what_if import OtherCommands
 DOCUMENTS: dict[str, type[Struct]] = {
     "bench": Measured,
     "bench compare": ComparedFiles,
-    "bench profile": Profiled,
     "bench real": OnWallClock,
     "bench scale": Scaled,
-    "bench soak": Soaked,
-    "bench stress": Stressed,
     "bench study": StudyMeasured,
     "boundary": BoundaryFound,
     "check": Checked,

@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 from click.testing import CliRunner
 from rich.console import Console as Terminal
+from soak import Soak
 from waiting import wait_for
 
 from fleet.__main__ import _command_line
@@ -19,7 +20,6 @@ from fleet.bench.errors import BenchError
 from fleet.bench.figures import Collector, now, this_machine
 from fleet.bench.fleets import CPU, DISTRIBUTED, IN_PROCESS, PIPES, READY, ZENOH, goals, measure_fleets
 from fleet.bench.network_core import SHARE
-from fleet.bench.soak import Soak
 from fleet.bench.tables import show
 from fleet.bench.wall_clock import measure_wall_clock as measure_real
 from fleet.bench.wall_clock import show_wall_clock

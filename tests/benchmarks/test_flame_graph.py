@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from xml.etree import ElementTree
 
-from fleet.bench.flame_graph import MARGIN, WIDTH, Frame, flame_graph
+from flame_graph import MARGIN, WIDTH, Frame, flame_graph
 
 SVG = "{http://www.w3.org/2000/svg}"
 OUTER, INNER, OTHER = Frame("sea.advance", "world"), Frame("<lambda> & more", "world"), Frame("put", "zenoh")

@@ -1,4 +1,4 @@
-"""`fleet bench profile`: where the time of a run goes, process by process, as flame graphs and as a table.
+"""Where the time of a run goes, by process, as flame graphs and as a table: `python benchmarks/profile_run.py paper`.
 
 py-spy looks into all processes of a run a hundred times a second and sees the threads that Python knows. zenoh's own
 threads it cannot see: what they take is read from the system, as is the part that every process spends in the kernel.
@@ -22,15 +22,21 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any
 
+import click
 import msgspec
 import psutil
+from flame_graph import Frame, flame_graph
 from msgspec import Meta, Struct
 from rich.console import Console as Terminal
+from soak import of_session, result_of
 
+import fleet
 from fleet.bench.errors import BenchError
-from fleet.bench.flame_graph import Frame, flame_graph
-from fleet.bench.soak import of_session, result_of
+from fleet.cli.types import OVERRIDES
 from fleet.cores import cores
+from fleet.errors import FleetError
+from fleet.scenario.loading import load_scenario
+from fleet.terminal.folding import stdout
 from fleet.terminal.table import columns, show
 
 RATE = 100  # samples per second
@@ -57,7 +63,7 @@ KINDS = {
     "netem/": "netem",
     "fleet/": "console's own",
 }
-_PACKAGES = f"{Path(__file__).parents[2]}/"  # of ours
+_PACKAGES = f"{Path(fleet.__file__).parents[1]}/"  # of ours
 _IMPORTING = ("<frozen importlib", "/importlib/")
 _IMPORT = Frame("(imports)", IMPORTS)
 _HINT = "in a container give it --cap-add SYS_PTRACE; elsewhere be root, or set kernel.yama.ptrace_scope to 0"
@@ -76,7 +82,7 @@ class ProcessTime(Struct):
 
 
 class Profiled(Struct):
-    """`fleet bench profile --json`: where the time of a run goes."""
+    """Where the time of a run goes."""
 
     scenario: Annotated[str, Meta(description="What was run.")]
     cores: Annotated[str, Meta(description="`compiled` or `plain Python`: the cores of world, agents and netem.")]
@@ -146,7 +152,7 @@ def measure_profile(arguments: Sequence[str], scenario: str, out: Path) -> Profi
     """
     spy = py_spy()
     if spy is None:
-        raise BenchError("a profile needs py-spy, which is not installed: pip install 'uuv-fleet[profile]'")
+        raise BenchError("a profile needs py-spy, which is not installed: pip install py-spy")
     found = next(filter(None, (_watched(spy, arguments) for _ in range(TRIES))), None)
     if found is None:
         raise BenchError(f"the run stood still under py-spy for {STILL_S:g} s, {TRIES} times: try another py-spy")
@@ -320,3 +326,35 @@ def show_profile(found: Profiled, terminal: Terminal) -> None:
     for row in found.processes:
         if row.flame_graph:
             terminal.print(row.flame_graph, highlight=False, markup=False, soft_wrap=True)
+
+
+@click.command(context_settings={"help_option_names": ["-h", "--help"]})
+@click.argument("scenario")
+@click.option("--duration", metavar="TIME", default="20 s", show_default=True, help="Simulated.")
+@click.option("--in-process", is_flag=True, help="One process, no zenoh.")
+@OVERRIDES
+@click.option("-o", "--out", metavar="DIR", type=click.Path(path_type=Path, file_okay=False), default=Path("profile"),
+              show_default=True, help="Where the flame graphs go.")  # fmt: skip
+def main(scenario: str, duration: str, in_process: bool, overrides: tuple[str, ...], out: Path) -> None:
+    """Run SCENARIO and show where its time goes: a table, and a flame graph (SVG) for each kind of process.
+
+    It needs py-spy. A run that is watched is slower. The checks of the scenario are left out.
+
+    \b
+    Examples:
+      python benchmarks/profile_run.py paper
+      python benchmarks/profile_run.py paper --set vehicles=20 --duration '10 s' -o twenty
+      python benchmarks/profile_run.py paper --in-process
+    """
+    changes = [*overrides, f"duration={duration}", "checks={}"]
+    try:
+        name = load_scenario(scenario, changes).name  # a mistake in it is told now
+        words = [scenario, *(word for change in changes for word in ("--set", change)), *["--in-process"] * in_process]
+        show_profile(measure_profile(words, name, out), stdout())
+    except FleetError as error:
+        click.echo(error, err=True)
+        sys.exit(getattr(error, "status", 2))
+
+
+if __name__ == "__main__":
+    main()

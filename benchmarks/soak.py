@@ -1,4 +1,4 @@
-"""`fleet bench soak`: a long run under random faults, watched from outside.
+"""A long run under random faults, watched from outside: `python benchmarks/soak.py`.
 
 A fault every five seconds, kills with restarts among them. The same run twice in one process, side by side, and once
 distributed: memory, ledger, digests, and processes that are left at its end.
@@ -14,14 +14,17 @@ import tempfile
 import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
+import click
 import psutil
 from msgspec import Meta, Struct
 from rich.console import Console as Terminal
 
 from fleet.bench.memory import pss_mb
+from fleet.terminal.folding import stdout
 from fleet.terminal.table import columns, show
 
 SAMPLE_S = 0.5
@@ -45,13 +48,6 @@ class SoakRow(Struct, frozen=True):
     end_mb: Annotated[float, Meta(description="The same at its end: median of the last tenth [MB].")]
     orphans: Annotated[int, Meta(description="Processes that it left.")]
     digest: Annotated[str, Meta(description="SHA-256 of its messages, in hexadecimal.")]
-
-
-class Soaked(Struct):
-    """`fleet bench soak --json`: long runs under random faults."""
-
-    rows: Annotated[list[SoakRow], Meta(description="Each run.")]
-    failures: Annotated[list[str], Meta(description="What is wrong, in words; none: the soak passed.")]
 
 
 class Soak:
@@ -180,7 +176,7 @@ def show_soak(rows: list[SoakRow], terminal: Terminal) -> None:
         )
         for row in rows
     ]
-    show(columns(headings, cells), "soak: a random fault every 5 s", terminal, "--json")
+    show(columns(headings, cells), "soak: a random fault every 5 s", terminal, "a wider terminal has all")
 
 
 def _arguments(vehicles: int, seconds: float) -> list[str]:
@@ -227,3 +223,31 @@ def of_session(session: int) -> list[int]:
             if os.getsid(pid) == session and psutil.Process(pid).status() not in _DEAD:
                 members.append(pid)
     return members
+
+
+@click.command(context_settings={"help_option_names": ["-h", "--help"]})
+@click.option("--vehicles", type=click.IntRange(2, 1000), default=20, show_default=True, help="Fleet size.")
+@click.option("--duration", metavar="SECONDS", type=click.FloatRange(30.0, 1e6), default=3600.0, show_default=True,
+              help="Simulated, in one process.")  # fmt: skip
+@click.option("--distributed", metavar="SECONDS", type=click.FloatRange(30.0, 1e6), default=300.0, show_default=True,
+              help="Simulated, distributed.")  # fmt: skip
+def main(vehicles: int, duration: float, distributed: float) -> None:
+    """Run for long under random faults: is memory flat, the ledger balanced, the digest the same, nobody left?
+
+    The exit status is 1 if it is not.
+
+    \b
+    Examples:
+      python benchmarks/soak.py
+      python benchmarks/soak.py --vehicles 6 --duration 120 --distributed 60
+    """
+    rows = measure_soak(vehicles, duration, distributed, partial(click.echo, err=True))
+    show_soak(rows, stdout())
+    failures = soak_failures(rows)
+    for line in failures:
+        click.echo(f"FAIL  {line}")
+    sys.exit(1 if failures else 0)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,11 +1,10 @@
-"""The soak in small: two minutes of random faults. `fleet bench soak` is the long one."""
+"""The soak in small: two minutes of random faults. `benchmarks/soak.py` is the long one."""
 
 from __future__ import annotations
 
 import pytest
 from msgspec.structs import replace
-
-from fleet.bench.soak import measure_soak, soak_failures, warm_and_late
+from soak import measure_soak, soak_failures, warm_and_late
 
 
 @pytest.mark.slow

@@ -9,19 +9,17 @@ import subprocess
 from pathlib import Path
 from typing import Any
 
-import msgspec
+import profile_run as profile
 import pytest
 from click.testing import CliRunner
+from flame_graph import Frame
+from profile_run import Times, kind_of, read_stacks
 from repository import ROOT
+from soak import of_session
 from waiting import wait_for
 
 import fleet
-from fleet.bench import profile
 from fleet.bench.errors import BenchError
-from fleet.bench.flame_graph import Frame
-from fleet.bench.profile import Profiled, Times, kind_of, read_stacks
-from fleet.bench.soak import of_session
-from fleet.cli.main import cli
 
 PLACES = {
     "main": "/usr/lib/python3.11/runpy.py",
@@ -108,7 +106,7 @@ def test_processes_are_known_by_their_names(command: list[str], role: str) -> No
 
 
 def run(*arguments: str) -> tuple[int, str]:
-    result = CliRunner().invoke(cli, ["bench", "profile", "paper", *arguments])
+    result = CliRunner().invoke(profile.main, ["paper", *arguments])
     return result.exit_code, result.stderr.strip()
 
 
@@ -116,7 +114,7 @@ def test_without_py_spy_it_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(shutil, "which", lambda *_, **__: None)
     status, line = run()
     assert (status, line) == (
-        3, "fleet: a profile needs py-spy, which is not installed: pip install 'uuv-fleet[profile]'"
+        3, "a profile needs py-spy, which is not installed: pip install py-spy"
     )  # fmt: skip
 
 
@@ -127,7 +125,7 @@ def test_a_py_spy_that_may_not_look_is_one_line(tmp_path: Path, monkeypatch: pyt
     monkeypatch.setattr(shutil, "which", lambda *_, **__: str(refusing))
     status, line = run("-o", str(tmp_path / "out"))
     assert status == 3 and "\n" not in line
-    assert line.startswith("fleet: py-spy made no profile: Permission Denied: Try running again as root; ")
+    assert line.startswith("py-spy made no profile: Permission Denied: Try running again as root; ")
     assert "--cap-add SYS_PTRACE" in line
     assert not (tmp_path / "out").exists()
 
@@ -137,7 +135,7 @@ def test_a_run_that_breaks_is_no_profile(tmp_path: Path, monkeypatch: pytest.Mon
     monkeypatch.setattr(profile, "py_spy", lambda: "true")
     monkeypatch.setattr(profile, "result_of", lambda _: broken)
     status, line = run("-o", str(tmp_path / "out"))
-    assert (status, line) == (3, "fleet: the run was broken: agent 2 was killed")
+    assert (status, line) == (3, "the run was broken: agent 2 was killed")
     assert not (tmp_path / "out").exists()
 
 
@@ -154,7 +152,7 @@ def test_a_run_that_stands_still_is_ended_and_made_once_more(
     monkeypatch.setattr(profile, "TRIES", tries)
     status, line = run("-o", str(tmp_path / "out"))
     assert (status, line) == (
-        3, f"fleet: the run stood still under py-spy for 0.3 s, {tries} times: try another py-spy"
+        3, f"the run stood still under py-spy for 0.3 s, {tries} times: try another py-spy"
     )  # fmt: skip
     sessions = (tmp_path / "sessions").read_text().split()
     assert len(sessions) == tries
@@ -181,17 +179,15 @@ def test_an_interrupt_lets_the_run_end_by_itself_and_leaves_nobody(tmp_path: Pat
 
 def test_a_scenario_that_there_is_not_is_told_before_py_spy_starts(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(profile, "measure_profile", lambda *_: pytest.fail("measured"))
-    result = CliRunner().invoke(cli, ["bench", "profile", "nosuch"])
+    result = CliRunner().invoke(profile.main, ["nosuch"])
     assert result.exit_code == 2 and "nosuch" in result.stderr
 
 
 @pytest.mark.slow
 @pytest.mark.skipif(profile.py_spy() is None, reason="py-spy is not installed")
 def test_a_run_is_profiled_process_by_process(tmp_path: Path) -> None:
-    words = ["bench", "profile", "paper", "--duration", "3 s", "-o", str(tmp_path), "--json"]
-    result = CliRunner().invoke(cli, words)
-    assert result.exit_code == 0, result.stderr
-    found = msgspec.json.decode(result.stdout, type=Profiled)
+    words = ["paper", "--set", "duration=3 s", "--set", "checks={}"]
+    found = profile.measure_profile(words, "paper", tmp_path)
     assert {row.process: row.processes for row in found.processes} == {
         "agents": 4,
         "console": 1,

@@ -1,4 +1,4 @@
-"""`fleet bench stress`: large fleets, and what a participant with a login could do to a run.
+"""Large fleets, and what a participant with a login could do to a run: `python benchmarks/stress.py`.
 
 Every run is compared with the same scenario in one process: whatever is done to it, the bytes are the same, or it did
 not pass.
@@ -15,14 +15,18 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
+import click
 from msgspec import Meta, Struct
 from rich.table import Table
+from soak import Soak, result_of
 
 from agents.join_file import JoinFile
-from fleet.bench.soak import Soak, result_of
+from fleet.cli.types import Numbers
+from fleet.terminal.folding import stdout
 from netem.errors import BusError
 from netem.wire.bus import Bus
 from netem.wire.codec import encode
@@ -43,13 +47,6 @@ class StressRow(Struct, frozen=True):
     wall_s: Annotated[float, Meta(description="How long the run took after its start [s].")]
     alone_s: Annotated[float, Meta(description="The same run with nothing done to it [s]; 0: that is what this is.")]
     seen: Annotated[str, Meta(description="What was seen, in words.")]
-
-
-class Stressed(Struct):
-    """`fleet bench stress --json`: large fleets, and what a participant with a login could do."""
-
-    rows: Annotated[list[StressRow], Meta(description="Everything that was tried.")]
-    failures: Annotated[list[str], Meta(description="What is wrong, in words; none: all was withstood.")]
 
 
 def measure_stress(sizes: Sequence[int], suspend_s: float, say: Callable[[str], None]) -> list[StressRow]:
@@ -239,3 +236,30 @@ def stress_table(rows: Sequence[StressRow]) -> Table:
         same = "yes" if row.same_bytes else "no"
         shown.add_row(row.tried, row.status, same, f"{row.wall_s:.1f} s", alone, row.seen)
     return shown
+
+
+@click.command(context_settings={"help_option_names": ["-h", "--help"]})
+@click.option("--agents", metavar="N,N,...", type=Numbers(1, 1000, "4,20,100", whole=True), default="100,300",
+              show_default=True, help="Fleet sizes.")  # fmt: skip
+@click.option("--suspend", metavar="SECONDS", type=click.FloatRange(0.1, 3600.0), default=30.0, show_default=True,
+              help="How long the console is stopped.")  # fmt: skip
+def main(agents: list[int], suspend: float) -> None:
+    """Try large fleets, floods by an agent, a stopped console and a reader that never reads.
+
+    The exit status is 1 if a run did not withstand it.
+
+    \b
+    Examples:
+      python benchmarks/stress.py
+      python benchmarks/stress.py --agents 20 --suspend 1
+    """
+    rows = measure_stress(agents, suspend, partial(click.echo, err=True))
+    stdout().print(stress_table(rows))
+    failures = stress_failures(rows)
+    for line in failures:
+        click.echo(f"FAIL  {line}")
+    sys.exit(1 if failures else 0)
+
+
+if __name__ == "__main__":
+    main()

@@ -6,7 +6,7 @@ that arrives at the tick at which a check fails can be told as the one that made
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from math import isfinite
 
@@ -135,25 +135,29 @@ class OwnChecks:
         tick = self._now = values.tick
         for check in self._signals:
             if (failure := check.step(values)) is not None:
-                self._fails(check.name, tick, failure)
+                self._fails(check.name, tick, failure, check.signals)
         if not self._python:
             return
         t, faults = tick * self._tick_s, tuple(self._active.values())
         packets, self._fates = packets_of(self._fates, self._tick_s), []
         dead = {i for vehicles in self._dead.values() for i in vehicles}
-        vehicles = [SeenVehicle(i, i not in dead, values, signals) for i, signals in self._places.items()]
+        asked: dict[str, None] = {}
+        vehicles = [SeenVehicle(i, i not in dead, values, signals, asked) for i, signals in self._places.items()]
         for one in self._python:
-            if (failure := one.step(tick, t, vehicles, faults, packets)) is not None:
-                self._fails(one.name, tick, failure)
+            failure = one.step(tick, t, vehicles, faults, packets)
+            one.looked_at |= asked
+            asked.clear()
+            if failure is not None:
+                self._fails(one.name, tick, failure, one.looked_at)
 
-    def _fails(self, name: str, tick: int, failure: Failure) -> None:
+    def _fails(self, name: str, tick: int, failure: Failure, signals: Iterable[str]) -> None:
         self._moments[name] = Moment(
             tick,
             tick * self._tick_s,
             list(failure.vehicles),
             {key: value if isfinite(value) else None for key, value in failure.values.items()},
             list(self._active),
-            self._messages.of(failure.vehicles),
+            self._messages.of(failure.vehicles, signals),
         )
 
 

@@ -38,11 +38,14 @@ class CheckError(FleetError):
 class SeenVehicle:
     """One vehicle at one tick, as a check sees it."""
 
-    __slots__ = ("_places", "_values", "alive", "id")
+    __slots__ = ("_asked", "_places", "_values", "alive", "id")
 
-    def __init__(self, number: int, alive: bool, values: TickValues, places: Mapping[str, Place]) -> None:
+    def __init__(
+        self, number: int, alive: bool, values: TickValues, places: Mapping[str, Place], asked: dict[str, None]
+    ) -> None:
+        """Show a vehicle; `asked` is filled with the names of the signals that are looked at."""
         self.id, self.alive = number, alive
-        self._values, self._places = values, places
+        self._values, self._places, self._asked = values, places, asked
 
     def __getitem__(self, signal: str) -> Any:
         """The value of a signal; None if the vehicle did not report it at this tick.
@@ -54,6 +57,7 @@ class SeenVehicle:
         if place is None:
             hint = nearest(str(signal), self._places) or f"it has {', '.join(self._places)}"
             raise LookupError(f"vehicle {self.id} has no signal {signal!r}; {hint}")
+        self._asked[signal] = None
         found = self._values.values(self.id, signal.partition(".")[0])[place.values]
         if not found or (place.width == 1 and isnan(found[0])):
             return None
@@ -74,6 +78,7 @@ class RunningPythonCheck:
             CheckError: it cannot be made.
         """
         self.name = name
+        self.looked_at: dict[str, None] = {}  # signals
         parameters = parameters_of(given)
         self._vehicles = facts.vehicles
         # What it prints goes to standard error; there is no place for notes beside a verdict.
@@ -132,7 +137,9 @@ class RunningPythonCheck:
         return self._verdict(False, found, None if self._broken else value, moment)
 
     def _verdict(self, passed: bool, found: str, value: float | None, moment: Moment | None = None) -> Verdict:
-        return Verdict(self.name, passed, self.words, found, value, 0.0, "times", moment)
+        return Verdict(
+            self.name, passed, self.words, found, value, 0.0, "times", moment, tuple(self.looked_at)[:_MOST_VALUES]
+        )
 
     def _break(self, error: CheckError) -> None:
         self._broken, self._failure = True, _broken(error)

@@ -36,6 +36,7 @@ class RunningSignalCheck:
             begin: tick at which the run begins. What was before counts in nothing.
         """
         self.name, self.words, self.group = name, asked.words, asked.signal.group
+        self.signals = (str(asked.signal),)
         self._asked, self._tick_ns, self._last = asked, scenario.tick_ns, scenario.ticks
         self._every = scenario.log_every[asked.signal.group]
         self._after = max(begin, -(-asked.after_ns // scenario.tick_ns))
@@ -83,7 +84,9 @@ class RunningSignalCheck:
         judge = self._safety or self._liveness
         assert judge is not None
         passed, found, value, limit, unit = judge.found(now, over=over)
-        return Verdict(self.name, passed and moment is None, self.words, found, value, limit, unit, moment)
+        return Verdict(
+            self.name, passed and moment is None, self.words, found, value, limit, unit, moment, self.signals
+        )
 
 
 def _joined(asked: AskedOfSignal, there: Sequence[tuple[int, float]]) -> tuple[Unit, float | None]:

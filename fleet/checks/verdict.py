@@ -62,11 +62,16 @@ class Verdict:
     limit: float | None = None
     unit: str = ""
     moment: Moment | None = None  # at which it failed, where that is known
+    signals: tuple[str, ...] = ()  # that it looked at, by name; of a check that is the user's own
 
     def to_values(self) -> dict[str, Any]:
         """Plain values; JSON knows no infinity, so that is None as well."""
         values = asdict(self)
-        return values | {"value": self.value if self.value is not None and isfinite(self.value) else None}
+        return (
+            values
+            | {"signals": list(self.signals)}
+            | {"value": self.value if self.value is not None and isfinite(self.value) else None}
+        )
 
 
 def who(vehicles: list[int]) -> str:

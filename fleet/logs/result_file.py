@@ -28,6 +28,7 @@ class ResultError(FleetError):
 
 class _Moment(msgspec.Struct):
     at_s: Annotated[float, msgspec.Meta(ge=0, le=1e15)]
+    values: dict[str, Number] = {}
 
 
 class _Check(msgspec.Struct):
@@ -36,6 +37,7 @@ class _Check(msgspec.Struct):
     asked: str
     found: str
     moment: _Moment | None = None
+    signals: list[str] = []
 
 
 class _Vehicle(msgspec.Struct):

@@ -16,6 +16,7 @@ from fleet.logs.fault_intervals import FaultInterval
 from fleet.logs.records import Array
 from fleet.palette import COLOURS
 from fleet.pictures.bands import Series, band_legend, draw_band, outlier_style, outliers, spread
+from fleet.pictures.envelope import enveloped
 from fleet.pictures.failures import draw_failures
 from fleet.pictures.runs import NothingToDraw, Run, View, first_words
 from fleet.pictures.shades import shade
@@ -81,6 +82,7 @@ def draw_lines(
         raise NothingToDraw(f"no vehicle reports it{f': {whose}' if whose else ''}")
     entries: list[Artist] = []
     notes = []
+    too_fast = False
     for r, (run, found) in enumerate(zip(runs, each, strict=True)):
         vehicles = run.vehicles(view)
         reported = sorted({i for signals in found for i in signals})
@@ -101,11 +103,11 @@ def draw_lines(
             entries = [Line2D([], [], label=f"UUV {i}", **look) for i, look in looks.items()]
         for (ax, _), signals in zip(panel, found, strict=True):
             for i in sorted(signals.keys() & looks.keys()):
-                t, values = signals[i]
-                marker = "." if len(t) < FEW else ""
-                ax.plot(t, values, gid=f"{run.slug}-vehicle-{i}", marker=marker, markersize=3, **(looks[i] | style))
+                too_fast |= _draw_line(ax, f"{run.slug}-vehicle-{i}", signals[i], log, looks[i] | style)
         if silent := [i for i in vehicles if i not in reported]:
             notes.append(f"{run.label + ': ' if by_run else ''}not reported by UUV {first_words(silent)}")
+    if too_fast:
+        notes.append("shaded: oscillates too fast to be drawn; line: its mean")
     if by_run:  # in words, too: what a dash means is not seen in a short sample of it
         legend_of(
             figure,
@@ -117,6 +119,19 @@ def draw_lines(
     elif len(entries) > 1:
         marks_legend(figure, entries)
     return notes
+
+
+def _draw_line(ax: Axes, gid: str, series: Series, log: bool, style: dict[str, Any]) -> bool:
+    """Draw the line of a vehicle; returns whether it oscillates too fast, so that its envelope is drawn."""
+    first, last = ax.get_xlim()
+    (t, values), around = enveloped(*series, (first, last), log)
+    if around is not None:
+        ax.fill_between(
+            around.t, around.low, around.high, color=style["color"], alpha=0.22, linewidth=0, gid=f"{gid}-envelope"
+        )
+        style = style | {"drawstyle": "default"}  # means are not held
+    ax.plot(t, values, gid=gid, marker="." if len(t) < FEW else "", markersize=3, **style)
+    return around is not None
 
 
 def _series(run: Run, view: View, get: Get) -> dict[int, Series]:

@@ -1,4 +1,7 @@
-"""Faults on a time axis: where one lasts is shaded once, and what it was stands above, each over its own time."""
+"""Faults on a time axis: where one lasts is shaded once, and what it was stands above, each over its own time.
+
+What happened to vehicles is shaded, too, and told below in one line per vehicle: it is a consequence of the faults.
+"""
 
 from __future__ import annotations
 
@@ -16,22 +19,24 @@ from matplotlib.transforms import ScaledTranslation
 
 from fleet.logs.fault_intervals import FaultInterval
 from fleet.pictures.style import LABEL_PT, THIN
-from fleet.scenario.sections.vehicle_events import is_fault
+from fleet.scenario.sections.vehicle_events import is_fault, vehicle_events
 
 Span = tuple[float, float]
 
 TUMBLE = "#c0392b"
+_NAME = "0.25"
 MOST_ROWS = 5  # of words above an axis; faults that need more are numbered
 MOST_CHARACTERS = 34
 _MOST_LISTED = 12  # numbers that are explained
-_GIVEN = re.compile(r"(f\d+|nemesis-\d+|tumbled-.*|diverged-.*)$")  # ids that nobody chose
+_MOST_EVENTS = 5  # vehicles whose tumbles have a line
+_GIVEN = re.compile(r"(f\d+|nemesis-\d+)$")  # ids that nobody chose
 
 
 def shade(axes: Sequence[Axes], intervals: Sequence[FaultInterval]) -> list[str]:
-    """Grey where a fault lasts, red where a vehicle is tumbled, in words above the first axis.
+    """Grey where a fault lasts, in words above the first axis; red where a vehicle is tumbled.
 
     Returns:
-        lines that explain the numbers, if there are too many faults for words.
+        lines that explain the numbers, if there are too many faults for words, and one for each vehicle that tumbled.
     """
     first, last = axes[0].get_xlim()
     spans = sorted((f for f in intervals if f.begin < last and f.end > first), key=lambda f: (f.begin, f.end, f.id))
@@ -41,15 +46,11 @@ def shade(axes: Sequence[Axes], intervals: Sequence[FaultInterval]) -> list[str]
         for some, colour, alpha, gid in ((faults, "0.45", 0.2, "fault"), (others, TUMBLE, 0.18, "tumbled")):
             for begin, end in union([(f.begin, f.end) for f in some]):
                 ax.axvspan(begin, end, color=colour, alpha=alpha, linewidth=0, zorder=0, gid=gid)
-    # A vehicle that tumbles again and again is named once, where it first did.
-    again: dict[str, list[FaultInterval]] = {}
-    for span in others:
-        again.setdefault(span.what, []).append(span)
-    once = [
-        some[0] if len(some) == 1 else some[0]._replace(what=f"{what} ({len(some)} times)")
-        for what, some in again.items()
-    ]
-    return _name(axes[0], sorted([*faults, *once], key=lambda f: (f.begin, f.end, f.id)), first, last)
+    rows = vehicle_events((f.what, f.begin) for f in others)
+    listed = [str(row) for row in rows[:_MOST_EVENTS]]
+    if len(rows) > _MOST_EVENTS:
+        listed.append(f"and {len(rows) - _MOST_EVENTS} more vehicles")
+    return [*_name(axes[0], faults, first, last), *listed]
 
 
 def union(spans: Sequence[Span]) -> list[Span]:
@@ -105,17 +106,16 @@ def _name(ax: Axes, faults: Sequence[FaultInterval], first: float, last: float) 
     if rows is None:
         return [f"{len(faults)} faults, too many to name"]
     for fault, text, row in zip(faults, texts, rows, strict=True):
-        colour = "0.25" if is_fault(fault.what) else TUMBLE
         width = (text_width_pt(text, LABEL_PT) + 4.0) * per_pt
         above = 2.0 + row * (LABEL_PT + 3.0)
         ax.annotate(
             text, (_left(fault, width, first, last), 1.0), xycoords=("data", "axes fraction"), xytext=(0, above + 1.0),
-            textcoords="offset points", fontsize=LABEL_PT, color=colour, annotation_clip=False, gid="fault-name",
+            textcoords="offset points", fontsize=LABEL_PT, color=_NAME, annotation_clip=False, gid="fault-name",
         )  # fmt: skip
         raised = ScaledTranslation(0.0, above / 72.0, _figure(ax).dpi_scale_trans)
         extent = [max(fault.begin, first), min(fault.end, last)]
         ax.add_artist(
-            Line2D(extent, [1.0, 1.0], color=colour, linewidth=THIN, clip_on=False, gid="fault-time",
+            Line2D(extent, [1.0, 1.0], color=_NAME, linewidth=THIN, clip_on=False, gid="fault-time",
                    transform=ax.get_xaxis_transform() + raised)
         )  # fmt: skip
     return listed

@@ -24,8 +24,9 @@ def fed(
     fates: Iterable[Fate] = (),
     until_s: float = 4.0,
     at_once: bool = True,
+    signal: str = "nav.z",
 ) -> list[Verdict]:
-    """The verdicts of checks on `nav.z`.
+    """The verdicts of checks on `nav.z`, or on `error.e_norm`.
 
     Args:
         faults: as `--set` of a scenario; they happen as planned.
@@ -43,7 +44,10 @@ def fed(
         found: dict[tuple[int, str], Values] = {}
         for i in (1, 2, 3):
             if (z := depth(i, tick / 100)) is not None:
-                found[i, "nav"] = (0.0, 0.0, z, *([0.0] * 7))
+                if signal == "nav.z":
+                    found[i, "nav"] = (0.0, 0.0, z, *([0.0] * 7))
+                else:
+                    found[i, "error"] = (0.0, 0.0, 0.0, z, *([0.0] * 4))
         own.take(LoggedValues(tick, found))
         while waiting and waiting[0].final_tick <= tick:
             own.settle(waiting.pop(0))

@@ -49,6 +49,7 @@ class CheckResult(Struct):
     moment: Annotated[
         FailedMoment | None, Meta(description="Of one of your own checks, when it failed; null: it did not.")
     ] = None
+    signals: Annotated[list[str], Meta(description="Of one of your own checks, the signals that it looked at.")] = []
 
 
 class VehicleResult(Struct):

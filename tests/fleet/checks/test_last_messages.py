@@ -3,21 +3,25 @@
 from __future__ import annotations
 
 from fed_checks import fate, fed
+from msgspec.structs import replace
 
+from agents.message import pack
+from agents.payload import StateMessage, encode
 from fleet.checks.last_messages import LastMessages
 
 LINKS = [(1, 2), (2, 1), (2, 3), (3, 2)]
+MINE = ["control.leads"]
 
 
 def test_a_link_whose_last_packet_was_lost_is_named_before_one_that_works() -> None:
     last = LastMessages(LINKS, 10_000_000)
-    assert last.of([2]) is None
+    assert last.of([2], MINE) is None
     for sent in (0, 10, 20):
         last.settle(fate(3, 2, sent))
     for sent in (0, 10):
         last.settle(fate(1, 2, sent))
     last.settle(fate(1, 2, 20, "partition", final=20))
-    found = last.of([2])
+    found = last.of([2], MINE)
     assert found is not None
     assert (found.src, found.dst, found.sent_s, found.fate, found.heard_s) == (1, 2, 0.2, "partition", 0.1)
     assert (
@@ -25,9 +29,9 @@ def test_a_link_whose_last_packet_was_lost_is_named_before_one_that_works() -> N
         == "the last message that vehicle 2 missed: 1->2, sent at 0.2 s, partition; it had the last before from 0.1 s"
     )
     last.settle(fate(1, 2, 30))
-    again = last.of([2])
+    again = last.of([2], MINE)
     assert again is not None and again.fate == "delivered" and (again.src, again.sent_s) == (1, 0.3)
-    assert last.of([3]) is None
+    assert last.of([3], MINE) is None
 
 
 def test_of_several_links_the_one_that_is_silent_for_longest() -> None:
@@ -35,7 +39,7 @@ def test_of_several_links_the_one_that_is_silent_for_longest() -> None:
     last.settle(fate(3, 2, 0))
     last.settle(fate(3, 2, 10, "loss", final=10))
     last.settle(fate(1, 2, 10, "down", final=10))
-    found = last.of([1, 2])
+    found = last.of([1, 2], MINE)
     assert found is not None and (found.src, found.heard_s) == (1, None)
     assert found.words.endswith("down; it had nothing before")
 
@@ -44,8 +48,38 @@ def test_a_message_of_the_tick_of_the_failure_counts() -> None:
     """It is used at that tick, and the log has it behind the values of the tick."""
     fates = [fate(1, 2, 0), fate(1, 2, 99), fate(1, 2, 104)]
     (verdict,) = fed(
-        "signal: {topic: nav.z, below: 8 m}", lambda i, t: 9.0 if i == 2 and t >= 1.0 else 5.0, fates=fates
+        "signal: {topic: error.e_norm, below: 8 m}",
+        lambda i, t: 9.0 if i == 2 and t >= 1.0 else 5.0,
+        fates=[replace(one, payload=STATE) for one in fates],
+        signal="error.e_norm",
     )
     assert verdict.moment is not None and verdict.moment.message is not None
     assert (verdict.moment.message.sent_s, verdict.moment.message.at_s) == (0.99, 1.0)
     assert "the last message that vehicle 2 received: 1->2, sent at 0.99 s, due at 1 s" in verdict.found
+    assert verdict.signals == ("error.e_norm",)
+
+
+STATE = encode(StateMessage(1, 0, (0.0, 0.0, 5.0), (0.0, 0.0, 0.0)))
+
+
+def test_only_messages_of_the_protocol_that_is_judged_count() -> None:
+    """A state that was lost later than the last vote made no difference to the vote."""
+    last = LastMessages(LINKS, 10_000_000)
+    last.settle(replace(fate(1, 2, 10), payload=STATE))
+    found = last.of([2], MINE)
+    assert found is not None and found.sent_s == 0.1  # the agent sends nothing but states
+    last.settle(replace(fate(1, 2, 20), payload=pack("votes", [1])))
+    last.settle(replace(fate(1, 2, 30, "loss", final=30), payload=STATE))
+    found = last.of([2], MINE)
+    assert found is not None and (found.sent_s, found.fate) == (0.2, "delivered")
+    found = last.of([2], ["state.z", "|error.e|"])
+    assert found is not None and (found.sent_s, found.fate, found.heard_s) == (0.3, "loss", 0.1)
+    assert last.of([2], ["state.z", "nav.x", "command.tau_0"]) is None
+    assert last.of([2], []) is None
+
+
+def test_a_check_on_a_depth_names_no_message() -> None:
+    depth = lambda i, t: 9.0 if i == 2 and t >= 1.0 else 5.0  # noqa: E731
+    (verdict,) = fed("signal: {topic: nav.z, below: 8 m}", depth, fates=[fate(1, 2, 0)])
+    assert verdict.moment is not None and verdict.moment.message is None
+    assert "message" not in verdict.found

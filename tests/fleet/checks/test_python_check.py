@@ -64,7 +64,8 @@ def test_a_check_sees_faults_lives_and_packets(module: Path) -> None:
     seen = "[((), ()), (('cut',), ()), (('cut', 'gone'), (3,)), (('gone',), (3,))]"
     packets = "[(1, 2, 'delivered', 0.0), (1, 2, 'loss', 0.05)]"
     words = "Sees what is there, until 2 s"
-    assert found == Verdict("Check", True, words, f"{seen} {packets}", 0.0, 0.0, "times")
+    signals = ("nav.x", "state.z", "control.u_err")
+    assert found == Verdict("Check", True, words, f"{seen} {packets}", 0.0, 0.0, "times", signals=signals)
 
 
 DEEP = """\
@@ -72,6 +73,7 @@ class Check:
     def __init__(self, facts): pass
     def step(self, tick):
         for one in tick.vehicles:
+            one["control.u_err"]
             if one["nav.z"] > 8: return Failure("too\\n deep", (one.id,), {"z": one["nav.z"]})
 """
 
@@ -86,6 +88,7 @@ def test_a_failure_has_its_moment(module: Path) -> None:
     fates = [fate(1, 2, 0), fate(1, 2, 50), fate(1, 2, 99, "down", final=99)]
     found = verdict(module, DEEP, faults=FAULTS, fates=fates)
     moment = found.moment
+    assert found.signals == ("control.u_err", "nav.z")
     assert not found.passed and moment is not None and moment.message is not None
     assert (moment.tick, moment.at_s, moment.vehicles, moment.values, moment.faults) == (
         100,

@@ -302,6 +302,7 @@ def test_result_file(tmp_path: Path) -> None:
         "limit": 0,
         "unit": "links",
         "moment": None,
+        "signals": [],
     }
     assert list(values["vehicles"]) == ["1", "2", "3", "4"]
     assert set(values["ledger"]) == {"1->2", "2->3", "3->4"}

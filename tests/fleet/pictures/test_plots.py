@@ -129,8 +129,8 @@ def test_faults_are_shaded_and_named_on_every_time_axis(kind: str, runs: dict[st
             extent = shaded[0].get_extents().transformed(ax.transData.inverted())
             assert (extent.x0, extent.x1) == pytest.approx((1.0, 2.0))
         named = [text.get_text() for text in timed[0].texts if text.get_gid() == "fault-name"]
-        assert named == ["crash: kill 2", "tumbled 2", "cut: partition halves"]
-        assert timed[-1].get_xlabel().startswith("time [s]")
+        assert named == ["crash: kill 2", "cut: partition halves"]
+        assert timed[-1].get_xlabel().startswith("time [s]\ntumbled 2: at ")
 
 
 def test_a_line_per_vehicle_that_breaks_where_the_agent_is_dead(runs: dict[str, Run]) -> None:

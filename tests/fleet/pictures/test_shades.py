@@ -35,8 +35,8 @@ def test_shades_of_faults_that_overlap_do_not_add_up() -> None:
     ]
     texts, listed, shades = drawn(faults)
     assert shades == [(10.0, 40.0), (60.0, 70.0), (25.0, 26.0)]
-    assert [text.get_text() for text in texts] == ["kill 3", "down 1<->2", "tumbled 3", "kill 1"]
-    assert listed == []
+    assert [text.get_text() for text in texts] == ["kill 3", "down 1<->2", "kill 1"]
+    assert listed == ["tumbled 3: at 25 s"]
 
 
 def test_union() -> None:
@@ -69,6 +69,14 @@ def test_many_faults_are_numbered() -> None:
     assert (texts, listed) == ([], ["200 faults, too many to name"])
 
 
-def test_a_vehicle_that_tumbles_again_is_named_once() -> None:
-    texts, _, _ = drawn([FaultInterval(f"tumbled-2-{n}", 10.0 * n, 10.0 * n + 1.0, "tumbled 2") for n in range(3)])
-    assert [text.get_text() for text in texts] == ["tumbled 2 (3 times)"]
+def test_tumbles_are_told_below_in_one_line_per_vehicle() -> None:
+    """And not above, where faults are named: thirty of them cover none."""
+    tumbles = [
+        FaultInterval(f"tumbled-{i}-{n}", 10.0 + 3.0 * n + i, 11.0 + 3.0 * n + i, f"tumbled {i}")
+        for i in range(1, 8)
+        for n in range(5)
+    ]
+    texts, listed, shades = drawn([FaultInterval("f1", 10.0, 20.0, "kill 3"), *tumbles])
+    assert [text.get_text() for text in texts] == ["kill 3"]
+    assert listed == [f"tumbled {i}: 5 times, first at {10 + i} s" for i in range(1, 6)] + ["and 2 more vehicles"]
+    assert len(shades) > 1

@@ -28,6 +28,7 @@ from fleet.recorder.log_file import LogError
 from fleet.replay.publisher import PublishError
 from fleet.scenario.catalogue import list_scenarios
 from fleet.scenario.loading import load_scenario
+from fleet.scenario.schema.groups import GROUPS
 from fleet.study.catalogue import shipped_studies
 
 SHIPPED = [name for name, *_ in list_scenarios()]
@@ -205,7 +206,11 @@ def test_a_reader_that_has_seen_enough() -> None:
 def test_list_names_every_scenario_and_study() -> None:
     result = invoke("list")
     assert (result.exit_code, result.stderr) == (0, "")
-    assert re.findall(r"^(\S+) ", result.stdout, re.MULTILINE) == ["scenario", *SHIPPED, "study", *shipped_studies()]
+    rows = re.findall(r"^  (\S+) ", result.stdout, re.MULTILINE)
+    assert sorted(rows) == SHIPPED and rows[0] == "paper"
+    headings = [line.strip() for line in result.stdout.splitlines() if line[:1].isalpha()]
+    assert headings[1:7] == list(GROUPS)
+    assert re.findall(r"^(\S+) ", "\n".join(headings[7:]), re.MULTILINE) == ["study", *shipped_studies()]
 
 
 CHECKED = ("paper", "rough-sea", "breakdown", "acoustic-80bps", "nemesis")  # one of each kind; the others are slow

@@ -134,7 +134,7 @@ def inject(what: tuple[str, ...], run: str | None, lasts: str | None, name: str 
 @which
 @json_option
 def faults(run: str | None, as_json: bool) -> None:
-    """List the faults of a live run, with their ids.
+    """List the faults of a live run, with their ids; below them what happened to vehicles.
 
     \b
     Examples:
@@ -151,6 +151,10 @@ def faults(run: str | None, as_json: bool) -> None:
         until = "until healed" if fault.until_healed else f"to {fault.to_s:.2f} s"
         times = f"{fault.from_s:.2f} s {until}"
         click.echo(f"{fault.id:10}  {times:22}  {fault.state:7}  {fault.what}")
+    if document.events:
+        click.echo("events of vehicles")
+    for event in document.events:
+        click.echo(f"  {event}")
 
 
 @click.command()

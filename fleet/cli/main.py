@@ -137,7 +137,7 @@ def _say_what_is_expected(loaded: Scenario, found: Analysis, refused: list[Probl
 @cli.command(name="list")
 @json_option
 def list_(as_json: bool) -> None:
-    """List the scenarios and the studies that ship with the package.
+    """List the scenarios that ship with the package, by group, and the studies.
 
     The cost of a study is the time that all its runs take one core, roughly, on compiled cores.
     """
@@ -151,13 +151,18 @@ def list_(as_json: bool) -> None:
         print_document(Scenarios([ScenarioRow(*row) for row in scenarios], [StudyRow(*row) for row in studies]))
         return
     from rich.table import Table
+    from rich.text import Text
+
+    from fleet.scenario.schema.groups import GROUPS
 
     terminal = stdout()
     table = Table(box=None, pad_edge=False)
     for heading in ("scenario", "UUVs", "time", "expect", "what one learns"):
         table.add_column(heading, no_wrap=heading != "what one learns")
-    for name, title, vehicles, duration_s, expect in scenarios:
-        table.add_row(name, str(vehicles), f"{duration_s:g} s", expect, title)
+    for group in GROUPS:
+        table.add_row(Text(group, "bold"))
+        for row in (row for row in scenarios if row.group == group):
+            table.add_row(f"  {row.name}", str(row.vehicles), f"{row.duration_s:g} s", row.expect, row.title)
     terminal.print(table)
     terminal.print()
     table = Table(box=None, pad_edge=False)

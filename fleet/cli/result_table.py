@@ -13,19 +13,21 @@ from fleet.analysis.punctuality import summary
 from fleet.execution.notes import folded, without_agent
 from fleet.execution.outcome import Result, Status
 from fleet.recorder.metrics import WorstAndMedian
+from fleet.scenario.sections.vehicle_events import vehicle_events
 from fleet.terminal import table
 from fleet.terminal.folding import INDENT, fold
 from fleet.terminal.table import Column, width
 from netem.causes import Cause
 
 Say = Callable[..., None]
-MOST_ROWS = 20
+MOST_VEHICLES, MOST_LINKS, MOST_EVENTS = 10, 5, 10
+MOST_NOTES = 20
 _NOT_SETTLED = "not settled"
 _P95 = 7  # the rank of the column that goes first
 
 
 def show(result: Result, terminal: Terminal) -> None:
-    """Print vehicles, links, verdicts and where everything is."""
+    """Print verdicts, failed ones first, what happened to vehicles, vehicles, links, and where everything is."""
     values = result.values
     most = terminal.width if terminal.is_terminal else None
 
@@ -36,21 +38,27 @@ def show(result: Result, terminal: Terminal) -> None:
         line.stylize(style, 0, len(mark))
         terminal.print(line, soft_wrap=True)
 
+    if result.status in (Status.BROKEN, Status.INTERRUPTED, Status.HUNG_UP):
+        say(result.reason, "red", "run broke:" if result.status is Status.BROKEN else "stopped:")
+        for line in result.lines:
+            say(line)
+    for verdict in sorted(result.verdicts, key=lambda verdict: verdict.passed):
+        style, mark = ("green", "pass") if verdict.passed else ("red", "FAIL")
+        say(f"{verdict.check}: {verdict.asked}; found {verdict.found}", style, mark)
+    _show_events(values["events"], say)
+    explained = {without_agent(line) for line in result.lines}
+    notes = folded(note for note in values["notes"] if without_agent(note) not in explained)
+    for note in notes[:MOST_NOTES]:
+        say(note, mark="note")
+    if len(notes) > MOST_NOTES:
+        say(f"... and {len(notes) - MOST_NOTES} more in result.json", mark="note")
     if values["vehicles"]:
-        _show_vehicles(values["vehicles"], values["from_s"], terminal, say)
+        show_vehicles = _show_protocols if all(row["agent"] for row in values["vehicles"].values()) else _show_vehicles
+        show_vehicles(values["vehicles"], values["from_s"], terminal, say)
     if len(values["vehicles"]) > 1:
         say(f"formation error at the end: {WorstAndMedian(**values['formation'])}")
     if any(account["sent"] for account in values["ledger"].values()):
         _show_links(values["ledger"], values["ages"], values["from_s"], terminal, say)
-    for verdict in result.verdicts:
-        style, mark = ("green", "pass") if verdict.passed else ("red", "FAIL")
-        say(f"{verdict.check}: {verdict.asked}; found {verdict.found}", style, mark)
-    explained = {without_agent(line) for line in result.lines}
-    notes = folded(note for note in values["notes"] if without_agent(note) not in explained)
-    for note in notes[:MOST_ROWS]:
-        say(note, mark="note")
-    if len(notes) > MOST_ROWS:
-        say(f"... and {len(notes) - MOST_ROWS} more in result.json", mark="note")
     if "timing" in values:
         say(summary(values["timing"], values["timing"]["speed"]))
     wall, size = values["wall"], values["log_bytes"]
@@ -63,16 +71,23 @@ def show(result: Result, terminal: Terminal) -> None:
     )
     if hint := large_log_hint(size / 1e6):
         say(f"the log is large: {hint}", mark="note")
-    if result.status in (Status.BROKEN, Status.INTERRUPTED, Status.HUNG_UP):
-        say(result.reason, "red", "run broke:" if result.status is Status.BROKEN else "stopped:")
-        for line in result.lines:
-            say(line)
+    if result.status is Status.CHECK_FAILED:
+        failed = [verdict.check for verdict in result.verdicts if not verdict.passed]
+        say(f"{len(failed)} of {len(result.verdicts)} checks: {', '.join(dict.fromkeys(failed))}", "red", "FAIL")
     say(str(result.directory))
+
+
+def _show_events(rows: list[dict[str, Any]], say: Say) -> None:
+    events = vehicle_events((row["what"], row["at_s"]) for row in rows if row["action"] == "begins")
+    for event in events[:MOST_EVENTS]:
+        say(str(event), mark="event")
+    if len(events) > MOST_EVENTS:
+        say(f"... and {len(events) - MOST_EVENTS} more in result.json", mark="event")
 
 
 def _show_vehicles(rows: dict[str, dict[str, float | None]], from_s: float, terminal: Terminal, say: Say) -> None:
     """The vehicles: all, or those with the largest formation error at the end."""
-    shown = _worst(rows, {i: row["formation_final_m"] for i, row in rows.items()})
+    shown = _farthest(rows)
 
     def cells(key: str, form: str, none: str) -> list[str]:
         return [none if (value := rows[i][key]) is None else format(value, form) for i in shown]
@@ -91,15 +106,42 @@ def _show_vehicles(rows: dict[str, dict[str, float | None]], from_s: float, term
     _tell_more(len(rows) - len(shown), say)
 
 
+def _show_protocols(rows: dict[str, dict[str, Any]], from_s: float, terminal: Terminal, say: Say) -> None:
+    """Vehicles whose agents run a protocol: what these reported at the end. They need not settle anywhere."""
+    shown = _farthest(rows)
+    units = {name: told["unit"] for row in rows.values() for name, told in row["signals"].items()}
+
+    def cells(name: str) -> list[str]:
+        told = [rows[i]["signals"].get(name, {}).get("value") for i in shown]
+        return ["-" if value is None else f"{value:.6g}" for value in told]
+
+    columns = [
+        Column("UUV", shown),
+        *(
+            Column(name if unit == "1" else f"{name}\n[{unit}]", cells(name), rank)
+            for rank, (name, unit) in enumerate(units.items(), 1)
+        ),
+        Column("final formation\nerror [m]", [f"{rows[i]['formation_final_m']:.4f}" for i in shown]),
+    ]
+    laws = sorted({row["agent"] for row in rows.values()})
+    table.show(columns, f"vehicles; what {', '.join(laws)} reported at the end", terminal, "see result.json")
+    _tell_more(len(rows) - len(shown), say)
+
+
 def _show_links(
     rows: dict[str, Any], ages: dict[str, dict[str, float]], from_s: float, terminal: Terminal, say: Say
 ) -> None:
-    """Packets and ages of the links: of all, or of those with the oldest information; columns of zeros are left out.
+    """Packets and ages of the links: of all together, and of those with the oldest information.
 
-    Where there is no room for every cause of a loss, one column has their sum.
+    Links with the same numbers are one row. Columns of zeros are left out. Where there is no room for every cause of a
+    loss, one column has their sum.
     """
     causes = sorted({cause for row in rows.values() for cause in row["lost"]} - {Cause.REPLACED})
-    shown = _worst(rows, {name: age["max_s"] for name, age in ages.items()})
+    alike = _alike(rows, ages)
+    shown = sorted(alike, key=lambda name: -ages[name]["max_s"] if name in ages else 0.0)[:MOST_LINKS]
+    if len(alike) <= MOST_LINKS:
+        shown = list(alike)
+    names = [name if len(alike[name]) == 1 else f"{name} ... ({len(alike[name])})" for name in shown]
 
     def counts(heading: str, count: Callable[[dict[str, Any]], int], rank: int = 0) -> list[Column]:
         total = sum(map(count, rows.values()))
@@ -111,7 +153,7 @@ def _show_links(
 
     def columns(lost: list[Column]) -> list[Column]:
         return [
-            Column("link", ["all", *shown]),
+            Column("link", ["all", *names]),
             *counts("sent", lambda row: row["sent"]),
             *counts("duplicated", lambda row: row["duplicated"], 5),
             # Replaced by newer data before it was sent: not lost on the way.
@@ -132,7 +174,11 @@ def _show_links(
     since = " since t = 0" if from_s else ""  # the ledger goes on, too, as what was on the way then must balance
     title = f"packets per directed link{since}, age of what was heard last"
     table.show(wanted, title, terminal, "see result.json")
-    _tell_more(len(rows) - len(shown), say)
+    if rest := [link for name, links in alike.items() if name not in shown for link in links]:
+        shares = [_lost_share(rows[link]) for link in rest]
+        least, most = f"{100 * min(shares):.3g}", f"{100 * max(shares):.3g}"
+        lost = f"{least} %" if least == most else f"{least} to {most} %"
+        say(f"... and {len(rest)} more link{'s' * (len(rest) > 1)} with {lost} lost in result.json")
     if merged:
         totals = {cause: sum(map(_losses(cause), rows.values())) for cause in causes}
         say("lost: " + ", ".join(f"{totals[cause]} {cause}" for cause in sorted(causes, key=lambda c: -totals[c])))
@@ -143,12 +189,27 @@ def _tell_more(rows: int, say: Say) -> None:
         say(f"... and {rows} more in result.json")
 
 
-def _worst(rows: Mapping[str, Any], how_bad: Mapping[str, float | None]) -> list[str]:
-    """The names of all rows, or of the worst if they are many."""
-    if len(rows) <= MOST_ROWS:
+def _farthest(rows: Mapping[str, Mapping[str, Any]]) -> list[str]:
+    """The vehicles, given their rows: all, or of many those with the largest formation error at the end."""
+    if len(rows) <= MOST_VEHICLES:
         return list(rows)
-    bad = {name: value for name, value in how_bad.items() if value is not None}
-    return sorted(rows, key=lambda name: -bad.get(name, 0.0))[:MOST_ROWS]
+    return sorted(rows, key=lambda name: -(rows[name]["formation_final_m"] or 0.0))[:MOST_VEHICLES]
+
+
+def _alike(rows: Mapping[str, Any], ages: Mapping[str, Mapping[str, float]]) -> dict[str, list[str]]:
+    """Links by the first one that has the same numbers, as they are shown."""
+    first: dict[str, str] = {}
+    found: dict[str, list[str]] = {}
+    for name, row in rows.items():
+        shown = repr((row, {key: round(age, 3) for key, age in ages.get(name, {}).items()}))
+        found.setdefault(first.setdefault(shown, name), []).append(name)
+    return found
+
+
+def _lost_share(row: Mapping[str, Any]) -> float:
+    """Lost packets of a link among those whose fate is known."""
+    lost = sum(count for cause, count in row["lost"].items() if cause != Cause.REPLACED)
+    return lost / known if (known := lost + row["delivered"]) else 0.0
 
 
 def _losses(*causes: str) -> Callable[[dict[str, Any]], int]:

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
 EVERY_S = 1.0
 MOST_FAULTS = 5
+MOST_EVENTS = 5
 
 
 @click.command()
@@ -112,6 +113,9 @@ def screen(status: Status, every: bool, height: int | None = None) -> Group:
     lines += [_fault(fault, status) for fault in status.faults[:MOST_FAULTS]]
     if len(status.faults) > MOST_FAULTS:
         lines.append(f"and {_more(len(status.faults) - MOST_FAULTS, 'fault')}: fleet faults")
+    lines += [f"event {event}" for event in status.events[:MOST_EVENTS]]
+    if len(status.events) > MOST_EVENTS:
+        lines.append(f"and events of {_more(len(status.events) - MOST_EVENTS, 'vehicle')}: fleet faults")
     vehicles, links = status.vehicles, status.links
     if height is not None:
         room = height - len(lines) - 3  # two headings, and a line on what is left out

@@ -14,6 +14,7 @@ from fleet.recorder.journal import Journal
 from fleet.recorder.metrics import SETTLE_M, Series
 from fleet.recorder.settling import below_from, least_s, stayed
 from fleet.scenario.scenario import Scenario
+from fleet.scenario.sections.vehicle_events import vehicle_events
 
 WORST_VEHICLES, WORST_LINKS = 10, 5
 MOST_ROWS = 500  # of each kind in one answer, also when all are asked for
@@ -57,6 +58,23 @@ def link_rows(scenario: Scenario, journal: Journal, *, every: bool = False) -> l
         rows.append({"src": src, "dst": dst, **counts, "age_s": age_s})
     rows.sort(key=lambda row: (-row["age_s"], -row["lost_share"], row["src"], row["dst"]))
     return rows[: MOST_ROWS if every else WORST_LINKS]
+
+
+def event_rows(scenario: Scenario, journal: Journal) -> list[dict[str, Any]]:
+    """What happened to vehicles: a row for each vehicle and kind, in the order in which they first happened."""
+    events = [event for event in journal.happened if not event.is_fault]
+    begun = [event for event in events if event.action == "begins"]
+    ended = {event.fault for event in events if event.action == "ends"}
+    last = {event.what: event for event in begun}
+    return [
+        {
+            **row._asdict(),
+            "id": last[row.what].fault,
+            "last_s": last[row.what].tick * scenario.tick_ns / 1e9,
+            "lasts": last[row.what].fault not in ended,
+        }
+        for row in vehicle_events((event.what, event.tick * scenario.tick_ns / 1e9) for event in begun)
+    ]
 
 
 def badness(error_m: float | None) -> float:

@@ -16,7 +16,7 @@ from fleet.analysis.verdicts import standing
 from fleet.execution.clock import LiveClock
 from fleet.execution.fault_request import BROKEN, RefusedError, checked_fault
 from fleet.execution.fleet import Fleet
-from fleet.execution.live_status import link_rows, vehicle_rows
+from fleet.execution.live_status import event_rows, link_rows, vehicle_rows
 from fleet.recorder.journal import Journal
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.schema.faults import FaultSection
@@ -59,7 +59,7 @@ class Operator:
                 case "checks":
                     return {"checks": self._standing()}
                 case "faults":
-                    return {"faults": self._listed()}
+                    return {"faults": self._listed(), "events": event_rows(self.scenario, self.journal)}
                 case "heal":
                     return self._heal(request.get("id"))
                 case "clock":
@@ -84,6 +84,7 @@ class Operator:
             "delivered": total.delivered,
             "lost": sum(total.lost.values()) - total.replaced,
             "faults": [fault for fault in self._listed() if fault["active"]],
+            "events": event_rows(self.scenario, self.journal),
             "waiting": self.fleet.waiting,
             "vehicles_total": self.scenario.vehicles,
             "vehicles": vehicle_rows(self.scenario, self.journal, dead, every=every),
@@ -201,8 +202,6 @@ class Operator:
             found[fault.id] = self._row(fault.id, self._words[fault.id], fault.begin, fault.end, state)
         for event in self.journal.deaths.values():
             found[event.fault] = self._row(event.fault, event.what, event.tick, None, "active")
-        for event in self._states():
-            found[event.fault] = self._row(event.fault, event.what, event.tick, self.scenario.ticks, "active")
         return list(found.values())
 
     def _states(self) -> list[Event]:

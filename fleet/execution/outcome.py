@@ -17,6 +17,7 @@ from fleet.recorder.journal import Journal, Spell
 from fleet.recorder.log_file import LogError, LogFile
 from fleet.recorder.no_log import NoLog
 from fleet.scenario.scenario import Scenario
+from fleet.scenario.sections.timeline import Event
 from netem.condition import Link
 
 
@@ -133,20 +134,17 @@ def outcome_values(
         "ledger": {_name(link): account.to_values() for link, account in journal.ledger.accounts.items()},
         "ages": journal.ages.summary(scenario.tick_ns),
         "middleware_lost": lost,
-        "faults": [
-            {
-                "at_s": event.tick * scenario.tick_ns / 1e9,
-                "fault": event.fault,
-                "action": event.action,
-                "what": event.what,
-            }
-            for event in journal.happened
-        ],
+        "faults": [_event(event, scenario.tick_ns / 1e9) for event in journal.happened if event.is_fault],
+        "events": [_event(event, scenario.tick_ns / 1e9) for event in journal.happened if not event.is_fault],
         "messages": file.messages,
         "log_bytes": file.size,
         "digest": file.digest,
         "python": sys.version.split()[0],
     }
+
+
+def _event(event: Event, tick_s: float) -> dict[str, Any]:
+    return {"at_s": event.tick * tick_s, "fault": event.fault, "action": event.action, "what": event.what}
 
 
 def _spell(spell: Spell, tick_s: float) -> dict[str, Any]:

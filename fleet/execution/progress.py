@@ -7,7 +7,8 @@ from collections.abc import Callable
 
 from fleet.recorder.journal import Journal
 from fleet.scenario.scenario import Scenario
-from fleet.terminal.fitting import Piece, shortened
+from fleet.scenario.sections.vehicle_events import DIVERGED, TUMBLED
+from fleet.terminal.fitting import GAP, Piece, shortened
 from fleet.terminal.status_line import BAR, StatusLine, bar
 
 STILL_S = 60.0  # between plain lines when nothing moves
@@ -57,12 +58,13 @@ class ProgressLine:
         waits = waiting.replace("waiting for", "waits for")
         return [
             Piece(0, [f"t = {at_s:.1f} / {self._end_s:g} s", f"{at_s:.1f}/{self._end_s:g} s"]),
-            Piece(6, [bar(share), bar(share, BAR // 2), ""] if self._line.live else [""]),
-            Piece(4, [f"{speed} real time", speed, ""] if speed else [""]),
+            Piece(7, [bar(share), bar(share, BAR // 2), ""] if self._line.live else [""]),
+            Piece(5, [f"{speed} real time", speed, ""] if speed else [""]),
             Piece(2, [f"formation {errors[0]}", *errors, f"error {off.worst_m:.2f} m"]),
-            Piece(7, [f"median {off.median_m:.3f} m", ""] if of_fleet else [""]),
-            Piece(5, [*self._packets(), ""]),
+            Piece(8, [f"median {off.median_m:.3f} m", ""] if of_fleet else [""]),
+            Piece(6, [*self._packets(), ""]),
             Piece(1, self._faults()),
+            Piece(4, self._events()),
             Piece(3, [waiting, *shortened(waiting, 40, 30), *shortened(waits, 22)]),
         ]
 
@@ -83,3 +85,12 @@ class ProgressLine:
             more = f" and {len(names) - most} more" if len(names) > most else ""
             forms.append(f"faults {', '.join(names[:most])}{more}")
         return [*dict.fromkeys(forms), f"{len(names)} fault{'s' * (len(names) > 1)}"]
+
+    def _events(self) -> list[str]:
+        """The vehicles that are tumbled or have diverged now: by number, or how many."""
+        kinds = [(TUMBLED, sorted(self._journal.tumbled)), (DIVERGED, sorted(self._journal.diverged))]
+        known = [(kind, vehicles) for kind, vehicles in kinds if vehicles]
+        by_number = GAP.join(f"{kind} {', '.join(map(str, vehicles))}" for kind, vehicles in known)
+        counted = GAP.join(f"{len(vehicles)} {kind}" for kind, vehicles in known)
+        few = all(len(vehicles) <= MOST_FAULTS for _, vehicles in known)
+        return [*([by_number] if few else []), counted, ""]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import NamedTuple
 
 from fleet.logs.reader import LogReadError
@@ -36,8 +37,13 @@ def fault_intervals(topic: Topic, end: float) -> list[FaultInterval]:
         raise LogReadError(f"the log holds {len(topic)} events of faults, more than the {MOST_EVENTS} that are read")
     if not len(topic):
         return []
+    return intervals(zip(topic.t, topic["fault"], topic["action"], topic["what"], strict=True), end)
+
+
+def intervals(happened: Iterable[tuple[float, str, str, str]], end: float) -> list[FaultInterval]:
+    """The same of messages one by one: time [s], id, `begins` or `ends`, and what it is."""
     found: dict[str, FaultInterval] = {}
-    for at, name, action, what in zip(topic.t, topic["fault"], topic["action"], topic["what"], strict=True):
+    for at, name, action, what in happened:
         if action == "begins":
             found[name] = FaultInterval(name, float(at), end, what)
         elif name in found:

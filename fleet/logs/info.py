@@ -9,9 +9,14 @@ from pathlib import Path
 
 import numpy as np
 
-from fleet.logs.reader import LogReader, Tell, log_path
+from fleet.logs.decoder import Decoder
+from fleet.logs.fault_intervals import MOST_EVENTS, FaultInterval, intervals
+from fleet.logs.reader import LogReader, Record, Tell, log_path
+from fleet.scenario.sections.vehicle_events import VehicleEvents, is_fault, vehicle_events
 
 MOST_TOPICS = 100  # in words one by one
+MOST_FAULTS = 20
+_MOST_TEXT = 32 << 20  # bytes of the messages about faults
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,6 +29,8 @@ class Info:
     start_s: float
     end_s: float
     run: dict[str, str]
+    faults: list[FaultInterval]  # in the order in which they began
+    events: list[VehicleEvents]  # what happened to vehicles
     topics: dict[str, tuple[str, int]]  # topic -> (schema, messages)
     missing: str
 
@@ -39,12 +46,18 @@ def read_info(path: Path, tell: Tell = lambda _: None) -> Info:
     counts: Counter[str] = Counter()
     first: int | None = None
     last = 0
+    happened: list[Record] = []
+    held = 0
     for block in reader.blocks():
         for channel, count in zip(*np.unique(block.channel, return_counts=True), strict=True):
             counts[reader.channels[int(channel)].topic] += int(count)
         earliest = int(block.log_ns.min())
         first = earliest if first is None else min(first, earliest)
         last = max(last, int(block.log_ns.max()))
+        for record in reader.within(block, ["faults"]):
+            held += len(record.data)
+            if len(happened) < MOST_EVENTS and held <= _MOST_TEXT:
+                happened.append(record)
     topics = {
         channel.topic: (
             # Traffic of others has no schema, but an encoding.
@@ -53,6 +66,7 @@ def read_info(path: Path, tell: Tell = lambda _: None) -> Info:
         )
         for channel in reader.channels.values()
     }
+    found = _intervals(reader, happened, last / 1e9)
     return Info(
         path=str(path),
         bytes=path.stat().st_size,
@@ -60,9 +74,23 @@ def read_info(path: Path, tell: Tell = lambda _: None) -> Info:
         start_s=(first or 0) / 1e9,
         end_s=last / 1e9,
         run=reader.metadata.get("run", {}),
+        faults=[one for one in found if is_fault(one.what)],
+        events=vehicle_events((one.what, one.begin) for one in found),
         topics=topics,
         missing=reader.missing,
     )
+
+
+def _intervals(reader: LogReader, happened: list[Record], end: float) -> list[FaultInterval]:
+    """Faults and events of vehicles; none in the file of a stranger, whose messages may hold anything."""
+    decode = Decoder(reader)
+    rows = []
+    for record in happened:
+        message = decode.message(record)
+        name, action, what = (getattr(message, field, None) for field in ("fault", "action", "what"))
+        if isinstance(name, str) and isinstance(action, str) and isinstance(what, str):
+            rows.append((record.log_ns / 1e9, name, action, what))
+    return intervals(rows, end)
 
 
 def info_text(info: Info) -> str:
@@ -75,10 +103,24 @@ def info_text(info: Info) -> str:
         lines += [f"  {key:<10} {value}" for key, value in info.run.items() if key != "graph"]
     else:
         lines.append("not a log of uuv-fleet: it says nothing of a run")
+    lines += _happened(info)
     rows = _folded(info.topics) if len(info.topics) > MOST_TOPICS else info.topics
     width = max((len(topic) for topic in rows), default=0)
     lines += [f"  {topic:<{width}}  {count:>8}  {schema}" for topic, (schema, count) in rows.items()]
     return "\n".join(lines)
+
+
+def _happened(info: Info) -> list[str]:
+    """The faults, and apart from them what happened to vehicles."""
+    lines = ["faults"] if info.faults else []
+    lines += [f"  {f.id}: {f.begin:.10g} to {f.end:.10g} s: {f.what}" for f in info.faults[:MOST_FAULTS]]
+    if len(info.faults) > MOST_FAULTS:
+        lines.append(f"  ... and {len(info.faults) - MOST_FAULTS} more: --json")
+    lines += ["events of vehicles"] if info.events else []
+    lines += [f"  {event}" for event in info.events[:MOST_FAULTS]]
+    if len(info.events) > MOST_FAULTS:
+        lines.append(f"  ... and {len(info.events) - MOST_FAULTS} more: --json")
+    return lines
 
 
 def _folded(topics: dict[str, tuple[str, int]]) -> dict[str, tuple[str, int]]:

@@ -76,9 +76,13 @@ class LogReader:
     def of(self, topics: Collection[str]) -> Iterator[Record]:
         """Only the messages of these topics; the others are skipped quickly. Raises the same errors as iteration."""
         for block in self.blocks():
-            some = [number for number in np.unique(block.channel).tolist() if self.channels[number].topic in topics]
-            if some:
-                yield from self._records(block.take(np.isin(block.channel, np.array(some, np.uint16))))
+            yield from self.within(block, topics)
+
+    def within(self, block: Block, topics: Collection[str]) -> Iterator[Record]:
+        """The messages of these topics in one block."""
+        some = [number for number in np.unique(block.channel).tolist() if self.channels[number].topic in topics]
+        if some:
+            yield from self._records(block.take(np.isin(block.channel, np.array(some, np.uint16))))
 
     def _records(self, block: Block) -> Iterator[Record]:
         topics: dict[int, str] = {}

@@ -264,6 +264,8 @@ class Journal:
         self.happened.append(event)
         if self.checks is not None:
             self.checks.event(event)
+        if not event.is_fault:
+            return
         if event.action == "begins":
             self.active.append(event.fault)
         elif event.fault in self.active:

@@ -19,6 +19,7 @@ from typing import Any, NamedTuple
 
 from agents.offset import Offset
 from agents.signals import Layout
+from fleet.recorder.protocol import Protocol
 from fleet.recorder.settling import below_from, least_s, settling_time, stayed
 from fleet.scenario.scenario import Scenario
 from netem.wire.messages import Command, Frame
@@ -72,6 +73,8 @@ class Series:
     qp_failures: int = 0
     qp_counted: int = 0  # by the agent that runs now
     payloads_rejected: int = 0
+    reported: tuple[float, ...] = ()  # what the agent told last
+    reported_s: float = -inf  # when
 
 
 class _Places(NamedTuple):
@@ -104,6 +107,8 @@ class Metrics:
         self._reference = scenario.reference
         self._tick_s = scenario.tick_ns / 1e9
         self._disturbance = scenario.disturbance
+        self._protocols = {i: Protocol.of(scenario, i) for i in range(1, scenario.vehicles + 1)}
+        self._silent_s = scenario.round_ticks * self._tick_s  # who reported before the last round reports no more
         self.times = array("d")
         self.series = {i: Series() for i in range(1, scenario.vehicles + 1)}
         self._vehicles = {
@@ -141,6 +146,7 @@ class Metrics:
                 series.effort_Ns += abs(tau[0]) * elapsed
             if i in commands and (telemetry := commands[i].telemetry):
                 _take(series, vehicle.places, telemetry)
+                series.reported, series.reported_s = telemetry, t
         return errors
 
     @property
@@ -225,6 +231,7 @@ class Metrics:
                 "u_cmd_max_mps": series.u_cmd_max,
                 "qp_failures": series.qp_failures,
                 "payloads_rejected": series.payloads_rejected,
+                **self._protocols[i].values(series.reported if end - series.reported_s <= self._silent_s else ()),
             }
         return rows
 

@@ -20,6 +20,7 @@ class Listed(NamedTuple):
     """One row of the list."""
 
     name: str
+    group: str  # one of GROUPS; "": the file names none
     title: str
     vehicles: int
     duration_s: float
@@ -48,7 +49,8 @@ def _listed(name: str) -> Listed:
     vehicles = top["vehicles"]
     assert isinstance(vehicles, int), name
     duration_s = time_ns(top["duration"]) / 1e9
-    return Listed(str(top.get("name", name)), str(top["title"]), vehicles, duration_s, str(top.get("expect", "pass")))
+    words = {key: str(top.get(key, none)) for key, none in (("name", name), ("group", ""), ("expect", "pass"))}
+    return Listed(words["name"], words["group"], str(top["title"]), vehicles, duration_s, words["expect"])
 
 
 def _folder() -> Traversable:

@@ -125,7 +125,13 @@ class LiveFeed:
             return
         try:
             self._status = self.ask("status")
-            self.picture.faults(self.ask("faults")["faults"])
+            known = self.ask("faults")
+            lasting = [
+                {"id": row["id"], "what": row["what"], "from_s": row["last_s"], "to_s": self._status["end_s"],
+                 "until_healed": False}
+                for row in known["events"] if row["lasts"]
+            ]  # fmt: skip
+            self.picture.faults([*known["faults"], *lasting])
             self.checks = checks_so_far(self.ask("checks")["checks"])
         except RemoteError as error:
             if is_live(self.run):

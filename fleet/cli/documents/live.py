@@ -6,6 +6,8 @@ from typing import Annotated
 
 from msgspec import Meta, Struct
 
+from fleet.scenario.sections.vehicle_events import VehicleEvents
+
 RunName = Annotated[str, Meta(description="Name of the run: of its directory.")]
 Directory = Annotated[str, Meta(description="The run's directory, absolute.")]
 ScenarioName = Annotated[str, Meta(description="Name of the scenario.")]
@@ -59,6 +61,26 @@ class FaultRow(Struct):
     state: Annotated[str, Meta(description="to come, active or over.")]
 
 
+class EventCount(Struct):
+    """What happened to one vehicle, how often: it tumbled or diverged."""
+
+    what: Annotated[str, Meta(description="Which event, and which vehicle: `tumbled 3`.")]
+    times: Annotated[int, Meta(description="How often it happened.")]
+    first_s: Annotated[float, Meta(description="When it first began [s].")]
+
+
+class EventRow(EventCount):
+    """The same in a run that goes on."""
+
+    last_s: Annotated[float, Meta(description="When it last began [s].")]
+    lasts: Annotated[bool, Meta(description="Whether it still is so.")]
+    id: Annotated[str, Meta(description="Id of the last one, as in the log.")]
+
+    def __str__(self) -> str:
+        """A line such as `tumbled 3: 10 times, first at 12.45 s, and still is`."""
+        return f"{VehicleEvents(self.what, self.times, self.first_s)}{', and still is' if self.lasts else ''}"
+
+
 class VehicleRow(Struct):
     """How one vehicle is doing."""
 
@@ -96,6 +118,7 @@ class Status(Struct):
     delivered: Annotated[int, Meta(description="Packets delivered on all links.")]
     lost: Annotated[int, Meta(description="Packets lost on all links.")]
     faults: Annotated[list[FaultRow], Meta(description="The active faults.")]
+    events: Annotated[list[EventRow], Meta(description="What happened to vehicles so far, one row for each.")]
     vehicles_total: Annotated[int, Meta(description="Number of vehicles.")]
     vehicles: Annotated[list[VehicleRow], Meta(description="The worst ten by formation error; with --all up to 500.")]
     links_total: Annotated[int, Meta(description="Number of directed links.")]
@@ -107,8 +130,9 @@ class Faults(Struct):
 
     run: RunName
     faults: Annotated[
-        list[FaultRow], Meta(description="Those of the scenario, injected ones, and what became of vehicles.")
+        list[FaultRow], Meta(description="Those of the scenario, injected ones, and agents that died by themselves.")
     ]
+    events: Annotated[list[EventRow], Meta(description="What happened to vehicles so far, one row for each.")]
 
 
 class Injected(Struct):

@@ -9,6 +9,7 @@ from typing import Annotated
 
 from msgspec import Meta, Struct, convert
 
+from fleet.cli.documents.live import EventCount
 from fleet.cli.documents.result import CheckResult
 from fleet.logs.decoder import Value
 from fleet.logs.deviation import Comparison
@@ -99,6 +100,15 @@ class Compared(Struct):
     besides: Annotated[list[str], Meta(description="Metadata, attachments and declarations that are not the same.")]
 
 
+class FaultTime(Struct):
+    """A fault of a log."""
+
+    id: Annotated[str, Meta(description="Its id.")]
+    from_s: Annotated[float, Meta(description="When it began [s].")]
+    to_s: Annotated[float, Meta(description="When it ended, at the latest with the log [s].")]
+    what: Annotated[str, Meta(description="What it does, as a scenario writes it.")]
+
+
 class LogContents(Struct):
     """`fleet info --json`: the content of a log at a glance."""
 
@@ -108,6 +118,8 @@ class LogContents(Struct):
     start_s: Annotated[float, Meta(description="Time of the first message [s].")]
     end_s: Annotated[float, Meta(description="Time of the last message [s].")]
     run: Annotated[dict[str, str], Meta(description="What determines the run; empty: it is no log of a run.")]
+    faults: Annotated[list[FaultTime], Meta(description="In the order in which they began.")]
+    events: Annotated[list[EventCount], Meta(description="What happened to vehicles, one row for each.")]
     topics: Annotated[dict[str, tuple[str, int]], Meta(description="Schema and number of messages, by topic.")]
     missing: Missing
 
@@ -181,7 +193,12 @@ def compared(
 
 def contents(found: Info) -> LogContents:
     """The document of a log's content."""
-    return convert(asdict(found), LogContents)
+    values = asdict(found)
+    values["faults"] = [
+        {"id": fault.id, "from_s": fault.begin, "to_s": fault.end, "what": fault.what} for fault in found.faults
+    ]
+    values["events"] = [event._asdict() for event in found.events]
+    return convert(values, LogContents)
 
 
 def _difference(found: Difference) -> FirstDifference:

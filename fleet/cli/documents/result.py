@@ -52,6 +52,13 @@ class CheckResult(Struct):
     signals: Annotated[list[str], Meta(description="Of one of your own checks, the signals that it looked at.")] = []
 
 
+class SignalValue(Struct):
+    """What an agent reported last."""
+
+    value: Annotated[float | None, Meta(description="The value; null: it is not finite.")]
+    unit: Annotated[str, Meta(description="Its unit; 1: none.")]
+
+
 class VehicleResult(Struct):
     """What one vehicle came to."""
 
@@ -67,6 +74,11 @@ class VehicleResult(Struct):
     u_cmd_max_mps: Annotated[float | None, Meta(description="Greatest commanded speed [m/s]; null: not reported.")]
     qp_failures: Annotated[int, Meta(description="How often the optimisation of the gain failed.")]
     payloads_rejected: Annotated[int, Meta(description="Damaged payloads that the agent refused.")]
+    agent: Annotated[str, Meta(description="The whole agent that it runs; empty: the laws of a controller.")]
+    signals: Annotated[
+        dict[str, SignalValue],
+        Meta(description="What a whole agent reported at the end, by name; none: it reported nothing any more."),
+    ]
 
 
 class TumbleSpell(Struct):
@@ -97,7 +109,7 @@ class LinkAge(Struct):
 
 
 class FaultEvent(Struct):
-    """The beginning or the end of a fault, or of what became of a vehicle."""
+    """The beginning or the end of a fault, or of an event of a vehicle."""
 
     at_s: Annotated[float, Meta(description="When [s].")]
     fault: Annotated[str, Meta(description="Its id.")]
@@ -211,7 +223,8 @@ class Ran(Struct):
     ledger: Annotated[dict[str, LinkAccount], Meta(description="By link, as `1->2`.")]
     ages: Annotated[dict[str, LinkAge], Meta(description="By link, and of all links as `*`.")]
     middleware_lost: Annotated[int, Meta(description="Messages that zenoh lost; such a run is invalid.")]
-    faults: Annotated[list[FaultEvent], Meta(description="What happened, in the order of time.")]
+    faults: Annotated[list[FaultEvent], Meta(description="Faults, in the order of time.")]
+    events: Annotated[list[FaultEvent], Meta(description="When vehicles were tumbled or diverged, in that order.")]
     messages: Annotated[int, Meta(description="Messages of the log; with `log: none` those it would have.")]
     log_bytes: Annotated[int, Meta(description="Size of the log [bytes]; 0: there is none.")]
     digest: Annotated[str, Meta(description="SHA-256 of these messages, in hexadecimal.")]

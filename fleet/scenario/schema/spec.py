@@ -25,6 +25,7 @@ from fleet.scenario.schema.control import (
     VehicleOverrides,
 )
 from fleet.scenario.schema.faults import FaultEntry, NemesisSection
+from fleet.scenario.schema.groups import Group
 from fleet.scenario.schema.keep_apart import KeepApartSection
 from fleet.scenario.schema.motion import (
     FormationSection,
@@ -97,6 +98,7 @@ class ScenarioSpec(Section):
 
     name: Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9_-]{0,63}$")]  # also names the run directory
     title: Annotated[str, BeforeValidator(_title)]  # what one learns from it, in one line
+    group: Annotated[Group | None, Field(exclude=True)] = None  # of fleet list; it decides nothing in a run
     vehicles: Annotated[int, Field(ge=1, le=1000)]
     duration: Period
     tick: Period = 10_000_000  # the control period Ts

@@ -28,6 +28,7 @@ from fleet.recorder.log_file import LogError
 from fleet.replay.publisher import PublishError
 from fleet.scenario.catalogue import list_scenarios
 from fleet.scenario.loading import load_scenario
+from fleet.scenario.schema.groups import GROUPS
 from fleet.study.catalogue import shipped_studies
 
 SHIPPED = [name for name, *_ in list_scenarios()]
@@ -205,7 +206,11 @@ def test_a_reader_that_has_seen_enough() -> None:
 def test_list_names_every_scenario_and_study() -> None:
     result = invoke("list")
     assert (result.exit_code, result.stderr) == (0, "")
-    assert re.findall(r"^(\S+) ", result.stdout, re.MULTILINE) == ["scenario", *SHIPPED, "study", *shipped_studies()]
+    rows = re.findall(r"^  (\S+) ", result.stdout, re.MULTILINE)
+    assert sorted(rows) == SHIPPED and rows[0] == "paper"
+    headings = [line.strip() for line in result.stdout.splitlines() if line[:1].isalpha()]
+    assert headings[1:7] == list(GROUPS)
+    assert re.findall(r"^(\S+) ", "\n".join(headings[7:]), re.MULTILINE) == ["study", *shipped_studies()]
 
 
 CHECKED = ("paper", "rough-sea", "breakdown", "acoustic-80bps", "nemesis")  # one of each kind; the others are slow
@@ -287,8 +292,8 @@ def test_result_file(tmp_path: Path) -> None:
     values = json.loads((directory / "result.json").read_text())
     assert list(values) == [
         "scenario", "seed", "status", "exit", "reason", "lines", "from_s", "sim_s", "checks", "vehicles", "formation",
-        "tumbles", "ledger", "ages", "middleware_lost", "faults", "messages", "log_bytes", "digest", "python",
-        "wall", "rejected", "deaths", "notes",
+        "tumbles", "ledger", "ages", "middleware_lost", "faults", "events", "messages", "log_bytes", "digest",
+        "python", "wall", "rejected", "deaths", "notes",
     ]  # fmt: skip
     assert (values["scenario"], values["seed"], values["from_s"], values["sim_s"]) == ("rough-sea", 1, 0.0, 2.0)
     assert (values["status"], values["exit"], values["reason"], values["lines"]) == ("pass", 0, "", [])
@@ -362,7 +367,39 @@ def test_info_counts_what_the_log_holds(tmp_path: Path) -> None:
     assert (values["start_s"], values["end_s"], values["missing"]) == (0.0, 0.5, "")
     words = invoke("info", directory / "run.mcap").stdout
     assert words.splitlines()[0].endswith("sim time 0 to 0.5 s")
-    assert "NOT WHOLE" not in words
+    assert "NOT WHOLE" not in words and "faults" not in words.splitlines()
+
+
+def test_info_tells_faults_and_apart_from_them_what_happened_to_vehicles(tmp_path: Path) -> None:
+    heavy = "vehicle={beta_b: 1 kN m, beta_q: 300 kg m^2/s, tumble_pitch: 10 deg}"
+    wrench = '{id: push, at: 500 ms, for: 1 s, wrench: {vehicles: "2", pitch_moment: 300 N m}}'
+    push = f'faults=[{wrench}, {{at: 500 ms, off: "2"}}]'
+    directory = run(
+        tmp_path,
+        "paper",
+        "--set",
+        "duration=3 s",
+        "--set",
+        "checks={tumbled: {at_most: 1}}",
+        "--set",
+        heavy,
+        "--set",
+        push,
+    )
+    values = json.loads(invoke("info", directory, "--json").stdout)
+    assert [(fault["id"], fault["from_s"], fault["to_s"]) for fault in values["faults"]] == [
+        ("push", 0.5, 1.5),
+        ("f2", 0.5, 3.0),
+    ]
+    (event,) = values["events"]
+    assert (event["what"], event["times"]) == ("tumbled 2", 1)
+    words = invoke("info", directory).stdout.splitlines()
+    begin = words.index("faults")
+    assert words[begin + 1].startswith("  push: 0.5 to 1.5 s: wrench {vehicles: 2")
+    assert words[begin + 3 : begin + 5] == ["events of vehicles", f"  tumbled 2: at {event['first_s']:g} s"]
+    result = json.loads((directory / "result.json").read_text())
+    assert {row["fault"] for row in result["faults"]} == {"push", "f2"}
+    assert {row["fault"] for row in result["events"]} == {"tumbled-2"}
 
 
 # --- what is said ----------------------------------------------------------

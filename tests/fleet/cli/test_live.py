@@ -24,10 +24,11 @@ def invoke(*arguments: str) -> Result:
 
 
 FAULT = {"id": "live-1", "what": "mute 3", "from_s": 12.4, "to_s": 22.4, "until_healed": False}
+TUMBLED = {"what": "tumbled 3", "times": 10, "first_s": 12.45, "id": "tumbled-3-10", "last_s": 40.0, "lasts": True}
 ANSWERS: dict[str, dict[str, Any]] = {
     "status": {"at_s": 1.5, "end_s": 60.0, "clock": "paused"},
     "inject": FAULT,
-    "faults": {"faults": [FAULT | {"state": "active", "active": True}]},
+    "faults": {"faults": [FAULT | {"state": "active", "active": True}], "events": [TUMBLED]},
     "heal": {"healed": ["live-1"], "at_s": 13.0},
     "clock": {"clock": "paused", "at_s": 2.0},
     "stop": {"at_s": 3.0},
@@ -50,7 +51,12 @@ def answers(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
 
 CASES: list[tuple[list[str], type[msgspec.Struct], str]] = [
     (["inject", "mute", "3"], Injected, "live-1: mute 3, from t = 12.40 s until 22.40 s"),
-    (["faults"], Faults, "1 fault\nlive-1      12.40 s to 22.40 s      active   mute 3"),
+    (
+        ["faults"],
+        Faults,
+        "1 fault\nlive-1      12.40 s to 22.40 s      active   mute 3\n"
+        "events of vehicles\n  tumbled 3: 10 times, first at 12.45 s, and still is",
+    ),
     (["heal"], Healed, "healed live-1 at t = 13.00 s"),
     (["clock", "pause"], ClockSet, "paused, t = 2.00 s; fleet clock resume goes on"),
     (["stop"], Stopping, "stopping at t = 3.00 s"),
@@ -76,9 +82,9 @@ def test_a_fault_without_an_end_lasts_until_it_is_healed(answers: dict[str, Any]
     with live_directory(tmp_path):
         said = invoke("inject", "mute", "3").stdout
         assert said.endswith("from t = 12.40 s until healed, at the latest the end at 60 s\n")
-        answers["faults"] = {"faults": [FAULT | {"until_healed": True, "state": "active", "active": True}]}
+        answers["faults"]["faults"] = [FAULT | {"until_healed": True, "state": "active", "active": True}]
         assert "12.40 s until healed" in invoke("faults").stdout
-        answers["faults"] = {"faults": []}
+        answers["faults"] = {"faults": [], "events": []}
         assert invoke("faults").stdout.endswith(": no faults\n")
 
 

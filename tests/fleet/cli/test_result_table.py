@@ -26,7 +26,7 @@ def vehicle(i: int, **values: Any) -> dict[str, Any]:
     return {
         "settle_10pct_s": 73.2 + i, "settle_5cm_s": None if i % 2 else 84.25, "e_rms_m": 0.007, "e_final_m": 0.001,
         "formation_final_m": i / 1000, "effort_Ns": 81.9, "u_cmd_max_mps": 1.28, "qp_failures": 0,
-        "payloads_rejected": 0,
+        "payloads_rejected": 0, "agent": "", "signals": {},
     } | values  # fmt: skip
 
 
@@ -51,6 +51,7 @@ def result(n: int = 4, lost: dict[str, int] | None = None, **values: Any) -> Res
         "formation": {"worst_m": n / 1000, "vehicle": n, "median_m": 0.002, "vehicles": n},
         "ledger": {name: account(CAUSES if lost is None else lost) for name in links},
         "ages": ages,
+        "events": [],
         "notes": [
             "agent 3: the law of controller my.module:Law reports nothing of its gains, so no picture shows them"
         ],
@@ -89,12 +90,15 @@ def test_many_vehicles_and_links_show_the_worst() -> None:
     assert_screen("result-many", text)
     lines = text.splitlines()
     rows = lines.index("UUV  10 % [s]     5 cm [s]     10 s [m]  error [m]  effort [N s]      [m/s]")
-    assert [line.split()[0] for line in lines[rows + 1 : rows + 21]] == [str(i) for i in range(40, 20, -1)]
+    assert [line.split()[0] for line in lines[rows + 1 : rows + 11]] == [str(i) for i in range(40, 30, -1)]
+    assert lines[rows + 11] == "... and 30 more in result.json"
+    assert [line.split()[0] for line in lines if "->" in line] == [f"{i}->{i - 1}" for i in range(40, 35, -1)]
+    assert "... and 73 more links with 9.87 % lost in result.json" in lines
 
 
 def test_a_continuation_counts_from_its_start() -> None:
     text = shown(result(from_s=20.0), 120, live=False)
-    assert text.startswith("vehicles; settling times count from the start at t = 20 s\n")
+    assert "\nvehicles; settling times count from the start at t = 20 s\n" in text
     assert "\npackets per directed link since t = 0, age of what was heard last\n" in text
     assert "80 s simulated, t = 20 to 100 s, in 4.35 s (23.0 x real time" in text
 
@@ -107,7 +111,7 @@ def test_a_title_is_not_folded_to_a_narrow_table() -> None:
 def test_a_run_that_was_stopped_says_so_in_one_sentence() -> None:
     stopped = result()
     stopped.status, stopped.reason = Status.INTERRUPTED, "interrupted"
-    assert "\nstopped: interrupted\n" in shown(stopped, 80)
+    assert shown(stopped, 80).startswith("stopped: interrupted\n")
 
 
 def test_every_loss_is_counted_where_there_is_no_room_for_each_cause() -> None:
@@ -116,3 +120,60 @@ def test_every_loss_is_counted_where_there_is_no_room_for_each_cause() -> None:
     sent, duplicated, delivered, lost, flying = map(int, total[1:6])
     assert sent + duplicated == delivered + lost + flying
     assert "lost: 720 dead receiver, 480 deaf, 240 down, 240 partition, 138 loss" in text
+
+
+def test_verdicts_come_first_and_failed_ones_on_top() -> None:
+    lines = shown(result(), 120).splitlines()
+    assert [line.split(":")[0] for line in lines[:2]] == ["FAIL  settle", "pass  formation_error"]
+    assert lines[-2:] == ["FAIL  1 of 2 checks: settle", "runs/nemesis-1-20261122-062500"]
+    passed = result()
+    passed.status, passed.verdicts = Status.PASS, VERDICTS[:1]
+    assert "FAIL" not in shown(passed, 120)
+
+
+def test_links_with_the_same_numbers_are_one_row() -> None:
+    bad = account({"loss": 500})
+    ledger = {f"{i}->{j}": account({}) for i in range(1, 7) for j in range(1, 7) if i != j} | {"3->4": bad}
+    ages = {link: {"mean_s": 0.1, "p95_s": 0.2, "max_s": 0.3} for link in ledger}
+    ages |= {"*": ages["1->2"], "3->4": {"mean_s": 1.0, "p95_s": 2.0, "max_s": 3.0}}
+    lines = shown(result(6, ledger=ledger, ages=ages), 120).splitlines()
+    begin = next(n for n, line in enumerate(lines) if line.lstrip().startswith("all "))
+    assert [line.split("  ")[0].strip() or line.split()[0] for line in lines[begin + 1 : begin + 3]] == [
+        "1->2 ... (29)",
+        "3->4",
+    ]
+    assert "more" not in lines[begin + 3]
+
+
+def test_events_of_vehicles_are_told_once_for_each() -> None:
+    spells = [(2, 1.0), (3, 12.45), (3, 20.0)]
+    events = [
+        {"at_s": at_s + late, "fault": f"tumbled-{i}", "action": action, "what": f"tumbled {i}"}
+        for i, at_s in spells
+        for action, late in (("begins", 0.0), ("ends", 0.5))
+    ]
+    lines = shown(result(events=events), 80).splitlines()
+    told = [line for line in lines if line.startswith("event")]
+    assert told == ["event  tumbled 2: at 1 s", "event  tumbled 3: 2 times, first at 12.45 s"]
+    many = [{"at_s": 1.0, "fault": "", "action": "begins", "what": f"tumbled {i}"} for i in range(1, 21)]
+    assert "event  ... and 10 more in result.json" in shown(result(events=many), 80)
+
+
+def test_a_run_of_protocols_shows_what_they_reported() -> None:
+    """And no times in which they settled: a protocol need not settle."""
+
+    def reported(leader: float | None, battery: float) -> dict[str, Any]:
+        signals = {"leader": {"value": leader, "unit": "1"}, "battery": {"value": battery, "unit": "V"}}
+        return vehicle(1, agent="weakest:Weakest", signals=signals)
+
+    dead = vehicle(3, agent="weakest:Weakest")
+    text = shown(result(vehicles={"1": reported(3.0, 15.25), "2": reported(None, 15.5), "3": dead}), 80)
+    lines = text.splitlines()
+    assert "5 cm [s]" not in text and "settling" not in text
+    begin = lines.index("vehicles; what weakest:Weakest reported at the end")
+    assert [line.split() for line in lines[begin + 3 : begin + 6]] == [
+        ["1", "3", "15.25", "0.0010"],
+        ["2", "-", "15.5", "0.0010"],
+        ["3", "-", "-", "0.0030"],
+    ]
+    assert_screen("result-protocol", text)

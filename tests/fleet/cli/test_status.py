@@ -42,6 +42,7 @@ def answer(vehicles: int = 4, links: int = 5, faults: int = 1, **more: Any) -> d
             }
             for k in range(1, faults + 1)
         ],
+        "events": [],
         "vehicles_total": vehicles,
         "vehicles": [
             {
@@ -101,6 +102,20 @@ def test_it_fits_any_screen(height: int, vehicles: int, links: int) -> None:
     rows = len(re.findall(r"tumbled", text)), len(re.findall(r"->", text))
     assert (f"{vehicles - rows[0]} more vehicle" in text) == (rows[0] < vehicles)
     assert f"{links + 1 - rows[1]} more link" in text
+
+
+def event(i: int, *, lasts: bool = False) -> dict[str, Any]:
+    return {"what": f"tumbled {i}", "times": i, "first_s": 12.45, "last_s": 30.0, "lasts": lasts, "id": f"tumbled-{i}"}
+
+
+def test_events_of_vehicles_are_no_faults() -> None:
+    lines = [line.rstrip() for line in shown(answer(events=[event(1), event(3, lasts=True)]))]
+    assert [line for line in lines if line.startswith("event")] == [
+        "event tumbled 1: at 12.45 s",
+        "event tumbled 3: 3 times, first at 12.45 s, and still is",
+    ]
+    many = shown(answer(500, events=[event(i) for i in range(1, 100)]), 24)
+    assert len(many) <= 24 and "and events of 94 more vehicles: fleet faults" in [line.rstrip() for line in many]
 
 
 def test_many_faults_are_counted() -> None:

@@ -9,11 +9,12 @@ import pytest
 from fleet.bench.recorder import Calls
 from fleet.execution.clock import Clock
 from fleet.execution.in_process import InProcess
-from fleet.execution.live_status import WORST_LINKS, WORST_VEHICLES, link_rows, vehicle_rows
+from fleet.execution.live_status import WORST_LINKS, WORST_VEHICLES, event_rows, link_rows, vehicle_rows
 from fleet.recorder.journal import Journal
 from fleet.recorder.metrics import SETTLE_M
 from fleet.scenario.loading import load_scenario
 from fleet.scenario.scenario import Scenario
+from fleet.scenario.sections.timeline import Event
 
 OVERRIDES = [
     "vehicles=14",
@@ -80,3 +81,24 @@ def test_settled_is_below_five_centimetres_for_long_enough(run: tuple[Scenario, 
         for k in range(frames):
             series.e[k] = SETTLE_M / 2 if k >= frames - below else 1.0
         assert vehicle_rows(scenario, journal, [], every=True)[0]["settled"] == settled, below
+
+
+def test_events_of_vehicles_are_no_faults(run: tuple[Scenario, Journal]) -> None:
+    """Vehicle 3, whose agent is dead, tumbles: one row, however often it did."""
+    scenario, journal = run
+    (row,) = event_rows(scenario, journal)
+    began = [event.tick for event in journal.happened if event.what == "tumbled 3" and event.action == "begins"]
+    assert (row["what"], row["times"], row["id"]) == ("tumbled 3", len(began), "tumbled-3")
+    assert (row["first_s"], row["last_s"]) == (began[0] / 100, began[-1] / 100)
+    assert not row["lasts"]  # the run is over, and with it everything that lasted
+    assert journal.active == []
+
+
+def test_what_lasts_is_told_while_it_lasts() -> None:
+    scenario = load_scenario("paper", OVERRIDES)
+    journal = Journal(scenario, Calls())
+    for tick, number, action in ((100, 1, "begins"), (110, 1, "ends"), (120, 2, "begins")):
+        name = "tumbled-3" if number == 1 else f"tumbled-3-{number}"
+        journal.happened.append(Event(tick, name, action, "tumbled 3"))
+    row = {"what": "tumbled 3", "times": 2, "first_s": 1.0, "id": "tumbled-3-2", "last_s": 1.2, "lasts": True}
+    assert event_rows(scenario, journal) == [row]

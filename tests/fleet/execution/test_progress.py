@@ -27,6 +27,8 @@ STATES: dict[str, dict[str, Any]] = {
     "four vehicles": {},
     "a fault": {"active": ["nemesis-1"]},
     "many faults": {"active": MANY},
+    "tumbled": {"tumbled": dict.fromkeys([3, 2]), "diverged": dict.fromkeys([4])},
+    "many tumbled": {"active": ["nemesis-1"], "tumbled": dict.fromkeys(range(1, 8))},
     "waiting": {"waiting": SUSPENDED},
     "everything": {"active": MANY, "waiting": SUSPENDED},
 }
@@ -36,7 +38,15 @@ def journal(**state: Any) -> Any:
     total = Account(delivered=123456, lost=dict(LOSSES))
     ledger = SimpleNamespace(total=lambda: total)
     metrics = SimpleNamespace(formation=OF_FLEET)
-    common = {"begin": 0, "written": 6000, "active": [], "metrics": metrics, "ledger": ledger}
+    common = {
+        "begin": 0,
+        "written": 6000,
+        "active": [],
+        "tumbled": {},
+        "diverged": {},
+        "metrics": metrics,
+        "ledger": ledger,
+    }
     return SimpleNamespace(**common | state)
 
 

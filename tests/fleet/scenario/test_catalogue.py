@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import pytest
 
+from fleet.errors import ScenarioError
 from fleet.scenario import catalogue
 from fleet.scenario.catalogue import Listed, list_scenarios, shipped_scenarios
 from fleet.scenario.loading import load_scenario, parse_scenario
+from fleet.scenario.schema.groups import GROUPS
 
 
 def test_the_list_agrees_with_the_loaded_scenarios() -> None:
     loaded = [load_scenario(name) for name in shipped_scenarios()]
-    assert list_scenarios() == [Listed(s.name, s.title, s.vehicles, s.duration_ns / 1e9, s.spec.expect) for s in loaded]
+    assert list_scenarios() == [
+        Listed(s.name, s.spec.group or "", s.title, s.vehicles, s.duration_ns / 1e9, s.spec.expect) for s in loaded
+    ]
     assert {row.expect for row in list_scenarios()} == {"pass", "fail"}
 
 
@@ -33,6 +37,23 @@ checks: {tumbled: waived}
         monkeypatch.setattr(catalogue, "shipped_text", lambda name, more=more: text + more)
         scenario = parse_scenario(text + more, "two.yaml")
         assert scenario.spec.expect == expect
-        assert list_scenarios() == [Listed("two", "Two: a # in quotes", 2, 90.0, expect)]
-        assert (scenario.name, scenario.title, scenario.vehicles) == list_scenarios()[0][:3]
+        assert list_scenarios() == [Listed("two", "", "Two: a # in quotes", 2, 90.0, expect)]
+        assert (scenario.name, scenario.spec.group, scenario.title, scenario.vehicles) == (
+            "two", None, *list_scenarios()[0][2:4],
+        )  # fmt: skip
         assert scenario.duration_ns == 90 * 10**9
+
+
+def test_every_scenario_that_ships_has_a_group() -> None:
+    """And no group is empty: `fleet list` shows what has one."""
+    rows = list_scenarios()
+    assert {row.group for row in rows} == set(GROUPS), [row.name for row in rows if not row.group]
+
+
+def test_the_group_is_no_part_of_a_run() -> None:
+    """The scenario that a log holds is the same, whatever group it stands in."""
+    scenario = load_scenario("lossy")
+    assert scenario.spec.group == "network"
+    assert "group" not in scenario.to_yaml()
+    with pytest.raises(ScenarioError, match="group: expected start here or network"):
+        load_scenario("lossy", ["group=weather"])

@@ -1,0 +1,46 @@
+"""Whole agents, which run a protocol of somebody's: what each of them reported at the end."""
+
+from __future__ import annotations
+
+from math import isfinite
+from typing import Any, NamedTuple
+
+from fleet.scenario.scenario import Scenario
+from fleet.scenario.sections.signals import parse_name
+
+
+class _Reported(NamedTuple):
+    """A signal of one number."""
+
+    name: str
+    unit: str
+    place: int  # in the telemetry
+
+
+class Protocol(NamedTuple):
+    """The whole agent of one vehicle, and what it reports; without a name it has the laws of a controller instead."""
+
+    law: str
+    signals: tuple[_Reported, ...]  # those that a check of the scenario names come first
+
+    @classmethod
+    def of(cls, scenario: Scenario, vehicle: int) -> Protocol:
+        """The agent of a vehicle, counted from 1."""
+        agent = scenario.agent_config(vehicle).agent
+        if agent is None:
+            return cls("", ())
+        judged = {parse_name(check.topic).name for check in scenario.spec.checks.signal or ()}
+        known = [
+            (f"{group}.{signal.name}", _Reported(signal.name, signal.unit, place.start))
+            for group, signal, place in scenario.layout(vehicle).signals()
+            if signal.width == 1
+        ]
+        return cls(agent.name, tuple(signal for _, signal in sorted(known, key=lambda one: one[0] not in judged)))
+
+    def values(self, telemetry: tuple[float, ...]) -> dict[str, Any]:
+        """What result.json says of it, given what it reported last; nothing: it reports no more."""
+        reported = {
+            name: {"value": telemetry[place] if isfinite(telemetry[place]) else None, "unit": unit}
+            for name, unit, place in (self.signals if telemetry else ())
+        }
+        return {"agent": self.law, "signals": reported}

@@ -12,7 +12,7 @@ from pathlib import Path
 from fleet.bench.echo import echo_bus, echo_pipe
 from fleet.bench.errors import BenchError
 from fleet.processes.children import Children
-from fleet.processes.private_folder import PrivateFolder
+from fleet.processes.run_folder import RunFolder
 from netem.wire.access import agent_role, generate
 from netem.wire.bus import Bus
 from netem.wire.keys import Keys
@@ -29,7 +29,7 @@ def zenoh_barrier(n: int, ticks: int) -> float:
     """
     ids = tuple(range(1, n + 1))
     keys, credentials = Keys("bench"), generate(ids)
-    with closing(PrivateFolder()) as private, _children() as (children, log):
+    with closing(RunFolder()) as private, _children() as (children, log):
         endpoint = private.endpoint  # as in a run
         bus = Bus.host(endpoint, keys, ids, credentials, private.path)
         try:

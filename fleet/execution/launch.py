@@ -18,8 +18,8 @@ from fleet.hosts.rendezvous import Rendezvous
 from fleet.processes.children import Children, forkserver_death
 from fleet.processes.open_files import allow_open_files
 from fleet.processes.ports import free_port
-from fleet.processes.private_folder import PrivateFolder
 from fleet.processes.processors import processors
+from fleet.processes.run_folder import RunFolder
 from fleet.scenario.scenario import Scenario, frame_every
 from netem.wire.access import LEASE_MS, NETEM, OPERATOR, WORLD, Credentials, Listener, agent_role, generate
 from netem.wire.keys import Keys
@@ -50,7 +50,7 @@ class Launch:
         self._listener = self._other_endpoints()
         others = self._listener or self._rendezvous.certified
         allow_open_files(scenario.vehicles, others=PENDING if others else 0)
-        self._private = PrivateFolder()
+        self._private = RunFolder()
         self.endpoint = self._rendezvous.router or self._private.endpoint  # for the run's own processes
 
     @property

@@ -25,6 +25,7 @@ import setproctitle
 from fleet.processes.interrupts import deferring_interrupts, out_of_reach
 from fleet.processes.open_files import allow_most_open_files
 from fleet.processes.parent_death import CONSOLE_PID_VARIABLE
+from fleet.processes.run_folder import own_folder_for_multiprocessing
 from fleet.processes.safe_path import children_ignore_the_folder
 from netem.errors import BusError
 
@@ -170,6 +171,7 @@ def _set_preload() -> None:
 @contextlib.contextmanager
 def _forkserver_starting() -> Iterator[None]:
     """What has to hold where the fork server may be started."""
+    own_folder_for_multiprocessing()
     with _without_main(), out_of_reach(), _named_console():
         yield
 

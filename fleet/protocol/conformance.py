@@ -10,7 +10,6 @@ from __future__ import annotations
 import contextlib
 import shlex
 import shutil
-import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -46,6 +45,7 @@ from fleet.protocol.checks import (
 from fleet.protocol.emulated_fleet import EmulatedFleet
 from fleet.scenario.scenario import Scenario
 from netem.errors import BusError, MalformedMessage, OutOfPlace
+from netem.private_folder import PrivateFolder
 from netem.wire.access import agent_role, generate
 from netem.wire.codec import encode
 from netem.wire.keys import Keys
@@ -141,11 +141,9 @@ class Examination:
             endpoint, self._keys.run, i, user.user, user.password, PROTOCOL_VERSION, "check", LIFE, begin
         )
         answer = {"agent": self._config.to_values(), "incarnation": LIFE, "begin": begin, "version": PROTOCOL_VERSION}
-        with tempfile.TemporaryDirectory(prefix="uuv-fleet-") as private:
+        with PrivateFolder() as private:
             try:
-                self._fleet = EmulatedFleet(
-                    endpoint, self._keys, i, user, Path(private), answer, self._meeting.certified
-                )
+                self._fleet = EmulatedFleet(endpoint, self._keys, i, user, private, answer, self._meeting.certified)
             except BusError as error:
                 raise ConformanceError(str(error)) from None
         folder = self._file.with_suffix("")

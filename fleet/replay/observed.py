@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import secrets
-import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import msgspec
 
 from netem.private_file import parse_json
+from netem.private_folder import PrivateFolder
 from netem.whole_file import read_file, write_whole
 from netem.wire.access import OBSERVER, Credentials
 from netem.wire.keys import Keys
@@ -57,9 +57,6 @@ def host_observed(observed: Observed) -> OpenBus:
     """
     from netem.wire.open_bus import OpenBus  # and with it zenoh, which a run in one process does without
 
-    private = Path(tempfile.mkdtemp(prefix="uuv-fleet-"))
-    try:
+    with PrivateFolder() as private:
         credentials = Credentials(observed.user, observed.password)
         return OpenBus.host(observed.endpoint, Keys(observed.run), credentials, private)
-    finally:
-        private.rmdir()

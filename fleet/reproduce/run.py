@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import multiprocessing
-import tempfile
 import time
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -18,6 +17,7 @@ from fleet.reproduce.claims import judge
 from fleet.reproduce.figures import FIGURES, draw
 from fleet.reproduce.report import write
 from fleet.reproduce.verdicts import Claim
+from netem.private_folder import PrivateFolder
 
 if TYPE_CHECKING:
     from fleet.execution.outcome import Result
@@ -150,13 +150,13 @@ def _network_check(tell: Tell) -> str:
     tell("a distributed run, to compare with the in-process one", 0.0)
     case = CASES[f"NBOC-network-{U}"]
     scenario = load_scenario("ideal", ["checks={}", *case.overrides, f"duration={CHECK_S} s"])
-    with tempfile.TemporaryDirectory(prefix="uuv-fleet-") as place:
+    with PrivateFolder() as place:
         run = partial(execute, scenario)
         began = time.monotonic()
-        over_zenoh = run(Options(Path(place), quiet=True))
+        over_zenoh = run(Options(place, quiet=True))
         seconds = time.monotonic() - began
         _go_on(over_zenoh)
-        plain = run(Options(Path(place), in_process=True, quiet=True))
+        plain = run(Options(place, in_process=True, quiet=True))
         _go_on(plain)
     if over_zenoh.status is not Status.PASS:
         return f"The distributed run broke: {over_zenoh.reason}. The numbers below are from one process."

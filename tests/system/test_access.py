@@ -30,7 +30,7 @@ from fleet.execution.execute import execute
 from fleet.execution.options import Options
 from fleet.execution.outcome import Status
 from fleet.logs.reader import LogReader
-from fleet.processes.private_folder import PrivateFolder
+from fleet.processes.run_folder import RunFolder
 from fleet.scenario.loading import load_scenario
 from netem.errors import BusError
 from netem.wire.access import CONSOLE, LEASE_MS, NETEM, OPERATOR, Credentials, Listener, agent_role, generate
@@ -81,7 +81,7 @@ class Hall:
 
     def __init__(self, private: Path) -> None:
         self.credentials = generate(VEHICLES)
-        self._folder = PrivateFolder()
+        self._folder = RunFolder()
         self.endpoint = self._folder.endpoint
         self.port = f"tcp/127.0.0.1:{free_port()}"  # for those who cannot use the socket
         self.heard: list[tuple[str, str, bytes]] = []  # listener, key, data

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import fcntl
 import os
 import socket
-import stat
 import subprocess
 import sys
 from collections.abc import Callable
@@ -24,14 +22,12 @@ from live import LiveRun
 from waiting import wait_for
 
 import fleet.execution.launch
-import fleet.processes.private_folder
-from fleet.errors import RunBroken
 from fleet.execution.directory import RunDirectory
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
 from fleet.execution.outcome import Result, Status
 from fleet.processes.children import Children, Exit
-from fleet.processes.private_folder import PREFIX, PrivateFolder
+from fleet.processes.run_folder import RunFolder
 from fleet.scenario.loading import load_scenario
 from netem.wire.access import Credentials
 from netem.wire.audit import CUT_OFF
@@ -121,7 +117,7 @@ def test_nobody_else_gets_at_the_socket() -> None:
     """Another user cannot even connect, so there is nothing to hold, to guess at or to take first."""
     if os.getuid():
         pytest.skip("needs root, to be somebody else")
-    with closing(PrivateFolder()) as folder, socket.socket(socket.AF_UNIX) as router:
+    with closing(RunFolder()) as folder, socket.socket(socket.AF_UNIX) as router:
         path = folder.endpoint.removeprefix("unixsock-stream/")
         router.bind(path)
         router.listen()
@@ -163,35 +159,6 @@ def test_half_open_connections_keep_nobody_out(tmp_path: Path) -> None:
         wait_for(lambda: ended(first), 20.0, "the fault")
         assert run.status() == 0, run.printed
         assert (run.directory / "log" / "agent-3.log").read_text() == ""
-
-
-def test_what_a_killed_run_leaves_is_removed_by_the_next(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A folder whose router is gone; not one whose router is there, and not one that is no run's."""
-    monkeypatch.setattr(fleet.processes.private_folder.tempfile, "gettempdir", lambda: str(tmp_path))
-    left, live, other = (tmp_path / f"{PREFIX}{name}" for name in ("left", "live", "other"))
-    for folder in (left, live, other):
-        folder.mkdir()
-    with socket.socket(socket.AF_UNIX) as one, socket.socket(socket.AF_UNIX) as two:
-        for folder, router in ((left, one), (live, two)):
-            (folder / "router.lock").touch()
-            router.bind(str(folder / "router"))
-    with (live / "router.lock").open() as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
-        with closing(PrivateFolder()) as folder:
-            assert stat.S_IMODE(folder.path.stat().st_mode) == 0o700
-            assert {path.name for path in tmp_path.iterdir()} == {live.name, other.name, folder.path.name}
-        assert not folder.path.exists()
-
-
-@pytest.mark.parametrize("place", ["/tmp/" + "long" * 30, "/tmp/what?", "/tmp/a#b", "/tmp/a,b", "/tmp/ä b"])
-def test_a_place_that_the_socket_cannot_have(place: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Too long for a socket, or with characters that mean something in an endpoint: another one is taken, or named."""
-    monkeypatch.setattr(fleet.processes.private_folder.tempfile, "gettempdir", lambda: place)
-    with closing(PrivateFolder()) as folder:
-        assert folder.path.parent == Path("/tmp")
-    monkeypatch.setattr(fleet.processes.private_folder, "FALLBACK", place)
-    with pytest.raises(RunBroken, match="set TMPDIR"):
-        PrivateFolder()
 
 
 # --- the environment -------------------------------------------------------

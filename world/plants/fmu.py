@@ -6,10 +6,8 @@ it: the run ends with an error that names vehicle and tick, and all that was rec
 
 from __future__ import annotations
 
-import shutil
 import subprocess
 import sys
-import tempfile
 import weakref
 from collections.abc import Mapping
 from multiprocessing import Pipe
@@ -19,6 +17,7 @@ from typing import Any, ClassVar
 
 import msgpack
 
+from netem.private_folder import PrivateFolder
 from world.api import PlantConfig, PlantState, Signal, Vec3, Vec6, Water
 from world.errors import FmuError
 from world.plants import fmu_host
@@ -90,14 +89,18 @@ class FmuPlant:
         largest = [uses.inputs[key].largest for key in COMMAND]
         x, y, z = (_NO_LIMIT if limit is None or limit < 0.0 else min(limit, _NO_LIMIT) for limit in largest)
         self.limits: Vec3 = (x, y, z)
-        folder = Path(tempfile.mkdtemp(prefix="uuv-fleet-fmu-"))  # only this user may look into it
+        try:
+            private = PrivateFolder("fmu")
+        except OSError as error:
+            raise FmuError(f"cannot be unpacked: {error.strerror} ({error.filename})", "set TMPDIR") from None
+        folder = private.path
         try:
             unpack(self.plugin_file, folder)
-            self._process, self._connection = _started(folder)
+            self._process, self._connection = _started(private)
         except BaseException:
-            shutil.rmtree(folder, ignore_errors=True)
+            private.close()
             raise
-        self._close = weakref.finalize(self, _end, self._process, self._connection, folder)
+        self._close = weakref.finalize(self, _end, self._process, self._connection, private)
         self._ask(
             "open",
             facts.version,
@@ -208,21 +211,24 @@ class FmuPlant:
         return answer
 
 
-def _started(folder: Path) -> tuple[subprocess.Popen[bytes], Connection]:
-    """A process for the unit in a folder. Its standard input ends with this one, and Ctrl-C is not for it."""
+def _started(private: PrivateFolder) -> tuple[subprocess.Popen[bytes], Connection]:
+    """A process for the unit in a folder, which it owns, too. Its standard input ends with this one, and Ctrl-C is not
+    for it."""
     ours, theirs = Pipe()
     with theirs:
         number = theirs.fileno()
-        command = [sys.executable, "-P", fmu_host.__file__, str(number), str(folder)]
-        process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=2, pass_fds=(number,), start_new_session=True)
+        command = [sys.executable, "-P", fmu_host.__file__, str(number), str(private.path)]
+        process = subprocess.Popen(
+            command, stdin=subprocess.PIPE, stdout=2, pass_fds=(number, private.lock), start_new_session=True
+        )
     return process, ours
 
 
-def _end(process: subprocess.Popen[bytes], connection: Connection, folder: Path) -> None:
+def _end(process: subprocess.Popen[bytes], connection: Connection, private: PrivateFolder) -> None:
     """End the process, whatever its unit does, and remove what was unpacked."""
     connection.close()
     process.kill()
     process.wait()
     if process.stdin is not None:
         process.stdin.close()
-    shutil.rmtree(folder, ignore_errors=True)
+    private.close()

@@ -8,11 +8,14 @@ import zipfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path, PurePosixPath
+from typing import IO
 
 from world.errors import FmuError
 
 DESCRIPTION = "modelDescription.xml"
 MAX_FILES = 10_000
+MAX_DIRECTORY_BYTES = 4 << 20  # of the list of files
+_SIZE_OF_DIRECTORY = 5  # in what zipfile says of the end of an archive
 MAX_BYTES = 1 << 30  # of all files, unpacked
 MAX_DESCRIPTION_BYTES = 32 << 20
 # Folders of the binaries for one platform, of FMI 3 and of FMI 2.
@@ -35,15 +38,24 @@ def archive(path: Path) -> Iterator[zipfile.ZipFile]:
         FmuError: it cannot be read, is none, or holds what must not be unpacked.
     """
     try:
-        with zipfile.ZipFile(path) as opened:
-            _check(opened)
-            yield opened
+        with path.open("rb") as file:
+            _check_directory(file)
+            with zipfile.ZipFile(file) as opened:
+                _check(opened)
+                yield opened
     except OSError as error:
         raise FmuError(f"cannot be read: {error.strerror or error}") from None
     except (zipfile.BadZipFile, zipfile.LargeZipFile, EOFError, ValueError) as error:
         raise FmuError(f"is no FMU: {str(error)[:200]}", "an FMU is a zip file with a modelDescription.xml") from None
     except (NotImplementedError, RuntimeError) as error:  # a method of packing that is not known; a password
         raise FmuError(f"cannot be unpacked: {str(error)[:200]}", "export it again") from None
+
+
+def _check_directory(file: IO[bytes]) -> None:
+    """See to it that the list of files can be read: each takes ten times the memory that it has in the archive."""
+    end = zipfile._EndRecData(file)  # type: ignore[attr-defined]  # the same that zipfile goes by
+    if end and end[_SIZE_OF_DIRECTORY] > MAX_DIRECTORY_BYTES:
+        raise FmuError(f"lists its files in {end[_SIZE_OF_DIRECTORY]} bytes: more than {MAX_FILES} are not unpacked")
 
 
 def _check(opened: zipfile.ZipFile) -> None:

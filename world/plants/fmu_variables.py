@@ -11,6 +11,8 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from difflib import get_close_matches
 from functools import lru_cache
+from importlib.util import find_spec
+from itertools import islice
 from math import isfinite, pi
 from pathlib import Path
 from platform import machine
@@ -18,6 +20,7 @@ from typing import Any
 
 from world.errors import FmuError
 from world.plants.fmu_archive import DESCRIPTION, PLATFORMS, archive, platforms
+from world.plants.fmu_description import Description, UnitVariable, parse
 from world.signal import Signal
 
 # Our names, with the unit of each.
@@ -52,6 +55,7 @@ _CALLED = {
     "deg/s": ("rad/s", pi / 180.0),
 }
 _FLOATS = ("Real", "Float64")
+_COMPARED = 10_000  # variables with which a name that is not there is compared
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,8 +90,8 @@ class Facts:
     saves: bool  # whether it can give and take its state as bytes
 
 
-def describe(path: Path) -> tuple[Any, Facts]:
-    """The model description of an FMU (fmpy's), and what starting it needs. Nothing of the unit runs.
+def describe(path: Path) -> tuple[Description, Facts]:
+    """The model description of an FMU, and what starting it needs. Nothing of the unit runs.
 
     Raises:
         FmuError: it is none, or none for here.
@@ -100,38 +104,22 @@ def describe(path: Path) -> tuple[Any, Facts]:
 
 
 @lru_cache(maxsize=16)
-def _describe(path: Path, changed: int, size: int) -> tuple[Any, Facts]:
-    try:
-        from fmpy.model_description import ValidationError, read_model_description
-    except ImportError:
-        raise FmuError("needs the package FMPy", "pip install 'uuv-fleet[fmu]'") from None
+def _describe(path: Path, changed: int, size: int) -> tuple[Description, Facts]:
+    if find_spec("fmpy") is None:
+        raise FmuError("needs the package FMPy", "pip install 'uuv-fleet[fmu]'")
     with archive(path) as opened:
         there, names = platforms(opened), set(opened.namelist())
-        try:
-            with path.open("rb") as file:
-                model = read_model_description(file)
-        except ValidationError as error:
-            raise FmuError(f"has a {DESCRIPTION} that is not valid: {'; '.join(error.problems[:3])[:500]}") from None
-        except Exception as error:  # whatever reading somebody's XML raises
-            raise FmuError(f"has a {DESCRIPTION} that cannot be read: {str(error)[:200]}") from None
-    if not model.fmiVersion.startswith(("2.", "3.")):
-        raise FmuError(f"is of FMI {model.fmiVersion}: expected 2 or 3", "export it again")
-    if (unit := model.coSimulation) is None:
+        model = parse(opened.read(DESCRIPTION))
+    if model.model is None:
         raise FmuError("is not for co-simulation: it has no solver of its own", "export it for co-simulation")
-    version = int(model.fmiVersion[0])
-    here, folder = _platform(version)
-    library = f"binaries/{folder}/{unit.modelIdentifier}{_SUFFIX.get(sys.platform, '.so')}"
+    here, folder = _platform(model.version)
+    library = f"binaries/{folder}/{model.model}{_SUFFIX.get(sys.platform, '.so')}"
     if library not in names:
-        listed = f"it has binaries for {', '.join(there)}" if there else "it has no binaries"
-        raise FmuError(f"has no {library}, which this machine ({here}) needs; {listed}", "build it for this platform")
-    facts = Facts(
-        version,
-        unit.modelIdentifier,
-        model.guid or "",
-        library,
-        unit.canGetAndSetFMUstate and unit.canSerializeFMUstate,
-    )
-    return model, facts
+        listed = f"it has binaries for {', '.join(there)[:500]}" if there else "it has no binaries"
+        raise FmuError(
+            f"has no {library[:200]}, which this machine ({here}) needs; {listed}", "build it for this platform"
+        )
+    return model, Facts(model.version, model.model, model.guid, library, model.saves)
 
 
 _SUFFIX = {"win32": ".dll", "darwin": ".dylib"}
@@ -148,7 +136,7 @@ def _platform(version: int) -> tuple[str, str]:
 
 
 def variables(
-    model: Any,
+    model: Description,
     inputs: Any = None,
     outputs: Any = None,
     initial: Any = None,
@@ -158,7 +146,7 @@ def variables(
     """The variables that a scenario's parameters name.
 
     Args:
-        model: fmpy's model description.
+        model: the model description.
         inputs: our name of a command or of the water -> the unit's variable, or `none`.
         outputs: our name of pose or velocity -> the unit's variable.
         initial: our name of pose or velocity -> the variable that takes it at the start.
@@ -174,10 +162,10 @@ def variables(
 class _Reader:
     """Looks variables up in a model description."""
 
-    def __init__(self, model: Any) -> None:
-        self._known = {variable.name: variable for variable in model.modelVariables}
-        self._setters = _SETTERS | (_OF_FMI_3 if model.fmiVersion.startswith("3.") else {})
-        self._units = {unit.name: unit.baseUnit for unit in model.unitDefinitions if unit.baseUnit is not None}
+    def __init__(self, model: Description) -> None:
+        self._known = model.variables
+        self._setters = _SETTERS | (_OF_FMI_3 if model.version == 3 else {})
+        self._units = model.units
 
     def variables(self, inputs: Any, outputs: Any, initial: Any, start: Any, signals: Any) -> Variables:
         chosen = _names("inputs", inputs, COMMAND | CURRENT | WRENCH)
@@ -209,25 +197,24 @@ class _Reader:
             if name in ("", NONE) or (name not in self._known and key not in chosen and key not in needed):
                 continue
             variable = self._variable(f"{group}.{key}", name)
-            if variable.type not in _FLOATS or variable.dimensions:
+            if variable.type not in _FLOATS or variable.array:
                 raise FmuError(f"{group}.{key}: {name!r} is a {variable.type}: expected one number, Real or Float64")
             factor = self._factor(f"{group}.{key}", variable, unit)
-            largest = float(variable.max) * factor if variable.max is not None else None
-            found[key] = Variable(variable.valueReference, factor, largest)
+            largest = variable.largest * factor if variable.largest is not None else None
+            found[key] = Variable(variable.reference, factor, largest)
         return found
 
-    def _variable(self, place: str, name: str) -> Any:
+    def _variable(self, place: str, name: str) -> UnitVariable:
         if name in self._known:
             return self._known[name]
-        close = get_close_matches(name, self._known, 1)
-        some = [v.name for v in self._known.values() if v.causality in ("input", "output", "parameter")][:8]
+        close = get_close_matches(name, islice(self._known, _COMPARED), 1)
+        some = [v.name[:60] for v in self._known.values() if v.causality in ("input", "output", "parameter")][:8]
         hint = f'did you mean "{close[0]}"?' if close else f"it has {', '.join(some)}, ..." if some else ""
         raise FmuError(f"{place}: the unit has no variable {name!r}", hint)
 
-    def _factor(self, place: str, variable: Any, ours: str) -> float:
+    def _factor(self, place: str, variable: UnitVariable, ours: str) -> float:
         """What a value of a variable is multiplied by to be in our unit."""
-        declared = variable.declaredType
-        unit = variable.unit or (declared.unit if declared is not None else None)
+        unit = variable.unit
         if not unit:
             return 1.0
         problem = f"{place}: {variable.name!r} is in {unit!r}: expected {ours}"
@@ -236,21 +223,18 @@ class _Reader:
             if called != ours:
                 raise FmuError(problem)
             return factor
-        exponents = (base.kg, base.m, base.s)
-        if exponents != _EXPONENTS[ours] or any((base.A, base.K, base.mol, base.cd)) or base.offset:
+        if base.exponents != _EXPONENTS[ours] or base.others or base.offset:
             raise FmuError(problem)
-        if not (isfinite(base.factor) and base.factor > 0.0):
+        if base.factor <= 0.0:
             raise FmuError(f"{place}: unit {unit!r} has the factor {base.factor!r}")
-        return float(base.factor)
+        return base.factor
 
     def _signals(self, signals: Any) -> Iterable[tuple[Signal, Variable]]:
         for key, name in _texts("signals", signals).items():
             variable = self._variable(f"signals.{key}", name)
-            if variable.type not in _FLOATS or variable.dimensions:
+            if variable.type not in _FLOATS or variable.array:
                 raise FmuError(f"signals.{key}: {name!r} is a {variable.type}: expected one number, Real or Float64")
-            declared = variable.declaredType
-            unit = variable.unit or (declared.unit if declared is not None else None)
-            yield Signal(key, unit or "1", variable.description or name), Variable(variable.valueReference)
+            yield Signal(key, variable.unit or "1", variable.description or name), Variable(variable.reference)
 
     def _start(self, start: Any) -> Iterable[tuple[str, int, Any]]:
         if start is not None and not isinstance(start, Mapping):
@@ -266,11 +250,11 @@ class _Reader:
                 else isinstance(value, (int, float)) and not isinstance(value, bool) and isfinite(value)
             )
             whole = kind.startswith(("Int", "UInt", "Enum"))
-            if not right or variable.dimensions or (whole and value != int(value)):
+            if not right or variable.array or (whole and value != int(value)):
                 raise FmuError(f"start.{name}: expected a {kind}, got {value!r:.80}")
             if kind not in self._setters:
                 raise FmuError(f"start.{name}: a {kind} cannot be given here", f"known: {', '.join(self._setters)}")
-            yield self._setters[kind], variable.valueReference, int(value) if whole else value
+            yield self._setters[kind], variable.reference, int(value) if whole else value
 
 
 # The setter of fmpy for each type.

@@ -14,7 +14,7 @@ from waiting import wait_for
 
 import netem.wire.certificate_router as certificate_router
 from fleet.hosts import certificates
-from fleet.processes.private_folder import PrivateFolder
+from fleet.processes.run_folder import RunFolder
 from netem.errors import BusError
 from netem.wire.access import CONSOLE, NETEM, Credentials, Listener, agent_role, generate
 from netem.wire.bus import Bus
@@ -33,7 +33,7 @@ class Run:
     """The routers of a run with two vehicles, its console and netem; agent 1 may come with its certificate alone."""
 
     def __init__(self, private: Path, certs: Path) -> None:
-        self._folder = PrivateFolder()
+        self._folder = RunFolder()
         self._certs = certs
         known, server = generate((1, 2)), certificates.read_server(certs)
         self.world = Bus.host(self._folder.endpoint, KEYS, (1, 2), known, private)

@@ -1,0 +1,87 @@
+"""Folders for this user only, below TMPDIR. One whose owner was killed is removed when the next one is made.
+
+The owner holds a lock (flock) on a file in the folder. The system gives the lock back when the owner ends, however it
+ends: what nobody holds is a leftover.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import shutil
+import stat
+import tempfile
+from contextlib import suppress
+from pathlib import Path
+from types import TracebackType
+
+PREFIX = "uuv-fleet-"
+LOCK = "owner.lock"  # in the folder
+SHORT = "/tmp"  # for who needs a short path
+
+
+class PrivateFolder:
+    """A folder of mode 0700, from its making to `close`, or to the end of the process that made it."""
+
+    def __init__(self, kind: str = "", place: Path | None = None) -> None:
+        """Remove what killed processes left, and make the folder.
+
+        Args:
+            kind: what it is for, as part of its name, which is then `uuv-fleet-<kind>-...`.
+            place: where; None: in TMPDIR.
+
+        Raises:
+            OSError: it cannot be made there.
+        """
+        sweep()
+        prefix = f"{PREFIX}{kind}-" if kind else PREFIX
+        self.path = Path(tempfile.mkdtemp(prefix=prefix, dir=place))
+        # Locked before it has its name: nobody finds a lock that is free.
+        new = self.path / f"{LOCK}.new"
+        self.lock = os.open(new, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600)
+        try:
+            fcntl.flock(self.lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            new.rename(self.path / LOCK)
+        except OSError:  # a file system without locks: the folder has none, and nobody takes it for a leftover
+            new.unlink(missing_ok=True)
+
+    def close(self) -> None:
+        """Remove it with all that is in it."""
+        shutil.rmtree(self.path, ignore_errors=True)
+        if self.lock >= 0:
+            os.close(self.lock)
+            self.lock = -1
+
+    def __enter__(self) -> Path:
+        return self.path
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+def sweep() -> None:
+    """Remove the private folders of this user whose owners have ended. Links are not followed."""
+    for place in dict.fromkeys((tempfile.gettempdir(), SHORT)):
+        with suppress(OSError), os.scandir(place) as entries:
+            found = [entry.path for entry in entries if entry.name.startswith(PREFIX)]
+            for path in found:
+                with suppress(OSError):
+                    _remove_deserted(path)
+
+
+def _remove_deserted(path: str) -> None:
+    folder = os.open(path, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC)
+    try:
+        if os.fstat(folder).st_uid != os.geteuid():
+            return
+        lock = os.open(LOCK, os.O_RDWR | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC, dir_fd=folder)
+        try:
+            if stat.S_ISREG(os.fstat(lock).st_mode):
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                shutil.rmtree(path, ignore_errors=True)
+        finally:
+            os.close(lock)
+    finally:
+        os.close(folder)

@@ -1,0 +1,155 @@
+"""Model descriptions of FMUs: what is read of them, and those that are wrong or ask for too much."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import pytest
+from repository import ROOT
+
+from world.errors import FmuError
+from world.plants import fmu_archive, fmu_description
+from world.plants.fmu_archive import archive
+from world.plants.fmu_description import BaseUnit, UnitVariable, parse
+
+SIMULATION = '<CoSimulation modelIdentifier="m"/>'
+
+
+def text(variables: str, version: str = "2.0", before: str = SIMULATION) -> bytes:
+    return (
+        f'<?xml version="1.0"?><fmiModelDescription fmiVersion="{version}" guid="g" instantiationToken="t">{before}'
+        f"<ModelVariables>{variables}</ModelVariables><ModelStructure/></fmiModelDescription>"
+    ).encode()
+
+
+def scalar(name: str, inner: str = "<Real/>", reference: str = "1", more: str = "") -> str:
+    return f'<ScalarVariable name="{name}" valueReference="{reference}" {more}>{inner}</ScalarVariable>'
+
+
+def test_of_fmi_2() -> None:
+    units = (
+        '<UnitDefinitions><Unit name="kN"><BaseUnit kg="1" m="1" s="-2" factor="1000"/></Unit>'
+        '<Unit name="degC"><BaseUnit K="1" offset="273.15"/></Unit><Unit name="?"/></UnitDefinitions>'
+    )
+    types = '<TypeDefinitions><SimpleType name="Force"><Real unit="kN"/></SimpleType></TypeDefinitions>'
+    simulation = '<CoSimulation modelIdentifier="m" canGetAndSetFMUstate="true" canSerializeFMUstate="1"/>'
+    variables = (
+        scalar("F", '<Real declaredType="Force" max="INF"/>', "7", 'causality="input" description="a force"')
+        + scalar("n", '<Integer max="8"/><Annotations><Tool name="x"><any/></Tool></Annotations>', "8")
+        + scalar("G", '<Real declaredType="Force" unit="N" max="3.5"/>', "9")
+    )
+    found = parse(text(variables, before=simulation + units + types))
+    assert (found.version, found.guid, found.model, found.saves) == (2, "g", "m", True)
+    assert found.units == {
+        "kN": BaseUnit((1, 1, -2), False, 1000.0, 0.0),
+        "degC": BaseUnit((0, 0, 0), True, 1.0, 273.15),
+    }
+    assert found.variables == {
+        "F": UnitVariable("F", 7, "Real", "input", "a force", "kN", float("inf")),
+        "n": UnitVariable("n", 8, "Integer", "local"),
+        "G": UnitVariable("G", 9, "Real", "local", unit="N", largest=3.5),
+    }
+
+
+def test_of_fmi_3() -> None:
+    types = '<TypeDefinitions><Float64Type name="Force" unit="N"/></TypeDefinitions>'
+    variables = (
+        '<Float64 name="F" valueReference="1" declaredType="Force" max="2"><Alias name="force"/></Float64>'
+        '<Float64 name="v" valueReference="2" unit="m/s"><Dimension start="3"/></Float64>'
+        '<Binary name="b" valueReference="3"><Start value="00"/></Binary>'
+    )
+    found = parse(text(variables, "3.0", SIMULATION + types))
+    assert (found.version, found.guid, found.saves) == (3, "t", False)
+    first = UnitVariable("F", 1, "Float64", "local", unit="N", largest=2.0)
+    assert [found.variables[name].unit for name in ("F", "force")] == ["N", "N"]
+    assert found.variables["F"] == first
+    assert found.variables["force"].reference == 1
+    assert found.variables["v"] == UnitVariable("v", 2, "Float64", "local", unit="m/s", array=True)
+
+
+@pytest.mark.parametrize(
+    ("data", "words"),
+    [
+        (b"", "cannot be read"),
+        (b"<fmiModelDescription fmiVersion='2.0'>", "cannot be read"),
+        (b'<?xml version="1.0" encoding="no-such"?><a/>', "cannot be read"),
+        (b"<a/>", "begins with 'a'"),
+        (b"<fmiModelDescription/>", r"is of FMI \(not said\): expected 2 or 3"),
+        (text(""), "it has no variables"),
+        (text("<ScalarVariable/>"), "variable 1 has no name"),
+        (text(scalar("a", "")), "variable 'a' has no type"),
+        (text(scalar("a", reference="-1")), "variable 1, 'a', has the valueReference '-1'"),
+        (text(scalar("a", reference="9" * 5000)), "has the valueReference '99999"),
+        (text(scalar("a") * 2), "two variables have the name 'a'"),
+        (text(scalar("a", '<Real max="much"/>')), "the max of 'a' is 'much': expected a number"),
+        (text(scalar("a", '<Real declaredType="T"/>')), "variable 'a' is of type 'T', which is not defined"),
+        (text('<Real name="a" valueReference="1"/>', "3.0"), "'a', is of type 'Real', which FMI has not"),
+        (text("<a>" * 100 + "</a>" * 100), "variable 1 has no name|nested"),
+        (text(scalar("a", "<b>" * 100 + "</b>" * 100)), "nested more than 64 deep"),
+        (
+            text(scalar("a"), before='<UnitDefinitions><Unit name="u"><BaseUnit m="x"/></Unit></UnitDefinitions>'),
+            "m of unit 'u' is 'x': expected a number",
+        ),
+        (b'<!DOCTYPE a [<!ENTITY b "c">]><a>&b;</a>', "it has a DOCTYPE"),
+    ],
+)
+def test_one_that_is_wrong_says_what(data: bytes, words: str) -> None:
+    with pytest.raises(FmuError, match=words):
+        parse(data)
+
+
+def test_too_many_variables_or_elements(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(fmu_description, "MAX_VARIABLES", 2)
+    with pytest.raises(FmuError, match="has more than 2 variables; export it with fewer"):
+        parse(text("".join(map(scalar, "abc"))))
+    monkeypatch.setattr(fmu_description, "MAX_ELEMENTS", 5)
+    with pytest.raises(FmuError, match="of more than 5 elements"):
+        parse(text(scalar("a", "<b/>" * 5)))
+
+
+@pytest.mark.parametrize("variable", ["<ScalarVariable/>", "<a/>", scalar("same"), scalar("a", "<b/>")])
+def test_mistakes_without_end_take_no_longer_than_one(variable: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """100,000 of them took minutes, because each was described with its place among the others."""
+    seen: list[str] = []
+    start = fmu_description._Reader.start
+
+    def counted(reader: fmu_description._Reader, tag: str, attributes: dict[str, str]) -> None:
+        seen.append(tag)
+        start(reader, tag, attributes)
+
+    monkeypatch.setattr(fmu_description._Reader, "start", counted)
+    with pytest.raises(FmuError):
+        parse(text(variable * 100_000))
+    assert len(seen) < 10
+
+
+def test_a_list_of_files_that_is_too_long_is_not_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "many.fmu"
+    with zipfile.ZipFile(path, "w") as opened:
+        for n in range(100):
+            opened.writestr(f"resources/{n}", b"")
+    monkeypatch.setattr(fmu_archive, "MAX_DIRECTORY_BYTES", 1000)
+    with pytest.raises(FmuError, match=r"lists its files in \d+ bytes"), archive(path):
+        pass
+
+
+def test_a_signal_ends_the_reading() -> None:
+    """While the XML is parsed, which is native code that calls back."""
+    code = """
+import os, signal
+from world.plants import fmu_description
+first = fmu_description._Reader.start
+def start(self, *args):
+    first(self, *args)
+    os.kill(os.getpid(), signal.SIGTERM)  # as an operator does, who waits
+fmu_description._Reader.start = start
+def ended(*_):
+    raise SystemExit(7)
+signal.signal(signal.SIGTERM, ended)
+fmu_description.parse(b'<fmiModelDescription fmiVersion="2.0"><a/></fmiModelDescription>')
+"""
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=False, timeout=60)
+    assert done.returncode == 7

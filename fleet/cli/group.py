@@ -1,18 +1,24 @@
-"""The group of all commands. An error ends a command with one line on stderr and with the status of the error."""
+"""The group of all commands, each imported when it is asked for.
+
+An error ends a command with one line on stderr and with the status of the error.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from importlib import import_module
 from os import PathLike
 from typing import Any
 
 import click
 
 from fleet.cli.documents.output import json_is_asked, print_document
+from fleet.cli.verbs import ELSEWHERE, GROUPS, VERBS
 from fleet.errors import FleetError
 from fleet.terminal.folding import say
 from netem.errors import NetemError
+from netem.parsing import nearest, quoted
 
 EPILOG = (
     "Exit status: 0 pass, 1 a check failed, 2 usage or bad scenario, 3 the run broke, 129 terminal closed, 130 Ctrl-C."
@@ -34,8 +40,31 @@ class ListingGroup(click.Group):
                 formatter.write_dl(rows)
 
 
-class FleetGroup(ListingGroup):
-    """A group whose commands do not catch errors to print them: the group does."""
+class FleetGroup(click.Group):
+    """The group of all commands: it imports the one that is asked for, and prints what commands raise."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """The names of all commands, in the order of the help."""
+        return list(VERBS)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        """The command of a name; None: there is none."""
+        return command_of(cmd_name) if cmd_name in VERBS else None
+
+    def resolve_command(self, ctx: click.Context, args: list[str]) -> Any:
+        """The command that was typed; for one of another tool the error names ours. Raises UsageError."""
+        if args and args[0] not in VERBS and not args[0].startswith("-"):
+            ours = ELSEWHERE.get(args[0])
+            hint = f"; here it is {ours}" if ours else f"; {nearest(args[0], VERBS) or 'fleet --help lists them'}"
+            raise click.UsageError(f"there is no command {quoted(args[0])}{hint}", ctx)
+        return super().resolve_command(ctx, args)
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the commands in their groups, without importing them."""
+        wide = max(map(len, VERBS))
+        for title, verbs in GROUPS.items():
+            with formatter.section(title):
+                formatter.write_dl([(name.ljust(wide), verb.help) for name, verb in verbs.items()])
 
     def invoke(self, ctx: click.Context) -> Any:
         """Run a command; an error of this package becomes a line on stderr and an exit status.
@@ -51,6 +80,12 @@ class FleetGroup(ListingGroup):
             status = report(error)
             _document(ctx, error, _words(error), status)
             ctx.exit(status)
+
+
+def command_of(name: str) -> click.Command:
+    """The command of a name that is in `VERBS`."""
+    offered: Sequence[click.Command] = import_module(f"fleet.cli.{VERBS[name].module}").COMMANDS
+    return next(command for command in offered if command.name == name)
 
 
 def report(error: Exception) -> int:

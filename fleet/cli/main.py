@@ -1,51 +1,14 @@
-"""The command line: the group of all commands, with `fleet check` and `fleet list`.
+"""The command line: the group of all commands.
 
 Data go to stdout, everything else to stderr.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import click
 
-from fleet.cli import (
-    bench,
-    boundary,
-    hosts,
-    join,
-    live,
-    logs,
-    movie,
-    new,
-    protocol,
-    replay,
-    reproduce,
-    run,
-    runs,
-    schema,
-    search,
-    shrink,
-    status,
-    sweep,
-    verify,
-    view,
-    what_if,
-)
-from fleet.cli.completion import scenarios
-from fleet.cli.documents.output import json_option, print_document
 from fleet.cli.group import EPILOG, FleetGroup
-from fleet.cli.trust import TrustingCommand, trust_option
-from fleet.cli.types import OVERRIDES, disturbances
 from fleet.cores import cores
-from fleet.terminal.folding import say, stdout
-
-if TYPE_CHECKING:
-    from fleet.analysis.stability import Analysis
-    from fleet.errors import Problem
-    from fleet.scenario.scenario import Scenario
-    from fleet.scenario.text.overrides import Override
-    from world.plugins.trust import Trust
 
 
 @click.group(
@@ -62,121 +25,3 @@ def cli() -> None:
       fleet run my.yaml --seed 7 --speed 1 your own file, another seed, in real time
       fleet info                           what the log of the newest run holds
     """
-
-
-@cli.command(cls=TrustingCommand)
-@click.argument("scenario", shell_complete=scenarios)
-@OVERRIDES
-@disturbances
-@trust_option
-@json_option
-def check(
-    scenario: str,
-    overrides: tuple[str, ...],
-    fault: tuple[Override, ...],
-    net: tuple[Override, ...],
-    trust: Trust,
-    as_json: bool,
-) -> None:
-    """Check SCENARIO without running it; every mistake is reported in one pass.
-
-    Says what theory expects of it: whether the graph is connected and everyone reached, the eigenvalues of L+B, and
-    whether the gains stay within the limits of the control loops. A law of your own is made once and given a first
-    sample, as in a run; a plant makes a first step.
-
-    \b
-    Examples:
-      fleet check my.yaml
-      fleet check paper --set vehicles=20
-      fleet check paper --net '* delay 200ms' --fault 'at 20s kill 3'
-    """
-    from fleet.analysis.first_sample import try_laws, try_plants
-    from fleet.analysis.preflight import warnings
-    from fleet.analysis.stability import analyse
-    from fleet.scenario.loading import load_scenario
-
-    refused: list[Problem] = []
-    loaded = load_scenario(scenario, [*overrides, *net, *fault], trust, refused=refused)
-    try_laws(loaded)
-    try_plants(loaded)
-    found = analyse(loaded)
-    told = [*found.warnings, *warnings(loaded)]
-    if as_json:
-        from fleet.cli.documents.check import checked
-
-        print_document(checked(loaded, found, told, refused))
-    else:
-        _say_what_is_expected(loaded, found, refused)
-    for warning in [*(f"not checked: {problem}" for problem in refused), *told]:
-        say(f"warning: {warning}", err=True)
-
-
-def _say_what_is_expected(loaded: Scenario, found: Analysis, refused: list[Problem]) -> None:
-    """A valid scenario in words, and what theory expects of it."""
-    from fleet.analysis.seed import HINT, NOTHING, seeded
-    from fleet.analysis.stability import report
-    from fleet.scenario.scenario import timeline_lines
-
-    links = loaded.graph.links
-    word = "valid as far as it was checked" if refused else "valid"
-    say(
-        f"{loaded.name}: {word}. {loaded.vehicles} vehicles, {len(links)} directed links, "
-        f"{loaded.duration_ns / 1e9:g} s in {loaded.ticks} ticks of {loaded.tick_ns / 1e6:g} ms, "
-        + ("ideal network" if loaded.ideal else f"a round every {loaded.round_ticks} ticks")
-    )
-    for line in report(loaded, found):
-        say(line)
-    for line in timeline_lines(loaded):
-        say(line)
-    drawn = seeded(loaded)
-    say(f"seed {loaded.seed} draws: {', '.join(drawn)}" if drawn else f"{NOTHING}; {HINT}")
-    if loaded.spec.expect == "fail":
-        say("the run is meant to fail a check, and exits with 0 when it does (expect: fail)")
-
-
-@cli.command(name="list")
-@json_option
-def list_(as_json: bool) -> None:
-    """List the scenarios that ship with the package, by group, and the studies.
-
-    The cost of a study is the time that all its runs take one core, roughly, on compiled cores.
-    """
-    from fleet.scenario.catalogue import list_scenarios
-    from fleet.study.catalogue import list_studies
-
-    scenarios, studies = list_scenarios(), list_studies()
-    if as_json:
-        from fleet.cli.documents.listing import ScenarioRow, Scenarios, StudyRow
-
-        print_document(Scenarios([ScenarioRow(*row) for row in scenarios], [StudyRow(*row) for row in studies]))
-        return
-    from rich.table import Table
-    from rich.text import Text
-
-    from fleet.scenario.schema.groups import GROUPS
-
-    terminal = stdout()
-    table = Table(box=None, pad_edge=False)
-    for heading in ("scenario", "UUVs", "time", "expect", "what one learns"):
-        table.add_column(heading, no_wrap=heading != "what one learns")
-    for group in GROUPS:
-        table.add_row(Text(group, "bold"))
-        for row in (row for row in scenarios if row.group == group):
-            table.add_row(f"  {row.name}", str(row.vehicles), f"{row.duration_s:g} s", row.expect, row.title)
-    terminal.print(table)
-    terminal.print()
-    table = Table(box=None, pad_edge=False)
-    for heading in ("study", "runs", "cost", "what it asks"):
-        table.add_column(heading, no_wrap=heading != "what it asks")
-    for study in studies:
-        table.add_row(study.name, str(study.runs), f"{study.core_s / 60:.0f} min", study.title)
-    terminal.print(table)
-
-
-_MODULES = (
-    bench, boundary, hosts, join, live, logs, movie, new, protocol, replay, reproduce, run, runs, schema, search,
-    shrink, status, sweep, verify, view, what_if,
-)  # fmt: skip
-for _module in _MODULES:
-    for _command in _module.COMMANDS:
-        cli.add_command(_command)

@@ -134,7 +134,9 @@ RUNAWAY = ["--set", "faults=[{at: 100 ms, wrench: {force: 1e200 1e200 0 N}}]", "
         ),
         (["run", "paper", *QUICK], 1, "the run ended at 0.5 s, before the check begins"),
         (["run"], 2, "run what? A scenario, or --from a log"),
-        (["swim"], 2, "No such command 'swim'"),
+        (["swim"], 2, 'there is no command "swim"; fleet --help lists them'),
+        (["runn"], 2, 'there is no command "runn"; did you mean "run"?'),
+        (["resume"], 2, 'there is no command "resume"; here it is fleet clock resume'),
         (["run", "paper", "--speeed", "2"], 2, "No such option '--speeed'"),
         (["run", "papre"], 2, "paper"),
         (["run", "paper", "--seed", "-1"], 2, "--seed"),
@@ -489,7 +491,7 @@ def test_a_run_is_no_scenario(tmp_path: Path) -> None:
 def test_list_fits_a_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
     out = StringIO()
     monkeypatch.setattr(
-        "fleet.cli.main.stdout", lambda: Terminal(file=out, width=80, force_terminal=True, no_color=True)
+        "fleet.cli.listing.stdout", lambda: Terminal(file=out, width=80, force_terminal=True, no_color=True)
     )
     invoke("list")
     text = re.sub(r"\x1b\[\d*m", "", out.getvalue())

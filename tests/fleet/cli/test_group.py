@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import os
+import re
+from importlib import import_module
 from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
 
+from fleet.cli.group import command_of
 from fleet.cli.main import cli
+from fleet.cli.verbs import ELSEWHERE, GROUPS, VERBS
 
 LONG = "x" * 300  # longer than any file system takes
 
@@ -46,5 +50,21 @@ def test_an_argument_with_bytes_that_are_no_text() -> None:
 @pytest.mark.parametrize("group", [(), ("new",), ("bench",), ("protocol",)])
 def test_no_sentence_in_a_list_of_commands_is_cut(group: tuple[str, ...]) -> None:
     result = CliRunner().invoke(cli, [*group, "--help"], env={"COLUMNS": "80"})
-    listed = result.stdout.split("\nCommands:\n")[1].splitlines()
+    listed = result.stdout.split("\nCommands:\n" if group else "\nStart:\n")[1].splitlines()
     assert [line for line in listed if line.endswith("...") or len(line) > 80] == []
+
+
+def test_every_command_stands_in_one_group_and_where_the_table_says() -> None:
+    names = [name for verbs in GROUPS.values() for name in verbs]
+    assert len(names) == len(set(names))
+    modules = {verb.module for verb in VERBS.values()}
+    offered = {name: command.name for name in VERBS for command in [command_of(name)]}
+    assert offered == {name: name for name in VERBS}
+    held = [command.name for module in modules for command in import_module(f"fleet.cli.{module}").COMMANDS]
+    assert sorted(held) == sorted(VERBS)
+
+
+def test_words_of_other_tools_name_verbs_of_ours() -> None:
+    assert not ELSEWHERE.keys() & VERBS.keys()
+    for ours in ELSEWHERE.values():
+        assert set(re.findall(r"fleet (\S+)", ours)) <= VERBS.keys(), ours

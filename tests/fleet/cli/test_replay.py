@@ -11,6 +11,7 @@ from click.testing import CliRunner
 from traffic import PAGE, endpoint
 from traffic import log as log
 
+from fleet.cli.group import command_of
 from fleet.cli.main import cli
 
 
@@ -98,6 +99,6 @@ def test_nobody_there(log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 
 def test_page_names_every_option() -> None:
     for name in ("replay", "record"):
-        for option in cli.commands[name].params:
+        for option in command_of(name).params:
             long = [text for text in option.opts if text.startswith("--")]
             assert not long or long[0] in PAGE or long[0] == "--quiet" or long[0] == "--output", long

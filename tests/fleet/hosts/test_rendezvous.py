@@ -19,6 +19,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from repository import ROOT
 
+from fleet.cli.group import command_of
 from fleet.cli.hosts import meeting
 from fleet.cli.main import cli
 from fleet.hosts import router_config
@@ -165,7 +166,7 @@ def test_the_page_names_options_that_there_are() -> None:
         named[command] |= set(re.findall(r"--[a-z-]+", rest))
     assert {"--listen", "--router", "--certs"} <= named["run"] and named["agent"] == {"--join"}
     for command, options in named.items():
-        known = {option for parameter in cli.commands[command].params for option in parameter.opts}
+        known = {option for parameter in command_of(command).params for option in parameter.opts}
         assert options <= known, command
 
 

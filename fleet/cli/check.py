@@ -1,0 +1,93 @@
+"""The command `fleet check`."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import click
+
+from fleet.cli.completion import scenarios
+from fleet.cli.documents.output import json_option, print_document
+from fleet.cli.trust import TrustingCommand, trust_option
+from fleet.cli.types import OVERRIDES, disturbances
+from fleet.terminal.folding import say
+
+if TYPE_CHECKING:
+    from fleet.analysis.stability import Analysis
+    from fleet.errors import Problem
+    from fleet.scenario.scenario import Scenario
+    from fleet.scenario.text.overrides import Override
+    from world.plugins.trust import Trust
+
+
+@click.command(cls=TrustingCommand)
+@click.argument("scenario", shell_complete=scenarios)
+@OVERRIDES
+@disturbances
+@trust_option
+@json_option
+def check(
+    scenario: str,
+    overrides: tuple[str, ...],
+    fault: tuple[Override, ...],
+    net: tuple[Override, ...],
+    trust: Trust,
+    as_json: bool,
+) -> None:
+    """Check SCENARIO without running it; every mistake is reported in one pass.
+
+    Says what theory expects of it: whether the graph is connected and everyone reached, the eigenvalues of L+B, and
+    whether the gains stay within the limits of the control loops. A law of your own is made once and given a first
+    sample, as in a run; a plant makes a first step.
+
+    \b
+    Examples:
+      fleet check my.yaml
+      fleet check paper --set vehicles=20
+      fleet check paper --net '* delay 200ms' --fault 'at 20s kill 3'
+    """
+    from fleet.analysis.first_sample import try_laws, try_plants
+    from fleet.analysis.preflight import warnings
+    from fleet.analysis.stability import analyse
+    from fleet.scenario.loading import load_scenario
+
+    refused: list[Problem] = []
+    loaded = load_scenario(scenario, [*overrides, *net, *fault], trust, refused=refused)
+    try_laws(loaded)
+    try_plants(loaded)
+    found = analyse(loaded)
+    told = [*found.warnings, *warnings(loaded)]
+    if as_json:
+        from fleet.cli.documents.check import checked
+
+        print_document(checked(loaded, found, told, refused))
+    else:
+        _say_what_is_expected(loaded, found, refused)
+    for warning in [*(f"not checked: {problem}" for problem in refused), *told]:
+        say(f"warning: {warning}", err=True)
+
+
+def _say_what_is_expected(loaded: Scenario, found: Analysis, refused: list[Problem]) -> None:
+    """A valid scenario in words, and what theory expects of it."""
+    from fleet.analysis.seed import HINT, NOTHING, seeded
+    from fleet.analysis.stability import report
+    from fleet.scenario.scenario import timeline_lines
+
+    links = loaded.graph.links
+    word = "valid as far as it was checked" if refused else "valid"
+    say(
+        f"{loaded.name}: {word}. {loaded.vehicles} vehicles, {len(links)} directed links, "
+        f"{loaded.duration_ns / 1e9:g} s in {loaded.ticks} ticks of {loaded.tick_ns / 1e6:g} ms, "
+        + ("ideal network" if loaded.ideal else f"a round every {loaded.round_ticks} ticks")
+    )
+    for line in report(loaded, found):
+        say(line)
+    for line in timeline_lines(loaded):
+        say(line)
+    drawn = seeded(loaded)
+    say(f"seed {loaded.seed} draws: {', '.join(drawn)}" if drawn else f"{NOTHING}; {HINT}")
+    if loaded.spec.expect == "fail":
+        say("the run is meant to fail a check, and exits with 0 when it does (expect: fail)")
+
+
+COMMANDS = (check,)

@@ -1,0 +1,88 @@
+"""The commands of `fleet`: in which group of the help each stands, and which module holds it.
+
+`fleet --help` is written from this table, so it imports no command, and a command imports no other one.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+
+class Verb(NamedTuple):
+    """One command."""
+
+    module: str  # below fleet.cli
+    help: str  # its line in `fleet --help`
+
+
+GROUPS: dict[str, dict[str, Verb]] = {
+    "Start": {
+        "list": Verb("listing", "List the scenarios and studies that ship with the package."),
+        "new": Verb("new", "Write a scenario, law, check or vehicle to start from."),
+        "check": Verb("check", "Check a scenario without running it."),
+        "run": Verb("run", "Run a scenario and judge it."),
+        "reproduce": Verb("reproduce", "Run the paper's simulations again and judge its claims."),
+    },
+    "Live runs": {
+        "ps": Verb("live", "List the live runs of this user (all runs: ls)."),
+        "status": Verb("status", "Show how a run is doing."),
+        "view": Verb("view", "Show a live run or a log in the browser."),
+        "inject": Verb("live", "Inject a fault."),
+        "faults": Verb("live", "List the faults, and what happened to vehicles."),
+        "heal": Verb("live", "End a fault, or all of them."),
+        "clock": Verb("live", "Hold, step or pace a run."),
+        "stop": Verb("live", "Stop a run; its log stays."),
+    },
+    "After a run": {
+        "ls": Verb("runs", "List the runs below a directory (live ones: ps)."),
+        "info": Verb("logs", "Say what a log holds."),
+        "plot": Verb("logs", "Draw pictures of logs or of a study."),
+        "report": Verb("logs", "Write one HTML page about logs or a study."),
+        "movie": Verb("movie", "Make a GIF or an MP4 of a log."),
+        "export": Verb("logs", "Write a log as tables."),
+    },
+    "Prove and change": {
+        "verify": Verb("verify", "Run a log's scenario again and compare every byte."),
+        "diff": Verb("verify", "Compare two logs."),
+        "check-log": Verb("verify", "Judge a log by other checks."),
+        "script": Verb("live", "Print the scenario that makes a log again."),
+        "whatif": Verb("what_if", "Ask what another agent would have commanded."),
+        "replay": Verb("replay", "Publish a log on zenoh again."),
+        "recover": Verb("verify", "Save what is left of a damaged log."),
+        "prune": Verb("runs", "Remove runs that are over."),
+    },
+    "Many runs": {
+        "sweep": Verb("sweep", "Run a scenario at many values and seeds."),
+        "boundary": Verb("boundary", "Find where a scenario begins to fail."),
+        "search": Verb("search", "Try random faults until a check fails."),
+        "shrink": Verb("shrink", "Make a failing run as small as it can be."),
+    },
+    "Other hosts and programs": {
+        "agent": Verb("join", "Run an external vehicle's agent in this terminal."),
+        "acl": Verb("hosts", "Print the configuration for a zenoh router of yours."),
+        "certs": Verb("hosts", "Make certificates for runs over several hosts."),
+        "protocol": Verb("protocol", "Print the wire protocol, or check an agent."),
+        "record": Verb("replay", "Record zenoh traffic to an MCAP file."),
+    },
+    "This tool": {
+        "bench": Verb("bench", "Measure this machine."),
+        "completion": Verb("live", "Print what completes commands in your shell."),
+        "schema": Verb("schema", "Print the JSON Schema of what --json prints."),
+    },
+}
+VERBS: dict[str, Verb] = {name: verb for group in GROUPS.values() for name, verb in group.items()}
+# What users of other tools type, and what it is called here.
+ELSEWHERE = {
+    **dict.fromkeys(("rm", "remove", "delete", "clean"), "fleet prune"),
+    **dict.fromkeys(("logs", "runs", "history"), "fleet ls (all runs) or fleet info (what one log holds)"),
+    **dict.fromkeys(("init", "create"), "fleet new"),
+    "compare": "fleet diff (two logs), or fleet report (a page about several)",
+    "play": "fleet view (a log on a screen), or fleet replay (a log on zenoh)",
+    "resume": "fleet clock resume (a run that is held), or fleet run --from RUN@TIME (a new run from there)",
+    **dict.fromkeys(("gui", "dashboard", "ui", "show"), "fleet view"),
+    **dict.fromkeys(("start", "up", "launch"), "fleet run"),
+    **dict.fromkeys(("kill", "down", "abort"), "fleet stop (a run), or fleet inject kill 3 (an agent)"),
+    "pause": "fleet clock pause (a run), or fleet inject pause 3 (an agent)",
+    "validate": "fleet check",
+    "test": "fleet run (a scenario and its checks)",
+}

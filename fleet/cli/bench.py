@@ -13,7 +13,7 @@ import click
 from fleet.cli.completion import scenarios
 from fleet.cli.documents.output import as_document, json_option, print_document
 from fleet.cli.group import ListingGroup
-from fleet.cli.types import OVERRIDES, Numbers
+from fleet.cli.types import OVERRIDES, Numbers, Whole
 from fleet.terminal.folding import stdout
 
 if TYPE_CHECKING:
@@ -203,7 +203,7 @@ def stress(agents: list[int], suspend: float, output: Path | None, as_json: bool
 
 
 @bench.command()
-@click.option("--vehicles", type=click.IntRange(2, 1000), default=20, show_default=True, help="Fleet size.")
+@click.option("--vehicles", type=Whole(2, 1000), default=20, show_default=True, help="Fleet size.")
 @click.option(
     "--duration", metavar="SECONDS", type=click.FloatRange(30.0, 1e6), default=3600.0, show_default=True,
     help="Simulated, in one process.",
@@ -263,14 +263,14 @@ def scale(agents: list[int], tick: str, picture: Path | None, output: Path | Non
 
 
 @bench.command()
-@click.option("--runs", type=click.IntRange(1), default=20, show_default=True, help="Of each repeat; there are three.")
+@click.option("--runs", type=Whole(1), default=20, show_default=True, help="Of each repeat; there are three.")
 @click.option(
     "--duration", metavar="SECONDS", type=click.FloatRange(0.01, 1e6), default=20.0, show_default=True,
     help="Of a run, simulated.",
 )  # fmt: skip
-@click.option("--workers", metavar="N", type=click.IntRange(1, 1024), default=2, show_default=True,
+@click.option("--workers", metavar="N", type=Whole(1, 1024), default=2, show_default=True,
               help="Measure so many workers besides one.")  # fmt: skip
-@click.option("--memory", metavar="RUNS", type=click.IntRange(10),
+@click.option("--memory", metavar="RUNS", type=Whole(10),
               help="Instead, make so many short runs with one worker, and say how much memory it takes.")  # fmt: skip
 @_output
 @json_option

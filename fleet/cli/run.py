@@ -14,7 +14,7 @@ from fleet.cli.completion import scenarios
 from fleet.cli.documents.output import json_option, print_document
 from fleet.cli.group import EPILOG
 from fleet.cli.trust import TrustingCommand, trust_option
-from fleet.cli.types import OVERRIDES, Duration, Share, Speed, disturbances
+from fleet.cli.types import OVERRIDES, Duration, Share, Speed, Whole, disturbances
 from fleet.terminal.folding import say, stdout
 from fleet.terminal.output import OutputError, give_up_output
 
@@ -39,7 +39,7 @@ MOST_FAULTS = 20  # of the scenario, said before it runs
     show_default=True,
     help="Where run directories go.",
 )
-@click.option("--seed", type=click.IntRange(0, 2**63 - 1), help="Override the scenario's seed.")
+@click.option("--seed", type=Whole(0, 2**63 - 1), help="Override the scenario's seed.")
 @click.option("--duration", metavar="TIME", help="Override the scenario's duration, e.g. '20 s'.")
 @click.option(
     "--speed",
@@ -70,7 +70,7 @@ MOST_FAULTS = 20  # of the scenario, said before it runs
 @click.option("--show-config", is_flag=True, help="Print the merged scenario and stop.")
 @click.option(
     "--port",
-    type=click.IntRange(1, 65535),
+    type=Whole(1, 65535),
     help="Listen on this port of 127.0.0.1, too, for agents that cannot use the run's Unix socket.",
 )
 @click.option(

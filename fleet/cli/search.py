@@ -12,7 +12,7 @@ from fleet.cli.completion import scenarios
 from fleet.cli.documents.output import json_option, print_document
 from fleet.cli.shrink import MOST_RUNS, place_of, show_least, telling, write_least
 from fleet.cli.trust import TrustingCommand, trust_option
-from fleet.cli.types import OVERRIDES, Budget, disturbances
+from fleet.cli.types import OVERRIDES, Budget, Whole, disturbances
 from fleet.terminal.folding import say
 
 if TYPE_CHECKING:
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 @click.option("-o", "--out", metavar="FILE", type=click.Path(path_type=Path, dir_okay=False),
               help="Where the least scenario goes; by default NAME-least.yaml.")  # fmt: skip
 @click.option("--force", is_flag=True, help="Replace that file if it is there.")
-@click.option("--workers", metavar="N", type=click.IntRange(1, 1024), help="Runs at a time; by default one per core.")
+@click.option("--workers", metavar="N", type=Whole(1, 1024), help="Runs at a time; by default one per core.")
 @click.option("--scheduler", metavar="ADDRESS", help="Use a Dask cluster that is there, e.g. tls://host:8786.")
 @trust_option
 @json_option

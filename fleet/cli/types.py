@@ -44,6 +44,18 @@ def disturbances(command: F) -> F:
     )(command)
 
 
+class Whole(click.IntRange):
+    """A whole number within limits."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        try:
+            return super().convert(value, param, ctx)
+        except click.BadParameter:
+            least, most = self.min, self.max
+            limits = f" from {least} to {most}" if most is not None else "" if least is None else f", {least} or more"
+            self.fail(f"expected a whole number{limits}, got {value!r}", param, ctx)
+
+
 class Duration(click.ParamType[int]):
     """A time with a unit, in whole ns; the limits are in s."""
 

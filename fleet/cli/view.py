@@ -12,6 +12,7 @@ import click
 
 from fleet.cli import completion
 from fleet.cli.log_argument import RUNS
+from fleet.cli.types import Whole
 
 if TYPE_CHECKING:
     from fleet.view.source import LiveSource, LogSource
@@ -30,7 +31,7 @@ EPILOG = "Exit status: 0 done, 2 usage or a bad file, 3 no connection or no port
 @click.option(
     "--port",
     metavar="PORT",
-    type=click.IntRange(0, 65535),
+    type=Whole(0, 65535),
     help="By default a free one; with --foxglove 8765, which viewers propose, if that is free.",
 )
 @click.option(

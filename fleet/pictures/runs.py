@@ -15,7 +15,7 @@ import numpy as np
 
 from fleet.errors import FleetError
 from fleet.logs.open_log import Log, open_drawn
-from fleet.logs.reader import digest
+from fleet.logs.reader import check_readable, digest
 from fleet.logs.records import Array
 from fleet.logs.result_file import ResultError, read_result
 from fleet.logs.run_name import run_name
@@ -129,6 +129,7 @@ def load(paths: Sequence[Path], share: Callable[[float], None] = lambda _: None)
     Raises:
         LogReadError: one of them cannot be read.
     """
+    check_readable(paths)
     # Poses are states in another form.
     logs = [open_drawn(path, _WANTED, share, _DRAWN) for path in paths]
     names = [_name(log) for log in logs]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -78,7 +79,11 @@ MOST_FAULTS = 20  # of the scenario, said before it runs
 )
 @click.option("--view", is_flag=True, help="Open a page of the browser that shows the run, and lets one disturb it.")
 @click.option("--audit", is_flag=True, help="Say also which messages the router refuses, a tenth slower.")
-@click.option("--wait-for-subscribers", is_flag=True, help="With --publish: begin when somebody listens.")
+@click.option(
+    "--wait-for-subscribers",
+    is_flag=True,
+    help="With --publish or --view: begin when somebody listens, such as the page.",
+)
 @cli_hosts.hosts_options
 @click.option("--join-timeout", type=Duration(), default="300 s", show_default=True,
               help="How long to wait for each agent that somebody else starts.")  # fmt: skip
@@ -125,8 +130,8 @@ def run(
       fleet run paper --speed 1 --view
       fleet run --from runs/latest@20s --set controller=bsmc
     """
-    if wait_for_subscribers and not publish:
-        raise click.UsageError("--wait-for-subscribers needs --publish: nobody could subscribe")
+    if wait_for_subscribers and not (publish or view):
+        raise click.UsageError("--wait-for-subscribers needs --publish or --view: nobody could subscribe")
     if as_json and show_config:
         raise click.UsageError("--show-config prints YAML: not together with --json")
     changes: list[str | Override] = [*overrides, *net, *fault]
@@ -182,9 +187,10 @@ def run(
             say(line, err=True)
         if loaded.ideal and not in_process:
             say("network: ideal has no latency and so runs in one process", err=True)
-    with cli_view.companion(asked=view, stays=not (quiet or as_json)) as over:
-        result = execute(loaded, options, terminal)
-        over(result.directory)
+    with cli_view.companion(asked=view, stays=not (quiet or as_json)) as page:
+        result = execute(loaded, replace(options, on_published=page.published if page else None), terminal)
+        if page is not None and result.directory is not None:
+            page.over(result.directory)
         _print_result(result, as_json=as_json, quiet=quiet)
     sys.exit(int(result.status))
 

@@ -86,6 +86,26 @@ def faults(context: click.Context) -> Iterable[str]:
     return [fault["id"] for fault in ask(_run(context), "faults")["faults"] if fault["active"]]
 
 
+def pictures(context: click.Context, parameter: click.Parameter, typed: str) -> list[CompletionItem]:
+    """Complete the last word of a list of pictures, also with the signals of the log."""
+    before, comma, last = typed.rpartition(",")
+    words = [*getattr(parameter.type, "words", ())]
+    try:
+        from fleet.logs.signal_names import signal_names
+
+        words += signal_names(context.params.get("log") or _newest_log())
+    except Exception:
+        words = words[:]  # no log, or none that can be read: the words alone
+    return [CompletionItem(_for_the_shell(before + comma + word)) for word in words if word.startswith(last)]
+
+
+def _newest_log() -> Any:
+    from fleet.cli.log_argument import RUNS
+    from fleet.execution.past_runs import newest_run
+
+    return newest_run(RUNS)
+
+
 @_words
 def injection(context: click.Context) -> Iterable[str]:
     """What may come next in `fleet inject`."""

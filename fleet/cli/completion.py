@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterable
+from pathlib import Path
 from typing import Any
 
 import click
@@ -93,7 +94,9 @@ def pictures(context: click.Context, parameter: click.Parameter, typed: str) -> 
     try:
         from fleet.logs.signal_names import signal_names
 
-        words += signal_names(context.params.get("log") or _newest_log())
+        # Where the option has no value yet, click has not told the arguments apart.
+        log = context.params.get("log") or next(iter(context.args), None)
+        words += signal_names(_newest_log() if log is None else Path(log))
     except Exception:
         words = words[:]  # no log, or none that can be read: the words alone
     return [CompletionItem(_for_the_shell(before + comma + word)) for word in words if word.startswith(last)]

@@ -187,7 +187,7 @@ def _components(runs: Sequence[Run], view: View, name: SignalName, found: _Found
     moving = [k for k in range(found.width) if k not in still] or [0]
     words = []
     if len(still) and moving != [0]:
-        words = wrap(f"always the same: components {', '.join(map(str, still))}", _LINE)[:2]
+        words = [f"{len(still)} of {found.width} components never change and are left out"]
     if len(moving) > MOST_AXES:
         words.append(f"the first {MOST_AXES} of {len(moving)} components; others: {name.name}_{moving[MOST_AXES]}, ...")
     return list(moving[:MOST_AXES]), words

@@ -88,10 +88,11 @@ def boundary(
     from fleet.study.border_theory import theory
     from fleet.study.borders import Borders, find_borders, parse_along, prepare_borders
     from fleet.study.errors import StudyError
+    from fleet.study.local_engine import engine_of
     from fleet.study.pictures.border import write_borders
     from fleet.study.plan import Plan, parse_seeds
     from fleet.study.store import Store
-    from fleet.study.study import engine_of, new_directory
+    from fleet.study.study import new_directory
     from fleet.study.study_file import refuse_study
     from fleet.study.sweep import modules_again
     from fleet.study.values import parse_axis

@@ -64,7 +64,7 @@ def search(
     """
     from fleet.scenario.loading import load_scenario
     from fleet.study.errors import StudyError
-    from fleet.study.local_engine import small_engine
+    from fleet.study.local_engine import engine_of
     from fleet.study.modules import modules_of
     from fleet.study.search import nemesis_of
     from fleet.study.search import search as first_that_fails
@@ -80,7 +80,7 @@ def search(
     modules = modules_of([tried], Path(scenario).parent if Path(scenario).exists() else None)
     most_runs, budget_s = budget
     least = None
-    with telling() as tell, small_engine(workers, scheduler) as engine:
+    with telling() as tell, engine_of(workers, scheduler) as engine:
         modules = engine.carry(modules)
         found = first_that_fails(tried, engine, lambda runs: tell("seeds", runs), check=check, most_runs=most_runs,
                                  budget_s=budget_s, modules=modules)  # fmt: skip

@@ -61,14 +61,14 @@ def shrink(
       fleet shrink nemesis --set seed=7 --check formation_error
       fleet shrink my.yaml --out least.yaml
     """
-    from fleet.study.local_engine import small_engine
+    from fleet.study.local_engine import engine_of
     from fleet.study.modules import modules_of
     from fleet.study.shrink import Shrinker
 
     scenario, folder = _scenario(failing, [*overrides, *net, *fault], trust)
     path = place_of(scenario, out, force=force)
     modules = modules_of([scenario], folder)
-    with telling() as tell, small_engine(workers) as engine:
+    with telling() as tell, engine_of(workers) as engine:
         found = Shrinker(scenario, engine, tell, modules).shrink(check, most_runs)
     write_least(found.scenario, path)
     if as_json:

@@ -55,7 +55,6 @@ _MOST_TOLD = 10  # logs that are not kept
 @click.option("--workers", metavar="N", type=Whole(1, 1024), help="Runs at a time; by default one per core.")
 @click.option("--scheduler", metavar="ADDRESS", help="Use a Dask cluster that is there, e.g. tls://host:8786.")
 @click.option("--timeout", metavar="TIME", type=Duration(1), help="Wall time that one run may take, e.g. '5 min'.")
-@click.option("--dashboard", is_flag=True, help="Let Dask serve its own page, and say where.")
 @trust_option
 @click.option("--show-config", is_flag=True, help="Print the study as a file, with the options in it, and stop.")
 @json_option
@@ -78,7 +77,6 @@ def sweep(
     workers: int | None,
     scheduler: str | None,
     timeout: int | None,
-    dashboard: bool,
     trust: Trust,
     show_config: bool,
     as_json: bool,
@@ -115,10 +113,11 @@ def sweep(
     from fleet.study.catalogue import shipped_studies
     from fleet.study.errors import StudyError
     from fleet.study.load_points import load_points
+    from fleet.study.local_engine import engine_of
     from fleet.study.signals import find_columns
     from fleet.study.spec import StudySpec, set_values, varied
     from fleet.study.store import Store
-    from fleet.study.study import engine_of, new_directory
+    from fleet.study.study import new_directory
     from fleet.study.study_file import NamedStudy, study_named
     from fleet.study.summary import DEFAULT
     from fleet.study.sweep import declared, logs_to_make, modules_again, prepare, refuse_border, run_study
@@ -172,9 +171,7 @@ def sweep(
     if missing or logs_to_make(store, spec.keep_logs):
         if modules is None:
             modules = modules_again(store, trust)
-        with _showing(quiet) as tell, engine_of(workers, scheduler, dashboard=dashboard) as engine:
-            if engine.dashboard and not quiet:
-                say(f"Dask's page: {engine.dashboard}", err=True)
+        with _showing(quiet) as tell, engine_of(workers, scheduler) as engine:
             try:
                 progress = run_study(
                     store, engine, tell, modules=modules, timeout_s=spec.timeout_s, budget_s=spec.budget_s,
@@ -201,7 +198,7 @@ def _nothing_varied(plan: Plan, trust: Trust, *, quiet: bool) -> None:
         click.UsageError: they do not even differ by these.
     """
     from fleet.analysis.seed import seeded
-    from fleet.study.sweep import load_points
+    from fleet.study.load_points import load_points
 
     how = "--vary varies a key: --vary 'loss=0 %..60 %/20 %' --net '* loss {loss}' varies the loss of all links"
     (scenario,) = load_points(plan, trust)

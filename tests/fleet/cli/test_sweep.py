@@ -30,7 +30,7 @@ def engines(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[Here]:
         used.append(Here())
         return nullcontext(used[-1])
 
-    monkeypatch.setattr("fleet.study.study.engine_of", engine_of)
+    monkeypatch.setattr("fleet.study.local_engine.engine_of", engine_of)
     monkeypatch.chdir(tmp_path)
     (tmp_path / "small.yaml").write_text(SMALL, "utf-8")
     return used

@@ -64,8 +64,10 @@ Exception
 │   ├── ViewError
 │   ├── ViewerError
 │   │   └── NoConnectionError
-│   └── WhatIfError
-│       └── LawFailedError
+│   ├── WhatIfError
+│   │   └── LawFailedError
+│   ├── WorkerDied
+│   └── WorkerLate
 ├── NetemError
 │   ├── BusError
 │   ├── DamagedFile

@@ -141,15 +141,15 @@ def measure_memory(runs: int) -> StudyMeasured:
         StudyError: the extra `study` is not installed.
     """
     rows: list[MemoryRow] = []
-    found: list[psutil.Process] = []
+    pools: list[Workers] = []
 
     def look(progress: Progress) -> None:
         if progress.made < runs * (len(rows) + 1) / STEPS:
             return
-        worker, here = (process.memory_info().rss / 1e6 for process in (found[0], psutil.Process()))
+        worker, here = (psutil.Process(pid).memory_info().rss / 1e6 for pid in (pools[0].pids[0], os.getpid()))
         rows.append(MemoryRow(progress.made, worker, here))
 
-    with _study(1, "ideal", ("checks={}", f"duration={SHORT_S} s"), look, found) as make:
+    with _study(1, "ideal", ("checks={}", f"duration={SHORT_S} s"), look, pools) as make:
         make(runs)
     return StudyMeasured(runs, SHORT_S, None, [], rows)
 
@@ -226,17 +226,17 @@ def _study(
     scenario: str,
     changes: tuple[str, ...],
     tell: Callable[[Progress], None],
-    found: list[psutil.Process] | None = None,
+    pools: list[Workers] | None = None,
 ) -> Iterator[Make]:
-    """Whole studies with their rows, in one cluster; the processes of its workers go to `found`."""
-    from fleet.study.engine import local_engine
+    """Whole studies with their rows, by the same workers, which go to `pools`."""
+    from fleet.study.local_engine import local_engine
     from fleet.study.plan import Plan
     from fleet.study.sweep import prepare, run_study
 
     overrides = tuple(Override(SET, change) for change in changes)
     with tempfile.TemporaryDirectory(prefix="uuv-fleet-") as place, local_engine(workers) as engine:
-        if found is not None:
-            found += map(psutil.Process, engine.client.run(os.getpid).values())
+        if pools is not None:
+            pools.append(engine.workers)
         studies = 0
 
         def make(runs: int) -> None:

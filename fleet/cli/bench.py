@@ -12,7 +12,7 @@ import click
 
 from fleet.cli.documents.output import as_document, json_option, print_document
 from fleet.cli.group import ListingGroup
-from fleet.cli.types import Numbers
+from fleet.cli.types import Numbers, Whole
 from fleet.terminal.folding import stdout
 
 if TYPE_CHECKING:
@@ -171,14 +171,14 @@ def scale(agents: list[int], tick: str, picture: Path | None, output: Path | Non
 
 
 @bench.command()
-@click.option("--runs", type=click.IntRange(1), default=20, show_default=True, help="Of each repeat; there are three.")
+@click.option("--runs", type=Whole(1), default=20, show_default=True, help="Of each repeat; there are three.")
 @click.option(
     "--duration", metavar="SECONDS", type=click.FloatRange(0.01, 1e6), default=20.0, show_default=True,
     help="Of a run, simulated.",
 )  # fmt: skip
-@click.option("--workers", metavar="N", type=click.IntRange(1, 1024), default=2, show_default=True,
+@click.option("--workers", metavar="N", type=Whole(1, 1024), default=2, show_default=True,
               help="Measure so many workers besides one.")  # fmt: skip
-@click.option("--memory", metavar="RUNS", type=click.IntRange(10),
+@click.option("--memory", metavar="RUNS", type=Whole(10),
               help="Instead, make so many short runs with one worker, and say how much memory it takes.")  # fmt: skip
 @_output
 @json_option

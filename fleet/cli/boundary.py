@@ -14,7 +14,7 @@ from click.core import ParameterSource
 from fleet.cli.completion import scenarios
 from fleet.cli.documents.output import json_option, print_document
 from fleet.cli.trust import TrustingCommand, trust_option
-from fleet.cli.types import OVERRIDES, Duration, disturbances
+from fleet.cli.types import OVERRIDES, Duration, Whole, disturbances
 from fleet.terminal.folding import say, stdout
 
 if TYPE_CHECKING:
@@ -42,7 +42,7 @@ OUTSIDE = ("below", "above")
 @disturbances
 @click.option("--out", metavar="DIR", type=click.Path(path_type=Path, file_okay=False), default=Path("studies"),
               show_default=True, help="Where studies go, each in a directory of its own.")  # fmt: skip
-@click.option("--workers", metavar="N", type=click.IntRange(1, 1024), help="Runs at a time; by default one per core.")
+@click.option("--workers", metavar="N", type=Whole(1, 1024), help="Runs at a time; by default one per core.")
 @click.option("--scheduler", metavar="ADDRESS", help="Use a Dask cluster that is there, e.g. tls://host:8786.")
 @click.option("--timeout", metavar="TIME", type=Duration(1), help="Wall time that one run may take, e.g. '5 min'.")
 @trust_option
@@ -88,10 +88,11 @@ def boundary(
     from fleet.study.border_theory import theory
     from fleet.study.borders import Borders, find_borders, parse_along, prepare_borders
     from fleet.study.errors import StudyError
+    from fleet.study.local_engine import engine_of
     from fleet.study.pictures.border import write_borders
     from fleet.study.plan import Plan, parse_seeds
     from fleet.study.store import Store
-    from fleet.study.study import engine_of, new_directory
+    from fleet.study.study import new_directory
     from fleet.study.study_file import refuse_study
     from fleet.study.sweep import modules_again
     from fleet.study.values import parse_axis

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterable
+from pathlib import Path
 from typing import Any
 
 import click
@@ -84,6 +85,28 @@ def faults(context: click.Context) -> Iterable[str]:
     from fleet.execution.connection import ask
 
     return [fault["id"] for fault in ask(_run(context), "faults")["faults"] if fault["active"]]
+
+
+def pictures(context: click.Context, parameter: click.Parameter, typed: str) -> list[CompletionItem]:
+    """Complete the last word of a list of pictures, also with the signals of the log."""
+    before, comma, last = typed.rpartition(",")
+    words = [*getattr(parameter.type, "words", ())]
+    try:
+        from fleet.logs.signal_names import signal_names
+
+        # Where the option has no value yet, click has not told the arguments apart.
+        log = context.params.get("log") or next(iter(context.args), None)
+        words += signal_names(_newest_log() if log is None else Path(log))
+    except Exception:
+        words = words[:]  # no log, or none that can be read: the words alone
+    return [CompletionItem(_for_the_shell(before + comma + word)) for word in words if word.startswith(last)]
+
+
+def _newest_log() -> Any:
+    from fleet.cli.log_argument import RUNS
+    from fleet.execution.past_runs import newest_run
+
+    return newest_run(RUNS)
 
 
 @_words

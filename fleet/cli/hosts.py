@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 
 from fleet.cli.completion import scenarios
-from fleet.cli.types import Duration
+from fleet.cli.types import Duration, Whole
 
 if TYPE_CHECKING:
     from fleet.hosts.rendezvous import Rendezvous
@@ -110,9 +110,9 @@ def meeting(scenario: Scenario, options: dict[str, Any], *, in_process: bool) ->
 @click.argument("directory", metavar="DIR", type=click.Path(path_type=Path, file_okay=False))
 @click.option("--host", "hosts", metavar="NAME_OR_IP", multiple=True,
               help="Under which agents reach the router; repeatable. Loopback is always added.")  # fmt: skip
-@click.option("--agents", metavar="N", type=click.IntRange(0, 1000), default=0,
+@click.option("--agents", metavar="N", type=Whole(0, 1000), default=0,
               help="For mutual TLS: client certificates for agents 1 to N, and for the run itself.")  # fmt: skip
-@click.option("--days", metavar="N", type=click.IntRange(1, 3650), default=365, show_default=True,
+@click.option("--days", metavar="N", type=Whole(1, 3650), default=365, show_default=True,
               help="How long all of them are valid.")  # fmt: skip
 @click.option("--force", is_flag=True, help="Replace what is there.")
 def certs(directory: Path, hosts: tuple[str, ...], agents: int, days: int, force: bool) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -29,6 +30,22 @@ def which(command: F) -> F:
         shell_complete=completion.runs,
         help="The run: its name or the beginning of it, its scenario, or its directory; needed when several live.",
     )(command)
+
+
+def which_by_name(command: F) -> F:
+    """The same, with the name as an argument, too."""
+
+    @wraps(command)
+    def with_run(*arguments: Any, name: str | None, run: str | None, **options: Any) -> Any:
+        if name is not None and run is not None and name != run:
+            raise click.UsageError(f"which run? {name}, or --run {run}: give one of them")
+        return command(*arguments, run=name if run is None else run, **options)
+
+    argument = click.argument(
+        "name", metavar="[RUN]", required=False, shell_complete=completion.runs,
+        help="The run: its name or the beginning of it, its scenario, or its directory; needed when several live.",
+    )  # fmt: skip
+    return argument(which(with_run))  # type: ignore[return-value]
 
 
 def _ask(kind: type[D], run: str | None, op: str, **fields: Any) -> D:
@@ -131,7 +148,7 @@ def inject(what: tuple[str, ...], run: str | None, lasts: str | None, name: str 
 
 
 @click.command()
-@which
+@which_by_name
 @json_option
 def faults(run: str | None, as_json: bool) -> None:
     """List the faults of a live run, with their ids; below them what happened to vehicles.
@@ -139,6 +156,7 @@ def faults(run: str | None, as_json: bool) -> None:
     \b
     Examples:
       fleet faults
+      fleet faults paper
     """
     from fleet.cli.documents.live import Faults
 
@@ -216,14 +234,15 @@ def clock(do: str, value: str | None, run: str | None, as_json: bool) -> None:
 
 
 @click.command()
-@which
+@which_by_name
 @json_option
 def stop(run: str | None, as_json: bool) -> None:
     """Stop a live run; what it has recorded stays.
 
     \b
     Examples:
-      fleet stop --run paper
+      fleet stop
+      fleet stop paper
     """
     from fleet.cli.documents.live import Stopping
 

@@ -9,13 +9,17 @@ from typing import Any
 
 import click
 
+from fleet.cli import completion
 from fleet.cli.documents.output import json_option, print_document
 from fleet.cli.log_argument import log_argument, newest_log
 from fleet.cli.study_pictures import check_options, is_study, measure_option, plot_study, report_study
-from fleet.cli.types import Vehicles, Window, Words
+from fleet.cli.types import Pictures, Vehicles, Window, Words
 from fleet.terminal.folding import say
 
-KINDS = ("track", "error", "velocity", "attitude", "inputs", "commands", "gains", "links", "messages", "ages", "timing")
+KINDS = (
+    "track", "error", "velocity", "attitude", "inputs", "commands", "gains", "links", "messages", "ages", "checks",
+    "timing",
+)  # fmt: skip
 PARTS = ("track-3d", "formation")  # single pictures of track and error
 FORMATS = ("png", "svg", "pdf")
 _OF_LOGS = {name: f"--{name}" for name in ("what", "compare", "vehicles", "window")}
@@ -44,8 +48,10 @@ _window = click.option(
     help="Where the pictures go; by default `plots` beside the log.",
 )  # fmt: skip
 @click.option(
-    "--what", metavar="LIST", type=Words(KINDS, "all", PARTS), default="all", show_default=True,
-    help=f"Some of {', '.join(KINDS)}; or all; track-3d, formation: that part of track, of error.",
+    "--what", metavar="LIST", type=Pictures(KINDS, "all", PARTS), default="all", show_default=True,
+    shell_complete=completion.pictures,
+    help=f"Some of {', '.join(KINDS)}; or all; track-3d, formation: that part of track, of error. Also any signal of "
+    "the log: control.leads, command.tau_0, '|error.e|'.",
 )  # fmt: skip
 @click.option(
     "--format", "formats", metavar="LIST", type=Words(FORMATS), default="png", show_default=True,
@@ -73,8 +79,8 @@ def plot(
     """Draw pictures of LOG (an MCAP file, or a run directory), as wide as a column of a journal.
 
     Tracks, consensus and formation errors with what the checks ask, velocity errors, attitude, inputs, commands and
-    gains with their limits, shares of packets by fate, messages in space and time, ages of information; faults are
-    shaded. Prints the files.
+    gains with their limits, shares of packets by fate, messages in space and time, ages of information, the signals
+    that the checks name, and any other; faults are shaded. Prints the files.
 
     Of the directory of a study: pass rate and measures with intervals as heat maps, curves or boxes, a sample as
     parallel coordinates, and differences in pairs of runs with the same seed. Hatched: runs without the number.
@@ -84,6 +90,7 @@ def plot(
       fleet plot
       fleet plot --what error,inputs --format svg,pdf --linear
       fleet plot --what messages --window 20s..22s
+      fleet plot --what control.weakest --vehicles 1,4
       fleet plot runs/a --compare runs/b --what error -o compared
       fleet plot studies/rough-sea-20261122-101500 --measure e_rms_m
     """
@@ -93,7 +100,7 @@ def plot(
         return
     check_options(log, _OF_STUDIES, "studies")
     from fleet.logs.reader import log_path
-    from fleet.pictures.gallery import write
+    from fleet.pictures.gallery import check_signals, write
     from fleet.pictures.runs import View, check_view, load
     from fleet.terminal.progress import showing
 
@@ -102,6 +109,7 @@ def plot(
         runs = load([log, *compare], tell)
     view = View(vehicles, log_scale, window)
     check_view(runs, view)
+    check_signals(what, runs)
     with showing("drawing") as tell:
         paths = write(what, runs, view, out or log_path(log).parent / "plots", formats, said.append, tell)
     for note in dict.fromkeys([*(f"{r.label}: {r.log.missing}" for r in runs if r.log.missing), *_notes(runs), *said]):

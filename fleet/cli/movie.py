@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from fleet.cli.log_argument import log_argument
-from fleet.cli.types import Duration
+from fleet.cli.types import Duration, Whole
 
 
 @click.command()
@@ -24,10 +24,10 @@ from fleet.cli.types import Duration
     "-r", "--rate", metavar="X", type=click.FloatRange(0.001, 1000.0),
     help="Times real time; by default so that the movie lasts 12 s, but never slower than real time.",
 )  # fmt: skip
-@click.option("--fps", metavar="N", type=click.IntRange(1, 50), default=10, show_default=True,
+@click.option("--fps", metavar="N", type=Whole(1, 50), default=10, show_default=True,
               help="Pictures per second.")  # fmt: skip
 @click.option(
-    "--width", metavar="PX", type=click.IntRange(320, 1920), default=800, show_default=True,
+    "--width", metavar="PX", type=Whole(320, 1920), default=800, show_default=True,
     help="In pixels, rounded down to a multiple of 8; the height is three quarters of it.",
 )  # fmt: skip
 def movie(

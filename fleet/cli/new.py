@@ -1,11 +1,12 @@
-"""The command `fleet new`: a law, a check or a vehicle with a scenario, or a scenario, as templates that run."""
+"""The command `fleet new`: a law, protocol, check or vehicle with a scenario, or a scenario, as templates that run."""
 
 from __future__ import annotations
 
 import keyword
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 
 import click
 
@@ -20,13 +21,17 @@ _IMPORTED = {
     "Command",
     "Delivery",
     "Facts",
+    "FormationAgent",
     "Failure",
     "Nav",
+    "KIND",
     "PAYLOAD",
+    "PayloadError",
     "PlantConfig",
     "Sample",
     "Sequence",
     "Signal",
+    "Telemetry",
     "Tick",
     "Vec3",
     "Vec6",
@@ -71,7 +76,7 @@ def controller(name: str, kind: str, folder: Path) -> None:
       fleet new controller pid
       fleet new controller swarm --kind guidance --dir laws
     """
-    _tell(*write_law(kind, name, folder), folder)
+    _tell(write_law(kind, name, folder), folder)
 
 
 @new.command()
@@ -85,7 +90,21 @@ def check(name: str, folder: Path) -> None:
       fleet new check too_near
       fleet new check one_leader --dir checks
     """
-    _tell(*write_check(name, folder), folder)
+    _tell(write_check(name, folder), folder)
+
+
+@new.command()
+@click.argument("name")
+@_folder
+def protocol(name: str, folder: Path) -> None:
+    """Write NAME.py, a protocol that runs as it is, NAME_check.py, what it promises, and NAME.yaml, a scenario.
+
+    \b
+    Examples:
+      fleet new protocol gossip
+      fleet new protocol gossip --dir protocols
+    """
+    _tell(write_protocol(name, folder), folder)
 
 
 @new.command()
@@ -99,15 +118,18 @@ def plant(name: str, folder: Path) -> None:
       fleet new plant glider
       fleet new plant glider --dir vehicles
     """
-    _tell(*write_plant(name, folder), folder)
+    _tell(write_plant(name, folder), folder)
 
 
-def _tell(module: Path, scenario: Path, folder: Path) -> None:
+def _tell(written: Sequence[Path], folder: Path) -> None:
+    """Say which files were written, the scenario last, and what to type now."""
     import shlex
+
+    *modules, scenario = written
 
     below = folder.resolve().is_relative_to(Path().resolve())  # a module outside of the current directory needs --trust
     there, file = ("", scenario) if below else (f"cd {shlex.quote(str(folder))} && ", scenario.name)
-    click.echo(f"wrote {module} and {scenario}; now: {there}fleet run {shlex.quote(str(file))}")
+    click.echo(f"wrote {', '.join(map(str, modules))} and {scenario}; now: {there}fleet run {shlex.quote(str(file))}")
 
 
 @new.command()
@@ -162,7 +184,7 @@ def write_scenario(name: str, shipped: str | None, folder: Path) -> Path:
     return path
 
 
-def write_law(kind: str, name: str, folder: Path) -> tuple[Path, Path]:
+def write_law(kind: str, name: str, folder: Path) -> list[Path]:
     """Write `name`.py and `name`.yaml into `folder`.
 
     Raises:
@@ -172,17 +194,23 @@ def write_law(kind: str, name: str, folder: Path) -> tuple[Path, Path]:
     other = {"guidance": "tracking: neurodynamic", "tracking": "guidance: optimal"}.get(kind)
     if other is not None:
         choice += f"\n{other}  # the other half is the paper's, with gentle gains\nprofile: hardened"
-    return _write_module(name, folder, (f"{kind}.py", "law.yaml"), "Law", {"THE_CHOICE": choice})
+    return _write_modules(name, folder, {".py": f"{kind}.py", ".yaml": "law.yaml"}, "Law", {"THE_CHOICE": choice})
 
 
-def write_check(name: str, folder: Path) -> tuple[Path, Path]:
+def write_check(name: str, folder: Path) -> list[Path]:
     """Write `name`.py with a check and `name`.yaml into `folder`. Raises NewFileError as `write_law`."""
-    return _write_module(name, folder, ("check.py", "check.yaml"), "Check", {})
+    return _write_modules(name, folder, {".py": "check.py", ".yaml": "check.yaml"}, "Check")
 
 
-def write_plant(name: str, folder: Path) -> tuple[Path, Path]:
+def write_protocol(name: str, folder: Path) -> list[Path]:
+    """Write `name`.py with a protocol, `name`_check.py and `name`.yaml. Raises NewFileError as `write_law`."""
+    templates = {".py": "protocol.py", "_check.py": "protocol_check.py", ".yaml": "protocol.yaml"}
+    return _write_modules(name, folder, templates, "Protocol")
+
+
+def write_plant(name: str, folder: Path) -> list[Path]:
     """Write `name`.py with a plant and `name`.yaml into `folder`. Raises NewFileError as `write_law`."""
-    return _write_module(name, folder, ("plant.py", "plant.yaml"), "Plant", {})
+    return _write_modules(name, folder, {".py": "plant.py", ".yaml": "plant.yaml"}, "Plant")
 
 
 def _class_name(name: str, kind: str) -> str:
@@ -190,27 +218,31 @@ def _class_name(name: str, kind: str) -> str:
     return class_name + kind * (keyword.iskeyword(class_name) or class_name in _IMPORTED)
 
 
-def _write_module(
-    name: str, folder: Path, templates: tuple[str, str], kind: str, more: Mapping[str, str]
-) -> tuple[Path, Path]:
-    """Write a module and a scenario from templates, in which the_law and TheLaw stand for names; `more` replaces, too.
+def _write_modules(
+    name: str, folder: Path, templates: Mapping[str, str], kind: str, more: Mapping[str, str] = MappingProxyType({})
+) -> list[Path]:
+    """Write modules and a scenario from templates, in which the_law and TheLaw stand for names; `more` replaces, too.
+
+    Args:
+        templates: by what follows `name` in the name of the file.
 
     Raises:
         NewFileError: the name is none for a module, belongs to another one, or a file is in the way.
     """
     if not name.isascii() or not name.isidentifier() or keyword.iskeyword(name):
         raise NewFileError(f"{name!r} cannot name a Python module: letters, digits and _, not a digit first")
-    written = (folder / f"{name}.py", folder / f"{name}.yaml")
+    written = [folder / f"{name}{suffix}" for suffix in templates]
     _refuse_existing(written)
-    if (place := _taken(name)) is not None:
-        raise NewFileError(
-            f"Python has a module {name!r} already ({place}) and would find that one; choose another name"
-        )
+    for module in (path.stem for path in written if path.suffix == ".py"):
+        if (place := _taken(module)) is not None:
+            raise NewFileError(
+                f"Python has a module {module!r} already ({place}) and would find that one; choose another name"
+            )
     from importlib import resources
 
     values = {**more, "the_law": name, "TheLaw": _class_name(name, kind)}
     texts = {}
-    for path, template in zip(written, templates, strict=True):
+    for path, template in zip(written, templates.values(), strict=True):
         text = (resources.files("fleet.templates") / template).read_text("utf-8")
         texts[path] = re.sub("|".join(values), lambda match: values[match[0]], text)
     _write(folder, texts)

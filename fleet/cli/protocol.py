@@ -11,7 +11,7 @@ import click
 from fleet.cli.completion import scenarios
 from fleet.cli.group import ListingGroup
 from fleet.cli.trust import TrustingCommand, trust_option
-from fleet.cli.types import Duration
+from fleet.cli.types import Duration, Whole
 
 if TYPE_CHECKING:
     from world.plugins.trust import Trust
@@ -36,14 +36,14 @@ def protocol(context: click.Context) -> None:
 
 
 @protocol.command(cls=TrustingCommand, epilog=_CHECK)
-@click.option("--id", "vehicle", metavar="I", type=click.IntRange(min=1), required=True, help="The agent's number.")
+@click.option("--id", "vehicle", metavar="I", type=Whole(min=1), required=True, help="The agent's number.")
 @click.option("--scenario", default="paper", show_default=True, shell_complete=scenarios,
               help="Whose slice the agent is given.")  # fmt: skip
 @trust_option
 @click.option("--join-file", metavar="FILE", type=click.Path(path_type=Path, dir_okay=False),
               help="Where to write the join file; by default join-<i>.json here.")  # fmt: skip
 @click.option("--timeout", type=Duration(), default="300 s", show_default=True, help="How long to wait for the agent.")
-@click.option("--port", type=click.IntRange(1, 65535), help="Loopback port of the router; by default a free one.")
+@click.option("--port", type=Whole(1, 65535), help="Loopback port of the router; by default a free one.")
 @click.option("--listen-certified", metavar="ENDPOINT",
               help="Also listen for an agent that has a certificate and no password (zenoh-pico).")  # fmt: skip
 @click.option("--certs", metavar="DIR", type=click.Path(path_type=Path, file_okay=False),

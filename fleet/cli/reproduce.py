@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from fleet.cli.group import exit_status
+from fleet.cli.types import Whole
 from fleet.terminal.folding import stdout
 
 
@@ -19,7 +20,7 @@ from fleet.terminal.folding import stdout
     show_default=True,
     help="Where report.md, metrics.json and the pictures go.",
 )
-@click.option("--jobs", metavar="N", type=click.IntRange(1, 256), help="Runs at a time; by default one per core.")
+@click.option("--jobs", metavar="N", type=Whole(1, 256), help="Runs at a time; by default one per core.")
 @click.option(
     "--case",
     "cases",

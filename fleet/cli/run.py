@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,7 +15,7 @@ from fleet.cli.completion import scenarios
 from fleet.cli.documents.output import json_option, print_document
 from fleet.cli.group import EPILOG
 from fleet.cli.trust import TrustingCommand, trust_option
-from fleet.cli.types import OVERRIDES, Duration, Share, Speed, disturbances
+from fleet.cli.types import OVERRIDES, Duration, Share, Speed, Whole, disturbances
 from fleet.terminal.folding import say, stdout
 from fleet.terminal.output import OutputError, give_up_output
 
@@ -39,7 +40,7 @@ MOST_FAULTS = 20  # of the scenario, said before it runs
     show_default=True,
     help="Where run directories go.",
 )
-@click.option("--seed", type=click.IntRange(0, 2**63 - 1), help="Override the scenario's seed.")
+@click.option("--seed", type=Whole(0, 2**63 - 1), help="Override the scenario's seed.")
 @click.option("--duration", metavar="TIME", help="Override the scenario's duration, e.g. '20 s'.")
 @click.option(
     "--speed",
@@ -70,7 +71,7 @@ MOST_FAULTS = 20  # of the scenario, said before it runs
 @click.option("--show-config", is_flag=True, help="Print the merged scenario and stop.")
 @click.option(
     "--port",
-    type=click.IntRange(1, 65535),
+    type=Whole(1, 65535),
     help="Listen on this port of 127.0.0.1, too, for agents that cannot use the run's Unix socket.",
 )
 @click.option(
@@ -78,7 +79,11 @@ MOST_FAULTS = 20  # of the scenario, said before it runs
 )
 @click.option("--view", is_flag=True, help="Open a page of the browser that shows the run, and lets one disturb it.")
 @click.option("--audit", is_flag=True, help="Say also which messages the router refuses, a tenth slower.")
-@click.option("--wait-for-subscribers", is_flag=True, help="With --publish: begin when somebody listens.")
+@click.option(
+    "--wait-for-subscribers",
+    is_flag=True,
+    help="With --publish or --view: begin when somebody listens, such as the page.",
+)
 @cli_hosts.hosts_options
 @click.option("--join-timeout", type=Duration(), default="300 s", show_default=True,
               help="How long to wait for each agent that somebody else starts.")  # fmt: skip
@@ -125,8 +130,8 @@ def run(
       fleet run paper --speed 1 --view
       fleet run --from runs/latest@20s --set controller=bsmc
     """
-    if wait_for_subscribers and not publish:
-        raise click.UsageError("--wait-for-subscribers needs --publish: nobody could subscribe")
+    if wait_for_subscribers and not (publish or view):
+        raise click.UsageError("--wait-for-subscribers needs --publish or --view: nobody could subscribe")
     if as_json and show_config:
         raise click.UsageError("--show-config prints YAML: not together with --json")
     changes: list[str | Override] = [*overrides, *net, *fault]
@@ -182,9 +187,10 @@ def run(
             say(line, err=True)
         if loaded.ideal and not in_process:
             say("network: ideal has no latency and so runs in one process", err=True)
-    with cli_view.companion(asked=view, stays=not (quiet or as_json)) as over:
-        result = execute(loaded, options, terminal)
-        over(result.directory)
+    with cli_view.companion(asked=view, stays=not (quiet or as_json)) as page:
+        result = execute(loaded, replace(options, on_published=page.published if page else None), terminal)
+        if page is not None and result.directory is not None:
+            page.over(result.directory)
         _print_result(result, as_json=as_json, quiet=quiet)
     sys.exit(int(result.status))
 

@@ -12,7 +12,7 @@ from fleet.cli.completion import scenarios
 from fleet.cli.documents.output import json_option, print_document
 from fleet.cli.shrink import MOST_RUNS, place_of, show_least, telling, write_least
 from fleet.cli.trust import TrustingCommand, trust_option
-from fleet.cli.types import OVERRIDES, Budget, disturbances
+from fleet.cli.types import OVERRIDES, Budget, Whole, disturbances
 from fleet.terminal.folding import say
 
 if TYPE_CHECKING:
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 @click.option("-o", "--out", metavar="FILE", type=click.Path(path_type=Path, dir_okay=False),
               help="Where the least scenario goes; by default NAME-least.yaml.")  # fmt: skip
 @click.option("--force", is_flag=True, help="Replace that file if it is there.")
-@click.option("--workers", metavar="N", type=click.IntRange(1, 1024), help="Runs at a time; by default one per core.")
+@click.option("--workers", metavar="N", type=Whole(1, 1024), help="Runs at a time; by default one per core.")
 @click.option("--scheduler", metavar="ADDRESS", help="Use a Dask cluster that is there, e.g. tls://host:8786.")
 @trust_option
 @json_option
@@ -64,7 +64,7 @@ def search(
     """
     from fleet.scenario.loading import load_scenario
     from fleet.study.errors import StudyError
-    from fleet.study.local_engine import small_engine
+    from fleet.study.local_engine import engine_of
     from fleet.study.modules import modules_of
     from fleet.study.search import nemesis_of
     from fleet.study.search import search as first_that_fails
@@ -80,7 +80,7 @@ def search(
     modules = modules_of([tried], Path(scenario).parent if Path(scenario).exists() else None)
     most_runs, budget_s = budget
     least = None
-    with telling() as tell, small_engine(workers, scheduler) as engine:
+    with telling() as tell, engine_of(workers, scheduler) as engine:
         modules = engine.carry(modules)
         found = first_that_fails(tried, engine, lambda runs: tell("seeds", runs), check=check, most_runs=most_runs,
                                  budget_s=budget_s, modules=modules)  # fmt: skip

@@ -12,7 +12,7 @@ import click
 from fleet.cli.completion import scenarios
 from fleet.cli.documents.output import json_option, print_document
 from fleet.cli.trust import TrustingCommand, trust_option
-from fleet.cli.types import OVERRIDES, disturbances
+from fleet.cli.types import OVERRIDES, Whole, disturbances
 from fleet.terminal.folding import say
 
 if TYPE_CHECKING:
@@ -32,9 +32,9 @@ MOST_RUNS = 2000
 @click.option("-o", "--out", metavar="FILE", type=click.Path(path_type=Path, dir_okay=False),
               help="Where the least scenario goes; by default NAME-least.yaml.")  # fmt: skip
 @click.option("--force", is_flag=True, help="Replace that file if it is there.")
-@click.option("--most-runs", metavar="N", type=click.IntRange(1), default=MOST_RUNS, show_default=True,
+@click.option("--most-runs", metavar="N", type=Whole(1), default=MOST_RUNS, show_default=True,
               help="Stop making it less after so many runs.")  # fmt: skip
-@click.option("--workers", metavar="N", type=click.IntRange(1, 1024), help="Runs at a time; by default one per core.")
+@click.option("--workers", metavar="N", type=Whole(1, 1024), help="Runs at a time; by default one per core.")
 @trust_option
 @json_option
 def shrink(
@@ -61,14 +61,14 @@ def shrink(
       fleet shrink nemesis --set seed=7 --check formation_error
       fleet shrink my.yaml --out least.yaml
     """
-    from fleet.study.local_engine import small_engine
+    from fleet.study.local_engine import engine_of
     from fleet.study.modules import modules_of
     from fleet.study.shrink import Shrinker
 
     scenario, folder = _scenario(failing, [*overrides, *net, *fault], trust)
     path = place_of(scenario, out, force=force)
     modules = modules_of([scenario], folder)
-    with telling() as tell, small_engine(workers) as engine:
+    with telling() as tell, engine_of(workers) as engine:
         found = Shrinker(scenario, engine, tell, modules).shrink(check, most_runs)
     write_least(found.scenario, path)
     if as_json:

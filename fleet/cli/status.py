@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from fleet.cli.documents.output import json_option, print_document
-from fleet.cli.live import answer, which
+from fleet.cli.live import answer, which_by_name
 from fleet.terminal.folding import stdout
 
 if TYPE_CHECKING:
@@ -24,7 +24,7 @@ MOST_EVENTS = 5
 
 
 @click.command()
-@which
+@which_by_name
 @click.option("-w", "--watch", is_flag=True, help="Again every second, until the run is over or Ctrl-C.")
 @click.option("--all", "every", is_flag=True, help="All vehicles and links, not only the worst.")
 @json_option
@@ -37,7 +37,7 @@ def status(run: str | None, watch: bool, every: bool, as_json: bool) -> None:
     \b
     Examples:
       fleet status
-      fleet status -w --run paper-1-20261121-120000
+      fleet status -w paper-1-20261121-120000
     """
     if watch and as_json:
         raise click.UsageError("--json prints one document, and --watch many: give one of them")

@@ -15,11 +15,12 @@ from click.core import ParameterSource
 from fleet.cli.completion import studies
 from fleet.cli.documents.output import json_option, print_document
 from fleet.cli.trust import TrustingCommand, trust_option
-from fleet.cli.types import OVERRIDES, Duration, disturbances
+from fleet.cli.types import OVERRIDES, Duration, Whole, disturbances
 from fleet.terminal.folding import say, stdout
 
 if TYPE_CHECKING:
     from fleet.scenario.text.overrides import Override
+    from fleet.study.plan import Plan
     from fleet.study.statistics import Estimate
     from fleet.study.store import Store
     from fleet.study.sweep import Progress
@@ -35,7 +36,7 @@ _MOST_TOLD = 10  # logs that are not kept
 @click.option("--zip", "zipped", is_flag=True, help="Values go together, first with first; else each with each.")
 @click.option("--seeds", metavar="SEEDS", default="10", show_default=True,
               help="How many runs each point has, or their seeds: 20, 5..24 or 3,7,9.")  # fmt: skip
-@click.option("--draw", type=click.IntRange(0), default=1, show_default=True, help="Seed of values that are drawn.")
+@click.option("--draw", type=Whole(0), default=1, show_default=True, help="Seed of values that are drawn.")
 @OVERRIDES
 @disturbances
 @click.option("--measure", "measures", metavar="NAME", multiple=True,
@@ -43,7 +44,7 @@ _MOST_TOLD = 10  # logs that are not kept
               "and the like measure a signal.")  # fmt: skip
 @click.option("--until", metavar="'pass ±5 %'",
               help="Add seeds to each point until half its interval is no wider, e.g. 'e_rms_m ±10 %'.")  # fmt: skip
-@click.option("--most-seeds", metavar="N", type=click.IntRange(1, 1_000_000), default=1000, show_default=True,
+@click.option("--most-seeds", metavar="N", type=Whole(1, 1_000_000), default=1000, show_default=True,
               help="How many a point may have with --until.")  # fmt: skip
 @click.option("--budget", metavar="TIME", type=Duration(1),
               help="Wall time after which no run is made any more, e.g. '10 min'.")  # fmt: skip
@@ -51,10 +52,9 @@ _MOST_TOLD = 10  # logs that are not kept
               help="Keep the logs of runs that failed, or of all, below the study.")  # fmt: skip
 @click.option("--out", metavar="DIR", type=click.Path(path_type=Path, file_okay=False), default=Path("studies"),
               show_default=True, help="Where studies go, each in a directory of its own.")  # fmt: skip
-@click.option("--workers", metavar="N", type=click.IntRange(1, 1024), help="Runs at a time; by default one per core.")
+@click.option("--workers", metavar="N", type=Whole(1, 1024), help="Runs at a time; by default one per core.")
 @click.option("--scheduler", metavar="ADDRESS", help="Use a Dask cluster that is there, e.g. tls://host:8786.")
 @click.option("--timeout", metavar="TIME", type=Duration(1), help="Wall time that one run may take, e.g. '5 min'.")
-@click.option("--dashboard", is_flag=True, help="Let Dask serve its own page, and say where.")
 @trust_option
 @click.option("--show-config", is_flag=True, help="Print the study as a file, with the options in it, and stop.")
 @json_option
@@ -77,7 +77,6 @@ def sweep(
     workers: int | None,
     scheduler: str | None,
     timeout: int | None,
-    dashboard: bool,
     trust: Trust,
     show_config: bool,
     as_json: bool,
@@ -114,10 +113,11 @@ def sweep(
     from fleet.study.catalogue import shipped_studies
     from fleet.study.errors import StudyError
     from fleet.study.load_points import load_points
+    from fleet.study.local_engine import engine_of
     from fleet.study.signals import find_columns
     from fleet.study.spec import StudySpec, set_values, varied
     from fleet.study.store import Store
-    from fleet.study.study import engine_of, new_directory
+    from fleet.study.study import new_directory
     from fleet.study.study_file import NamedStudy, study_named
     from fleet.study.summary import DEFAULT
     from fleet.study.sweep import declared, logs_to_make, modules_again, prepare, refuse_border, run_study
@@ -161,6 +161,8 @@ def sweep(
         return
     modules = None  # those of a study that is whole are not needed
     if store is None:
+        if not spec.vary:
+            _nothing_varied(spec.plan(origin), trust, quiet=quiet)
         store, modules = prepare(spec.plan(origin), new_directory(scenario, out), trust, spec)
     shown = find_columns(spec.measures or DEFAULT, store.record.columns)
     missing = store.missing
@@ -169,9 +171,7 @@ def sweep(
     if missing or logs_to_make(store, spec.keep_logs):
         if modules is None:
             modules = modules_again(store, trust)
-        with _showing(quiet) as tell, engine_of(workers, scheduler, dashboard=dashboard) as engine:
-            if engine.dashboard and not quiet:
-                say(f"Dask's page: {engine.dashboard}", err=True)
+        with _showing(quiet) as tell, engine_of(workers, scheduler) as engine:
             try:
                 progress = run_study(
                     store, engine, tell, modules=modules, timeout_s=spec.timeout_s, budget_s=spec.budget_s,
@@ -189,6 +189,26 @@ def sweep(
         click.echo(store.directory)
     else:
         _show(store, shown)
+
+
+def _nothing_varied(plan: Plan, trust: Trust, *, quiet: bool) -> None:
+    """Say that runs differ by their seeds alone.
+
+    Raises:
+        click.UsageError: they do not even differ by these.
+    """
+    from fleet.analysis.seed import seeded
+    from fleet.study.load_points import load_points
+
+    how = "--vary varies a key: --vary 'loss=0 %..60 %/20 %' --net '* loss {loss}' varies the loss of all links"
+    (scenario,) = load_points(plan, trust)
+    if len(plan.seeds) > 1 and not seeded(scenario):
+        raise click.UsageError(
+            f"nothing is varied, and nothing in {scenario.name} depends on the seed: all {len(plan.seeds)} runs would "
+            f"be the same. {how}"
+        )
+    if not quiet:
+        say(f"fleet: nothing is varied, so the runs differ by their seeds alone; {how}", err=True)
 
 
 def _announced(store: Store, missing: int) -> str:

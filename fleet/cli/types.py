@@ -44,6 +44,18 @@ def disturbances(command: F) -> F:
     )(command)
 
 
+class Whole(click.IntRange):
+    """A whole number within limits."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        try:
+            return super().convert(value, param, ctx)
+        except click.BadParameter:
+            least, most = self.min, self.max
+            limits = f" from {least} to {most}" if most is not None else "" if least is None else f", {least} or more"
+            self.fail(f"expected a whole number{limits}, got {value!r}", param, ctx)
+
+
 class Duration(click.ParamType[int]):
     """A time with a unit, in whole ns; the limits are in s."""
 
@@ -141,13 +153,35 @@ class Words(click.ParamType[tuple[str, ...]]):
         if self._everything and self._everything in asked:
             return self._words
         for word in asked:
-            if word not in self._words and word not in self._parts:
+            if word not in self._words and word not in self._parts and not self.allows(word):
                 from netem.parsing import nearest
 
-                known = [*self._words, *self._parts, *filter(None, [self._everything])]
-                hint = nearest(word, known) or f"there are {', '.join(known)}"
+                hint = nearest(word, self.words) or f"there are {', '.join(self.words)}{self.others}"
                 self.fail(f"{word!r} is none of them; {hint}", param, ctx)
         return tuple(dict.fromkeys(asked))
+
+    @property
+    def words(self) -> tuple[str, ...]:
+        """Every word that is known."""
+        return (*self._words, *self._parts, *filter(None, [self._everything]))
+
+    others = ""  # what else is allowed, in words
+
+    def allows(self, word: str) -> bool:
+        """Whether a word is allowed that is none of the given ones."""
+        return False
+
+
+class Pictures(Words):
+    """Some of the given words, or signals such as `control.leads`; whether a log has such a signal is not known yet."""
+
+    others = ", and signals such as control.leads"
+
+    def allows(self, word: str) -> bool:
+        """Whether it has the form of a signal's name."""
+        from fleet.scenario.sections.signals import parse_name
+
+        return parse_name(word) is not None
 
 
 class Window(click.ParamType[tuple[float, float]]):

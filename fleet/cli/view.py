@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
 from fleet.cli import completion
 from fleet.cli.log_argument import RUNS
+from fleet.cli.types import Whole
 
 if TYPE_CHECKING:
+    from fleet.view.companion import Companion
     from fleet.view.source import LiveSource, LogSource
 
 EPILOG = "Exit status: 0 done, 2 usage or a bad file, 3 no connection or no port, 129 terminal closed, 130 Ctrl-C."
@@ -30,7 +31,7 @@ EPILOG = "Exit status: 0 done, 2 usage or a bad file, 3 no connection or no port
 @click.option(
     "--port",
     metavar="PORT",
-    type=click.IntRange(0, 65535),
+    type=Whole(0, 65535),
     help="By default a free one; with --foxglove 8765, which viewers propose, if that is free.",
 )
 @click.option(
@@ -115,7 +116,12 @@ def show_page(
         say(f"warning: whoever knows this address may {may}, and it travels unencrypted: keep to a network that you "
             "trust, or use ssh -L", err=True)  # fmt: skip
     with closing(door.listening):
-        feed = LiveFeed(source) if isinstance(source, LiveSource) else LogFeed(source.path, rate, loop=loop)
+        feed: LiveFeed | LogFeed
+        if isinstance(source, LiveSource):
+            feed = LiveFeed(source)
+        else:
+            feed = LogFeed(source.path, rate, loop=loop)
+            feed.seek(feed.first_failure_s())
         what = "live run" if feed.live else "log"
         click.echo(f"{what} {feed.name}, until Ctrl-C:\n  {door.address}")
         with closing(Browser(door.address)) as opened:
@@ -126,15 +132,16 @@ def show_page(
 
 
 @contextmanager
-def companion(*, asked: bool, stays: bool) -> Iterator[Callable[[Path | None], None]]:
-    """The page of the run that is made within, where one is asked for; call what it gives with the run's directory
-    when the run is over.
+def companion(*, asked: bool, stays: bool) -> Iterator[Companion | None]:
+    """The page of the run that is made within, where one is asked for.
+
+    It is to be told when the journal of the run can be read, and when the run is over.
 
     Args:
         stays: on a terminal, it stays until Ctrl-C when the run is over.
     """
     if not asked:
-        yield lambda _: None
+        yield None
         return
     from contextlib import closing, suppress
 
@@ -145,7 +152,7 @@ def companion(*, asked: bool, stays: bool) -> Iterator[Callable[[Path | None], N
     click.echo(f"the run in the browser: {door.address}", err=True)
     with closing(Companion(door)) as page, closing(Browser(door.address)) as browser:
         browser.open()
-        yield lambda directory: None if directory is None else page.over(directory)
+        yield page
         if stays and sys.stdin.isatty() and sys.stderr.isatty():
             click.echo("the page stays as it is; Ctrl-C ends it", err=True)
             with suppress(KeyboardInterrupt):

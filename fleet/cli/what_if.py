@@ -10,6 +10,7 @@ import click
 from fleet.cli.documents.output import json_option, print_document
 from fleet.cli.log_argument import log_argument
 from fleet.cli.trust import TrustingCommand, trust_option
+from fleet.cli.types import Whole
 from fleet.terminal.folding import say
 
 if TYPE_CHECKING:
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
 
 @click.command(cls=TrustingCommand, name="whatif")
 @log_argument
-@click.option("--agent", type=click.IntRange(min=1), required=True, help="The number of the vehicle.")
+@click.option("--agent", type=Whole(min=1), required=True, help="The number of the vehicle.")
 @click.option("--controller", metavar="LAW", help="Short for --set controller=LAW: a name, or package.module:Class.")
 @click.option("--set", "overrides", metavar="KEY=VALUE", multiple=True, help="Change one scenario key.")
 @trust_option

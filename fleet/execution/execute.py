@@ -114,6 +114,8 @@ def _prepare(
     log = NoLog() if scenario.spec.log.none else LogFile(directory.log)
     writer = LogWriter(log, scenario, options.start, publication.publisher, lockstep=lockstep)
     publication.open()
+    if options.publish and options.on_published is not None:
+        options.on_published(directory.path)
     journal = Journal(scenario, writer, interrupts, checks)
     runner: Runner
     if in_process:

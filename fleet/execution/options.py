@@ -30,6 +30,7 @@ class Options:
     quiet: bool = False
     publish: bool = False  # the journal on zenoh, while the run goes on
     wait: bool = False  # with `publish`: begin when there is a subscriber
+    on_published: Callable[[Path], None] | None = None  # is told the run's directory when its journal can be read
     port: int | None = None  # of loopback, where the run's router listens as well
     start: Start | None = None  # where it goes on from another run; in-process only
     realtime_speed: float | None = None  # times real time; None: lockstep

@@ -50,7 +50,7 @@ class Decoder:
             channel = next((c for c in self._reader.channels.values() if c.topic == record.topic), None)
             if channel is None:
                 return None
-            self._known[record.topic] = _class(self._reader.schemas.get(channel.schema_id)), units_of(channel)
+            self._known[record.topic] = known_class(self._reader.schemas.get(channel.schema_id)), units_of(channel)
         cls = self._known[record.topic][0]
         try:
             return cls.FromString(record.data) if cls is not None and len(record.data) <= MOST_DECODED else None
@@ -70,7 +70,8 @@ def message_class(schema: Schema) -> Any:
     return message_factory.GetMessageClass(pool.FindMessageTypeByName(schema.name))
 
 
-def _class(schema: Schema | None) -> Any:
+def known_class(schema: Schema | None) -> Any:
+    """The same; None of a schema that is not protobuf, or damaged."""
     if schema is None or schema.encoding != "protobuf":
         return None
     try:

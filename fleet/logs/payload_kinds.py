@@ -56,7 +56,7 @@ def count_kinds(links: Iterable[Topic]) -> list[KindCount] | None:
     for topic in links:
         if not len(topic):
             continue
-        if "payload" not in topic:
+        if topic.too_many or "payload" not in topic:
             return None
         rows = zip(topic["payload"], topic["corrupted"], topic["fate"] == Cause.DELIVERED, strict=True)
         for data, corrupted, delivered in rows:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import stat
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO, NamedTuple
@@ -207,9 +207,33 @@ def open_file(path: Path) -> IO[bytes]:
     if start != MAGIC:
         file.close()
         what = "it is empty" if not start else "it does not begin with MCAP's magic bytes"
-        raise LogReadError(f"{path} is no MCAP log: {what}")
+        if path.suffix in (".yaml", ".yml"):
+            raise LogReadError(
+                f"{path}: expected a log, got a scenario; fleet run {path} makes a log of it, in a directory below runs"
+            )
+        raise LogReadError(f"{path} is no MCAP log: {what}; {_WHAT_IT_IS}")
     file.seek(0, io.SEEK_SET)
     return file
+
+
+def check_readable(paths: Sequence[Path]) -> None:
+    """Look at several logs before the first one is read.
+
+    Raises:
+        LogReadError: some cannot be opened or are no MCAP files; it says of each one why.
+    """
+    wrong = []
+    for path in paths:
+        try:
+            open_file(log_path(path)).close()
+        except LogReadError as error:
+            wrong.append(str(error))
+    if wrong and len(paths) > 1:
+        wrong.append(
+            f"{len(paths) - len(wrong)} of {len(paths)} logs can be read: leave out the others, or correct their names"
+        )
+    if wrong:
+        raise LogReadError("\n".join(dict.fromkeys(wrong)))
 
 
 def open_any(path: Path) -> IO[bytes]:

@@ -16,7 +16,7 @@ from fleet.logs.fault_intervals import FaultInterval
 from fleet.logs.records import Array
 from fleet.palette import COLOURS
 from fleet.pictures.bands import Series, band_legend, draw_band, outlier_style, outliers, spread
-from fleet.pictures.envelope import enveloped
+from fleet.pictures.envelope import enveloped, reach
 from fleet.pictures.failures import draw_failures
 from fleet.pictures.runs import NothingToDraw, Run, View, first_words
 from fleet.pictures.shades import shade
@@ -59,6 +59,7 @@ def draw_lines(
     view: View,
     whose: str = "",
     log: bool = False,
+    exact: bool = False,
     **style: Any,
 ) -> list[str]:
     """One line per vehicle and panel, its colour the vehicle's; of several runs, the run's; of many vehicles, a band.
@@ -66,6 +67,7 @@ def draw_lines(
     Args:
         whose: which laws report such a signal, for the message if no vehicle does.
         log: the signals are errors on a logarithmic axis, which decides who is an outlier.
+        exact: every sample is on the line, also of what oscillates too fast to be seen.
         style: of each vehicle's line.
 
     Returns:
@@ -102,8 +104,9 @@ def draw_lines(
             looks = {i: {"color": COLOURS[k], "linestyle": STYLES[k]} for k, i in enumerate(vehicles) if i in reported}
             entries = [Line2D([], [], label=f"UUV {i}", **look) for i, look in looks.items()]
         for (ax, _), signals in zip(panel, found, strict=True):
+            whole = 0.0 if exact else reach(signals.values(), log)
             for i in sorted(signals.keys() & looks.keys()):
-                too_fast |= _draw_line(ax, f"{run.slug}-vehicle-{i}", signals[i], log, looks[i] | style)
+                too_fast |= _draw_line(ax, f"{run.slug}-vehicle-{i}", signals[i], whole, log, looks[i] | style)
         if silent := [i for i in vehicles if i not in reported]:
             notes.append(f"{run.label + ': ' if by_run else ''}not reported by UUV {first_words(silent)}")
     if too_fast:
@@ -121,10 +124,10 @@ def draw_lines(
     return notes
 
 
-def _draw_line(ax: Axes, gid: str, series: Series, log: bool, style: dict[str, Any]) -> bool:
+def _draw_line(ax: Axes, gid: str, series: Series, whole: float, log: bool, style: dict[str, Any]) -> bool:
     """Draw the line of a vehicle; returns whether it oscillates too fast, so that its envelope is drawn."""
     first, last = ax.get_xlim()
-    (t, values), around = enveloped(*series, (first, last), log)
+    (t, values), around = enveloped(*series, (first, last), whole, log)
     if around is not None:
         ax.fill_between(
             around.t, around.low, around.high, color=style["color"], alpha=0.22, linewidth=0, gid=f"{gid}-envelope"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
@@ -12,7 +13,7 @@ from fleet.pictures.bands import SMALLEST, Series
 COLUMNS = 90  # of an axis, each about 2 pt wide: two lines beside each other cover it
 _TURNS = 2  # in a column: a whole oscillation
 _NEAR = 5  # columns; where most of so many have such turns, the signal oscillates and does not only jump
-_LEAST = 0.03  # of the whole range: what a column's range must be, so that small noise stays a line
+_LEAST = 0.03  # of the range of the axis: what a column's range must be, so that small noise stays a line
 
 
 class Envelope(NamedTuple):
@@ -23,13 +24,23 @@ class Envelope(NamedTuple):
     high: Array
 
 
-def enveloped(t: Array, values: Array, span: tuple[float, float], log: bool = False) -> tuple[Series, Envelope | None]:
+def reach(lines: Iterable[Series], log: bool = False) -> float:
+    """The range of all lines of an axis, in decades if it is logarithmic."""
+    each = [_seen(values[np.isfinite(values)], log) for _, values in lines]
+    some = [values for values in each if len(values)]
+    return float(max(values.max() for values in some) - min(values.min() for values in some)) if some else 0.0
+
+
+def enveloped(
+    t: Array, values: Array, span: tuple[float, float], whole: float, log: bool = False
+) -> tuple[Series, Envelope | None]:
     """What to draw of a signal.
 
     Args:
         t: times [s], ascending; NaN in gaps.
         values: of the same length.
         span: the time axis [s].
+        whole: the `reach` of all lines of the axis.
         log: its axis is logarithmic.
 
     Returns:
@@ -42,7 +53,7 @@ def enveloped(t: Array, values: Array, span: tuple[float, float], log: bool = Fa
         return (t, values), None
     edges = np.linspace(*span, COLUMNS + 1)
     place = np.clip(np.searchsorted(edges, t[good], "right") - 1, 0, COLUMNS - 1)
-    seen = np.log10(np.maximum(np.abs(values[good]), SMALLEST)) if log else values[good]
+    seen = _seen(values[good], log)
     low, high = np.full(COLUMNS, np.inf), np.full(COLUMNS, -np.inf)
     np.minimum.at(low, place, seen)
     np.maximum.at(high, place, seen)
@@ -50,7 +61,6 @@ def enveloped(t: Array, values: Array, span: tuple[float, float], log: bool = Fa
     moving = np.flatnonzero(steps)
     turning = moving[1:][np.sign(steps[moving[1:]]) != np.sign(steps[moving[:-1]])]
     turns = np.bincount(place[turning], minlength=COLUMNS)
-    whole = float(np.ptp(seen))
     fast = (turns >= _TURNS) & (high - low >= _LEAST * whole) & (whole > 0.0)
     fast = (np.convolve(fast, np.ones(_NEAR), "same") > _NEAR / 2) & np.isfinite(low)
     if not fast.any():
@@ -70,3 +80,8 @@ def enveloped(t: Array, values: Array, span: tuple[float, float], log: bool = Fa
     np.maximum.at(top, place, values[good])
     shape = [np.repeat(np.where(fast, one, np.nan), 2) for one in (bottom, top)]
     return line, Envelope(np.repeat(edges, 2)[1:-1], *shape)
+
+
+def _seen(values: Array, log: bool) -> Array:
+    """Values as the axis shows them."""
+    return np.log10(np.maximum(np.abs(values), SMALLEST)) if log else values

@@ -11,7 +11,7 @@ from fleet.pictures.style import LABEL_PT
 
 MOST_MARKS = 6
 _ROOM = 0.06  # of the axis: what a number needs
-_COLOUR = "#a4001d"
+COLOUR = "#a4001d"
 
 
 def draw_failures(axes: Sequence[Axes], runs: Sequence[Run]) -> list[str]:
@@ -26,12 +26,12 @@ def draw_failures(axes: Sequence[Axes], runs: Sequence[Run]) -> list[str]:
     words, rows = [], list[float]()  # of each row of numbers above each other where its last one stands
     for number, (at_s, names) in enumerate(shown[:MOST_MARKS], start=1):
         for ax in axes:
-            ax.axvline(at_s, color=_COLOUR, linewidth=0.9, linestyle=(0, (1, 1)), zorder=4, gid="failed-check")
+            ax.axvline(at_s, color=COLOUR, linewidth=0.9, linestyle=(0, (1, 1)), zorder=4, gid="failed-check")
         row = next((k for k, last in enumerate(rows) if at_s - last > _ROOM * (end - begin)), len(rows))
         rows[row : row + 1] = [at_s]
         axes[0].annotate(
             f"✗{number}", (at_s, 0.0), xycoords=("data", "axes fraction"), textcoords="offset points",
-            xytext=(1.5, 2 + row * (LABEL_PT + 2)), color=_COLOUR, fontsize=LABEL_PT, ha="left", va="bottom", zorder=5,
+            xytext=(1.5, 2 + row * (LABEL_PT + 2)), color=COLOUR, fontsize=LABEL_PT, ha="left", va="bottom", zorder=5,
             gid="failed-check-name", bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.7, "pad": 0.3},
         )  # fmt: skip
         words.append(f"✗{number}  fails at {at_s:g} s: {', '.join(names)}")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 from matplotlib.figure import Figure
@@ -10,14 +10,16 @@ from matplotlib.figure import Figure
 from fleet.errors import FleetError
 from fleet.logs.reader import Tell
 from fleet.logs.topic import TooLargeError
-from fleet.pictures import exchange, shares, signals, timing, track
+from fleet.pictures import any_signal, exchange, shares, signals, timing, track
 from fleet.pictures.runs import NothingToDraw, Run, View, origin
 from fleet.pictures.style import save
+from fleet.scenario.sections.signals import parse_name
 
 Draw = Callable[[Sequence[Run], View], Figure]
+_Picture = tuple[str, str, Draw]
 # What one can ask for -> the pictures that answer: (name of the file, what it shows, how). By the name of its file one
 # can ask for a single picture, too.
-WHAT: dict[str, tuple[tuple[str, str, Draw], ...]] = {
+WHAT: dict[str, tuple[_Picture, ...]] = {
     "track": (
         ("track", "The vehicles' ways from above, in north and east", track.top),
         ("track-3d", "The same in three dimensions", track.space),
@@ -34,11 +36,20 @@ WHAT: dict[str, tuple[tuple[str, str, Draw], ...]] = {
     "links": (("links", "What became of the packets of each link, as shares over time", shares.timeline),),
     "messages": (("messages", "Messages between the agents in space and time", exchange.spacetime),),
     "ages": (("ages", "Age of what was last heard on each link", exchange.ages),),
+    "checks": (),  # a picture for each signal that the checks name
     "timing": (("timing", "On a wall clock: how late agents answered, what delays became", timing.punctuality),),
 }
 # Those that are left out where everything is asked for, if they hold for none of the runs.
 _ONLY_IF: dict[str, Callable[[Run], bool]] = {"timing": timing.on_wall_clock, "attitude": signals.rolls}
 PER_RUN = frozenset({"links", "messages", "timing"})  # those that show one run only: of several, each has its own
+
+
+def check_signals(what: Sequence[str], runs: Sequence[Run]) -> None:
+    """Raises ViewError: a signal among what is asked for is in none of the logs."""
+    single = {picture[0] for pictures in WHAT.values() for picture in pictures}
+    for word in what:
+        if word not in WHAT and word not in single and (name := parse_name(word)) is not None:
+            any_signal.need(runs, name)
 
 
 def draw(
@@ -64,7 +75,10 @@ def _each(
         share(number / len(what))
         if asked_for_all and kind in _ONLY_IF and not any(map(_ONLY_IF[kind], runs)):
             continue
-        for name, title, make in WHAT.get(kind) or single[kind]:
+        pictures = _pictures(kind, runs, single)
+        if not pictures and not asked_for_all:
+            yield kind, kind, runs, "no check of the scenario names a signal that has no picture of its own"
+        for name, title, make in pictures:
             if name in begun:
                 continue
             begun.add(name)
@@ -76,6 +90,18 @@ def _each(
                     yield called, shown, some, make(some, view)
                 except (NothingToDraw, TooLargeError) as reason:
                     yield called, shown, some, str(reason)
+
+
+def _pictures(kind: str, runs: Sequence[Run], single: Mapping[str, tuple[_Picture, ...]]) -> Sequence[_Picture]:
+    """The pictures of a kind, or of a signal."""
+    if kind in WHAT or kind in single:
+        named = any_signal.checked_signals(runs) if kind == "checks" else []
+        found = WHAT.get(kind, ()) or single.get(kind, ())
+    else:
+        signal = parse_name(kind)
+        named, found = [] if signal is None else [signal], ()
+    own = [(any_signal.file_name(one), any_signal.title(runs, one), any_signal.picture(one)) for one in named]
+    return [*found, *own]
 
 
 def write(

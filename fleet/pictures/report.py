@@ -9,14 +9,27 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from fleet.logs.payload_kinds import count_kinds
 from fleet.logs.reader import Tell, digest
 from fleet.logs.result_file import ResultError, read_result
 from fleet.logs.run_name import begun_at, run_name
 from fleet.pictures.gallery import PER_RUN, WHAT, draw
 from fleet.pictures.page import Picture, Pictures, png, render, write_page
 from fleet.pictures.report_scenario import conditions_note, conditions_table, network_facts, scenario_facts
-from fleet.pictures.report_tables import Mark, Table, links_table, number, rest, side_by_side, worst
+from fleet.pictures.report_tables import (
+    Mark,
+    Table,
+    checks_table,
+    kinds_table,
+    links_table,
+    number,
+    rest,
+    side_by_side,
+    worst,
+)
 from fleet.pictures.runs import Run, View
+from fleet.pictures.telling import telling
+from fleet.scenario.sections.vehicle_events import vehicle_events
 from netem.ages import Ages
 from netem.causes import Cause
 from netem.wire.messages import Fate
@@ -49,8 +62,10 @@ class Section:
     no_verdicts: str  # why there are none; "" if there are
     status: Mark | None
     reason: str
+    first: Picture | None  # that shows best what was found
     checks: Table
     faults: Table
+    events: Table  # of vehicles
     tables: list[tuple[str, Table]]  # with their headings
     pictures: Pictures
     place: str  # of the log, as a shell reads it
@@ -75,7 +90,7 @@ def page(runs: Sequence[Run], view: View, share: Tell = lambda _: None) -> str:
     if len(runs) > 1:
         together = {
             "table": side_by_side(runs, [result.values for result in results]),
-            "pictures": _pictures([k for k in WHAT if k not in PER_RUN], runs, view, share),
+            "pictures": _pictures([k for k in WHAT if k not in PER_RUN], runs, view, share)[1],
         }
     kinds = list(WHAT) if len(runs) == 1 else sorted(PER_RUN)
     numbered = enumerate(zip(runs, results, strict=True), start=1 if len(runs) > 1 else 0)
@@ -102,11 +117,9 @@ def _section(number: int, run: Run, result: RunResult, kinds: Sequence[str], vie
     ]
     if number and run.label != name:
         facts.append(("in tables and pictures of several runs", run.label))
-    checks = [
-        (check["check"], Mark(check["passed"], "pass" if check["passed"] else "FAIL"), check["asked"], check["found"])
-        for check in values.get("checks", ())
-    ]
     faults = [(fault.id, f"{fault.begin:g}", f"{fault.end:g}", fault.what) for fault in log.faults]
+    events = vehicle_events((event.what, event.begin) for event in log.events)
+    first, pictures = _pictures(kinds, [run], view, share, [] if number else telling(run))
     return Section(
         anchor=f"run-{number}",
         name=name,
@@ -118,16 +131,24 @@ def _section(number: int, run: Run, result: RunResult, kinds: Sequence[str], vie
         conditions=conditions_table(scenario) if scenario is not None else Table((), ()),
         conditions_note=conditions_note(scenario) if scenario is not None else "",
         no_verdicts=result.why_none,
-        status=Mark(values["status"] == "pass", values["status"].replace("_", " ")) if values else None,
+        status=_status(values) if values else None,
         reason=values.get("reason", ""),
-        checks=Table(("check", "verdict", "asked", "found"), checks),
+        first=first,
+        checks=checks_table(values.get("checks", ())),
         faults=Table(("fault", "from [s]", "to [s]", "what"), faults),
+        events=Table(("event", "times", "first at [s]"), [(e.what, e.times, f"{e.first_s:.10g}") for e in events]),
         tables=_tables(run, values),
-        pictures=_pictures(kinds, [run], view, share),
+        pictures=pictures,
         place=shlex.quote(str(path.parent if path.name == "run.mcap" else path)),
         metadata=Table((), sorted(log.run.items())),
         scenario_text=log.scenario_text,
     )
+
+
+def _status(values: dict[str, Any]) -> Mark:
+    passed, word = values["status"] == "pass", values["status"].replace("_", " ")
+    expected = passed and not all(check["passed"] for check in values["checks"])
+    return Mark(passed, "pass: a check fails, as expected" if expected else word)
 
 
 def _result(run: Run, share: Tell) -> RunResult:
@@ -170,6 +191,9 @@ def _tables(run: Run, values: dict[str, Any]) -> list[tuple[str, Table]]:
         headings_ = ("UUV", "consensus error [m]", "formation error [m]")
         tables.append(("Vehicles at the end of the log", Table(headings_, final)))
     ledger, ages, source = (values["ledger"], values["ages"], "") if values else (*_from_log(run), ", from the log")
+    kinds = count_kinds(run.log[f"link/{a}-{b}"] for a, b in run.log.links) or []
+    if len(kinds) > 1:
+        tables.append(("Packets by kind of payload", kinds_table(kinds)))
     if any(account["sent"] for account in ledger.values()):
         heading = f"Packets per directed link, and age of what was heard last{source}"
         tables.append((heading, links_table(ledger, ages)))
@@ -210,11 +234,15 @@ def _from_log(run: Run) -> tuple[dict[str, Any], dict[str, Any]]:
     return ledger, ages.summary(round(tick_s * 1e9)) if tick_s else {}
 
 
-def _pictures(kinds: Sequence[str], runs: Sequence[Run], view: View, share: Tell) -> Pictures:
-    drawn, missing = [], []
+def _pictures(
+    kinds: Sequence[str], runs: Sequence[Run], view: View, share: Tell, first: Sequence[str] = ()
+) -> tuple[Picture | None, Pictures]:
+    """The first picture of those names that is drawn, and all others."""
+    drawn, missing = dict[str, Picture](), []
     for name, title, figure in draw(kinds, runs, view, share):
         if isinstance(figure, str):
             missing.append(f"{name}: {figure}")
         else:
-            drawn.append(Picture(title, png(figure)))
-    return Pictures(drawn, missing + [note for run in runs for note in run.notes])
+            drawn[name] = Picture(title, png(figure))
+    top = next((drawn.pop(name) for name in first if name in drawn), None)
+    return top, Pictures(list(drawn.values()), missing + [note for run in runs for note in run.notes])

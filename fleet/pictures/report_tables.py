@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple, TypeVar
 
+from fleet.logs.payload_kinds import KindCount
 from fleet.pictures.runs import Run
 from netem.causes import Cause
 
@@ -79,6 +80,25 @@ def links_table(ledger: Mapping[str, Any], ages: Mapping[str, Any]) -> Table:
     rows, headings = [tuple(row[k] for k in kept) for row in rows], tuple(headings[k] for k in kept)
     rows += rest(len(ledger) - len(names), "whose age stayed lower")
     return Table(headings, rows)
+
+
+def kinds_table(kinds: Sequence[KindCount]) -> Table:
+    """The packets by kind of payload."""
+    rows = [
+        (one.kind, one.packets, one.delivered, f"{one.delivered / one.packets:.1%}", f"{one.size / one.packets:.4g}")
+        for one in kinds[:MOST_ROWS]
+    ]
+    left = rest(len(kinds) - len(rows), "of which there are fewer")
+    return Table(("kind", "packets", "arrived whole", "share", "mean size [bytes]"), [*rows, *left])
+
+
+def checks_table(checks: Sequence[Mapping[str, Any]]) -> Table:
+    """The verdicts, failed checks on top; `checks` as in result.json."""
+    rows = [
+        (check["check"], Mark(check["passed"], "pass" if check["passed"] else "FAIL"), check["asked"], check["found"])
+        for check in sorted(checks, key=lambda check: bool(check["passed"]))
+    ]
+    return Table(("check", "verdict", "asked", "found"), rows)
 
 
 def worst(rows: Mapping[_Name, Any], how_bad: Mapping[_Name, float]) -> list[_Name]:

@@ -15,12 +15,13 @@ import numpy as np
 
 from fleet.errors import FleetError
 from fleet.logs.open_log import Log, open_drawn
-from fleet.logs.reader import digest
+from fleet.logs.reader import check_readable, digest
 from fleet.logs.records import Array
 from fleet.logs.result_file import ResultError, read_result
 from fleet.logs.run_name import run_name
 from fleet.pictures.style import Origin
 from fleet.scenario.scenario import Scenario
+from fleet.scenario.sections.signals import GROUPS
 
 GAP = 1.5  # times the usual distance of two samples: more, and the line is broken
 
@@ -82,15 +83,18 @@ class Run:
         return digest(self.log.path)
 
     @cached_property
-    def failures(self) -> list[tuple[str, float]]:
-        """Name and time [s] of each check that failed at a moment, as the result beside the log has it."""
+    def verdicts(self) -> list[dict[str, Any]]:
+        """The checks as the result beside the log has them; empty: there is none, or it is of another log."""
         try:
             result = read_result(self.log.path)
         except (FileNotFoundError, ResultError):
             return []
-        if result["digest"] != self.digest:  # of another log
-            return []
-        return [(row["check"], row["moment"]["at_s"]) for row in result["checks"] if row["moment"] is not None]
+        return result["checks"] if result["digest"] == self.digest else []
+
+    @property
+    def failures(self) -> list[tuple[str, float]]:
+        """Name and time [s] of each check that failed at a moment."""
+        return [(row["check"], row["moment"]["at_s"]) for row in self.verdicts if row["moment"] is not None]
 
     @cached_property
     def tick_s(self) -> float:
@@ -129,6 +133,7 @@ def load(paths: Sequence[Path], share: Callable[[float], None] = lambda _: None)
     Raises:
         LogReadError: one of them cannot be read.
     """
+    check_readable(paths)
     # Poses are states in another form.
     logs = [open_drawn(path, _WANTED, share, _DRAWN) for path in paths]
     names = [_name(log) for log in logs]
@@ -142,7 +147,7 @@ def load(paths: Sequence[Path], share: Callable[[float], None] = lambda _: None)
     return runs
 
 
-_WANTED = ["uuv/*/state", "uuv/*/command", "uuv/*/guidance", "uuv/*/control", "uuv/*/error", "faults", "link/*"]
+_WANTED = [*(f"uuv/*/{group}" for group in GROUPS), "faults", "link/*"]
 
 
 _DRAWN = {"link/*": frozenset({"seq", "copy", "sent", "due", "fate", "corrupted"})}  # without payloads

@@ -6,12 +6,14 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
+from textwrap import wrap
 
 import numpy as np
 from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
+from fleet.logs.payload_kinds import DAMAGED, count_kinds
 from fleet.logs.records import Array
 from fleet.pictures.axes import finish, marks_legend, over_time
 from fleet.pictures.exchange import FATES, fates_of, links_between, name_rows, rank
@@ -28,6 +30,7 @@ _COLOURS = {LATE: "#0072B2"} | {fate: colour for fate, (_, colour) in FATES.item
 _BINS = 150  # of the time axis, at most
 _PER_BIN = 4  # packets, if there are enough
 _ROW_IN = 0.17
+_MOST_KINDS = 6
 
 
 @dataclass(slots=True)
@@ -86,8 +89,20 @@ def timeline(runs: Sequence[Run], view: View) -> Figure:
         notes.append("blank: nothing was sent")
     if LATE in counts:
         notes.append("late: arrived behind a newer one of its link")
+    if view.window is None:
+        notes += kinds_line(run, links)
     finish(figure, [ax], runs, notes)
     return figure
+
+
+def kinds_line(run: Run, links: Sequence[Link]) -> list[str]:
+    """Words on how many packets carried which kind of payload, and how many of these arrived; none if all are alike."""
+    kinds = count_kinds(run.log[f"link/{a}-{b}"] for a, b in links) or []
+    if len([one for one in kinds if one.kind != DAMAGED]) < 2:
+        return []
+    each = [f"{one.kind} {one.packets} ({one.delivered / one.packets:.0%} whole)" for one in kinds[:_MOST_KINDS]]
+    more = [f"{len(kinds) - _MOST_KINDS} more kinds"] if len(kinds) > _MOST_KINDS else []
+    return wrap("kinds: " + ", ".join(each + more), 54)
 
 
 def fold(rows: list[Row]) -> list[Row]:

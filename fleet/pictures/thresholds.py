@@ -13,12 +13,13 @@ from fleet.scenario.schema.checks import EVERY, Below, Recovery
 
 
 class Threshold(NamedTuple):
-    """An error has to be below `value` [m] in a time [s]."""
+    """A signal is compared with a value, an error in m, in a time [s]."""
 
     value: float
     begin: float
     end: float
-    words: str
+    words: str  # when, or of whom
+    asked: str  # such as `below 0.5 m`
 
 
 def thresholds(runs: Sequence[Run], error: str) -> list[Threshold]:
@@ -35,7 +36,11 @@ def thresholds(runs: Sequence[Run], error: str) -> list[Threshold]:
         below: Below | None = getattr(checks, f"{error}_error")
         if below is not None:
             after = below.after / 1e9
-            found.append(Threshold(below.below, after, run.log.end, f"from {after:g} s{_of(below.vehicles)}"))
+            found.append(
+                Threshold(
+                    below.below, after, run.log.end, f"from {after:g} s{_of(below.vehicles)}", _below(below.below)
+                )
+            )
         for check in checks.recovery_time or ():
             if check.error == error:
                 found += _recoveries(check, run)
@@ -50,8 +55,16 @@ def _recoveries(check: Recovery, run: Run) -> list[Threshold]:
         if check.fault in (EVERY, fault.id) and fault.end < run.log.end:
             later = (other.begin for other in faults if other.id != fault.id and other.begin >= fault.end)
             words = f"{allowed:g} s after {fault.id}{_of(check.vehicles)}"
-            found.append(Threshold(check.within, fault.end + allowed, min(later, default=run.log.end), words))
+            found.append(
+                Threshold(
+                    check.within, fault.end + allowed, min(later, default=run.log.end), words, _below(check.within)
+                )
+            )
     return found
+
+
+def _below(value: float) -> str:
+    return f"below {value:g} m"
 
 
 def _of(vehicles: str | None) -> str:
@@ -68,10 +81,11 @@ def draw_thresholds(ax: Axes, asked: Sequence[Threshold]) -> None:
             ax.plot([begin, end], [value, value], color="black", linewidth=NORMAL,
                     linestyle=(0, (3, 1.5)), zorder=4, gid="check")  # fmt: skip
         va, off = ("top", -2) if k == 0 and len(shown) > len(same) else ("bottom", 2)
-        words = [one.words for one in same]
+        words = list(dict.fromkeys(one.words for one in same))
         some = "; ".join(words[:2]) + (f"; and {len(words) - 2} more" if len(words) > 2 else "")
+        text = " ".join(filter(None, ("check:", same[0].asked, some)))
         ax.annotate(
-            f"check: below {value:g} m {some}", (1.0, value), xycoords=("axes fraction", "data"), xytext=(-2, off),
+            text, (1.0, value), xycoords=("axes fraction", "data"), xytext=(-2, off),
             textcoords="offset points", ha="right", va=va, fontsize=LABEL_PT, zorder=5, gid="check-name",
             bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.7, "pad": 0.5},
         )  # fmt: skip

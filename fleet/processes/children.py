@@ -17,12 +17,12 @@ from dataclasses import dataclass
 from multiprocessing.connection import wait
 from multiprocessing.process import BaseProcess
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import setproctitle
 
 from fleet.processes.interrupts import deferring_interrupts, out_of_reach
+from fleet.processes.main_module import without_main
 from fleet.processes.open_files import allow_most_open_files
 from fleet.processes.parent_death import CONSOLE_PID_VARIABLE
 from fleet.processes.run_folder import own_folder_for_multiprocessing
@@ -172,7 +172,7 @@ def _set_preload() -> None:
 def _forkserver_starting() -> Iterator[None]:
     """What has to hold where the fork server may be started."""
     own_folder_for_multiprocessing()
-    with _without_main(), out_of_reach(), _named_console():
+    with without_main(), out_of_reach(), _named_console():
         yield
 
 
@@ -288,17 +288,6 @@ def describe_exit(code: int) -> str:
     except ValueError:
         name = f"signal {-code}"
     return f"was killed by {name}"
-
-
-@contextlib.contextmanager
-def _without_main() -> Iterator[None]:
-    # Otherwise every child would import the console's main module, and with it the whole command line.
-    main = sys.modules["__main__"]
-    sys.modules["__main__"] = ModuleType("__main__")
-    try:
-        yield
-    finally:
-        sys.modules["__main__"] = main
 
 
 def _child(title: str, log_path: str, target: Callable[..., None], args: tuple[Any, ...]) -> None:

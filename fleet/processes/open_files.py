@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import os
 import resource
 
 from fleet.errors import RunBroken
 
 # Measured: the console holds 16 and two per agent, the world 14 and one per agent; more while they start.
 FILES, FILES_PER_VEHICLE = 48, 2
+FILES_PER_WORKER = 3  # its pipe, and two of multiprocessing
 MOST_VEHICLES = 1000
 
 
@@ -31,6 +33,21 @@ def allow_open_files(vehicles: int, others: int = 0) -> None:
         raise RunBroken(
             f"{vehicles} vehicles need {needed} open files per process, and the limit here is {limit}; raise it "
             f"(ulimit -n {needed}, or LimitNOFILE= of a systemd unit), or take --in-process, which needs none of them"
+        )
+
+
+def allow_workers(count: int) -> None:
+    """Raise the soft limit as far as so many worker processes need it; each of them inherits it.
+
+    Raises:
+        RunBroken: the hard limit is too low.
+    """
+    needed = len(os.listdir("/proc/self/fd")) + FILES + FILES_PER_WORKER * count
+    limit = _raise_to(needed)
+    if limit < needed:
+        raise RunBroken(
+            f"{count} workers need {needed} open files in this process, and the limit here is {limit}; raise it "
+            f"(ulimit -n {needed}), or take fewer with --workers"
         )
 
 

@@ -1,29 +1,48 @@
 """Worker processes of this machine that call a function for each of many items.
 
-Each worker is a pool of one process, so that of a worker that dies it is known which item it had, and the others go on.
+Each worker has a pipe of its own and one item at a time. So it is known which item a worker had when it died, an item
+that takes too long ends with its worker, and the others go on. There is no thread, no queue that workers share, and
+nothing on disk.
 """
 
 from __future__ import annotations
 
 import multiprocessing
 import os
+import pickle
+import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor
-from concurrent.futures import wait as until
-from concurrent.futures.process import BrokenProcessPool
+from concurrent.futures import Future
+from contextlib import suppress
+from math import inf
+from multiprocessing.connection import Connection
+from multiprocessing.connection import wait as until
 from types import TracebackType
-from typing import TypeVar
+from typing import Any, TypeVar
 
+from fleet.errors import FleetError, RunBroken
 from fleet.processes.interrupts import out_of_reach
+from fleet.processes.main_module import without_main
+from fleet.processes.open_files import allow_workers
 from fleet.processes.parent_death import die_with_parent
 from fleet.processes.safe_path import children_ignore_the_folder
 
 I = TypeVar("I")  # noqa: E741
 R = TypeVar("R")
 
-WorkerDied = BrokenProcessPool  # the exception of an item whose worker died each time
-TIMES = 3  # that an item is given to a worker, and a run of a study to one of Dask
+TIMES = 3  # that an item is given to a worker
+_READY, _BEGUN, _DONE, _FAILED = range(4)
+_WAIT_S = 0.2
+_GRACE_S = 2.0  # for a worker that has nothing to do and is told to end
+
+
+class WorkerDied(FleetError):
+    """The exception of an item whose worker died each time."""
+
+
+class WorkerLate(FleetError):
+    """The exception of an item that took too long; its worker was killed."""
 
 
 class Workers:
@@ -36,68 +55,233 @@ class Workers:
             count: how many.
             begin: called first in each process. What only a process that is starting can take, such as an array in
                 shared memory, belongs into it.
+
+        Raises:
+            RunBroken: too few files may be open for so many.
         """
         self.count = count
         self._begin = begin
-        self._context = multiprocessing.get_context("spawn")
-        self._pools: dict[int, ProcessPoolExecutor] = {}
+        self._running: list[_Worker | None] = [None] * count
+        allow_workers(count)
 
     def __enter__(self) -> Workers:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: BaseException | TracebackType | None) -> None:
-        processes = [process for pool in self._pools.values() for process in (pool._processes or {}).values()]
-        for pool in self._pools.values():
-            pool.shutdown(wait=kind is None, cancel_futures=True)
-        if kind is not None:
-            for process in processes:
-                process.terminate()
+        workers = [worker for worker in self._running if worker is not None]
+        for worker in workers:
+            worker.connection.close()  # which it takes as the end, if it is idle
+            if kind is not None:
+                worker.process.kill()
+        for worker in workers:
+            worker.end(_GRACE_S)
+
+    @property
+    def pids(self) -> list[int]:
+        """The process ids of those that were started."""
+        return [worker.process.pid for worker in self._running if worker is not None and worker.process.pid is not None]
 
     def each(
-        self, function: Callable[[I], R], items: Iterable[I], wait: Callable[[], None] = lambda: None
+        self,
+        function: Callable[[I], R],
+        items: Iterable[I],
+        wait: Callable[[], None] = lambda: None,
+        limit_s: Callable[[I], float] = lambda _: inf,
     ) -> Iterator[tuple[I, Future[R]]]:
         """Call the function for every item, in the order of the items, as workers become free.
 
         Args:
             wait: is called several times a second.
+            limit_s: wall time that an item may take; a worker that takes longer is killed.
 
         Yields:
             Each item with the future of its result, as they end. The exception of an item under which a worker died
-            `TIMES` times is a WorkerDied.
+            `TIMES` times is a WorkerDied, and that of one that took too long a WorkerLate.
+
+        Raises:
+            RunBroken: no process can be started, or each ends before it begins with its item.
         """
         new = ((item, 1) for item in items)
         again: deque[tuple[I, int]] = deque()
-        idle = list(range(self.count))
-        under_way: dict[Future[R], tuple[int, I, int]] = {}
-        while True:
-            while idle and (job := again.popleft() if again else next(new, None)) is not None:
-                worker = idle.pop()
-                under_way[self._submit(worker, function, job[0])] = (worker, *job)
-            if not under_way:
-                return
-            for future in until(under_way, timeout=0.2, return_when=FIRST_COMPLETED).done:
-                worker, item, times = under_way.pop(future)
-                idle.append(worker)
-                if times < TIMES and isinstance(future.exception(), WorkerDied):
-                    again.append((item, times + 1))
+        under_way: dict[int, tuple[I, int]] = {}  # by place
+        lost = 0  # workers in a row that died before they began
+        try:
+            while True:
+                for place in range(self.count):
+                    if place in under_way:
+                        continue
+                    if (job := again.popleft() if again else next(new, None)) is None:
+                        break
+                    under_way[place] = job
+                    self._give(place, pickle.dumps((function, job[0])), limit_s(job[0]))
+                if not under_way:
+                    return
+                for place, worker in self._heard(under_way):
+                    if (ended := worker.hear()) is None:
+                        continue
+                    begun, outcome = ended
+                    item, times = under_way.pop(place)
+                    if worker.dead:
+                        self._running[place] = None
+                    died = isinstance(outcome.exception(), WorkerDied)
+                    lost = lost + 1 if died and not begun else 0
+                    if lost > TIMES * self.count:
+                        raise RunBroken(f"{lost} worker processes in a row ended before they began ({worker.ended})")
+                    if died and (times < TIMES or not begun):  # a worker that had not begun says nothing of the item
+                        again.append((item, times + begun))
+                    else:
+                        yield item, outcome
+                wait()
+        finally:  # nobody asks for the rest: what is under way ends, so that the next call finds workers that are free
+            for place in under_way:
+                self._stop(place)
+
+    def _give(self, place: int, job: bytes, limit_s: float) -> None:
+        """Give a job to the worker of a place, which is started if there is none."""
+        worker = self._running[place]
+        if worker is not None and not worker.process.is_alive():  # somebody killed it while it had nothing to do
+            self._stop(place)
+            worker = None
+        if worker is None:
+            try:
+                worker = self._running[place] = _Worker(self._begin)
+            except OSError as error:
+                raise RunBroken(
+                    f"cannot start a worker process: {error.strerror}; are there too many processes (ulimit -u), or "
+                    "is there too little memory? --workers takes fewer"
+                ) from None
+        worker.give(job, limit_s)
+
+    def _heard(self, under_way: Iterable[int]) -> list[tuple[int, _Worker]]:
+        """The workers, by place, of which there is something to hear, after a while at most."""
+        workers = {place: worker for place in under_way if (worker := self._running[place]) is not None}
+        left = min(worker.deadline for worker in workers.values()) - time.monotonic()
+        sources = [source for worker in workers.values() for source in (worker.connection, worker.process.sentinel)]
+        ready = set(until(sources, timeout=max(0.0, min(_WAIT_S, left))))
+        now = time.monotonic()
+        return [
+            (place, worker)
+            for place, worker in workers.items()
+            if worker.connection in ready or worker.process.sentinel in ready or now > worker.deadline
+        ]
+
+    def _stop(self, place: int) -> None:
+        if (worker := self._running[place]) is not None:
+            worker.end(0.0)
+            self._running[place] = None
+
+
+class _Worker:
+    """A process, and what it does."""
+
+    def __init__(self, begin: Callable[[], None] | None) -> None:
+        """Start it. Raises OSError."""
+        context = multiprocessing.get_context("spawn")
+        children_ignore_the_folder()
+        self.connection, theirs = context.Pipe()
+        self.deadline = inf
+        self.dead = False
+        self._job = b""
+        self._limit_s, self._ready, self._begun = inf, False, False
+        self.process = context.Process(target=_work, args=(theirs, os.getpid(), begin), daemon=False)
+        try:
+            with without_main(), out_of_reach():
+                self.process.start()
+        except OSError:
+            self.connection.close()
+            raise
+        finally:
+            theirs.close()
+
+    def give(self, job: bytes, limit_s: float) -> None:
+        """Let it do something, as soon as it can take it."""
+        self._job, self._limit_s, self._begun, self.deadline = job, limit_s, False, inf
+        if self._ready:
+            self._send()
+
+    def hear(self) -> tuple[bool, Future[Any]] | None:
+        """Take what it says: whether it had begun with its job, and what came of it; None: it goes on."""
+        try:
+            if self.connection.poll():
+                what, *value = pickle.loads(self.connection.recv_bytes())
+                if what == _READY:
+                    self._ready = True
+                    self._send()
+                elif what == _BEGUN:
+                    self._begun, self.deadline = True, time.monotonic() + self._limit_s
+                elif what == _DONE:
+                    return self._ended(value[0])
                 else:
-                    yield item, future
-            wait()
+                    return self._ended(value[0], failed=True)
+                return None
+            if self.process.is_alive():
+                if time.monotonic() <= self.deadline:
+                    return None
+                self.end(0.0)
+                return self._ended(WorkerLate(), failed=True)
+        except (EOFError, OSError):  # it died while it wrote
+            pass
+        self.end(0.0)
+        return self._ended(WorkerDied(self.ended), failed=True)
 
-    def _submit(self, worker: int, function: Callable[[I], R], item: I) -> Future[R]:
-        with out_of_reach():
-            if worker in self._pools:
-                try:
-                    return self._pools[worker].submit(function, item)
-                except BrokenProcessPool:
-                    pass  # it died; another one in its place
-            children_ignore_the_folder()
-            pool = ProcessPoolExecutor(1, self._context, _start, (os.getpid(), self._begin))
-            self._pools[worker] = pool
-            return pool.submit(function, item)
+    @property
+    def ended(self) -> str:
+        """How the process ended."""
+        code = self.process.exitcode
+        return f"signal {-code}" if code is not None and code < 0 else f"exit status {code}"
+
+    def end(self, grace_s: float) -> None:
+        """Wait for its end, and kill it then."""
+        self.dead = True
+        self.connection.close()
+        if grace_s:
+            self.process.join(grace_s)
+        self.process.kill()
+        self.process.join()
+
+    def _send(self) -> None:
+        with suppress(OSError):  # it died, as its sentinel says
+            self.connection.send_bytes(self._job)
+        self._job = b""
+
+    def _ended(self, value: Any, *, failed: bool = False) -> tuple[bool, Future[Any]]:
+        begun, self._begun, self.deadline = self._begun, False, inf
+        future: Future[Any] = Future()
+        if failed:
+            future.set_exception(value)
+        else:
+            future.set_result(value)
+        return begun, future
 
 
-def _start(parent: int, begin: Callable[[], None] | None) -> None:
+def _work(connection: Connection, parent: int, begin: Callable[[], None] | None) -> None:
+    """Do what the parent asks for, until it closes the pipe."""
     die_with_parent(parent)
     if begin is not None:
         begin()
+    connection.send_bytes(pickle.dumps((_READY,)))
+    while True:
+        try:
+            job = connection.recv_bytes()
+        except (EOFError, OSError):
+            return
+        try:
+            function, item = pickle.loads(job)
+            connection.send_bytes(pickle.dumps((_BEGUN,)))
+            answer = pickle.dumps((_DONE, function(item)))
+        except BaseException as error:  # SystemExit of a law, too: the parent says what becomes of it
+            answer = _packed(error)
+        try:
+            connection.send_bytes(answer)
+        except OSError:
+            return
+
+
+def _packed(error: BaseException) -> bytes:
+    """An exception for the parent; one that cannot travel as its text."""
+    try:
+        data = pickle.dumps((_FAILED, error))
+        pickle.loads(data)
+    except Exception:
+        return pickle.dumps((_FAILED, RuntimeError(f"{type(error).__name__}: {error!s:.500}")))
+    return data

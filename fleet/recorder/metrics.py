@@ -21,7 +21,7 @@ from agents.offset import Offset
 from agents.signals import Layout
 from fleet.recorder.protocol import Protocol
 from fleet.recorder.settling import below_from, least_s, settling_time, stayed
-from fleet.scenario.scenario import Scenario
+from fleet.scenario.scenario import Scenario, frame_every
 from netem.wire.messages import Command, Frame
 from world.vectors import Vec3, plus
 
@@ -108,7 +108,8 @@ class Metrics:
         self._tick_s = scenario.tick_ns / 1e9
         self._disturbance = scenario.disturbance
         self._protocols = {i: Protocol.of(scenario, i) for i in range(1, scenario.vehicles + 1)}
-        self._silent_s = scenario.round_ticks * self._tick_s  # who reported before the last round reports no more
+        # Who reported before the last round and the last frames reports no more.
+        self._silent_s = max(scenario.round_ticks, frame_every(scenario)) * self._tick_s
         self.times = array("d")
         self.series = {i: Series() for i in range(1, scenario.vehicles + 1)}
         self._vehicles = {

@@ -29,8 +29,8 @@ class Protocol(NamedTuple):
         agent = scenario.agent_config(vehicle).agent
         if agent is None:
             return cls("", ())
-        names = (parse_name(check.topic) for check in scenario.spec.checks.signal or ())
-        judged = {name.name for name in names if name is not None}
+        asked = map(parse_name, (check.topic for check in scenario.spec.checks.signal or ()))
+        judged = {signal.name for signal in asked if signal is not None}
         known = [
             (f"{group}.{signal.name}", _Reported(signal.name, signal.unit, place.start))
             for group, signal, place in scenario.layout(vehicle).signals()

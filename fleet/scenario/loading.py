@@ -93,6 +93,8 @@ def _text(name_or_path: str) -> tuple[str, str, Path | None]:
         if name_or_path in shipped_scenarios():
             return f"{name_or_path}.yaml", shipped_text(name_or_path), None
         path = Path(name_or_path)
+        if path.suffix == ".py":
+            raise _unreadable(name_or_path, *_python_file(path))
         if path.suffix or "/" in name_or_path or path.exists():
             return name_or_path, _content(path).decode("utf-8-sig"), path.parent
     except UnicodeDecodeError as error:
@@ -102,11 +104,39 @@ def _text(name_or_path: str) -> tuple[str, str, Path | None]:
         inside = path / "scenario.yaml"
         hint = f"did you mean {inside}, the scenario of that run?" if inside.exists() else ""
         raise _unreadable(name_or_path, "is a directory, not a scenario file", hint) from None
+    except FileNotFoundError as error:
+        raise _unreadable(name_or_path, error.strerror or str(error), _instead(path)) from None
     except (OSError, ValueError) as error:
         raise _unreadable(name_or_path, getattr(error, "strerror", None) or str(error)) from None
     hint = nearest(name_or_path, shipped_scenarios()) or "a file needs its suffix, as in my-scenario.yaml"
     message = f"there is no such shipped scenario; there are {', '.join(shipped_scenarios())}"
     raise _unreadable(name_or_path, message, hint)
+
+
+def _python_file(path: Path) -> tuple[str, str]:
+    """What is wrong with a Python file in place of a scenario, and what helps."""
+    wrong = "expected a scenario (YAML), got a Python file"
+    beside = path.with_suffix(".yaml")
+    if beside.exists():
+        return wrong, f"did you mean {beside}?"
+    return (
+        wrong,
+        f'a scenario names what is in it, as in agent: "{path.stem}:MyAgent"; fleet new writes both',
+    )
+
+
+def _instead(path: Path) -> str:
+    """A file or a scenario that ships which may be meant by a file that is not there."""
+    other = {".yml": ".yaml", ".yaml": ".yml"}.get(path.suffix)
+    if other and path.with_suffix(other).exists():
+        return f"did you mean {path.with_suffix(other)}?"
+    if path.stem in shipped_scenarios():
+        return f"did you mean {path.stem}? The scenarios that ship have no suffix"
+    try:
+        files = [str(file) for file in path.parent.iterdir() if file.suffix in (".yaml", ".yml")]
+    except OSError:
+        files = []
+    return nearest(str(path), files) or "fleet list lists the scenarios that ship, fleet new scenario NAME writes one"
 
 
 def _content(path: Path) -> bytes:

@@ -13,11 +13,12 @@ from fleet.scenario.text.overrides import FAULT, NET, SET, Override
 from fleet.study.border_theory import theory
 from fleet.study.borders import SEEDS, WIDTH, Border, Borders, Tell, find_borders, parse_along, prepare_borders
 from fleet.study.engine import need_extra
+from fleet.study.local_engine import engine_of
 from fleet.study.pictures.border import write_borders
 from fleet.study.plan import Plan, parse_seeds
 from fleet.study.spec import seeds_text
 from fleet.study.store import Store
-from fleet.study.study import Study, engine_of, new_directory
+from fleet.study.study import Study, new_directory
 from fleet.study.values import axis, values_text
 from world.plugins.trust import NOTHING, Trust
 

@@ -1,61 +1,65 @@
-"""Processes of this program that make runs: they are there at once, and need no Dask."""
+"""Processes of this machine make the runs of a study; they are there at once, and need no library."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any
 
 from fleet.processes.processors import processors
-from fleet.processes.workers import Workers
-from fleet.study.engine import Row, lost_row, make_batch, need_extra, reason_of, remote_engine
+from fleet.processes.workers import WorkerDied, WorkerLate, Workers
+from fleet.study.dask_engine import dask_engine
+from fleet.study.engine import LOST, Engine, Row, lost_row
 from fleet.study.modules import Modules
-from fleet.study.one_run import Task
-
-
-class AnyEngine(Protocol):
-    """What makes runs."""
-
-    def carry(self, modules: Modules) -> Modules:
-        """See `Engine.carry`."""
-
-    def make(self, tasks: Iterator[Task], take: Callable[[list[Row]], None], wait: Callable[[], None]) -> None:
-        """See `Engine.make`."""
+from fleet.study.one_run import GRACE_S, Task, TimedOut, make_run
 
 
 @dataclass(frozen=True, slots=True)
 class LocalEngine:
-    """Workers of this machine, without Dask."""
+    """Workers of this machine."""
 
     workers: Workers
+    here: bool = True
 
     def carry(self, modules: Modules) -> Modules:
         """These are processes of this machine, which import them where they lie."""
         return modules
 
     def make(self, tasks: Iterator[Task], take: Callable[[list[Row]], None], wait: Callable[[], None]) -> None:
-        """See `Engine.make`."""
-        for (task,), future in self.workers.each(make_batch, ([task] for task in tasks), wait):
+        """See `Engine.make`. Where a law hangs, the worker is killed soon after the time that its run may take."""
+        for task, future in self.workers.each(make_run, tasks, wait, lambda task: task.timeout_s + GRACE_S):
             error = future.exception()
-            take(future.result() if error is None else [lost_row(task, reason_of(error))])
+            take([future.result() if error is None else lost_row(task, _reason(task, error))])
 
 
 @contextmanager
-def small_engine(workers: int | None = None, scheduler: str | None = None) -> Iterator[AnyEngine]:
-    """An engine for some hundred runs, for which starting Dask here would not pay.
+def local_engine(workers: int) -> Iterator[LocalEngine]:
+    """So many workers on this machine, which end with the context. Raises RunBroken: so many cannot be."""
+    with Workers(workers) as pool:
+        yield LocalEngine(pool)
+
+
+def engine_of(workers: int | None = None, scheduler: Any = None) -> AbstractContextManager[Engine]:
+    """The engine that was asked for.
 
     Args:
-        workers: how many; None: one per core.
-        scheduler: of a Dask cluster that is there, to be used instead.
+        workers: of this machine; None: one per core.
+        scheduler: of a Dask cluster that is there, to be used instead: its address, or a cluster object.
 
     Raises:
+        RunBroken: there cannot be so many workers here.
         StudyError: the cluster cannot be used.
     """
-    if scheduler is not None:
-        need_extra()
-        with remote_engine(scheduler) as engine:
-            yield engine
-    else:
-        with Workers(workers or processors()) as pool:
-            yield LocalEngine(pool)
+    return local_engine(workers or processors()) if scheduler is None else dask_engine(scheduler)
+
+
+def _reason(task: Task, error: BaseException) -> str:
+    """Why a run gave no row."""
+    match error:
+        case WorkerLate():
+            return str(TimedOut(task))
+        case WorkerDied():
+            return LOST
+        case _:
+            return f"{type(error).__name__}: {error!s:.500}"

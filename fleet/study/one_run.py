@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import ctypes
-import faulthandler
 import json
 import os
 import shutil
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Mapping
+from contextlib import suppress
 from importlib.metadata import version
 from math import isfinite, nan
 from pathlib import Path
@@ -34,7 +33,7 @@ from world.plugins.trust import Trust
 A_STUDY = "a study names it"  # why a law that is not installed needs trust
 FAILED = "failed"  # the status of a run that has no result
 JUDGED = frozenset({"pass", "check_failed"})  # of one that came to its end
-_GRACE_S = 1.0  # a law may end its tick so long after the time that the run may take
+GRACE_S = 1.0  # a law may end its tick so long after the time that the run may take
 
 
 class Task(NamedTuple):
@@ -49,7 +48,6 @@ class Task(NamedTuple):
     modules: Modules = NO_MODULES  # that may run besides installed ones
     signals: tuple[str, ...] = ()  # measures of signals, by name
     log: str = ""  # the run directory that is to be made; empty: none
-    note: str = ""  # a file that is there while the run goes on, and not empty if it took too long
 
 
 class TimedOut(FleetError):
@@ -64,19 +62,21 @@ class _AbandonedError(BaseException):
 
 
 def make_run(task: Task) -> dict[str, Any]:
-    """Make a run; returns its row: `key`, `point`, `seed`, `status`, `reason`, `digest`, verdicts and measures."""
-    about = {"key": task.key, "point": task.point, "seed": task.seed, "wall_s": nan}
-    with _noted(task):
-        row = _in_time(task) if isfinite(task.timeout_s) else _made(task)
-    return about | row | {"version": version("uuv-fleet"), "cores": cores()}
+    """Make a run; returns its row: `key`, `point`, `seed`, `status`, `reason`, `digest`, verdicts and measures.
 
-
-def _in_time(task: Task) -> dict[str, Any]:
-    """The row of a run that may take so long and no longer.
-
-    It is made in a thread of its own. Where a law hangs within a tick, that thread is ended at its next line of Python,
-    and left alone if there is none. Where it lets no other thread run, the process ends.
+    A run that takes too long ends between two ticks. Where a law hangs within a tick, it does not end.
     """
+    return _whole(task, _made(task))
+
+
+def make_run_in_time(task: Task) -> dict[str, Any]:
+    """The same, for a worker that nobody kills when a law hangs: one of a Dask cluster.
+
+    The run is made in a thread of its own. Where a law hangs within a tick, that thread is ended at its next line of
+    Python, and left alone if there is none.
+    """
+    if not isfinite(task.timeout_s):
+        return make_run(task)
     rows: list[dict[str, Any]] = []
 
     def make() -> None:
@@ -85,30 +85,15 @@ def _in_time(task: Task) -> dict[str, Any]:
 
     thread = threading.Thread(target=make, daemon=True)
     thread.start()
-    thread.join(task.timeout_s + _GRACE_S)
+    thread.join(task.timeout_s + GRACE_S)
     if thread.is_alive():
         ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(thread.ident or 0), ctypes.py_object(_AbandonedError))
-    return rows[0] if rows else _failed(TimedOut(task))
+    return _whole(task, rows[0] if rows else _failed(TimedOut(task)))
 
 
-@contextmanager
-def _noted(task: Task) -> Iterator[None]:
-    """Leave word of what this process does: if it dies, its file `note` says that it was during this run.
-
-    Where a law lets no other thread run, in a long regular expression for example, the process ends itself. Before it
-    does, it writes something into the file, so that the run is not made once more.
-    """
-    if not task.note:  # more than one run may go on in this process
-        yield
-        return
-    with open(task.note, "wb") as file:
-        if isfinite(task.timeout_s):
-            faulthandler.dump_traceback_later(task.timeout_s + 3 * _GRACE_S, exit=True, file=file)
-        try:
-            yield
-        finally:
-            faulthandler.cancel_dump_traceback_later()
-            os.unlink(task.note)
+def _whole(task: Task, row: dict[str, Any]) -> dict[str, Any]:
+    about = {"key": task.key, "point": task.point, "seed": task.seed, "wall_s": nan}
+    return about | row | {"version": version("uuv-fleet"), "cores": cores()}
 
 
 def _made(task: Task) -> dict[str, Any]:

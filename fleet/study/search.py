@@ -14,9 +14,8 @@ from math import inf
 from fleet.execution.external_agents import refuse
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.text.overrides import SET, Override
-from fleet.study.engine import Row
+from fleet.study.engine import Engine, Row
 from fleet.study.errors import StudyError
-from fleet.study.local_engine import AnyEngine
 from fleet.study.modules import NO_MODULES, Modules
 from fleet.study.one_run import JUDGED, Task, failed_checks, scenario_of
 from fleet.study.plan import run_key
@@ -71,7 +70,7 @@ def nemesis_of(scenario: Scenario) -> Override:
 
 def search(
     scenario: Scenario,
-    engine: AnyEngine,
+    engine: Engine,
     tell: Callable[[int], None],
     *,
     check: str | None = None,

@@ -23,9 +23,8 @@ from fleet.scenario.loading import parse_scenario
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.text.yaml_reader import Source, plain, read
 from fleet.study.ddmin import ddmin
-from fleet.study.engine import Row
+from fleet.study.engine import Engine, Row
 from fleet.study.errors import StudyError
-from fleet.study.local_engine import AnyEngine
 from fleet.study.modules import NO_MODULES, Modules
 from fleet.study.one_run import FAILED, JUDGED, Task, failed_checks
 from fleet.study.plan import run_key
@@ -63,7 +62,7 @@ class Shrinker:
     """Makes one scenario less."""
 
     def __init__(
-        self, scenario: Scenario, engine: AnyEngine, tell: Callable[[str, int], None], modules: Modules = NO_MODULES
+        self, scenario: Scenario, engine: Engine, tell: Callable[[str, int], None], modules: Modules = NO_MODULES
     ) -> None:
         """Prepare it.
 

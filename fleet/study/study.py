@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import AbstractContextManager
 from math import inf, isnan
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,12 +13,12 @@ from fleet.execution.judged import Changes, override_texts
 from fleet.execution.options import Options
 from fleet.execution.outcome import Result
 from fleet.notebook import html_table
-from fleet.processes.processors import processors
 from fleet.quantities import show_time
 from fleet.scenario.loading import parse_scenario
 from fleet.scenario.trust import Policy
-from fleet.study.engine import Engine, local_engine, need_extra, remote_engine
+from fleet.study.engine import need_extra
 from fleet.study.errors import StudyError
+from fleet.study.local_engine import engine_of
 from fleet.study.one_run import A_STUDY, FAILED
 from fleet.study.settings import KeepLogs
 from fleet.study.signals import find_columns
@@ -256,6 +255,7 @@ def sweep(
     Raises:
         ScenarioError: with the mistakes of all points, or of the file of the study.
         StudyError: the study cannot be made or run.
+        RunBroken: its workers cannot be started.
     """
     need_extra()
     study = study_named(str(scenario)) or NamedStudy(StudySpec(str(scenario)))
@@ -279,13 +279,6 @@ def sweep(
     with engine_of(workers, scheduler) as engine:
         run_study(store, engine, progress, modules=modules, timeout_s=spec.timeout_s, budget_s=spec.budget_s)
     return Study(store)
-
-
-def engine_of(workers: int | None, scheduler: Any, *, dashboard: bool = False) -> AbstractContextManager[Engine]:
-    """The engine that was asked for. Raises StudyError."""
-    if scheduler is not None:
-        return remote_engine(scheduler)
-    return local_engine(workers or processors(), dashboard=dashboard)
 
 
 def new_directory(scenario: str, out: Path = Path("studies")) -> Path:

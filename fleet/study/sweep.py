@@ -16,13 +16,13 @@ from typing import Any
 import msgspec
 
 from fleet.execution.external_agents import refuse
-from fleet.processes.processors import processors
 from fleet.scenario.loading import parse_scenario
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.trust import Policy
-from fleet.study.engine import Engine, Row, local_engine
+from fleet.study.engine import Engine, Row
 from fleet.study.errors import StudyError
 from fleet.study.load_points import load_points
+from fleet.study.local_engine import engine_of
 from fleet.study.measures import STANDING, Column
 from fleet.study.modules import NO_MODULES, Modules, modules_of
 from fleet.study.one_run import A_STUDY, FAILED, Task
@@ -350,6 +350,6 @@ def _keep_logs(work: Work, task: Callable[..., Task], kept: KeepLogs) -> None:
         progress.new += len(made)
         work.wait()
 
-    with nullcontext(work.engine) if work.engine.here else local_engine(processors()) as engine:
+    with nullcontext(work.engine) if work.engine.here else engine_of() as engine:
         again = (task_of(points[n], seed, task, str(store.log_of(n, seed))) for n, seed in digests)
         engine.make(again, take, work.wait)

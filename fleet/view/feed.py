@@ -78,11 +78,30 @@ _ROW = ("check", "asked", "passed", "found")
 
 
 def checks_judged(log: Path) -> Row | None:
-    """The verdicts beside a log, of the whole run; None: there is no result."""
+    """The verdicts beside a log, of the whole run; None: there is no result.
+
+    A check that failed has the time at which it did, `at_s`, where that is known; `signals`: what it looked at.
+    """
     try:
-        return {"rows": [{key: row[key] for key in _ROW} for row in read_result(log)["checks"]], "final": True}
+        result = read_result(log)
     except (FileNotFoundError, ResultError):
         return None
+    rows = []
+    for row in result["checks"]:
+        at_s = (row["moment"] or {}).get("at_s")
+        more = {"at_s": None if row["passed"] else at_s, "signals": row.get("signals", [])}
+        rows.append({key: row[key] for key in _ROW} | more)
+    return {"rows": rows, "final": True, "verdict": _verdict(result["status"], rows)}
+
+
+def _verdict(status: str, rows: list[Row]) -> Row:
+    """The run in a few words, and whether that is good."""
+    failed = [row["check"] for row in rows if not row["passed"]]
+    if status == "pass":
+        return {"passed": True, "text": "failed as expected" if failed else "passed"}
+    if failed:
+        return {"passed": False, "text": f"failed: {len(failed)} of {len(rows)} checks"}
+    return {"passed": False, "text": status.replace("_", " ")}
 
 
 def _words(value: Any) -> str:

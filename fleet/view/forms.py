@@ -21,7 +21,10 @@ class FaultForm:
     def __init__(self, feed: LiveFeed, do: Do) -> None:
         self._feed, self._do = feed, do
         self._entry: dict[str, Any] | None = None
-        with ui.dialog().props('aria-label="A fault"') as self._dialog, ui.card().classes("fleet-form"):
+        with (
+            ui.dialog().props('aria-label="A fault"').classes("fleet-dialog") as self._dialog,
+            ui.card().classes("fleet-form"),
+        ):
             self._title = ui.label().classes("fleet-form-title")
             self._choices = ui.row().classes("fleet-form-choices")
             self._words = ui.input("Fault, in the words of fleet inject", on_change=self._check).props("autofocus")
@@ -34,7 +37,8 @@ class FaultForm:
                 )
             with ui.row().classes("fleet-form-buttons"):
                 ui.button("Cancel", on_click=self._dialog.close).props("flat")
-                self._inject = ui.button("Inject", on_click=self._go)
+                self._inject = ui.button("Inject", on_click=self._go).classes("fleet-main-button")
+            self._dialog.on("show", lambda: self._words.run_method("select"))  # what is typed takes its place
             self._words.on("keydown.enter", self._go)
             self._lasts.on("keydown.enter", self._go)
 
@@ -69,6 +73,7 @@ class FaultForm:
         self._lasts.value = ""
         self._words.value = next(iter(offered.values()))
         self._check()
+        self._dialog.props(f"position={_away(said.get('at'))}")
         self._dialog.open()
 
     def _check(self) -> None:
@@ -96,3 +101,15 @@ class FaultForm:
             return
         self._dialog.close()
         ui.notify(f"{answer['id']}: {answer['what']}, from t = {answer['from_s']:.2f} s", type="positive")
+
+
+def _away(at: Any) -> str:
+    """At which side of the window a dialog hides least of what was clicked.
+
+    Args:
+        at: where that was, as shares of the window from the left and from the top, and whether the window is narrow.
+    """
+    match at:
+        case [float() | int() as x, float() | int() as y, narrow]:
+            return ("top" if y > 0.5 else "bottom") if narrow else ("left" if x > 0.5 else "right")
+    return "standard"

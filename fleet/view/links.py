@@ -13,9 +13,10 @@ STALE_ROUNDS = 5  # without an arrival, where that is longer
 CUTS = frozenset({Cause.DOWN, Cause.PARTITION, Cause.MUTE, Cause.DEAF, Cause.DEAD_RECEIVER, Cause.DEAD_SENDER})
 
 DELIVERED, LATE, LOST, DOWN, STALE, UNUSED = "delivered", "late", "lost", "down", "stale", "unused"
-STATES = (UNUSED, DELIVERED, LATE, LOST, DOWN, STALE)
+WORST_FIRST = (DOWN, STALE, LOST, LATE, DELIVERED, UNUSED)  # all states
 # What became of one packet, as a page is told it.
 ARRIVED, BEHIND, DAMAGED, GONE, CUT = "arrived", "late", "damaged", "lost", "cut"
+LOSSES = frozenset({DAMAGED, GONE, CUT})
 
 
 def fate_of(cause: str, delay_s: float, corrupted: bool, round_s: float) -> str:
@@ -42,25 +43,25 @@ class LinkHistory:
     fates: deque[str] = field(default_factory=lambda: deque(maxlen=HISTORY))
     sent_s: float = 0.0  # when the newest that arrived was sent; nobody has heard of another at the start
     arrived_s: float = 0.0  # when something arrived last
-    delivered: int = 0
-    lost: int = 0
 
     def settle(self, fate: str, sent_s: float, due_s: float) -> None:
         """Take one packet."""
         self.fates.append(fate)
         if fate in (ARRIVED, BEHIND):
-            self.delivered += 1
             self.sent_s = max(self.sent_s, sent_s)
             self.arrived_s = max(self.arrived_s, due_s)
-        else:
-            self.lost += 1
 
     def age_s(self, now_s: float) -> float:
         """How old the newest is that the receiver has [s]."""
         return max(0.0, now_s - self.sent_s)
 
+    @property
+    def lost_of_last(self) -> int:
+        """How many of the last HISTORY packets did not arrive whole."""
+        return sum(fate in LOSSES for fate in self.fates)
+
     def state(self, now_s: float, stale_s: float) -> str:
-        """One of STATES; the first that holds of: down, stale, lost, late, delivered.
+        """One of WORST_FIRST; the first that holds of: down, stale, lost, late, delivered.
 
         Args:
             stale_s: after so long without an arrival it is stale.
@@ -71,7 +72,7 @@ class LinkHistory:
             return DOWN
         if now_s - self.arrived_s > stale_s:
             return STALE
-        if any(fate in (GONE, DAMAGED, CUT) for fate in self.fates):
+        if self.lost_of_last:
             return LOST
         return LATE if self.fates.count(BEHIND) > len(self.fates) // 2 else DELIVERED
 

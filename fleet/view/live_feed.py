@@ -9,9 +9,10 @@ from __future__ import annotations
 import time
 from collections import deque
 from collections.abc import Callable, Collection
+from contextlib import suppress
 from typing import Any
 
-from fleet.execution.connection import LiveRun, OpenConnection, RemoteError, is_live
+from fleet.execution.connection import LiveRun, OpenConnection, RemoteError, find, is_live
 from fleet.execution.directory import RESULT, SCENARIO, in_use
 from fleet.replay.attachment import unpack
 from fleet.replay.missing import Missing, left_out
@@ -20,7 +21,7 @@ from fleet.replay.topics import ask_scenario, ask_topics
 from fleet.scenario.loading import parse_scenario
 from fleet.view.feed import FAULTS, TRANSFORMS, checks_asked, checks_so_far, link_of, take
 from fleet.view.picture import NOT_PLACED, SAMPLE_S, Picture, Row
-from fleet.view.signals import published_signals
+from fleet.view.signals import checked_signals, published_signals
 from fleet.view.source import LiveSource, NoConnectionError
 from netem.errors import BusError
 from netem.wire.access import Credentials
@@ -36,7 +37,7 @@ class LiveFeed:
     live = True
 
     def __init__(self, source: LiveSource) -> None:
-        """Subscribe.
+        """Connect, and subscribe unless the run is awaited: then `listen` does.
 
         Raises:
             NoConnectionError: the publisher cannot be reached.
@@ -69,9 +70,19 @@ class LiveFeed:
             raise
         self.picture = Picture(self.scenario)
         self.checks = checks_asked(self.scenario)  # as they stand
+        self.charted = [name for name in checked_signals(self.scenario) if self.signals.of_all(name)]
+        self._run = source.run
         self._bus.subscribe(self._keys.log_end, lambda sample: self.missing.end(sample.payload.to_bytes()))
-        for topic in (TRANSFORMS, FAULTS, "link/*"):
-            self._subscribe(topic)
+        self._listening = False
+        if not source.awaited:
+            self.listen()
+
+    def listen(self) -> None:
+        """Subscribe to what is drawn, once; a run that waits for a subscriber begins then."""
+        if not self._listening:
+            self._listening = True
+            for topic in (TRANSFORMS, FAULTS, "link/*"):
+                self._subscribe(topic)
 
     def _subscribe(self, topic: str) -> Callable[[], None]:
         return self._bus.subscribe(self._keys.log(topic), self._receive)
@@ -83,7 +94,12 @@ class LiveFeed:
     @property
     def run(self) -> LiveRun | None:
         """The run, if it may be disturbed."""
-        return self.source.run
+        return self._run
+
+    @property
+    def may_act(self) -> bool:
+        """Whether the run may be disturbed, now or as soon as its console answers."""
+        return self._run is not None or self.source.awaited
 
     def advance(self) -> bool:
         """Take what has come; whether there is something new to show."""
@@ -119,22 +135,29 @@ class LiveFeed:
         if self._over:
             return
         self._published = self._bus.connected
-        if self.run is None:
+        if self._run is None and self.source.awaited and in_use(self.source.directory):
+            with suppress(RemoteError):
+                self._run = find(str(self.source.directory))
+            if self._run is None:
+                return
+        if self._run is None:
             if not self._published:
                 self._over = "the publisher is gone"
             return
         try:
             self._status = self.ask("status")
             known = self.ask("faults")
+            events = known["events"]
             lasting = [
                 {"id": row["id"], "what": row["what"], "from_s": row["last_s"], "to_s": self._status["end_s"],
                  "until_healed": False}
-                for row in known["events"] if row["lasts"]
+                for row in events if row["lasts"]
             ]  # fmt: skip
             self.picture.faults([*known["faults"], *lasting])
+            self.picture.happened(events)
             self.checks = checks_so_far(self.ask("checks")["checks"])
         except RemoteError as error:
-            if is_live(self.run):
+            if is_live(self._run):
                 self._status = self._status | {"waiting": str(error)}
             else:
                 whole = in_use(self.source.directory) or (self.source.directory / RESULT).exists()
@@ -146,13 +169,15 @@ class LiveFeed:
         Raises:
             RemoteError: it refuses, or does not answer; or only an observer's credentials are at hand.
         """
-        if self.run is None:
+        if self._run is None and self.source.awaited:
+            raise RemoteError(f"the console of {self.name} does not answer yet")
+        if self._run is None:
             raise RemoteError(f"{self.name} may only be watched with these credentials", 2)
         if self._over:
             raise RemoteError(f"{self._over}: nothing can be changed any more")
         try:
             if self._connection is None:
-                self._connection = OpenConnection(self.run)
+                self._connection = OpenConnection(self._run)
             return self._connection.ask(op, **fields)
         except RemoteError as error:
             if error.status != 2 and self._connection is not None:  # perhaps it is the connection

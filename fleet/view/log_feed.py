@@ -4,17 +4,22 @@ from __future__ import annotations
 
 import time
 from collections.abc import Collection
+from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 from fleet.logs.run_name import run_name
 from fleet.logs.tape import Tape, Track
 from fleet.repeat.recorded_run import recorded
 from fleet.replay.player import Player
 from fleet.scenario.scenario import Scenario
+from fleet.scenario.sections.vehicle_events import DIVERGED, TUMBLED
+from fleet.view import overview
 from fleet.view.feed import FAULTS, TRANSFORMS, checks_asked, checks_judged, fault_message, is_lost, link_of, take
 from fleet.view.picture import HISTORY_S, NOT_PLACED, Picture, Row
-from fleet.view.signals import Signals
+from fleet.view.signals import Signals, checked_signals
 
+LATEST_S = 60.0  # after the end of the scenario; a later time is a mistake of the log
 MOST_AT_ONCE = 20_000  # messages between two pictures, and those that a jump looks back on
 
 
@@ -39,7 +44,8 @@ class LogFeed:
         self.name = run_name(path)
         run = recorded(path)
         self.scenario: Scenario = run.script()
-        self._tape = Tape(run.path)
+        self._latest_ns = self.scenario.duration_ns + int(LATEST_S * 1e9)
+        self._tape = Tape(run.path, latest_ns=self._latest_ns)
         self._topics = {n: channel.topic for n, channel in self._tape.channels.items()}
         self.signals = Signals(self._tape.channels.values(), self._tape.schemas)
         self.picture = Picture(self.scenario)
@@ -47,6 +53,9 @@ class LogFeed:
         self.missing = self._tape.missing
         judged = checks_judged(path)
         self.checks = judged if judged and judged["rows"] else checks_asked(self.scenario)
+        self.charted = [
+            name for name in checked_signals(self.scenario, self.checks["rows"]) if self.signals.of_all(name)
+        ]
         self._track = self._tracked()
         self.end_s = self._tape.end_ns / 1e9
         self.player = self._player(0, rate)
@@ -72,7 +81,7 @@ class LogFeed:
         track = Track(self._tape, [n for n, topic in self._topics.items() if topic == FAULTS])
         for _, entry in track.entries(range(len(track))):
             event, at_s = fault_message(entry.data), entry.log_ns / 1e9
-            if event is None:  # damaged
+            if event is None or entry.log_ns > self._latest_ns:  # damaged
                 continue
             if event.action == "begins":
                 times = {"from_s": at_s, "to_s": end_s, "until_healed": False}
@@ -100,6 +109,8 @@ class LogFeed:
     def _take(self, some: range, *, moving: bool) -> None:
         for _, entry in self._track.entries(some):
             topic = entry.channel.topic
+            if entry.log_ns > self._latest_ns:
+                continue
             take(self.picture, topic, entry.log_ns / 1e9, entry.data, moving=moving)
             for name, value in self.signals.values(topic, entry.data):
                 self.picture.signal(name, entry.log_ns / 1e9, value)
@@ -136,6 +147,46 @@ class LogFeed:
         self.picture.at_s = at_s
         self.player.seek(time.monotonic_ns(), at_ns)
         self._jumped = True
+
+    def first_failure_s(self) -> float:
+        """When the first of the failed checks failed, as far as that is known; 0: none did.
+
+        Each of these checks knows then when it failed, as `at_s`.
+
+        Raises:
+            LogReadError: the log cannot be read.
+        """
+        failed = [row for row in self.checks["rows"] if row["passed"] is False]
+        for row in failed:
+            row["at_s"] = self._failed_s(row)
+        known = [row["at_s"] for row in failed if row["at_s"] is not None and 0.0 <= row["at_s"] <= self.end_s]
+        return min(known, default=self.end_s if failed else 0.0)
+
+    def _failed_s(self, row: Row) -> float | None:
+        if row.get("at_s") is not None:
+            return float(row["at_s"])
+        section = self.scenario.spec.checks
+        if row["check"] == TUMBLED:
+            times = [one.first_s for one in self.picture.vehicle_events if one.what.startswith((TUMBLED, DIVERGED))]
+            return min(times, default=None)
+        if row["check"] == "formation_error" and (asked := section.formation_error) is not None:
+            return overview.first_above(self.path, self.scenario.vehicles, asked.below / 1e9, asked.after / 1e9)
+        return None
+
+    def whole(self, names: Collection[str] = ()) -> Row:
+        """What charts show of the whole log: samples, and the values of signals.
+
+        Raises:
+            LogReadError: the log cannot be read.
+        """
+        return {
+            "samples": self._samples,
+            "signals": overview.curves(self.path, [self.signals.by_name[name] for name in sorted(names)]),
+        }
+
+    @cached_property
+    def _samples(self) -> list[list[Any]]:
+        return overview.samples(self.path, self.end_s, self.scenario.vehicles, self.picture.neighbours)
 
     def forward(self, at_s: float) -> None:
         """Take everything up to a later time, as if it had been played until then."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import shlex
+import time
 from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
@@ -27,6 +28,8 @@ PERIOD_S = 0.05  # between two pictures
 LOOK_S = 1.0  # between two questions to the console
 MOST_AHEAD = 40  # pictures on their way to a browser; further ones are left out,
 TRY_AGAIN = 100  # but one of so many
+SLOW_S = 3.0  # for which a page says that it is slower than the run
+MOST_CHARTS = 8  # of signals, and columns, that a browser may ask for
 MOST_COMMANDS = 100  # of the last ones, that are listed
 ONLY_WATCHED = "this page may only watch"
 _HERE = Path(__file__).parent
@@ -54,9 +57,8 @@ class Page:
 
     def __init__(self, feed: LiveFeed | LogFeed, *, may_act: bool) -> None:
         self.feed = feed
-        self.may_act = may_act and (not isinstance(feed, LiveFeed) or feed.run is not None)
+        self.may_act = may_act and (not isinstance(feed, LiveFeed) or feed.may_act)
         self.commands: deque[str] = deque(maxlen=MOST_COMMANDS)  # that had the effect of what was done here
-        self.dropped = 0  # pictures that a browser was too slow for
         self._viewers: list[Viewer] = []
         self._followed: set[str] = set()  # signals
         self._busy = asyncio.Lock()  # one question at a time
@@ -66,6 +68,7 @@ class Page:
         """Let pictures come as soon as the server runs."""
         app.on_startup(self._show)
         if isinstance(self.feed, LiveFeed):
+            app.on_startup(self.feed.listen)
             app.on_startup(self._look)
         app.on_shutdown(self.feed.close)
 
@@ -111,7 +114,7 @@ class Page:
                 raise
             if (come or self.new) and self._viewers:
                 self.new = False
-                frame = self.feed.picture.frame() | {"clock": self.feed.clock(), "dropped": self.dropped}
+                frame = self.feed.picture.frame() | {"clock": self.feed.clock()}
                 for viewer in self._viewers:
                     viewer.show(frame)
 
@@ -167,6 +170,8 @@ class Viewer:
         self._ready = False
         self.signals: dict[str, list[str]] = {}  # that it shows, by where: names
         self._sent = self._seen = self._left_out = 0
+        self._slow_until = 0.0  # [s of time.monotonic]: until then it says that pictures were left out
+        self._told = -1  # which of the changes of faults and events it was told
         feed = page.feed
         setup = feed.picture.setup() | {
             "name": feed.name,
@@ -174,7 +179,7 @@ class Viewer:
             "may_act": page.may_act and feed.live,
             "log_end_s": feed.end_s if isinstance(feed, LogFeed) else None,
             "log": shlex.quote(str(feed.path)) if isinstance(feed, LogFeed) else "",  # in commands to copy
-            "marks": feed.picture.known_faults if isinstance(feed, LogFeed) else [],
+            "charted": feed.charted,
         }
         self.element = FleetView(setup, self._said)
         self._form = FaultForm(feed, page.do) if isinstance(feed, LiveFeed) and page.may_act else None
@@ -188,13 +193,18 @@ class Viewer:
         """Give it a picture, unless it is too far behind."""
         if not self._ready:
             return
+        now = time.monotonic()
         if self._sent - self._seen > MOST_AHEAD:
-            self._page.dropped += 1
             self._left_out += 1
+            self._slow_until = now + SLOW_S
             if self._left_out % TRY_AGAIN:  # now and then one is sent: what was on its way may have been lost
                 return
         self._sent += 1
-        self.element.give({"frame": frame | {"n": self._sent}})
+        picture = self._page.feed.picture
+        if self._told != picture.changes:
+            self._told = picture.changes
+            self.element.give({"known": picture.known()})
+        self.element.give({"frame": frame | {"n": self._sent, "slow": now < self._slow_until}})
 
     async def _said(self, said: Row) -> None:
         """What somebody did in the browser."""
@@ -213,13 +223,17 @@ class Viewer:
             case "ready":
                 self._ready = True
                 self._sent = self._seen = 0
+                self._told = -1
                 self.give({"history": feed.picture.history(), "checks": feed.checks,
-                           "commands": list(page.commands), "signals": feed.signals.units})  # fmt: skip
+                           "commands": list(page.commands), "signals": feed.signals.offered()})  # fmt: skip
                 page.new = True
+                await self._give_whole()
             case "seen":
                 self._seen = int(said["n"])
-            case "signal":  # that the chart shows; none: empty
-                self._follow("chart", [str(said["name"])] if said["name"] else [])
+            case "charts" | "columns" as where:  # signals, of one vehicle or of all
+                names = [str(name) for name in said["names"]][:MOST_CHARTS]
+                self._follow(where, [one for name in names for one in feed.signals.meant(name)])
+                await self._give_whole()
             case "commands":  # of a vehicle that was chosen, where the run logs them; none: 0
                 self._follow("vehicle", [name for name in commands_of(int(said["i"])) if name in feed.signals.by_name])
             case "link" | "vehicle" | "fleet" | "partition" as kind:
@@ -236,6 +250,12 @@ class Viewer:
                 await self._download()
             case _ if isinstance(feed, LogFeed):
                 self._play(feed, said)
+
+    async def _give_whole(self) -> None:
+        """The curves of a log, as far as they are shown."""
+        feed = self._page.feed
+        if isinstance(feed, LogFeed):
+            self.give({"whole": await run.io_bound(feed.whole, self.signals.get("charts", []))})
 
     def _follow(self, where: str, names: list[str]) -> None:
         before, self.signals = self.signals, self.signals | {where: names}

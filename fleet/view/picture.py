@@ -7,16 +7,17 @@ in m, north-east-down; times in s of simulated time.
 
 from __future__ import annotations
 
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Collection, Iterable, Mapping
 from math import asin, atan2, dist
 from typing import Any
 
+from fleet.logs.payload_kinds import DAMAGED, kind_of
 from fleet.quantities import QuantityError, vehicle_numbers
 from fleet.recorder.scene import SLENDER, diameter
 from fleet.scenario.scenario import Scenario, timeline
-from fleet.scenario.sections.vehicle_events import DIVERGED, TUMBLED
-from fleet.view.links import LinkHistory, fate_of, stale_after
+from fleet.scenario.sections.vehicle_events import DIVERGED, TUMBLED, VehicleEvents, is_fault, vehicle_events
+from fleet.view.links import ARRIVED, BEHIND, WORST_FIRST, LinkHistory, fate_of, stale_after
 from netem.condition import Link
 from world.vectors import Vec3
 
@@ -43,11 +44,14 @@ class Picture:
         self._round_s = scenario.round_ticks * scenario.tick_ns / 1e9
         self._stale_s = stale_after(self._round_s)
         self._faults: list[Row] = _scripted(scenario)
-        self._neighbours = {
+        self._events: dict[str, Row] = {}  # what happened to vehicles, by id
+        self._told: list[VehicleEvents] | None = None  # the same as the console counts it; None: it was not asked
+        self.changes = 0  # of `known`
+        self.neighbours = {
             i: [src for src, dst in scenario.graph.links if dst == i] for i in range(1, scenario.vehicles + 1)
         }
         self.placed = bool(scenario.log_every.get("transforms", 1))  # whether messages say where the vehicles are
-        self._frames = {f"uuv-{i}": i for i in self._neighbours}  # vehicles by name of their frame
+        self._frames = {f"uuv-{i}": i for i in self.neighbours}  # vehicles by name of their frame
         self._signals: dict[str, deque[tuple[float, float]]] = {}
         self._new: dict[str, deque[tuple[float, float]]] = {}  # since the last frame
         self.clear()
@@ -65,6 +69,9 @@ class Picture:
         self._fresh: deque[list[Any]] = deque(maxlen=MOST_SAMPLES)  # since the last frame
         self._counts: deque[tuple[int, int]] = deque(maxlen=LOSS_SAMPLES)  # lost, all
         self._count = [0, 0]
+        self._kinds: deque[Counter[tuple[str, bool]]] = deque(maxlen=MOST_SAMPLES)  # packets of each sample: kind, lost
+        self._kind: Counter[tuple[str, bool]] = Counter()  # since the last sample
+        self._all_kinds: Counter[tuple[str, bool]] = Counter()  # the sum of both
         for values in (*self._signals.values(), *self._new.values()):
             values.clear()
 
@@ -102,26 +109,55 @@ class Picture:
         fate = fate_of(message.fate, message.due - message.sent, message.corrupted, self._round_s)
         history = self.links[link]
         history.settle(fate, message.sent, message.due)
-        self._count[0] += fate not in ("arrived", "late")
+        lost = fate not in (ARRIVED, BEHIND)
+        self._count[0] += lost
         self._count[1] += 1
+        kind = DAMAGED if message.corrupted else kind_of(message.payload)
+        self._kind[kind, lost] += 1
+        self._all_kinds[kind, lost] += 1
         if moving:
             late_s = round(message.due - message.sent, 4)
             self._packets.append([self._numbers[link], round(message.sent, 4), late_s, fate])
 
     def faults(self, rows: Iterable[Mapping[str, Any]]) -> None:
-        """Take the list of faults: rows with id, what, from_s, to_s and until_healed, as `fleet faults` has them."""
+        """Take the list of faults, and of states of vehicles that last.
+
+        Args:
+            rows: id, what, from_s, to_s and until_healed, as `fleet faults` has them.
+        """
         keys = ("id", "what", "from_s", "to_s", "until_healed")
-        self._faults = [{key: row[key] for key in keys} for row in rows]
+        plain = [{key: row[key] for key in keys} for row in rows]
+        known = [row for row in plain if is_fault(row["what"])]
+        events = self._events | {row["id"]: row for row in plain if not is_fault(row["what"])}
+        if (known, events) != (self._faults, self._events):
+            self._faults, self._events = known, events
+            self.changes += 1
+
+    def happened(self, rows: Iterable[Mapping[str, Any]]) -> None:
+        """Take what happened to vehicles so far: rows with what, times and first_s, as the console counts it."""
+        told = [VehicleEvents(row["what"], row["times"], row["first_s"]) for row in rows]
+        if told != self._told:
+            self._told = told
+            self.changes += 1
 
     def event(self, at_s: float, message: Any) -> None:
-        """Take a message of the topic `faults`: one begins or ends. What lasts is known better from `faults`."""
-        known = next((row for row in self._faults if row["id"] == message.fault), None)
+        """Take a message of the topic `faults`: something begins or ends. What lasts is known better from `faults`."""
+        row = {"id": message.fault, "what": message.what, "from_s": at_s, "to_s": self.end_s}
+        if is_fault(message.what):
+            known = next((row for row in self._faults if row["id"] == message.fault), None)
+        else:
+            known = self._events.get(message.fault)
         if message.action == "begins" and known is None:
-            row = {"id": message.fault, "what": message.what, "from_s": at_s, "to_s": self.end_s}
-            self._faults.append(row | {"until_healed": True})
-        elif message.action == "ends" and known is not None:
+            if is_fault(message.what):
+                self._faults = [*self._faults, row | {"until_healed": True}]
+            else:
+                self._events = self._events | {message.fault: row | {"until_healed": False}}
+        elif message.action == "ends" and known is not None and (known["until_healed"] or at_s < known["to_s"]):
             known["to_s"] = min(at_s, self.end_s)
             known["until_healed"] = False
+        else:
+            return
+        self.changes += 1
 
     def follow(self, names: Collection[str]) -> None:
         """Keep the values of these signals from now on, and of no others."""
@@ -157,6 +193,7 @@ class Picture:
             "obstacles_m": [_rounded((*one.at[:2], one.radius)) for one in apart.obstacles] if apart else [],
             "round_s": self._round_s,
             "placed": self.placed,
+            "worst_first": WORST_FIRST,
         }
 
     def _vehicle(self, i: int) -> list[float]:
@@ -181,10 +218,8 @@ class Picture:
             "packets": list(self._packets),
             "samples": list(self._fresh),
             "faults": self.active_faults(),
-            "counts": [
-                sum(history.delivered for history in self.links.values()),
-                sum(history.lost for history in self.links.values()),
-            ],
+            "losses": [history.lost_of_last for history in self.links.values()],
+            "kinds": self.kinds(),
         }
         if any(plan.changes for plan in self.scenario.plans):
             row["offsets_m"] = [_rounded(plan.at(t).position) for plan in self.scenario.plans]
@@ -222,10 +257,29 @@ class Picture:
         """All that are known: over, active and to come."""
         return self._faults
 
+    @property
+    def vehicle_events(self) -> list[VehicleEvents]:
+        """What happened to vehicles, one row for each vehicle and kind of event."""
+        if self._told is not None:
+            return self._told
+        return vehicle_events((row["what"], row["from_s"]) for row in self._events.values())
+
+    def known(self) -> Row:
+        """All faults, and what happened to vehicles; `changes` says when there is something new."""
+        events = [{"text": str(row), "at_s": row.first_s} for row in self.vehicle_events]
+        return {"faults": self._faults, "events": events}
+
+    def kinds(self) -> list[list[Any]]:
+        """Packets of the last minute by kind of payload: kind, all, lost; the most frequent kind first."""
+        counts = self._all_kinds
+        kinds = {kind for (kind, _), count in counts.items() if count}
+        rows = [[kind, counts[kind, False] + counts[kind, True], counts[kind, True]] for kind in kinds]
+        return sorted(rows, key=lambda row: (-row[1], row[0]))
+
     def _states(self) -> dict[int, str]:
         """Vehicles that are not as they should be: what they are."""
         found: dict[int, list[str]] = {}
-        for row in self._faults:
+        for row in (*self._faults, *self._events.values()):
             kind, _, rest = row["what"].partition(" ")
             word = "no agent" if kind in NO_AGENT else kind if kind in (TUMBLED, DIVERGED, "mute", "freeze") else ""
             if word and row["from_s"] <= self.at_s < row["to_s"]:
@@ -237,10 +291,14 @@ class Picture:
         t = self._placed_s
         ages = [
             round(max(self.links[src, i].age_s(t) for src in sources), 2) if sources else None  # it hears of nobody
-            for i, sources in self._neighbours.items()
+            for i, sources in self.neighbours.items()
         ]
         self._counts.append((self._count[0], self._count[1]))
         self._count = [0, 0]
+        if len(self._kinds) == MOST_SAMPLES:
+            self._all_kinds.subtract(self._kinds[0])
+        self._kinds.append(self._kind)
+        self._kind = Counter()
         total = sum(count[1] for count in self._counts)
         share = sum(count[0] for count in self._counts) / total if total else 0.0
         errors = _errors(self.errors())

@@ -19,6 +19,7 @@ from fleet.view.log_feed import LogFeed
 from fleet.view.source import NoConnectionError, ViewerError
 
 LOOPBACK = "127.0.0.1"
+BACKLOG = 64  # connections that are accepted at once, before any of them is looked at
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,6 +80,7 @@ def serve(feed: LiveFeed | LogFeed, door: Door, *, may_act: bool) -> None:
     from nicegui import ui
 
     from fleet.view.guard import Guard
+    from fleet.view.half_open import HalfOpen
     from fleet.view.page import Page
 
     page = Page(feed, may_act=may_act)
@@ -97,8 +99,16 @@ def serve(feed: LiveFeed | LogFeed, door: Door, *, may_act: bool) -> None:
         show_welcome_message=False,
     )
     page.begin()
-    guard = Guard(app, door.token, door.port, door.names)
-    config = uvicorn.Config(guard, log_level="error", access_log=False, timeout_graceful_shutdown=1)
+    guarded = HalfOpen(Guard(app, door.token, door.port, door.names))
+    config = uvicorn.Config(
+        guarded,
+        http=guarded.protocol(),  # type: ignore[arg-type]
+        backlog=BACKLOG,
+        proxy_headers=False,
+        log_level="error",
+        access_log=False,
+        timeout_graceful_shutdown=1,
+    )
     uvicorn.Server(config).run(sockets=[door.listening])
 
 

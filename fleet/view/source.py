@@ -34,11 +34,13 @@ class LiveSource:
         directory: of the run, or that in which its observe.json was found.
         observed: where its journal is published, and as whom to subscribe.
         run: for requests to its console; None: only the observer's credentials are at hand, so it can only be watched.
+        awaited: the run is about to begin, and its console will answer.
     """
 
     directory: Path
     observed: Observed
     run: LiveRun | None
+    awaited: bool = False
 
     def controlled(self) -> LiveRun:
         """The run, to be disturbed. Raises ViewerError: it can only be watched."""

@@ -6,9 +6,8 @@ from collections.abc import Callable, Iterator
 from itertools import islice
 from typing import Any
 
-from fleet.study.engine import make_batch
 from fleet.study.modules import Modules
-from fleet.study.one_run import Task
+from fleet.study.one_run import Task, make_run
 
 Rows = list[dict[str, Any]]
 
@@ -16,7 +15,7 @@ Rows = list[dict[str, Any]]
 class Here:
     """Makes runs in this process, in their order or in batches from the last to the first; stops after some."""
 
-    workers, dashboard, here = 1, "", True
+    here = True
 
     def __init__(self, *, backwards: bool = False, most: int | None = None) -> None:
         self.backwards, self.most = backwards, most
@@ -39,7 +38,7 @@ class Here:
 
     def rows(self, task: Task) -> Rows:
         """The rows of a run."""
-        return make_batch([task])
+        return [make_run(task)]
 
 
 class Drawn(Here):

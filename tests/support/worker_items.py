@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import time
 from pathlib import Path
 
 
@@ -22,6 +23,26 @@ def die_once(mark: Path) -> int:
         mark.touch()
         os.kill(os.getpid(), signal.SIGKILL)
     return os.getpid()
+
+
+def die_at_once() -> None:
+    """Ends its process with a status of its own."""
+    os._exit(7)
+
+
+def sleep(seconds: float) -> float:
+    """Returns the seconds after so long."""
+    time.sleep(seconds)
+    return seconds
+
+
+def unpicklable(number: int) -> None:
+    """Raises an exception that no other process can load, or SystemExit."""
+
+    class LocalError(Exception):
+        pass
+
+    raise LocalError("only here") if number == 0 else SystemExit(number)
 
 
 def masked(_: object) -> set[signal.Signals | int]:

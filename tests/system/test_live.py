@@ -117,7 +117,7 @@ def test_what_cannot_be_injected_is_refused_in_words(tmp_path: Path) -> None:
         live.until_running()
         cases: list[tuple[list[str], str, int]] = [
             (["inject", "lnk", "1->2", "loss 3%"], 'did you mean "link"', 2),
-            (["inject", "link", "1->2"], "a link fault is: link SELECTOR CONDITION", 2),
+            (["inject", "link", "1->2"], 'got only the links "1->2"; as in link 1->2 loss 30%', 2),
             (["inject", "link", "1->3", "loss 3%"], "the graph has no link 1->3; links: 2->1, 1->2", 2),
             (["inject", "link", "1->2", "lss 3%"], 'unknown link condition "lss"', 2),
             (["inject", "link", "1->2", "loss 3% seed 7"], "seed belongs in a scenario", 2),

@@ -22,7 +22,7 @@ from fleet.quantities import TIME
 from fleet.scenario.schema.faults import ACTIONS, FaultAction
 from fleet.scenario.schema.section import section_of
 from fleet.scenario.text.yaml_reader import Mapping, Node, Place, Scalar, Source, plain
-from netem.parsing import exact_number, nearest
+from netem.parsing import exact_number, nearest, quoted
 
 _EXAMPLES = {
     "link": "link 1<->2 delay 500ms loss 20%",
@@ -140,12 +140,24 @@ class _Reader:
             while self.words and not (condition and condition[-1].text.endswith(",")):
                 condition.append(self.words.popleft())
             if not condition:
-                form = "a link fault is: link SELECTOR CONDITION" if kind else "expected SELECTOR CONDITION"
-                hint = f"as in {example('link') if kind else '1->2 loss 30%'}"
-                raise self._wrong(selector[0] if selector else kind, form, hint)
+                raise self._incomplete(kind, selector)
             name = " ".join(word.text for word in selector).removesuffix(":")
             found = self._with_new(found, name, selector[0], self._scalar(condition))
         return found
+
+    def _incomplete(self, kind: _Word | None, selector: list[_Word]) -> FaultWordsError:
+        """Of a condition the links are missing, or of links the condition."""
+        given = " ".join(word.text for word in selector)
+        before = "link " if kind else ""
+        if given[:1].isalpha():
+            form = f"expected links and their condition, got only the condition {quoted(given)}"
+            hint = f"as in {before}* {given} for every link, or {before}1->2 {given} for one"
+        elif given:
+            form = f"expected links and their condition, got only the links {quoted(given)}"
+            hint = f"as in {before}{given} loss 30%"
+        else:
+            form, hint = "expected links and their condition, got nothing", f"as in {before}1->2 loss 30%"
+        return self._wrong(selector[0] if selector else kind, form, hint)
 
     def _pairs(self, kind: _Word) -> Mapping:
         """Values by keys."""

@@ -14,25 +14,23 @@ from study_engine import Here
 from fleet.cli.main import cli
 
 
-class _Client:
+class _Workers:
     """The worker is this process."""
 
-    def run(self, function: object) -> dict[str, int]:
-        assert function is os.getpid
-        return {"tls://127.0.0.1:1": os.getpid()}
+    pids = (os.getpid(),)
 
 
 class _Measured(Here):
-    client = _Client()
+    workers = _Workers()
 
 
 @pytest.fixture(autouse=True)
-def no_cluster(monkeypatch: pytest.MonkeyPatch) -> None:
+def no_workers(monkeypatch: pytest.MonkeyPatch) -> None:
     @contextmanager
     def engine(_: int) -> Iterator[Here]:
         yield _Measured()
 
-    monkeypatch.setattr("fleet.study.engine.local_engine", engine)
+    monkeypatch.setattr("fleet.study.local_engine.local_engine", engine)
 
 
 @pytest.mark.slow

@@ -35,7 +35,7 @@ def engines(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[Drawn]:
         used.append(Drawn(lambda text, _: "1s" not in text and any(f"loss {k}%" in text for k in (0, 10, 20, 30))))
         return nullcontext(used[-1])
 
-    monkeypatch.setattr("fleet.study.study.engine_of", engine_of)
+    monkeypatch.setattr("fleet.study.local_engine.engine_of", engine_of)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("COLUMNS", "80")
     Path("small.yaml").write_text(SMALL, "utf-8")

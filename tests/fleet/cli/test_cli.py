@@ -404,6 +404,45 @@ def test_info_tells_faults_and_apart_from_them_what_happened_to_vehicles(tmp_pat
     assert {row["fault"] for row in result["events"]} == {"tumbled-2"}
 
 
+# --- what is wrong, and what to do ---------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["run", "paper", "--seed", "seven"], "expected a whole number from 0 to 9223372036854775807, got 'seven'"),
+        (["whatif", "--agent", "0"], "expected a whole number, 1 or more, got '0'"),
+        (["check", "paper", "--net", "loss 30%"], """\
+fleet: --net loss 30%: expected links and their condition, got only the condition "loss 30%"
+      | loss 30%
+      | ^
+        as in * loss 30% for every link, or 1->2 loss 30% for one
+"""),
+        (["check", "paper", "--net", "1->2"], 'got only the links "1->2"'),
+        (["check", "paper", "--fault", "at 1s link loss 3%"], "as in link * loss 3% for every link"),
+        (["check", "nemesis.yml"], "nemesis.yml: No such file or directory\n        did you mean nemesis?"),
+        (["check", "ring.yml"], "did you mean ring.yaml?"),
+        (["check", "rin.yaml"], 'did you mean "ring.yaml"?'),
+        (["check", "none/of/them.yaml"], "fleet list lists the scenarios that ship, fleet new scenario NAME"),
+        (["run", "ring.py"], "expected a scenario (YAML), got a Python file\n        did you mean ring.yaml?"),
+        (["run", "rung.py"], 'a scenario names what is in it, as in agent: "rung:MyAgent"'),
+        (["verify", "ring.yaml"], "ring.yaml: expected a log, got a scenario; fleet run ring.yaml makes a log of it"),
+        (["report", "ring.yaml", "gone", "lost", "-o", "x.html"], "fleet: ring.yaml: expected a log"),
+        (["report", "ring.yaml", "gone", "lost", "-o", "x.html"], "\ncannot read lost: No such file"),
+        (["report", "ring.yaml", "gone", "lost", "-o", "x.html"], "\n0 of 3 logs can be read: leave out the others"),
+    ],
+)  # fmt: skip
+def test_a_mistake_is_told_with_its_remedy(
+    arguments: list[str], said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name in ("ring.yaml", "ring.py", "rung.py"):
+        Path(name).write_text("title: a ring\n")
+    result = invoke(*arguments)
+    assert (result.exit_code, result.stdout) == (2, "")
+    assert said in result.stderr
+
+
 # --- what is said ----------------------------------------------------------
 
 

@@ -34,6 +34,12 @@ ANSWERS: dict[str, dict[str, Any]] = {
     "stop": {"at_s": 3.0},
 }
 
+STATUS: dict[str, Any] = {
+    "scenario": "paper", "waiting": "", "formation": {"worst_m": 1.0, "vehicle": 1, "median_m": 1.0, "vehicles": 1},
+    "delivered": 1, "lost": 0, "faults": [], "events": [], "vehicles_total": 0, "vehicles": [], "links_total": 0,
+    "links": [],
+}  # fmt: skip
+
 
 @pytest.fixture
 def answers(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
@@ -100,6 +106,19 @@ def test_several_live_runs_need_a_name(answers: dict[str, Any], tmp_path: Path) 
         assert listed[1].startswith(f"  {paper}, pid ")
         found = msgspec.json.decode(invoke("ps", "--json").stdout, type=LiveRuns)
         assert [(row.run, row.at_s, row.error) for row in found.runs] == [(paper.name, 1.5, ""), (rough.name, 1.5, "")]
+
+
+def test_a_run_is_named_by_position_or_by_an_option(answers: dict[str, Any], tmp_path: Path) -> None:
+    answers["status"] = answers["status"] | STATUS
+    with live_directory(tmp_path, "paper") as paper, live_directory(tmp_path, "rough-sea") as rough:
+        for command in ("status", "faults", "stop"):
+            for name, meant in (("paper", paper), ("rough", rough), (str(rough), rough), (paper.name, paper)):
+                by_position, by_option = invoke(command, name), invoke(command, "--run", name)
+                assert by_position.stdout == by_option.stdout
+                assert by_position.stdout.startswith(f"{meant.name}: "), by_position.output
+            assert invoke(command, "paper", "--run", "paper").exit_code == 0
+            both = invoke(command, "paper", "--run", "rough")
+            assert both.exit_code == 2 and "which run? paper, or --run rough: give one of them" in both.stderr
 
 
 def test_no_live_run(answers: dict[str, Any]) -> None:

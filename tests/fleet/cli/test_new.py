@@ -138,3 +138,35 @@ def test_the_fleet_of_the_template_of_a_plant_holds_its_formation(
     assert module.exists()
     result = execute(load_scenario(scenario), Options(tmp_path, in_process=True, quiet=True))
     assert result.status is Status.PASS, result.verdicts
+
+
+@pytest.mark.parametrize("name", ["gossip", "class_", "formation_agent"])
+def test_a_protocol_is_checked_runs_and_passes_as_it_is(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With its check in Python and those on signals; its agents can go on from a log, and break on a worse network."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    written = CliRunner().invoke(cli, ["new", "protocol", name])
+    assert written.stdout == f"wrote {name}.py, {name}_check.py and {name}.yaml; now: fleet run {name}.yaml\n"
+    checked = CliRunner().invoke(cli, ["check", f"{name}.yaml"])
+    assert (checked.exit_code, checked.stderr) == (0, ""), checked.output
+    if name != "gossip":
+        return
+    quick = ["log.every=100 ticks", "log.snapshot=15 s"]
+    result = execute(load_scenario(f"{name}.yaml", quick), Options(tmp_path, in_process=True, quiet=True))
+    assert result.status is Status.PASS, result.verdicts
+    assert {"GossipCheck", "one-answer", "all-are-back"} <= {verdict.check for verdict in result.verdicts}
+    assert {row["agent"] for row in result.values["vehicles"].values()} == {"gossip:Gossip"}
+    assert [row["signals"]["there"]["value"] for row in result.values["vehicles"].values()] == [4.0] * 4
+    worse = load_scenario(f"{name}.yaml", [*quick, "duration=12 s", "network.links={'*': delay 1s loss 60%}"])
+    result = execute(worse, Options(tmp_path, in_process=True, quiet=True))
+    failed = {verdict.check for verdict in result.verdicts if not verdict.passed}
+    assert result.status is Status.CHECK_FAILED and "GossipCheck" in failed
+
+
+def test_a_protocol_needs_the_name_of_its_check_too(tmp_path: Path) -> None:
+    (tmp_path / "gossip_check.py").write_text("mine")
+    refused = CliRunner().invoke(cli, ["new", "protocol", "gossip", "--dir", str(tmp_path)])
+    assert refused.exit_code == 2 and "gossip_check.py is there already" in refused.stderr
+    assert [path.name for path in tmp_path.iterdir()] == ["gossip_check.py"]

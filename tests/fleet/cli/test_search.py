@@ -23,7 +23,7 @@ CALM = "checks.formation_error.below=99 m"
 
 @pytest.fixture(autouse=True)
 def random_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("fleet.study.local_engine.small_engine", lambda *_: nullcontext(Here()))
+    monkeypatch.setattr("fleet.study.local_engine.engine_of", lambda *_: nullcontext(Here()))
     monkeypatch.chdir(tmp_path)
     Path("small.yaml").write_text(SMALL + RANDOM, "utf-8")
 

@@ -30,7 +30,7 @@ def engines(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[Here]:
         used.append(Here())
         return nullcontext(used[-1])
 
-    monkeypatch.setattr("fleet.study.study.engine_of", engine_of)
+    monkeypatch.setattr("fleet.study.local_engine.engine_of", engine_of)
     monkeypatch.chdir(tmp_path)
     (tmp_path / "small.yaml").write_text(SMALL, "utf-8")
     return used
@@ -199,6 +199,23 @@ def test_json_is_one_document_with_intervals(engines: list[Here]) -> None:
     assert (share.low, share.runs) == (None, 2)  # two runs are too few
     assert second.passed.runs == 2
     assert sweep(document.directory, "--json", "--measure", "loss_share").stdout == result.stdout
+
+
+def test_a_sweep_of_nothing(engines: list[Here]) -> None:
+    """Runs that would all be the same are not made; runs that differ by their seeds are, and it is told how to vary."""
+    result = sweep("small.yaml", "--set", "initial.scatter=0 m", "--seeds", "3")
+    assert (result.exit_code, engines) == (2, [])
+    assert "nothing is varied, and nothing in small depends on the seed: all 3 runs would be the same" in result.stderr
+    assert "--vary 'loss=0 %..60 %/20 %' --net '* loss {loss}'" in result.stderr
+    result = sweep("small.yaml", "--seeds", "2", "--set", "duration=100 ms")
+    assert result.exit_code == 0, result.output
+    assert "fleet: nothing is varied, so the runs differ by their seeds alone; --vary" in result.stderr
+    for quiet in (
+        ["-q", "--set", "duration=100 ms"],
+        ["--seeds", "1", "--set", "initial.scatter=0 m", "--show-config"],
+    ):
+        result = sweep("small.yaml", "--seeds", "1", *quiet)
+        assert (result.exit_code, result.stderr) == (0, "")
 
 
 def test_without_the_extra_one_line_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:

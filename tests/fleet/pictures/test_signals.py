@@ -170,7 +170,7 @@ def test_checks_of_one_value_are_one_line() -> None:
     _, (ax,) = panels(1, 1)
     ax.set_xlim(0.0, 90.0)
     asked = [(80.0, 90.0), (65.0, 90.0), (10.0, 20.0)]
-    draw_thresholds(ax, [Threshold(0.1, begin, end, "") for begin, end in asked])
+    draw_thresholds(ax, [Threshold(0.1, begin, end, "", "below 0.1 m") for begin, end in asked])
     assert [list(line.get_xdata()) for line in lines(ax, "check")] == [[10.0, 20.0], [65.0, 90.0]]
 
 

@@ -11,9 +11,10 @@ from pathlib import Path
 
 import pytest
 from repository import ROOT
-from worker_items import die_once, masked, step
+from worker_items import die_at_once, die_once, masked, sleep, step, unpicklable
 
-from fleet.processes.workers import WorkerDied, Workers
+from fleet.errors import RunBroken
+from fleet.processes.workers import WorkerDied, WorkerLate, Workers
 
 
 @pytest.fixture(scope="module")
@@ -40,6 +41,46 @@ def test_a_worker_that_was_killed_meanwhile_is_replaced(workers: Workers) -> Non
     ((_, future),) = workers.each(die_once, [Path()])
     os.kill(future.result(), signal.SIGKILL)
     assert sorted(future.result() for _, future in workers.each(step, [1, 2, 3])) == [2, 4, 6]
+
+
+def test_one_that_is_late_is_killed_and_the_others_go_on(workers: Workers) -> None:
+    found = dict(workers.each(sleep, [3600.0, 0.0, 0.1, 0.2], limit_s=lambda item: 0.3 if item > 1.0 else 3600.0))
+    with pytest.raises(WorkerLate):
+        found[3600.0].result()
+    assert [found[item].result() for item in (0.0, 0.1, 0.2)] == [0.0, 0.1, 0.2]
+
+
+def test_an_error_that_cannot_travel_and_an_exit_are_told(workers: Workers) -> None:
+    found = dict(workers.each(unpicklable, [0, 1]))
+    assert str(found[0].exception()) == "LocalError: only here"
+    assert isinstance(found[1].exception(), SystemExit)
+
+
+def test_who_asks_for_no_more_finds_workers_that_are_free(workers: Workers) -> None:
+    asked = workers.each(sleep, [0.0, 3600.0])
+    assert next(asked)[0] == 0.0
+    asked.close()  # type: ignore[attr-defined]
+    assert [future.result() for _, future in workers.each(step, [1])] == [2]
+
+
+def test_workers_that_end_before_they_begin_blame_no_item_and_end_it() -> None:
+    with Workers(1, die_at_once) as dying, pytest.raises(RunBroken, match=r"before they began \(exit status 7\)"):
+        list(dying.each(step, [1]))
+
+
+def test_too_few_open_files_are_said_before_anything_starts(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("fleet.processes.open_files._raise_to", lambda wanted: 40)
+    with pytest.raises(RunBroken, match=r"2 workers need \d+ open files in this process, and the limit here is 40"):
+        Workers(2)
+
+
+def test_a_process_that_cannot_start_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    def start(_: object) -> None:
+        raise BlockingIOError(11, "Resource temporarily unavailable")
+
+    monkeypatch.setattr("multiprocessing.context.SpawnProcess.start", start)
+    with Workers(2) as none, pytest.raises(RunBroken, match="cannot start a worker process: Resource temporarily"):
+        list(none.each(step, [1]))
 
 
 def test_items_are_asked_for_as_workers_become_free(workers: Workers) -> None:

@@ -1,56 +1,164 @@
-"""Runs of a study in processes of this program."""
+"""Workers of this machine: who can reach them, and what becomes of a study when one of them dies."""
 
 from __future__ import annotations
 
+import os
+import signal
 import subprocess
 import sys
 from collections.abc import Iterator
-from concurrent.futures import Future
+from itertools import chain
 from math import inf
+from pathlib import Path
 from typing import Any
 
-from small_scenario import small
+import psutil
+import pytest
+from failing_laws import failing
+from small_scenario import SMALL, small
 
-from fleet.processes.workers import WorkerDied
+from fleet.scenario.loading import parse_scenario
+from fleet.scenario.trust import Policy
 from fleet.study.engine import LOST
-from fleet.study.local_engine import LocalEngine
+from fleet.study.local_engine import LocalEngine, local_engine
+from fleet.study.modules import modules_of
 from fleet.study.one_run import FAILED, Task
+
+NAME = "small"
+DONE = {"pass", "check_failed"}
 
 WITHOUT = """
 import sys
 from math import inf
 for name in ("dask", "distributed", "pyarrow", "scipy", "pandas", "xarray", "cryptography"):
     sys.modules[name] = None  # as if it were not installed
-from fleet.study.local_engine import small_engine
+from fleet.study.local_engine import engine_of
 from fleet.study.one_run import Task
 from fleet.study.search import search
 from fleet.study.shrink import Shrinker
-if __name__ == "__main__":
-    tasks = [Task(f"key-{seed}", 0, seed, "small", sys.argv[1], inf) for seed in (1, 2)]
-    with small_engine(1) as engine:
-        engine.make(iter(tasks), lambda rows: print(*[(row["key"], row["status"]) for row in rows]), lambda: None)
+tasks = [Task(f"key-{seed}", 0, seed, "small", sys.argv[1], inf) for seed in (1, 2)]
+with engine_of(1) as engine:  # a script needs no `if __name__ == "__main__"`
+    engine.make(iter(tasks), lambda rows: print(*[(row["key"], row["status"]) for row in rows]), lambda: None)
 """
 
 
-def test_it_needs_no_library_of_the_extra() -> None:
+def test_it_needs_no_library_of_the_extra(tmp_path: Path) -> None:
+    (tmp_path / "script.py").write_text(WITHOUT, "utf-8")
     text = small("duration=100 ms", "checks={}").to_yaml()
-    done = subprocess.run([sys.executable, "-c", WITHOUT, text], capture_output=True, text=True, check=False)
+    done = subprocess.run([sys.executable, tmp_path / "script.py", text], capture_output=True, text=True, check=False)
     assert done.stdout.splitlines() == ["('key-1', 'pass')", "('key-2', 'pass')"], done.stderr
 
 
-class Dying:
-    """Workers that die under every item."""
-
-    def each(self, _: Any, items: Iterator[Any], __: Any) -> Iterator[tuple[Any, Future[Any]]]:
-        for item in items:
-            future: Future[Any] = Future()
-            future.set_exception(WorkerDied("gone"))
-            yield item, future
+def test_a_study_on_this_machine_does_not_load_what_a_cluster_needs() -> None:
+    names = ("dask", "distributed", "cryptography")
+    code = f"import sys; sys.modules.update(dict.fromkeys({names})); import fleet.study.study, fleet.study.boundary"
+    subprocess.run([sys.executable, "-c", code], check=True)
 
 
-def test_a_run_whose_worker_dies_is_a_row_that_says_so() -> None:
+@pytest.fixture(scope="module")
+def engine() -> Iterator[LocalEngine]:
+    with local_engine(2) as found:
+        yield found
+
+
+def tasks(count: int, duration: str = "1 s", timeout_s: float = inf) -> Iterator[Task]:
+    text = small(f"duration={duration}").to_yaml()
+    return (Task(f"key-{seed}", 0, seed, NAME, text, timeout_s) for seed in range(count))
+
+
+def made(engine: LocalEngine, tasks: Iterator[Task], **options: Any) -> list[dict[str, Any]]:
     rows: list[dict[str, Any]] = []
-    engine = LocalEngine(Dying())  # type: ignore[arg-type]
-    engine.make(iter([Task("key", 4, 7, "small", "", inf)]), rows.extend, lambda: None)
-    (row,) = rows
-    assert (row["key"], row["point"], row["seed"], row["status"], row["reason"]) == ("key", 4, 7, FAILED, LOST)
+    engine.make(tasks, rows.extend, options.get("wait", lambda: None))
+    return rows
+
+
+def test_every_run_is_made_once(engine: LocalEngine) -> None:
+    rows = made(engine, tasks(25))
+    assert sorted(row["seed"] for row in rows) == list(range(25))
+    assert {row["status"] for row in rows} <= DONE
+
+
+def test_nobody_can_connect_to_the_workers(engine: LocalEngine) -> None:
+    made(engine, tasks(2))
+    workers = [psutil.Process(pid) for pid in engine.workers.pids]
+    assert workers and not [found for process in workers for found in process.net_connections("inet")]
+
+
+def test_a_worker_that_is_killed_costs_no_run(engine: LocalEngine) -> None:
+    made(engine, tasks(2))
+    killed: list[int] = []
+
+    def kill_one() -> None:
+        if not killed:
+            killed.append(min(engine.workers.pids))
+            os.kill(killed[0], signal.SIGKILL)
+
+    rows = made(engine, tasks(12, "8 s"), wait=kill_one)
+    assert killed
+    assert sorted(row["seed"] for row in rows) == list(range(12))
+    assert {row["status"] for row in rows} <= DONE
+    assert len(set(engine.workers.pids) - set(killed)) == 2  # another worker in its place
+
+
+def test_a_law_of_the_users_runs_there_and_one_that_kills_its_workers_costs_its_run(
+    engine: LocalEngine, tmp_path: Path
+) -> None:
+    laws = {"good_law": "pass", "deadly_law": "__import__('os')._exit(1)"}
+    scenarios = []
+    for name, line in laws.items():
+        (tmp_path / f"{name}.py").write_text(failing(3, line), "utf-8")
+        text = f"{SMALL}controller: {name}:Law\n"
+        scenarios.append(parse_scenario(text, "small.yaml", folder=tmp_path, policy=Policy(stranger="")))
+    modules = modules_of(scenarios, tmp_path)
+    strange = tmp_path / "strange"  # where nothing was ever let in
+    strange.mkdir()
+    (strange / "strange_law.py").write_text(failing(3, "pass  # another file"), "utf-8")
+    assert len(modules.files) == len(modules.fingerprints) == 2
+    good, deadly = (scenario.to_yaml() for scenario in scenarios)
+    chosen = [
+        Task("a", 0, 1, NAME, good, inf, modules),
+        *(Task(f"b{n}", 1, n, NAME, deadly, inf, modules) for n in (1, 2)),
+        Task("c", 0, 2, NAME, good, inf, modules),
+        Task("d", 2, 1, NAME, good.replace("good_law", "strange_law"), inf, modules._replace(folder=str(strange))),
+    ]
+    rows = {row["key"]: row for row in made(engine, chain(chosen, tasks(6)))}
+    assert {row["status"] for key, row in rows.items() if key in "ac" or key.startswith("key")} <= DONE
+    for key in ("b1", "b2"):
+        row = rows[key]
+        assert (row["point"], row["seed"], row["status"], row["reason"]) == (1, int(key[1]), FAILED, LOST)
+    assert rows["d"]["status"] == FAILED
+    assert "a study names it" in rows["d"]["reason"]
+    assert len(rows) == 11
+
+
+@pytest.mark.parametrize(
+    "line", ["__import__('re').match('(a+)+b', 'a' * 60)", "while True: pass", "time.sleep(3600.0)"]
+)
+def test_a_law_that_hangs_within_a_tick_costs_its_run_and_its_worker_once(
+    line: str, engine: LocalEngine, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("fleet.study.local_engine.GRACE_S", 0.1)
+    name = f"stuck_law_{len(line)}"
+    (tmp_path / f"{name}.py").write_text(failing(3, line), "utf-8")
+    stuck = parse_scenario(
+        f"{SMALL}controller: {name}:Law\n", "small.yaml", folder=tmp_path, policy=Policy(stranger="")
+    )
+    modules = modules_of([stuck], tmp_path)
+    made(engine, tasks(4))
+    before = set(engine.workers.pids)
+    assert len(before) == 2
+    task = Task("stuck", 1, 1, NAME, stuck.to_yaml(), 0.2, modules)
+    rows = made(engine, chain([task], tasks(4, timeout_s=60.0)))
+    assert [row["reason"] for row in rows if row["key"] == "stuck"] == ["took longer than 0.2 s"]
+    assert {row["status"] for row in rows if row["key"] != "stuck"} <= DONE
+    assert len(rows) == 5
+    made(engine, tasks(4))
+    assert len(before - set(engine.workers.pids)) == 1
+
+
+def test_a_run_that_ends_between_two_ticks_keeps_its_worker(engine: LocalEngine) -> None:
+    made(engine, tasks(4))
+    before = set(engine.workers.pids)
+    (row,) = made(engine, tasks(1, "1 h", 0.2))
+    assert (row["status"], row["reason"]) == (FAILED, "took longer than 0.2 s")
+    assert set(engine.workers.pids) == before

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 from queue import Queue
 
@@ -13,7 +12,9 @@ from fleet.view.log_feed import LogFeed
 
 
 def test_a_run_that_is_over_before_it_was_seen_is_shown_as_its_log(alone: Alone) -> None:
-    over: Queue[Path] = Queue()
-    over.put(log_of(alone("paper", "duration=2 s", "checks={}")).parent)
-    feed = _feed_of(os.getpid(), over)
+    told: Queue[Path] = Queue()
+    directory = log_of(alone("paper", "duration=2 s", "checks={}")).parent
+    told.put(directory)  # its journal can be read,
+    told.put(directory)  # it is over
+    feed = _feed_of(told)
     assert isinstance(feed, LogFeed) and feed.end_s == 2.0

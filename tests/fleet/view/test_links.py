@@ -82,4 +82,4 @@ def test_the_age_is_of_the_newest_that_arrived() -> None:
     assert history.age_s(0.5) == pytest.approx(0.4)
     history.settle(BEHIND, 0.05, 0.5)  # older than what is known
     assert history.age_s(0.5) == pytest.approx(0.4)
-    assert (history.delivered, history.lost) == (3, 1)
+    assert history.lost_of_last == 1

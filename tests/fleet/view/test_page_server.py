@@ -8,10 +8,12 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from small_scenario import small
 
 from fleet.errors import FleetError
 from fleet.view.live_feed import LiveFeed
 from fleet.view.page import MOST_AHEAD, MOST_COMMANDS, TRY_AGAIN, Page, Viewer
+from fleet.view.picture import Picture
 from fleet.view.signals import commands_of
 
 
@@ -20,7 +22,8 @@ class AskedFeed(LiveFeed):
 
     def __init__(self) -> None:
         self.asked: list[str] = []
-        self.source: Any = SimpleNamespace(run=object())
+        self.source: Any = SimpleNamespace(awaited=False)
+        self._run: Any = object()
 
     def ask(self, op: str, **fields: Any) -> dict[str, Any]:
         self.asked.append(op)
@@ -57,9 +60,12 @@ class FollowedFeed(AskedFeed):
 
     def __init__(self) -> None:
         super().__init__()
-        self.signals: Any = SimpleNamespace(by_name=("a", "b", *commands_of(1)))
+        self.signals: Any = SimpleNamespace(by_name=("a", "b", *commands_of(1)), meant=self.meant)
         self.picture: Any = SimpleNamespace(history=dict)
         self.followed: list[set[str]] = []
+
+    def meant(self, name: str) -> list[str]:
+        return ["a", "b"] if name == "all" else [name]
 
     def follow(self, names: Collection[str]) -> None:
         if not set(names) <= set(self.signals.by_name):
@@ -82,15 +88,17 @@ def test_signals_are_followed_as_long_as_a_page_shows_them() -> None:
         return feed.followed[-1]
 
     one, two = opened(), opened()
-    assert does(one, do="signal", name="a") == {"a"}
-    assert does(two, do="signal", name="b") == {"a", "b"}
+    assert does(one, do="charts", names=["a"]) == {"a"}
+    assert does(two, do="charts", names=["b"]) == {"a", "b"}
+    assert does(one, do="columns", names=["all"]) == {"a", "b"}
+    does(one, do="columns", names=[])
     assert does(one, do="commands", i=1) == {"a", "b", *commands_of(1)}
     with pytest.raises(KeyError):
-        does(one, do="signal", name="none")
+        does(one, do="charts", names=["none"])
     assert does(one, do="commands", i=0) == {"a", "b"}
-    assert does(one, do="signal", name="b") == {"b"}
+    assert does(one, do="charts", names=["b"]) == {"b"}
     asked = len(feed.followed)
-    does(two, do="signal", name="")
+    does(two, do="charts", names=[])
     assert len(feed.followed) == asked  # the other one shows it
     page._forget(one)
     assert feed.followed[-1] == set()
@@ -98,22 +106,37 @@ def test_signals_are_followed_as_long_as_a_page_shows_them() -> None:
 
 def test_with_credentials_to_watch_only_nothing_can_be_done_either() -> None:
     feed = AskedFeed()
-    feed.source.run = None
+    feed._run = None
     assert not Page(feed, may_act=True).may_act
+    feed.source.awaited = True  # its console will answer
+    assert Page(feed, may_act=True).may_act
 
 
 def test_pictures_do_not_pile_up_for_a_browser_that_does_not_take_them() -> None:
-    page = Page(AskedFeed(), may_act=False)
+    feed = AskedFeed()
+    feed.picture = Picture(small())
+    page = Page(feed, may_act=False)
     given: list[Any] = []
     viewer: Any = object.__new__(Viewer)
     vars(viewer).update(
-        _page=page, _ready=True, _sent=0, _seen=0, _left_out=0, element=SimpleNamespace(give=given.append)
+        _page=page,
+        _ready=True,
+        _sent=0,
+        _seen=0,
+        _left_out=0,
+        _slow_until=0.0,
+        _told=-1,
+        element=SimpleNamespace(give=given.append),
     )
     for _ in range(1000):
         viewer.show({"t": 0.0})
     left_out = 1000 - MOST_AHEAD - 1
+    assert "known" in given.pop(0)  # the faults, once
     assert len(given) == MOST_AHEAD + 1 + left_out // TRY_AGAIN
-    assert page.dropped == left_out
+    assert not given[0]["frame"]["slow"] and given[-1]["frame"]["slow"]
     viewer._seen = viewer._sent  # it has caught up
     viewer.show({"t": 1.0})
     assert given[-1]["frame"]["t"] == 1.0
+    feed.picture.event(0.1, SimpleNamespace(fault="live-1", action="begins", what="mute 1"))
+    viewer.show({"t": 1.1})
+    assert [row["id"] for row in given[-2]["known"]["faults"]] == ["live-1"]

@@ -35,7 +35,7 @@ def placed(scenario: Scenario, t: float, *off: tuple[float, float, float]) -> An
 
 
 def packet(sent: float, due: float, fate: str = "delivered", corrupted: bool = False) -> Any:
-    return SimpleNamespace(sent=sent, due=due, fate=fate, corrupted=corrupted)
+    return SimpleNamespace(sent=sent, due=due, fate=fate, corrupted=corrupted, payload=b"")
 
 
 def event(fault: str, action: str, what: str) -> Any:
@@ -83,7 +83,8 @@ def test_packets_are_shown_once_and_links_by_what_arrives() -> None:
     ]  # fmt: skip
     states = dict(zip(map(tuple, links), frame["links"], strict=True))
     assert states == {(1, 2): "delivered", (2, 1): "unused", (2, 3): "late", (3, 2): "down"}
-    assert frame["counts"] == [2, 1]
+    assert dict(zip(map(tuple, links), frame["losses"], strict=True)) == {(1, 2): 0, (2, 1): 0, (2, 3): 0, (3, 2): 1}
+    assert frame["kinds"] == [["other bytes", 3, 1]]
     assert shown(picture)["packets"] == []
 
 
@@ -125,10 +126,29 @@ def test_injected_faults_begin_and_end_with_their_events() -> None:
     picture.event(0.2, event("tumbled-2", "begins", "tumbled 2"))
     picture.at_s = 0.3
     frame = shown(picture)
-    assert [row["id"] for row in frame["faults"]] == ["live-1", "tumbled-2"]
+    assert [row["id"] for row in frame["faults"]] == ["live-1"]  # a tumble is a consequence
     assert frame["states"] == {"1": "mute", "2": "tumbled"}
     picture.event(0.3, event("live-1", "ends", "mute 1"))
-    assert [row["id"] for row in shown(picture)["faults"]] == ["tumbled-2"]
+    assert shown(picture)["faults"] == []
+
+
+def test_what_happened_to_vehicles_is_one_row_for_each_and_past_faults_stay_known() -> None:
+    picture = Picture(small())
+    for n, (begin, end) in enumerate([(0.1, 0.2), (0.25, 0.3), (0.4, 0.45)]):
+        picture.event(begin, event(f"tumbled-2-{n}", "begins", "tumbled 2"))
+        picture.event(end, event(f"tumbled-2-{n}", "ends", "tumbled 2"))
+    picture.event(0.2, event("live-1", "begins", "mute 1"))
+    changes = picture.changes
+    picture.event(0.3, event("live-1", "ends", "mute 1"))
+    assert picture.changes > changes
+    known = picture.known()
+    assert known["events"] == [{"text": "tumbled 2: 3 times, first at 0.1 s", "at_s": 0.1}]
+    assert [(row["what"], row["from_s"], row["to_s"]) for row in known["faults"]] == [("mute 1", 0.2, 0.3)]
+    changes = picture.changes
+    picture.faults([*known["faults"], *picture._events.values()])
+    assert picture.known() == known and picture.changes == changes  # nothing is new
+    picture.happened([{"what": "tumbled 3", "times": 4, "first_s": 0.05}])  # the console has seen more
+    assert picture.known()["events"] == [{"text": "tumbled 3: 4 times, first at 0.05 s", "at_s": 0.05}]
 
 
 def test_places_that_are_no_numbers_are_left_open() -> None:

@@ -1,6 +1,7 @@
 // The bar with the clock: of a live run pause, step and speed; of a log the time line.
+import { copyText } from "./copy.js";
 import { make, write } from "./dom.js";
-import { copyText } from "./panels.js";
+import { verdict } from "./verdict.js";
 
 const SPEEDS = [["as fast as it goes", null], ["0.2 x", 0.2], ["0.5 x", 0.5], ["1 x", 1], ["2 x", 2], ["5 x", 5]];
 const RATES = [0.1, 0.25, 0.5, 1, 2, 5, 10];
@@ -12,10 +13,12 @@ export class Bar {
     this.time = make("span", { class: "fleet-time" });
     this.rate = make("span", { class: "fleet-rate" });
     this.waiting = make("span", { class: "fleet-waiting", role: "status" });
+    this.verdict = make("span", { class: "fleet-verdict", hidden: true });
     const title = make(
       "div",
       { class: "fleet-title" },
       make("h1", {}, setup.scenario),
+      this.verdict,
       make("span", { class: "fleet-note" }, setup.title),
     );
     const clock = make("div", { class: "fleet-clock" }, this.time, this.rate, this.waiting);
@@ -62,10 +65,7 @@ export class Bar {
       type: "range", min: 0, max: end, step: 0.1, value: 0, ariaLabel: "Time in the log [s]", class: "fleet-slider",
       oninput: () => this.seek(),
     });
-    const marks = make("div", { class: "fleet-marks" }, ...setup.marks.map((fault) => {
-      const [from, to] = [fault.from_s / end, Math.min(1, fault.to_s / end)];
-      return make("span", { style: `left:${100 * from}%;width:${Math.max(0.3, 100 * (to - from))}%`, title: `${fault.what}, ${fault.from_s} to ${fault.to_s} s` });
-    }));
+    this.marks = make("div", { class: "fleet-marks" });
     const rate = make(
       "select",
       { ariaLabel: "Rate", class: "fleet-select", onchange: (event) => say({ do: "rate", rate: Number(event.target.value) }) },
@@ -74,11 +74,27 @@ export class Bar {
     const from = this.button("Go on from here", () => copyText(this.goOn(), from), "copies the command");
     const what = this.button("What if", () => copyText(this.whatIf(), what), "copies the command");
     return [
-      this.pause, rate, make("div", { class: "fleet-line" }, marks, this.slider),
+      this.pause, rate, make("div", { class: "fleet-line" }, this.marks, this.slider),
       this.button("Next fault", () => say({ do: "next fault" })),
       this.button("Next loss", () => say({ do: "next loss" })),
       from, what,
     ];
+  }
+
+  // Where faults are on the time line.
+  known({ faults }) {
+    const end = this.setup.log_end_s;
+    this.marks?.replaceChildren(...faults.map(({ what, from_s, to_s }) => {
+      const [from, to] = [from_s / end, Math.min(1, to_s / end)];
+      return make("span", { style: `left:${100 * from}%;width:${Math.max(0.3, 100 * (to - from))}%`, title: `${what}, ${from_s} to ${to_s} s` });
+    }));
+  }
+
+  checks(checks) {
+    const [kind, text] = verdict(checks);
+    this.verdict.hidden = !text;
+    this.verdict.className = `fleet-verdict ${kind}`;
+    write(this.verdict, text);
   }
 
   // One jump at a time: the next when its picture has come.
@@ -102,7 +118,7 @@ export class Bar {
     const measured = this.setup.live && clock.rate ? `, ${clock.rate.toFixed(1)} x real time` : "";
     const state = clock.text.includes("x real time") && measured ? measured.slice(2) : clock.text + measured;
     write(this.rate, `of ${this.setup.end_s.toFixed(0)} s · ${state}`);
-    write(this.waiting, [clock.waiting, clock.note, frame.dropped ? `${frame.dropped} pictures left out` : ""].filter(Boolean).join(" · "));
+    write(this.waiting, [clock.waiting, clock.note, frame.slow ? "drawing is slower than the run" : ""].filter(Boolean).join(" · "));
     if (this.pause) write(this.pause, this.setup.live ? (clock.paused ? "Resume" : "Pause") : clock.paused ? "Play" : "Pause");
     for (const control of this.acting ?? []) control.disabled = clock.over;
     if (this.slider && document.activeElement !== this.slider) this.slider.value = frame.t;

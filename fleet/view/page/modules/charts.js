@@ -1,4 +1,4 @@
-// Charts that scroll: the last minute of the formation errors, the ages, the losses, and of a signal that was chosen.
+// Charts: of a live run the last minute, of a log the whole of it with a cursor. Formation errors, ages, losses, signals.
 import { hull } from "./colours.js";
 import { round } from "./geometry.js";
 import { fitted, make, write } from "./dom.js";
@@ -6,50 +6,81 @@ import { fitted, make, write } from "./dom.js";
 const SPAN_S = 60;
 const EVERY_MS = 200;
 const [LEFT, RIGHT, TOP, BOTTOM] = [40, 8, 6, 18];
+const ONE = "#f5c04a"; // a signal of one vehicle
+const MOST_CHARTED = 4; // signals of checks that are shown without asking
+const APART_PX = 1.6; // between steps of vehicles that have one value
+const FEW = 12; // vehicles whose steps are drawn apart
 
 class Chart {
-  constructor(title, unit, lines, { least = 0, most = 0 } = {}) {
+  constructor(title, unit, lines, { least = 0, most = 0, onSeek = null } = {}) {
     this.title = make("span", { class: "fleet-chart-title" }, title);
     this.unit = make("span", { class: "fleet-chart-unit" }, unit);
     this.head = make("div", { class: "fleet-chart-head" }, this.title, this.unit);
-    this.canvas = make("canvas", { role: "img", ariaLabel: `${title} over the last minute` });
+    this.canvas = make("canvas", { role: "img", ariaLabel: title });
     this.el = make("figure", { class: "fleet-chart" }, this.head, this.canvas);
     this.lines = lines;
     this.least = least;
     this.most = most;
+    if (onSeek) this.canvas.addEventListener("click", (event) => this.time && onSeek(this.time(event.offsetX)));
     this.sized = new ResizeObserver(() => this.resize());
     this.sized.observe(this.canvas);
   }
 
   resize() {
     Object.assign(this, fitted(this.canvas));
+    this.shown?.();
   }
 
-  // `lines()` gives [[colour, [[t, value], ...]], ...].
-  draw(now, spans) {
+  // `lines()` gives [[colour, [[t, value], ...]], ...]; moments: [[t, text], ...]; cursor: a time, or null.
+  draw({ from, span, now, cursor, spans, moments }) {
+    this.shown = () => this.draw({ from, span, now, cursor, spans, moments });
     const { g, width, height } = this;
     if (!g || !width) return;
     const lines = this.lines();
-    const from = Math.max(0, now - SPAN_S);
-    const values = lines.flatMap(([, points]) => points.filter(([t]) => t >= from).map(([, value]) => value));
-    const finite = values.filter(Number.isFinite);
-    let low = Math.min(this.least, ...finite);
-    let high = Math.max(this.most, ...finite);
-    if (high - low < 1e-9) high = low + 1;
-    const step = round((high - low) / 3);
-    low = Math.floor(low / step + 1e-9) * step;
-    high = Math.ceil(high / step - 1e-9) * step;
-    const x = (t) => LEFT + ((t - from) / SPAN_S) * (width - LEFT - RIGHT);
+    const [low, high, step] = this.range(lines, from);
+    const x = (t) => LEFT + ((t - from) / span) * (width - LEFT - RIGHT);
     const y = (value) => height - BOTTOM - ((value - low) / (high - low)) * (height - TOP - BOTTOM);
+    this.time = (px) => from + (Math.min(width - RIGHT, Math.max(LEFT, px)) - LEFT) / (width - LEFT - RIGHT) * span;
     g.clearRect(0, 0, width, height);
     g.font = "11px system-ui, sans-serif";
     g.fillStyle = "rgba(255, 92, 108, 0.14)";
+    const until = cursor == null ? now : from + span;
     for (const [begin, end] of spans) {
-      if (end > from && begin < now) {
+      if (end > from && begin < until) {
         const left = x(Math.max(begin, from));
-        g.fillRect(left, TOP, x(Math.min(end, now)) - left, height - TOP - BOTTOM);
+        g.fillRect(left, TOP, Math.max(1, x(Math.min(end, until)) - left), height - TOP - BOTTOM);
       }
     }
+    this.drawGrid({ low, high, step, from, span, x, y });
+    g.save();
+    g.beginPath();
+    g.rect(LEFT, 0, width - LEFT - RIGHT, height - BOTTOM + 2);
+    g.clip();
+    for (const [t] of moments) this.drawUpright(x(t), "#ff7a87", [3, 3]);
+    g.lineWidth = lines.length > 8 ? 1 : 1.8;
+    g.lineJoin = "round";
+    const apart = lines.length > 1 && lines.length <= FEW ? APART_PX : 0;
+    lines.forEach(([colour, points], k) => this.drawLine(colour, points, from, x, y, apart * (k - (lines.length - 1) / 2)));
+    if (cursor != null) this.drawUpright(x(cursor), "#ffffff", []);
+    g.restore();
+  }
+
+  range(lines, from) {
+    let [low, high] = [this.least, this.most];
+    for (const [, points] of lines) {
+      for (const [t, value] of points) {
+        if (t < from || !Number.isFinite(value)) continue;
+        if (value < low) low = value;
+        if (value > high) high = value;
+      }
+    }
+    if (high - low < 1e-9) high = low + 1;
+    const step = round((high - low) / 3);
+    return [Math.floor(low / step + 1e-9) * step, Math.ceil(high / step - 1e-9) * step, step];
+  }
+
+  drawGrid({ low, high, step, from, span, x, y }) {
+    const { g, width, height } = this;
     g.strokeStyle = "rgba(140, 180, 215, 0.22)";
     g.fillStyle = "#b9cbdd";
     g.lineWidth = 1;
@@ -63,88 +94,153 @@ class Chart {
       g.fillText(value.toFixed(Math.min(6, digits)), LEFT - 5, y(value) + 4);
     }
     g.textAlign = "center";
-    for (let t = Math.ceil(from / 20) * 20; t <= from + SPAN_S; t += 20) {
-      if (x(t) < width - 16) g.fillText(`${t} s`, x(t), height - 4);
+    const every = Math.max(span / 3, (60 * span) / (width - LEFT - RIGHT));
+    const tick = span === SPAN_S ? 20 : round(every);
+    for (let t = Math.ceil(from / tick) * tick; t <= from + span; t += tick) {
+      if (x(t) < width - 16) g.fillText(`${Number(t.toFixed(3))} s`, x(t), height - 4);
     }
     g.textAlign = "left";
-    g.save();
+  }
+
+  drawUpright(x, colour, dash) {
+    const { g, height } = this;
+    g.strokeStyle = colour;
+    g.lineWidth = 1.2;
+    g.setLineDash(dash);
     g.beginPath();
-    g.rect(LEFT, 0, width - LEFT - RIGHT, height - BOTTOM + 2);
-    g.clip();
-    g.lineWidth = lines.length > 8 ? 1 : 1.8;
-    g.lineJoin = "round";
-    for (const [colour, points] of lines) {
-      g.strokeStyle = colour;
-      g.beginPath();
-      let pen = false;
-      for (const [t, value] of points) {
-        if (t < from || !Number.isFinite(value)) {
-          pen = false;
-          continue;
-        }
-        if (pen) g.lineTo(x(t), y(value));
-        else g.moveTo(x(t), y(value));
-        pen = true;
+    g.moveTo(x, TOP);
+    g.lineTo(x, height - BOTTOM);
+    g.stroke();
+    g.setLineDash([]);
+    g.lineWidth = this.lines.length > 8 ? 1 : 1.8;
+  }
+
+  // Whole numbers are states that hold until the next one: steps, of several vehicles side by side.
+  drawLine(colour, points, from, x, y, aside) {
+    const { g } = this;
+    const steps = isWhole(points);
+    const up = steps ? aside : 0;
+    g.strokeStyle = colour;
+    g.beginPath();
+    let last = null;
+    for (const [t, value] of points) {
+      if (t < from || !Number.isFinite(value)) {
+        last = null;
+        continue;
       }
-      g.stroke();
+      if (last == null) g.moveTo(x(t), y(value) + up);
+      else {
+        if (steps) g.lineTo(x(t), y(last) + up);
+        g.lineTo(x(t), y(value) + up);
+      }
+      last = value;
     }
-    g.restore();
+    g.stroke();
   }
 }
 
+export const isWhole = (points) =>
+  points.some(([, value]) => value != null) && points.every(([, value]) => value == null || Number.isInteger(value));
+
 export class Charts {
-  constructor(el, setup, choose) {
+  constructor(el, setup, { onNames, onSeek }) {
     this.setup = setup;
+    this.onNames = onNames;
+    this.onSeek = setup.live ? null : onSeek;
     this.samples = [];
-    this.signals = new Map();
-    this.spans = new Map(); // of faults, by id
+    this.signals = new Map(); // values of the last minute, by name
+    this.whole = null; // of a log: its curves
+    this.spans = []; // of faults
+    this.moments = []; // at which checks failed
     this.units = new Map(); // of the signals that there are, by name
-    this.name = "";
-    this.choose = choose;
+    this.fleet = new Map(); // unit and names of signals that vehicles have, by what they are called for all of them
     const each = (column) => () =>
-      Array.from({ length: setup.vehicles }, (_, k) => [
-        hull(k + 1),
-        this.samples.map((sample) => [sample[0], sample[column][k] ?? NaN]),
-      ]);
-    this.chosen = new Chart("", "", () => [["#f5c04a", this.signals.get(this.name) ?? []]]);
+      Array.from({ length: setup.vehicles }, (_, k) => [hull(k + 1), this.shown.map((sample) => [sample[0], sample[column][k]])]);
+    const options = (more) => ({ ...more, onSeek: this.onSeek });
+    this.list = make("datalist", { id: "fleet-signals" });
+    const charted = setup.charted.slice(0, MOST_CHARTED);
+    this.picked = [...charted, ""].map((name) => this.chooser(name, options({})));
     this.charts = [
-      new Chart("Formation error", "m", each(1), { most: 0.1 }),
-      new Chart("Age of information", "s", each(2), { most: 0.5 }),
-      new Chart("Packets lost", "%", () => [
-        ["#ffa94d", this.samples.map((sample) => [sample[0], 100 * sample[3]])],
-      ], { most: 10 }),
-      this.chosen,
+      ...this.picked.slice(0, charted.length).map(({ chart }) => chart),
+      new Chart("Formation error", "m", each(1), options({ most: 0.1 })),
+      new Chart("Age of information", "s", each(2), options({ most: 0.5 })),
+      new Chart("Packets lost", "%", () => [["#ffa94d", this.shown.map((sample) => [sample[0], 100 * sample[3] + 1e-9])]], options({ most: 10 })),
+      this.picked.at(-1).chart,
     ];
-    this.select = make("input", {
-      class: "fleet-signal",
-      placeholder: "choose a signal of the log ...",
-      ariaLabel: "Signal to show",
-      onchange: () => this.pick(this.select.value),
-    });
-    this.list = make("datalist", { id: `fleet-signals-${Math.random().toString(36).slice(2)}` });
-    this.select.setAttribute("list", this.list.id);
-    this.chosen.head.replaceChildren(this.select, this.chosen.unit, this.list);
-    el.append(...this.charts.map((chart) => chart.el));
+    el.append(...this.charts.map((chart) => chart.el), this.list);
     this.drawn = 0;
   }
 
-  // Signals to choose from: the unit of each, by its name.
-  offer(units) {
-    this.units = new Map(Object.entries(units));
-    this.list.replaceChildren(...Object.keys(units).map((name) => make("option", { value: name })));
+  // The samples that the charts show.
+  get shown() {
+    return this.whole?.samples.length ? this.whole.samples : this.samples;
   }
 
-  pick(name) {
-    this.name = name;
-    this.choose(name);
+  // A chart of a signal that can be chosen, of one vehicle or of all.
+  chooser(name, options) {
+    const picked = { name };
+    const chart = new Chart("", "", () => this.linesOf(picked.name), options);
+    const input = make("input", {
+      class: "fleet-signal", placeholder: "choose a signal ...", value: name,
+      ariaLabel: name ? `Signal to show instead of ${name}` : "Signal to show",
+      onchange: () => {
+        picked.name = input.value.trim();
+        this.follow();
+      },
+    });
+    input.setAttribute("list", this.list.id);
+    chart.head.replaceChildren(input, chart.unit);
+    return Object.assign(picked, { chart, input });
+  }
+
+  linesOf(name) {
+    const values = (one) => (this.shown === this.samples ? this.signals : new Map(Object.entries(this.whole.signals))).get(one) ?? [];
+    const of = this.fleet.get(name);
+    if (!of) return [[ONE, values(name)]];
+    return Array.from({ length: this.setup.vehicles }, (_, k) => [hull(k + 1), values(ofVehicle(of[1], k + 1))]);
+  }
+
+  // Signals to choose from: the unit of each by its name, and those that vehicles have.
+  offer({ units, fleet }) {
+    this.units = new Map(Object.entries(units));
+    this.fleet = new Map(Object.entries(fleet));
+    const names = [...this.fleet.keys(), ...this.units.keys()];
+    this.list.replaceChildren(...names.map((name) => make("option", { value: name })));
+    this.follow();
+  }
+
+  follow() {
+    const names = this.picked.map(({ name }) => name).filter(Boolean);
+    if (names.length || this.asked) this.onNames(names);
+    this.asked = names.length > 0;
+    this.drawn = 0;
+  }
+
+  // The last value of a signal of a vehicle, by its name for all of them.
+  latest(name, i) {
+    const of = this.fleet.get(name);
+    return this.signals.get(of ? ofVehicle(of[1], i) : name)?.at(-1)?.[1];
   }
 
   history(history) {
     this.samples = [...history.samples];
     this.signals = new Map(Object.entries(history.signals ?? {}));
     this.now = this.samples.at(-1)?.[0] ?? 0;
-    this.spans = new Map(this.setup.marks.map((fault) => [fault.id, [fault.from_s, fault.to_s]]));
     this.drawn = 0;
+  }
+
+  setWhole(whole) {
+    this.whole = whole;
+    this.drawn = 0;
+    this.draw();
+  }
+
+  known({ faults }) {
+    this.spans = faults.map(({ from_s, to_s }) => [from_s, to_s]);
+  }
+
+  checks({ rows }) {
+    this.moments = rows.filter(({ at_s }) => at_s != null).map(({ at_s, check }) => [at_s, check]);
   }
 
   frame(frame) {
@@ -158,7 +254,6 @@ export class Charts {
       while (known.length && known[0][0] < frame.t - SPAN_S - 1) known.shift();
       this.signals.set(name, known);
     }
-    this.mark(frame);
     this.now = frame.t;
     const at = performance.now();
     if (at - this.drawn < EVERY_MS) return;
@@ -166,24 +261,28 @@ export class Charts {
     this.draw();
   }
 
-  // When faults lasted. One that was healed ended when it left the list, earlier than it said.
-  mark({ faults, t }) {
-    const listed = new Set(faults.map(({ id }) => id));
-    for (const [id, span] of this.spans) {
-      if (!listed.has(id) && span[0] <= t && t < span[1]) span[1] = t;
-    }
-    for (const { id, from_s, to_s } of faults) this.spans.set(id, [from_s, to_s]);
+  draw() {
+    const { now, spans, moments } = this;
+    const all = this.shown !== this.samples;
+    const from = all ? 0 : Math.max(0, now - SPAN_S);
+    const span = all ? Math.max(1e-3, this.setup.log_end_s) : SPAN_S;
+    for (const chart of this.charts) chart.draw({ from, span, now, cursor: all ? now : null, spans, moments });
+    for (const { name, chart } of this.picked) write(chart.unit, this.valueOf(name));
   }
 
-  draw() {
-    for (const chart of this.charts) chart.draw(this.now, this.spans.values());
-    const values = this.signals.get(this.name);
-    const value = values?.at(-1)?.[1];
-    const now = value == null ? "not a finite number" : `${value.toPrecision(4)} ${this.units.get(this.name) ?? ""}`;
-    write(this.chosen.unit, values?.length ? `now ${now}`.trimEnd() : "");
+  // Beside the name of a signal: its value now, or of a signal of all vehicles its unit.
+  valueOf(name) {
+    const of = this.fleet.get(name);
+    if (of) return of[0] === "1" ? "" : of[0];
+    const values = this.signals.get(name);
+    if (!values?.length) return "";
+    const value = values.at(-1)[1];
+    return value == null ? "now not a finite number" : `now ${value.toPrecision(4)} ${this.units.get(name) ?? ""}`.trimEnd();
   }
 
   end() {
     for (const chart of this.charts) chart.sized.disconnect();
   }
 }
+
+const ofVehicle = (name, i) => name.replace("uuv/*/", `uuv/${i}/`);

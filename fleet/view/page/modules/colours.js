@@ -1,6 +1,8 @@
 // The hues of the plots, lighter, because the sea is dark here. States of links differ in width and dashes, too.
 export const HULLS = ["#4fa8e0", "#ff8a3d", "#2fce9f", "#e09ac4", "#9adcff", "#f5c04a"];
 export const SILENT = "#93a1b2";
+// From so many vehicles on there is no room for packets, and for labels of a few only.
+export const isCrowd = ({ vehicles }) => vehicles > 24;
 export const hull = (i) => HULLS[(i - 1) % HULLS.length];
 
 export const LINKS = {

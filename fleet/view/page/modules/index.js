@@ -20,26 +20,41 @@ export function render({ model, el }) {
   el.append(top, make("div", { class: "fleet-main" }, stage, charts), side);
 
   const choose = (i) => {
-    scene.chosen = bar.chosen = i ? panels.choose(i) : panels.choose(panels.chosen);
+    scene.chosen = bar.chosen = panels.choose(i || panels.chosen);
     scene.dirty = true;
     say({ do: "commands", i: panels.chosen });
     if (model.get("frame")) panels.frame(model.get("frame"));
   };
-  const inject = (i) => setup.may_act && say({ do: "vehicle", i });
+  // Where the last click was, as shares of the window: a dialog keeps away from it.
+  let at = null;
+  const clicked = ({ clientX, clientY }) => (at = [clientX / window.innerWidth, clientY / window.innerHeight, window.innerWidth <= 900]);
+  el.addEventListener("pointerdown", clicked, true);
+  el.addEventListener("keydown", () => (at = null), true);
+  const inject = (i) => setup.may_act && say({ do: "vehicle", i, at });
+  const seek = (at_s) => say({ do: "seek", at_s });
+  const link = (src, dst) => {
+    if (setup.may_act) say({ do: "link", src, dst, at });
+  };
   const panels = new Panels(side, setup, {
     onVehicle: choose,
-    onLink: (src, dst) => say({ do: "link", src, dst }),
+    onLink: link,
+    onPoint: (k) => {
+      scene.over = k == null ? null : { link: k };
+      scene.dirty = true;
+    },
+    onTime: seek,
+    onColumns: (names) => say({ do: "columns", names }),
     onHeal: (id) => say({ do: "heal", id }),
     onInject: inject,
-    latest: (name) => charting.signals.get(name)?.at(-1)?.[1],
+    latest: (name, i) => charting.latest(name, i),
   });
   const scene = new Scene(stage, setup, {
-    onLink: (src, dst) => say({ do: "link", src, dst }),
+    onLink: link,
     onVehicle: (i) => {
       if (i !== panels.chosen) choose(i);
       if (i) inject(i);
     },
-    onLine: (groups) => groups.every((group) => group.length) && say({ do: "partition", groups }),
+    onLine: (groups) => groups.every((group) => group.length) && say({ do: "partition", groups, at }),
   });
   stage.append(legend(setup));
   const view = () => {
@@ -48,7 +63,8 @@ export function render({ model, el }) {
     scene.dirty = true;
   };
   scene.onView = view;
-  const bar = new Bar(top, setup, say, {
+  const act = (message) => say(message.do === "fleet" ? { ...message, at } : message);
+  const bar = new Bar(top, setup, act, {
     onView: view,
     onLine: () => {
       scene.drawing = !scene.drawing;
@@ -56,7 +72,7 @@ export function render({ model, el }) {
       scene.canvas.focus();
     },
   });
-  const charting = new Charts(charts, setup, (name) => say({ do: "signal", name }));
+  const charting = new Charts(charts, setup, { onNames: (names) => say({ do: "charts", names }), onSeek: seek });
 
   let told = 0;
   const listeners = {
@@ -74,7 +90,14 @@ export function render({ model, el }) {
       scene.history(model.get("history"));
       charting.history(model.get("history"));
     },
-    "change:checks": () => panels.writeChecks(model.get("checks")),
+    "change:whole": () => charting.setWhole(model.get("whole")),
+    "change:known": () => {
+      for (const part of [charting, panels.faults, bar]) part.known(model.get("known"));
+    },
+    "change:checks": () => {
+      panels.checks.write(model.get("checks"));
+      for (const part of [charting, bar]) part.checks(model.get("checks"));
+    },
     "change:commands": () => panels.writeCommands(model.get("commands")),
     "change:problem": () => bar.problem(model.get("problem")),
     "change:signals": () => charting.offer(model.get("signals")),
@@ -88,7 +111,7 @@ export function render({ model, el }) {
     bar.pause.click();
   };
   document.addEventListener("keydown", hold);
-  el.fleet = { scene }; // for tests, and for who looks with the tools of the browser
+  el.fleet = { scene, charting, live: setup.live }; // for tests, and for who looks with the tools of the browser
   say({ do: "ready" });
   return () => {
     for (const [event, listener] of Object.entries(listeners)) model.off(event, listener);

@@ -1,8 +1,9 @@
 // What the colours and dashes of links mean.
-import { LINKS, PACKETS } from "./colours.js";
+import { HULLS, LINKS, PACKETS, isCrowd } from "./colours.js";
 import { make } from "./dom.js";
 
-export function legend({ obstacles_m: obstacles }) {
+export function legend(setup) {
+  const { obstacles_m: obstacles, vehicles } = setup;
   const shown = Object.entries(LINKS).filter(([state]) => state !== "unused");
   const rows = shown.map(([, { name, colour, width, dash, says }]) => {
     const line = `<svg width="30" height="8" aria-hidden="true"><line x1="0" y1="4" x2="30" y2="4" stroke="${colour}" stroke-width="${width}" stroke-dasharray="${dash.join(" ")}"/></svg>`;
@@ -16,5 +17,7 @@ export function legend({ obstacles_m: obstacles }) {
   place.insertAdjacentHTML("afterbegin", `<svg width="18" height="16" aria-hidden="true"><circle cx="9" cy="8" r="6.5" fill="none" stroke="#b9cbdd" stroke-dasharray="3 3" stroke-width="1.5"/></svg>`);
   const more = obstacles.length ? [make("span", { title: "a cylinder that vehicles are to keep out of" }, "obstacle")] : [];
   for (const row of more) row.insertAdjacentHTML("afterbegin", `<svg width="18" height="16" aria-hidden="true"><circle cx="9" cy="8" r="6.5" fill="#c8d4e0" fill-opacity="0.25" stroke="#dce4ec"/></svg>`);
-  return make("div", { class: "fleet-legend" }, ...rows, packet, place, ...more);
+  if (vehicles > HULLS.length) more.push(make("span", { class: "fleet-note" }, `colours repeat after ${HULLS.length} vehicles`));
+  if (isCrowd(setup)) more.push(make("span", { class: "fleet-note" }, "numbers: the five that are farthest off their places"));
+  return make("div", { class: "fleet-legend" }, ...rows, ...(isCrowd(setup) ? [] : [packet]), place, ...more);
 }

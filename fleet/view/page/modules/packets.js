@@ -1,7 +1,7 @@
 // Packets on their way, and sound that spreads: what became of a packet is known when it is, and shown then, slower
 // than it was where the eye could not follow.
 import { PACKETS } from "./colours.js";
-import { between } from "./geometry.js";
+import { along } from "./geometry.js";
 
 const LEAST_MS = 450;
 const MOST_MS = 3000;
@@ -49,11 +49,11 @@ export class Packets {
   draw(g, lanes, now) {
     this.#flying = this.#flying.filter(({ ends }) => ends > now);
     for (const { link, begins, ends, fate } of this.#flying) {
-      const ends2 = lanes[link];
+      const lane = lanes[link];
       const share = (now - begins) / (ends - begins);
-      if (share < 0 || !ends2) continue;
+      if (share < 0 || !lane) continue;
       const stop = fate === "cut" ? CUT_AT : fate === "lost" ? LOST_AT : 1;
-      const [x, y] = between(ends2[0], ends2[1], Math.min(share, stop));
+      const [x, y] = along(lane, Math.min(share, stop));
       g.globalAlpha = share > stop ? 1 - (share - stop) / (1 - stop) : 1;
       g.fillStyle = g.strokeStyle = PACKETS[fate];
       if (share > stop) {

@@ -1,7 +1,7 @@
 // The fleet on a canvas: hulls, trails, desired places, links and packets; and what is under the pointer.
 import { Camera } from "./camera.js";
-import { LINKS, SILENT, hull } from "./colours.js";
-import { between, distanceToSegment, isLeft, lane, round } from "./geometry.js";
+import { LINKS, SILENT, hull, isCrowd } from "./colours.js";
+import { along, bent, distanceToLane, isLeft, lane, round } from "./geometry.js";
 import { fitted } from "./dom.js";
 import { axis, drawHull, drawnSize } from "./hull.js";
 import { drawObstacles } from "./obstacles.js";
@@ -11,6 +11,8 @@ const FRAME_MS = 33;
 const TRAIL_S = 30;
 const LINK_PX = 8; // that a click may miss a link by
 const HULL_PX = 18;
+const AWAY_PX = 17; // that a link keeps from a vehicle that it is not of
+const WORST = 5; // vehicles that have a label where there are many
 
 export class Scene {
   constructor(el, setup, { onLink, onVehicle, onLine }) {
@@ -69,7 +71,8 @@ export class Scene {
     this.before = jump ? null : this.now;
     this.now = { at, frame };
     if (jump) this.packets.clear();
-    this.packets.take(frame.packets, frame.clock.rate || 1, this.setup.links, this.setup.acoustic, at);
+    this.worst = new Set(isCrowd(this.setup) ? worst(frame.errors) : []);
+    if (!isCrowd(this.setup)) this.packets.take(frame.packets, frame.clock.rate || 1, this.setup.links, this.setup.acoustic, at);
     this.samples(frame.samples);
     this.dirty = true;
   }
@@ -131,7 +134,7 @@ export class Scene {
     const floor = deep + 0.35 * camera.radius;
     this.drawFloor(project, floor);
     drawObstacles(this.g, this.setup.obstacles_m, { camera, project, floor });
-    if (!camera.above) this.drawStems(rows, project, floor);
+    if (!camera.above && !isCrowd(this.setup)) this.drawStems(rows, project, floor);
     this.drawTrails(rows, project);
     this.drawWanted(rows, wanted, project, frame.ref);
     const places = new Map(rows.map((row) => [row[0], row]));
@@ -244,27 +247,32 @@ export class Scene {
 
   drawLinks(frame, places, project) {
     const { g } = this;
+    const crowd = isCrowd(this.setup);
+    const at = [...places].map(([i, row]) => [i, project(row.slice(1, 4))]);
     this.lanes = this.setup.links.map(([src, dst], k) => {
       const [a, b] = [places.get(src), places.get(dst)];
       if (!a || !b) return null;
       const aside = this.both.has(`${dst} ${src}`) ? 5 : 0;
-      const ends = lane(project(a.slice(1, 4)), project(b.slice(1, 4)), aside, 20, 22);
+      const straight = lane(project(a.slice(1, 4)), project(b.slice(1, 4)), aside, 20, 22);
+      const others = crowd ? [] : at.filter(([i]) => i !== src && i !== dst).map(([, point]) => point);
+      const ends = bent(straight, others, AWAY_PX);
       const state = frame.links[k] ?? "unused";
       const { colour, width, dash } = LINKS[state];
       const hit = this.over?.link === k;
       g.strokeStyle = g.fillStyle = colour;
-      g.globalAlpha = hit ? 1 : state === "delivered" ? 0.55 : 0.9;
+      g.globalAlpha = hit ? 1 : state === "delivered" ? (crowd ? 0.22 : 0.55) : 0.9;
       g.lineWidth = hit ? width + 2 : width;
       g.setLineDash(dash);
       g.beginPath();
       g.moveTo(...ends[0]);
-      g.lineTo(...ends[1]);
+      if (ends[2]) g.quadraticCurveTo(...ends[2], ...ends[1]);
+      else g.lineTo(...ends[1]);
       g.stroke();
       g.setLineDash([]);
-      this.drawTip(ends, state === "delivered" ? 6 : 8);
+      this.drawTip([ends[2] ?? ends[0], ends[1]], state === "delivered" ? 6 : 8);
       if (state === "down") {
         g.lineWidth = 3;
-        drawCross(g, ...between(ends[0], ends[1], 0.5), 5);
+        drawCross(g, ...along(ends, 0.5), 5);
       }
       g.globalAlpha = 1;
       return ends;
@@ -302,12 +310,7 @@ export class Scene {
   drawLabel(i, [x, y], depth, state) {
     const { g } = this;
     const many = this.setup.vehicles > 12;
-    if (this.setup.vehicles > 40 && !state && this.chosen !== i && this.over?.vehicle !== i) {
-      g.font = "10px system-ui, sans-serif"; // no room for more
-      g.fillStyle = hull(i);
-      g.fillText(`${i}`, x + 9, y - 7);
-      return;
-    }
+    if (isCrowd(this.setup) && !this.worst.has(i) && this.chosen !== i && this.over?.vehicle !== i) return;
     g.textBaseline = "middle";
     g.font = "600 12px system-ui, sans-serif";
     const name = state ? `${i}  ${state}` : `${i}`;
@@ -370,7 +373,7 @@ export class Scene {
       .sort((a, b) => a.away - b.away)[0];
     if (near) return near;
     return this.lanes
-      .map((ends, link) => ({ link, away: ends ? distanceToSegment(x, y, ...ends) : Infinity }))
+      .map((ends, link) => ({ link, away: ends ? distanceToLane(x, y, ends) : Infinity }))
       .filter(({ away }) => away < LINK_PX)
       .sort((a, b) => a.away - b.away)[0];
   }
@@ -468,4 +471,10 @@ export class Scene {
     for (const group of groups) group.sort((p, q) => p - q);
     this.handlers.onLine(groups);
   }
+}
+
+// The numbers of the vehicles that are farthest off their places.
+function worst(errors) {
+  const known = errors.map((error, k) => [error, k + 1]).filter(([error]) => error != null);
+  return known.sort((a, b) => b[0] - a[0]).slice(0, WORST).map(([, i]) => i);
 }

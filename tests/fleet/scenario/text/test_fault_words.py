@@ -71,8 +71,8 @@ def test_the_example_of_every_kind_is_a_fault(kind: str) -> None:
         ("slow", "a slow fault is: slow KEY=VALUE ...", 1),
         ("slow vehicles=2 by=", 'expected a value behind "by=", got nothing', 17),
         ("slow by=1 tick by=2 ticks", '"by" is given twice', 16),
-        ("link", "a link fault is: link SELECTOR CONDITION; as in link 1<->2 delay 500ms loss 20%", 1),
-        ("link 1->2", "a link fault is: link SELECTOR CONDITION", 6),
+        ("link", "expected links and their condition, got nothing; as in link 1->2 loss 30%", 1),
+        ("link 1->2", 'expected links and their condition, got only the links "1->2"', 6),
         ("link 1->2 down, 1->2 loss 3%", '"1->2" is given twice', 17),
     ],
 )

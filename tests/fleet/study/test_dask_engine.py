@@ -1,0 +1,166 @@
+"""A Dask cluster that is there: who may use it, and what becomes of a study when one of its workers dies."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from math import inf
+from pathlib import Path
+from types import ModuleType, SimpleNamespace
+from typing import Any
+
+import pytest
+from failing_laws import failing
+from small_scenario import SMALL, small
+from waiting import wait_for
+
+from fleet.scenario.loading import parse_scenario
+from fleet.scenario.trust import Policy
+from fleet.study.dask_engine import DaskEngine, check_versions, dask_engine, versions
+from fleet.study.engine import LOST, need_extra
+from fleet.study.errors import StudyError
+from fleet.study.modules import modules_of
+from fleet.study.one_run import FAILED, Task
+
+LIMIT_S = 60.0
+
+
+@contextmanager
+def started(module: str, *options: str, folder: Path | None = None) -> Iterator[subprocess.Popen[bytes]]:
+    """A program of Dask, ended with the context."""
+    command = [sys.executable, "-m", f"distributed.cli.{module}", *options]
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, cwd=folder)
+    try:
+        yield process
+    finally:
+        process.kill()
+        process.wait()
+
+
+@pytest.mark.slow
+def test_laws_travel_and_a_worker_of_a_cluster_that_is_killed_costs_no_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    far = tmp_path / "far"  # where workers look for modules
+    far.mkdir()
+    (tmp_path / "far_law.py").write_text("import helper_of_far_law\n" + failing(3, "pass"), "utf-8")
+    (tmp_path / "helper_of_far_law.py").write_text("", "utf-8")
+    (tmp_path / "lame_law.py").write_text("import only_here\n" + failing(3, "pass"), "utf-8")
+    monkeypatch.setitem(sys.modules, "only_here", ModuleType("only_here"))
+    scenarios = [
+        parse_scenario(f"{SMALL}controller: {name}:Law\n", "small.yaml", folder=tmp_path, policy=Policy(stranger=""))
+        for name in ("far_law", "lame_law")
+    ]
+    file = tmp_path / "scheduler.json"
+    with ExitStack() as stack:
+        where = ["--scheduler-file", str(file)]
+        stack.enter_context(started("dask_scheduler", *where, "--host", "127.0.0.1", "--port", "0", "--no-dashboard"))
+        wait_for(file.exists, LIMIT_S, "the scheduler")
+        own = [*where, "--nthreads", "1", "--no-nanny", "--no-dashboard", "--local-directory", str(tmp_path)]
+        workers = [stack.enter_context(started("dask_worker", *own, folder=far)) for _ in range(2)]
+        engine = stack.enter_context(dask_engine(json.loads(file.read_text("utf-8"))["address"]))
+        wait_for(lambda: len(engine.client.nthreads()) == 2, LIMIT_S, "both workers")
+
+        with pytest.raises(StudyError, match=r"worker tcp://127.0.0.1:\d+ lacks only_here"):
+            engine.carry(modules_of(scenarios[1:], tmp_path))
+        modules = engine.carry(modules_of(scenarios[:1], tmp_path))
+
+        def kill_one() -> None:
+            if workers[0].poll() is None:
+                os.kill(workers[0].pid, signal.SIGKILL)
+                workers[0].wait()
+
+        text = small("duration=5 s").to_yaml()
+        tasks = (Task(f"key-{seed}", 0, seed, "small", text, inf) for seed in range(10))
+        rows: list[dict[str, object]] = []
+        engine.make(tasks, rows.extend, kill_one)
+        assert workers[0].poll() == -signal.SIGKILL
+        assert sorted(str(row["key"]) for row in rows) == sorted(f"key-{seed}" for seed in range(10))
+        assert {row["status"] for row in rows} <= {"pass", "check_failed"}
+        law = Task("law", 0, 1, "small", scenarios[0].to_yaml(), inf, modules)
+        rows.clear()
+        engine.make(iter([law]), rows.extend, lambda: None)
+        assert rows[0]["status"] in ("pass", "check_failed"), rows
+
+
+def test_no_scheduler_and_no_extra_are_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("fleet.study.dask_engine._CONNECT_S", 0.3)
+    with pytest.raises(StudyError, match="no Dask scheduler answers at tcp://127"), dask_engine("tcp://127.0.0.1:1"):
+        pass
+    with pytest.raises(StudyError, match="needs certificates: set DASK_"), dask_engine("tls://127.0.0.1:1"):
+        pass
+    monkeypatch.setattr("fleet.study.engine.NEEDED", ("pyarrow", "no_such_library"))
+    with pytest.raises(StudyError, match=r"studies need no_such_library: pip install 'uuv-fleet\[study\]'"):
+        need_extra()
+    monkeypatch.setattr("fleet.study.dask_engine.NEEDED", ("no_such_library",))
+    with pytest.raises(StudyError, match=r"a cluster needs no_such_library: .*\[cluster\]'"), dask_engine("tcp://x:1"):
+        pass
+
+
+class _Cluster:
+    """A client whose workers answer what a test wants."""
+
+    def __init__(self, found: object) -> None:
+        self.found = found
+
+    def run(self, *_: Any, **__: Any) -> dict[str, object]:
+        return {"tcp://10.0.0.2:1": versions(), "tcp://10.0.0.3:1": self.found}
+
+
+def test_workers_with_other_versions_are_told_apart_before_the_first_run() -> None:
+    check_versions(_Cluster(versions()))  # type: ignore[arg-type]
+    with pytest.raises(StudyError, match=r"worker tcp://10.0.0.3:1 has numpy 1.0 \(here "):
+        check_versions(_Cluster(versions() | {"numpy": "1.0"}))  # type: ignore[arg-type]
+    with pytest.raises(StudyError, match=r"worker tcp://10.0.0.3:1 lacks fleet"):
+        check_versions(_Cluster(ModuleNotFoundError("No module named 'fleet'", name="fleet")))  # type: ignore[arg-type]
+
+
+class KilledWorker(Exception):
+    """What Dask says of a run whose workers died."""
+
+
+class _Future(SimpleNamespace):
+    __hash__ = object.__hash__
+
+    @property
+    def status(self) -> str:
+        return "error" if self.error else "finished"
+
+    def exception(self) -> Exception | None:
+        return self.error  # type: ignore[no-any-return]
+
+    def result(self) -> dict[str, Any]:
+        return {"key": self.task.key, "status": "pass"}
+
+
+def test_only_a_run_that_was_alone_with_its_worker_is_blamed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Dask counts the death of a worker to every run that it had been given."""
+    given: list[_Future] = []  # to the one worker, which makes one after the other
+
+    def submit(_: Any, task: Task, pure: bool) -> _Future:
+        given.append(_Future(task=task, error=None))
+        return given[-1]
+
+    def finished(under_way: dict[_Future, Task], wait: Any) -> list[_Future]:
+        if not given[0].task.key.startswith("deadly"):
+            return [given.pop(0)]
+        ended = given[:]
+        given.clear()
+        for future in ended:
+            future.error = KilledWorker()
+        return ended
+
+    monkeypatch.setattr("fleet.study.dask_engine._finished", finished)
+    client: Any = SimpleNamespace(submit=submit)
+    keys = ["deadly-1", "good-1", "good-2", "good-3", "deadly-2", "good-4", "good-5"]
+    rows: list[dict[str, Any]] = []
+    tasks = (Task(key, 0, 1, "small", "", inf) for key in keys)
+    DaskEngine(client, 1).make(tasks, rows.extend, lambda: None)
+    found = {row["key"]: (row["status"], row.get("reason")) for row in rows}
+    assert found == {key: (FAILED, LOST) if key.startswith("deadly") else ("pass", None) for key in keys}
+    assert len(rows) == len(keys)

@@ -63,7 +63,11 @@ def write(
             f"{count} pictures of this size take {held / 1e9:.1f} GB of memory, and {MOST_BYTES / 1e9:g} GB are "
             "allowed: choose a higher --rate, a lower --fps or --width, or write an .mp4"
         )
-    scene = MovieScene(feed.picture, begin_s, end_s, rate, above=view == "above")
+    charted = {name: _charted(feed, name) for name in feed.charted}
+    feed.follow([each for _, names in charted.values() for each in names.values()])
+    scene = MovieScene(
+        feed.picture, begin_s, end_s, rate, above=view == "above", verdict=feed.checks.get("verdict"), charted=charted
+    )
     try:
         with whole_file(out) as part:
             part.open("a").close()  # before the pictures, which take a while
@@ -86,6 +90,12 @@ def write(
     except OSError as error:
         raise ViewerError(f"cannot write {out}: {error.strerror}; choose another place with -o FILE") from error
     return feed.missing or ""
+
+
+def _charted(feed: LogFeed, name: str) -> tuple[str, dict[int, str]]:
+    """Unit and names by vehicle of a signal that all vehicles have."""
+    names = feed.signals.of_all(name)
+    return feed.signals.by_name[next(iter(names.values()))].unit, names
 
 
 def _drawn(

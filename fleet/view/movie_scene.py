@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from math import cos, floor, log10, sin
 from typing import Any, NamedTuple
 
@@ -18,10 +18,10 @@ from matplotlib.patches import Ellipse
 
 from fleet.logs.records import Array
 from fleet.palette import COLOURS
-from fleet.pictures.shades import union
 from fleet.pictures.style import LABEL_PT, LEGEND_PT, TEXT_PT, THIN
 from fleet.view.links import BEHIND, CUT, DELIVERED, DOWN, GONE, LATE, LOST, STALE, UNUSED
 from fleet.view.movie_camera import SCENE_PT, Camera
+from fleet.view.movie_chart import MovieChart, colour_of
 from fleet.view.picture import SAMPLE_S, Picture, Row
 
 WIDTH_IN, HEIGHT_IN = 6.0, 4.5
@@ -29,8 +29,10 @@ TRAIL_S = 30.0
 PACKET_S, MOST_PACKET_S = 0.45, 3.0  # of the movie, that a packet is on its way
 APART_S = 0.3  # of the movie, between two packets of a link that are shown
 FAULT = "#C1272D"
+PASSED = "#00704A"
 SILENT = "#808080"
-MANY, CROWD = 12, 40  # vehicles, from which on there is less room for each
+MANY, CROWD = 12, 24  # vehicles, from which on there is less room for each
+WORST = 5  # of a crowd, that have their numbers: those that are farthest off their places
 OUTLINE = np.array([(0.0, 0.3), (0.1, 0.65), (0.25, 1.0), (0.75, 1.0), (0.92, 0.7), (1.0, 0.0)])  # along, half width
 
 
@@ -67,7 +69,17 @@ class _Flight(NamedTuple):
 class MovieScene:
     """Draws frames of a picture, one after the other, into one figure."""
 
-    def __init__(self, picture: Picture, begin_s: float, end_s: float, rate: float, *, above: bool) -> None:
+    def __init__(
+        self,
+        picture: Picture,
+        begin_s: float,
+        end_s: float,
+        rate: float,
+        *,
+        above: bool,
+        verdict: Row | None = None,
+        charted: Mapping[str, tuple[str, Mapping[int, str]]] | None = None,
+    ) -> None:
         """Draw what stays.
 
         Args:
@@ -75,6 +87,8 @@ class MovieScene:
             begin_s, end_s: of the movie [simulated time].
             rate: simulated seconds per second of the movie.
             above: whether the fleet is seen from above, or in 3D.
+            verdict: on the run: its `text`, and whether it has `passed`; None: there is none.
+            charted: signals that are drawn beside the errors, as `MovieChart` takes them.
         """
         self._setup, self._begin_s, self._rate = picture.setup(), begin_s, rate
         self._camera = Camera(above=above)
@@ -86,6 +100,7 @@ class MovieScene:
         self._flying: list[_Flight] = []
         self._rings: dict[tuple[int, float], tuple[float, float]] = {}  # by sender and time: from when to when [s]
         self._shown_s = [-APART_S] * len(self._links)  # when the last packet of a link was shown [s of the movie]
+        self._worst: list[int] = []
         self._drawn: list[Artist] = []
         self.figure = Figure(figsize=(WIDTH_IN, HEIGHT_IN))
         FigureCanvasAgg(self.figure)
@@ -94,8 +109,13 @@ class MovieScene:
         self._scene.set_axis_off()
         name = _short(self._setup["scenario"], 50)
         self.figure.text(0.02, 0.95, name, size=TEXT_PT + 2, weight="bold", parse_math=False)
+        if verdict is not None:
+            colour = PASSED if verdict["passed"] else FAULT
+            self.figure.text(0.7, 0.95, verdict["text"], color=colour, weight="bold", ha="right", parse_math=False)
         self._clock = self.figure.text(0.98, 0.95, "", size=TEXT_PT + 2, weight="bold", ha="right")
         self._faults = self.figure.text(0.02, 0.905, "", color=FAULT, weight="bold", parse_math=False)
+        self._events = self.figure.text(0.02, 0.87, "", color="0.25", parse_math=False)
+        self._happened = picture.vehicle_events  # of the whole log
         self.figure.text(0.98, 0.905, f"{rate:.3g} x real time", size=LEGEND_PT, color="0.4", ha="right")
         handles = [
             Line2D([], [], color=look.colour, linewidth=look.width, linestyle=look.dash, label=look.name)
@@ -111,18 +131,8 @@ class MovieScene:
             handles.append(Line2D([], [], color="0.8", marker="o", markersize=7, linestyle="", label="obstacle"))
         self._scene.legend(handles=handles, loc="lower left", ncols=len(handles), borderpad=0.2, handletextpad=0.5,
                            columnspacing=0.7 if self._setup["obstacles_m"] else 1.2)  # fmt: skip
-        self._chart = self.figure.add_axes((0.09, 0.095, 0.89, 0.165))
-        self._chart.set(xlim=(begin_s, end_s), xlabel="time [s]")
-        self._chart.set_ylabel("error [m]")
-        for begin, end in union([(row["from_s"], row["to_s"]) for row in picture.known_faults]):
-            self._chart.axvspan(begin, end, color="0.88", linewidth=0)
-        self._times: list[float] = []
-        self._errors: list[list[float]] = []
-        self._lines = [
-            self._chart.plot([], [], color=_colour(i), linewidth=1.2)[0]
-            for i in range(1, self._setup["vehicles"] + 1)
-        ]  # fmt: skip
-        self._now = self._chart.axvline(begin_s, color="0.3", linewidth=THIN)
+        window = begin_s, end_s
+        self._chart = MovieChart(self.figure, window, self._setup["vehicles"], picture.known_faults, charted or {})
 
     def remember(self, history: Row) -> None:
         """Take the way that the vehicles have come before the first picture."""
@@ -141,9 +151,11 @@ class MovieScene:
             artist.remove()
         self._drawn = []
         self.remember(frame)
-        self._take_packets(frame["packets"], at_s)
+        if self._setup["vehicles"] <= CROWD:  # else nobody could follow them
+            self._take_packets(frame["packets"], at_s)
+        self._worst = sorted(range(1, len(frame["errors"]) + 1), key=lambda i: -(frame["errors"][i - 1] or 0.0))[:WORST]
         self._write(frame)
-        self._draw_errors(frame)
+        self._chart.draw(frame)
         rows = {row[0]: row for row in frame["uuv"]}
         wanted = np.array(frame.get("offsets_m", self._setup["offsets_m"])) + frame["ref"]
         camera = self._camera
@@ -178,14 +190,9 @@ class MovieScene:
         lasting = [f"{row['what']}, {row['to_s'] - frame['t']:.1f} s left" for row in frame["faults"] if row["active"]]
         more = f"; and {len(lasting) - 2} more" if len(lasting) > 2 else ""
         self._faults.set_text(_short("; ".join(lasting[:2]), 70) + more)
-
-    def _draw_errors(self, frame: Row) -> None:
-        self._times.append(frame["t"])
-        self._errors.append([np.nan if error is None else error for error in frame["errors"]])
-        for line, values in zip(self._lines, np.transpose(self._errors), strict=True):
-            line.set_data(self._times, values)
-        self._chart.set_ylim(0.0, 1.08 * np.fmax.reduce(self._errors, axis=None, initial=0.1))
-        self._now.set_xdata([frame["t"], frame["t"]])
+        happened = [str(row) for row in self._happened if row.first_s <= frame["t"]]
+        more = f"; and {len(happened) - 2} more" if len(happened) > 2 else ""
+        self._events.set_text(_short("; ".join(happened[:2]), 100) + more)
 
     def _draw_floor(self, deep: float) -> None:
         camera = self._camera
@@ -228,17 +235,17 @@ class MovieScene:
             size = -(-len(points) // 6)
             for k in range(0, len(points) - 1, size):
                 parts.append(points[k : k + size + 1])
-                colours.append((_colour(i), 0.12 + 0.5 * k / len(points)))
+                colours.append((colour_of(i), 0.12 + 0.5 * k / len(points)))
         self._lines_of(parts, 1.0, colours, 1.2)
 
     def _draw_wanted(self, rows: dict[int, list[Any]], wanted: Array, reference: list[float]) -> None:
         points = self._camera.project(wanted)[:, :2]
         numbers = range(1, len(points) + 1)
         circles = [Ellipse((float(x), float(y)), 10.0 * self._size, 10.0 * self._size) for x, y in points]
-        self._add(PatchCollection(circles, facecolor="none", edgecolor=[_colour(i) for i in numbers], linewidth=0.9,
+        self._add(PatchCollection(circles, facecolor="none", edgecolor=[colour_of(i) for i in numbers], linewidth=0.9,
                                   linestyle="--", zorder=2))  # fmt: skip
         ways = [np.vstack([points[i - 1], self._camera.project(rows[i][1:4])[0, :2]]) for i in rows]
-        self._lines_of(ways, 1.5, [(_colour(i), 0.5) for i in rows], THIN, linestyle="--")
+        self._lines_of(ways, 1.5, [(colour_of(i), 0.5) for i in rows], THIN, linestyle="--")
         x, y = self._camera.project(reference)[0, :2]
         self._lines_of([[(x - 4, y), (x + 4, y)], [(x, y - 4), (x, y + 4)]], 2.0, "0.1", 1.0)
 
@@ -326,14 +333,13 @@ class MovieScene:
             thick = max(width * drawn / length * camera.scale, 0.22 * least)
             ends = camera.project([tail, nose])[:, :2]
             hulls.append(_hull(ends[0], ends[1], thick / 2))
-            colours.append(SILENT if "no agent" in state or "diverged" in state else _colour(i))
+            colours.append(SILENT if "no agent" in state or "diverged" in state else colour_of(i))
             self._label(i, row, state, camera.project(row[1:4])[0])
         self._add(PolyCollection(hulls, facecolor=colours, edgecolor="white", linewidth=0.6, zorder=6))
 
     def _label(self, i: int, row: list[Any], state: str, at: Array) -> None:
         x, y, count = float(at[0]) + 8, float(at[1]) + 10, self._setup["vehicles"]
-        if count > CROWD and not state:
-            self._text(x - 4, y - 6, str(i), size=LABEL_PT - 1, color=_colour(i), zorder=7)
+        if count > CROWD and i not in self._worst:
             return
         text = f"{i}  {state}" if state else f"{i}"
         box = {
@@ -342,13 +348,11 @@ class MovieScene:
             "edgecolor": "none",
             "alpha": 0.85,
         }
-        self._text(x, y, text, size=TEXT_PT, weight="bold", color="white" if state else _colour(i), bbox=box, zorder=7)
+        self._text(
+            x, y, text, size=TEXT_PT, weight="bold", color="white" if state else colour_of(i), bbox=box, zorder=7
+        )
         if count <= MANY:
             self._text(x, y - 9, f"{row[3]:.1f} m deep", size=LABEL_PT, color="0.35", zorder=7)
-
-
-def _colour(i: int) -> str:
-    return COLOURS[(i - 1) % len(COLOURS)]
 
 
 def _short(text: str, most: int) -> str:

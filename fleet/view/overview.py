@@ -68,13 +68,7 @@ def curves(path: Path, signals: Collection[Signal]) -> dict[str, Points]:
     found: dict[str, Points] = {}
     for signal in signals:
         t, values = _column(log, signal.topic, signal.field)
-        if signal.component is None:
-            one = np.linalg.norm(values.reshape(len(t), -1), axis=1) if signal.absolute else values.reshape(len(t), -1)
-            one = one.reshape(len(t), -1)[:, :1].ravel() if len(t) else one.ravel()
-        else:
-            wide = values.reshape(len(t), -1) if len(t) else values.reshape(0, 1)
-            one = wide[:, signal.component] if signal.component < wide.shape[1] else np.full(len(t), np.nan)
-            one = np.abs(one) if signal.absolute else one
+        one = _one(signal, values)
         kept = thinned(one, most)
         found[signal.name] = [
             [round(x, 3), _number(y)] for x, y in zip(t[kept].tolist(), one[kept].tolist(), strict=True)
@@ -116,19 +110,35 @@ def _most(curves: int) -> int:
     return max(LEAST_SAMPLES, min(MOST_SAMPLES, MOST_VALUES // max(1, curves)))
 
 
+def _one(signal: Signal, values: Array) -> Array:
+    """The numbers of a signal, of the values of its field."""
+    if not len(values):
+        return np.empty(0)
+    wide = values.reshape(len(values), -1)
+    if signal.component is None:
+        return np.linalg.norm(wide, axis=1) if signal.absolute else wide[:, 0]
+    if signal.component >= wide.shape[1]:
+        return np.full(len(wide), np.nan)
+    one = wide[:, signal.component]
+    return np.abs(one) if signal.absolute else one
+
+
 def _column(log: Log, name: str, field: str) -> tuple[Array, Array]:
     """Times [s] and values; none if the log has none that can be read."""
     try:
         topic = log[name]
-        return (topic.t, topic[field]) if len(topic) else (np.empty(0), np.empty(0))
+        if len(topic) and np.issubdtype(topic[field].dtype, np.number) and topic[field].size:
+            return topic.t, topic[field].astype(float)
     except LogReadError:
-        return np.empty(0), np.empty(0)
+        pass
+    return np.empty(0), np.empty(0)
 
 
 def _link(log: Log, name: str) -> Topic | None:
     try:
         topic = log[name]
-        return topic if len(topic) and all(len(topic[field]) for field in _LINK) else None
+        numbers = all(np.issubdtype(topic[field].dtype, np.number) for field in ("sent", "due"))
+        return topic if len(topic) and numbers and all(len(topic[field]) for field in _LINK) else None
     except LogReadError:
         return None
 

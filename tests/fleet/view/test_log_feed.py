@@ -6,6 +6,8 @@ from pathlib import Path
 
 import pytest
 from in_process_runs import Alone, log_of
+from mcap.reader import make_reader
+from mcap.writer import Writer
 
 from fleet.logs.open_log import open_log
 from fleet.view.feed import fault_message
@@ -124,3 +126,82 @@ def test_a_log_without_transforms_plays_and_says_what_it_lacks(alone: Alone) -> 
 
 def test_a_damaged_message_of_faults_is_left_out() -> None:
     assert fault_message(b"\x0f\xff") is None
+
+
+def copied(log: Path, out: Path, schema: str = "", *, late: bool = False) -> Path:
+    """The log with a schema of one name damaged, or with one message whose time is the last that there can be."""
+    with open(log, "rb") as source, open(out, "wb") as target:
+        reader, writer = make_reader(source), Writer(target)
+        writer.start("", "")
+        summary = reader.get_summary()
+        assert summary is not None
+        schemas = {
+            n: writer.register_schema(s.name, s.encoding, b"\x0a\xff damaged" if s.name == schema else s.data)
+            for n, s in summary.schemas.items()
+        }
+        channels = {
+            n: writer.register_channel(c.topic, c.message_encoding, schemas[c.schema_id], c.metadata)
+            for n, c in summary.channels.items()
+        }
+        for one in reader.iter_attachments():
+            writer.add_attachment(one.create_time, one.log_time, one.name, one.media_type, one.data)
+        for n, (_, channel, message) in enumerate(reader.iter_messages()):
+            at_ns = (1 << 64) - 1 if late and n == 5 else message.log_time
+            writer.add_message(channels[channel.id], at_ns, message.data, at_ns, message.sequence)
+        writer.finish()
+    return out
+
+
+@pytest.mark.parametrize("schema", ["uuv_fleet.State", "uuv_fleet.Error", "uuv_fleet.Packet", "uuv_fleet.Fault"])
+def test_a_damaged_schema_leaves_out_its_signals_and_no_more(log: Path, tmp_path: Path, schema: str) -> None:
+    feed = LogFeed(copied(log, tmp_path / "run.mcap", schema))
+    assert ("uuv/1/state.z" in feed.signals.by_name) == (schema != "uuv_fleet.State")
+    feed.seek(7.0)
+    assert feed.picture.frame()["t"] == 7.0
+    assert bool(feed.whole()["samples"]) == (schema != "uuv_fleet.Error")
+
+
+def test_a_time_after_the_end_of_the_run_is_left_out(log: Path, tmp_path: Path) -> None:
+    feed, whole = LogFeed(copied(log, tmp_path / "run.mcap", late=True)), LogFeed(log)
+    assert feed.end_s == whole.end_s == 20.0
+    for one in (feed, whole):
+        one.seek(7.0)
+    assert feed.picture.frame()["uuv"] == whole.picture.frame()["uuv"]
+
+
+def test_the_curves_of_the_whole_log_are_those_of_its_moments(feed: LogFeed) -> None:
+    samples = feed.whole()["samples"]
+    assert samples[0][0] == 0.0 and samples[-1][0] == 20.0
+    for t, errors, ages, _, _ in samples[10::20]:
+        feed.seek(t)
+        frame = feed.picture.frame()
+        assert errors == pytest.approx(frame["errors"], abs=0.05)
+        shown = dict(zip(map(tuple, feed.picture.setup()["links"]), frame["ages"], strict=True))
+        assert ages == pytest.approx(
+            [max(shown[src, i] for src in sources) for i, sources in feed.picture.neighbours.items()], abs=0.21
+        )
+    lost = {round(t, 1): share for t, _, _, share, _ in samples}
+    assert lost[3.0] == 0.0 < lost[7.0]
+
+
+def test_a_signal_of_all_vehicles_is_drawn_whole(feed: LogFeed, log: Path) -> None:
+    names = feed.signals.meant("|error.e|")
+    assert names == [f"|uuv/{i}/error.e|" for i in range(1, 5)]
+    curves = feed.whole(names)["signals"]
+    error = open_log(log)["uuv/2/error"]
+    for t, value in curves["|uuv/2/error.e|"][1:-1:50]:
+        assert value == pytest.approx(error.e_norm[round(t / 0.01)], abs=1e-3)
+    with pytest.raises(KeyError, match="control"):
+        feed.signals.meant("contrl.e")
+
+
+def test_a_log_opens_at_its_first_failed_moment(alone: Alone, feed: LogFeed) -> None:
+    assert feed.first_failure_s() == 0.0  # nothing failed
+    checks = "checks={formation_error: {below: 5 cm, after: 3 s}, signal: {topic: state.z, below: 2 m, after: 4 s}}"
+    failed = LogFeed(log_of(alone("paper", "duration=6 s", checks, "expect=fail")))
+    assert failed.charted == ["state.z"]
+    assert failed.first_failure_s() == pytest.approx(3.0, abs=0.01)
+    assert {row["check"]: row["at_s"] for row in failed.checks["rows"] if row["passed"] is False} == {
+        "formation_error": pytest.approx(3.0, abs=0.01), "state.z": pytest.approx(4.0, abs=0.01),
+    }  # fmt: skip
+    assert failed.checks["verdict"] == {"passed": True, "text": "failed as expected"}

@@ -5,6 +5,7 @@ from __future__ import annotations
 from itertools import pairwise
 from pathlib import Path
 from shutil import which
+from types import SimpleNamespace
 from typing import Any
 
 import matplotlib
@@ -239,3 +240,17 @@ def test_without_ffmpeg_it_is_said_what_to_install(log: Path, tmp_path: Path, mo
 def test_ffmpeg_makes_an_mp4(log: Path, tmp_path: Path) -> None:
     made(log, tmp_path / "a.mp4")
     assert (tmp_path / "a.mp4").read_bytes()[4:8] == b"ftyp"
+
+
+def test_signals_that_checks_name_are_drawn_for_all_vehicles_whole_numbers_as_steps() -> None:
+    picture = Picture(small())
+    names = {i: f"uuv/{i}/control.holds" for i in (1, 2, 3)}
+    scene = MovieScene(picture, 0.0, 1.0, 1.0, above=True, charted={"control.holds": ("1", names)},
+                       verdict={"passed": False, "text": "failed: 1 of 2 checks"})  # fmt: skip
+    picture.event(0.1, SimpleNamespace(fault="tumbled-2", action="begins", what="tumbled 2"))
+    scene.draw(picture.frame() | {"signals": {names[2]: [(0.0, 0.0), (0.4, 2.0)]}}, 0.5)
+    line = scene.figure.axes[2].lines[1]
+    assert list(line.get_ydata()) == [0.0, 2.0] and line.get_drawstyle() == "steps-post"
+    assert {"failed: 1 of 2 checks", "control.holds"} <= set(texts(scene))
+    scene.draw(picture.frame() | {"signals": {names[2]: [(0.6, 0.5)]}}, 0.6)
+    assert line.get_drawstyle() == "default"

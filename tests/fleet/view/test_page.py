@@ -32,6 +32,11 @@ pytestmark = pytest.mark.slow
 LONG = ("paper", "--publish", "--speed", "1", "--duration", "300 s", "--set", "checks={}")
 
 
+# Of the buttons that are shown: what is read out of each.
+NAMES = """() => [...document.querySelectorAll(".fleet-view button")].filter((one) => one.checkVisibility())
+    .map((one) => one.getAttribute("aria-label") ?? one.textContent)"""
+
+
 @pytest.fixture(scope="module")
 def opened() -> Iterator[Any]:
     with browser() as found:
@@ -135,6 +140,17 @@ def test_a_log_of_a_hundred_vehicles_is_played_and_searched(opened: Any, alone: 
         page.page.get_by_role("heading", name="Checks, of the whole run").wait_for()
         picture.press("t")
         page.page.get_by_role("button", name="In 3D").wait_for()
+        page.page.get_by_label("Signal to add as a column").fill("command.tau_0")
+        page.page.get_by_label("Signal to add as a column").press("Enter")
+        page.page.get_by_role("button", name="command.tau_0", exact=True).wait_for()
+        find = page.page.get_by_label("Find links by vehicle, ends or state")
+        find.fill("7->")
+        page.page.locator(".fleet-links").get_by_role("button", name="7 → 8:").wait_for()
+        find.press("Tab")
+        page.page.keyboard.press("ArrowDown")
+        assert page.page.evaluate("document.activeElement.textContent").startswith("7 → ")
+        names = page.page.evaluate(NAMES)
+        assert len(names) > 100 and len(set(names)) == len(names), sorted(names)
         chosen = page.page.get_by_label("Signal to show")
         chosen.fill("uuv/100/state.z")
         chosen.press("Enter")
@@ -143,7 +159,7 @@ def test_a_log_of_a_hundred_vehicles_is_played_and_searched(opened: Any, alone: 
 
 
 def test_a_line_through_the_fleet_parts_it_and_ctrl_c_ends_run_and_page(opened: Any, tmp_path: Path) -> None:
-    with LiveRun(tmp_path, *LONG, "--view") as run:
+    with LiveRun(tmp_path, *LONG, "--view", "--wait-for-subscribers") as run:  # the page is one
         address = wait_for(lambda: address_in(run.printed), SOON_S, "the address")
         page = tab(opened, address)
         page.page.get_by_role("button", name="Pause").click()

@@ -117,7 +117,7 @@ def test_every_picture_of_every_run(name: str, runs: dict[str, Run]) -> None:
             assert box.x0 > -0.05 and box.y0 > -0.05 and box.x1 < width + 0.05 and box.y1 < height + 0.05, picture
 
 
-@pytest.mark.parametrize("kind", [kind for kind in WHAT if kind not in ("track", "timing")])
+@pytest.mark.parametrize("kind", [kind for kind in WHAT if kind not in ("track", "timing", "checks")])
 def test_faults_are_shaded_and_named_on_every_time_axis(kind: str, runs: dict[str, Run]) -> None:
     for name, figure in pictures(runs["faulty"], [kind], View(window=(0.0, 4.0))).items():
         assert isinstance(figure, Figure)

@@ -69,7 +69,9 @@ def test_no_line_of_an_input_reaches_beyond_its_limit(run: Run) -> None:
     for ax in figure.axes:
         for line in lines(ax, "bound"):
             line.set_visible(False)
-        assert all(line.get_drawstyle() == "steps-post" for line in lines(ax, "paper-vehicle"))
+        means = {str(some.get_gid()).removesuffix("-envelope") for some in ax.collections}  # of what is too fast
+        held = [line for line in lines(ax, "paper-vehicle") if line.get_gid() not in means]
+        assert held and all(line.get_drawstyle() == "steps-post" for line in held)
         assert lines(ax, "paper-vehicle-1-saturated")
     canvas.draw()
     pixels = np.asarray(canvas.buffer_rgba())[::-1, :, :3].astype(int)

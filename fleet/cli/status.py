@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 EVERY_S = 1.0
 MOST_FAULTS = 5
-MOST_EVENTS = 5
+MOST_EVENTS = 3
 
 
 @click.command()

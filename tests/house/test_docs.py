@@ -7,6 +7,7 @@ import importlib.util
 import re
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import click
@@ -133,3 +134,11 @@ def test_commands_that_a_page_gives_exist(page: str) -> None:
         options = {option for each in command.params for option in (*each.opts, *each.secondary_opts)} | {"--help"}
         unknown += [f"{text}: {name}" for name in re.findall(r"(?<!\S)--[a-z-]+", text) if name not in options]
     assert unknown == []
+
+
+def test_the_extra_all_has_every_extra_of_a_user() -> None:
+    """Those for tests and for the site are for people who change the code."""
+    extras = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]["optional-dependencies"]
+    (everything,) = extras["all"]
+    names = re.fullmatch(r"uuv-fleet\[(.*)\]", everything)
+    assert names and set(names[1].split(",")) == extras.keys() - {"all", "docs", "test"}

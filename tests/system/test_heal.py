@@ -68,7 +68,7 @@ def test_a_tumbled_vehicle_is_not_healed(tmp_path: Path) -> None:
     heavy = ["--set", "vehicle={beta_b: 1 kN m, beta_q: 300 kg m^2/s, tumble_pitch: 10 deg}"]
     with LiveRun(tmp_path, "paper", *CALM, *heavy, "--set", f"faults={wrench}").until_running() as run:
         hand = Hand(tmp_path)
-        wait_for(lambda: any(f["id"] == "tumbled-2" for f in ask(hand.run, "faults")["faults"]), 30.0, "a tumble")
+        wait_for(lambda: any(e["id"] == "tumbled-2" for e in ask(hand.run, "faults")["events"]), 30.0, "a tumble")
         with pytest.raises(RemoteError, match="tumbled-2 is no fault"):
             hand.heal("tumbled-2")
         assert "tumbled-2" not in hand.heal()

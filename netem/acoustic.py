@@ -35,7 +35,7 @@ its start tick.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from math import sqrt
 from typing import Any, NamedTuple
 
@@ -44,13 +44,31 @@ from msgspec import Struct
 
 from netem.causes import Cause
 from netem.config import NetemConfig
-from netem.draws import uniform
+from netem.draws import undecided, uniform
 from netem.faults import ActiveFaults
 from netem.links import Links
 from netem.medium import Place, Round
+from netem.modem import AcousticConfig
 from netem.propagation import decibels, power
 from netem.transit import Packet, Transit
 from netem.wire.messages import Fate
+
+BACK_OFF, SNR = "back-off", "snr"  # purposes of draws
+
+
+def draws(acoustic: AcousticConfig, ranges: Iterable[float] | None = None) -> list[str]:
+    """The purposes of the draws that decide on packets; none if all seeds give the same.
+
+    Args:
+        ranges: from sender to receiver [m]; None: all up to that of the modem.
+    """
+    found = [BACK_OFF] if acoustic.mac == "aloha" and acoustic.backoff_ticks else []
+    modem = acoustic.modem
+    if ranges is None:  # the farther, the more packets are lost
+        noisy = acoustic.packet_error_rate(modem.max_range, 1) > 0.0
+    else:
+        noisy = any(undecided(acoustic.packet_error_rate(r, 1)) for r in ranges if r <= modem.max_range)
+    return [*found, SNR] if noisy else found
 
 
 class Waiting(NamedTuple):
@@ -211,7 +229,7 @@ class AcousticChannel:
         acoustic, station = self._acoustic, self._stations[src]
         if acoustic.mac == "aloha":
             station.draws += 1
-            drawn = uniform(self._config.seed, "back-off", src, station.draws)
+            drawn = uniform(self._config.seed, BACK_OFF, src, station.draws)
             return earliest + int(drawn * (acoustic.backoff_ticks + 1))
         vehicles = sorted(self._config.vehicles)
         slot, turn = acoustic.slot_ticks, len(vehicles) * acoustic.slot_ticks
@@ -293,7 +311,7 @@ class AcousticChannel:
         if others and acoustic.received_level(r.range_m) - decibels(others) < modem.capture:
             return Cause.COLLISION
         lost = acoustic.packet_error_rate(r.range_m, len(r.payload))
-        if lost and uniform(self._config.seed, "snr", r.src, r.dst, r.seq) < lost:
+        if lost and uniform(self._config.seed, SNR, r.src, r.dst, r.seq) < lost:
             return Cause.SNR
         return None
 

@@ -2,6 +2,9 @@
 
 There is no generator and so no state: adding a vehicle, changing one link or asking in another order never
 shifts another draw. BLAKE2b is the hash, so that a draw is the same on every machine and in every process.
+
+A module that draws has a function `draws`, which names the purposes whose outcome depends on the seed, and
+`fleet.analysis.seed` asks it.
 """
 
 from __future__ import annotations
@@ -38,6 +41,11 @@ def _hash(data: bytes) -> int:
 @cache
 def _packer(numbers: int) -> Callable[..., bytes]:
     return Struct(f"<{numbers}q").pack
+
+
+def undecided(chance: float) -> bool:
+    """Whether a draw decides on something of this chance: of 0 and 1 it does not."""
+    return 0.0 < chance < 1.0
 
 
 def uniform(seed: int, purpose: str, *key: int) -> float:

@@ -25,7 +25,7 @@ from typing import Any, NamedTuple
 
 from netem.causes import Cause
 from netem.condition import Condition, FourState, GilbertElliott, Link
-from netem.draws import bits, packed, unit
+from netem.draws import bits, packed, undecided, unit
 
 GOOD, BAD = 0, 1  # of Gilbert and Elliott
 
@@ -44,6 +44,31 @@ class LossState(IntEnum):
     BURST = 2
     LOST_IN_BURST = 3
     LOST_ALONE = 4
+
+
+def draws(c: Condition) -> list[str]:
+    """The purposes of the draws that decide what a condition does to packets; none if all seeds give the same."""
+    if not c.up:
+        return []
+    found = ["corrupted bit"] if c.corrupt else []
+    jitter = 0.5 if c.jitter_ns else 0.0
+    for purpose, chance, correlation in (
+        ("duplicate", c.duplicate, c.duplicate_correlation),
+        ("loss", c.loss if c.loss_model is None else 0.0, c.loss_correlation),
+        ("corrupt", c.corrupt, c.corrupt_correlation),
+        ("reorder", c.reorder, c.reorder_correlation),
+        ("delay", jitter, c.delay_correlation),
+    ):
+        if undecided(chance):
+            found += [purpose, f"{purpose}, first"] if correlation else [purpose]
+    match c.loss_model:
+        case GilbertElliott(p, r, bad, good) if undecided(good) or (p and any(map(undecided, (p, r, bad)))):
+            found += ["loss state", "loss"]
+        case FourState(p13, p31, p32, p23, p14) if any(map(undecided, (p13, p14))) or (
+            p13 and any(map(undecided, (p31, p32, p23)))
+        ):
+            found.append("loss state")
+    return found
 
 
 class LinkOutcome(NamedTuple):

@@ -12,10 +12,21 @@ Within a tick a current is constant. What its change would do to the added mass 
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from math import cos, exp, pi, sqrt
 
 from netem.draws import normal
 from world.vectors import Vec3
+
+
+def draws(name: str, sigma: Iterable[float]) -> list[str]:
+    """The purpose of the draws of a drift: of the sea (""), or of a fault by its id; none of a drift of zero."""
+    return [purpose(name)] if any(sigma) else []
+
+
+def purpose(name: str) -> str:
+    """Names a drift among all that is drawn."""
+    return f"current {name}"
 
 
 class GaussMarkov:

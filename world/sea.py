@@ -11,10 +11,11 @@ from functools import lru_cache
 from math import isfinite
 from typing import Any, cast
 
-from netem.draws import uniform
+from netem.draws import undecided, uniform
 from world.api import PlantConfig
 from world.config import NavNoise, VehicleSetup, WorldConfig
-from world.current import GaussMarkov, gust
+from world.current import GaussMarkov, gust, purpose
+from world.current import draws as draws_of_drift
 from world.disturbance import disturbance
 from world.dynamics import Coefficients, State, coefficients, rk4_step
 from world.errors import CommandError, NonFiniteStateError, UnknownVehicleError
@@ -24,6 +25,22 @@ from world.sensors import Measured, measure, split
 from world.vectors import Vec2, Vec3, Vec5, Vec6, plus
 
 Stages = tuple[tuple[Vec5, Vec5, Vec5], ...]  # the disturbance at start, middle and end of each RK4 step
+
+
+def draws(fault: WorldFault) -> list[str]:
+    """The purposes of the draws that decide what a fault does; none if all seeds give the same."""
+    match fault.kind:
+        case "noise":
+            return [_purpose(fault)] if any(fault.values) else []
+        case "dropout":
+            return [_purpose(fault)] if undecided(fault.values[0]) else []
+        case "current":
+            return draws_of_drift(fault.id, fault.values[3:6])
+    return []
+
+
+def _purpose(fault: WorldFault) -> str:
+    return f"fault {fault.id}"
 
 
 class _Vehicle:
@@ -123,7 +140,7 @@ class World:
             match fault.kind:
                 case "noise":
                     extra = NavNoise(*fault.values)
-                    measured = measure(measured, extra, self.config.seed, i, tick, f"fault {fault.id}")
+                    measured = measure(measured, extra, self.config.seed, i, tick, _purpose(fault))
                 case "bias":
                     # Twelve numbers, of which a vehicle without roll has no use for the last two.
                     measured = split([a + b for a, b in zip(_joined(measured), fault.values, strict=False)])
@@ -131,7 +148,7 @@ class World:
                     measured = split(self._held.setdefault((fault.id, i), _joined(measured)))
                 case "dropout":
                     known = self._held.get((fault.id, i))
-                    if known is None or uniform(self.config.seed, f"fault {fault.id}", i, tick) >= fault.values[0]:
+                    if known is None or uniform(self.config.seed, _purpose(fault), i, tick) >= fault.values[0]:
                         self._held[fault.id, i] = _joined(measured)
                     else:
                         measured = split(known)
@@ -262,8 +279,7 @@ class World:
 
     def _drift(self, name: str, sigma: Vec3, time_constant_s: float) -> GaussMarkov:
         if name not in self._drifts:
-            purpose = f"current {name}"
-            self._drifts[name] = GaussMarkov(sigma, time_constant_s, self._tick_s, self.config.seed, purpose)
+            self._drifts[name] = GaussMarkov(sigma, time_constant_s, self._tick_s, self.config.seed, purpose(name))
         return self._drifts[name]
 
     def paused(self, i: int, tick: int) -> bool:

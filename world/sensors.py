@@ -22,6 +22,11 @@ PURPOSE = "nav noise"
 Measured = tuple[Vec5, Vec5, tuple[float, ...]]  # eta, nu, roll
 
 
+def draws(noise: NavNoise, purpose: str = PURPOSE) -> list[str]:
+    """The purpose of the draws of a noise; none if it is off."""
+    return [] if noise.off else [purpose]
+
+
 def measure(true: Measured, noise: NavNoise, seed: int, vehicle: int, tick: int, purpose: str = PURPOSE) -> Measured:
     """What the sensor of a vehicle reports at a tick: the truth itself when the noise is off.
 

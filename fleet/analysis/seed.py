@@ -1,54 +1,86 @@
-"""Which parts of a scenario are drawn from its seed. If none are, every seed gives the same run."""
+"""Which parts of a scenario are drawn from its seed. If none are, every seed gives the same run.
+
+Each module that draws says so itself: its function `draws` names the purposes (`netem.draws`) whose outcome depends on
+the seed. What the users' own laws and plants draw is not known.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from math import dist
 
 from fleet.scenario.scenario import Scenario
-from fleet.scenario.sections.partitions import is_drawn
-from netem.condition import Condition
+from fleet.scenario.sections import formation, graph, nemesis, partitions
+from netem import acoustic, impairment
+from netem.condition import Condition, Link
 from netem.faults import NetFault
-from world.faults import WorldFault
+from world import current, sea, sensors
 
 NOTHING = "nothing in this scenario depends on the seed: every seed gives the same run"
 HINT = "initial: {scatter: 1 m}, sensors.position_noise or a loss would make seeds differ"
+PERHAPS = "perhaps "  # begins the name of a part that may draw
 
 
 def seeded(scenario: Scenario) -> list[str]:
     """The parts of a scenario that are drawn from the seed, in words; empty if there are none."""
-    return list(dict.fromkeys(_seeded(scenario)))
+    return list(declared(scenario))
 
 
-def _seeded(scenario: Scenario) -> Iterator[str]:
+def declared(scenario: Scenario) -> dict[str, list[str]]:
+    """By part, in words, the purposes of its draws; unknown ones are left out."""
+    found: dict[str, list[str]] = {}
+    for part, purposes in _parts(scenario):
+        if purposes or part.startswith(PERHAPS):
+            found.setdefault(part, []).extend(purposes)
+    return found
+
+
+def _parts(scenario: Scenario) -> Iterator[tuple[str, list[str]]]:
     spec = scenario.spec
-    if spec.initial.scatter is not None and spec.initial.scatter.scatter > 0.0:
-        yield "initial scatter"
-    if spec.graph.shape == "random":
-        yield "random graph"
-    sensors = spec.sensors
-    if sensors.position_noise or sensors.angle_noise or sensors.velocity_noise or sensors.rate_noise:
-        yield "sensor noise"
-    if any(spec.sea.current.sigma):
-        yield "current"
-    if any(_drawn(condition) for condition in scenario.conditions.values()):
-        yield "link conditions"
-    acoustic = scenario.acoustic
-    if acoustic is not None and acoustic.mac == "aloha" and acoustic.backoff_ticks:
-        yield "backoff of aloha"
-    sections = zip((f.id or f"f{n}" for n, f in enumerate(spec.faults, start=1)), spec.faults, strict=True)
-    drawn = {name for name, section in sections if section.partition and is_drawn(section.partition)}
-    for part in scenario.faults.parts:
-        random = isinstance(part, NetFault) and part.condition is not None and _drawn(part.condition)
-        random |= isinstance(part, WorldFault) and part.kind in ("noise", "dropout")
-        random |= isinstance(part, WorldFault) and part.kind == "current" and any(part.values[3:6])
-        if random or part.id in drawn:
-            yield "faults"
+    yield "initial scatter", formation.draws(spec.initial)
+    yield "random graph", graph.draws(spec.graph, spec.vehicles)
+    yield "sensor noise", sensors.draws(scenario.noise)
+    yield "current", current.draws("", spec.sea.current.sigma)
+    for condition in scenario.conditions.values():
+        yield "link conditions", _of_condition(condition)
+    yield from _acoustic(scenario)
+    yield "faults", nemesis.draws(scenario.undrawn, scenario.graph.links)
+    for number, section in enumerate(spec.faults, start=1):
+        if section.partition:
+            yield "faults", partitions.draws(section.partition, spec.vehicles, section.id or f"f{number}")
+    for fault in scenario.faults.world:
+        yield "faults", sea.draws(fault) if fault.begin < scenario.ticks else []
+    for over in scenario.faults.network:
+        yield "faults", _of_fault(over, scenario.conditions) if over.begin < scenario.ticks else []
     if scenario.other_laws:
-        yield "perhaps laws of yours"
+        yield f"{PERHAPS}laws of yours", []
     if scenario.plants:
-        yield "perhaps plants"
+        yield f"{PERHAPS}plants", []
 
 
-def _drawn(c: Condition) -> bool:
-    chance = c.jitter_ns or c.loss or c.loss_model is not None or c.duplicate or c.corrupt or c.reorder
-    return bool(chance) and c.up
+def _of_condition(condition: Condition) -> list[str]:
+    return impairment.draws(condition) if condition.seed is None else []  # one of its own: the scenario's is not asked
+
+
+def _of_fault(fault: NetFault, conditions: dict[Link, Condition]) -> list[str]:
+    if fault.condition is None or all(_has_seed(conditions.get(link)) for link in fault.links):
+        return []
+    return _of_condition(fault.condition)
+
+
+def _has_seed(condition: Condition | None) -> bool:
+    """Whether a link has a seed of its own, which holds for what is put over its condition, too."""
+    return condition is not None and condition.seed is not None
+
+
+def _acoustic(scenario: Scenario) -> Iterator[tuple[str, list[str]]]:
+    channel = scenario.acoustic
+    if channel is None:
+        return
+    places = [position for (position, _) in scenario.initial]
+    ranges = [dist(places[src - 1][:3], places[dst - 1][:3]) for src, dst in scenario.graph.links]
+    surely, anywhere = acoustic.draws(channel, ranges), acoustic.draws(channel)
+    yield "backoff of aloha", [purpose for purpose in surely if purpose == acoustic.BACK_OFF]
+    errors = [purpose for purpose in anywhere if purpose == acoustic.SNR]
+    if errors:
+        yield "acoustic packet errors" if acoustic.SNR in surely else f"{PERHAPS}acoustic packet errors", errors

@@ -92,7 +92,7 @@ def measure_study(runs: int, duration_s: float, workers: int, *, say: Callable[[
         StudyError: the extra `study` is not installed.
     """
     scenario = load_scenario(SCENARIO, [*CHANGES, f"duration={duration_s} s"])
-    text = scenario.to_yaml()
+    text = scenario.to_undrawn_yaml()
 
     def task(seed: int) -> Task:
         return Task(str(seed), 0, seed, scenario.name, text, inf)

@@ -271,6 +271,7 @@ def _showing(quiet: bool) -> Iterator[Callable[[Progress], None]]:
 def _show(store: Store, measures: Any) -> None:
     """The table of a study, and where it is."""
     from fleet.cli.study_output import axis_columns
+    from fleet.study.statistics import LEAST, levels
     from fleet.study.summary import summarise
     from fleet.terminal.table import Column, show
 
@@ -281,12 +282,15 @@ def _show(store: Store, measures: Any) -> None:
         columns.append(Column("without\nresult", [str(row.failed) for row in rows], 0))
     columns.append(Column("passed\n95 % interval", [_share(row.passed) for row in rows], 0))
     for rank, (name, unit) in enumerate(((measure.name, measure.unit) for measure in measures), start=4):
-        heading = f"{name}\nmedian" + (f" [{unit}]" if unit else "")
+        level = levels(row.medians[name] for row in rows)
+        heading = f"{name}\nmedian" + (f" [{unit}]" if unit else "") + (level and f", {level}")
         columns.append(Column(heading, [_number(row.medians[name], row.passed.runs) for row in rows], rank))
     counts = sorted({row.runs for row in rows}) or [0]
     seeds = f"{counts[0]} to {counts[-1]}" if len(counts) > 1 else f"{counts[0]}"
     title = f"{store.record.scenario}, {seeds} seeds per point"
     show(columns, title, stdout(), "fleet.open_study has all")
+    if any(0 < found.runs < LEAST for row in rows for found in row.medians.values()):
+        say(f"A median of fewer than {LEAST} runs has no interval: none would hold the true median with 95 %.")
     say(str(store.directory))
 
 

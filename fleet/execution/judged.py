@@ -21,7 +21,7 @@ from fleet.recorder.log_file import LogFile
 from fleet.recorder.no_log import NoLog
 from fleet.recorder.watched import WatchedLog, Watcher
 from fleet.recorder.writer import LogWriter
-from fleet.scenario.loading import load_scenario, parse_scenario
+from fleet.scenario.loading import changed, load_scenario
 from fleet.scenario.scenario import Scenario
 from world.errors import WorldError
 from world.plugins.trust import NOTHING, Trust
@@ -47,7 +47,8 @@ def run(
         set: what to change, as `--set`: a mapping such as `{"network.links": {"*": "loss 30 %"}, "duration": "20 s"}`,
             or texts such as `"duration=20 s"`.
         seed: in place of the scenario's.
-        trust: which modules may run that are neither installed nor the user's own.
+        trust: which modules may run that are neither installed nor the user's own; by default, what a loaded scenario
+            was loaded with.
         progress: called with the simulated time [s] all the time.
 
     Returns:
@@ -67,7 +68,7 @@ def run(
     if not isinstance(scenario, Scenario):
         scenario = load_scenario(scenario, changes, trust)
     elif changes:
-        scenario = parse_scenario(scenario.to_yaml(), scenario.name, changes)
+        scenario = changed(scenario, changes, trust)
     return judged(scenario, progress)
 
 

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from fleet.errors import Problem, ScenarioError
 from fleet.scenario.catalogue import shipped_scenarios, shipped_text
-from fleet.scenario.scenario import Scenario
+from fleet.scenario.scenario import Reading, Scenario
 from fleet.scenario.text.overrides import Override, apply
 from fleet.scenario.text.yaml_reader import Mapping, Scalar, Source, read
 from fleet.scenario.trust import READING, TYPED, Origin, Policy, stranger
@@ -79,7 +80,23 @@ def parse_scenario(
     problems += [*more, *mistakes]
     if parts is None or problems:
         raise ScenarioError(sorted(problems, key=lambda p: _order(p, source, overrides)))
-    return Scenario.compile(parts, source_name)
+    return Scenario.compile(parts, Reading(text, tuple(overrides), folder, policy), source_name)
+
+
+def changed(scenario: Scenario, overrides: Sequence[str | Override], trust: Trust = NOTHING) -> Scenario:
+    """A scenario as it would have been with more overrides: the same text, folder and trust, read once more.
+
+    So what is drawn from the seed is drawn anew, and problems name the lines of the file.
+
+    Args:
+        trust: in place of that with which it was loaded; by default the same.
+
+    Raises:
+        ScenarioError: with every mistake that was found.
+    """
+    text, before, folder, policy = scenario.reading
+    policy = replace(policy, refused=None, trust=policy.trust if trust is NOTHING else trust)
+    return parse_scenario(text, scenario.source, [*before, *overrides], folder, policy)
 
 
 def _order(problem: Problem, source: Source, overrides: Sequence[str | Override]) -> tuple[int, int, int]:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from math import gcd
 from pathlib import Path
+from typing import NamedTuple
 
 from agents.config import AgentConfig, Law, Neighbour
 from agents.controllers import BUILT_IN, laws, layout
@@ -27,6 +28,8 @@ from fleet.scenario.sections.per_vehicle import Control, inlined_vehicle, model_
 from fleet.scenario.sections.timeline import Plan
 from fleet.scenario.sections.vehicle_files import shipped_vehicles
 from fleet.scenario.text import yaml_writer
+from fleet.scenario.text.overrides import Override
+from fleet.scenario.trust import Policy
 from netem.condition import Condition, Link
 from netem.config import NetemConfig
 from netem.modem import AcousticConfig
@@ -35,6 +38,15 @@ from world.config import Harmonic, NavNoise, PlantSetup, VehicleSetup, WorldConf
 from world.plants.classes import file_of
 from world.signal import Signal
 from world.vectors import Vec3, Vec5, minus
+
+
+class Reading(NamedTuple):
+    """What a scenario was read from; `loading.changed` reads it once more."""
+
+    text: str
+    overrides: tuple[str | Override, ...]
+    folder: Path | None  # where the scenario's file lies
+    policy: Policy
 
 
 @dataclass(frozen=True)
@@ -55,11 +67,12 @@ class Scenario:
     other_laws: tuple[tuple[str, Law], ...]  # kind and law of those that are not built in, each name once
     acoustic: AcousticConfig | None  # None: the network is not acoustic
     undrawn: ScenarioSpec = field(compare=False, repr=False)  # with the nemesis in place of the faults that it drew
+    reading: Reading = field(compare=False, repr=False)
     source: str = field(default="", compare=False)  # the shipped name or the path it was loaded from
     _layouts: dict[int, Layout] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     @classmethod
-    def compile(cls, parts: Parts, source: str = "") -> Scenario:
+    def compile(cls, parts: Parts, reading: Reading, source: str = "") -> Scenario:
         """The scenario of a valid specification, from its parts."""
         return cls(
             spec=_without_files(parts.explicit, parts.folder),
@@ -73,6 +86,7 @@ class Scenario:
             acoustic=parts.acoustic,
             other_laws=_others(parts.controls),
             undrawn=_without_files(parts.spec, parts.folder),
+            reading=reading,
             source=source,
         )
 
@@ -170,12 +184,18 @@ class Scenario:
             absences=self.faults.absences,
             memory_ticks=self.memory_ticks,
             keep_going=spec.on_death != "abort" and not self.ideal,
-            noise=NavNoise(
-                position_m=spec.sensors.position_noise,
-                angle_rad=spec.sensors.angle_noise,
-                velocity_mps=spec.sensors.velocity_noise,
-                rate_radps=spec.sensors.rate_noise,
-            ),
+            noise=self.noise,
+        )
+
+    @property
+    def noise(self) -> NavNoise:
+        """Standard deviations of the sensors."""
+        sensors = self.spec.sensors
+        return NavNoise(
+            position_m=sensors.position_noise,
+            angle_rad=sensors.angle_noise,
+            velocity_mps=sensors.velocity_noise,
+            rate_radps=sensors.rate_noise,
         )
 
     def _vehicle_setup(self, i: int) -> VehicleSetup:
@@ -265,11 +285,14 @@ class Scenario:
         )
 
     def to_yaml(self) -> str:
-        """The merged scenario, with units; it loads to an equal scenario."""
+        """The record of this run: the merged scenario, with units and all faults; it loads to an equal scenario.
+
+        With another seed it has the same faults: for that there are `loading.changed` and `to_undrawn_yaml`.
+        """
         return yaml_writer.scenario_yaml(self.spec)
 
     def to_undrawn_yaml(self) -> str:
-        """The same before its nemesis drew faults, so that another seed draws others."""
+        """What other processes make runs of with other seeds: the same before its nemesis drew faults."""
         return yaml_writer.scenario_yaml(self.undrawn)
 
 

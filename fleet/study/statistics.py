@@ -6,26 +6,30 @@ controller. So two controllers are compared seed by seed, which needs far fewer 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from math import copysign, inf, isfinite, isnan, nan
+from collections.abc import Iterable, Sequence
+from functools import cache
+from math import isfinite, isnan, nan
 from typing import NamedTuple
 
 import numpy as np
 
 CONFIDENCE = 0.95
-_RESAMPLES = 2000
-_MOST_BCA = 1000
-_HUGE = 1e300  # stands for infinity while medians are computed
-_SEED = 1  # of the bootstrap, so that a table reads the same each time
+LEAST = 6  # values, for the interval of a median or a test of pairs: five of one side have a chance of 2 / 2^5 = 6 %
+_HUGE = 1e300  # stands for infinity in a test of pairs
 
 
 class Estimate(NamedTuple):
-    """A number of several runs and its interval; NaN where there are too few."""
+    """A number of several runs and its interval; NaN where there are too few.
+
+    `level` is the chance that such an interval holds the true number. That of a pass rate is nominal; that of a median
+    is exact for values that are all different, and else a lower bound.
+    """
 
     value: float  # inf: half of the runs or more have none, and that counts as larger than every number
     low: float
     high: float
     runs: int  # behind it, those with inf included
+    level: float = nan  # 0.95 and more; NaN: there is no interval
 
     @property
     def half(self) -> float:
@@ -39,6 +43,7 @@ class Comparison(NamedTuple):
     difference: Estimate  # the median of second - first
     better: float  # share of pairs in which the second is smaller, ties by half; 0.5: no difference
     p: float  # of the two-sided Wilcoxon signed-rank test; NaN: too few pairs that differ
+    note: str = ""  # why no difference can be found; "": one can
 
 
 def pass_rate(passed: int, runs: int, confidence: float = CONFIDENCE) -> Estimate:
@@ -52,7 +57,7 @@ def pass_rate(passed: int, runs: int, confidence: float = CONFIDENCE) -> Estimat
     from scipy.stats import binomtest
 
     found = binomtest(passed, runs).proportion_ci(confidence, method="wilson")
-    return Estimate(passed / runs, float(found.low), float(found.high), runs)
+    return Estimate(passed / runs, float(found.low), float(found.high), runs, confidence)
 
 
 def most_failures(runs: int, confidence: float = CONFIDENCE) -> float:
@@ -65,57 +70,57 @@ def most_failures(runs: int, confidence: float = CONFIDENCE) -> float:
 
 
 def median(values: Sequence[float], confidence: float = CONFIDENCE) -> Estimate:
-    """The median of the values that are not NaN, with its bootstrapped interval: BCa, or percentile where BCa is not
-    defined (one of them is infinite, or nearly all are the same), or there are more than 1000 values."""
-    there = np.array([value for value in values if not isnan(value)])
-    if len(there) == 0:
+    """The median of the values that are not NaN, and its interval: from the k-th smallest to the k-th largest value.
+
+    The true median is not between them if fewer than k values are on one side of it, which has a binomial chance
+    whatever the values are distributed like (H. A. David and H. N. Nagaraja, "Order Statistics", 3rd ed. 2003, 7.1).
+    k is the largest number of which the level is at least `confidence`. Fewer than six values have no such k.
+    """
+    there = np.sort([value for value in values if not isnan(value)])
+    runs = len(there)
+    if runs == 0:
         return Estimate(nan, nan, nan, 0)
-    bounded = bool(np.isfinite(there).all())
-    finite = np.clip(there, -_HUGE, _HUGE)
-    middle = _unbounded(float(np.median(finite)))
-    if len(finite) < 3:
-        return Estimate(middle, nan, nan, len(finite))
-    if np.ptp(finite) == 0.0:
-        return Estimate(middle, middle, middle, len(finite))
-    import warnings
-
-    from scipy.stats import bootstrap
-
-    found = None
-    # BCa leaves out each value once, which takes the square of their number in memory.
-    for method in ("BCa", "percentile") if bounded and len(finite) <= _MOST_BCA else ("percentile",):
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # BCa is not defined for such data: its interval is NaN then
-            found = bootstrap(
-                (finite,), np.median, confidence_level=confidence, n_resamples=_RESAMPLES, method=method,
-                vectorized=True, axis=-1, batch=100, rng=np.random.default_rng(_SEED),
-            ).confidence_interval  # fmt: skip
-        if isfinite(found.low) and isfinite(found.high):
-            break
-    assert found is not None
-    # An end is interpolated between two resamples, which may put it a last bit on the wrong side of the median.
-    low, high = min(_unbounded(float(found.low)), middle), max(_unbounded(float(found.high)), middle)
-    return Estimate(middle, low, high, len(finite))
+    below, above = (float(there[place]) for place in ((runs - 1) // 2, runs // 2))
+    middle = below if below == above else 0.5 * below + 0.5 * above  # two infinite ones, and no overflow
+    k, level = _ranks(runs, confidence)
+    if k == 0:
+        return Estimate(middle, nan, nan, runs)
+    return Estimate(middle, float(there[k - 1]), float(there[runs - k]), runs, level)
 
 
-def _unbounded(value: float) -> float:
-    """An infinite number again: one that is no less than half of what stands for infinity."""
-    return value if abs(value) < _HUGE / 3 else copysign(inf, value)
+@cache
+def _ranks(runs: int, confidence: float) -> tuple[int, float]:
+    """The k of the interval of a median, and its level; 0 and NaN if there is none."""
+    from scipy.stats import binom
+
+    # Of B ~ Bin(runs, 1/2) values below the true median, 2 P(B < k) is what the interval may miss.
+    k = int(binom.ppf((1.0 - confidence) / 2.0, runs, 0.5))
+    while k > 0 and 2.0 * binom.cdf(k - 1, runs, 0.5) > 1.0 - confidence:
+        k -= 1
+    return (k, float(1.0 - 2.0 * binom.cdf(k - 1, runs, 0.5))) if k else (0, nan)
+
+
+def levels(estimates: Iterable[Estimate]) -> str:
+    """The levels of some intervals as a text, such as `96.9 %` or `95.1 to 96.9 %`; "": none has an interval."""
+    found = sorted({f"{100.0 * estimate.level:.3g}" for estimate in estimates if isfinite(estimate.level)}, key=float)
+    return f"{found[0]} to {found[-1]} %" if len(found) > 1 else f"{found[0]} %" if found else ""
 
 
 def compare(first: Sequence[float], second: Sequence[float], confidence: float = CONFIDENCE) -> Comparison:
     """Compare two series of the same length, each pair with the same seed; pairs with NaN are left out.
 
-    What is infinite in both is a tie; in one, the largest of differences.
+    What is infinite in both is a tie; in one, the largest of differences. With fewer than six pairs that differ no
+    test can find a difference with 95 % certainty: there is no p then, and a note.
     """
     pairs = [(a, b) for a, b in zip(first, second, strict=True) if not (isnan(a) or isnan(b))]
     differences = np.array([0.0 if a == b else b - a for a, b in pairs])
     if len(pairs) == 0:
-        return Comparison(Estimate(nan, nan, nan, 0), nan, nan)
+        return Comparison(Estimate(nan, nan, nan, 0), nan, nan, "there is no pair of runs that both have the number")
+    differ = int(np.count_nonzero(differences))
     better = float(np.mean((differences < 0) + 0.5 * (differences == 0)))
-    p = nan
-    if np.count_nonzero(differences) >= 5:
+    p, note = nan, f"{differ} of {len(pairs)} pairs differ: fewer than {LEAST} cannot show a difference (p < 0.05)"
+    if differ >= LEAST:
         from scipy.stats import wilcoxon
 
-        p = float(wilcoxon(np.clip(differences, -_HUGE, _HUGE)).pvalue)
-    return Comparison(median(differences.tolist(), confidence), better, p)
+        p, note = float(wilcoxon(np.clip(differences, -_HUGE, _HUGE)).pvalue), ""
+    return Comparison(median(differences.tolist(), confidence), better, p, note)

@@ -18,7 +18,7 @@ if TYPE_CHECKING:  # these need the extra `study`, and `fleet schema` does not
 
 
 class Interval(Struct):
-    """A number of several runs, and its interval of 95 %."""
+    """A number of several runs, and its interval of 95 % or a little more."""
 
     value: Annotated[
         float | None, Meta(description="The number; null: no run has it, or half of them or more never got there.")
@@ -26,6 +26,9 @@ class Interval(Struct):
     low: Annotated[float | None, Meta(description="Lower end of the interval; null: too few runs, or infinite.")]
     high: Annotated[float | None, Meta(description="Upper end; null: too few runs, or infinite.")]
     runs: Annotated[int, Meta(description="Number of runs behind it.")]
+    level: Annotated[
+        float | None, Meta(description="Chance that such an interval holds the true number; null: there is none.")
+    ]
 
 
 class PointRow(Struct):
@@ -37,7 +40,7 @@ class PointRow(Struct):
     runs: Annotated[int, Meta(description="Runs that were made.")]
     failed: Annotated[int, Meta(description="Of those, without a result.")]
     passed: Annotated[Interval, Meta(description="Share of runs that passed, and its Wilson score interval.")]
-    medians: Annotated[dict[str, Interval], Meta(description="By measure: the median, and its bootstrapped interval.")]
+    medians: Annotated[dict[str, Interval], Meta(description="By measure: the median, and its exact interval.")]
 
 
 class Swept(Struct):
@@ -100,7 +103,7 @@ def less(found: Shrunk, before: Scenario, file: Path) -> Less:
 
 
 def _interval(found: Estimate) -> Interval:
-    return Interval(found.value, found.low, found.high, found.runs)
+    return Interval(found.value, found.low, found.high, found.runs, found.level)
 
 
 def _size(scenario: Scenario) -> Size:

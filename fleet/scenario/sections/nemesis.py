@@ -8,13 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from fleet.scenario.schema.faults import DrawnKind, FaultSection, NemesisSection
+from fleet.scenario.schema.faults import DrawnKind, FaultSection, NemesisPick, NemesisSection
 from fleet.scenario.schema.spec import ScenarioSpec
 from fleet.scenario.sections.partitions import DRAWN_PARTITIONS, partition
 from netem.condition import Link
 from netem.draws import bits
 from netem.selectors import Selector
 
+PURPOSE = "nemesis"  # of the draws
 PARTITIONS = ("halves", *DRAWN_PARTITIONS)
 
 
@@ -26,8 +27,7 @@ def drawn_faults(spec: ScenarioSpec, nemesis: NemesisSection, links: Sequence[Li
         name = f"nemesis-{number}"
         while name in taken:
             name += "x"
-        # A fleet of one keeps its scenario: faults that need a link are left out.
-        picks = [pick for pick in nemesis.pick if links or pick.drawn not in ("partition", "down")]
+        picks = _picks(nemesis, links)
         if not picks:
             break
         pick = picks[_draw(spec, number, 0, len(picks))]
@@ -43,6 +43,28 @@ def drawn_faults(spec: ScenarioSpec, nemesis: NemesisSection, links: Sequence[Li
 def fault_count(nemesis: NemesisSection, spec: ScenarioSpec) -> int:
     """How many faults a nemesis draws."""
     return len(_times(nemesis, spec))
+
+
+def draws(spec: ScenarioSpec, links: Sequence[Link]) -> list[str]:
+    """The purpose of the draws of the nemesis of a scenario; none if there is none, or all seeds give the same faults.
+
+    The partitions that it draws are faults of the scenario then, and draw on their own.
+    """
+    nemesis = spec.nemesis
+    if nemesis is None or not fault_count(nemesis, spec):
+        return []
+    picks = _picks(nemesis, links)
+    pairs = {frozenset(link) for link in links}
+    targets = [
+        0 if pick.drawn is None else {"down": len(pairs), "partition": 2}.get(pick.drawn, spec.vehicles)
+        for pick in picks
+    ]
+    return [PURPOSE] if len(picks) > 1 or any(among > 1 for among in targets) else []
+
+
+def _picks(nemesis: NemesisSection, links: Sequence[Link]) -> list[NemesisPick]:
+    """What may be drawn. A fleet of one keeps its scenario: faults that need a link are left out."""
+    return [pick for pick in nemesis.pick if links or pick.drawn not in ("partition", "down")]
 
 
 def _times(nemesis: NemesisSection, spec: ScenarioSpec) -> range:
@@ -63,4 +85,4 @@ def _target(kind: DrawnKind, name: str, spec: ScenarioSpec, number: int, links: 
 
 
 def _draw(spec: ScenarioSpec, number: int, what: int, among: int) -> int:
-    return bits(spec.seed, "nemesis", number, what) % among
+    return bits(spec.seed, PURPOSE, number, what) % among

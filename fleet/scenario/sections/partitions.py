@@ -30,8 +30,19 @@ def partition(text: str, vehicles: int, seed: int, name: str, among: Iterable[Li
 
 
 def is_drawn(text: str) -> bool:
-    """Whether it depends on the seed which links a partition cuts."""
+    """Whether a partition is one that is drawn."""
     return text.strip() in DRAWN_PARTITIONS
+
+
+def draws(text: str, vehicles: int, name: str) -> list[str]:
+    """The purpose of the draws that decide which links a partition cuts; none if all seeds give the same."""
+    which = text.strip()
+    least = 4 if which == "ring" else 3  # with fewer vehicles all choices cut the same links
+    return [_purpose(which, name)] if is_drawn(which) and vehicles >= least else []
+
+
+def _purpose(which: str, name: str) -> str:
+    return f"partition {which} {name}"
 
 
 def _cut(text: str, vehicles: int, seed: int, name: str) -> Callable[[int, int], bool]:
@@ -41,8 +52,8 @@ def _cut(text: str, vehicles: int, seed: int, name: str) -> Callable[[int, int],
         groups = _groups(text, vehicles)
         return _between({i: number for number, group in enumerate(groups) for i in group})
     which = text.strip()
-    if is_drawn(text):
-        drawn = sorted(everyone, key=lambda i: (uniform(seed, f"partition {which} {name}", i), i))
+    if is_drawn(which):
+        drawn = sorted(everyone, key=lambda i: (uniform(seed, _purpose(which, name), i), i))
     half = (vehicles + 1) // 2
     match which:
         case "halves":

@@ -18,9 +18,9 @@ from fleet.pictures.style import COLUMN_IN, LABEL_PT, PAGE_IN, TEXT_PT, panels, 
 from fleet.study.pictures.layout import Layout, Panel
 from fleet.study.pictures.marks import (
     BAND,
-    INTERVAL,
     Lacks,
     axis_label,
+    interval_label,
     legend,
     quantity_label,
     room,
@@ -95,7 +95,9 @@ def boxes(quantity: Quantity, layout: Layout, shown: Sequence[Panel], log_scale:
         if name is not None
     ]
     of = "share" if quantity.kind == "share" else "median"
-    middle = Line2D([], [], color="black", marker="|", markersize=5.0, linewidth=1.2, label=f"{of}, {INTERVAL}")
+    middle = Line2D(
+        [], [], color="black", marker="|", markersize=5.0, linewidth=1.2, label=f"{of}, {interval_label(quantity)}"
+    )
     legend(figure, [*coloured, middle, *lacks.handles()])
     return figure
 

@@ -15,10 +15,10 @@ from fleet.pictures.style import COLUMN_IN, PAGE_IN, STYLES, limit, panels, plai
 from fleet.study.pictures.layout import Layout, Panel
 from fleet.study.pictures.marks import (
     BAND,
-    INTERVAL,
     Lacks,
     axis_label,
     columns_of,
+    interval_label,
     legend,
     logarithmic,
     quantity_label,
@@ -104,9 +104,9 @@ def curves(quantity: Quantity, layout: Layout, shown: Sequence[Panel], log_scale
         for k, name in enumerate(names)
         if name is not None
     ]
-    band = Line2D([], [], color="0.5", alpha=2 * BAND, linewidth=6.0, label=INTERVAL)
+    band = Line2D([], [], color="0.5", alpha=2 * BAND, linewidth=6.0, label=interval_label(quantity))
     if bars:
-        band = Line2D([], [], color="0.5", linestyle="none", marker="|", markersize=7.0, label=INTERVAL)
+        band = Line2D([], [], color="0.5", linestyle="none", marker="|", markersize=7.0, label=interval_label(quantity))
     legend(figure, [*lines, band, *lacks.handles()])
     return figure
 

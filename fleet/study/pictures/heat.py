@@ -17,12 +17,12 @@ from fleet.pictures.style import COLUMN_IN, LABEL_PT, PAGE_IN, panels
 from fleet.study.pictures.layout import Layout, Panel
 from fleet.study.pictures.marks import (
     DIVERGING,
-    INTERVAL,
     Digits,
     Lacks,
     axis_label,
     columns_of,
     few_ticks,
+    interval_label,
     legend,
     quantity_label,
     scale,
@@ -55,7 +55,7 @@ def heat(quantity: Quantity, layout: Layout, shown: Sequence[Panel], log_scale: 
     tables = [_table(quantity, layout, panel) for panel in shown]
     digits = Digits(_each(tables, lambda estimate: estimate.value), scale(quantity))
     fits = _room(tables, cell_pt, digits)
-    both = 1 if fits == 2 else 2
+    both = 2 if fits < 2 and _each(tables, lambda estimate: estimate.half) else 1
     height = (
         rows * max(1.1, min(len(y.values) * (_CELL_PT if fits == 2 else 12.0) / 72.0, 4.0) + 0.35 + _title_in(shown))
         + 0.5
@@ -132,7 +132,7 @@ def _widths(quantity: Quantity, tables: Tables) -> Drawing:
     factor = scale(quantity)
     found = [2.0 * factor * v for v in _each(tables, lambda estimate: estimate.half)] or [1.0]
     norm = Normalize(0.0, max(found) or 1.0)
-    return lambda estimate: 2.0 * factor * estimate.half, norm, _WIDTHS, f"width of the {INTERVAL}"
+    return lambda estimate: 2.0 * factor * estimate.half, norm, _WIDTHS, f"width of the {interval_label(quantity)}"
 
 
 def _each(tables: Tables, of: Callable[[Estimate], float]) -> list[float]:

@@ -21,13 +21,12 @@ from fleet.errors import printable
 from fleet.palette import COLOURS
 from fleet.pictures.style import LEGEND_PT
 from fleet.study.pictures.points import Cell, Dimension, Quantity
-from fleet.study.statistics import Estimate
+from fleet.study.statistics import CONFIDENCE, LEAST, Estimate, levels
 
 LONGEST_NAME = 30  # characters
 WRAPPED = 36  # characters of a line along an axis
 BAND = 0.2  # opacity
 _MUCH = 30.0  # times
-INTERVAL = "95 % interval"
 NOTHING, _INK = "0.93", "0.45"  # the greys behind a hatch, and of its lines
 _HATCHES = ("////", "xxxx", "....")
 REASONS = ("not made yet", "without a result", "without this number")  # as the fields of Lack
@@ -59,6 +58,14 @@ def quantity_label(quantity: Quantity, width: int = WRAPPED) -> str:
     if quantity.kind == "difference":
         label += f"\n{text(quantity.pair, width) if quantity.pair else 'difference of pairs'}"
     return label
+
+
+def interval_label(quantity: Quantity) -> str:
+    """What the intervals of a picture are, with their level."""
+    if quantity.kind == "share":
+        return f"{100 * CONFIDENCE:g} % interval"
+    level = levels(cell.estimate for cell in quantity.cells.values())
+    return f"{level} interval" if level else f"no interval: fewer than {LEAST} runs"
 
 
 def columns_of(panels: int) -> int:

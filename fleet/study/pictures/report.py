@@ -21,7 +21,7 @@ from fleet.pictures.style import COLUMN_IN
 from fleet.study.one_run import FAILED
 from fleet.study.pictures.gallery import draw
 from fleet.study.pictures.points import NOT_MADE, NOT_NEEDED, PASSED, Dimension, Points, Quantity, factors, load, minus
-from fleet.study.statistics import Estimate, compare
+from fleet.study.statistics import Estimate, compare, levels
 from fleet.study.store import Store
 
 TEMPLATE = "study.html"
@@ -158,7 +158,7 @@ def _share(rate: Estimate) -> str:
 def _estimate(found: Estimate) -> str:
     if found.runs == 0:
         return "-"
-    interval = f"   {found.low:.3g}..{found.high:.3g}" if found.low < found.high else ""
+    interval = f"   {found.low:.3g}..{found.high:.3g} ({levels([found])})" if found.low < found.high else ""
     return f"{found.value:.3g}{interval}"
 
 
@@ -181,13 +181,13 @@ def _comparisons(points: Points) -> list[tuple[str, Table]]:
                 if name == PASSED:
                     only = [sum(a == win and b == 1 - win for a, b in zip(one, two, strict=True)) for win in (1.0, 0.0)]
                     difference, smaller = f"only {first}: {only[0]}, only {other}: {only[1]}", ""
-                p = f"{result.p:.2g}" if isfinite(result.p) else "-"
+                p = f"{result.p:.2g}" if isfinite(result.p) else result.note
                 rows.append((minus(other, first), points.words(name), result.difference.runs, difference, smaller, p))
         found.append((dimension.key, Table(_COMPARED, rows)))
     return found
 
 
-_COMPARED = ("values", "of what", "pairs", "median difference, 95 % interval", "difference below 0", "p (Wilcoxon)")
+_COMPARED = ("values", "of what", "pairs", "median difference, interval (level)", "difference below 0", "p (Wilcoxon)")
 
 
 def _pictures(points: Points, log_scale: bool | None, share: Tell) -> Pictures:

@@ -196,8 +196,8 @@ def test_json_is_one_document_with_intervals(engines: list[Here]) -> None:
     share = second.medians["loss_share"]
     assert share.value is not None
     assert 0.6 < share.value < 0.95
-    assert (share.low, share.runs) == (None, 2)  # two runs are too few
-    assert second.passed.runs == 2
+    assert (share.low, share.level, share.runs) == (None, None, 2)  # two runs are too few
+    assert (second.passed.runs, second.passed.level) == (2, 0.95)
     assert sweep(document.directory, "--json", "--measure", "loss_share").stdout == result.stdout
 
 

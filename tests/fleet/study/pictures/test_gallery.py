@@ -89,11 +89,21 @@ def test_no_text_is_cut_off_and_every_picture_fits_a_column_or_a_page(
         assert box.y0 >= -0.02 and box.y1 <= figure.get_figheight() + 0.02, name
 
 
-def test_a_cell_has_its_value_and_interval(made: Made) -> None:
+def test_a_cell_has_its_value_and_interval(made: Made, tmp_path: Path) -> None:
     found = made("heat", usual)
     assert words(found["passed"])[:2] == ["100", "44..100"]
-    assert words(found["formation_final_m"])[:2] == ["0.22", "0.21..0.23"]
+    assert words(found["formation_final_m"])[:2] == ["0.22", "0.52"]  # three runs are too few for an interval
     assert len(found["passed"].axes) == 2  # the map and the bar
+    of_six = figures(made_up(tmp_path / "s", *STUDIES["heat"], row=usual, seeds=6), "formation_final_m")
+    assert words(of_six["formation_final_m"])[:2] == ["0.24", "0.21..0.26"]
+
+
+@pytest.mark.parametrize(("seeds", "said"), [(3, "no interval: fewer than 6 runs"), (6, "96.9 % interval")])
+def test_the_level_of_intervals_is_told(seeds: int, said: str, tmp_path: Path) -> None:
+    store = made_up(tmp_path / "s", *STUDIES["curve"], row=usual, seeds=seeds)
+    found = figures(store, "formation_final_m")
+    assert legend_of(found["formation_final_m"])[-1] == said
+    assert legend_of(found["passed"])[-1] == "95 % interval"
 
 
 def points(rows: int, *dimensions: Dimension, seeds: int = 3) -> Points:
@@ -109,10 +119,13 @@ UP = Dimension("network.links.*.delay", "ms", (50.0, 200.0))
 
 
 def test_where_the_interval_finds_no_room_its_width_is_a_map_of_its_own() -> None:
-    found = {name: figure for name, _, figure in draw(points(38, ACROSS, UP))}["e_rms_m"]
+    found = {name: figure for name, _, figure in draw(points(38, ACROSS, UP, seeds=6))}["e_rms_m"]
     assert isinstance(found, Figure)
     assert len([ax for ax in found.axes if ax.images]) == 2
-    assert any("width of the 95 % interval" in ax.get_xlabel() for ax in found.axes)
+    assert any("width of the 96.9 % interval" in ax.get_xlabel() for ax in found.axes)
+    few = {name: figure for name, _, figure in draw(points(38, ACROSS, UP, seeds=3))}["e_rms_m"]
+    assert isinstance(few, Figure)
+    assert len([ax for ax in few.axes if ax.images]) == 1  # there is no interval
 
 
 @pytest.mark.parametrize("kind", STUDIES)

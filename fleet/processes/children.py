@@ -26,6 +26,7 @@ from fleet.processes.main_module import without_main
 from fleet.processes.open_files import allow_most_open_files
 from fleet.processes.parent_death import CONSOLE_PID_VARIABLE
 from fleet.processes.safe_path import children_ignore_the_folder
+from fleet.processes.temporary_folder import temporary_folder
 from netem.errors import BusError
 
 GRACE_S = 1.0
@@ -170,6 +171,9 @@ def _set_preload() -> None:
 @contextlib.contextmanager
 def _forkserver_starting() -> Iterator[None]:
     """What has to hold where the fork server may be started."""
+    # Its socket goes where a next program finds it if this one is killed; multiprocessing's own folder would stay.
+    config: dict[str, Any] = multiprocessing.current_process()._config  # type: ignore[attr-defined]
+    config.setdefault("tempdir", str(temporary_folder()))
     with without_main(), out_of_reach(), _named_console():
         yield
 

@@ -7,9 +7,7 @@ their files, and what these imported from the same folder.
 
 from __future__ import annotations
 
-import atexit
 import hashlib
-import shutil
 import sys
 import tempfile
 import threading
@@ -20,6 +18,7 @@ from pathlib import Path, PurePosixPath
 from typing import NamedTuple
 
 from agents.controllers import BUILT_IN, laws
+from fleet.processes.temporary_folder import temporary_folder
 from fleet.scenario.scenario import Scenario
 from fleet.study.errors import StudyError
 from world.plants.classes import file_of, module_of
@@ -160,8 +159,7 @@ def get_ready(modules: Modules) -> None:
 
 @lru_cache
 def _written(files: tuple[tuple[str, bytes], ...]) -> Path:
-    folder = Path(tempfile.mkdtemp(prefix="uuv-fleet-laws-"))
-    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    folder = Path(tempfile.mkdtemp(prefix="laws-", dir=temporary_folder()))
     for path, data in files:
         if PurePosixPath(path).is_absolute() or ".." in PurePosixPath(path).parts:
             raise ValueError(path)

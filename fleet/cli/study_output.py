@@ -9,7 +9,7 @@ from fleet.terminal.fitting import Piece
 from fleet.terminal.table import Column
 
 if TYPE_CHECKING:
-    from fleet.study.store import AxisRecord
+    from fleet.study.record import AxisRecord
     from fleet.study.sweep import Progress
     from fleet.terminal.status_line import StatusLine
 

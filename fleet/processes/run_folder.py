@@ -57,7 +57,12 @@ def own_folder_for_multiprocessing() -> None:
         except (OSError, RunBroken):  # then its own, which fails with a reason of its own
             return
         settings["tempdir"] = str(folder.path)
-        Finalize(None, _close, args=(folder, os.getpid()), exitpriority=-100)  # behind all that uses it
+        close_at_end(folder)
+
+
+def close_at_end(folder: PrivateFolder) -> None:
+    """Close a folder at the end of this process, and of no process that is forked from it."""
+    Finalize(None, _close, args=(folder, os.getpid()), exitpriority=-100)  # behind all that uses it
 
 
 def _close(folder: PrivateFolder, owner: int) -> None:

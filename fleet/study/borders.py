@@ -24,8 +24,9 @@ from fleet.study.modules import NO_MODULES, Modules
 from fleet.study.one_run import Task
 from fleet.study.plan import Plan
 from fleet.study.psychometric import CONFIDENCE, DOUBTFUL, RISING, Curve, steepest_rise
+from fleet.study.record import BorderRecord
 from fleet.study.statistics import Estimate, pass_rate
-from fleet.study.store import BorderRecord, Store
+from fleet.study.store import Store
 from fleet.study.sweep import Progress, Work, make_runs, prepare, task_of
 from fleet.study.values import Axis, parse_axis
 from world.plugins.trust import NOTHING, Trust

@@ -7,11 +7,8 @@ their files, and what these imported from the same folder.
 
 from __future__ import annotations
 
-import atexit
 import hashlib
-import shutil
 import sys
-import tempfile
 import threading
 from collections.abc import Iterable
 from functools import lru_cache
@@ -20,8 +17,10 @@ from pathlib import Path, PurePosixPath
 from typing import NamedTuple
 
 from agents.controllers import BUILT_IN, laws
+from fleet.processes.run_folder import close_at_end
 from fleet.scenario.scenario import Scenario
 from fleet.study.errors import StudyError
+from netem.private_folder import PrivateFolder
 from world.plants.classes import file_of, module_of
 from world.plugins.loading import unit_file
 from world.plugins.trust import Permission, Place, Trust, find, permit
@@ -160,8 +159,9 @@ def get_ready(modules: Modules) -> None:
 
 @lru_cache
 def _written(files: tuple[tuple[str, bytes], ...]) -> Path:
-    folder = Path(tempfile.mkdtemp(prefix="uuv-fleet-laws-"))
-    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    private = PrivateFolder("laws")
+    close_at_end(private)
+    folder = private.path
     for path, data in files:
         if PurePosixPath(path).is_absolute() or ".." in PurePosixPath(path).parts:
             raise ValueError(path)

@@ -13,7 +13,7 @@ from fleet.scenario.text.overrides import SET, Override
 from fleet.scenario.trust import TYPED, Origin
 from fleet.study.errors import StudyError
 from fleet.study.measures import STANDING
-from fleet.study.settings import LARGEST_SEED, NOTHING_MORE, Settings
+from fleet.study.settings import LARGEST_SEED, MOST_ALLOWED, NOTHING_MORE, Settings
 from fleet.study.values import Axis, Value
 
 MOST_RUNS = 10_000_000
@@ -85,6 +85,8 @@ class Plan:
             if seeds > most:
                 raise StudyError(f"each point begins with {seeds} seeds, and {most} at most are allowed")
             seeds = most
+        if seeds > MOST_ALLOWED:
+            raise StudyError(f"each point has {seeds} seeds, and {MOST_ALLOWED} at most may be")
         if points * seeds > MOST_RUNS:
             raise StudyError(f"these are {points * seeds} runs, and {MOST_RUNS} at most may be")
         combinations = self._combinations()

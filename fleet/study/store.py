@@ -14,71 +14,36 @@ from __future__ import annotations
 
 import fcntl
 import os
+import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import msgspec
 import pyarrow as pa
 import pyarrow.compute as pc
-import pyarrow.parquet as pq
 
 from fleet.errors import printable
-from fleet.quantities import QuantityError
+from fleet.execution.outcome import Status
 from fleet.study.errors import StudyError
-from fleet.study.measures import Column
-from fleet.study.settings import LARGEST_SEED, Settings
-from fleet.study.spec import StudySpec
+from fleet.study.one_run import FAILED
+from fleet.study.parquet_file import MOST_BYTES, TEXT, read_table, write_table
+from fleet.study.record import NAME, AxisRecord, StudyRecord, read_record, write_record
+from fleet.study.settings import LARGEST_SEED
 from fleet.study.stopping import Rule, parse_until, seed_sequence, seeds_needed
-from fleet.study.values import Axis, Value
-from netem.whole_file import read_file, write_whole
+from fleet.study.values import Value
 
 if TYPE_CHECKING:
     import pandas as pd
 
-VERSION = 2
-_STUDY, _POINTS, _RUNS, _LOGS = "study.json", "points.parquet", "runs", "logs"
-_MOST_BYTES = 200_000_000
-MOST_ROWS = 100_000  # of a file
-_TEXT, _BOOL, _NUMBER, _WHOLE = pa.string(), pa.bool_(), pa.float64(), pa.int64()
-
-
-class AxisRecord(msgspec.Struct):
-    """An axis as study.json has it: `unit` is None where the values are words."""
-
-    key: str
-    unit: str | None
-
-
-class BorderRecord(msgspec.Struct):
-    """What a study of a border looks for: where the pass rate falls through a level along its last axis."""
-
-    level: float
-    width: float  # of an interval that is narrow enough, as a share of the range
-    log: bool  # whether equal ratios are equally far apart
-
-
-class _Version(msgspec.Struct):
-    version: int
-
-
-class StudyRecord(msgspec.Struct):
-    """study.json."""
-
-    version: int
-    scenario: str  # its name
-    command: str  # the changes of every run, for people
-    axes: list[AxisRecord]
-    seeds: list[int]  # of every point; the first ones, if seeds are added
-    checks: list[str]  # of the scenario, by name
-    columns: list[Column]  # of measures
-    settings: Settings
-    made_by: str  # the version of the package
-    folder: str | None = None  # of the scenario's file: where laws are looked for, which need trust all the same
-    spec: StudySpec | None = None  # as people write it; older versions of fleet did not keep it
-    border: BorderRecord | None = None  # of `fleet boundary`: not every point is run with every seed
+_POINTS, _RUNS, _LOGS = "points.parquet", "runs", "logs"
+_PART = re.compile(r"part-([0-9]{6,9})\.parquet")
+_MOST_PARTS = 100_000  # one is written every ten seconds: eleven days
+_MOST_BYTES = 1_000_000_000  # of all rows in memory: 1.4 million runs with all columns, more where some are read
+_CHECKED = ("point", "seed", "status")  # in each reading
+_STATUSES = (FAILED, *(status.name.lower() for status in Status))
+_TEXT, _BOOL, _NUMBER, _WHOLE = TEXT, pa.bool_(), pa.float64(), pa.int64()
 
 
 class Store:
@@ -105,8 +70,12 @@ class Store:
             for axis in record.axes:
                 columns[axis.key] = _column(axis, [point["values"][axis.key] for point in points])
             columns["scenario"] = pa.array([point["scenario"] for point in points], _TEXT)
-            _write(directory / _POINTS, pa.table(columns, schema=store._point_schema))
-            write_whole(directory / _STUDY, msgspec.json.format(msgspec.json.encode(record), indent=1) + b"\n")
+            table = pa.table(columns, schema=store._point_schema)
+            if table.nbytes > MOST_BYTES:
+                size = f"{table.nbytes / 1e6:.0f} MB, and {MOST_BYTES / 1e6:g} MB"
+                raise StudyError(f"the points of the study take {size} at most may be: take fewer points")
+            write_table(directory / _POINTS, table)
+            write_record(directory, record)
         except FileExistsError:
             raise StudyError(f"{directory} is there already: choose another place") from None
         except OSError as error:
@@ -120,40 +89,16 @@ class Store:
         Raises:
             StudyError: there is none, or it is damaged.
         """
-        try:
-            data = read_file(directory / _STUDY, _MOST_BYTES)
-            if (found := msgspec.json.decode(data, type=_Version).version) != VERSION:
-                raise StudyError(f"{directory}: a study of version {found}; this fleet reads version {VERSION}")
-            record = msgspec.json.decode(data, type=StudyRecord)
-            if record.spec is not None:
-                _ = record.spec.timeout_s, record.spec.budget_s
-        except FileNotFoundError:
-            raise StudyError(f"{directory} is no study: it has no {_STUDY}") from None
-        except OSError as error:
-            raise StudyError(f"cannot read {directory / _STUDY}: {error.strerror}") from None
-        except (msgspec.MsgspecError, OverflowError, UnicodeDecodeError, QuantityError) as error:
-            raise StudyError(f"{directory / _STUDY} is damaged: {error!s:.200}") from None
-        texts = [
-            record.scenario,
-            record.command,
-            *record.checks,
-            *(() if record.spec is None else record.spec.texts()),
-            *(text for column in record.columns for text in (column.name, column.unit)),
-            *record.settings.measures,
-            record.settings.until or "",
-            *(text for axis in record.axes for text in (axis.key, axis.unit or "")),
-        ]
-        if any(printable(text) != text for text in texts):  # a study may come from anybody, and is shown on a terminal
-            raise StudyError(f"{directory / _STUDY} is damaged: a text in it has control characters")
+        record = read_record(directory)
         store = cls(directory, record)
         seeds = record.seeds
         if not seeds or len(set(seeds)) < len(seeds) or not 0 <= min(seeds) <= max(seeds) <= LARGEST_SEED:
-            raise StudyError(f"{directory / _STUDY} is damaged: its seeds")
+            raise StudyError(f"{directory / NAME} is damaged: its seeds")
         if store.rule and len(seeds) > record.settings.most_seeds:
-            raise StudyError(f"{directory / _STUDY} is damaged: its seeds are too many")
+            raise StudyError(f"{directory / NAME} is damaged: its seeds are too many")
         names = Counter([*store.schema.names, "scenario"])  # which is a column of the points
         if twice := next((name for name, count in names.items() if count > 1), None):
-            raise StudyError(f"{directory / _STUDY} is damaged: it has two columns {twice[:60]}")
+            raise StudyError(f"{directory / NAME} is damaged: it has two columns {twice[:60]}")
         return store
 
     @contextmanager
@@ -165,13 +110,15 @@ class Store:
         """
         with ExitStack() as stack:
             try:
-                file = stack.enter_context((self.directory / _STUDY).open("rb"))
+                file = stack.enter_context((self.directory / NAME).open("rb"))
                 fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError:
                 raise StudyError(f"another fleet runs the study {self.directory}") from None
             except OSError as error:
                 raise StudyError(f"cannot lock {self.directory}: {error.strerror}") from None
-            self._parts = _next_part(self.directory)  # another program may have written some since it was opened
+            self._parts = 1 + max(
+                self._part_files(), default=0
+            )  # another program may have written some since it was opened
             with suppress(OSError):
                 for left in (self.directory / _RUNS).glob("*.part"):
                     left.unlink()
@@ -210,7 +157,7 @@ class Store:
     @property
     def point_count(self) -> int:
         """How many points there are. Raises StudyError."""
-        return int(_read(self.directory / _POINTS, ["point"]).num_rows)
+        return int(read_table(self.directory / _POINTS, self._point_schema, ["point"]).num_rows)
 
     @property
     def rule(self) -> Rule | None:
@@ -263,9 +210,7 @@ class Store:
 
     def points(self) -> list[dict[str, Any]]:
         """Every point: `point`, its values by key, and `scenario`. Raises StudyError."""
-        table = _read(self.directory / _POINTS)
-        if not table.schema.equals(self._point_schema):
-            raise StudyError(f"{self.directory / _POINTS} has other columns than {self.directory / _STUDY} says")
+        table = read_table(self.directory / _POINTS, self._point_schema)
         rows: list[dict[str, Any]] = table.to_pylist()
         if any(None in row.values() for row in rows):
             raise StudyError(f"{self.directory / _POINTS} has a point without a value")
@@ -283,27 +228,71 @@ class Store:
         schema = self.schema
         table = pa.Table.from_pylist([{name: row.get(name) for name in schema.names} for row in rows], schema=schema)
         try:
-            _write(self.directory / _RUNS / f"part-{self._parts:06d}.parquet", table)
+            write_table(self.directory / _RUNS / f"part-{self._parts:06d}.parquet", table)
         except OSError as error:
-            raise StudyError(f"cannot write the study {self.directory}: {error.strerror}") from None
+            why = os.strerror(error.errno) if error.errno else str(error)
+            broken = StudyError(
+                f"cannot write the study {self.directory}: {why}; what was written before stays, and the study can be "
+                "gone on with"
+            )
+            broken.status = 3  # nothing else should have been asked for
+            raise broken from None
         self._parts += 1
 
     def table(self, columns: list[str] | None = None) -> pa.Table:
-        """All rows, ordered by point and seed, so that their order does not tell who ran them. Raises StudyError."""
-        schema = self.schema
-        if columns is not None:
-            schema = pa.schema([schema.field(name) for name in columns])
-        parts = []
-        for path in sorted((self.directory / _RUNS).glob("part-*.parquet")):
-            part = _read(path, columns)
-            if not part.schema.equals(schema):
-                raise StudyError(f"{path} has other columns than {self.directory / _STUDY} says")
+        """All rows, ordered by point and seed, so that their order does not tell who ran them.
+
+        Args:
+            columns: some; None: all.
+
+        Raises:
+            StudyError: the study is damaged, or holds more than a study writes.
+        """
+        whole = self.schema
+        wanted = whole.names if columns is None else columns
+        schema = pa.schema([whole.field(name) for name in dict.fromkeys([*wanted, *_CHECKED])])
+        points, seeds, size = pa.array(range(self.point_count), _WHOLE), pa.array(self.seeds, _WHOLE), 0
+        parts = [schema.empty_table()]
+        for _, path in sorted(self._part_files().items()):
+            part = read_table(path, whole, schema.names)
+            size += part.nbytes
+            if size > _MOST_BYTES:
+                most = f"{_MOST_BYTES / 1e6:g} MB"
+                raise StudyError(f"{self.directory} holds more than {most} of rows, too much to be read at once")
+            for name, known in (("point", points), ("seed", seeds)):
+                if not pc.all(pc.is_in(part[name], known), min_count=0).as_py():
+                    raise StudyError(f"{path} is damaged: it has runs of points or seeds that are not its own")
+            _check_statuses(path, part["status"])
             parts.append(part)
-        table = pa.concat_tables(parts) if parts else schema.empty_table()
-        own = (("point", range(self.point_count)), ("seed", self.seeds))
-        if not all(pc.all(pc.is_in(table[name], pa.array(known, _WHOLE)), min_count=0).as_py() for name, known in own):
-            raise StudyError(f"{self.directory} is damaged: it has runs of points or seeds that are not its own")
-        return table.sort_by([("point", "ascending"), ("seed", "ascending")])
+        table = pa.concat_tables(parts).sort_by([("point", "ascending"), ("seed", "ascending")])
+        at, seed = table["point"].to_numpy(), table["seed"].to_numpy()
+        twice = (at[1:] == at[:-1]) & (seed[1:] == seed[:-1])
+        if twice.any():
+            first = int(twice.argmax())
+            raise StudyError(
+                f"{self.directory / _RUNS} is damaged: point {at[first]} has two rows with seed {seed[first]}, and one "
+                f"was expected ({int(twice.sum())} rows too many): was a file copied there?"
+            )
+        return table.select(wanted)
+
+    def _part_files(self) -> dict[int, Path]:
+        """The files of rows, by number. Raises StudyError: there are too many, or two of one number."""
+        found: dict[int, Path] = {}
+        try:
+            with os.scandir(self.directory / _RUNS) as entries:
+                for entry in entries:
+                    if (match := _PART.fullmatch(entry.name)) is None:
+                        continue
+                    if int(match[1]) in found:
+                        raise StudyError(f"{self.directory / _RUNS} has two files with the number of {entry.name}")
+                    if len(found) == _MOST_PARTS:
+                        raise StudyError(f"{self.directory / _RUNS} has more files than a study writes: {_MOST_PARTS}")
+                    found[int(match[1])] = Path(entry.path)
+        except FileNotFoundError:
+            return found
+        except OSError as error:
+            raise StudyError(f"cannot read {self.directory / _RUNS}: {error.strerror}") from None
+        return found
 
     def frame(self) -> pd.DataFrame:
         """All rows as a pandas DataFrame; `attrs["units"]` has the unit of each column. Raises StudyError."""
@@ -314,9 +303,13 @@ class Store:
         return frame
 
 
-def axis_record(axis: Axis) -> AxisRecord:
-    """How study.json has an axis."""
-    return AxisRecord(axis.key, axis.unit if axis.numeric else None)
+def _check_statuses(path: Path, statuses: pa.ChunkedArray) -> None:
+    """Raises StudyError: a run has a status that no run has."""
+    known = pc.is_in(statuses, pa.array(_STATUSES, _TEXT))
+    if not pc.all(known, min_count=0).as_py():
+        strange = statuses.filter(pc.invert(known))[0].as_py()
+        shown = "none" if strange is None else printable(strange[:60])
+        raise StudyError(f"{path} is damaged: a run has the status {shown}, expected one of {', '.join(_STATUSES)}")
 
 
 def cell(axis: AxisRecord, value: Value) -> float | str | None:
@@ -339,28 +332,3 @@ def _unit_field(name: str, kind: pa.DataType, unit: str) -> pa.Field:
 def _unit(field: pa.Field) -> str:
     unit: bytes = (field.metadata or {}).get(b"unit", b"")
     return unit.decode()
-
-
-def _next_part(directory: Path) -> int:
-    names = [path.stem.partition("-")[2] for path in (directory / _RUNS).glob("part-*.parquet")]
-    return 1 + max((int(name) for name in names if name.isdecimal()), default=0)
-
-
-def _write(path: Path, table: pa.Table) -> None:
-    part = path.with_suffix(".part")
-    pq.write_table(table, part, compression="zstd")
-    os.replace(part, path)
-
-
-def _read(path: Path, columns: list[str] | None = None) -> pa.Table:
-    try:
-        about = pq.read_metadata(path)
-        groups = [about.row_group(k) for k in range(about.num_row_groups)]
-        size = sum(group.total_byte_size for group in groups)  # a small file may hold much
-        if size > _MOST_BYTES or about.num_rows > MOST_ROWS:
-            raise StudyError(f"{path} holds {about.num_rows} rows and {size} bytes, more than a study writes")
-        return pq.read_table(path, columns=columns)
-    except FileNotFoundError:
-        raise StudyError(f"{path} is missing") from None
-    except (OSError, pa.ArrowException) as error:
-        raise StudyError(f"{path} cannot be read: {error!s:.200}") from None

@@ -27,12 +27,13 @@ from fleet.study.measures import STANDING, Column
 from fleet.study.modules import NO_MODULES, Modules, modules_of
 from fleet.study.one_run import A_STUDY, FAILED, Task
 from fleet.study.plan import Plan, Point, run_key
+from fleet.study.record import VERSION, BorderRecord, StudyRecord, axis_record
 from fleet.study.settings import KeepLogs, Settings
 from fleet.study.signals import find_columns, is_signal, signal_columns_of
 from fleet.study.spec import StudySpec
 from fleet.study.statistics import Estimate, pass_rate
 from fleet.study.stopping import parse_until, watched_by
-from fleet.study.store import VERSION, BorderRecord, Store, StudyRecord, axis_record
+from fleet.study.store import Store
 from world.plugins.trust import NOTHING, Trust
 
 _WRITE_S, _WRITE_ROWS = 10.0, 1000  # rows wait at most so long, or until there are so many

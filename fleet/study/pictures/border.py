@@ -17,7 +17,7 @@ from fleet.study.border_theory import Theory
 from fleet.study.borders import Border, Borders, Run
 from fleet.study.errors import StudyError
 from fleet.study.pictures.marks import text
-from fleet.study.store import AxisRecord
+from fleet.study.record import AxisRecord
 
 MOST_PANELS = 16
 MOST_ROWS = 60  # of borders below each other

@@ -22,7 +22,8 @@ from fleet.study.pictures.layout import MOST_PANELS, layout_of
 from fleet.study.pictures.marks import spans_much
 from fleet.study.pictures.parallel import parallel
 from fleet.study.pictures.points import PASSED, Points, Quantity, factors, load
-from fleet.study.store import Store, StudyRecord
+from fleet.study.record import StudyRecord
+from fleet.study.store import Store
 
 _MOST_PAGES = 8  # pictures of one quantity
 _DRAW = {"heat": heat, "curve": curves, "boxes": boxes}

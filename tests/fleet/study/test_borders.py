@@ -20,7 +20,7 @@ from fleet.study.borders import Borders, find_borders, parse_along, prepare_bord
 from fleet.study.errors import StudyError
 from fleet.study.pictures.points import MADE, NOT_MADE, load
 from fleet.study.plan import Plan
-from fleet.study.store import BorderRecord
+from fleet.study.record import BorderRecord
 from fleet.study.study import Study
 from fleet.study.sweep import run_study
 from fleet.study.values import parse_axis

@@ -20,10 +20,11 @@ from fleet.execution.judged import run
 from fleet.logs.open_log import open_log
 from fleet.scenario.text.overrides import SET, Override
 from fleet.study.errors import StudyError
+from fleet.study.parquet_file import MOST_ROWS
 from fleet.study.plan import Plan
 from fleet.study.settings import Settings
 from fleet.study.spec import StudySpec
-from fleet.study.store import MOST_ROWS, Store
+from fleet.study.store import Store
 from fleet.study.study import Study, open_study
 from fleet.study.summary import summarise
 from fleet.study.sweep import Progress, modules_again, prepare, run_study

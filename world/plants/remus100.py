@@ -10,7 +10,8 @@
 The model is Fossen's: T. I. Fossen, *Handbook of Marine Craft Hydrodynamics and Motion Control*, 2nd ed., Wiley 2021,
 section 8.4 (torpedo-shaped AUVs), with the propeller and the drag of B. Allen, W. S. Vorus, T. Prestero, "Propulsion
 system performance enhancements on REMUS AUVs", OCEANS 2000. docs/background/plants.md compares it with an independent
-implementation and with the coefficients that T. Prestero found (MIT/WHOI 2001), and says where it deviates and why.
+implementation and says where it deviates and why. The parameter `hull` replaces mass, hull and fins by those that
+T. Prestero fitted to manoeuvres at sea (remus100_prestero.py): that hull turns in half the circle, and is unstable.
 
 The hull is symmetric about its axis: lift and cross-flow drag are the same up and down as to the sides. The Munk
 moments and the Coriolis forces that belong to them are left out, as Fossen does: the hull is taken to be neutral in
@@ -21,9 +22,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from math import atan2, cos, exp, hypot, log, pi, radians, sin, sqrt
-from typing import ClassVar
+from typing import ClassVar, Literal
 
 from world.api import PlantConfig, PlantState, Signal, Vec3, Vec6, Water
+from world.plants import remus100_prestero as prestero
 from world.plants.rigid_body import RigidBody, euler_rates, flow, rk4, rotation, to_earth
 
 RHO = 1026.0  # density of sea water [kg/m^3]: Fossen 2021
@@ -67,6 +69,9 @@ K_T0, K_Q0 = 0.4566, 0.0700  # thrust and torque at rest [1]
 K_T1, K_Q1 = 0.1798, 0.0312  # the same at the advance number J1 [1]
 J1 = 0.6632  # 0.944 * 2.5 m/s / (0.14 m * 1525 / 60 s)
 TORQUE_SEEN = 0.1  # part of the torque that rolls the hull [1]: Fossen 2021, "to match experimental results"
+
+Hull = Literal["fossen", "prestero"]
+HULLS: tuple[Hull, ...] = ("fossen", "prestero")
 
 _SIGNALS = (
     Signal("rpm", "rpm", "revolution of the propeller"),
@@ -117,6 +122,11 @@ _FALL_Q = (K_Q0 - K_Q1) / J1 * WAKE / PROPELLER
 _RUDDER = 0.5 * RHO * FIN_AREA * C_L_RUDDER  # force over flow and angle [kg/m]
 _STERN = 0.5 * RHO * FIN_AREA * C_L_STERN
 _TOP_SPEED = 2.5  # [m/s]: Allen et al. 2000, for the limits of the moments
+# Force of rudder and stern plane over flow and angle [kg/m], at FIN_X.
+_FINS: dict[Hull, tuple[float, float]] = {
+    "fossen": (_RUDDER, _STERN),
+    "prestero": (-prestero.FIN_MOMENT / FIN_X, -prestero.FIN_MOMENT / FIN_X),
+}
 
 
 class Remus100:
@@ -134,8 +144,11 @@ class Remus100:
         -_RUDDER * FIN_X * FIN_LIMIT * _TOP_SPEED**2,
     )
 
-    def __init__(self, config: PlantConfig) -> None:
-        """A vehicle; nothing of the run changes its equations."""
+    def __init__(self, config: PlantConfig, hull: Hull = "fossen") -> None:
+        """A vehicle with mass, hull and fins by one of two sources; nothing of the run changes its equations."""
+        if hull not in HULLS:
+            raise ValueError(f"expected hull as one of {', '.join(HULLS)}, got {hull!r:.80}")
+        self._hull: Hull = hull
 
     def start(self, pose: Vec6, velocity: Vec6) -> PlantState:
         """The state with fins amidships and the propeller at the revolution that keeps this speed in still water."""
@@ -146,8 +159,8 @@ class Remus100:
         """The state after one RK4 step; the allocation is made at its beginning, from the true velocity."""
         phi, theta, psi, u, v, w, p, q, r = state[3:12]
         through = flow(rotation(phi, theta, psi), (u, v, w), (p, q, r), water.current)
-        commands = allocate(tau, through.velocity)
-        return (*moved(state[:15], commands, water, dt), *commands)
+        commands = allocate(tau, through.velocity, self._hull)
+        return (*moved(state[:15], commands, water, dt, self._hull), *commands)
 
     def pose(self, state: PlantState) -> Vec6:
         """x, y, z [m, NED], phi, theta, psi [rad]."""
@@ -172,7 +185,7 @@ class Remus100:
         }
 
 
-def allocate(tau: Vec3, through: Vec3) -> Vec3:
+def allocate(tau: Vec3, through: Vec3, hull: Hull = "fossen") -> Vec3:
     """The revolution and fin angles that give a force and moments in the steady state, as far as there are such.
 
     At low speed fins have no force. There they are not thrown from stop to stop: below 0.2 m/s (`SLOW_FLOW`) they are
@@ -181,6 +194,7 @@ def allocate(tau: Vec3, through: Vec3) -> Vec3:
     Args:
         tau: surge force [N], pitch and yaw moment [N m].
         through: velocity through the water [m/s, body].
+        hull: whose fins.
 
     Returns:
         n [rpm], delta_r, delta_s [rad], within their limits.
@@ -189,7 +203,8 @@ def allocate(tau: Vec3, through: Vec3) -> Vec3:
     u, v, w = through
     u_r = hypot(u, v, w) * u
     per_moment = u_r / (u_r * u_r + SLOW_FLOW * SLOW_FLOW) / FIN_X
-    return revolution(X, u), _fin(-N * per_moment / _RUDDER), _fin(M * per_moment / _STERN)
+    rudder, stern = _FINS[hull]
+    return revolution(X, u), _fin(-N * per_moment / rudder), _fin(M * per_moment / stern)
 
 
 def revolution(X: float, u: float) -> float:
@@ -228,7 +243,7 @@ def _cross_flow(v: float, r: float) -> tuple[float, float]:
     return -2.0 * rr * x0 * (a * a + x0 * x0 / 3.0), rr * (0.5 * a**4 + a * a * x0 * x0 - x0**4 / 6.0)
 
 
-def moved(state: PlantState, commands: Vec3, water: Water, dt: float) -> PlantState:
+def moved(state: PlantState, commands: Vec3, water: Water, dt: float, hull: Hull = "fossen") -> PlantState:
     """Pose, velocity, n, delta_r and delta_s `dt` [s] later.
 
     Args:
@@ -236,16 +251,50 @@ def moved(state: PlantState, commands: Vec3, water: Water, dt: float) -> PlantSt
         commands: of the actuators, held: n [rpm], delta_r, delta_s [rad].
         water: current and disturbance.
         dt: length of the step [s].
+        hull: whose mass, hull and fins.
     """
-    return rk4(lambda s: _rate(s, commands, water), state, dt)
+    return rk4(lambda s: _rate(s, commands, water, hull), state, dt)
 
 
-def _rate(s: PlantState, commands: Vec3, water: Water) -> tuple[float, ...]:
+def _rate(s: PlantState, commands: Vec3, water: Water, hull: Hull) -> tuple[float, ...]:
     """The time derivative of pose, velocity, n, delta_r and delta_s."""
     _, _, _, phi, theta, psi, u, v, w, p, q, r, n, rudder, stern = s
     R = rotation(phi, theta, psi)
     (u_r, v_r, w_r), (du, dv, dw) = flow(R, (u, v, w), (p, q, r), water.current)
     nu_r = (u_r, v_r, w_r, p, q, r)
+    rps = n / 60.0
+    thrust = _THRUST * rps * (K_T0 * rps - _FALL_T * u_r)
+    torque = _TORQUE * rps * (K_Q0 * rps - _FALL_Q * u_r)
+    if hull == "fossen":
+        body, (X, Y, Z, K, M, N) = BODY, _forces(nu_r, rudder, stern, thrust, torque)
+    else:
+        body, (X, Y, Z, K, M, N) = prestero.BODY, prestero.forces(nu_r, rudder, stern)
+        X += thrust - (_drag(u_r) if u_r >= 0.0 else -_drag(-u_r))
+        K += torque
+    g1, g2, g3, g4, g5, g6 = body.restoring(phi, theta)
+    e1, e2, e3, e4, e5, e6 = water.wrench
+    a1, a2, a3, a4, a5, a6 = body.acceleration(
+        (X - g1 + e1, Y - g2 + e2, Z - g3 + e3, K - g4 + e4, M - g5 + e5, N - g6 + e6)
+    )
+    n_cmd, rudder_cmd, stern_cmd = commands
+    return (
+        *to_earth(R, (u, v, w)),
+        *euler_rates(phi, theta, p, q, r),
+        a1 + du,
+        a2 + dv,
+        a3 + dw,
+        a4,
+        a5,
+        a6,
+        (n_cmd - n) / T_N,
+        (rudder_cmd - rudder) / T_FIN,
+        (stern_cmd - stern) / T_FIN,
+    )
+
+
+def _forces(nu_r: Vec6, rudder: float, stern: float, thrust: float, torque: float) -> Vec6:
+    """Forces and moments [N, N m] of hull, fins, propeller and inertia."""
+    u_r, v_r, w_r, p, q, r = nu_r
     lateral = hypot(v_r, w_r)
     speed = hypot(u_r, lateral)
 
@@ -263,42 +312,20 @@ def _rate(s: PlantState, commands: Vec3, water: Water) -> tuple[float, ...]:
     sway, yaw = _cross_flow(v_r, r)
     heave, pitch = _cross_flow(w_r, -q)
 
-    # Fins and propeller.
     u_speed = speed * u_r
     Y_fin = -_RUDDER * u_speed * rudder
     Z_fin = -_STERN * u_speed * stern
     X_fin = Y_fin * rudder + Z_fin * stern
-    rps = n / 60.0
-    thrust = _THRUST * rps * (K_T0 * rps - _FALL_T * u_r)
-    torque = _TORQUE * rps * (K_Q0 * rps - _FALL_Q * u_r)
 
     c1, c2, c3, c4, c5, c6 = BODY.coriolis(nu_r)
-    g1, g2, g3, g4, g5, g6 = BODY.restoring(phi, theta)
     d1, d2, d3, d4, d5, d6 = _DAMPING
     _, a22, a33, a44, a55, a66 = BODY.added
     slow = exp(-3.0 * speed)
-    e1, e2, e3, e4, e5, e6 = water.wrench
-    a1, a2, a3, a4, a5, a6 = BODY.acceleration(
-        (
-            thrust + X_fin + ahead - slow * d1 * u_r - c1 - g1 + e1,
-            Y_fin + across * v_r - _CROSS * sway - slow * d2 * v_r - c2 + a33 * w_r * p - g2 + e2,
-            Z_fin + across * w_r - _CROSS * heave - slow * d3 * w_r - c3 - a22 * v_r * p - g3 + e3,
-            torque - d4 * p - c4 - g4 + e4,
-            -FIN_X * Z_fin + _CROSS * pitch - d5 * q - c5 - (a44 - a66) * r * p - g5 + e5,
-            FIN_X * Y_fin - _CROSS * yaw - d6 * r - c6 - (a55 - a44) * p * q - g6 + e6,
-        )
-    )
-    n_cmd, rudder_cmd, stern_cmd = commands
     return (
-        *to_earth(R, (u, v, w)),
-        *euler_rates(phi, theta, p, q, r),
-        a1 + du,
-        a2 + dv,
-        a3 + dw,
-        a4,
-        a5,
-        a6,
-        (n_cmd - n) / T_N,
-        (rudder_cmd - rudder) / T_FIN,
-        (stern_cmd - stern) / T_FIN,
+        thrust + X_fin + ahead - slow * d1 * u_r - c1,
+        Y_fin + across * v_r - _CROSS * sway - slow * d2 * v_r - c2 + a33 * w_r * p,
+        Z_fin + across * w_r - _CROSS * heave - slow * d3 * w_r - c3 - a22 * v_r * p,
+        torque - d4 * p - c4,
+        -FIN_X * Z_fin + _CROSS * pitch - d5 * q - c5 - (a44 - a66) * r * p,
+        FIN_X * Y_fin - _CROSS * yaw - d6 * r - c6 - (a55 - a44) * p * q,
     )

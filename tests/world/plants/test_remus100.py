@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from importlib.util import find_spec
-from math import isfinite, pi, radians
+from math import degrees, hypot, isfinite, pi, radians
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ from repository import ROOT
 from fleet.scenario.sections.vehicle_files import load_vehicle
 from world.api import PlantConfig, Vec3, Vec6, Water
 from world.plants.classes import plant_class
-from world.plants.remus100 import BODY, FIN_LIMIT, N_LIMIT, Remus100, allocate, moved, revolution
+from world.plants.remus100 import BODY, FIN_LIMIT, HULLS, N_LIMIT, Hull, Remus100, allocate, moved, revolution
 
 MODEL = load_vehicle("remus100")
 STILL = Water((0.0, 0.0, 0.0), (0.0,) * 6)
@@ -24,8 +24,8 @@ CLOSE = {"m": 0.05, "rad": 0.003, "m/s": 0.006, "rad/s": 0.002, "rpm": 0.3, "fin
 UNITS = ["m"] * 3 + ["rad"] * 3 + ["m/s"] * 3 + ["rad/s"] * 3 + ["rpm", "fin", "fin"]
 
 
-def plant() -> Remus100:
-    return Remus100(PlantConfig(1, 0.01, 1, MODEL.params))
+def plant(hull: Hull = "fossen") -> Remus100:
+    return Remus100(PlantConfig(1, 0.01, 1, MODEL.params), hull)
 
 
 @pytest.fixture(scope="module")
@@ -64,6 +64,68 @@ def _percent(ours: float, theirs: float, decimals: int) -> str:
 def test_the_stored_runs_are_those_of_the_reference(our_hull: bool) -> None:
     found = reference(MANOEUVRES["abeam"]._replace(seconds=10), our_hull)
     assert np.abs(found - stored()["abeam"][our_hull][: len(found)]).max() < 1e-3
+
+
+# --- the hull by Prestero ---------------------------------------------------
+
+
+def circle(rudder: float, hull: Hull) -> tuple[float, float]:
+    """Diameter [m] and yaw rate [deg/s] of the steady turn at 1200 rpm with the rudder at an angle [deg]."""
+    state: tuple[float, ...] = (*PLACE, *CRUISE, 1200.0, 0.0, 0.0)
+    for _ in range(3000):
+        state = moved(state, (1200.0, radians(rudder), 0.0), STILL, 0.02, hull)
+    return 2.0 * hypot(state[6], state[7]) / state[11], degrees(state[11])
+
+
+def level_circle(rudder: float) -> float:
+    """Diameter [m] by Prestero's two equations of a steady level turn, with a = v / u < 0 and b = r / u > 0 [1/m]."""
+    delta = radians(rudder)
+    low, high = 0.0, 1.0
+    for _ in range(60):
+        a = -0.5 * (low + high)
+        # The yaw moment gives b, the side force then decides: 94 b^2 + 2 b = 3.18 a^2 - 24 a + 6.15 delta.
+        b = (-2.0 + (4.0 + 4.0 * 94.0 * (3.18 * a * a - 24.0 * a + 6.15 * delta)) ** 0.5) / 188.0
+        side = 1310.0 * a * a + 0.632 * b * b + (5.22 - 30.48) * b - 28.6 * a - 9.64 * delta
+        low, high = (-a, high) if side < 0.0 else (low, -a)
+    return 2.0 * hypot(1.0, a) / b
+
+
+@pytest.mark.parametrize(("rudder", "diameter"), [(5.0, 16.6), (15.0, 11.7)])
+def test_prestero_s_hull_turns_in_his_circle(rudder: float, diameter: float) -> None:
+    """Which his equations give in the plane; heel and pitch change it by less than one per cent."""
+    found, _ = circle(rudder, "prestero")
+    assert found == pytest.approx(diameter, abs=0.05)
+    assert found == pytest.approx(level_circle(rudder), rel=0.01)
+
+
+def test_the_table_of_circles_is_what_the_hulls_turn() -> None:
+    page = (ROOT / "docs" / "background" / "plants.md").read_text("utf-8")
+    rows = []
+    for rudder in (2, 5, 10, 15):
+        (ours, slow), (his, quick) = circle(rudder, "fossen"), circle(rudder, "prestero")
+        rows.append(
+            f"| {rudder} deg | {ours:.1f} m, {slow:.1f} deg/s | {his:.1f} m, {quick:.1f} deg/s | {ours / his:.1f} |"
+        )
+    assert [row for row in rows if row not in page] == [], "\n" + "\n".join(rows)
+
+
+def test_prestero_s_hull_does_not_keep_its_course_by_itself() -> None:
+    for hull, turns in (("fossen", False), ("prestero", True)):
+        state: tuple[float, ...] = (*PLACE, *CRUISE[:5], 0.01, 0.0, 0.0, 0.0)  # the propeller stands
+        for _ in range(150):
+            state = moved(state, (0.0, 0.0, 0.0), STILL, 0.02, hull)
+        assert (state[11] > 0.02) == turns
+
+
+def test_his_fins_give_the_moments_that_are_asked_for() -> None:
+    _, rudder, stern = allocate((12.0, -1.0, 0.8), (1.5, 0.0, 0.0), "prestero")
+    assert 6.15 * 1.5**2 * rudder == pytest.approx(0.8, rel=1e-3)
+    assert 6.15 * 1.5**2 * stern == pytest.approx(1.0, rel=1e-3)
+
+
+def test_another_hull_is_refused() -> None:
+    with pytest.raises(ValueError, match="expected hull as one of fossen, prestero, got 'fosen'"):
+        Remus100(PlantConfig(1, 0.01, 1, MODEL.params), "fosen")  # type: ignore[arg-type]
 
 
 # --- actuators -----------------------------------------------------------
@@ -131,10 +193,11 @@ def test_it_begins_at_its_speed_and_reports_its_actuators() -> None:
 # --- the water -------------------------------------------------------------
 
 
-def test_a_current_only_carries_the_whole_motion_along() -> None:
+@pytest.mark.parametrize("hull", HULLS)
+def test_a_current_only_carries_the_whole_motion_along(hull: Hull) -> None:
     current: Vec3 = (0.3, -0.4, 0.1)
     tau = (15.0, -0.5, 0.6)
-    p = plant()
+    p = plant(hull)
     still = p.start(PLACE, CRUISE)
     carried = still[:6] + tuple(a + b for a, b in zip(CRUISE[:3], current, strict=True)) + still[9:]
     for _ in range(1000):
@@ -146,11 +209,12 @@ def test_a_current_only_carries_the_whole_motion_along() -> None:
     assert abs(still[5]) > 0.3  # it did turn
 
 
-def test_what_it_does_to_port_it_does_to_starboard() -> None:
+@pytest.mark.parametrize("hull", HULLS)
+def test_what_it_does_to_port_it_does_to_starboard(hull: Hull) -> None:
     def turn(rudder: float) -> tuple[float, ...]:
         state: tuple[float, ...] = (*PLACE, *CRUISE, 0.0, 0.0, 0.0)  # the propeller stands: its torque is one-sided
         for _ in range(500):
-            state = moved(state, (0.0, rudder, 0.0), STILL, 0.01)
+            state = moved(state, (0.0, rudder, 0.0), STILL, 0.01, hull)
         return state
 
     port, starboard = turn(-0.2), turn(0.2)
@@ -159,9 +223,10 @@ def test_what_it_does_to_port_it_does_to_starboard() -> None:
     assert starboard[5] > 0.1
 
 
+@pytest.mark.parametrize("hull", HULLS)
 @pytest.mark.parametrize("theta", [0.5 * pi, -0.5 * pi, radians(89.9)])
-def test_it_stays_finite_on_its_nose_and_tail_and_astern(theta: float) -> None:
-    p = plant()
+def test_it_stays_finite_on_its_nose_and_tail_and_astern(theta: float, hull: Hull) -> None:
+    p = plant(hull)
     state = p.start((0.0, 0.0, 5.0, 0.3, theta, 0.0), (-1.0, 0.4, 0.2, 1.0, 1.0, 1.0))
     for _ in range(1000):
         state = p.step(state, (50.0, 5.0, 4.0), Water((0.0, 0.0, 0.0), (3.0, 3.0, 2.0, 0.1, 1.0, 1.0)), 0.01)

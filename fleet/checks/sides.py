@@ -22,6 +22,7 @@ class Sides:
     Attributes:
         groups: the sides, each with its vehicles by number, in the order of their first vehicles.
         since: when they last changed [s]; the begin of the run if they never did.
+        suspended: the vehicles that are paused.
     """
 
     def __init__(self, facts: Facts) -> None:
@@ -29,6 +30,7 @@ class Sides:
         self._key: tuple[tuple[Fault, ...], tuple[int, ...]] | None = None
         self.groups: tuple[tuple[int, ...], ...] = ()
         self.since = facts.begin
+        self.suspended: frozenset[int] = frozenset()
 
     def update(self, tick: Tick) -> None:
         """Take the faults and the living vehicles of a tick, later than the one before."""
@@ -60,6 +62,7 @@ class Sides:
                     cut |= {link for link in links if link[kind == "deaf"] in those}
                 case "pause":
                     absent |= set(vehicle_numbers(what))
+        self.suspended = frozenset(absent)
         links -= cut | down
         there = [i for i in alive if i not in absent]
         heard_by: dict[int, list[int]] = {i: [] for i in there}

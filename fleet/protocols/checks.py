@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from math import inf
 from typing import Literal
 
-from fleet.checks.api import Facts, Failure, Tick, seconds
+from fleet.checks.api import Facts, Failure, Tick, Vehicle, seconds
 from fleet.checks.sides import Sides
 
 
@@ -51,7 +52,12 @@ class TrueMean:
 
 
 class AtMostOneLeader:
-    """No two vehicles lead at the same time."""
+    """No two vehicles lead at the same time.
+
+    Who leads is what the agents report. An agent that is suspended reports nothing, and does not know how late it is.
+    In the whole fleet it counts until the `leads_until` of its last report [s], which is compared with the true time,
+    or until it goes on if it has no such signal. It is on no side, so on sides it does not count.
+    """
 
     def __init__(self, facts: Facts, *, per: Literal["fleet", "side"] = "fleet", grace: str = "0 s") -> None:
         """Make it.
@@ -65,24 +71,41 @@ class AtMostOneLeader:
             raise ValueError(f"per: expected fleet or side, got {per!r:.40}")
         self._per_side, self._grace = per == "side", seconds(grace)
         self._sides = Sides(facts)
+        self._until: dict[int, float] = {}  # true time [s] until which a vehicle leads, as it reported last
         self._most = 0
 
     def step(self, tick: Tick) -> Failure | None:
         """Count those that lead."""
         self._sides.update(tick)
-        leaders = [vehicle.id for vehicle in tick.vehicles if vehicle.alive and vehicle["control.leads"] == 1.0]
+        leaders = [vehicle.id for vehicle in tick.vehicles if self._leads(vehicle, tick.t)]
         groups = self._sides.groups if self._per_side else (tuple(vehicle.id for vehicle in tick.vehicles),)
         for group in groups:
             of_these = tuple(i for i in leaders if i in group)
             self._most = max(self._most, len(of_these))
             if len(of_these) > 1 and tick.t - self._sides.since >= self._grace:
                 where = f"of the side {_shown(group)} " if self._per_side else ""
-                return Failure(f"{len(of_these)} vehicles {where}lead at once", of_these)
+                silent = _shown(tuple(i for i in of_these if i in self._sides.suspended))
+                more = f"; {silent} by its last report, since it is suspended" if silent else ""
+                return Failure(f"{len(of_these)} vehicles {where}lead at once{more}", of_these)
         return None
 
     def verdict(self) -> str:
         """How many led at once, also within the grace."""
         return f"{self._most} at once at most" + (" on a side, with the grace" if self._grace else "")
+
+    def _leads(self, vehicle: Vehicle, t: float) -> bool:
+        """Whether a vehicle leads at `t` [s]; remembers what it reports for when it is suspended."""
+        leads = vehicle["control.leads"]
+        if not vehicle.alive or leads == 0.0:
+            self._until.pop(vehicle.id, None)  # a later life remembers nothing
+        elif leads is not None:
+            try:
+                until = vehicle["control.leads_until"]
+            except LookupError:  # a protocol without leases
+                until = None
+            self._until[vehicle.id] = inf if until is None else until
+            return bool(leads == 1.0)
+        return vehicle.id in self._sides.suspended and t < self._until.get(vehicle.id, -inf)
 
 
 class AgreeAfterHeal:

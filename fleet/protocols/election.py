@@ -9,6 +9,8 @@ which it was made, candidate, tick up to which it grants that candidate a lease]
 * What it grants lasts one lease from the candidate's newest record, so who is not heard leads for one lease at most.
 * A vehicle leads while more than half of the voters grant to it: of the whole fleet (`quorum: fleet`), or of those
   whose records are fresh (`quorum: side`).
+* The leader knows until when it leads if it hears nothing more: `leads_until`. A process that was suspended compares it
+  with its clock before it acts as the leader.
 
 What this promises, and on which assumptions, is in docs/guide/protocols/election.md. Leases are those of C. Gray and
 D. Cheriton ("Leases", SOSP 1989); the clocks of all vehicles agree.
@@ -16,6 +18,7 @@ D. Cheriton ("Leases", SOSP 1989); the clocks of all vehicles agree.
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections import Counter
 from collections.abc import Iterable
 from typing import Any, Literal, NamedTuple
@@ -38,6 +41,9 @@ class Election:
 
     signals = (
         Signal("leads", "1", "1 while it is the leader"),
+        Signal(
+            "leads_until", "s", "time by its clock until which it leads if it hears nothing more; 0: it does not lead"
+        ),
         Signal("leader", "1", "number of the leader that it knows of; 0: none"),
         Signal("candidate", "1", "number of the vehicle that it grants a lease; 0: none"),
         Signal("known", "1", "vehicles that it has heard of within a lease, itself included"),
@@ -67,6 +73,7 @@ class Election:
             raise ValueError(f"vehicles: there is a vehicle {config.id}, and vehicles is {vehicles!r:.40}")
         self._id, self._vehicles, self._of_fleet = config.id, vehicles, quorum == "fleet"
         self._formation = FormationAgent(config)
+        self._tick_s = config.tick_ns / 1e9
         self._lease = round(lease_s * 1e9 / config.tick_ns)  # ticks
         self._silent_until = -1  # tick from which it may grant; -1: not begun
         self._candidate, self._until = NOBODY, 0  # its newest grant
@@ -93,6 +100,7 @@ class Election:
         leader = self._leader(fresh, nav.tick)
         return tau, {
             "leads": float(leader == self._id),
+            "leads_until": self._leads_until(fresh) * self._tick_s if leader == self._id else 0.0,
             "leader": leader,
             "candidate": self._candidate if nav.tick < self._until else NOBODY,
             "known": len(fresh),
@@ -121,6 +129,17 @@ class Election:
         votes = Counter(record.candidate for record in fresh.values() if tick < record.until)
         voters = self._vehicles if self._of_fleet else len(fresh)
         return next((i for i, count in votes.items() if i != NOBODY and 2 * count > voters), NOBODY)
+
+    def _leads_until(self, fresh: dict[int, _Record]) -> int:
+        """The tick from which it leads no longer if it hears nothing more; it leads now."""
+        grants = sorted(record.until for record in fresh.values() if record.candidate == self._id)
+        others = sorted(record.made + self._lease for i, record in fresh.items() if i != self._id)
+
+        def leads_at(tick: int) -> bool:
+            voters = self._vehicles if self._of_fleet else 1 + len(others) - bisect_right(others, tick)
+            return 2 * (len(grants) - bisect_right(grants, tick)) > voters
+
+        return next(end for end in grants if not leads_at(end))  # at the latest with the last grant
 
     def _is_valid(self, values: Any, delivery: Delivery) -> bool:
         """Whether these are records of vehicles of this fleet, made by now, that grant for a lease at most."""

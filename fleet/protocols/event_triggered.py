@@ -1,15 +1,16 @@
 """Formation keeping that talks only when it has news (Dimarogonas, Frazzoli, Johansson 2012).
 
 Every neighbour extrapolates the state that it heard last. So the sender knows what they believe if that state arrived,
-and says nothing as long as this is near enough to the truth.
+and says nothing as long as this is near enough to the truth. After each round, who has received what was sent believes
+a position within the threshold of the measured one; between rounds, and later, nothing is promised.
 
 | symbol | meaning | unit | frame |
 |---|---|---|---|
 | k_s | tick at which the own state was sent last | tick | - |
 | p(k), v(k) | own measured position and velocity over ground | m, m/s | NED |
 | believed(k) | p(k_s), extrapolated to k as `neighbours.extrapolate` says | m | NED |
-| T | how far ahead it looks | s | - |
-| deviation(k) = abs(p(k) - believed(k)) + T abs(v(k) - v(k_s)) | how far off neighbours are, at most, T later | m | - |
+| T | weight of the velocity | s | - |
+| deviation(k) = abs(p(k) - believed(k)) + T abs(v(k) - v(k_s)) | error of what neighbours believe, weighed | m | - |
 
 At a round tick k it sends if deviation(k) > threshold, or if it has been silent for the longest silence. The velocity
 counts because neighbours steer by it, too. The state is that of the formation: 63 bytes, or 15 with `payload: compact`.
@@ -28,7 +29,11 @@ class EventTriggered:
     """Keeps the formation as the agent that ships does, and sends its state only when neighbours would be wrong."""
 
     signals = (
-        Signal("deviation", "m", "how far off neighbours are a little later, at most, if they have heard what it sent"),
+        Signal(
+            "deviation",
+            "m",
+            "error of what neighbours believe if they heard what it sent: position + ahead_s x velocity",
+        ),
         Signal("sent", "1", "states sent so far"),
         Signal("unsaid", "1", "rounds so far in which it sent nothing"),
         Signal("neighbours_heard", "1", "neighbours heard at least once"),
@@ -44,7 +49,7 @@ class EventTriggered:
             config: the agent's own slice of the scenario.
             threshold_m: deviation [m] up to which it is silent; 0: it always sends.
             silence_s: time [s] after which it sends in any case.
-            ahead_s: how far ahead [s] it looks; 0: only the position counts.
+            ahead_s: weight [s] of an error of the velocity; 0: only the position counts.
 
         Raises:
             ValueError: one is negative or not finite, or the silence is 0.
@@ -92,7 +97,7 @@ class EventTriggered:
         }
 
     def _deviation(self, tick: int, motion: Motion, told: tuple[int, Motion]) -> float:
-        """How far off [m] what neighbours believe is at a tick, if they have heard what was told."""
+        """The weighed error [m] of what neighbours believe at a tick, if they have heard what was told."""
         sent_tick, (place, velocity) = told
         age = (tick - sent_tick) * self._tick_s
         config = self._config

@@ -61,6 +61,7 @@ class ProtocolNetwork:
         self.told: dict[int, Mapping[str, Any]] = {}
         self.tick = 0
         self.cut: set[Link] = set()
+        self.suspended: set[int] = set()  # nobody asks them, and what they receive waits
         self._waiting: list[tuple[Delivery, int]] = []  # to whom
         for i in sorted({i for link in self._links for i in link}):
             self.start(i)
@@ -72,6 +73,7 @@ class ProtocolNetwork:
     def kill(self, i: int) -> None:
         del self.agents[i]
         self.told.pop(i, None)
+        self.suspended.discard(i)
 
     def split(self, *sides: Iterable[int]) -> None:
         """Cut all links between sides; none: heal."""
@@ -91,12 +93,14 @@ class ProtocolNetwork:
 
     def _round(self, loss: float, delay: tuple[int, int], repeat: float) -> None:
         draw, tick = self._random, self.tick
-        due = [each for each in self._waiting if each[0].due_tick <= tick]
+        later = [each for each in self._waiting if each[0].due_tick > tick or each[1] in self.suspended]
+        due = [each for each in self._waiting if each[0].due_tick <= tick and each[1] not in self.suspended]
         due.sort(key=lambda each: structs.astuple(each[0]))
-        self._waiting = [each for each in self._waiting if each[0].due_tick > tick]
-        for i, agent in self.agents.items():
+        self._waiting = later
+        asked = {i: agent for i, agent in self.agents.items() if i not in self.suspended}
+        for i, agent in asked.items():
             _, self.told[i] = agent.decide(nav(tick), [d for d, to in due if to == i])
-        sent = {i: agent.transmit(nav(tick)) for i, agent in self.agents.items()}
+        sent = {i: agent.transmit(nav(tick)) for i, agent in asked.items()}
         for src, dst in self._links:
             for payload in sent.get(src, ()):
                 copies = 0 if (src, dst) in self.cut or draw.random() < loss else 1 + (draw.random() < repeat)

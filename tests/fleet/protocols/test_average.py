@@ -93,6 +93,19 @@ def test_a_vehicle_that_ends_takes_its_measurement_with_it_and_brings_it_back(
         assert off(net, *MEASURED) < 1e-9
 
 
+@pytest.mark.parametrize(("loss", "forget_after_s"), [(0.6, 2.3), (0.8, 5.2), (0.9, 11.0)])
+def test_at_high_loss_the_estimates_stay_within_what_was_measured(loss: float, forget_after_s: float) -> None:
+    """If it is unlikely that so many messages in a row are lost, as the page says."""
+    net = ProtocolNetwork(
+        lambda i: ExactAverage(FIVE.agent_config(i), value=MEASURED[i], forget_after_s=forget_after_s), RING
+    )
+    for _ in range(250):
+        net.run(1, loss=loss)
+        assert all(-7.0 - 1e-9 <= average <= 19.0 + 1e-9 for average in net.values("average").values())
+    net.run(300, loss=loss)
+    assert off(net, *MEASURED) < 0.01
+
+
 def test_each_side_of_a_long_partition_has_its_own_mean_and_the_whole_has_one_again() -> None:
     net = network(ExactAverage, line(1, 2, 3, 4, 5))
     net.run(30, loss=0.2)

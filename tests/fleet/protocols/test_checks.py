@@ -23,13 +23,14 @@ class Seen:
 
 
 def first_failure(check: Any, history: list[tuple[Any, ...]], signals: tuple[str, ...]) -> tuple[float, Failure] | None:
-    """Feed it [t, faults, per signal a value for each vehicle; None: it is dead]."""
+    """Feed it [t, faults, per signal a value for each vehicle; None: it is dead, "-": it reports nothing]."""
     for t, faults, *columns in history:
         vehicles = []
         for k in range(3):
             values = [column[k] for column in columns]
             alive = None not in values
-            vehicles.append(Seen(k + 1, alive, dict(zip(signals, values, strict=True)) if alive else {}))
+            reports = alive and "-" not in values
+            vehicles.append(Seen(k + 1, alive, dict(zip(signals, values, strict=True)) if reports else {}))
         active = tuple(Fault(f"f{n}", what, t) for n, what in enumerate(faults))
         if (failure := check.step(Tick(round(10 * t), t, tuple(vehicles), active, ()))) is not None:
             return t, failure
@@ -73,6 +74,7 @@ def test_true_mean_says_how_much_is_lost() -> None:
 
 
 ONE, TWO = (1.0, 0.0, 0.0), (1.0, 0.0, 1.0)
+HELD, SILENT, SILENT_AND_ANOTHER = ("pause 1",), ("-", 0.0, 0.0), ("-", 1.0, 0.0)  # vehicle 1 reports nothing
 
 
 @pytest.mark.parametrize(
@@ -85,6 +87,11 @@ ONE, TWO = (1.0, 0.0, 0.0), (1.0, 0.0, 1.0)
         ({"per": "side", "grace": "1 s"}, [(0.0, CUT, TWO), (3.0, (), TWO), (3.9, (), TWO), (4.0, (), ONE)], None),
         ({"per": "side", "grace": "1 s"}, [(0.0, CUT, TWO), (3.0, (), TWO), (4.0, (), TWO)], 4.0),
         ({}, [(0.0, (), (1.0, 0.0, None)), (1.0, (), (None, 0.0, 1.0))], None),
+        ({}, [(0.0, (), ONE), (1.0, HELD, SILENT), (9.0, HELD, SILENT_AND_ANOTHER)], 9.0),  # it has no lease
+        ({}, [(0.0, (), ONE), (1.0, HELD, SILENT), (9.0, (), (0.0, 1.0, 0.0))], None),
+        ({}, [(0.0, (), ONE), (1.0, (), (None, 0.0, 0.0)), (2.0, HELD, SILENT_AND_ANOTHER)], None),  # a new life
+        ({}, [(0.0, (), ONE), (1.0, (), SILENT_AND_ANOTHER)], None),  # without a sample, not suspended
+        ({"per": "side"}, [(0.0, (), ONE), (1.0, HELD, SILENT_AND_ANOTHER)], None),  # it is on no side
     ],
 )
 def test_at_most_one_leader(parameters: Any, history: list[Any], at: float | None) -> None:
@@ -92,6 +99,31 @@ def test_at_most_one_leader(parameters: Any, history: list[Any], at: float | Non
     assert (found and found[0]) == at
     if found:
         assert len(found[1].vehicles) == 2
+
+
+@pytest.mark.parametrize(
+    ("until", "history", "at"),
+    [
+        (2.0, [(1.9, HELD, SILENT), (2.0, HELD, SILENT_AND_ANOTHER)], None),
+        (2.0, [(1.9, HELD, SILENT_AND_ANOTHER)], 1.9),
+        (2.0, [(1.0, (), (0.0, 0.0, 0.0)), (1.5, HELD, SILENT_AND_ANOTHER)], None),  # it had stepped down before
+    ],
+)
+def test_a_suspended_leader_leads_until_its_lease_ends(until: float, history: list[Any], at: float | None) -> None:
+    """As it reported last, by the true time."""
+    told = [(t, faults, leads, (until, 2.0, 2.0)) for t, faults, leads in [(0.0, (), ONE), *history]]
+    found = first_failure(AtMostOneLeader(FACTS), told, ("leads", "leads_until"))
+    assert (found and found[0]) == at
+    if found:
+        assert found[1] == Failure("2 vehicles lead at once; 1 by its last report, since it is suspended", (1, 2))
+
+
+@pytest.mark.parametrize(("vehicles", "at"), [(6, None), (5, 2.0), (4, 2.0)])
+def test_sides_of_half_the_fleet_or_less_may_agree_on_no_leader(vehicles: int, at: float | None) -> None:
+    """Three vehicles name nobody."""
+    check = AgreeAfterHeal(FACTS._replace(vehicles=vehicles), within="2 s")
+    found = first_failure(check, [(0.0, (), *NONE), (2.0, (), *NONE)], ("leads", "leader"))
+    assert (found and found[0]) == at
 
 
 NONE, FIRST, THIRD = ((0.0,) * 3, (0.0,) * 3), (ONE, (1.0,) * 3), ((0.0, 0.0, 1.0), (3.0,) * 3)

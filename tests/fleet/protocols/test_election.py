@@ -91,6 +91,99 @@ def test_all_agree_within_the_bound_after_any_history(seed: int, links: Any, quo
         assert agreed(net, leader, 1, 2, 3, 4, 5)
 
 
+def two_lead(seed: int) -> tuple[bool, bool]:
+    """Whether two ever lead at once over a random schedule: by what each reported last, and by its lease as well."""
+    net, draw = network(links=GRAPHS[seed % 3], seed=seed), Random(seed)
+    loss, late = draw.choice([0.0, 0.2, 0.5]), draw.choice([1, 30, 100])
+    believed = leased = False
+    for _ in range(25):
+        match draw.randrange(6):
+            case 0 if len(net.agents) > 1:
+                net.kill(draw.choice(sorted(net.agents)))
+            case 1 if missing := sorted({1, 2, 3, 4, 5} - set(net.agents)):
+                net.start(draw.choice(missing))
+            case 2:
+                one = {i for i in range(1, 6) if draw.random() < 0.5}
+                net.split(one, {1, 2, 3, 4, 5} - one)
+            case 3:
+                net.split()
+            case 4:
+                net.suspended.add(draw.choice(sorted(net.agents)))
+            case 5:
+                net.suspended.clear()
+        for _ in range(draw.randrange(2 * LEASE)):
+            now = net.tick / 100
+            net.run(1, loss=loss, delay=(1, late))
+            believed |= len(leaders(net)) > 1
+            leased |= sum(now < until for until in net.values("leads_until").values()) > 1
+    return believed, leased
+
+
+@settings(max_examples=15, deadline=None)
+@given(seed=st.integers(0, 10**6))
+def test_nobody_leads_by_its_lease_while_another_does_also_suspended(seed: int) -> None:
+    """At any true time, over pauses, deaths, restarts and partitions."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(election, "FormationAgent", Still)
+        assert not two_lead(seed)[1]
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(1200)
+def test_what_the_page_says_of_schedules_with_pauses() -> None:
+    """The figures of docs/guide/protocols/election.md."""
+    found = [two_lead(seed) for seed in range(250)]
+    assert (sum(believed for believed, _ in found), sum(leased for _, leased in found)) == (31, 0)
+
+
+@pytest.mark.parametrize("quorum", ["fleet", "side"])
+def test_a_suspended_leader_leads_until_its_voters_are_free(quorum: str) -> None:
+    """Its lease ends before another one leads, and not much before."""
+    net = network(quorum)
+    net.run(2 * LEASE)
+    until = net.told[1]["leads_until"]
+    net.suspended = {1}
+    while leaders(net) == [1]:
+        net.run(1)
+    assert leaders(net) == [1, 2]  # by what it reported last
+    assert until <= (net.tick - ROUND_TICKS) / 100 <= until + 0.5
+    net.suspended = set()
+    net.run(1)
+    assert leaders(net) == [2]
+    assert net.told[1]["leads_until"] == 0.0
+
+
+@settings(max_examples=15, deadline=None)
+@given(seed=st.integers(0, 10**6), quorum=st.sampled_from(["fleet", "side"]), loss=st.floats(0.0, 0.8))
+def test_a_leader_that_hears_nothing_more_leads_until_it_said(seed: int, quorum: str, loss: float) -> None:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(election, "FormationAgent", Still)
+        net = network(quorum, seed=seed)
+        net.run(LEASE + seed % LEASE, loss=loss, delay=(1, 40))
+        for i in leaders(net):
+            agent, until = net.agents[i], round(net.told[i]["leads_until"] * 100)
+            assert until > net.tick - ROUND_TICKS
+            for tick in range(net.tick, until + 1):
+                assert agent.decide(nav(tick), [])[1]["leads"] == (tick < until)
+
+
+@pytest.mark.parametrize("quorum", ["fleet", "side"])
+def test_half_of_the_voters_is_no_quorum(quorum: Any) -> None:
+    """Four vehicles: two halves of the fleet, and two voters of a side of which one is free."""
+    four = small("vehicles=4")
+    net = ProtocolNetwork(lambda i: Election(four.agent_config(i), vehicles=4, quorum=quorum), ring(4))
+    net.run(2 * LEASE)
+    assert leaders(net) == [1]
+    net.split([1, 2], [3, 4])
+    net.run(2 * LEASE)
+    assert leaders(net) == ([] if quorum == "fleet" else [1, 3])
+    if quorum == "side":
+        net.kill(3)
+        net.start(3)
+        net.run(LEASE // 2)  # it listens, so of two voters one grants
+        assert net.told[4]["leader"] == 0
+
+
 def test_the_lowest_number_leads_first() -> None:
     net = network()
     net.run(LEASE)

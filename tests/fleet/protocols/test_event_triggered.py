@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
-from math import nan
+from itertools import pairwise
+from math import dist, nan
 from typing import Any
 
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from protocol_network import delivery
 from small_scenario import small
 
-from agents.api import FormationAgent, Nav, pack
+from agents.api import Delivery, FormationAgent, Nav, Vec3, pack
+from agents.neighbours import NeighbourTable
 from agents.payload import decode
 from fleet.protocols.event_triggered import EventTriggered
 
@@ -66,6 +70,37 @@ def test_what_it_compares_is_what_it_tells_also_where_there_is_roll() -> None:
     told = decode(payload)
     assert told.velocity[1] < -0.1
     assert agent.state()["told"] == [0, *told.position, *told.velocity]
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    extrapolate=st.sampled_from(["neighbour", "hold", "reference"]),
+    more=st.sampled_from([(), ("neighbours.age_cap=200 ms",)]),
+    threshold=st.floats(0.0, 0.5),
+    ahead=st.sampled_from([0.0, 1.0, 3.0]),
+    pushes=st.lists(st.tuples(*[st.floats(-2.0, 2.0)] * 3), min_size=10, max_size=60),
+)
+def test_in_each_round_who_heard_what_was_sent_is_off_by_the_threshold_at_most(
+    extrapolate: str, more: tuple[str, ...], threshold: float, ahead: float, pushes: list[Vec3]
+) -> None:
+    """However the vehicle is pushed about; and there is a round at least from one message to the next."""
+    scenario = small(f"neighbours.extrapolate={extrapolate}", *more)
+    agent = EventTriggered(scenario.agent_config(1), threshold, ahead_s=ahead)
+    hearer = scenario.agent_config(2)
+    table = NeighbourTable(
+        hearer.neighbours, hearer.extrapolation, hearer.reference, hearer.offset, 0.01, hearer.age_cap_s
+    )
+    place, velocity, sent = (0.0, 0.0, 5.0), (0.5, 0.0, 0.0), []
+    for k, push in enumerate(pushes):
+        now = k * ROUND
+        payloads = agent.transmit(Nav(0, now, (*place, 0.0, 0.0), (*velocity, 0.0, 0.0)))
+        sent += [now] * len(payloads)
+        table.absorb([Delivery(now, now, 1, 0, 0, payload) for payload in payloads], now)
+        (believed,) = [heard.position for heard in table.heard(now) if heard.id == 1]
+        assert dist(believed, place) <= threshold + 1e-9
+        velocity = tuple(v + a * ROUND / 100 for v, a in zip(velocity, push, strict=True))  # type: ignore[assignment]
+        place = tuple(p + v * ROUND / 100 for p, v in zip(place, velocity, strict=True))  # type: ignore[assignment]
+    assert all(b - a >= ROUND for a, b in pairwise(sent))
 
 
 def test_a_new_velocity_is_news_at_once() -> None:

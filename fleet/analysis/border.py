@@ -29,7 +29,7 @@ taken as held: in the formation e = 0, and how the gain depends on e is of secon
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from math import atan2, cos, pi, sin
 from typing import Any, NamedTuple
@@ -44,6 +44,7 @@ from world.vectors import Vec3
 MOST_VEHICLES = 12  # beyond it the computation takes seconds, and only the rules of thumb are printed
 LEAST_GAIN, MOST_GAIN = 1e-3, 50.0  # 1/s, between which a border is looked for
 MOST_DELAY_S = 10.0
+MOST_WORK_S = 20.0  # vehicles times the longest delay of their links: 4 s of CPU, which grow faster than this
 FINE = 0.002  # of a border, relative
 LIVE = 30.0  # rad/s: the loops of the vehicles are slower
 SLOW = 0.2  # rad/s
@@ -92,6 +93,7 @@ class LinearFleet:
     members: tuple[Member, ...]
     m: int
     tick_s: float
+    tell: Callable[[], None] = lambda: None  # called now and then while something is computed
 
     def unstable(self, gain: float, delay: int | None = None) -> int:
         """How many modes grow.
@@ -162,6 +164,7 @@ class LinearFleet:
 
     def _survey(self, gain: float, delay: int | None) -> tuple[int, Array, list[tuple[tuple[int, ...], Complex]]]:
         """How many modes grow; angles of z on the unit circle; I - T there, split into axes that do not mix."""
+        self.tell()
         rows, alone = self._rows(gain, delay)
         live = min(pi, LIVE * self.m * self.tick_s)
         oldest = max([delay or 0, *(link.delay for member in self.members for link in member.links)]) / self.m + 1.0
@@ -308,11 +311,14 @@ def _part(loop: Complex, axes: tuple[int, ...]) -> Complex:
     return loop[:, :, chosen][:, :, :, :, chosen].reshape(points, N * len(chosen), N * len(chosen))
 
 
-def linear_fleet(scenario: Scenario, gains: Sequence[Vec3 | None]) -> LinearFleet:
+def linear_fleet(
+    scenario: Scenario, gains: Sequence[Vec3 | None], tell: Callable[[], None] = lambda: None
+) -> LinearFleet:
     """The linear map of a scenario's fleet, without loss, jitter, noise, disturbance and faults.
 
     Args:
         gains: K of each vehicle [1/s, NED], or anything in proportion to it; None: a law that is not ours.
+        tell: called now and then while something is computed of it.
 
     Raises:
         NotLinear: there is none; the message says why.
@@ -321,6 +327,12 @@ def linear_fleet(scenario: Scenario, gains: Sequence[Vec3 | None]) -> LinearFlee
         raise NotLinear(f"more than {MOST_VEHICLES} vehicles")
     if scenario.acoustic is not None:
         raise NotLinear("what is heard over an acoustic channel has no fixed age")
+    longest_s = max((_delay_ticks(scenario, link) for link in scenario.graph.links), default=0) * scenario.tick_ns / 1e9
+    if longest_s > (most_s := MOST_WORK_S / scenario.vehicles):
+        raise NotLinear(
+            f"a message takes up to {longest_s:g} s; for {scenario.vehicles} vehicles they are computed up to "
+            f"{most_s:.3g} s, since the time and the memory that this takes grow with the delay"
+        )
     if None in gains:
         raise NotLinear(f"vehicle {gains.index(None) + 1} runs a law that is not one of those that ship")
     for i, control in enumerate(scenario.controls, start=1):
@@ -357,7 +369,7 @@ def linear_fleet(scenario: Scenario, gains: Sequence[Vec3 | None]) -> LinearFlee
                 scenario.agent_config(i).reference is not None,
             )
         )  # fmt: skip
-    return LinearFleet(tuple(members), scenario.round_ticks, scenario.tick_ns / 1e9)
+    return LinearFleet(tuple(members), scenario.round_ticks, scenario.tick_ns / 1e9, tell)
 
 
 def _delay_ticks(scenario: Scenario, link: tuple[int, int]) -> int:

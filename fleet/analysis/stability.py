@@ -17,7 +17,7 @@ of `fleet.analysis.border`.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from math import inf
 from typing import Any
@@ -57,11 +57,12 @@ class Analysis:
         return max(abs(value) for value in self.eigenvalues)
 
 
-def analyse(scenario: Scenario, *, linear: bool = True) -> Analysis:
+def analyse(scenario: Scenario, *, linear: bool = True, tell: Callable[[], None] = lambda: None) -> Analysis:
     """Connectivity, eigenvalues and violated limits of a scenario.
 
     Args:
         linear: whether the whole linear loop is made, which takes longer than the rest.
+        tell: called now and then, also while the loop is asked for its limits afterwards.
     """
     A, M = matrices(scenario)
     values = sorted(eigenvalues(M).tolist(), key=lambda v: (v.real, v.imag))
@@ -72,7 +73,7 @@ def analyse(scenario: Scenario, *, linear: bool = True) -> Analysis:
     not_linear = "not every vehicle is reached" if unreached else "" if linear else "not asked for"
     if not not_linear:
         try:
-            at_most, at_settled = linear_fleet(scenario, largest), linear_fleet(scenario, settled)
+            at_most, at_settled = linear_fleet(scenario, largest, tell), linear_fleet(scenario, settled, tell)
         except NotLinear as error:
             not_linear = str(error)
     found = Analysis(

@@ -13,7 +13,6 @@ from fleet.cli.types import OVERRIDES, disturbances
 from fleet.terminal.folding import say
 
 if TYPE_CHECKING:
-    from fleet.analysis.stability import Analysis
     from fleet.errors import Problem
     from fleet.scenario.scenario import Scenario
     from fleet.scenario.text.overrides import Override
@@ -48,29 +47,31 @@ def check(
     """
     from fleet.analysis.first_sample import try_laws, try_plants
     from fleet.analysis.preflight import warnings
-    from fleet.analysis.stability import analyse
+    from fleet.analysis.stability import analyse, report
     from fleet.scenario.loading import load_scenario
+    from fleet.terminal.progress import showing_steps
 
     refused: list[Problem] = []
     loaded = load_scenario(scenario, [*overrides, *net, *fault], trust, refused=refused)
     try_laws(loaded)
     try_plants(loaded)
-    found = analyse(loaded)
-    told = [*found.warnings, *warnings(loaded)]
+    with showing_steps("limits of the linear loop") as step:
+        found = analyse(loaded, tell=step)
+        told = [*found.warnings, *warnings(loaded)]
+        lines = [] if as_json else report(loaded, found)
     if as_json:
         from fleet.cli.documents.check import checked
 
         print_document(checked(loaded, found, told, refused))
     else:
-        _say_what_is_expected(loaded, found, refused)
+        _say_what_is_expected(loaded, lines, refused)
     for warning in [*(f"not checked: {problem}" for problem in refused), *told]:
         say(f"warning: {warning}", err=True)
 
 
-def _say_what_is_expected(loaded: Scenario, found: Analysis, refused: list[Problem]) -> None:
-    """A valid scenario in words, and what theory expects of it."""
+def _say_what_is_expected(loaded: Scenario, lines: list[str], refused: list[Problem]) -> None:
+    """A valid scenario in words, and what theory expects of it, which is `lines`."""
     from fleet.analysis.seed import HINT, NOTHING, seeded
-    from fleet.analysis.stability import report
     from fleet.scenario.scenario import timeline_lines
 
     links = loaded.graph.links
@@ -80,7 +81,7 @@ def _say_what_is_expected(loaded: Scenario, found: Analysis, refused: list[Probl
         f"{loaded.duration_ns / 1e9:g} s in {loaded.ticks} ticks of {loaded.tick_ns / 1e6:g} ms, "
         + ("ideal network" if loaded.ideal else f"a round every {loaded.round_ticks} ticks")
     )
-    for line in report(loaded, found):
+    for line in lines:
         say(line)
     for line in timeline_lines(loaded):
         say(line)

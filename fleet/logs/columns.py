@@ -129,6 +129,7 @@ _INTEGERS = {
 }
 _NUMBERS = {FieldDescriptor.TYPE_DOUBLE: np.float64, FieldDescriptor.TYPE_FLOAT: np.float64}
 _BOOL = FieldDescriptor.TYPE_BOOL
+_TIMES = ("google.protobuf.Timestamp", "google.protobuf.Duration")  # a foreign log may mean something else by it
 
 
 def _columns(
@@ -145,7 +146,7 @@ def _columns(
             yield name, _getter(path, tuple if field.is_repeated else None), dtype, False
         elif field.is_repeated or kind.full_name in inside:
             yield name, _getter(path, list if field.is_repeated else None), object, field.is_repeated
-        elif kind.full_name in ("google.protobuf.Timestamp", "google.protobuf.Duration"):
+        elif kind.full_name in _TIMES and {"seconds", "nanos"} <= set(kind.fields_by_name):
             yield name, _getter(path, _seconds), np.float64, False
         elif all(part.type == FieldDescriptor.TYPE_DOUBLE and not part.is_repeated for part in kind.fields):
             yield name, _getter(path, _vector([part.name for part in kind.fields])), np.float64, False

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from itertools import islice
 from typing import Any, NamedTuple
 
@@ -12,7 +12,8 @@ from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 from google.protobuf.message import DecodeError, Message
 from mcap.records import Channel, Schema
 
-from fleet.logs.reader import LogReader, Record
+from fleet.logs.reader import LogReader, LogReadError, Record
+from fleet.logs.schemas import OURS, Column
 
 UNITS = "units"  # what of a channel's metadata says them, as JSON: field -> [unit, meaning]
 MOST_DECODED = 8 << 20  # bytes of a message: decoded, it takes up to fifty times as much
@@ -33,6 +34,7 @@ class Decoder:
     def __init__(self, reader: LogReader) -> None:
         self._reader = reader
         self._known: dict[str, tuple[Any, dict[str, str]]] = {}
+        self._checked: set[str] = set()
 
     def __call__(self, record: Record) -> list[Value]:
         message = self.message(record)
@@ -57,17 +59,43 @@ class Decoder:
         except DecodeError:
             return None
 
+    def ours(self, record: Record, columns: Iterable[Column], *, lacking: bool = False) -> Any:
+        """The message of a record that a run of ours wrote; None if this one message is damaged.
+
+        Args:
+            columns: the fields that are used of it.
+            lacking: whether a field may be missing.
+
+        Raises:
+            LogReadError: the log's schema of the topic is damaged, or is another one.
+        """
+        topic = record.topic
+        message = self.message(record)
+        if topic not in self._checked:
+            self._checked.add(topic)
+            cls = self._known[topic][0] if topic in self._known else None
+            if problem := _unlike(cls, columns, lacking=lacking):
+                raise LogReadError(f"{self._reader.path}: the schema of {topic} cannot be used: {problem}")
+        return message
+
     def unit(self, topic: str, path: str) -> str:
         """The unit of a field of a topic that was decoded before."""
         return _unit(self._known[topic][1], path)
 
 
 def message_class(schema: Schema) -> Any:
-    """The class of the messages that a protobuf schema in a log describes. What it raises, protobuf raises."""
+    """The class of the messages that a protobuf schema in a log describes.
+
+    Raises:
+        DecodeError, TypeError, KeyError: it describes none, or has a name of ours and fields of another type.
+    """
     pool = descriptor_pool.DescriptorPool()
     for file in descriptor_pb2.FileDescriptorSet.FromString(schema.data).file:
         pool.Add(file)
-    return message_factory.GetMessageClass(pool.FindMessageTypeByName(schema.name))
+    found = message_factory.GetMessageClass(pool.FindMessageTypeByName(schema.name))
+    if problem := _unlike(found, OURS.get(schema.name, ()), lacking=True):
+        raise TypeError(problem)
+    return found
 
 
 def known_class(schema: Schema | None) -> Any:
@@ -78,6 +106,20 @@ def known_class(schema: Schema | None) -> Any:
         return message_class(schema)
     except (DecodeError, TypeError, KeyError):  # a foreign file may hold anything
         return None
+
+
+def _unlike(cls: Any, columns: Iterable[Column], *, lacking: bool) -> str:
+    """What hinders the use of these columns of a class of messages; "": nothing."""
+    if cls is None:
+        return "it is damaged, or not one of protobuf"
+    fields = cls.DESCRIPTOR.fields_by_name
+    for column in columns:
+        if column.name not in fields:
+            if not lacking:
+                return f"it has no field {column.name!r}"
+        elif fields[column.name].type != column.type or fields[column.name].is_repeated != bool(column.width):
+            return f"its field {column.name!r} is of another type"
+    return ""
 
 
 def units_of(channel: Channel) -> dict[str, str]:

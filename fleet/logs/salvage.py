@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 from struct import error as struct_error
 from typing import IO, NamedTuple
 
+import numpy as np
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, DataEnd, Header, Metadata, Schema
 
@@ -37,6 +38,7 @@ _FOOTER = HEAD.size + 20  # [bytes]
 _ZSTD = b"\x04\x00\x00\x00zstd"  # in a chunk, behind its lengths: what it is recognised by when the framing is lost
 _WINDOW = 1 << 20
 _LOOSE = 1 << 20  # bytes of messages outside chunks that make one block
+_TOO_LATE_NS = 1 << 63  # no time: those who read it as a signed number would find it before the year 1970
 _TELL = 1 << 20  # bytes of the file between two calls of `tell`
 _IN_DATA = frozenset({
     Opcode.HEADER, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.CHUNK, Opcode.MESSAGE_INDEX,
@@ -99,9 +101,20 @@ class Salvage:
 
     def __iter__(self) -> Iterator[Item]:
         for item in self._items():
-            if isinstance(item, Block):
-                self.messages += len(item)
-            yield item
+            if not isinstance(item, Block):
+                yield item
+                continue
+            sound = (item.log_ns < _TOO_LATE_NS) & (item.publish_ns < _TOO_LATE_NS)
+            kept = item
+            if not sound.all():
+                what, wrong = "a message whose time is beyond the year 2262", int((~sound).sum())
+                self.damage.append(Damage(item.offset, what, messages=wrong if self.beyond else 0))
+                kept = item.take(sound if self.beyond else np.arange(int(sound.argmin())))
+            self.messages += len(kept)
+            if len(kept):
+                yield kept
+            if kept is not item and not self.beyond:
+                return
 
     def _items(self) -> Iterator[Item]:
         size = self._size()

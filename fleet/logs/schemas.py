@@ -75,6 +75,14 @@ PACKET = (
     Column("payload", "", "the payload's bytes, as they arrived", type=BYTES),
     Column("corrupted", "", "whether the link changed the payload", type=BOOL),
 )
+# By name, the schemas that every log of a run may have.
+OURS = {
+    f"{PACKAGE}.{name}": columns
+    for name, columns in (
+        *(("State", STATE), ("StateWithRoll", STATE + ROLL), ("Command", COMMAND), ("Error", ERROR)),
+        *(("Fault", FAULT), ("Snapshot", SNAPSHOT), ("Packet", PACKET)),
+    )
+}
 
 
 def flat_schema(name: str, columns: tuple[Column, ...]) -> Schema:

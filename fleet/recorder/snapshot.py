@@ -72,6 +72,7 @@ def find(path: Path, at_ns: int | None = None, tell: Tell = lambda _: None) -> S
     """
     from fleet.logs.decoder import Decoder  # a run writes snapshots and reads none
     from fleet.logs.reader import LogReader, log_path
+    from fleet.logs.schemas import SNAPSHOT
 
     path = log_path(path)
     reader = LogReader(path, tell)
@@ -81,7 +82,9 @@ def find(path: Path, at_ns: int | None = None, tell: Tell = lambda _: None) -> S
     for record in reader.of([TOPIC]):
         first = record.log_ns if first is None else first
         if at_ns is None or record.log_ns <= at_ns:
-            found = decode.message(record).state
+            if (message := decode.ours(record, SNAPSHOT)) is None:
+                raise SnapshotError(f"{path}: the snapshot at {show_time(record.log_ns)} is damaged")
+            found = message.state
     if found is None:
         there = f"the first is at {show_time(first)}" if first is not None else _none(reader)
         raise SnapshotError(

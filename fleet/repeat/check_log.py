@@ -14,7 +14,7 @@ from fleet.checks.verdict import Verdict
 from fleet.errors import FleetError, Problem, ScenarioError
 from fleet.logs.decoder import Decoder
 from fleet.logs.reader import LogReader, Record
-from fleet.logs.schemas import FROM_TICK
+from fleet.logs.schemas import FAULT, FROM_TICK, PACKET, Column
 from fleet.repeat.recorded_run import recorded
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.sections.signal_checks import SignalCheckError
@@ -124,13 +124,17 @@ class _Feed:
 
     def __init__(self, scenario: Scenario, checks: OwnChecks, first: int) -> None:
         """`first`: tick at which the log begins."""
-        self._checks, self._tick_ns = checks, scenario.tick_ns
+        self._checks, self._tick_ns, self._end = checks, scenario.tick_ns, scenario.ticks + 1
         self._links = {f"link/{src}-{dst}": (src, dst) for src, dst in scenario.graph.links}
         self._samples = {
             f"uuv/{i}/{group}": (i, group, signals)
             for i in range(1, scenario.vehicles + 1)
             for group, signals in flat_signals(*reported(scenario, i)).items()
             if group in checks.groups
+        }
+        self._columns = {FAULTS: FAULT, **dict.fromkeys(self._links, PACKET)} | {
+            topic: tuple(Column(name, "", "", 0 if width == 1 else width) for name, width in of[2][1])
+            for topic, of in self._samples.items()
         }
         self._found: dict[tuple[int, str], Values] = {}  # of the tick that is read
         self._tick = -1
@@ -146,9 +150,11 @@ class _Feed:
                 has no sample of may be what is missing, also at its last tick, which is left out.
         """
         self._whole = last is not None
-        decode = Decoder(reader).message
+        decode = Decoder(reader).ours
         for record in reader.of({FAULTS, *self._links, *self._samples}):
-            if (message := decode(record)) is None:  # damaged
+            if (
+                message := decode(record, self._columns[record.topic], lacking=record.topic in self._samples)
+            ) is None:  # damaged
                 continue
             if record.topic in self._samples:
                 self._sample(record, message)
@@ -175,7 +181,8 @@ class _Feed:
         values: list[float] = [nan] * start
         for name, width in signals:
             value = getattr(message, name, None)  # a log of another version may lack it
-            values += [nan] * width if value is None else [value] if width == 1 else value
+            numbers = [nan] * width if value is None else [value] if width == 1 else [*value]
+            values += numbers if len(numbers) == width else [nan] * width
         self._found[i, group] = tuple(values)
 
     def _show(self) -> None:
@@ -187,7 +194,7 @@ class _Feed:
 
     def _show_silence(self, until: int) -> None:
         """The ticks before one at which a sample is due and the log has none: a run shows them to its checks, too."""
-        for tick in range(self._next, until) if self._whole else ():
+        for tick in range(self._next, min(until, self._end)) if self._whole else ():
             if self._checks.due(tick):
                 self._take(tick, {})
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from math import inf, nan
+from struct import error as struct_error
 from typing import Any
 
 from agents.decision import Decision
@@ -16,7 +17,7 @@ from agents.signals import Layout
 from fleet.errors import FleetError
 from fleet.logs.decoder import Decoder
 from fleet.logs.reader import LogReader
-from fleet.logs.schemas import COMMAND, Doubles, signal_columns
+from fleet.logs.schemas import COMMAND, PACKET, SNAPSHOT, Doubles, signal_columns
 from fleet.recorder.snapshot import TOPIC, Snapshot
 from fleet.scenario.scenario import Scenario
 from netem.impairment import LinkModel
@@ -85,7 +86,8 @@ def recorded_agents(reader: LogReader, scenario: Scenario, last_ns: int, *, whol
         whole: the log ends with the run, so that the fate of every packet is in it.
 
     Raises:
-        NotRecordedError: commands were thinned.
+        NotRecordedError: commands were thinned, or a message is damaged.
+        LogReadError: a schema is.
     """
     if not scenario.external:
         return {}
@@ -98,7 +100,7 @@ def recorded_agents(reader: LogReader, scenario: Scenario, last_ns: int, *, whol
     found = {i: RecordedAgent(i, scenario.layout(i), m, last_ns // tick_ns) for i in scenario.external}
     packets: dict[int, dict[int, tuple[int, bytes]]] = {i: {} for i in found}  # by vehicle and seq
     sure: set[tuple[int, int]] = set()  # those of which an undamaged copy was seen
-    decode, command = Decoder(reader).message, Doubles(COMMAND)
+    decode, command = Decoder(reader).ours, Doubles(COMMAND)
     groups = {
         (i, group): (Doubles(signal_columns(getattr(agent.layout, group))), agent.layout.group(group))
         for i, agent in found.items()
@@ -106,33 +108,39 @@ def recorded_agents(reader: LogReader, scenario: Scenario, last_ns: int, *, whol
         if getattr(agent.layout, group)
     }
     for record in reader:
-        head, _, rest = record.topic.partition("/")
         tick = record.log_ns // tick_ns
-        if head == "uuv":
-            number, _, group = rest.partition("/")
-            i = int(number)
-            if i in found and group == "command":
-                tau1, tau2, tau3, *_ = command.decode(record.data)  # those that were applied follow
-                found[i].commands[tick] = tau1, tau2, tau3
-            elif (i, group) in groups:
-                encoder, place = groups[i, group]
-                telemetry = found[i].telemetry.setdefault(tick, [nan] * found[i].layout.size)
-                telemetry[place] = encoder.decode(record.data)
-        elif head == "link":
-            src, dst = map(int, rest.split("-"))
-            if src in found and (src, record.sequence) not in sure:
-                message = decode(record)
-                payload = message.payload
-                if message.corrupted:
-                    model = LinkModel(scenario.conditions.get((src, dst), PERFECT), scenario.seed, (src, dst))
-                    payload = model.flipped(payload, message.seq, message.copy)
-                else:
-                    sure.add((src, message.seq))
-                packets[src][message.seq] = record.publish_ns // tick_ns, payload
-        elif head == TOPIC:
-            memories = Snapshot.from_bytes(decode(record).state).memories
-            for i in found.keys() & memories.keys():
-                found[i].memories[tick] = memories[i]
+        try:
+            head, _, rest = record.topic.partition("/")
+            if head == "uuv":
+                number, _, group = rest.partition("/")
+                i = int(number)
+                if i in found and group == "command":
+                    tau1, tau2, tau3, *_ = command.decode(record.data)  # those that were applied follow
+                    found[i].commands[tick] = tau1, tau2, tau3
+                elif (i, group) in groups:
+                    encoder, place = groups[i, group]
+                    telemetry = found[i].telemetry.setdefault(tick, [nan] * found[i].layout.size)
+                    telemetry[place] = encoder.decode(record.data)
+            elif head == "link":
+                src, dst = map(int, rest.split("-"))
+                if src in found and (src, record.sequence) not in sure:
+                    if (message := decode(record, PACKET)) is None or message.seq > scenario.ticks:
+                        raise ValueError
+                    payload = message.payload
+                    if message.corrupted:
+                        model = LinkModel(scenario.conditions.get((src, dst), PERFECT), scenario.seed, (src, dst))
+                        payload = model.flipped(payload, message.seq, message.copy)
+                    else:
+                        sure.add((src, message.seq))
+                    packets[src][message.seq] = record.publish_ns // tick_ns, payload
+            elif head == TOPIC:
+                if (message := decode(record, SNAPSHOT)) is None:
+                    raise ValueError
+                memories = Snapshot.from_bytes(message.state).memories
+                for i in found.keys() & memories.keys():
+                    found[i].memories[tick] = memories[i]
+        except (struct_error, ValueError):
+            raise NotRecordedError(f"a message of {record.topic} at tick {tick} is damaged") from None
     for i, agent in found.items():
         _transmitted(agent, packets[i], whole=whole or all(src != i for src, _ in scenario.graph.links))
     return found

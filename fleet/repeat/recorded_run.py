@@ -11,7 +11,7 @@ from typing import Any
 from fleet.errors import FleetError
 from fleet.logs.decoder import Decoder
 from fleet.logs.reader import LogReader, Record, Tell, log_path
-from fleet.logs.schemas import CLOCK, REAL, START
+from fleet.logs.schemas import CLOCK, FAULT, REAL, START
 from fleet.quantities import show_time
 from fleet.scenario.loading import parse_scenario
 from fleet.scenario.scenario import Scenario
@@ -85,10 +85,11 @@ def recorded(path: Path, tell: Tell = lambda _: None) -> Recorded:
             raise ScriptError(
                 f"{path} holds more than {MOST_EVENTS} events of faults, or {MOST_TEXT} bytes of them: that is no run"
             )
+    attached = _attached(path, reader)
     decode = Decoder(reader)
-    events = [(record.log_ns, decode.message(record)) for record in happened]
-    ours = [(at_ns, event) for at_ns, event in events if event is not None and event.DESCRIPTOR.name == "Fault"]
-    return Recorded(path, reader, _attached(path, reader), ours, reader.last_ns)
+    events = [(record.log_ns, decode.ours(record, FAULT)) for record in happened]
+    ours = [(at_ns, event) for at_ns, event in events if event is not None]
+    return Recorded(path, reader, attached, ours, reader.last_ns)
 
 
 def script(path: Path, tell: Tell = lambda _: None) -> Scenario:

@@ -23,8 +23,8 @@ from agents.make_agent import make_agent
 from agents.plugged_agent import PluggedAgent
 from fleet.errors import FleetError
 from fleet.logs.decoder import Decoder
-from fleet.logs.reader import LogReader, Tell, log_path
-from fleet.logs.schemas import ROLL, STATE
+from fleet.logs.reader import LogReader, Record, Tell, log_path
+from fleet.logs.schemas import COMMAND, PACKET, ROLL, STATE, Column
 from fleet.recorder.snapshot import Start
 from fleet.repeat.recorded_run import recorded as read
 from fleet.repeat.resume import start_of
@@ -199,17 +199,23 @@ def _read(
     commands: dict[int, tuple[float, ...]] = {}
     deliveries: list[Delivery] = []
     reader = LogReader(path, tell)
-    decode = Decoder(reader).message
+    decoder = Decoder(reader)
+
+    def decode(record: Record, columns: Sequence[Column]) -> Any:
+        if (message := decoder.ours(record, columns)) is None:
+            raise WhatIfError(f"{path}: a message of {record.topic} at t = {record.log_ns / 1e9:g} s is damaged")
+        return message
+
     nav, command = f"uuv/{agent}/nav", f"uuv/{agent}/command"
     for record in reader:
         if record.topic == nav:
-            m = decode(record)
+            m = decode(record, STATE)
             columns = STATE + ROLL if "phi" in m.DESCRIPTOR.fields_by_name else STATE
             navs.append((record.log_ns // tick_ns, tuple(getattr(m, column.name) for column in columns)))
         elif record.topic == command:
-            commands[record.log_ns // tick_ns] = tuple(decode(record).tau)
+            commands[record.log_ns // tick_ns] = tuple(decode(record, COMMAND[:1]).tau)
         elif record.topic.startswith("link/") and record.topic.endswith(f"-{agent}"):
-            m = decode(record)
+            m = decode(record, PACKET)
             if m.fate == "delivered":
                 src = int(record.topic.removeprefix("link/").split("-")[0])
                 sent = record.publish_ns // tick_ns

@@ -28,6 +28,21 @@ def showing(doing: str, *, quiet: bool = False) -> Iterator[Callable[[float], No
 
 
 @contextmanager
+def showing_steps(doing: str) -> Iterator[Callable[[], None]]:
+    """A function to call at each step of work whose length nobody knows."""
+    steps = 0
+    with StatusLine(Terminal(stderr=True), quiet=False, first_s=FIRST_S) as line:
+
+        def report() -> None:
+            nonlocal steps
+            steps += 1
+            if line.due():
+                line.show([Piece(1, [doing, *shortened(doing, 40, 20)]), Piece(0, [f"step {steps}"])])
+
+        yield report
+
+
+@contextmanager
 def showing_time(doing: str, *, quiet: bool = False) -> Iterator[Callable[[float, float], None]]:
     """A function to call with the simulated time that is reached and the one at which the work ends [s]."""
     terminal = Terminal(stderr=True)

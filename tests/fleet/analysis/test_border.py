@@ -209,3 +209,22 @@ def test_of_vehicles_with_equations_of_their_own_nothing_linear_is_said() -> Non
     assert found.not_linear == "vehicle 1 is the plant remus100, which has equations of its own"
     assert found.at_settled is None
     assert found.warnings == []
+
+
+def test_long_delays_are_not_computed_and_that_is_said() -> None:
+    """A delay of 30 s took 26 s and 320 MB."""
+    at, beyond = (load_scenario("paper", [f"network.links.*.delay={delay}"]) for delay in ("4.9s", "5.1s"))
+    assert linear_fleet(at, [(1.0, 1.0, 1.0)] * 4).members
+    found = analyse(beyond)
+    assert found.at_most is None
+    assert "a message takes up to 5.1 s; for 4 vehicles they are computed up to 5 s" in "\n".join(report(beyond, found))
+
+
+def test_each_step_of_a_long_computation_is_told() -> None:
+    steps: list[int] = []
+    scenario = load_scenario("paper")
+    found = analyse(scenario, tell=lambda: steps.append(1))
+    first = len(steps)
+    assert first > 0
+    report(scenario, found)
+    assert len(steps) > first + 10

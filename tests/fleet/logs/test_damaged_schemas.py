@@ -1,0 +1,188 @@
+"""Logs whose schemas or times are damaged, by somebody who made the checksums good: told in words by every reader."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+from google.protobuf import descriptor_pb2
+from huge_log import MESSAGE, chunk, record, records, text, write
+from mcap.opcode import Opcode
+from mcap.records import Schema
+
+import fleet
+from fleet.cli.main import cli
+from fleet.errors import FleetError
+from fleet.execution.execute import execute
+from fleet.execution.options import Options
+from fleet.logs.reader import LogReader
+from fleet.logs.records import MAGIC, parse
+from fleet.logs.recover import recover
+from fleet.scenario.loading import load_scenario
+
+MOST = (1 << 64) - 1
+Change = Callable[[int, bytes], bytes | None]  # opcode, content: the new content; None: the record is gone
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("runs")
+    asked = ["duration=2 s", "checks={signal: {topic: state.z, below: 99 m}}"]
+    faults = "faults=[{at: 1 s, for: 500 ms, id: crash, kill: 2}]"
+    return (
+        execute(load_scenario("paper", [*asked, faults]), Options(out, in_process=True, quiet=True)).directory
+        / "run.mcap"
+    )
+
+
+def changed(path: Path, source: Path, change: Change) -> Path:
+    """A log with other records."""
+    before, inside, times = b"", [], []
+    for opcode, body in records(source.read_bytes()[len(MAGIC) :]):
+        new = change(opcode, body)
+        if new is None or opcode in (Opcode.HEADER, Opcode.MESSAGE_INDEX):
+            continue
+        if opcode in (Opcode.METADATA, Opcode.ATTACHMENT):
+            before += record(opcode, new)
+        else:
+            inside.append(record(opcode, new))
+            times += [MESSAGE.unpack_from(new)[2]] if opcode == Opcode.MESSAGE else []
+    packed = chunk(b"".join(inside), min(times), max(times))
+    return write(path, iter([(packed, len(times), min(times), max(times))]), before)
+
+
+def other_schema(name: str, data: Callable[[Schema], bytes]) -> Change:
+    def change(opcode: int, body: bytes) -> bytes | None:
+        schema = parse(opcode, body) if opcode == Opcode.SCHEMA else None
+        if not isinstance(schema, Schema) or schema.name.rpartition(".")[2] != name:
+            return body
+        return struct.pack("<H", schema.id) + text(schema.name) + text(schema.encoding) + text(data(schema))
+
+    return change
+
+
+def fields(schema: Schema) -> Iterator[tuple[descriptor_pb2.FileDescriptorSet, descriptor_pb2.FieldDescriptorProto]]:
+    found = descriptor_pb2.FileDescriptorSet.FromString(schema.data)
+    for file in found.file:
+        for message in file.message_type:
+            for field in message.field:
+                yield found, field
+
+
+def garbage(schema: Schema) -> bytes:
+    return b"\xff\xff"
+
+
+def texts(schema: Schema) -> bytes:
+    for found, field in fields(schema):  # noqa: B007
+        field.type = descriptor_pb2.FieldDescriptorProto.TYPE_STRING
+    return found.SerializeToString()
+
+
+def numbers(schema: Schema) -> bytes:
+    for found, field in fields(schema):  # noqa: B007
+        field.type = descriptor_pb2.FieldDescriptorProto.TYPE_DOUBLE
+    return found.SerializeToString()
+
+
+def renamed(schema: Schema) -> bytes:
+    for found, field in fields(schema):  # noqa: B007
+        field.name = f"q_{field.name}"
+    return found.SerializeToString()
+
+
+def said(*arguments: object) -> str:
+    """What a command says, whose exit status is 2 or that raises an error of ours."""
+    done = CliRunner().invoke(cli, list(map(str, arguments)))
+    if isinstance(done.exception, FleetError):
+        return str(done.exception)
+    assert isinstance(done.exception, SystemExit), done.exc_info
+    assert done.exit_code == 2, done.output
+    return done.output
+
+
+@pytest.mark.parametrize("damage", [garbage, texts, renamed])
+@pytest.mark.parametrize("name", ["State", "Command", "Packet"])
+def test_what_if_says_which_schema(name: str, damage: Callable[[Schema], bytes], run: Path, tmp_path: Path) -> None:
+    log = changed(tmp_path / "a.mcap", run, other_schema(name, damage))
+    assert "the schema of" in said("whatif", log, "--agent", 3)
+
+
+@pytest.mark.parametrize("damage", [garbage, numbers, renamed])
+@pytest.mark.parametrize("command", [["script"], ["check-log"], ["verify", "-q"], ["whatif", "--agent", "3"]])
+def test_faults_that_cannot_be_read_are_not_left_out(
+    command: list[str], damage: Callable[[Schema], bytes], run: Path, tmp_path: Path
+) -> None:
+    log = changed(tmp_path / "a.mcap", run, other_schema("Fault", damage))
+    assert "the schema of faults cannot be used" in said(command[0], log, *command[1:])
+
+
+@pytest.mark.parametrize("damage", [garbage, texts])
+def test_check_log_judges_no_samples_that_it_cannot_read(
+    damage: Callable[[Schema], bytes], run: Path, tmp_path: Path
+) -> None:
+    log = changed(tmp_path / "a.mcap", run, other_schema("State", damage))
+    assert "the schema of uuv/1/state cannot be used" in said("check-log", log)
+
+
+@pytest.mark.parametrize("command", [["plot"], ["report", "--force"]])
+def test_a_picture_of_what_are_no_numbers(command: list[str], run: Path, tmp_path: Path) -> None:
+    log = changed(tmp_path / "a.mcap", run, other_schema("State", texts))
+    found = said(command[0], log, "-o", tmp_path / "out", *command[1:])
+    assert "uuv/1/state: the log's schema uuv_fleet.State cannot be used" in found
+
+
+def test_check_log_says_which_link(run: Path, tmp_path: Path) -> None:
+    log = changed(tmp_path / "a.mcap", run, other_schema("Packet", renamed))
+    assert "the schema of link/" in said("check-log", log)
+
+
+def test_a_time_of_foxglove_that_is_none(run: Path, tmp_path: Path) -> None:
+    """Its schema says that the timestamp has other fields."""
+    log = fleet.open_log(changed(tmp_path / "a.mcap", run, other_schema("PoseInFrame", renamed)))
+    assert len(log["uuv/1/pose"].fields) > 0
+
+
+# --- times -------------------------------------------------------------------
+
+
+def stamped(number: int, log_ns: int | None, publish_ns: int | None) -> Change:
+    """Another time of one message."""
+    seen = iter(range(1 << 30))
+
+    def change(opcode: int, body: bytes) -> bytes:
+        if opcode != Opcode.MESSAGE or next(seen) != number:
+            return body
+        channel, sequence, first, second = MESSAGE.unpack_from(body)
+        times = first if log_ns is None else log_ns, second if publish_ns is None else publish_ns
+        return MESSAGE.pack(channel, sequence, *times) + body[MESSAGE.size :]
+
+    return change
+
+
+@pytest.mark.parametrize("number", [0, 1000])
+@pytest.mark.parametrize("times", [(MOST, None), (None, MOST), (1 << 63, 1 << 63)])
+def test_a_time_that_is_none_is_damage(
+    number: int, times: tuple[int | None, int | None], run: Path, tmp_path: Path
+) -> None:
+    """What stands before it is read; `fleet recover` keeps what stands behind it, too."""
+    log = changed(tmp_path / "a.mcap", run, stamped(number, *times))
+    reader = LogReader(log)
+    assert sum(1 for _ in reader) == number
+    assert "a message whose time is beyond the year 2262" in reader.missing
+    assert reader.last_ns < 10**10
+    found = recover(log)
+    assert found.messages == sum(1 for _ in LogReader(run)) - 1
+    assert "beyond the year 2262" in found.lost
+
+
+def test_a_log_that_seems_to_last_a_year_is_judged_up_to_the_end_of_its_run(run: Path, tmp_path: Path) -> None:
+    """Not tick by tick for a year."""
+    last = sum(1 for _ in LogReader(run)) - 1
+    log = changed(tmp_path / "a.mcap", run, stamped(last, 10**16, 10**16))
+    done = CliRunner().invoke(cli, ["check-log", str(log)])
+    assert done.exit_code in (0, 1, 2), done.output
+    assert done.exception is None or isinstance(done.exception, SystemExit)

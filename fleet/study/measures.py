@@ -134,4 +134,5 @@ MEASURES: dict[str, Measure] = {
     )
 }
 SEPARATION = Column("separation_min_m", "m")  # least distance of two vehicles
+MORE_IS_BETTER = frozenset({"packets_delivered", "sim_s", SEPARATION.name})  # of all others less is
 STANDING = (*(measure.column for measure in MEASURES.values()), SEPARATION)  # of every study

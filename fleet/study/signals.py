@@ -23,7 +23,7 @@ from fleet.recorder.separation import Separation
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.sections.signals import NAME, SignalError, SignalName, places, unit_of
 from fleet.study.errors import StudyError
-from fleet.study.measures import SEPARATION, STANDING, Column
+from fleet.study.measures import MORE_IS_BETTER, SEPARATION, STANDING, Column
 from netem.parsing import nearest
 from netem.wire.messages import Command, Frame
 
@@ -116,6 +116,11 @@ def signal_columns_of(texts: Iterable[str], scenarios: Sequence[Scenario]) -> li
         for scenario in scenarios
     }
     return [_column(measure, list(fleets.values())) for measure in dict.fromkeys(measures)]
+
+
+def more_is_better(name: str) -> bool:
+    """Whether a larger number is the better one; of signals only if it is the least value, as of a distance."""
+    return parse_signal(name).how == "min" if is_signal(name) else name in MORE_IS_BETTER
 
 
 def check_name(name: str) -> None:

@@ -17,6 +17,7 @@ from fleet.study.border_theory import Theory
 from fleet.study.borders import Border, Borders, Run
 from fleet.study.errors import StudyError
 from fleet.study.pictures.marks import text
+from fleet.study.pictures.words import key_words, short_words, value_words
 from fleet.study.record import AxisRecord
 
 MOST_PANELS = 16
@@ -219,19 +220,11 @@ def _limits(borders: Borders) -> tuple[float, float]:
 
 
 def _label(axis: AxisRecord) -> str:
-    return text(_short(axis.key)) + (f" [{text(axis.unit)}]" if axis.unit else "")
+    return text(key_words(axis.key)) + (f" [{text(axis.unit)}]" if axis.unit else "")
 
 
 def _words(borders: Borders, kind: Mapping[str, float | str]) -> str:
     """Values of some keys, with units."""
     units = {axis.key: axis.unit for axis in borders.store.record.axes}
-    parts = [
-        f"{text(_short(key))} {text(value if isinstance(value, str) else f'{value:g} {units[key]}'.rstrip())}"
-        for key, value in kind.items()
-    ]
-    return ", ".join(parts)
-
-
-def _short(key: str) -> str:
-    """The last word of a key, as titles have it."""
-    return key.rpartition(".")[2]
+    shown = {k: value_words(v) if isinstance(v, str) else f"{v:g} {units[k]}".rstrip() for k, v in kind.items()}
+    return ", ".join(f"{text(short_words(key))} {text(value)}" for key, value in shown.items())

@@ -28,6 +28,7 @@ from fleet.study.pictures.marks import (
     text,
 )
 from fleet.study.pictures.points import Cell, Quantity, Value
+from fleet.study.pictures.words import value_words
 
 MOST_ROWS = 60
 _ROW_IN = 0.24
@@ -73,7 +74,9 @@ def boxes(quantity: Quantity, layout: Layout, shown: Sequence[Panel], log_scale:
                     _one(ax, quantity, cell, at, 1.0 / len(colours), COLOURS[number])
                     lacks.add(ax, cell, (1.0 - _LACK, at + 0.45 / len(colours), _LACK, -0.9 / len(colours)))
                     lacking |= any(cell.lack)
-        ax.set_yticks(range(len(names)), labels=[text("all runs" if name is None else str(name)) for name in names])
+        ax.set_yticks(
+            range(len(names)), labels=[text("all runs" if name is None else value_words(name)) for name in names]
+        )
         ax.set_ylim(len(names) - 0.45, -0.55)
         ax.grid(visible=False, axis="y")
         if quantity.kind == "share":
@@ -90,7 +93,7 @@ def boxes(quantity: Quantity, layout: Layout, shown: Sequence[Panel], log_scale:
     figure.supxlabel(quantity_label(quantity, _WORDS if columns == 1 else 2 * _WORDS), fontsize=TEXT_PT)
     lacks.draw(lambda ax: ax.get_yaxis_transform())
     coloured = [
-        Patch(color=COLOURS[k], alpha=2 * BAND, linewidth=0, label=text(str(name)))
+        Patch(color=COLOURS[k], alpha=2 * BAND, linewidth=0, label=text(value_words(name)))
         for k, name in enumerate(colours)
         if name is not None
     ]

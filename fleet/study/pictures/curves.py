@@ -27,6 +27,7 @@ from fleet.study.pictures.marks import (
     text,
 )
 from fleet.study.pictures.points import Quantity, Value
+from fleet.study.pictures.words import value_words
 
 _MARKERS = "osD^vP*"
 _MOST_BANDS, _MOST_BARS = 3, 12  # more lines have a bar at each place, if there are no more places
@@ -100,7 +101,15 @@ def curves(quantity: Quantity, layout: Layout, shown: Sequence[Panel], log_scale
             ax.set_title(shown[k].title)
     lacks.draw(lambda ax: ax.get_xaxis_transform())
     lines = [
-        Line2D([], [], color=COLOURS[k], linestyle=STYLES[k], marker=_MARKERS[k], markersize=3.0, label=text(str(name)))
+        Line2D(
+            [],
+            [],
+            color=COLOURS[k],
+            linestyle=STYLES[k],
+            marker=_MARKERS[k],
+            markersize=3.0,
+            label=text(value_words(name)),
+        )
         for k, name in enumerate(names)
         if name is not None
     ]

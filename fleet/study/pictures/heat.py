@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from math import isfinite, isnan
+from textwrap import fill
 
 import numpy as np
 from matplotlib import colormaps
@@ -28,6 +29,7 @@ from fleet.study.pictures.marks import (
     scale,
 )
 from fleet.study.pictures.points import Cell, Quantity
+from fleet.study.signals import more_is_better
 from fleet.study.statistics import Estimate
 
 _BAR = 48  # characters of a line above the bar
@@ -35,6 +37,7 @@ _SMALL_PT = 5.0  # of intervals
 _MARGIN_PT, _TICKS_PT = 20.0, 26.0  # of a page, and of each panel: what is left of the cells
 _MOST_WORDS = 1000  # cells
 _STRIP = 0.1  # of the width of a cell: hatched where some of its runs lack the number
+_CHARACTER_PT = 4.6  # along an axis
 _CELL_PT = 21.0  # height of a cell with a value and an interval
 
 
@@ -56,10 +59,8 @@ def heat(quantity: Quantity, layout: Layout, shown: Sequence[Panel], log_scale: 
     digits = Digits(_each(tables, lambda estimate: estimate.value), scale(quantity))
     fits = _room(tables, cell_pt, digits)
     both = 2 if fits < 2 and _each(tables, lambda estimate: estimate.half) else 1
-    height = (
-        rows * max(1.1, min(len(y.values) * (_CELL_PT if fits == 2 else 12.0) / 72.0, 4.0) + 0.35 + _title_in(shown))
-        + 0.5
-    )
+    cells = min(len(y.values) * (_CELL_PT if fits == 2 else 12.0) / 72.0, 4.0)  # of a panel [inches]
+    height = rows * max(1.1, cells + 0.35 + _title_in(shown)) + 0.5
     figure, axes = panels(rows * both, columns, width, both * height, share=False)
     lacks = Lacks()
     drawings: list[Drawing] = [_values(quantity, tables, log_scale)]
@@ -84,7 +85,7 @@ def heat(quantity: Quantity, layout: Layout, shown: Sequence[Panel], log_scale: 
             few_ticks(ax.xaxis, [f"{value:g}" for value in x.values], max(3, int(cell_pt * len(x.values) / 22.0)))
             few_ticks(ax.yaxis, [f"{value:g}" for value in y.values], 14)
             if k % columns == 0:
-                ax.set_ylabel(axis_label(y))
+                ax.set_ylabel(fill(axis_label(y), max(10, int(max(cells, 0.7) * 72.0 / _CHARACTER_PT))))
             if k + columns >= len(shown):
                 ax.set_xlabel(axis_label(x))
             if panel.title:
@@ -117,15 +118,17 @@ def _values(quantity: Quantity, tables: Tables, log_scale: bool | None) -> Drawi
     def value(estimate: Estimate) -> float:
         return factor * estimate.value
 
+    more = quantity.kind == "share" or more_is_better(quantity.name)
     if quantity.kind == "difference":
         most = max(map(abs, found)) or 1.0
-        return value, Normalize(-most, most), DIVERGING, label
+        return value, Normalize(-most, most), DIVERGING.reversed() if more else DIVERGING, label
+    colours = colormaps["cividis" if more else "cividis_r"]  # bright is good
     if quantity.kind == "share":
-        return value, Normalize(0.0, 100.0), colormaps["cividis"], label
+        return value, Normalize(0.0, 100.0), colours, label
     positive = [v for v in found if v > 0.0]
     if log_scale and len(positive) > 1 and min(positive) < max(positive):
-        return value, LogNorm(min(positive), max(positive)), colormaps["cividis"], label
-    return value, Normalize(min(found), max(found)), colormaps["cividis"], label
+        return value, LogNorm(min(positive), max(positive)), colours, label
+    return value, Normalize(min(found), max(found)), colours, label
 
 
 def _widths(quantity: Quantity, tables: Tables) -> Drawing:

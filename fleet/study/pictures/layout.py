@@ -10,6 +10,7 @@ from typing import Literal
 from fleet.palette import COLOURS
 from fleet.study.pictures.marks import text
 from fleet.study.pictures.points import Dimension, Key, Quantity, Value
+from fleet.study.pictures.words import short_words
 
 MOST_PANELS = 12  # of one picture; more go to further ones
 
@@ -68,6 +69,6 @@ def _panels(dimensions: tuple[Dimension, ...], places: list[int]) -> Iterator[Pa
     for values in product(*(dimensions[k].values for k in places)):
         fixed = dict(zip(places, values, strict=True))
         title = ", ".join(
-            f"{text(dimensions[k].name)} {text(dimensions[k].shown(value))}" for k, value in fixed.items()
+            f"{text(short_words(dimensions[k].key))} {text(dimensions[k].shown(value))}" for k, value in fixed.items()
         )
         yield Panel(title, fixed)

@@ -21,6 +21,7 @@ from fleet.errors import printable
 from fleet.palette import COLOURS
 from fleet.pictures.style import LEGEND_PT
 from fleet.study.pictures.points import Cell, Dimension, Quantity
+from fleet.study.pictures.words import value_words
 from fleet.study.statistics import CONFIDENCE, LEAST, Estimate, levels
 
 LONGEST_NAME = 30  # characters
@@ -43,7 +44,7 @@ def text(words: str, most: int = LONGEST_NAME) -> str:
 
 
 def axis_label(dimension: Dimension) -> str:
-    """The key, and its unit."""
+    """What varies in words, and its unit."""
     return text(dimension.name) + (f" [{text(dimension.unit)}]" if dimension.unit else "")
 
 
@@ -56,7 +57,7 @@ def quantity_label(quantity: Quantity, width: int = WRAPPED) -> str:
     """What a picture shows, in lines."""
     label = wrapped(quantity.what, width)
     if quantity.kind == "difference":
-        label += f"\n{text(quantity.pair, width) if quantity.pair else 'difference of pairs'}"
+        label += f"\n{text(value_words(quantity.pair), width) if quantity.pair else 'difference of pairs'}"
     return label
 
 

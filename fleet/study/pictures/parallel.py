@@ -17,6 +17,7 @@ from fleet.pictures.runs import NothingToDraw
 from fleet.pictures.style import COLUMN_IN, LABEL_PT, PAGE_IN, THIN, panels
 from fleet.study.pictures.marks import axis_label, legend, logarithmic, rough, spans_much, text, wrapped
 from fleet.study.pictures.points import NO_RESULT, NOT_MADE, PASSED, Dimension, Points
+from fleet.study.pictures.words import value_words
 
 MOST_AXES = 12
 _WIDE = 5  # axes: more need the width of a page
@@ -80,7 +81,7 @@ def _dimension(ax: Axes, at: int, dimension: Dimension, values: Sequence[float |
     if dimension.unit is not None:
         return _numbers(ax, at, np.array(values, float), logarithmic(map(float, dimension.values)))
     places = {value: k / (len(dimension.values) - 1) for k, value in enumerate(dimension.values)}
-    _axis(ax, at, [(place, text(str(value), 12)) for value, place in places.items()])
+    _axis(ax, at, [(place, text(value_words(value), 12)) for value, place in places.items()])
     return np.array([places[value] for value in values])
 
 

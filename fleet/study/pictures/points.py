@@ -15,6 +15,7 @@ from fleet.logs.records import Array
 from fleet.study.errors import StudyError
 from fleet.study.measures import MEASURES
 from fleet.study.one_run import FAILED
+from fleet.study.pictures.words import key_words, value_words
 from fleet.study.plan import MOST_RUNS
 from fleet.study.signals import find_columns
 from fleet.study.statistics import Estimate, median, pass_rate
@@ -45,12 +46,12 @@ class Dimension:
 
     @property
     def name(self) -> str:
-        """The key as tables have it."""
-        return self.key.removeprefix("network.links.")
+        """The key in words."""
+        return key_words(self.key)
 
     def shown(self, value: Value) -> str:
         """A value with its unit."""
-        return value if isinstance(value, str) else f"{value:.4g} {self.unit or ''}".rstrip()
+        return value_words(value) if isinstance(value, str) else f"{value:.4g} {self.unit or ''}".rstrip()
 
 
 @dataclass(frozen=True, slots=True)

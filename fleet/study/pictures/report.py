@@ -55,13 +55,18 @@ def write(
 
 def page(store: Store, points: Points, log_scale: bool | None = None, share: Tell = lambda _: None) -> str:
     """The whole page as HTML. Raises StudyError: the study is damaged."""
-    rows = store.table(_COLUMNS).to_pylist()
+    checks = [f"check.{name}" for name in store.record.checks]
+    rows = store.table([*_COLUMNS, *checks]).to_pylist()
     directory = store.directory.resolve()
     scenarios = store.points()
+    pictures = _pictures(points, log_scale, share)
     return render(
         "fleet.study.pictures",
         TEMPLATE,
         title=f"uuv-fleet: study {directory.name}",
+        verdict=_verdict(rows),
+        first=pictures.drawn[0] if pictures.drawn else None,
+        failed=_failed(rows, store.record.checks),
         facts=Table((), _facts(store, points, rows)),
         axes=Table(("what varies", "unit", "values"), [_axis(each) for each in points.dimensions]),
         missing=int((points.state == NOT_MADE).sum()),
@@ -69,7 +74,7 @@ def page(store: Store, points: Points, log_scale: bool | None = None, share: Tel
         place=shlex.quote(str(directory)),
         results=_results(points),
         comparisons=_comparisons(points),
-        pictures=_pictures(points, log_scale, share),
+        pictures=pictures._replace(drawn=pictures.drawn[1:]),
         reasons=_reasons(rows),
         again=_again(directory, rows),
         scenario=scenarios[0]["scenario"] if scenarios else "",
@@ -99,6 +104,30 @@ def _facts(store: Store, points: Points, rows: Sequence[dict[str, Any]]) -> list
         ("made by", "; ".join(f"{which}: {count} runs" for which, count in made.items()) or record.made_by),
         ("directory", str(store.directory.resolve())),
     ]  # fmt: skip
+
+
+def _verdict(rows: Sequence[dict[str, Any]]) -> str:
+    """How many runs passed, and between which shares the points are; an interval of all points would mean nothing."""
+    points: dict[int, list[bool]] = {}
+    for row in rows:
+        if row["status"] in _RESULT:
+            points.setdefault(row["point"], []).append(row["passed"] is True)
+    if not points:
+        return "no run has a result"
+    passed, judged = sum(map(sum, points.values())), sum(map(len, points.values()))
+    shares = [sum(some) / len(some) for some in points.values()]
+    spread = f"; of a point {min(shares):.0%} to {max(shares):.0%}" if len(points) > 1 else ""
+    return f"{passed} of {judged} runs passed ({passed / judged:.0%}{spread})"
+
+
+def _failed(rows: Sequence[dict[str, Any]], checks: Sequence[str]) -> Table:
+    """The checks that failed, the one that most runs failed on top."""
+    judged = [row for row in rows if row["status"] in _RESULT]
+    counts = Counter({name: sum(row[f"check.{name}"] is False for row in judged) for name in checks})
+    found = [
+        (name, Mark(False, str(count)), f"{count / len(judged):.0%}") for name, count in counts.most_common() if count
+    ]
+    return Table(("check", "runs that failed it", "share"), found)
 
 
 def _begun(directory: Path) -> str:

@@ -17,6 +17,7 @@ from fleet.pictures.style import COLUMN_IN, PAGE_IN
 from fleet.study.pictures.gallery import draw, write
 from fleet.study.pictures.marks import REASONS
 from fleet.study.pictures.points import MADE, Dimension, Points, load
+from fleet.study.signals import more_is_better
 from fleet.study.store import Store
 
 SAMPLE = ("network.links.*.loss=0 %..60 % latin 6", "network.links.*.delay=50 ms..1 s latin 6")
@@ -206,3 +207,22 @@ def test_a_measure_is_no_path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
     stems = ["final-uuv-3-state.z", "out-of-here", "p95-error.e", "p95-error.e-2"]
     assert found == [tmp_path / "plots" / f"{stem}.png" for stem in stems]
     assert len(list((tmp_path / "plots").iterdir())) == 4
+
+
+def test_bright_is_good_in_heat_maps(tmp_path: Path) -> None:
+    """A high pass rate is bright, and so is a small error; axes have words."""
+
+    def bright(name: str) -> tuple[float, float]:
+        found = figures(made_up(tmp_path / f"{name}-study", LOSS, DELAY, row=usual), "formation_final_m")[name]
+        image = found.axes[0].images[0]
+        values = np.ma.masked_invalid(image.get_array())
+        colours = [image.cmap(image.norm(value))[:3] for value in (values.min(), values.max())]
+        assert found.axes[0].get_xlabel() == "loss of every link [%]"
+        least, most = (0.299 * red + 0.587 * green + 0.114 * blue for red, green, blue in colours)
+        return least, most
+
+    least, most = bright("passed")
+    assert least < most
+    least, most = bright("formation_final_m")
+    assert least > most
+    assert more_is_better("separation_min_m") and not more_is_better("p95 |error.e|") and more_is_better("min nav.u")

@@ -137,3 +137,15 @@ def test_many_points_and_reasons_are_cut_and_counted(tmp_path: Path, monkeypatch
     said = words_of(page_of(store))
     assert "1 more, which fleet.open_study has" in said
     assert "2 more, reasons of fewer runs" in said
+
+
+def test_the_page_begins_with_what_passed_a_picture_and_the_reason(tmp_path: Path) -> None:
+    def row(values: Any, seed: int) -> Any:
+        found = usual(values, seed)
+        return {**found, "check.tumbled": found["passed"], "check.deaths": True, "check.qp_infeasible": seed > 1}
+
+    page = page_of(made_up(tmp_path / "study", LOSS, row=row), "formation_final_m")
+    assert "3 of 9 runs passed (33%; of a point 0% to 100%)" in page
+    places = [page.index(part) for part in ("runs passed (", "<figure", ">Why runs failed<", ">What was run<")]
+    assert places == sorted(places)
+    assert "check | runs that failed it | share | tumbled | 6 | 67% | qp_infeasible | 3 | 33%" in words_of(page)

@@ -44,6 +44,11 @@ export class Camera {
     else this.azimuth = 0;
   }
 
+  // What comes next is of another time: it is brought into sight at once.
+  jump() {
+    this.#known = false;
+  }
+
   // Follow points so that they stay in sight; smoothly, but at once the first time or after a jump.
   follow(points, share = 0.08) {
     if (!points.length) return;

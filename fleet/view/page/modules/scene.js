@@ -70,7 +70,10 @@ export class Scene {
     const jump = this.now && (frame.t < this.now.frame.t || frame.t > this.now.frame.t + 5);
     this.before = jump ? null : this.now;
     this.now = { at, frame };
-    if (jump) this.packets.clear();
+    if (jump) {
+      this.packets.clear();
+      this.camera.jump();
+    }
     this.worst = new Set(isCrowd(this.setup) ? worst(frame.errors) : []);
     if (!isCrowd(this.setup)) this.packets.take(frame.packets, frame.clock.rate || 1, this.setup.links, this.setup.acoustic, at);
     this.samples(frame.samples);

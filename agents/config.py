@@ -91,7 +91,8 @@ class KeepApartParams:
     lag_s: float  # longest lag of the velocity behind the command
     slew: float  # m/s^2 per axis, limit of how fast the filter changes the command
     acceleration: float  # m/s^2, limit of what a neighbour does
-    speed: float  # m/s, likewise; and on each axis the limit of what the filter commands
+    speed: float  # m/s, likewise; and on each horizontal axis the limit of what the filter commands
+    climb: float  # m/s, up or down, the limit of what is commanded
     age_cap_s: float  # what is older is extrapolated no further, and its margin grows no more
 
 

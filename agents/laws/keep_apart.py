@@ -10,12 +10,17 @@
 | rho | commanded velocity | m/s | NED |
 | b | the vehicle's heading | 1 | NED |
 | a, T | gain of the barrier; longest lag of the velocity behind rho | 1/s, s | - |
+| climb | greatest vertical velocity that is commanded, up or down | m/s | NED |
 | margin(A) | what the neighbour can have done since it sampled | m | - |
 
     minimise   |rho - target|^2 / 2 + PENALTY s
     subject to n' (rho - m) + s >= -(a/2) (h - margin(A) + T n' (v_i - v_j)),  m = (v_i + v_j) / 2,  of each neighbour
                n' rho       + s >= -a (h + T n' v_i),                                               of each cylinder
-               b' rho >= least ahead,   s >= 0,   |rho| <= speed on each axis, CLIMB speed on the vertical one
+               b' rho >= least ahead,   s >= 0,   |rho| <= speed on each axis, climb on the vertical one
+
+The limit of the vertical velocity holds for what the guidance commands as well, and is less in proportion where the
+command is slower than `least ahead`. A vehicle climbs by pitching, and by that gets a heave velocity w which fades
+slowly. When it then slows down to u, it must pitch by about w / u more.
 
 Both halves of a pair sum up to n' (rho_i - rho_j) >= -a (h + T h'). With v' = (rho - v) / tau, for each lag tau up
 to T, this keeps h >= 0 if h + T h' >= 0 at the start. docs/guide/keep-apart.md derives it.
@@ -40,7 +45,6 @@ from world.vectors import ZERO, Vec3, dot, minus, moved, scale
 PENALTY = 1000.0
 TOLERANCE = 1e-10  # of PIQP
 SLACK = 1e-6  # m/s; more than this is an infeasible problem
-CLIMB = 0.3  # greatest vertical velocity over `speed`: a vehicle climbs by pitching, and must not stand on its nose
 ASIDE = 0.5  # of the velocity that is lost along a constraint, what is added across it
 SIDE = 0.1  # a relative course that passes by less than this to port, over its length, has no side: starboard then
 _HESSIAN = np.diag([1.0, 1.0, 1.0, 0.0]).copy(order="F")  # of rho and the slack; PIQP wants columns
@@ -138,7 +142,7 @@ def apart(rho: Vec3, found: Sequence[Bound], ahead: Bound, params: KeepApartPara
         return Filtered(rho, 0, 0.0)
     first = found[missed.index(worst)]
     target = moved(rho, _aside(first, rho), ASIDE * worst)
-    widest = _widest(rho, params.speed)
+    widest = _widest(rho, params)
     answer = _nearest(target, found, (ahead.n, min(ahead.least, dot(ahead.n, rho))), widest)
     if answer is None:  # what PIQP cannot solve, such as the velocities of a neighbour that lies
         answer = clip(moved(rho, first.n, worst), scale(widest, -1.0), widest)
@@ -147,10 +151,10 @@ def apart(rho: Vec3, found: Sequence[Bound], ahead: Bound, params: KeepApartPara
     return Filtered(answer, sum(left >= -SLACK for left in rest), slack if slack > SLACK else 0.0)
 
 
-def _widest(rho: Vec3, speed: float) -> Vec3:
+def _widest(rho: Vec3, params: KeepApartParams) -> Vec3:
     """The greatest commanded velocity on each axis [m/s]; rho itself is within it."""
     x, y, z = rho
-    return max(speed, abs(x)), max(speed, abs(y)), max(CLIMB * speed, abs(z))
+    return max(params.speed, abs(x)), max(params.speed, abs(y)), max(params.climb, abs(z))
 
 
 def _nearest(target: Vec3, found: Sequence[Bound], ahead: tuple[Vec3, float], widest: Vec3) -> Vec3 | None:
@@ -235,13 +239,23 @@ class KeepApart:
         params, heading = self._params, sample.eta[4]
         ahead = Bound((cos(heading), sin(heading), 0.0), self._least_ahead, ZERO)
         found = bounds(sample.eta[:3], sample.velocity, neighbours, params)
+        asked, rho = rho, self._level(rho)
         goal, active, slack = apart(rho, found, ahead, params)
         self.infeasible += slack > 0.0
         if active or self._changes:
             before = rho if self._answer is None else self._answer
-            goal = slew(goal, before, params.slew * sample.dt)
+            goal = self._level(slew(goal, before, params.slew * sample.dt))
         self._answer, self._changes = goal, goal != rho
-        return goal, (float(active), slack, float(self.infeasible), *minus(goal, rho))
+        return goal, (float(active), slack, float(self.infeasible), *minus(goal, asked))
+
+    def _level(self, rho: Vec3) -> Vec3:
+        """`rho` [m/s, NED] with its vertical velocity limited, to less where it is slower than the vehicle can be."""
+        north, east, down = rho
+        most, slowest = self._params.climb, self._least_ahead
+        level = hypot(north, east)
+        if level < slowest:
+            most *= level / slowest
+        return north, east, max(-most, min(most, down))
 
     def state(self) -> dict[str, Any]:
         """Plain values of everything that the next sample depends on."""

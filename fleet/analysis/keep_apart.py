@@ -39,11 +39,23 @@ def keep_apart_warnings(scenario: Scenario) -> Iterator[str]:
             f"keep_apart: vehicles {deaf[0][0]} and {deaf[0][1]} do not both hear each other{more}; a vehicle keeps "
             "apart from those that it hears, so add links to the graph"
         )
+    steepest = max(abs(_climb(scenario, t)) for t in range(scenario.duration_ns // 1_000_000_000 + 1))
+    if steepest > section.climb:
+        yield (
+            f"keep_apart: the course of a vehicle climbs or dives with up to {steepest:.3g} m/s, and keep_apart.climb "
+            f"limits every command to {section.climb:g} m/s, so it falls behind"
+        )
     yield from _too_near("at the start", [eta[:3] for eta, _ in scenario.initial], section)
     end = scenario.duration_ns / 1e9
     place = scenario.reference.at(end).position
     there = [plan.at(end).position for plan in scenario.plans]
     yield from _too_near("in the formation at the end", [plus(place, offset) for offset in there], section)
+
+
+def _climb(scenario: Scenario, t: float) -> float:
+    """The fastest climb or dive that any vehicle is to make at a time [s], downwards positive [m/s]."""
+    down = scenario.reference.at(t).velocity[2]
+    return max((down + plan.at(t).velocity[2] for plan in scenario.plans), key=abs)
 
 
 def _too_near(when: str, places: Sequence[Vec3], section: KeepApartSection) -> Iterator[str]:

@@ -90,7 +90,8 @@ FIELDS: dict[type, dict[str, Meaning]] = {
         "lag_s": ("real", "s", "longest lag of the velocity behind the command"),
         "slew": ("real", "m/s^2", "per axis, limit of how fast the filter changes the command"),
         "acceleration": ("real", "m/s^2", "limit of what a neighbour does"),
-        "speed": ("real", "m/s", "likewise; and on each axis the limit of what the filter commands"),
+        "speed": ("real", "m/s", "likewise; and on each horizontal axis the limit of what the filter commands"),
+        "climb": ("real", "m/s", "greatest vertical velocity that is commanded, up or down"),
         "age_cap_s": ("real", "s", "what is older is extrapolated no further, and its margin grows no more"),
     },
     Cylinder: {

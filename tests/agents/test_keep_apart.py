@@ -13,7 +13,7 @@ from small_scenario import SMALL, only_problem, small
 from agents.api import Sample
 from agents.config import AgentConfig, Cylinder, KeepApartParams
 from agents.controllers import layout
-from agents.laws.keep_apart import CLIMB, SLACK, Bound, KeepApart, Seen, apart, bounds, margin
+from agents.laws.keep_apart import SLACK, Bound, KeepApart, Seen, apart, bounds, margin
 from agents.neighbours import NeighbourTable
 from agents.offset import Offset
 from agents.payload import StateMessage, encode
@@ -25,7 +25,7 @@ from netem.wire.messages import Delivery
 from world.vectors import ZERO, Vec3, dot, minus, moved, plus, scale
 
 PARAMS = KeepApartParams(
-    distance=3.0, obstacles=(), gain=0.3, lag_s=1.0, slew=0.3, acceleration=0.5, speed=1.5, age_cap_s=2.0
+    distance=3.0, obstacles=(), gain=0.3, lag_s=1.0, slew=0.3, acceleration=0.5, speed=1.5, climb=0.1, age_cap_s=2.0
 )
 NOWHERE = Bound((1.0, 0.0, 0.0), -10.0, ZERO)  # no least velocity ahead
 
@@ -49,7 +49,7 @@ def course(speed: float, angle: float) -> Vec3:
 def test_every_constraint_holds_where_all_can(rows: list[tuple[Vec3, float]], possible: Vec3, rho: Vec3) -> None:
     """`possible` keeps all constraints and the limits, each with a little room."""
     x, y, z = possible
-    possible = (x, y, 0.4 * z)
+    possible = (x, y, 0.1 * z)
     found = [Bound(unit(n), dot(unit(n), possible) - room, ZERO) for n, room in rows]
     ahead = Bound((1.0, 0.0, 0.0), x - 0.01, ZERO)
     answer, active, slack = apart(rho, found, ahead, PARAMS)
@@ -60,6 +60,7 @@ def test_every_constraint_holds_where_all_can(rows: list[tuple[Vec3, float]], po
         assert active == 0
     else:
         assert active >= 1
+        assert abs(answer[2]) <= max(PARAMS.climb, abs(rho[2])) + SLACK
         assert answer[0] >= min(x - 0.01, rho[0]) - SLACK
         assert max(map(abs, answer)) <= PARAMS.speed + SLACK
 
@@ -169,7 +170,7 @@ def test_who_lies_commands_no_more_than_the_limits() -> None:
     rho = (1.0581352924977927, 0.2818074237756427, 0.33212083406733894)
     ahead = Bound((math.cos(2.7652084546664186), math.sin(2.7652084546664186), 0.0), 0.05, ZERO)
     north, east, down = apart(rho, bounds(ZERO, own, told, PARAMS), ahead, PARAMS).rho
-    assert max(abs(north), abs(east)) <= PARAMS.speed and abs(down) <= CLIMB * PARAMS.speed
+    assert max(abs(north), abs(east)) <= PARAMS.speed and abs(down) <= abs(rho[2])
 
 
 def test_the_table_gives_states_as_they_were_sampled_and_leaves_out_whom_it_drops() -> None:
@@ -197,6 +198,13 @@ def test_warnings_tell_what_cannot_be_kept_apart() -> None:
     ):
         assert any(words in line for line in told), (words, told)
     assert not any("keep_apart" in line for line in warnings(small()))
+
+
+def test_a_course_that_climbs_faster_than_the_limit_is_told() -> None:
+    course = "reference={start: 0 0 50 m, velocity: 0.6 0 0.3 m/s}"
+    (told,) = [line for line in warnings(small(course, "keep_apart={distance: 1 m}")) if "climbs" in line]
+    assert "with up to 0.3 m/s, and keep_apart.climb limits every command to 0.1 m/s" in told
+    assert not any("climbs" in line for line in warnings(small(course, "keep_apart={distance: 1 m, climb: 0.3 m/s}")))
 
 
 def test_a_law_in_place_of_guidance_and_tracking_leaves_no_place_for_it() -> None:
@@ -244,6 +252,28 @@ def test_the_filter_changes_the_command_slowly_and_goes_on_from_its_memory() -> 
     for _ in range(1000):
         last, _ = first.step(rho, sample, [])
     assert last == rho
+
+
+@given(st.lists(st.tuples(vector, vector, vector), min_size=1, max_size=20))
+def test_no_command_climbs_or_dives_faster_than_it_may(samples: list[tuple[Vec3, Vec3, Vec3]]) -> None:
+    """Whatever the guidance commands, wherever a neighbour is, and whatever was commanded before."""
+    law = KeepApart(PARAMS, 0.3)
+    for rho, place, velocity in samples:
+        sample = Sample(0, 0.0, 0.5, (0.0,) * 5, (0.7, 0.0, 0.0, 0.0, 0.0), (0.7, 0.0, 0.0), Motion(ZERO, ZERO), (),
+                        ZERO, 0.0, "")  # fmt: skip
+        answer, (*_, north, east, down) = law.step(rho, sample, [Seen(2, scale(place, 6.0), velocity, 0.3)])
+        assert abs(answer[2]) <= PARAMS.climb + SLACK
+        assert answer == pytest.approx(plus(rho, (north, east, down)))
+
+
+def test_a_command_that_dives_too_fast_loses_that_alone() -> None:
+    sample = Sample(0, 0.0, 0.01, (0.0,) * 5, (0.7, 0.0, 0.0, 0.0, 0.0), (0.7, 0.0, 0.0), Motion(ZERO, ZERO), (), ZERO,
+                    0.0, "")  # fmt: skip
+    for _ in range(2):
+        answer, (active, slack, infeasible, *change) = KeepApart(PARAMS, 0.3).step((0.5, -0.2, 0.4), sample, [])
+        assert answer == (0.5, -0.2, PARAMS.climb)
+        assert (active, slack, infeasible) == (0.0, 0.0, 0.0)
+        assert change == pytest.approx([0.0, 0.0, PARAMS.climb - 0.4])
 
 
 def test_a_run_without_the_section_reports_nothing_of_it() -> None:

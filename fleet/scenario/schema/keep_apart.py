@@ -29,5 +29,6 @@ class KeepApartSection(Section):
     lag: Period = 1_000_000_000  # the longest time in which a velocity follows its command
     slew: PositiveAcceleration = 0.3  # per axis: how fast the filter changes the command
     acceleration: PositiveAcceleration = 0.5  # what a neighbour may do since it was heard
-    speed: PositiveSpeed = 1.5  # likewise; and the limit of what the filter commands on each axis
+    speed: PositiveSpeed = 1.5  # likewise; and the limit of what the filter commands on each horizontal axis
+    climb: PositiveSpeed = 0.1  # up or down, of any command: a third of the least speed, `tracking.u_floor`
     age_cap: Period = 2_000_000_000  # what is older is extrapolated no further, and its margin grows no more

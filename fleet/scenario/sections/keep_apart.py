@@ -18,5 +18,6 @@ def keep_apart_params(section: KeepApartSection | None) -> KeepApartParams | Non
         slew=section.slew,
         acceleration=section.acceleration,
         speed=section.speed,
+        climb=section.climb,
         age_cap_s=section.age_cap / 1e9,
     )

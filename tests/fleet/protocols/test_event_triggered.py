@@ -18,6 +18,10 @@ from agents.payload import decode
 from fleet.protocols.event_triggered import EventTriggered
 
 ROUND = 5  # ticks of 10 ms
+TURNING = (
+    "reference={shape: lawn-mower, start: 0 0 5 m, heading: 0 deg, leg: 2 m, legs: 3, spacing: 1 m, speed: 0.7 m/s}",
+    "guidance.rho_lo=-1.8 -1.5 -1.25 m/s",
+)
 
 
 def config(extrapolate: str = "neighbour", *more: str) -> Any:
@@ -64,6 +68,15 @@ def test_it_speaks_up_when_neighbours_would_be_wrong(extrapolate: str, speed: fl
     assert sending(agent, *straight(12, speed))[:2] == [0, *([] if first is None else [first])]
 
 
+def test_along_a_reference_that_turns_it_has_no_news() -> None:
+    """Neighbours that know the reference turn with it, from wherever it spoke last."""
+    made = config("reference", *TURNING)
+    agent = EventTriggered(made, threshold_m=0.01, silence_s=2.0, ahead_s=0.0)
+    places = {tick: made.desired(tick / 100).position for tick in range(100, 600, ROUND)}
+    states = [Nav(0, tick, (*place, 0.0, 0.0), (0.5, 0.0, 0.0, 0.0, 0.0)) for tick, place in places.items()]
+    assert sending(agent, *states) == [100, 300, 500]
+
+
 def test_what_it_compares_is_what_it_tells_also_where_there_is_roll() -> None:
     agent = EventTriggered(config())
     (payload,) = agent.transmit(Nav(0, 0, (0.0, 0.0, 5.0, 0.0, 0.0), (0.5, 0.0, 0.3, 0.0, 0.0), (0.5, 0.0)))
@@ -75,7 +88,7 @@ def test_what_it_compares_is_what_it_tells_also_where_there_is_roll() -> None:
 @settings(max_examples=60, deadline=None)
 @given(
     extrapolate=st.sampled_from(["neighbour", "hold", "reference"]),
-    more=st.sampled_from([(), ("neighbours.age_cap=200 ms",)]),
+    more=st.sampled_from([(), ("neighbours.age_cap=200 ms",), TURNING]),
     threshold=st.floats(0.0, 0.5),
     ahead=st.sampled_from([0.0, 1.0, 3.0]),
     pushes=st.lists(st.tuples(*[st.floats(-2.0, 2.0)] * 3), min_size=10, max_size=60),

@@ -21,12 +21,14 @@ from typing import Any
 
 import setproctitle
 
+from fleet.errors import RunBroken
 from fleet.processes.interrupts import deferring_interrupts, out_of_reach
 from fleet.processes.main_module import without_main
 from fleet.processes.open_files import allow_most_open_files
 from fleet.processes.parent_death import CONSOLE_PID_VARIABLE
 from fleet.processes.run_folder import own_folder_for_multiprocessing
 from fleet.processes.safe_path import children_ignore_the_folder
+from fleet.processes.threads import start as start_thread
 from netem.errors import BusError
 
 GRACE_S = 1.0
@@ -90,6 +92,7 @@ class Children:
             OSError, EOFError: the fork server has ended, and so what it started before; or there is no room for
                 another process.
             KeyboardInterrupt: it came meanwhile; the process was started.
+            RunBroken: the system gives no thread.
         """
         _set_preload()
         process = self._context.Process(
@@ -110,9 +113,10 @@ class Children:
             self._forkserver = started_by
 
     def watch(self) -> None:
-        """Begin to call `on_exit`, also for processes that are started later."""
-        self._watcher = threading.Thread(target=self._watch, name="exit-watch", daemon=True)
-        self._watcher.start()
+        """Begin to call `on_exit`, also for processes that are started later. Raises RunBroken: no thread for it."""
+        watcher = threading.Thread(target=self._watch, name="exit-watch", daemon=True)
+        start_thread(watcher)
+        self._watcher = watcher  # `stop` waits for it, and can only wait for one that was started
 
     def stop(self) -> None:
         """End every process with SIGTERM, then with SIGKILL, which also ends one that is suspended.
@@ -208,7 +212,7 @@ def _bounded_wait() -> Iterator[None]:
 
     patience = threading.Timer(START_S, give_up)
     patience.daemon = True
-    patience.start()
+    start_thread(patience)
     try:
         yield
     except (EOFError, OSError) as error:
@@ -310,14 +314,14 @@ def _child(title: str, log_path: str, target: Callable[..., None], args: tuple[A
     os.close(null)
     sys.stdout.reconfigure(line_buffering=True)  # type: ignore[union-attr]
     logging.basicConfig(level=logging.INFO, format="%(levelname)s %(name)s: %(message)s", stream=sys.stderr)
-    threading.Thread(target=_end_with_console, name="console-watch", daemon=True).start()
     code = 1
     try:
+        start_thread(threading.Thread(target=_end_with_console, name="console-watch", daemon=True))
         target(*args)
         code = 0
     except SystemExit as ended:
         code = ended.code if isinstance(ended.code, int) else 1
-    except BusError as error:
+    except (BusError, RunBroken) as error:
         print(error, file=sys.stderr)  # about the run, not about our code: it says all
     except BaseException:
         traceback.print_exc()

@@ -332,3 +332,16 @@ def test_what_is_wrong_with_a_unit_is_an_error_of_plug_ins(tmp_path: Path) -> No
     setup = PlantSetup("fmu:auv.fmu", {"start": {"weight": 1.0}}, 1.0, file=str(path))
     with pytest.raises(PluginError, match=r"plant 'fmu:auv.fmu': start.weight: the unit has no variable 'weight'"):
         FencedPlant(setup, CONFIG)
+
+
+def test_a_unit_whose_process_is_killed_from_outside_ends_its_vehicle_only(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    with fenced(build(tmp_path / "auv.fmu", 2)) as plant:
+        advance(plant, 5)
+        unit_of_fmi: FmuPlant = plant._plant
+        unit_of_fmi._process.kill()
+        with pytest.raises(PlantError, match=r"^vehicle 2, tick 5: .*auv.fmu ended its process by signal 9"):
+            plant.advance(5, TAU, CALM.current, [CALM.wrench] * 2, H)
+        assert unpacked(tmp_path) == []

@@ -4,6 +4,7 @@
     python docs/examples/boundary_methods.py          # the table of docs/background/decisions.md; minutes
     python docs/examples/boundary_methods.py --quick  # fewer borders
     python docs/examples/boundary_methods.py --runs studies/DIR  # a sweep over one key in place of curves
+    python docs/examples/boundary_methods.py --coverage 300      # how often an interval holds the truth
 
 Each border is drawn at random: the pass rate falls along a logistic curve, or along another one that no method assumes.
 Every method asks for runs at places of its choice, and is measured by how far its estimate is off after so many.
@@ -15,11 +16,15 @@ from __future__ import annotations
 import argparse
 import warnings
 from collections.abc import Callable, Iterator
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
+from scipy.optimize import bisect
+from scipy.stats import norm
 
-from fleet.study.psychometric import RISING, Curve, steepest_rise
+from fleet.study.psychometric import RISING, Curve, Walk, steepest_rise
+from fleet.study.statistics import pass_rate
 
 COUNTS = (12, 20, 40, 60, 100)
 GRID_COUNTS = (*COUNTS, 200, 400)
@@ -49,6 +54,66 @@ def drawn(shape: str, seed: int) -> Truth:
         return 1.0 / (1.0 + np.exp(min(500.0, (x - border) / scale)))
 
     return Truth(border, lambda x: bool(rng.random() < rate(x)))
+
+
+SLOPES = (0.01, 0.03, 0.1)  # of a logistic curve, and about as steep others
+FALLS: dict[str, Callable[[float], float]] = {  # of u = (x - middle) / slope; a half at 0
+    "logistic": lambda u: 1.0 / (1.0 + np.exp(min(500.0, u))),
+    "probit": lambda u: float(norm.cdf(-u / 1.7)),
+    "complementary log-log": lambda u: 1.0 - np.exp(-np.log(2.0) * np.exp(min(500.0, -u))),
+    "Gumbel": lambda u: float(np.exp(-np.log(2.0) * np.exp(min(500.0, u)))),
+    "linear": lambda u: float(np.clip(0.5 - u / 8.0, 0.0, 1.0)),
+    "step": lambda u: float(u < 0.0),
+}
+ENDS = {  # in words the best and the worst pass rate
+    **{name: (name, 1.0, 0.0) for name in FALLS},
+    "logistic, best 0.7": ("logistic", 0.7, 0.0),
+    "logistic, worst 0.2": ("logistic", 1.0, 0.2),
+    "logistic, 0.85 to 0.15": ("logistic", 0.85, 0.15),
+    "step, best 0.7": ("step", 0.7, 0.0),
+    "step, worst 0.2": ("step", 1.0, 0.2),
+}
+
+
+def ending(shape: str, seed: int) -> Truth:
+    """A border in the middle 80 % of the range, of a curve of some slope between some ends."""
+    rng = np.random.default_rng(seed)
+    name, best, worst = ENDS[shape]
+    while True:
+        slope, middle = rng.choice(SLOPES), rng.uniform(0.0, 1.0)
+        rate = partial(_rate, FALLS[name], slope, middle, best, worst)
+        border = float(bisect(lambda x, rate=rate: rate(x) - 0.5, -2.0, 3.0))
+        if 0.1 <= border <= 0.9:
+            return Truth(border, lambda x, rate=rate: bool(rng.random() < rate(x)))
+
+
+def _rate(falls: Callable[[float], float], slope: float, middle: float, best: float, worst: float, x: float) -> float:
+    return worst + (best - worst) * falls((x - middle) / slope)
+
+
+def print_coverage(borders: int) -> None:
+    """How often the interval of `fleet boundary` holds the border, with its defaults: 16 places, 60 runs at most."""
+    walk = Walk(Curve(np.linspace(0.0, 1.0, 16).tolist()), 0.1)
+    print(f"{borders} borders of each shape; all but runs in %\n")
+    print("| curve | held | 95 % interval | runs | bias | rms error | width |\n|---|---|---|---|---|---|---|")
+    for shape in ENDS:
+        held, used, off, widths = 0, 0, [], []
+        for seed in range(borders):
+            truth, made = ending(shape, seed), []
+            while len(made) < 60 and (asked := walk.next_runs(made)):
+                made += [(k, truth.ask(walk.curve.positions[k])) for k in asked]
+            found = walk.curve.belief(walk.curve.posterior(made))
+            outside = max(found.below, found.above) > 0.95
+            low, high = (-1.0 if found.low < 0.0 else found.low), (2.0 if found.high > 1.0 else found.high)
+            held += not outside and low <= truth.border <= high
+            used += len(made)
+            off.append(found.border - truth.border)
+            widths.append(found.high - found.low)
+        rate = pass_rate(held, borders)
+        error, width = np.sqrt(np.mean(np.square(off))), np.mean(widths)
+        print(f"| {shape} | {100 * rate.value:.1f} | {100 * rate.low:.0f} to {100 * rate.high:.0f} "
+              f"| {used / borders:.1f} | {100 * np.mean(off):+.1f} | {100 * error:.1f} | {100 * width:.0f} |",
+              flush=True)  # fmt: skip
 
 
 def posterior_median(runs: list[tuple[int, bool]]) -> float:
@@ -196,17 +261,13 @@ def intervals(truths: Callable[[int], Truth], borders: int, runs: int) -> tuple[
     """Of batches of 4 until the interval is narrow, `runs` at most: how often the interval holds the truth, the runs,
     and how often the curve is said not to fall."""
     held, used, alarms = 0, 0, 0
+    walk = Walk(CURVE, 0.1)
     for seed in range(borders):
         truth = truths(seed)
-        asked = [0, 21, 43, 64]
         made: list[tuple[int, bool]] = []
-        while True:
+        while len(made) < runs and (asked := walk.next_runs(made)):
             made += [(k, truth.ask(CURVE.positions[k])) for k in asked]
-            posterior = CURVE.posterior(made)
-            found = CURVE.belief(posterior)
-            if found.high - found.low < 0.1 or len(made) >= runs:
-                break
-            asked = CURVE.most_informative(posterior, 4)
+        found = CURVE.belief(CURVE.posterior(made))
         held += found.low <= truth.border <= found.high
         used += len(made)
         alarms += steepest_rise(made).chance <= RISING
@@ -243,7 +304,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true")
     parser.add_argument("--runs", metavar="DIR")
+    parser.add_argument("--coverage", metavar="BORDERS", type=int)
     asked = parser.parse_args()
+    if asked.coverage:
+        print_coverage(asked.coverage)
+        return
     warnings.simplefilter("ignore")
     borders = 12 if asked.quick else 48
     cases = {asked.runs: of_sweep(asked.runs)} if asked.runs else {}

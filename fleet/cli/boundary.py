@@ -68,6 +68,8 @@ def boundary(
 
     Each run is made where its answer says most about the border, until the interval of 95 % is narrow. With the
     directory of such a study instead, go on where it was; border.png in it shows borders and runs.
+    How often such intervals hold the border was measured, see docs/guide/studies.md: less than they say
+    where even the best pass rate is far below 1.
 
     \b
     VALUES of --per are those of fleet sweep --vary. A name that is no key of the scenario fills {name} in

@@ -8,7 +8,7 @@ the rows of the rounds before and on nothing else, so neither the number of work
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
 from itertools import islice, pairwise
@@ -16,14 +16,12 @@ from math import ceil, inf, isfinite, log
 from pathlib import Path
 from typing import Any, Literal, Protocol
 
-import numpy as np
-
 from fleet.study.engine import Engine
 from fleet.study.errors import StudyError
 from fleet.study.modules import NO_MODULES, Modules
 from fleet.study.one_run import Task
 from fleet.study.plan import Plan
-from fleet.study.psychometric import CONFIDENCE, DOUBTFUL, RISING, Curve, steepest_rise
+from fleet.study.psychometric import CONFIDENCE, RISING, Curve, Walk, steepest_rise
 from fleet.study.record import BorderRecord
 from fleet.study.statistics import Estimate, pass_rate
 from fleet.study.store import Store
@@ -31,7 +29,6 @@ from fleet.study.sweep import Progress, Work, make_runs, prepare, task_of
 from fleet.study.values import Axis, parse_axis
 from world.plugins.trust import NOTHING, Trust
 
-BATCH = 4  # runs of a border per round
 SEEDS = 60
 MOST_STEPS = 500  # of a range, where they are chosen for the user
 MOST_PLACES = 1000  # along an axis; each takes 0.3 MB
@@ -150,27 +147,12 @@ class Borders:
         scaled = [_scaled(place, record.log) for place in self.places]
         self._first, self._span = scaled[0], scaled[-1] - scaled[0]
         self.curve = Curve([(place - self._first) / self._span for place in scaled], record.level)
-        # Runs cannot tell where between two places a sharp border is.
-        self._enough = max(self.record.width, 1.5 * float(np.diff(self.curve.positions).max()))
-        ends = len(self.places) - 1
-        self._start = sorted({0, round(ends / 3), round(2 * ends / 3), ends})
+        self.walk = Walk(self.curve, record.width)
 
     @property
     def title(self) -> str:
         """What is looked for."""
         return f"{self.store.record.scenario}: where the pass rate falls through {100 * self.record.level:g} %"
-
-    def next_runs(self, runs: Sequence[Run]) -> list[int]:
-        """Where the next batch of runs of a border is made; empty: enough is known."""
-        if not runs:
-            return self._start
-        posterior = self.curve.posterior(runs)
-        found = self.curve.belief(posterior)
-        if found.high - found.low <= self._enough or max(found.below, found.above) > CONFIDENCE:
-            rise = steepest_rise(runs)
-            half = BATCH // 2
-            return [rise.near] * half + [rise.far] * half if RISING < rise.chance < DOUBTFUL else []
-        return self.curve.most_informative(posterior, BATCH)
 
     def _check(self) -> None:
         """Raises StudyError: the points are not those of a study of borders. A study may come from anybody."""
@@ -282,7 +264,7 @@ class _Walk:
             if missing:
                 return missing
             self._runs += self._borders.verdicts(rows[run] for run in self._batch)
-            wanted = self._borders.next_runs(self._runs)
+            wanted = self._borders.walk.next_runs(self._runs)
             self._batch = [
                 (self._offset + at, seed) for at, seed in zip(wanted, islice(self._seeds, len(wanted)), strict=False)
             ]

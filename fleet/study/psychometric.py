@@ -2,20 +2,25 @@
 
 Each run is a yes or no at a position x from 0 to 1, and the pass rate is taken for a logistic curve
 
-    p(x) = 1 / (1 + exp(-(logit(level) + (b - x) / s))),
+    p(x) = guess + (1 - guess - lapse) / (1 + exp(-(logit(c) + (b - x) / s))), c so that p(b) = level,
 
-whose border b and scale s are not known. Their posterior is computed on a grid, and the next runs are those of
-which the answers are expected to say most about b: QUEST+ (A. B. Watson, "QUEST+: a general multidimensional Bayesian
-adaptive psychometric method", Journal of Vision 17(3), 2017), with the information about b alone, as s is of no
-interest, and for a batch of runs at once (A. Kirsch, J. van Amersfoort, Y. Gal, "BatchBALD", NeurIPS 2019).
+whose border b, scale s and ends are not known: it falls from 1 - lapse to guess. Their posterior is computed on a grid,
+and the next runs are those of which the answers are expected to say most about b: QUEST+ (A. B. Watson, "QUEST+: a
+general multidimensional Bayesian adaptive psychometric method", Journal of Vision 17(3), 2017), with the information
+about b alone, as the others are of no interest, and for a batch of runs at once (A. Kirsch, J. van Amersfoort, Y. Gal,
+"BatchBALD", NeurIPS 2019).
 
 Half of the prior's borders lie beyond the range, at most half a range away: that a border is not within is an answer.
+Most of its curves begin at 1 and end at 0. Without the others an interval held the truth in 65 to 84 % of cases where
+the best pass rate is 0.7, and the border was 7 to 8 % of the range off; `docs/examples/boundary_methods.py --coverage`
+measures what they hold now.
 """
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Sequence
-from math import comb, log
+from math import comb
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -23,8 +28,17 @@ import numpy as np
 Array = np.ndarray[Any, np.dtype[np.float64]]
 BEYOND = 0.5  # of the range, to both sides
 BORDERS = 401  # of the grid
-SCALES = np.geomspace(0.002, 0.4, 14)
+SCALES = np.geomspace(0.002, 0.4, 10)
+# The ends of curves, as (lapse / (1 - level), guess / level), and how likely each is beforehand.
+_OFF = (0.3, 0.6, 0.8)
+ENDS = {
+    (0.0, 0.0): 0.7,
+    **{(off, 0.0): 0.04 for off in _OFF},
+    **{(0.0, off): 0.04 for off in _OFF},
+    **{(off, off): 0.03 for off in _OFF[:2]},
+}
 CONFIDENCE = 0.95
+BATCH = 4  # runs of a border per round
 DOUBTFUL, RISING = 0.05, 0.005  # chances of a rise at which it is looked at again, and at which it counts as one
 
 
@@ -45,7 +59,7 @@ class Belief(NamedTuple):
 
 
 class Curve:
-    """Candidates for runs, and how each answer there depends on border and scale."""
+    """Candidates for runs, and how each answer there depends on the border, and on the curve's scale and ends."""
 
     def __init__(self, positions: Sequence[float], level: float = 0.5) -> None:
         """Compute the table of answers.
@@ -56,15 +70,20 @@ class Curve:
         """
         self.positions = np.asarray(positions, dtype=np.float64)
         self.borders = np.linspace(-BEYOND, 1.0 + BEYOND, BORDERS)
-        logit = log(level / (1.0 - level)) + (self.borders[:, None] - self.positions[:, None, None]) / SCALES
-        self.passes: Array = np.exp(-np.logaddexp(0.0, -logit))  # (position, border, scale)
-        self._logs = np.log(np.maximum([1.0 - self.passes, self.passes], 1e-12))
+        lapse = np.repeat([off * (1.0 - level) for off, _ in ENDS], len(SCALES))
+        guess = np.repeat([off * level for _, off in ENDS], len(SCALES))
+        middle = (level - guess) / (1.0 - guess - lapse)
+        away = (self.borders[:, None] - self.positions[:, None, None]) / np.tile(SCALES, len(ENDS))
+        falls = np.exp(-np.logaddexp(0.0, -(np.log(middle / (1.0 - middle)) + away)))
+        self.passes: Array = guess + (1.0 - guess - lapse) * falls  # (position, border, scale and ends)
+        self._prior = np.log(np.repeat(list(ENDS.values()), len(SCALES)))
 
     def posterior(self, runs: Iterable[tuple[int, bool]]) -> Array:
-        """The chance of each (border, scale) after runs: each the number of its position, and whether it passed."""
-        logs = np.zeros(self.passes.shape[1:])
-        for position, passed in runs:
-            logs += self._logs[int(passed), position]
+        """The chance of each (border, scale and ends) after runs: each the number of its position, and if it passed."""
+        logs = np.zeros(self.passes.shape[1:]) + self._prior
+        for (position, passed), count in sorted(Counter(runs).items()):
+            chance = self.passes[position] if passed else 1.0 - self.passes[position]
+            logs += count * np.log(np.maximum(chance, 1e-12))
         weights = np.exp(logs - logs.max())
         found: Array = weights / weights.sum()
         return found
@@ -80,10 +99,11 @@ class Curve:
 
     def most_informative(self, posterior: Array, count: int) -> list[int]:
         """The numbers of the positions of the next runs: each in turn the one that says most, given those before it."""
-        known = posterior[None]  # (answers so far, border, scale), together with those answers
+        known = posterior[None]  # (answers so far, border, curve), together with those answers
         chosen: list[int] = []
+        by_border = self.passes.transpose(1, 0, 2)
         for _ in range(count):
-            passed = np.einsum("abs,xbs->xab", known, self.passes, optimize=True)
+            passed = (by_border @ known.transpose(1, 2, 0)).transpose(1, 2, 0)  # (position, answers, border)
             joint = np.concatenate(
                 [passed, np.maximum(known.sum(axis=2) - passed, 0.0)], axis=1
             )  # (position, answers, border)
@@ -95,6 +115,35 @@ class Curve:
             p = self.passes[at]
             known = np.concatenate([known * p, known * (1.0 - p)])
         return sorted(chosen)
+
+
+class Walk:
+    """Where the runs of a border are made, one batch after the other, until enough is known."""
+
+    def __init__(self, curve: Curve, width: float) -> None:
+        """Begin with both ends and two places between.
+
+        Args:
+            curve: with the positions.
+            width: of an interval that is narrow enough, as a share of the range.
+        """
+        self.curve = curve
+        # Runs cannot tell where between two places a sharp border is.
+        self._enough = max(width, 1.5 * float(np.diff(curve.positions).max()))
+        last = len(curve.positions) - 1
+        self._start = sorted({0, round(last / 3), round(2 * last / 3), last})
+
+    def next_runs(self, runs: Sequence[tuple[int, bool]]) -> list[int]:
+        """The numbers of the positions of the next batch; none: enough is known."""
+        if not runs:
+            return self._start
+        posterior = self.curve.posterior(runs)
+        found = self.curve.belief(posterior)
+        if found.high - found.low <= self._enough or max(found.below, found.above) > CONFIDENCE:
+            rise = steepest_rise(runs)
+            half = BATCH // 2
+            return [rise.near] * half + [rise.far] * half if RISING < rise.chance < DOUBTFUL else []
+        return self.curve.most_informative(posterior, BATCH)
 
 
 class Rise(NamedTuple):

@@ -247,7 +247,7 @@ def _counted(key: str, unit: str, low: Fraction, high: Fraction, how: str, count
     if made.sampled:
         return made
     values = tuple(made.at(k / (count - 1)) for k in range(count))
-    return Axis(key, unit, values)
+    return Axis(key, unit, values, scale=made.scale)
 
 
 def _number(match: re.Match[str], name: str, unit: str) -> Fraction:

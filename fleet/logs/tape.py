@@ -22,7 +22,7 @@ from fleet.logs.records import Array, Block, together
 from fleet.logs.salvage import Salvage
 
 _STRETCH = 1 << 20  # bytes unpacked, at least, but at the end
-LATEST = (1 << 64) - 1  # ns
+_LATEST = (1 << 64) - 1  # ns
 _CHOSEN = 4  # stretches of which a track knows what is chosen
 _EACH = 50  # bytes that a message of a stretch takes beside its record
 _HELD = 96 << 20  # bytes of stretches that are kept unpacked, beside the last two
@@ -52,18 +52,14 @@ class _Stretch(NamedTuple):
 class Tape:
     """The messages of an MCAP file in the order of the file."""
 
-    def __init__(self, path: Path, tell: Tell = lambda _: None, *, latest_ns: int = LATEST) -> None:
+    def __init__(self, path: Path, tell: Tell = lambda _: None) -> None:
         """Read it through.
-
-        Args:
-            latest_ns: a time after it is a mistake; such a message is due with the one before it.
 
         Raises:
             LogReadError: the file cannot be opened, is no MCAP file, or has no complete message.
         """
         self.path = path
         self._reader = reader = LogReader(path, tell)
-        self._latest_ns = latest_ns
         self._offsets = array("Q")  # where each stretch begins
         self._firsts = array("Q")  # number of its first message
         self._dues = array("Q")  # when that is due
@@ -79,12 +75,11 @@ class Tape:
             self._offsets.append(pending[0].offset)
             self._firsts.append(total)
             self._floors.append(latest)
-            times = [_possible(block.log_ns, latest_ns) for block in pending]
-            self._dues.append(max(latest, int(times[0][0])))
+            self._dues.append(max(latest, int(pending[0].log_ns[0])))
             kinds, counts = np.unique(channel, return_counts=True)
             self.counts.append((kinds, counts.astype(np.uint32)))
             total += len(channel)
-            latest = max(latest, *(int(some.max()) for some in times))
+            latest = max(latest, *(int(block.log_ns.max()) for block in pending))
             pending.clear()
 
         for block in reader.blocks():
@@ -165,7 +160,7 @@ class Tape:
         wanted = end - self._firsts[k]
         while len(self._open) > 1 and sum(stretch.size for stretch in self._open.values()) > _HELD:
             self._open.popitem(last=False)
-        self._open[k] = found = _unpack(self.path, self._offsets[k], wanted, self._floors[k], self._latest_ns)
+        self._open[k] = found = _unpack(self.path, self._offsets[k], wanted, self._floors[k])
         return found
 
 
@@ -206,7 +201,7 @@ class Track:
         k = self._tape.stretch_before(ns)
         if k < 0:
             return 0
-        return self._firsts[k] + int(np.searchsorted(self._of(k)[1], np.uint64(min(max(ns, 0), LATEST))))
+        return self._firsts[k] + int(np.searchsorted(self._of(k)[1], np.uint64(min(max(ns, 0), _LATEST))))
 
     def _place(self, index: int) -> tuple[int, int]:
         if not 0 <= index < self._total:
@@ -225,7 +220,7 @@ class Track:
         return self._chosen[k]
 
 
-def _unpack(path: Path, offset: int, messages: int, floor: int, latest_ns: int) -> _Stretch:
+def _unpack(path: Path, offset: int, messages: int, floor: int) -> _Stretch:
     blocks: list[Block] = []
     found = 0
     with open_file(path) as file:
@@ -239,13 +234,8 @@ def _unpack(path: Path, offset: int, messages: int, floor: int, latest_ns: int) 
         raise LogReadError(f"{path} is not what it was: something wrote to it meanwhile")
     block = together(blocks).take(np.arange(messages))
     # A message earlier than the one before it is due together with it: the order of the file is kept.
-    return _Stretch(block, np.maximum(np.maximum.accumulate(_possible(block.log_ns, latest_ns)), np.uint64(floor)))
+    return _Stretch(block, np.maximum(np.maximum.accumulate(block.log_ns), np.uint64(floor)))
 
 
 def _size(blocks: list[Block]) -> int:
     return sum({block.offset: len(block.data) for block in blocks}.values())
-
-
-def _possible(log_ns: Array, latest_ns: int) -> Array:
-    """The times [ns], 0 instead of those that are a mistake."""
-    return np.where(log_ns > np.uint64(latest_ns), np.uint64(0), log_ns)

@@ -1,22 +1,55 @@
-"""How a directed link is doing, by what became of its last packets."""
+"""The state of a directed link, by what became of its last packets: one rule for the log, the page and the movie.
+
+A packet leaves a mark in the history of its link: `+` arrived, `-` lost, `x` lost because the link was cut. `state_of`
+gives the state of a history. A viewer that knows when packets arrived tells two states more, `stale` and `late`.
+"""
 
 from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass, field
+from enum import StrEnum
 
 from netem.causes import Cause
 
 HISTORY = 10  # packets that count
+UNHEARD_OF = 5  # lost in a row: nothing arrives any more
 LEAST_STALE_S = 1.0
 STALE_ROUNDS = 5  # without an arrival, where that is longer
 CUTS = frozenset({Cause.DOWN, Cause.PARTITION, Cause.MUTE, Cause.DEAF, Cause.DEAD_RECEIVER, Cause.DEAD_SENDER})
 
-DELIVERED, LATE, LOST, DOWN, STALE, UNUSED = "delivered", "late", "lost", "down", "stale", "unused"
-WORST_FIRST = (DOWN, STALE, LOST, LATE, DELIVERED, UNUSED)  # all states
+
+class LinkState(StrEnum):
+    """How a link is doing; the worst first."""
+
+    CUT = "cut"  # the last packet was lost since the link was cut, or five in a row were lost
+    STALE = "stale"  # nothing has arrived for long
+    LOSING = "losing"  # one of the last ten was lost
+    LATE = "late"  # most of them arrived after the next one had been sent
+    DELIVERING = "delivering"
+    SILENT = "silent"  # no packet yet
+
+
 # What became of one packet, as a page is told it.
 ARRIVED, BEHIND, DAMAGED, GONE, CUT = "arrived", "late", "damaged", "lost", "cut"
 LOSSES = frozenset({DAMAGED, GONE, CUT})
+_MARK_OF_FATE = {ARRIVED: "+", BEHIND: "+", DAMAGED: "-", GONE: "-", CUT: "x"}
+_MARK_OF_CAUSE = {cause: "x" if cause in CUTS else "-" for cause in Cause} | {Cause.DELIVERED: "+", Cause.IN_FLIGHT: ""}
+
+
+def mark_of(cause: Cause, *, corrupted: bool) -> str:
+    """The mark of a packet; none while it is in flight."""
+    mark = _MARK_OF_CAUSE[cause]
+    return "-" if corrupted and mark == "+" else mark
+
+
+def state_of(marks: str) -> LinkState:
+    """The state of a link with these marks of its last packets, the newest last: SILENT, CUT, LOSING or DELIVERING."""
+    if not marks:
+        return LinkState.SILENT
+    if marks[-1] == "x" or (len(marks) >= UNHEARD_OF and "+" not in marks[-UNHEARD_OF:]):
+        return LinkState.CUT
+    return LinkState.DELIVERING if set(marks) == {"+"} else LinkState.LOSING
 
 
 def fate_of(cause: str, delay_s: float, corrupted: bool, round_s: float) -> str:
@@ -60,21 +93,15 @@ class LinkHistory:
         """How many of the last HISTORY packets did not arrive whole."""
         return sum(fate in LOSSES for fate in self.fates)
 
-    def state(self, now_s: float, stale_s: float) -> str:
-        """One of WORST_FIRST; the first that holds of: down, stale, lost, late, delivered.
-
-        Args:
-            stale_s: after so long without an arrival it is stale.
-        """
-        if not self.fates:
-            return STALE if now_s > stale_s else UNUSED
-        if self.fates[-1] == CUT:
-            return DOWN
+    def state(self, now_s: float, stale_s: float) -> LinkState:
+        """The state, with what times tell: STALE after `stale_s` without an arrival, LATE where most come late."""
+        state = state_of("".join(_MARK_OF_FATE[fate] for fate in self.fates))
+        if state is LinkState.CUT:
+            return state
         if now_s - self.arrived_s > stale_s:
-            return STALE
-        if self.lost_of_last:
-            return LOST
-        return LATE if self.fates.count(BEHIND) > len(self.fates) // 2 else DELIVERED
+            return LinkState.STALE
+        mostly_late = self.fates.count(BEHIND) > len(self.fates) // 2
+        return LinkState.LATE if state is LinkState.DELIVERING and mostly_late else state
 
 
 def stale_after(round_s: float) -> float:

@@ -28,11 +28,11 @@ from foxglove_schemas_protobuf.TextPrimitive_pb2 import TextPrimitive
 from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
 
 from fleet.palette import COLOURS
+from fleet.recorder.link_state import HISTORY, LinkState, mark_of, state_of
 from fleet.recorder.snapshot import Snapshot
 from fleet.recorder.template import Template, field
 from fleet.recorder.transforms import NO_TURN, REFERENCE, enu
 from fleet.scenario.scenario import Scenario
-from netem.causes import Cause
 from netem.condition import Link
 from netem.wire.messages import Fate, Frame
 from world.vectors import Vec3
@@ -43,25 +43,21 @@ SCENE_UNITS = {
 
 WATER = 1025.0  # kg/m^3, sea water: a submerged vehicle weighs what it displaces
 SLENDER = 7.0  # length over diameter, as of the small torpedo-shaped vehicles
-HISTORY = 10  # packets of a link that count
-UNHEARD_OF = 5  # lost in a row: nothing arrives any more
 UNHEARD_NS = 500_000_000  # after so long without a command an agent counts as absent
-CUTS = frozenset({Cause.DOWN, Cause.PARTITION, Cause.MUTE, Cause.DEAF, Cause.DEAD_RECEIVER, Cause.DEAD_SENDER})
-_MARKS = {cause: "x" if cause in CUTS else "-" for cause in Cause} | {Cause.DELIVERED: "+", Cause.IN_FLIGHT: ""}
 
 # No black, which vanishes in a viewer's dark theme; vehicles 1 to 4 have the colours of our plots.
 HULLS = tuple(colour for colour in COLOURS if colour != "#000000")
 SILENT = "#808080"
-LINKS = {  # state -> colour, width in pixels: the worse, the wider
-    "delivering": ("#56B4E9", 2.0),
-    "losing": ("#E69F00", 3.0),
-    "cut": ("#D55E00", 5.0),
-    "silent": (SILENT, 1.0),
+LINKS = {  # colour, width in pixels: the worse, the wider
+    LinkState.DELIVERING: ("#56B4E9", 2.0),
+    LinkState.LOSING: ("#E69F00", 3.0),
+    LinkState.CUT: ("#D55E00", 5.0),
+    LinkState.SILENT: (SILENT, 1.0),
 }
 
 
 class LinkHistories:
-    """What became of the last packets of each link: `+` arrived, `-` lost, `x` lost because the link was cut."""
+    """The marks that the last packets of each link left; see `fleet.recorder.link_state`."""
 
     def __init__(self, links: Iterable[Link], values: Iterable[Iterable[Any]] = (), begin: int = 0) -> None:
         """Begin with what `values` gave, at tick `begin`."""
@@ -75,18 +71,13 @@ class LinkHistories:
 
         A run that goes on from a snapshot tells the fates of the round before once more: they are known.
         """
-        mark = _MARKS[fate.cause]
+        mark = mark_of(fate.cause, corrupted=fate.corrupted)
         if mark and fate.final_tick >= self._begin:
-            self._of[fate.src, fate.dst].append("-" if fate.corrupted and mark == "+" else mark)
+            self._of[fate.src, fate.dst].append(mark)
 
-    def state(self, link: Link) -> str:
-        """`silent` before the first packet, `cut`, `losing` or `delivering`."""
-        history = "".join(self._of[link])
-        if not history:
-            return "silent"
-        if history[-1] == "x" or (len(history) >= UNHEARD_OF and "+" not in history[-UNHEARD_OF:]):
-            return "cut"
-        return "delivering" if set(history) == {"+"} else "losing"
+    def state(self, link: Link) -> LinkState:
+        """SILENT before the first packet, CUT, LOSING or DELIVERING."""
+        return state_of("".join(self._of[link]))
 
     def values(self) -> list[list[Any]]:
         """All of it as plain values."""
@@ -153,7 +144,7 @@ class Scene:
     def _line(self, link: Link, places: dict[int, Vec3], silent: frozenset[int]) -> bytes:
         """The half of the line that is nearer to the receiver; all of it where nothing comes the other way."""
         src, dst = link
-        state = "silent" if src in silent else self.links.state(link)
+        state = LinkState.SILENT if src in silent else self.links.state(link)
         begin, end = places[src], places[dst]
         if (dst, src) in self._both:
             (x, y, z), (u, v, w) = begin, end
@@ -166,7 +157,7 @@ def _link(link: Link) -> SceneEntity:
     return SceneEntity(frame_id=REFERENCE, id=f"link {link[0]}-{link[1]}", frame_locked=True)
 
 
-def _line(state: str, *ends: float) -> SceneEntity:
+def _line(state: LinkState, *ends: float) -> SceneEntity:
     """And what follows: its state, and a line between two points."""
     colour, width = LINKS[state]
     line = LinePrimitive(
@@ -176,7 +167,7 @@ def _line(state: str, *ends: float) -> SceneEntity:
         points=[Point3(x=x, y=y, z=z) for x, y, z in (ends[:3], ends[3:])],
         color=_colour(colour),
     )
-    return SceneEntity(metadata=[KeyValuePair(key="state", value=state)], lines=[line])
+    return SceneEntity(metadata=[KeyValuePair(key="state", value=state.value)], lines=[line])
 
 
 def _formation(places: Sequence[Vec3], diameters: Sequence[float]) -> SceneEntity:

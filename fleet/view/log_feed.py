@@ -19,7 +19,6 @@ from fleet.view.feed import FAULTS, TRANSFORMS, checks_asked, checks_judged, fau
 from fleet.view.picture import HISTORY_S, NOT_PLACED, Picture, Row
 from fleet.view.signals import Signals, checked_signals
 
-LATEST_S = 60.0  # after the end of the scenario; a later time is a mistake of the log
 MOST_AT_ONCE = 20_000  # messages between two pictures, and those that a jump looks back on
 
 
@@ -44,8 +43,7 @@ class LogFeed:
         self.name = run_name(path)
         run = recorded(path)
         self.scenario: Scenario = run.script()
-        self._latest_ns = self.scenario.duration_ns + int(LATEST_S * 1e9)
-        self._tape = Tape(run.path, latest_ns=self._latest_ns)
+        self._tape = Tape(run.path)
         self._topics = {n: channel.topic for n, channel in self._tape.channels.items()}
         self.signals = Signals(self._tape.channels.values(), self._tape.schemas)
         self.picture = Picture(self.scenario)
@@ -81,7 +79,7 @@ class LogFeed:
         track = Track(self._tape, [n for n, topic in self._topics.items() if topic == FAULTS])
         for _, entry in track.entries(range(len(track))):
             event, at_s = fault_message(entry.data), entry.log_ns / 1e9
-            if event is None or entry.log_ns > self._latest_ns:  # damaged
+            if event is None:  # damaged
                 continue
             if event.action == "begins":
                 times = {"from_s": at_s, "to_s": end_s, "until_healed": False}
@@ -109,8 +107,6 @@ class LogFeed:
     def _take(self, some: range, *, moving: bool) -> None:
         for _, entry in self._track.entries(some):
             topic = entry.channel.topic
-            if entry.log_ns > self._latest_ns:
-                continue
             take(self.picture, topic, entry.log_ns / 1e9, entry.data, moving=moving)
             for name, value in self.signals.values(topic, entry.data):
                 self.picture.signal(name, entry.log_ns / 1e9, value)

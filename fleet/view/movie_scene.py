@@ -19,7 +19,7 @@ from matplotlib.patches import Ellipse
 from fleet.logs.records import Array
 from fleet.palette import COLOURS
 from fleet.pictures.style import LABEL_PT, LEGEND_PT, TEXT_PT, THIN
-from fleet.view.links import BEHIND, CUT, DELIVERED, DOWN, GONE, LATE, LOST, STALE, UNUSED
+from fleet.recorder.link_state import BEHIND, CUT, GONE, LinkState
 from fleet.view.movie_camera import SCENE_PT, Camera
 from fleet.view.movie_chart import MovieChart, colour_of
 from fleet.view.picture import SAMPLE_S, Picture, Row
@@ -39,22 +39,22 @@ OUTLINE = np.array([(0.0, 0.3), (0.1, 0.65), (0.25, 1.0), (0.75, 1.0), (0.92, 0.
 class Look(NamedTuple):
     """How a link in a state is drawn."""
 
-    name: str
     colour: str
     width: float  # pt
     dash: Any
 
 
 LOOKS = {
-    DELIVERED: Look("delivered", "#0072B2", 0.9, "-"),
-    LATE: Look("late", "#E69F00", 1.3, (0, (7, 2))),
-    LOST: Look("losing", "#E69F00", 1.5, (0, (3, 2))),
-    DOWN: Look("cut", FAULT, 2.0, (0, (1, 1.2))),
-    STALE: Look("stale", SILENT, 1.2, (0, (1, 2.5))),
-    UNUSED: Look("unused", "#C8C8C8", 0.6, "-"),
+    LinkState.DELIVERING: Look("#0072B2", 0.9, "-"),
+    LinkState.LATE: Look("#E69F00", 1.3, (0, (7, 2))),
+    LinkState.LOSING: Look("#E69F00", 1.5, (0, (3, 2))),
+    LinkState.CUT: Look(FAULT, 2.0, (0, (1, 1.2))),
+    LinkState.STALE: Look(SILENT, 1.2, (0, (1, 2.5))),
+    LinkState.SILENT: Look("#C8C8C8", 0.6, "-"),
 }
 DRAWN_COLOURS = (*(colour for colour in COLOURS if colour != "#000000"), FAULT)  # beside greys
-PACKETS = {CUT: FAULT, GONE: "#E69F00", BEHIND: "#E69F00"}  # others as a link that delivers
+PACKET = LOOKS[LinkState.DELIVERING].colour
+PACKETS = {CUT: FAULT, GONE: "#E69F00", BEHIND: "#E69F00"}  # others have the colour PACKET
 
 
 class _Flight(NamedTuple):
@@ -118,11 +118,11 @@ class MovieScene:
         self._happened = picture.vehicle_events  # of the whole log
         self.figure.text(0.98, 0.905, f"{rate:.3g} x real time", size=LEGEND_PT, color="0.4", ha="right")
         handles = [
-            Line2D([], [], color=look.colour, linewidth=look.width, linestyle=look.dash, label=look.name)
-            for state, look in LOOKS.items() if state != UNUSED
+            Line2D([], [], color=look.colour, linewidth=look.width, linestyle=look.dash, label=state)
+            for state, look in LOOKS.items() if state != LinkState.SILENT
         ]  # fmt: skip
         handles += [
-            Line2D([], [], color=LOOKS[DELIVERED].colour, marker="o", markersize=3, linestyle="", label="packet"),
+            Line2D([], [], color=PACKET, marker="o", markersize=3, linestyle="", label="packet"),
             Line2D(
                 [], [], color="0.3", marker="o", markersize=7, linestyle="", fillstyle="none", label="desired place"
             ),
@@ -252,7 +252,7 @@ class MovieScene:
     def _draw_links(self, rows: dict[int, list[Any]], states: list[str]) -> list[Array | None]:
         """Draw them; returns the two ends of each, None: one of its vehicles is nowhere."""
         lanes: list[Array | None] = []
-        by_state: dict[str, list[Array]] = {}
+        by_state: dict[LinkState, list[Array]] = {}
         for (src, dst), state in zip(self._links, states, strict=True):
             if src not in rows or dst not in rows:
                 lanes.append(None)
@@ -260,14 +260,14 @@ class MovieScene:
             ends = self._camera.project([rows[src][1:4], rows[dst][1:4]])[:, :2]
             beside = _lane(ends, 13.0 * self._size, 3.0 * self._size if (src, dst) in self._both else 0.0)
             lanes.append(beside)
-            by_state.setdefault(state, []).append(beside)
+            by_state.setdefault(LinkState(state), []).append(beside)
         for state, some in by_state.items():
             look = LOOKS[state]
-            alpha = 0.6 if state == DELIVERED else 0.95
+            alpha = 0.6 if state == LinkState.DELIVERING else 0.95
             self._lines_of(some, 3.0, look.colour, look.width * max(0.7, self._size), linestyle=look.dash, alpha=alpha)
             tips = [_tip(ends[0], ends[1], (4.0 + look.width) * self._size) for ends in some]
             self._add(PolyCollection(tips, facecolor=look.colour, alpha=alpha, zorder=3))
-            if state == DOWN:
+            if state == LinkState.CUT:
                 self._crosses([ends.mean(axis=0) for ends in some], 3.5 * self._size, look.colour)
         return lanes
 
@@ -300,7 +300,7 @@ class MovieScene:
             radius = share * 2.0 * self._camera.radius
             places = [north + radius * np.cos(turns), east + radius * np.sin(turns), np.full_like(turns, down)]
             circles.append(self._camera.project(np.column_stack(places)))
-            colours.append(to_rgba(LOOKS[DELIVERED].colour, 0.7 * (1.0 - share)))
+            colours.append(to_rgba(PACKET, 0.7 * (1.0 - share)))
         self._lines_of(circles, 2.0, colours, 1.2)
 
     def _draw_packets(self, lanes: list[Array | None], now_s: float) -> None:
@@ -311,7 +311,7 @@ class MovieScene:
             stop = 0.3 if fate == CUT else 0.55 if fate == GONE else 1.0
             if ends is None or share < 0.0:
                 continue
-            colour = PACKETS.get(fate, LOOKS[DELIVERED].colour)
+            colour = PACKETS.get(fate, PACKET)
             point = ends[0] + min(share, stop) * (ends[1] - ends[0])
             if share > stop:
                 self._crosses([point], 2.0 * self._size, colour)

@@ -14,10 +14,10 @@ from typing import Any
 
 from fleet.logs.payload_kinds import DAMAGED, kind_of
 from fleet.quantities import QuantityError, vehicle_numbers
+from fleet.recorder.link_state import ARRIVED, BEHIND, LinkHistory, LinkState, fate_of, stale_after
 from fleet.recorder.scene import SLENDER, diameter
 from fleet.scenario.scenario import Scenario, timeline
 from fleet.scenario.sections.vehicle_events import DIVERGED, TUMBLED, VehicleEvents, is_fault, vehicle_events
-from fleet.view.links import ARRIVED, BEHIND, WORST_FIRST, LinkHistory, fate_of, stale_after
 from netem.condition import Link
 from world.vectors import Vec3
 
@@ -193,7 +193,7 @@ class Picture:
             "obstacles_m": [_rounded((*one.at[:2], one.radius)) for one in apart.obstacles] if apart else [],
             "round_s": self._round_s,
             "placed": self.placed,
-            "worst_first": WORST_FIRST,
+            "worst_first": list(LinkState),
         }
 
     def _vehicle(self, i: int) -> list[float]:

@@ -23,7 +23,8 @@ from fleet.execution.options import Options
 from fleet.execution.outcome import Result
 from fleet.logs.decoder import _unit
 from fleet.logs.reader import LogReader
-from fleet.recorder.scene import CUTS, HISTORY, LINKS, LinkHistories, Scene, diameter, hull
+from fleet.recorder.link_state import CUTS, HISTORY
+from fleet.recorder.scene import LINKS, LinkHistories, Scene, diameter, hull
 from fleet.recorder.transforms import quaternion
 from fleet.repeat.resume import continuation
 from fleet.scenario.loading import load_scenario

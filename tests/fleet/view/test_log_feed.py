@@ -10,6 +10,7 @@ from mcap.reader import make_reader
 from mcap.writer import Writer
 
 from fleet.logs.open_log import open_log
+from fleet.logs.reader import LogReadError
 from fleet.view.feed import fault_message
 from fleet.view.log_feed import LogFeed
 
@@ -39,7 +40,7 @@ def test_it_shows_what_the_log_says_at_a_time(feed: LogFeed, log: Path) -> None:
     assert frame["errors"][2] == pytest.approx(error.formation_norm[700], abs=1e-3)
     assert [row["id"] for row in frame["faults"] if row["active"]] == ["cut"]
     states = dict(zip(map(tuple, feed.picture.setup()["links"]), frame["links"], strict=True))
-    assert states[2, 3] == "down" and states[1, 2] == "delivered"
+    assert states[2, 3] == "cut" and states[1, 2] == "delivering"
     assert frame["packets"] == []  # those of the minute before are not on their way
 
 
@@ -145,14 +146,14 @@ def copied(log: Path, out: Path, schema: str = "", *, late: bool = False) -> Pat
         }
         for one in reader.iter_attachments():
             writer.add_attachment(one.create_time, one.log_time, one.name, one.media_type, one.data)
-        for n, (_, channel, message) in enumerate(reader.iter_messages()):
-            at_ns = (1 << 64) - 1 if late and n == 5 else message.log_time
+        for _, channel, message in reader.iter_messages():
+            at_ns = (1 << 64) - 1 if late and message.log_time > 6 * 10**9 else message.log_time
             writer.add_message(channels[channel.id], at_ns, message.data, at_ns, message.sequence)
         writer.finish()
     return out
 
 
-@pytest.mark.parametrize("schema", ["uuv_fleet.State", "uuv_fleet.Error", "uuv_fleet.Packet", "uuv_fleet.Fault"])
+@pytest.mark.parametrize("schema", ["uuv_fleet.State", "uuv_fleet.Error", "uuv_fleet.Packet"])
 def test_a_damaged_schema_leaves_out_its_signals_and_no_more(log: Path, tmp_path: Path, schema: str) -> None:
     feed = LogFeed(copied(log, tmp_path / "run.mcap", schema))
     assert ("uuv/1/state.z" in feed.signals.by_name) == (schema != "uuv_fleet.State")
@@ -161,11 +162,20 @@ def test_a_damaged_schema_leaves_out_its_signals_and_no_more(log: Path, tmp_path
     assert bool(feed.whole()["samples"]) == (schema != "uuv_fleet.Error")
 
 
-def test_a_time_after_the_end_of_the_run_is_left_out(log: Path, tmp_path: Path) -> None:
-    feed, whole = LogFeed(copied(log, tmp_path / "run.mcap", late=True)), LogFeed(log)
-    assert feed.end_s == whole.end_s == 20.0
+def test_faults_that_cannot_be_read_are_not_left_out(log: Path, tmp_path: Path) -> None:
+    """A picture of the run without its faults would be a wrong one."""
+    with pytest.raises(LogReadError, match="the schema of faults cannot be used"):
+        LogFeed(copied(log, tmp_path / "run.mcap", "uuv_fleet.Fault"))
+
+
+def test_an_absurd_time_ends_what_is_shown(log: Path, tmp_path: Path) -> None:
+    """As for all readers it is damage: what comes before is shown, and a note says why there is no more."""
+    feed = LogFeed(copied(log, tmp_path / "run.mcap", late=True))
+    assert 5.0 < feed.end_s < 20.0
+    assert "a message whose time is" in feed.clock()["note"]
+    whole = LogFeed(log)
     for one in (feed, whole):
-        one.seek(7.0)
+        one.seek(5.0)
     assert feed.picture.frame()["uuv"] == whole.picture.frame()["uuv"]
 
 

@@ -15,6 +15,7 @@ from in_process_runs import Alone, log_of
 from PIL import Image, ImageChops
 from small_scenario import small
 
+from fleet.recorder.link_state import LinkState
 from fleet.scenario.loading import load_scenario
 from fleet.view.log_feed import LogFeed
 from fleet.view.movie import write
@@ -76,7 +77,7 @@ def test_a_picture_names_the_time_and_the_faults_and_draws_links_by_their_state(
     assert {"t = 0.6 s", "partition halves, 0.2 s left", "paper"} <= set(texts(cut)), texts(cut)
     assert "t = 0.3 s" in texts(before) and not [text for text in texts(before) if "left" in text]
     assert FAULT in colours(cut) and FAULT not in colours(before)
-    assert LOOKS["delivered"].colour in colours(before)
+    assert LOOKS[LinkState.DELIVERING].colour in colours(before)
 
 
 def test_vehicles_with_roll_are_drawn(alone: Alone) -> None:

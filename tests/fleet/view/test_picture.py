@@ -82,7 +82,7 @@ def test_packets_are_shown_once_and_links_by_what_arrives() -> None:
         ([1, 2], "arrived"), ([2, 3], "late"), ([3, 2], "cut"),
     ]  # fmt: skip
     states = dict(zip(map(tuple, links), frame["links"], strict=True))
-    assert states == {(1, 2): "delivered", (2, 1): "unused", (2, 3): "late", (3, 2): "down"}
+    assert states == {(1, 2): "delivering", (2, 1): "silent", (2, 3): "late", (3, 2): "cut"}
     assert dict(zip(map(tuple, links), frame["losses"], strict=True)) == {(1, 2): 0, (2, 1): 0, (2, 3): 0, (3, 2): 1}
     assert frame["kinds"] == [["other bytes", 3, 1]]
     assert shown(picture)["packets"] == []

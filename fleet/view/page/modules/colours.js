@@ -6,11 +6,11 @@ export const isCrowd = ({ vehicles }) => vehicles > 24;
 export const hull = (i) => HULLS[(i - 1) % HULLS.length];
 
 export const LINKS = {
-  delivered: { name: "delivered", colour: "#7cc4f2", width: 1.6, dash: [], says: "everything arrives in time" },
+  delivering: { name: "delivering", colour: "#7cc4f2", width: 1.6, dash: [], says: "everything arrives in time" },
   late: { name: "late", colour: "#ffe08a", width: 2, dash: [10, 3], says: "arrives after the next one was sent" },
-  lost: { name: "losing", colour: "#ffa94d", width: 2.2, dash: [5, 4], says: "some of the last ten packets were lost" },
-  down: { name: "cut", colour: "#ff5c6c", width: 3, dash: [3, 4], says: "cut: nothing gets through" },
+  losing: { name: "losing", colour: "#ffa94d", width: 2.2, dash: [5, 4], says: "some of the last ten packets were lost" },
+  cut: { name: "cut", colour: "#ff5c6c", width: 3, dash: [3, 4], says: "cut, or five packets in a row were lost" },
   stale: { name: "stale", colour: "#93a1b2", width: 2, dash: [2, 5], says: "nothing has arrived for long" },
-  unused: { name: "unused", colour: "#4a5d73", width: 1, dash: [], says: "nothing was sent yet" },
+  silent: { name: "silent", colour: "#4a5d73", width: 1, dash: [], says: "nothing was sent yet" },
 };
 export const PACKETS = { arrived: "#d6f0ff", late: "#ffe08a", damaged: "#e09ac4", lost: "#ffa94d", cut: "#ff5c6c" };

@@ -4,7 +4,7 @@ import { make } from "./dom.js";
 
 export function legend(setup) {
   const { obstacles_m: obstacles, vehicles } = setup;
-  const shown = Object.entries(LINKS).filter(([state]) => state !== "unused");
+  const shown = Object.entries(LINKS).filter(([state]) => state !== "silent");
   const rows = shown.map(([, { name, colour, width, dash, says }]) => {
     const line = `<svg width="30" height="8" aria-hidden="true"><line x1="0" y1="4" x2="30" y2="4" stroke="${colour}" stroke-width="${width}" stroke-dasharray="${dash.join(" ")}"/></svg>`;
     const row = make("span", { title: says }, name);

@@ -259,11 +259,11 @@ export class Scene {
       const straight = lane(project(a.slice(1, 4)), project(b.slice(1, 4)), aside, 20, 22);
       const others = crowd ? [] : at.filter(([i]) => i !== src && i !== dst).map(([, point]) => point);
       const ends = bent(straight, others, AWAY_PX);
-      const state = frame.links[k] ?? "unused";
+      const state = frame.links[k] ?? "silent";
       const { colour, width, dash } = LINKS[state];
       const hit = this.over?.link === k;
       g.strokeStyle = g.fillStyle = colour;
-      g.globalAlpha = hit ? 1 : state === "delivered" ? (crowd ? 0.22 : 0.55) : 0.9;
+      g.globalAlpha = hit ? 1 : state === "delivering" ? (crowd ? 0.22 : 0.55) : 0.9;
       g.lineWidth = hit ? width + 2 : width;
       g.setLineDash(dash);
       g.beginPath();
@@ -272,8 +272,8 @@ export class Scene {
       else g.lineTo(...ends[1]);
       g.stroke();
       g.setLineDash([]);
-      this.drawTip([ends[2] ?? ends[0], ends[1]], state === "delivered" ? 6 : 8);
-      if (state === "down") {
+      this.drawTip([ends[2] ?? ends[0], ends[1]], state === "delivering" ? 6 : 8);
+      if (state === "cut") {
         g.lineWidth = 3;
         drawCross(g, ...along(ends, 0.5), 5);
       }

@@ -57,6 +57,14 @@ def test_the_readme_is_a_front_door() -> None:
     assert len(lines) <= 120
 
 
+def test_files_that_pages_name_are_there() -> None:
+    pages = [*(ROOT / name for name in TEXTS), ROOT / "CHANGELOG.md", *(ROOT / "docs").rglob("*.md")]
+    text = "".join(page.read_text("utf-8") for page in pages if "_build" not in page.parts)
+    named = set(re.findall(r"\b(?:tests|benchmarks|docs/examples)/[\w/]+\.(?:py|yaml)\b", text))
+    assert len(named) > 20
+    assert sorted(name for name in named if not (ROOT / name).exists()) == []
+
+
 @pytest.mark.parametrize("name", TEXTS)
 def test_links_lead_to_files(name: str) -> None:
     text = (ROOT / name).read_text("utf-8")

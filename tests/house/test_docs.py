@@ -135,10 +135,11 @@ def test_commands_that_a_page_gives_exist(page: str) -> None:
         for word in text.split():
             if not isinstance(command, click.Group) or word.startswith("-"):
                 break
-            if word not in command.commands:
+            below = command.get_command(click.Context(command), word)
+            if below is None:
                 unknown += [] if command.invoke_without_command else [text]
                 break
-            command = command.commands[word]
+            command = below
         options = {option for each in command.params for option in (*each.opts, *each.secondary_opts)} | {"--help"}
         unknown += [f"{text}: {name}" for name in re.findall(r"(?<!\S)--[a-z-]+", text) if name not in options]
     assert unknown == []

@@ -28,12 +28,12 @@ class PrivateFolder:
 
         Args:
             kind: what it is for, as part of its name, which is then `uuv-fleet-<kind>-...`.
-            place: where; None: in TMPDIR.
+            place: where; None: in TMPDIR. What was left there is removed, too.
 
         Raises:
             OSError: it cannot be made there.
         """
-        sweep()
+        sweep(place)
         prefix = f"{PREFIX}{kind}-" if kind else PREFIX
         self.path = Path(tempfile.mkdtemp(prefix=prefix, dir=place))
         # Locked before it has its name: nobody finds a lock that is free.
@@ -61,9 +61,14 @@ class PrivateFolder:
         self.close()
 
 
-def sweep() -> None:
-    """Remove the private folders of this user whose owners have ended. Links are not followed."""
-    for place in dict.fromkeys((tempfile.gettempdir(), SHORT)):
+def sweep(other: Path | None = None) -> None:
+    """Remove the private folders of this user whose owners have ended. Links are not followed.
+
+    Args:
+        other: a place besides TMPDIR and /tmp.
+    """
+    places = [tempfile.gettempdir(), SHORT] + ([] if other is None else [str(other)])
+    for place in dict.fromkeys(places):
         with suppress(OSError), os.scandir(place) as entries:
             found = [entry.path for entry in entries if entry.name.startswith(PREFIX)]
             for path in found:

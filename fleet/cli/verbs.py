@@ -18,7 +18,7 @@ class Verb(NamedTuple):
 GROUPS: dict[str, dict[str, Verb]] = {
     "Start": {
         "list": Verb("listing", "List the scenarios and studies that ship with the package."),
-        "new": Verb("new", "Write a scenario, law, check or vehicle to start from."),
+        "new": Verb("new", "Write a scenario, law, protocol, check or vehicle."),
         "check": Verb("check", "Check a scenario without running it."),
         "run": Verb("run", "Run a scenario and judge it."),
         "reproduce": Verb("reproduce", "Run the paper's simulations again and judge its claims."),

@@ -203,7 +203,7 @@ class _Worker:
         """Take what it says: whether it had begun with its job, and what came of it; None: it goes on."""
         try:
             if self.connection.poll():
-                what, *value = pickle.loads(self.connection.recv_bytes())
+                what, *value = _unpacked(self.connection.recv_bytes())
                 if what == _READY:
                     self._ready = True
                     self._send()
@@ -275,6 +275,14 @@ def _work(connection: Connection, parent: int, begin: Callable[[], None] | None)
             connection.send_bytes(answer)
         except OSError:
             return
+
+
+def _unpacked(data: bytes) -> Any:
+    """What a worker says; an answer whose class only the worker knows is an exception that says so."""
+    try:
+        return pickle.loads(data)
+    except Exception as error:  # as the import of somebody's module raises it
+        return _FAILED, RuntimeError(f"what the worker answered is not known here: {error!s:.500}")
 
 
 def _packed(error: BaseException) -> bytes:

@@ -10,6 +10,7 @@ from typing import Any
 
 from fleet.logs.run_name import run_name
 from fleet.logs.tape import Tape, Track
+from fleet.quantities import vehicle_numbers
 from fleet.repeat.recorded_run import recorded
 from fleet.replay.player import Player
 from fleet.scenario.scenario import Scenario
@@ -166,7 +167,9 @@ class LogFeed:
             times = [one.first_s for one in self.picture.vehicle_events if one.what.startswith((TUMBLED, DIVERGED))]
             return min(times, default=None)
         if row["check"] == "formation_error" and (asked := section.formation_error) is not None:
-            return overview.first_above(self.path, self.scenario.vehicles, asked.below / 1e9, asked.after / 1e9)
+            who = None if asked.vehicles is None else vehicle_numbers(asked.vehicles)
+            vehicles = range(1, self.scenario.vehicles + 1) if who is None else who
+            return overview.first_above(self.path, vehicles, asked.below, asked.after / 1e9)
         return None
 
     def whole(self, names: Collection[str] = ()) -> Row:

@@ -88,18 +88,21 @@ def thinned(values: Array, most: int) -> Array:
     return np.array(sorted(kept))
 
 
-def first_above(path: Path, vehicles: int, limit: float, after_s: float) -> float | None:
-    """When a formation error is above a limit [m] for the first time after a time; None: never, as far as is known.
+def first_above(path: Path, vehicles: Collection[int], limit: float, after_s: float) -> float | None:
+    """When the formation error of one of these vehicles is not below a limit [m] for the first time after a time.
+
+    Returns:
+        None: never, as far as is known.
 
     Raises:
         LogReadError: the log cannot be read.
     """
-    names = [f"uuv/{i}/error" for i in range(1, vehicles + 1)]
+    names = [f"uuv/{i}/error" for i in vehicles]
     log = open_drawn(path, names, _nobody, {"uuv/*": frozenset({"formation_norm"})})
     times = []
     for name in names:
         t, error = _column(log, name, "formation_norm")
-        times += t[(t >= after_s) & ~(error <= limit)][:1].tolist()
+        times += t[(t >= after_s) & ~(error < limit)][:1].tolist()
     return min(times, default=None)
 
 

@@ -57,6 +57,14 @@ def test_the_readme_is_a_front_door() -> None:
     assert len(lines) <= 120
 
 
+def test_files_that_pages_name_are_there() -> None:
+    pages = [*(ROOT / name for name in TEXTS), ROOT / "CHANGELOG.md", *(ROOT / "docs").rglob("*.md")]
+    text = "".join(page.read_text("utf-8") for page in pages if "_build" not in page.parts)
+    named = set(re.findall(r"\b(?:tests|benchmarks|docs/examples)/[\w/]+\.(?:py|yaml)\b", text))
+    assert len(named) > 20
+    assert sorted(name for name in named if not (ROOT / name).exists()) == []
+
+
 @pytest.mark.parametrize("name", TEXTS)
 def test_links_lead_to_files(name: str) -> None:
     text = (ROOT / name).read_text("utf-8")
@@ -127,10 +135,11 @@ def test_commands_that_a_page_gives_exist(page: str) -> None:
         for word in text.split():
             if not isinstance(command, click.Group) or word.startswith("-"):
                 break
-            if word not in command.commands:
+            below = command.get_command(click.Context(command), word)
+            if below is None:
                 unknown += [] if command.invoke_without_command else [text]
                 break
-            command = command.commands[word]
+            command = below
         options = {option for each in command.params for option in (*each.opts, *each.secondary_opts)} | {"--help"}
         unknown += [f"{text}: {name}" for name in re.findall(r"(?<!\S)--[a-z-]+", text) if name not in options]
     assert unknown == []

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import os
 import signal
+import sys
 import time
 from pathlib import Path
+from types import ModuleType
 
 
 def step(number: int) -> int:
@@ -43,6 +45,15 @@ def unpicklable(number: int) -> None:
         pass
 
     raise LocalError("only here") if number == 0 else SystemExit(number)
+
+
+def known_to_the_worker_alone(number: int) -> object:
+    """Raises, or for 1 returns, what can be loaded in this process, and in no other one."""
+    module = sys.modules["only_here"] = ModuleType("only_here")
+    exec("class OddError(BaseException): ...", vars(module))
+    if number == 1:
+        return module.OddError()
+    raise module.OddError
 
 
 def masked(_: object) -> set[signal.Signals | int]:

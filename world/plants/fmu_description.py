@@ -109,8 +109,11 @@ class _Reader:
                 self._root(tag, attributes)
             case [_, "CoSimulation"]:
                 self._simulation(attributes)
-            case [_, "UnitDefinitions", "Unit"] | [_, "TypeDefinitions", "SimpleType"]:
+            case [_, "UnitDefinitions", "Unit"]:
                 self._named = attributes.get("name", "")
+            case [_, "TypeDefinitions", "SimpleType"]:
+                self._named = attributes.get("name", "")
+                self._declared[self._named] = ""  # also those without a unit, such as enumerations
             case [_, "UnitDefinitions", "Unit", "BaseUnit"]:
                 self._found.units[self._named] = _base_unit(self._named, attributes)
             case [_, "TypeDefinitions", "SimpleType", "Real"]:

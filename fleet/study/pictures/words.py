@@ -41,8 +41,10 @@ def value_words(value: Any) -> str:
 
 
 def _map_words(text: str) -> str:
+    if "&" in text or len(text) > 1000:  # a study may come from anybody, and an anchor may stand for millions of words
+        return text
     try:
-        values = yaml.safe_load(text) if len(text) <= 1000 else None
+        values = yaml.safe_load(text)
     except (yaml.YAMLError, ValueError, RecursionError):
         return text
     if not isinstance(values, dict) or not values:

@@ -105,7 +105,9 @@ def test_every_option_is_explained(command: str) -> None:
     found: click.Command = cli
     for name in command.split():
         assert isinstance(found, click.Group)
-        found = found.commands[name]
+        below = found.get_command(click.Context(found), name)
+        assert below is not None
+        found = below
     for parameter in found.params:
         assert parameter.param_type_name == "argument" or getattr(parameter, "hidden", False) or parameter.help
 

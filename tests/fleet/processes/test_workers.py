@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 from repository import ROOT
-from worker_items import die_at_once, die_once, masked, sleep, step, unpicklable
+from worker_items import die_at_once, die_once, known_to_the_worker_alone, masked, sleep, step, unpicklable
 
 from fleet.errors import RunBroken
 from fleet.processes.workers import WorkerDied, WorkerLate, Workers
@@ -54,6 +54,14 @@ def test_an_error_that_cannot_travel_and_an_exit_are_told(workers: Workers) -> N
     found = dict(workers.each(unpicklable, [0, 1]))
     assert str(found[0].exception()) == "LocalError: only here"
     assert isinstance(found[1].exception(), SystemExit)
+
+
+def test_an_answer_whose_class_only_the_worker_knows_is_an_error_of_its_item(workers: Workers) -> None:
+    found = dict(workers.each(known_to_the_worker_alone, [0, 1]))
+    for future in found.values():
+        with pytest.raises(RuntimeError, match="only_here"):
+            future.result()
+    assert [future.result() for _, future in workers.each(step, [1])] == [2]
 
 
 def test_who_asks_for_no_more_finds_workers_that_are_free(workers: Workers) -> None:

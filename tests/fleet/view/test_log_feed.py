@@ -215,3 +215,12 @@ def test_a_log_opens_at_its_first_failed_moment(alone: Alone, feed: LogFeed) -> 
         "formation_error": pytest.approx(3.0, abs=0.01), "state.z": pytest.approx(4.0, abs=0.01),
     }  # fmt: skip
     assert failed.checks["verdict"] == {"passed": True, "text": "failed as expected"}
+
+
+@pytest.mark.parametrize("vehicles", ["", ", vehicles: 4"])
+def test_a_formation_error_failed_when_a_judged_vehicle_was_too_far_away(alone: Alone, vehicles: str) -> None:
+    checks = f"checks={{tumbled: waived, formation_error: {{below: 1.2 m, after: 8 s{vehicles}}}}}"
+    path = log_of(alone("paper", "duration=14 s", "faults=[{at: 8 s, kill: 4}]", checks, "expect=fail"))
+    feed, error = LogFeed(path), open_log(path)["uuv/4/error"]
+    far = error.t[(error.t >= 8.0) & (error.formation_norm >= 1.2)]  # its agent is dead
+    assert far[0] > 10.0 and feed.first_failure_s() == pytest.approx(far[0])

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import os
 import re
 import socket
 import stat
+import subprocess
+import sys
+import tempfile
 from contextlib import closing
 from pathlib import Path
 from urllib.parse import urlsplit
 
 import pytest
+from repository import ROOT
 
 from fleet.view import server
 from fleet.view.server import Browser, Door, is_loopback, open_door
@@ -72,6 +77,22 @@ def test_a_browser_is_led_by_a_file_of_this_user_and_not_by_its_arguments(monkey
         assert stat.S_IMODE(file.stat().st_mode) == 0o600
         assert "http://127.0.0.1:1/?token=secret" in file.read_text()
     assert not file.exists()
+
+
+@pytest.mark.parametrize("folder", ["there", "gone"])
+def test_the_file_of_a_page_that_was_killed_is_removed_by_the_next_one(
+    folder: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "there").mkdir()
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path / folder))
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    begin = "import os, signal; from fleet.view.server import Browser; b = Browser('x'); print(b.file, flush=True)"
+    command = [sys.executable, "-c", f"{begin}; os.kill(os.getpid(), signal.SIGKILL)"]
+    environment = os.environ | {"TMPDIR": str(tmp_path)}
+    left = Path(subprocess.run(command, env=environment, cwd=ROOT, capture_output=True, text=True).stdout.strip())
+    assert left.is_file()
+    with closing(Browser("x")) as browser:
+        assert browser.file.is_file() and not left.exists()
 
 
 def test_without_a_screen_no_browser_is_opened(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -54,6 +54,19 @@ def test_of_fmi_2() -> None:
     }
 
 
+def test_types_of_fmi_2_that_have_no_unit() -> None:
+    types = (
+        '<TypeDefinitions><SimpleType name="Init"><Enumeration><Item name="no" value="1"/></Enumeration></SimpleType>'
+        '<SimpleType name="Count"><Integer/></SimpleType></TypeDefinitions>'
+    )
+    variables = scalar("a", '<Enumeration declaredType="Init"/>') + scalar("b", '<Integer declaredType="Count"/>')
+    found = parse(text(variables, before=SIMULATION + types))
+    assert {name: (one.type, one.unit) for name, one in found.variables.items()} == {
+        "a": ("Enumeration", ""),
+        "b": ("Integer", ""),
+    }
+
+
 def test_of_fmi_3() -> None:
     types = '<TypeDefinitions><Float64Type name="Force" unit="N"/></TypeDefinitions>'
     variables = (

@@ -70,7 +70,10 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def commands(group: click.Group) -> dict[str, click.Command]:
     found: dict[str, click.Command] = {}
-    for name, command in group.commands.items():
+    context = click.Context(group)
+    for name in group.list_commands(context):
+        command = group.get_command(context, name)
+        assert command is not None
         found[name] = command
         if isinstance(command, click.Group):
             found |= {f"{name} {inner}": one for inner, one in commands(command).items()}

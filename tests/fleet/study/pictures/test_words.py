@@ -40,6 +40,11 @@ def test_a_value(value: object, words: str) -> None:
     assert value_words(value) == words
 
 
+def test_words_that_stand_for_many_stay_as_they_are() -> None:
+    levels = ", ".join(f"k{n}: &k{n} [{', '.join([f'*k{n - 1}' if n else 'x'] * 9)}]" for n in range(12))
+    assert value_words(f"{{{levels}}}") == f"{{{levels}}}"
+
+
 @given(st.text(max_size=60))
 def test_any_text_has_words(text: str) -> None:
     assert isinstance(value_words(text), str) and isinstance(key_words(text), str)

@@ -61,9 +61,15 @@ class PrivateFolder:
         self.close()
 
 
+def runtime_place() -> Path | None:
+    """The folder that the system gives this user until he logs out; None: it gives none."""
+    given = os.environ.get("XDG_RUNTIME_DIR", "")
+    return Path(given) if Path(given).is_absolute() and Path(given).is_dir() else None
+
+
 def sweep() -> None:
     """Remove the private folders of this user whose owners have ended. Links are not followed."""
-    for place in dict.fromkeys((tempfile.gettempdir(), SHORT)):
+    for place in dict.fromkeys((tempfile.gettempdir(), SHORT, str(runtime_place() or SHORT))):
         with suppress(OSError), os.scandir(place) as entries:
             found = [entry.path for entry in entries if entry.name.startswith(PREFIX)]
             for path in found:

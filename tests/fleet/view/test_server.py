@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+import os
 import re
 import socket
 import stat
+import subprocess
+import sys
 from contextlib import closing
 from pathlib import Path
 from urllib.parse import urlsplit
 
 import pytest
+from repository import ROOT
 
 from fleet.view import server
 from fleet.view.server import Browser, Door, is_loopback, open_door
 from fleet.view.source import ViewerError
+from netem.private_folder import PrivateFolder
 
 
 def test_each_door_has_a_free_port_that_listens_and_a_token_of_its_own() -> None:
@@ -72,6 +77,27 @@ def test_a_browser_is_led_by_a_file_of_this_user_and_not_by_its_arguments(monkey
         assert stat.S_IMODE(file.stat().st_mode) == 0o600
         assert "http://127.0.0.1:1/?token=secret" in file.read_text()
     assert not file.exists()
+
+
+KILLED = """
+import os, signal
+from fleet.view.server import Browser
+print(Browser("http://127.0.0.1:1/?token=secret").file, flush=True)
+os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+def test_the_file_of_a_killed_view_is_removed_by_the_next_command(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It holds a token, and had stayed until somebody removed it."""
+    environment = os.environ | {"XDG_RUNTIME_DIR": str(tmp_path), "PYTHONPATH": str(ROOT)}
+    done = subprocess.run([sys.executable, "-c", KILLED], env=environment, capture_output=True, text=True)
+    file = Path(done.stdout.strip())
+    assert file.is_file() and tmp_path in file.parents
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    with PrivateFolder():
+        assert not file.parent.exists()
 
 
 def test_without_a_screen_no_browser_is_opened(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -7,6 +7,7 @@ import signal
 import sys
 import threading
 import time
+from contextlib import suppress
 from types import FrameType
 
 from fleet.packages import damaged, foreign
@@ -103,7 +104,8 @@ def _raise_again(lost: sys.UnraisableHookArgs) -> None:
         return
     _interrupted = False
     number = signal.SIGHUP if isinstance(lost.exc_value, HungUp) else signal.SIGTERM
-    threading.Thread(target=_send_until_raised, args=(number,), daemon=True).start()
+    with suppress(RuntimeError):  # the system has no thread left: the next signal is raised, this one is lost
+        threading.Thread(target=_send_until_raised, args=(number,), daemon=True).start()
 
 
 def _send_until_raised(number: int) -> None:

@@ -28,12 +28,12 @@ class PrivateFolder:
 
         Args:
             kind: what it is for, as part of its name, which is then `uuv-fleet-<kind>-...`.
-            place: where; None: in TMPDIR. What was left there is removed, too.
+            place: where; None: in TMPDIR.
 
         Raises:
             OSError: it cannot be made there.
         """
-        sweep(place)
+        sweep()
         prefix = f"{PREFIX}{kind}-" if kind else PREFIX
         self.path = Path(tempfile.mkdtemp(prefix=prefix, dir=place))
         # Locked before it has its name: nobody finds a lock that is free.
@@ -61,14 +61,16 @@ class PrivateFolder:
         self.close()
 
 
-def sweep(other: Path | None = None) -> None:
-    """Remove the private folders of this user whose owners have ended. Links are not followed.
+def runtime_place() -> Path | None:
+    """The folder that the system gives this user until he logs out; None: it gives none, or one that is not ours."""
+    given = os.environ.get("XDG_RUNTIME_DIR", "")
+    usable = Path(given).is_absolute() and Path(given).is_dir() and os.access(given, os.W_OK | os.X_OK)
+    return Path(given) if usable else None
 
-    Args:
-        other: a place besides TMPDIR and /tmp.
-    """
-    places = [tempfile.gettempdir(), SHORT] + ([] if other is None else [str(other)])
-    for place in dict.fromkeys(places):
+
+def sweep() -> None:
+    """Remove the private folders of this user whose owners have ended. Links are not followed."""
+    for place in dict.fromkeys((tempfile.gettempdir(), SHORT, str(runtime_place() or SHORT))):
         with suppress(OSError), os.scandir(place) as entries:
             found = [entry.path for entry in entries if entry.name.startswith(PREFIX)]
             for path in found:

@@ -27,6 +27,7 @@ from fleet.execution.registry import RegistryError, register
 from fleet.execution.runner import Runner
 from fleet.processes.interrupts import DeferInterrupts, HungUp
 from fleet.processes.ports import free_port
+from fleet.processes.threads import NO_THREAD, no_thread
 from fleet.recorder.journal import Journal
 from fleet.recorder.log_file import LogError, LogFile
 from fleet.recorder.no_log import NoLog
@@ -139,6 +140,8 @@ def _serve(run: _Run) -> None:
             run.runner.serve(_clock(run.scenario, run.options), progress)
     except RunBroken as error:
         result.status, result.reason, result.lines = Status.BROKEN, error.reason, error.lines
+        if found := next((line.strip() for line in error.lines if NO_THREAD in line), ""):
+            result.lines = [*error.lines, no_thread(found).reason]
     except (AgentError, WorldError, PublishError, ExternalError, LogError) as error:
         result.status, result.reason = Status.BROKEN, str(error)
     except HungUp:
@@ -147,6 +150,10 @@ def _serve(run: _Run) -> None:
         result.status, result.reason = Status.INTERRUPTED, "interrupted"
     except StoppedError:
         result.status, result.reason = Status.INTERRUPTED, "the operator asked for it"
+    except RuntimeError as error:
+        if NO_THREAD not in str(error):
+            raise
+        result.status, result.reason = Status.BROKEN, no_thread(error).reason
     finally:
         run.wall_s = time.monotonic() - began
         run.publication.close()

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import os
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from struct import error as struct_error
 from typing import IO, NamedTuple
@@ -39,6 +39,7 @@ _ZSTD = b"\x04\x00\x00\x00zstd"  # in a chunk, behind its lengths: what it is re
 _WINDOW = 1 << 20
 _LOOSE = 1 << 20  # bytes of messages outside chunks that make one block
 _TOO_LATE_NS = 1 << 63  # no time: those who read it as a signed number would find it before the year 1970
+_LATER_NS = 60 * 10**9  # after the end of a run; a later time in its log is a mistake
 _TELL = 1 << 20  # bytes of the file between two calls of `tell`
 _IN_DATA = frozenset({
     Opcode.HEADER, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.CHUNK, Opcode.MESSAGE_INDEX,
@@ -98,23 +99,32 @@ class Salvage:
     _loose: bytearray = field(default_factory=bytearray, init=False)  # messages outside chunks, as they are
     _loose_at: int = field(default=0, init=False)
     _told: int = field(default=0, init=False)
+    _too_late_ns: int = field(default=_TOO_LATE_NS, init=False)
 
     def __iter__(self) -> Iterator[Item]:
         for item in self._items():
             if not isinstance(item, Block):
+                if isinstance(item, Metadata) and item.name == "run":
+                    self._too_late_ns = _too_late_ns(item.metadata)
                 yield item
                 continue
-            sound = (item.log_ns < _TOO_LATE_NS) & (item.publish_ns < _TOO_LATE_NS)
+            sound = (item.log_ns < self._too_late_ns) & (item.publish_ns < self._too_late_ns)
             kept = item
             if not sound.all():
-                what, wrong = "a message whose time is beyond the year 2262", int((~sound).sum())
-                self.damage.append(Damage(item.offset, what, messages=wrong if self.beyond else 0))
+                wrong = int((~sound).sum())
+                self.damage.append(Damage(item.offset, self._why_unsound(), messages=wrong if self.beyond else 0))
                 kept = item.take(sound if self.beyond else np.arange(int(sound.argmin())))
             self.messages += len(kept)
             if len(kept):
                 yield kept
             if kept is not item and not self.beyond:
                 return
+
+    def _why_unsound(self) -> str:
+        if self._too_late_ns == _TOO_LATE_NS:
+            return "a message whose time is beyond the year 2262"
+        end_s = (self._too_late_ns - _LATER_NS) / 1e9
+        return f"a message whose time is long after the end of the run ({end_s:g} s)"
 
     def _items(self) -> Iterator[Item]:
         size = self._size()
@@ -333,3 +343,12 @@ def _index_entries(body: bytes) -> int:
     if len(body) < 6 or U32.unpack_from(body, 2)[0] != len(body) - 6 or (len(body) - 6) % 16:
         raise _DamagedError("a damaged message index")
     return (len(body) - 6) // 16
+
+
+def _too_late_ns(run: Mapping[str, str]) -> int:
+    """The first time that no message of a run can have, as its metadata tell; of another log, the last of all."""
+    try:
+        end_ns = int(run["tick_ns"]) * int(run["ticks"])
+    except (KeyError, ValueError):
+        return _TOO_LATE_NS
+    return min(end_ns + _LATER_NS, _TOO_LATE_NS) if "uuv-fleet" in run and end_ns >= 0 else _TOO_LATE_NS

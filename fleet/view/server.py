@@ -11,12 +11,11 @@ from dataclasses import dataclass
 from html import escape
 from importlib.util import find_spec
 from ipaddress import ip_address
-from pathlib import Path
 
 from fleet.view.live_feed import LiveFeed
 from fleet.view.log_feed import LogFeed
 from fleet.view.source import NoConnectionError, ViewerError
-from netem.private_folder import PrivateFolder
+from netem.private_folder import PrivateFolder, runtime_place
 
 LOOPBACK = "127.0.0.1"
 BACKLOG = 64  # connections that are accepted at once, before any of them is looked at
@@ -116,8 +115,7 @@ class Browser:
     """A browser that is led to the address by a file of this user, because arguments of processes are seen by all."""
 
     def __init__(self, url: str) -> None:
-        place = os.environ.get("XDG_RUNTIME_DIR", "")  # in a shell of sudo or su it may be there no more, or not ours
-        self._folder = PrivateFolder("view", Path(place) if os.access(place, os.W_OK | os.X_OK) else None)
+        self._folder = PrivateFolder("view", runtime_place())
         self.file = self._folder.path / "open.html"
         descriptor = os.open(self.file, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
         with os.fdopen(descriptor, "w") as file:

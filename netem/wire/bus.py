@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from threading import Thread
+from threading import Event, Thread
 from typing import Any
 
 import zenoh
@@ -34,6 +34,16 @@ class Bus:
         self._session = session
         self._held: list[Any] = []
         self.endpoint = endpoint
+        # With a full channel, closing would block forever; so it has its own thread, and `close` stops waiting. The
+        # thread is there from the beginning: at the end the system may have none left, and an open session would keep
+        # the process from ending.
+        self._over = Event()
+        self._closing = Thread(target=self._close_when_over, name="bus-close", daemon=True)
+        try:
+            self._closing.start()
+        except RuntimeError:
+            session.close()  # type: ignore[no-untyped-call]  # which has no channel yet
+            raise
 
     @classmethod
     def connect(
@@ -253,7 +263,9 @@ class Bus:
     def close(self) -> None:
         """Close the session with all its publishers, subscribers and tokens. Waits for at most CLOSE_S = 3 s."""
         self._held.clear()
-        # With a full channel, closing would block forever; so it has its own thread, and we stop waiting.
-        closing = Thread(target=self._session.close, daemon=True)
-        closing.start()
-        closing.join(CLOSE_S)
+        self._over.set()
+        self._closing.join(CLOSE_S)
+
+    def _close_when_over(self) -> None:
+        self._over.wait()
+        self._session.close()  # type: ignore[no-untyped-call]

@@ -45,6 +45,19 @@ def left(place: Path) -> Path:
     return Path(done.stdout.strip())
 
 
+def test_the_folder_of_the_system_for_this_user_is_swept_too(
+    place: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    other = tmp_path / "runtime"
+    other.mkdir()
+    found = left(other)
+    sweep()
+    assert found.exists()
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(other))
+    sweep()
+    assert not found.exists()
+
+
 def test_it_is_for_this_user_only_and_ends_with_its_context(place: Path) -> None:
     with PrivateFolder("test") as folder:
         assert folder.parent == place

@@ -164,7 +164,7 @@ def stamped(number: int, log_ns: int | None, publish_ns: int | None) -> Change:
 
 
 @pytest.mark.parametrize("number", [0, 1000])
-@pytest.mark.parametrize("times", [(MOST, None), (None, MOST), (1 << 63, 1 << 63)])
+@pytest.mark.parametrize("times", [(MOST, None), (None, MOST), (1 << 63, 1 << 63), (10**18, 10**18), (10**18, None)])
 def test_a_time_that_is_none_is_damage(
     number: int, times: tuple[int | None, int | None], run: Path, tmp_path: Path
 ) -> None:
@@ -172,11 +172,34 @@ def test_a_time_that_is_none_is_damage(
     log = changed(tmp_path / "a.mcap", run, stamped(number, *times))
     reader = LogReader(log)
     assert sum(1 for _ in reader) == number
-    assert "a message whose time is beyond the year 2262" in reader.missing
+    assert "a message whose time is long after the end of the run (2 s)" in reader.missing
     assert reader.last_ns < 10**10
     found = recover(log)
     assert found.messages == sum(1 for _ in LogReader(run)) - 1
-    assert "beyond the year 2262" in found.lost
+    assert "long after the end of the run (2 s)" in found.lost
+
+
+def test_a_log_of_others_may_have_any_time_that_can_be_one(run: Path, tmp_path: Path) -> None:
+    """Of such a log nobody knows how long it lasts; times since 1970 are usual."""
+
+    def foreign(at_ns: int) -> LogReader:
+        later = stamped(1000, at_ns, at_ns)
+        return LogReader(
+            changed(tmp_path / f"{at_ns}.mcap", run, lambda op, b: None if op == Opcode.METADATA else later(op, b))
+        )
+
+    usual = foreign(1_700_000_000 * 10**9)
+    assert sum(1 for _ in usual) == sum(1 for _ in LogReader(run)) and usual.missing == ""
+    none = foreign(1 << 63)
+    assert sum(1 for _ in none) == 1000 and "beyond the year 2262" in none.missing
+
+
+@pytest.mark.parametrize("command", [["info"], ["plot", "-o"], ["report", "--force", "-o"]])
+def test_readers_say_that_a_time_after_the_end_was_left_out(command: list[str], run: Path, tmp_path: Path) -> None:
+    """Axes and players had a range of 31 years."""
+    log = changed(tmp_path / "a.mcap", run, stamped(1000, 10**18, 10**18))
+    done = CliRunner().invoke(cli, [command[0], str(log), *command[1:], *([str(tmp_path / "o")] * (len(command) > 1))])
+    assert "long after the end of the run (2 s)" in " ".join(done.output.split()), done.output
 
 
 def test_a_log_that_seems_to_last_a_year_is_judged_up_to_the_end_of_its_run(run: Path, tmp_path: Path) -> None:

@@ -31,6 +31,13 @@ BROKEN = 3  # the exit status of an error that has none of its own: those of the
 class ListingGroup(click.Group):
     """A group whose help has the whole first sentence of each command; click would cut it."""
 
+    def resolve_command(self, ctx: click.Context, args: list[str]) -> Any:
+        """The command that was typed; for one that is not there the error lists those that are. Raises UsageError."""
+        if args and not args[0].startswith("-") and self.get_command(ctx, args[0]) is None:
+            names = self.list_commands(ctx)
+            raise click.UsageError(f"{ctx.command_path} has no {quoted(args[0])}; expected {', '.join(names)}", ctx)
+        return super().resolve_command(ctx, args)
+
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the list of the commands."""
         found = ((name, self.get_command(ctx, name)) for name in self.list_commands(ctx))

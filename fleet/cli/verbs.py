@@ -84,5 +84,6 @@ ELSEWHERE = {
     **dict.fromkeys(("kill", "down", "abort"), "fleet stop (a run), or fleet inject kill 3 (an agent)"),
     "pause": "fleet clock pause (a run), or fleet inject pause 3 (an agent)",
     "validate": "fleet check",
+    "help": "--help, as in fleet run --help",
     "test": "fleet run (a scenario and its checks)",
 }

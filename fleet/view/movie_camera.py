@@ -10,6 +10,8 @@ import numpy as np
 from fleet.logs.records import Array
 
 SCENE_PT = (432.0, 226.0)  # width and height of what is seen of the fleet
+MIDDLE_PT = (216.0, 101.0)  # where its middle is: above it stand three lines of text, below it the legend
+REACH_PT = 86.0  # from there to the edge of what is to be seen
 
 
 class Camera:
@@ -32,8 +34,7 @@ class Camera:
     @property
     def scale(self) -> float:
         """Points per m."""
-        width, height = SCENE_PT
-        return 0.36 * min(width, 1.25 * height) / self.radius
+        return REACH_PT / self.radius
 
     def project(self, places: Any) -> Array:
         """Places (n, 3) as points right, up and away from the eye (n, 3)."""
@@ -41,4 +42,4 @@ class Camera:
         ca, sa, ce, se = cos(self._azimuth), sin(self._azimuth), cos(self._elevation), sin(self._elevation)
         away = ca * north - sa * east
         points = np.column_stack([ca * east + sa * north, away * se - down * ce, away * ce + down * se])
-        return points * self.scale + (SCENE_PT[0] / 2, SCENE_PT[1] / 2, 0.0)
+        return points * self.scale + (*MIDDLE_PT, 0.0)

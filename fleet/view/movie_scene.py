@@ -20,6 +20,7 @@ from fleet.logs.records import Array
 from fleet.palette import COLOURS
 from fleet.pictures.style import LABEL_PT, LEGEND_PT, TEXT_PT, THIN
 from fleet.recorder.link_state import BEHIND, CUT, GONE, LinkState
+from fleet.scenario.sections.vehicle_events import vehicle_events
 from fleet.view.movie_camera import SCENE_PT, Camera
 from fleet.view.movie_chart import MovieChart, colour_of
 from fleet.view.picture import SAMPLE_S, Picture, Row
@@ -115,7 +116,7 @@ class MovieScene:
         self._clock = self.figure.text(0.98, 0.95, "", size=TEXT_PT + 2, weight="bold", ha="right")
         self._faults = self.figure.text(0.02, 0.905, "", color=FAULT, weight="bold", parse_math=False)
         self._events = self.figure.text(0.02, 0.87, "", color="0.25", parse_math=False)
-        self._happened = picture.vehicle_events  # of the whole log
+        self._happened = picture.happenings  # of the whole log
         self.figure.text(0.98, 0.905, f"{rate:.3g} x real time", size=LEGEND_PT, color="0.4", ha="right")
         handles = [
             Line2D([], [], color=look.colour, linewidth=look.width, linestyle=look.dash, label=state)
@@ -190,7 +191,7 @@ class MovieScene:
         lasting = [f"{row['what']}, {row['to_s'] - frame['t']:.1f} s left" for row in frame["faults"] if row["active"]]
         more = f"; and {len(lasting) - 2} more" if len(lasting) > 2 else ""
         self._faults.set_text(_short("; ".join(lasting[:2]), 70) + more)
-        happened = [str(row) for row in self._happened if row.first_s <= frame["t"]]
+        happened = [str(row) for row in vehicle_events(one for one in self._happened if one[1] <= frame["t"])]
         more = f"; and {len(happened) - 2} more" if len(happened) > 2 else ""
         self._events.set_text(_short("; ".join(happened[:2]), 100) + more)
 

@@ -262,7 +262,12 @@ class Picture:
         """What happened to vehicles, one row for each vehicle and kind of event."""
         if self._told is not None:
             return self._told
-        return vehicle_events((row["what"], row["from_s"]) for row in self._events.values())
+        return vehicle_events(self.happenings)
+
+    @property
+    def happenings(self) -> list[tuple[str, float]]:
+        """What happened to vehicles, each time: its text and its beginning [s]."""
+        return [(row["what"], row["from_s"]) for row in self._events.values()]
 
     def known(self) -> Row:
         """All faults, and what happened to vehicles; `changes` says when there is something new."""

@@ -68,3 +68,17 @@ def test_words_of_other_tools_name_verbs_of_ours() -> None:
     assert not ELSEWHERE.keys() & VERBS.keys()
     for ours in ELSEWHERE.values():
         assert set(re.findall(r"fleet (\S+)", ours)) <= VERBS.keys(), ours
+
+
+@pytest.mark.parametrize(
+    ("typed", "hint"),
+    [
+        (["help"], "fleet run --help"),
+        (["new", "gossip"], 'fleet new has no "gossip"; expected check, controller, '),
+        (["bench", "all"], 'fleet bench has no "all"; expected '),
+    ],
+    ids=" ".join,
+)
+def test_a_command_that_is_not_there_says_what_to_type(typed: list[str], hint: str) -> None:
+    result = CliRunner().invoke(cli, typed, prog_name="fleet")
+    assert result.exit_code == 2 and hint in result.stderr, result.stderr

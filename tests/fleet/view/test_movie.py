@@ -19,6 +19,7 @@ from fleet.recorder.link_state import LinkState
 from fleet.scenario.loading import load_scenario
 from fleet.view.log_feed import LogFeed
 from fleet.view.movie import write
+from fleet.view.movie_camera import SCENE_PT, Camera
 from fleet.view.movie_scene import FAULT, LOOKS, MovieScene
 from fleet.view.picture import Picture
 from fleet.view.source import ViewerError
@@ -255,3 +256,24 @@ def test_signals_that_checks_name_are_drawn_for_all_vehicles_whole_numbers_as_st
     assert {"failed: 1 of 2 checks", "control.holds"} <= set(texts(scene))
     scene.draw(picture.frame() | {"signals": {names[2]: [(0.6, 0.5)]}}, 0.6)
     assert line.get_drawstyle() == "default"
+
+
+def test_what_happened_is_counted_up_to_the_time_of_the_picture() -> None:
+    picture = Picture(small())
+    for k, at_s in enumerate((0.1, 0.2, 0.8)):
+        picture.event(at_s, SimpleNamespace(fault=f"tumbled-2-{k}", action="begins", what="tumbled 2"))
+    scene = MovieScene(picture, 0.0, 1.0, 1.0, above=True)
+    for at_s, line in ((0.1, "tumbled 2: at 0.1 s"), (0.5, "tumbled 2: 2 times, first at 0.1 s")):
+        scene.draw(picture.frame() | {"t": at_s}, at_s)
+        assert line in [text.get_text() for text in scene.figure.texts]
+
+
+def test_a_fleet_in_a_column_stays_below_the_texts_and_above_the_legend() -> None:
+    camera = Camera(above=True)
+    column = np.array([[0.0, 0.0, 5.0], [40.0, 0.0, 5.0]])
+    camera.follow(column)
+    scene = MovieScene(Picture(small()), 0.0, 1.0, 1.0, above=True)
+    lowest_text = min(text.get_position()[1] for text in scene.figure.texts)
+    scene_y0, scene_height = scene.figure.axes[0].get_position().y0, scene.figure.axes[0].get_position().height
+    low, high = sorted(scene_y0 + y / SCENE_PT[1] * scene_height for y in camera.project(column)[:, 1])
+    assert scene_y0 + 12 / SCENE_PT[1] * scene_height < low and high < lowest_text

@@ -23,6 +23,7 @@ from fleet.recorder.watched import WatchedLog, Watcher
 from fleet.recorder.writer import LogWriter
 from fleet.scenario.loading import changed, load_scenario
 from fleet.scenario.scenario import Scenario
+from fleet.scenario.schema.spec import ScenarioSpec
 from world.errors import WorldError
 from world.plugins.trust import NOTHING, Trust
 
@@ -61,7 +62,9 @@ def run(
     """
     if unknown:
         given: dict[str, Any] = dict(unknown)
-        raise TypeError(f"run() has no argument {next(iter(unknown))!r}; keys of the scenario go into set={given}")
+        keys = {key: given[key] for key in given if key in ScenarioSpec.model_fields}
+        hint = f"; keys of the scenario go into set={keys}" if keys else ""
+        raise TypeError(f"run() has no argument {next(iter(unknown))!r}{hint}")
     changes = override_texts(set)
     if seed is not None:
         changes.append(f"seed={seed}")

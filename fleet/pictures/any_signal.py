@@ -24,13 +24,13 @@ from fleet.pictures.failures import COLOUR
 from fleet.pictures.runs import NothingToDraw, Run, View, ViewError
 from fleet.pictures.thresholds import Threshold, draw_thresholds
 from fleet.scenario.schema.checks import SignalCheck
+from fleet.scenario.sections.checked_signals import checked_signals
 from fleet.scenario.sections.signal_checks import AskedOfSignal, SignalCheckError, ask
-from fleet.scenario.sections.signals import GROUPS, OF_THE_LAWS, OF_THE_PLANT, Place, SignalName, parse_name
+from fleet.scenario.sections.signals import GROUPS, Place, SignalName, parse_name
 from netem.parsing import nearest
 
 MOST_AXES = 8  # components of a vector
 MOST_UNASKED = 6  # signals that are drawn because checks name them
-_HAVE_A_PICTURE = ("error.e_norm", "error.formation_norm")
 _FEW_VALUES = 12  # whole numbers on an axis: then lines that would hide each other are moved apart
 _LINE = 52  # characters that fit below a picture
 
@@ -46,18 +46,10 @@ class _Found(NamedTuple):
     width: int
 
 
-def checked_signals(runs: Sequence[Run]) -> list[SignalName]:
-    """The signals that the checks of these runs name or looked at, without those that have a picture of their own.
-
-    Of a check in Python only what the vehicles' laws and plants report, since it may look at everything else.
-    """
-    texts = [check.topic for run in runs if run.scenario for check in run.scenario.spec.checks.signal or ()]
-    for run in runs:
-        for row in run.verdicts:
-            texts += [text for text in row["signals"] if text.partition(".")[0] in (*OF_THE_LAWS, OF_THE_PLANT)]
-    names = [name for name in map(parse_name, dict.fromkeys(texts)) if name is not None]
-    found = [name for name in names if name.name not in _HAVE_A_PICTURE and any(_find(run, name) for run in runs)]
-    return found[:MOST_UNASKED]
+def signals_of_checks(runs: Sequence[Run]) -> list[SignalName]:
+    """The signals that the checks of these runs name or looked at; see `checked_signals`."""
+    found = [name for run in runs if run.scenario for name in checked_signals(run.scenario.spec.checks, run.verdicts)]
+    return [name for name in dict.fromkeys(found) if any(_find(run, name) for run in runs)][:MOST_UNASKED]
 
 
 def need(runs: Sequence[Run], name: SignalName) -> None:

@@ -95,7 +95,7 @@ def _each(
 def _pictures(kind: str, runs: Sequence[Run], single: Mapping[str, tuple[_Picture, ...]]) -> Sequence[_Picture]:
     """The pictures of a kind, or of a signal."""
     if kind in WHAT or kind in single:
-        named = any_signal.checked_signals(runs) if kind == "checks" else []
+        named = any_signal.signals_of_checks(runs) if kind == "checks" else []
         found = WHAT.get(kind, ()) or single.get(kind, ())
     else:
         signal = parse_name(kind)

@@ -6,7 +6,7 @@ from math import isfinite
 from typing import Any, NamedTuple
 
 from fleet.scenario.scenario import Scenario
-from fleet.scenario.sections.signals import parse_name
+from fleet.scenario.sections.checked_signals import checked_signals
 
 
 class _Reported(NamedTuple):
@@ -29,8 +29,7 @@ class Protocol(NamedTuple):
         agent = scenario.agent_config(vehicle).agent
         if agent is None:
             return cls("", ())
-        asked = map(parse_name, (check.topic for check in scenario.spec.checks.signal or ()))
-        judged = {signal.name for signal in asked if signal is not None}
+        judged = {signal.name for signal in checked_signals(scenario.spec.checks)}
         known = [
             (f"{group}.{signal.name}", _Reported(signal.name, signal.unit, place.start))
             for group, signal, place in scenario.layout(vehicle).signals()

@@ -19,9 +19,10 @@ from fleet.replay.missing import Missing, left_out
 from fleet.replay.player import MeasuredRate
 from fleet.replay.topics import ask_scenario, ask_topics
 from fleet.scenario.loading import parse_scenario
+from fleet.scenario.sections.checked_signals import checked_signals
 from fleet.view.feed import FAULTS, TRANSFORMS, checks_asked, checks_so_far, link_of, take
 from fleet.view.picture import NOT_PLACED, SAMPLE_S, Picture, Row
-from fleet.view.signals import checked_signals, published_signals
+from fleet.view.signals import published_signals
 from fleet.view.source import LiveSource, NoConnectionError
 from netem.errors import BusError
 from netem.wire.access import Credentials
@@ -70,7 +71,8 @@ class LiveFeed:
             raise
         self.picture = Picture(self.scenario)
         self.checks = checks_asked(self.scenario)  # as they stand
-        self.charted = [name for name in checked_signals(self.scenario) if self.signals.of_all(name)]
+        checked = map(str, checked_signals(self.scenario.spec.checks))
+        self.charted = [name for name in checked if self.signals.of_all(name)]
         self._run = source.run
         self._bus.subscribe(self._keys.log_end, lambda sample: self.missing.end(sample.payload.to_bytes()))
         self._listening = False

@@ -14,11 +14,12 @@ from fleet.quantities import vehicle_numbers
 from fleet.repeat.recorded_run import recorded
 from fleet.replay.player import Player
 from fleet.scenario.scenario import Scenario
+from fleet.scenario.sections.checked_signals import checked_signals
 from fleet.scenario.sections.vehicle_events import DIVERGED, TUMBLED
 from fleet.view import overview
 from fleet.view.feed import FAULTS, TRANSFORMS, checks_asked, checks_judged, fault_message, is_lost, link_of, take
 from fleet.view.picture import HISTORY_S, NOT_PLACED, Picture, Row
-from fleet.view.signals import Signals, checked_signals
+from fleet.view.signals import Signals
 
 MOST_AT_ONCE = 20_000  # messages between two pictures, and those that a jump looks back on
 
@@ -52,9 +53,8 @@ class LogFeed:
         self.missing = self._tape.missing
         judged = checks_judged(path)
         self.checks = judged if judged and judged["rows"] else checks_asked(self.scenario)
-        self.charted = [
-            name for name in checked_signals(self.scenario, self.checks["rows"]) if self.signals.of_all(name)
-        ]
+        checked = map(str, checked_signals(self.scenario.spec.checks, self.checks["rows"]))
+        self.charted = [name for name in checked if self.signals.of_all(name)]
         self._track = self._tracked()
         self.end_s = self._tape.end_ns / 1e9
         self.player = self._player(0, rate)

@@ -20,7 +20,6 @@ from mcap.records import Channel, Schema
 
 from fleet.logs.decoder import UNITS, known_class, units_of
 from fleet.replay.topics import PublishedTopic
-from fleet.scenario.scenario import Scenario
 from fleet.scenario.sections.signals import parse_name
 from netem.parsing import nearest
 
@@ -160,15 +159,3 @@ def published_signals(topics: Mapping[str, PublishedTopic]) -> Signals:
 def commands_of(vehicle: int) -> list[str]:
     """The names of what a vehicle's agent commands: surge force, pitch and yaw moment."""
     return [f"uuv/{vehicle}/command.tau[{k}]" for k in range(WIDTH)]
-
-
-def checked_signals(scenario: Scenario, checks: Iterable[Mapping[str, Any]] = ()) -> list[str]:
-    """The signals that the checks of a scenario name, in their order.
-
-    Args:
-        checks: rows of what is known of them; one may say in `signals` which signals it looked at.
-    """
-    names = [check.topic for check in scenario.spec.checks.signal or ()]
-    names += [name for row in checks for name in row.get("signals") or ()]
-    known = [parse_name(name) for name in names]
-    return list(dict.fromkeys(str(name) for name in known if name is not None))

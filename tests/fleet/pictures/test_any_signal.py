@@ -15,7 +15,7 @@ from fleet.cli.main import cli
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
 from fleet.logs.signal_names import signal_names
-from fleet.pictures.any_signal import checked_signals
+from fleet.pictures.any_signal import signals_of_checks
 from fleet.pictures.gallery import WHAT, draw
 from fleet.pictures.report import page
 from fleet.pictures.runs import Run, View, load
@@ -85,9 +85,14 @@ def test_a_vector_has_an_axis_for_each_component(run: Run) -> None:
 
 def test_signals_of_checks_are_drawn_without_asking(run: Run) -> None:
     """Also those that a check in Python looked at; `error.e_norm` has a picture already."""
-    assert list(map(str, checked_signals([run]))) == ["state.z", "control.leads", "control.leader"]
+    assert list(map(str, signals_of_checks([run]))) == [
+        "state.z",
+        "control.leads",
+        "control.leader",
+        "control.leads_until",
+    ]
     names = [name for name, _, _ in draw(["checks"], [run], View())]
-    assert names == ["state.z", "control.leads", "control.leader"]
+    assert names == ["state.z", "control.leads", "control.leader", "control.leads_until"]
     assert telling(run)[0] == "state.z"
 
 
@@ -96,7 +101,7 @@ def test_the_report_begins_with_the_verdict_a_picture_and_the_reason(run: Run, m
     text = page([run], View())
     places = [text.index(part) for part in ('class="fail">check failed', "<figure", ">shallow<", ">near<", ">Faults<")]
     assert places == sorted(places)
-    assert "alt=" in text and text.count("<figure") == 3
+    assert "alt=" in text and text.count("<figure") == 4
     assert "Packets by kind of payload" in text and "<td>election</td>" in text
 
 
@@ -123,7 +128,7 @@ def test_signals_are_completed(directory: Path) -> None:
         shell = ShellComplete(cli, {}, "fleet", "_FLEET_COMPLETE")
         return [item.value for item in shell.get_completions(["plot", str(directory), "--what"], typed)]
 
-    assert completed("control.lead") == ["control.leader", "control.leads"]
+    assert completed("control.lead") == ["control.leader", "control.leads", "control.leads_until"]
     assert completed("inputs,tra") == ["inputs,track", "inputs,track-3d"]
 
 
@@ -133,4 +138,4 @@ def test_a_result_of_another_log_adds_nothing(directory: Path, tmp_path: Path) -
     (tmp_path / "result.json").write_text(json.dumps(result | {"digest": "0" * 16}))
     (again,) = load([tmp_path])
     assert again.verdicts == [] and again.failures == []
-    assert list(map(str, checked_signals([again]))) == ["state.z", "control.leads", "control.leader"]
+    assert list(map(str, signals_of_checks([again]))) == ["state.z", "control.leads", "control.leader"]

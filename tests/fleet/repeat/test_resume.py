@@ -188,7 +188,7 @@ def test_on_the_command_line(tmp_path: Path) -> None:
     assert result.exit_code == 0, result.output
     assert "goes on from t = 500 ms of " in result.stderr
     assert "0.5 s simulated, t = 0.5 to 1 s, in " in result.stdout.splitlines()[-2]
-    assert result.stdout.startswith("vehicles; settling times count from the start at t = 0.5 s")
+    assert "\nvehicles; settling times count from the start at t = 0.5 s" in result.stdout
 
 
 def test_times_and_speed_count_from_its_start(tmp_path: Path) -> None:

@@ -18,7 +18,6 @@ from fleet.cli.verbs import ELSEWHERE, GROUPS, VERBS
 from fleet.errors import FleetError
 from fleet.terminal.folding import say
 from netem.errors import NetemError
-from netem.parsing import nearest, quoted
 
 EPILOG = (
     "Exit status: 0 pass, 1 a check failed, 2 usage or bad scenario, 3 the run broke, 129 terminal closed, 130 Ctrl-C."
@@ -34,6 +33,8 @@ class ListingGroup(click.Group):
     def resolve_command(self, ctx: click.Context, args: list[str]) -> Any:
         """The command that was typed; for one that is not there the error lists those that are. Raises UsageError."""
         if args and not args[0].startswith("-") and self.get_command(ctx, args[0]) is None:
+            from netem.parsing import quoted  # here, for commands start without it
+
             names = self.list_commands(ctx)
             raise click.UsageError(f"{ctx.command_path} has no {quoted(args[0])}; expected {', '.join(names)}", ctx)
         return super().resolve_command(ctx, args)
@@ -56,11 +57,13 @@ class FleetGroup(click.Group):
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         """The command of a name; None: there is none."""
-        return command_of(cmd_name) if cmd_name in VERBS else None
+        return command_of(cmd_name) if cmd_name in VERBS else super().get_command(ctx, cmd_name)
 
     def resolve_command(self, ctx: click.Context, args: list[str]) -> Any:
         """The command that was typed; for one of another tool the error names ours. Raises UsageError."""
-        if args and args[0] not in VERBS and not args[0].startswith("-"):
+        if args and not args[0].startswith("-") and self.get_command(ctx, args[0]) is None:
+            from netem.parsing import nearest, quoted  # here, for commands start without it
+
             ours = ELSEWHERE.get(args[0])
             hint = f"; here it is {ours}" if ours else f"; {nearest(args[0], VERBS) or 'fleet --help lists them'}"
             raise click.UsageError(f"there is no command {quoted(args[0])}{hint}", ctx)

@@ -29,9 +29,10 @@ def showing(doing: str, *, quiet: bool = False) -> Iterator[Callable[[float], No
 
 @contextmanager
 def showing_steps(doing: str) -> Iterator[Callable[[], None]]:
-    """A function to call at each step of work whose length nobody knows."""
+    """A function to call at each step of work whose length nobody knows; it is shown on a terminal only."""
     steps = 0
-    with StatusLine(Terminal(stderr=True), quiet=False, first_s=FIRST_S) as line:
+    terminal = Terminal(stderr=True)
+    with StatusLine(terminal, quiet=not terminal.is_terminal, first_s=FIRST_S) as line:
 
         def report() -> None:
             nonlocal steps

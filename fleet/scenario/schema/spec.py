@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-from pydantic import BeforeValidator, Field, PlainSerializer
+from pydantic import AfterValidator, BeforeValidator, Field, PlainSerializer
 
 from agents.config import OnError
 from fleet.quantities import describe_value
@@ -98,7 +98,8 @@ class ScenarioSpec(Section):
 
     name: Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9_-]{0,63}$")]  # also names the run directory
     title: Annotated[str, BeforeValidator(_title)]  # what one learns from it, in one line
-    group: Annotated[Group | None, Field(exclude=True)] = None  # of fleet list; it decides nothing in a run
+    # Of fleet list, which reads it in the file. It decides nothing in a run, so it is checked and forgotten.
+    group: Annotated[Group | None, AfterValidator(lambda _: None), Field(exclude=True)] = None
     vehicles: Annotated[int, Field(ge=1, le=1000)]
     duration: Period
     tick: Period = 10_000_000  # the control period Ts

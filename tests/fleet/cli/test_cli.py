@@ -250,8 +250,7 @@ def test_shown_configuration_loads_again(name: str, tmp_path: Path) -> None:
     file = tmp_path / "shown.yaml"
     file.write_text(first.stdout)
     assert invoke("run", file, "--show-config").stdout == first.stdout
-    # Its group in `fleet list` decides nothing in a run, so neither logs nor this file have it.
-    assert load_scenario(file) == load_scenario(name, ["seed=7", "duration=9 s", "checks={}", "group=null"])
+    assert load_scenario(file) == load_scenario(name, ["seed=7", "duration=9 s", "checks={}"])
     assert list(tmp_path.iterdir()) == [file]
 
 

@@ -164,7 +164,7 @@ def sweep(
         if not spec.vary:
             _nothing_varied(spec.plan(origin), trust, quiet=quiet)
         store, modules = prepare(spec.plan(origin), new_directory(scenario, out), trust, spec)
-    shown = find_columns(spec.measures or DEFAULT, store.record.columns)
+    shown = find_columns(store.record.settings.measures or DEFAULT, store.record.columns)
     missing = store.missing
     if not quiet:
         say(_announced(store, missing), err=True)

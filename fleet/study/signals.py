@@ -21,12 +21,14 @@ from fleet.quantities import QuantityError, show_time, time_ns
 from fleet.recorder.metrics import VehicleError
 from fleet.recorder.separation import Separation
 from fleet.scenario.scenario import Scenario
+from fleet.scenario.sections.checked_signals import checked_signals
 from fleet.scenario.sections.signals import NAME, SignalError, SignalName, places, unit_of
 from fleet.study.errors import StudyError
 from fleet.study.measures import MORE_IS_BETTER, SEPARATION, STANDING, Column
 from netem.parsing import nearest
 from netem.wire.messages import Command, Frame
 
+MOST_UNASKED = 4  # measures that are made because checks name their signals
 _EXAMPLE = '"p95 |error.e|", "max |control.u_err|", "final uuv/3/state.z" or "mean error.e_norm after 20 s"'
 _GRAMMAR = re.compile(
     rf"(?P<how>\w[\w.]*)\s+(?P<bar>\|)?\s*(?:uuv/(?P<vehicle>\*|[1-9]\d{{0,5}})/)?(?P<name>{NAME})\s*(?(bar)\|)"
@@ -116,6 +118,22 @@ def signal_columns_of(texts: Iterable[str], scenarios: Sequence[Scenario]) -> li
         for scenario in scenarios
     }
     return [_column(measure, list(fleets.values())) for measure in dict.fromkeys(measures)]
+
+
+def measures_of_checks(scenarios: Sequence[Scenario]) -> tuple[str, ...]:
+    """A measure for each signal that a check of the scenarios names: how near the check it came.
+
+    That is the largest value where the check asks for a small one, the least where it asks for a large one, and else
+    the last one.
+    """
+    found: dict[str, None] = {}
+    for scenario in scenarios:
+        named = {str(name) for name in checked_signals(scenario.spec.checks)}
+        for check in scenario.spec.checks.signal or ():
+            if check.topic in named:
+                how = "max" if check.below is not None else "min" if check.above is not None else "final"
+                found[str(parse_signal(f"{how} {check.topic}"))] = None
+    return tuple(found)[:MOST_UNASKED]
 
 
 def more_is_better(name: str) -> bool:

@@ -29,11 +29,12 @@ from fleet.study.one_run import A_STUDY, FAILED, Task
 from fleet.study.plan import Plan, Point, run_key
 from fleet.study.record import VERSION, BorderRecord, StudyRecord, axis_record
 from fleet.study.settings import KeepLogs, Settings
-from fleet.study.signals import find_columns, is_signal, signal_columns_of
+from fleet.study.signals import find_columns, is_signal, measures_of_checks, signal_columns_of
 from fleet.study.spec import StudySpec
 from fleet.study.statistics import Estimate, pass_rate
 from fleet.study.stopping import parse_until, watched_by
 from fleet.study.store import Store
+from fleet.study.summary import DEFAULT
 from world.plugins.trust import NOTHING, Trust
 
 _WRITE_S, _WRITE_ROWS = 10.0, 1000  # rows wait at most so long, or until there are so many
@@ -129,8 +130,13 @@ def prepare(
 
 
 def declared(plan: Plan, scenarios: Sequence[Scenario]) -> tuple[Settings, list[Column]]:
-    """The settings with the names of measures as columns have them, and the columns. Raises StudyError."""
+    """The settings with the names of measures as columns have them, and the columns. Raises StudyError.
+
+    Where no measures are named, those of signals that checks of the scenarios are about stand behind the usual ones.
+    """
     settings = plan.settings
+    if not settings.measures and (checked := measures_of_checks(scenarios)):
+        settings = msgspec.structs.replace(settings, measures=(*DEFAULT, *checked))
     names = [*settings.measures, *([] if settings.until is None else watched_by(settings.until))]
     columns = [*STANDING, *signal_columns_of(filter(is_signal, names), scenarios)]
     measures = tuple(column.name for column in find_columns(settings.measures, columns))

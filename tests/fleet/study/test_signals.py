@@ -7,15 +7,20 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from small_scenario import small
+from small_scenario import SMALL, small
 
 from fleet.execution.execute import execute
 from fleet.execution.judged import judged
 from fleet.execution.options import Options
 from fleet.logs.open_log import open_log
 from fleet.scenario.scenario import Scenario
+from fleet.scenario.text.overrides import SET, Override
 from fleet.study.errors import StudyError
-from fleet.study.signals import Samples, find_columns, parse_signal, signal_columns_of
+from fleet.study.plan import Plan
+from fleet.study.settings import Settings
+from fleet.study.signals import Samples, find_columns, measures_of_checks, parse_signal, signal_columns_of
+from fleet.study.summary import DEFAULT
+from fleet.study.sweep import prepare
 
 
 def numbers(scenario: Scenario, *names: str) -> dict[str, float]:
@@ -105,3 +110,23 @@ def test_a_measure_that_the_study_does_not_have_is_said() -> None:
         find_columns(["max error.e_norm"])
     with pytest.raises(StudyError, match='no measure "e_rms"; did you mean "e_rms_m"'):
         find_columns(["e_rms"])
+
+
+CHECKED = (
+    "checks={signal: [{topic: state.z, below: 6 m}, {topic: state.u, above: -1 m/s}, {topic: '|error.e|', below: 9 m}, "
+    "{topic: command.tau_0, within: [-9 N, 9 N]}, {topic: error.e_norm, below: 3 m}]}"
+)
+
+
+def test_signals_that_checks_name_are_measured_without_asking(tmp_path: Path) -> None:
+    """By how near the check they came; the errors have measures of their own already."""
+    expected = ("max state.z", "min state.u", "max |error.e|", "final command.tau_0")
+    assert measures_of_checks([small(CHECKED)]) == expected
+    file = tmp_path / "small.yaml"
+    file.write_text(SMALL, "utf-8")
+    store, _ = prepare(Plan(str(file), (Override(SET, CHECKED),), seeds=(1,)), tmp_path / "s")
+    assert store.record.settings.measures == (*DEFAULT, *expected)
+    assert {column.name: column.unit for column in store.record.columns}["max state.z"] == "m"
+    asked = Settings(measures=("e_rms_m",))
+    store, _ = prepare(Plan(str(file), (Override(SET, CHECKED),), seeds=(1,), settings=asked), tmp_path / "t")
+    assert store.record.settings.measures == ("e_rms_m",)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from itertools import chain, count
 from math import inf, isnan
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -282,8 +283,10 @@ def sweep(
 
 
 def new_directory(scenario: str, out: Path = Path("studies")) -> Path:
-    """Where a new study of a scenario goes."""
-    return out / f"{Path(scenario).stem}-{time.strftime(STAMP, time.gmtime())}"
+    """Where a new study of a scenario goes; the second one of the same second gets a number."""
+    first = out / f"{Path(scenario).stem}-{time.strftime(STAMP, time.gmtime())}"
+    others = (first.with_name(f"{first.name}-{number}") for number in count(2))
+    return next(path for path in chain([first], others) if not path.exists())
 
 
 def _cell(value: float | str | Estimate) -> str:

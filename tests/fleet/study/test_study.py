@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from contextlib import nullcontext
 from pathlib import Path
 
@@ -12,6 +13,7 @@ from study_engine import Here
 import fleet
 from fleet.errors import ScenarioError
 from fleet.study.store import Store
+from fleet.study.study import new_directory
 
 STUDY = """\
 study:
@@ -53,3 +55,15 @@ def test_a_time_limit_is_kept_with_the_study() -> None:
     spec = Store.open(study.directory).record.spec
     assert spec is not None
     assert (spec.timeout, spec.seeds) == ("1.5 s", "1")
+
+
+def test_two_studies_that_begin_in_one_second_have_two_directories(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(time, "gmtime", lambda: time.struct_time((2026, 11, 22, 10, 15, 0, 6, 326, 0)))
+    names = []
+    for _ in range(3):
+        directory = new_directory("rough-sea", tmp_path)
+        directory.mkdir()
+        names.append(directory.name)
+    assert names == ["rough-sea-20261122-101500", "rough-sea-20261122-101500-2", "rough-sea-20261122-101500-3"]

@@ -37,6 +37,24 @@ def agreed(net: ProtocolNetwork, leader: int, *those: int) -> bool:
     return all(net.told[i]["leader"] == leader for i in those)
 
 
+def disturb(net: ProtocolNetwork, draw: Random, kinds: int) -> None:
+    """Kill, start, split or join at random; with six kinds also suspend or continue an agent."""
+    match draw.randrange(kinds):
+        case 0 if len(net.agents) > 1:
+            net.kill(draw.choice(sorted(net.agents)))
+        case 1 if missing := sorted({1, 2, 3, 4, 5} - set(net.agents)):
+            net.start(draw.choice(missing))
+        case 2:
+            one = {i for i in range(1, 6) if draw.random() < 0.5}
+            net.split(one, {1, 2, 3, 4, 5} - one)
+        case 3:
+            net.split()
+        case 4:
+            net.suspended.add(draw.choice(sorted(net.agents)))
+        case 5:
+            net.suspended.clear()
+
+
 @settings(max_examples=25, deadline=None)
 @given(seed=st.integers(0, 10**6), links=st.sampled_from(GRAPHS), loss=st.floats(0.0, 0.8), late=st.integers(1, 500))
 def test_a_quorum_of_the_fleet_never_has_two_leaders(seed: int, links: Any, loss: float, late: int) -> None:
@@ -45,16 +63,7 @@ def test_a_quorum_of_the_fleet_never_has_two_leaders(seed: int, links: Any, loss
         patch.setattr(election, "FormationAgent", Still)
         net, draw = network(links=links, seed=seed), Random(seed)
         for _ in range(25):
-            match draw.randrange(4):
-                case 0 if len(net.agents) > 1:
-                    net.kill(draw.choice(list(net.agents)))
-                case 1 if missing := sorted({1, 2, 3, 4, 5} - set(net.agents)):
-                    net.start(draw.choice(missing))
-                case 2:
-                    one = {i for i in range(1, 6) if draw.random() < 0.5}
-                    net.split(one, {1, 2, 3, 4, 5} - one)
-                case 3:
-                    net.split()
+            disturb(net, draw, kinds=4)
             for _ in range(draw.randrange(LEASE)):
                 net.run(1, loss=loss, delay=(1, late), repeat=0.1)
                 assert len(leaders(net)) <= 1
@@ -97,20 +106,7 @@ def two_lead(seed: int) -> tuple[bool, bool]:
     loss, late = draw.choice([0.0, 0.2, 0.5]), draw.choice([1, 30, 100])
     believed = leased = False
     for _ in range(25):
-        match draw.randrange(6):
-            case 0 if len(net.agents) > 1:
-                net.kill(draw.choice(sorted(net.agents)))
-            case 1 if missing := sorted({1, 2, 3, 4, 5} - set(net.agents)):
-                net.start(draw.choice(missing))
-            case 2:
-                one = {i for i in range(1, 6) if draw.random() < 0.5}
-                net.split(one, {1, 2, 3, 4, 5} - one)
-            case 3:
-                net.split()
-            case 4:
-                net.suspended.add(draw.choice(sorted(net.agents)))
-            case 5:
-                net.suspended.clear()
+        disturb(net, draw, kinds=6)
         for _ in range(draw.randrange(2 * LEASE)):
             now = net.tick / 100
             net.run(1, loss=loss, delay=(1, late))

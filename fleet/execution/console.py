@@ -51,9 +51,9 @@ from netem.wire.messages import (
     LinkReport,
     Message,
     Restart,
+    WorldFault,
     WorldFaults,
 )
-from world.faults import WorldFault
 
 READY_S = 20.0
 READY_PER_VEHICLE_S = 0.2
@@ -275,7 +275,7 @@ class Console:
 
     def set_world_faults(self, faults: Sequence[WorldFault]) -> None:
         # On the key of the grants, so it arrives before any tick that is granted later.
-        self._put(WorldFaults(msgpack.packb([fault.to_values() for fault in faults])))
+        self._put(WorldFaults(tuple(faults)))
 
     def set_absences(self, absences: Sequence[Absence]) -> None:
         if "tick" not in self.ask(NETEM, "absences", absences=[list(absence) for absence in absences]):
@@ -301,7 +301,7 @@ class Console:
     def end_agents(self, kill: Kill) -> None:
         self._supervisor.end_agents(kill)
 
-    def restart_agent(self, i: int, begin: int, tick: int) -> None:
+    def restart_agent(self, i: int, begin: int | None, tick: int) -> None:
         self._supervisor.restart_agent(i, begin, tick)
 
     # Events.

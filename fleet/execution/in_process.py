@@ -143,12 +143,12 @@ class InProcess:
         deaths = self.deaths.setdefault(i, [])
         self._note(error.tick, f"agent {i}", f"controller failed: {error}")
         restart = self._scenario.spec.on_death == "restart" and len(deaths) < MOST_RESTARTS
-        until = self._scenario.next_round(self._granted) if restart else 0
+        until = self._scenario.next_round(self._granted) if restart else None
         deaths.append("controller failed")
         self._dead.add((i, self._loops[i].incarnation))
-        if until:
+        if until is not None:
             self.rounds.lives.add(Absence(i, until - 1, until))
-        self._from_world(self._world.end(i, self._loops[i].incarnation, until or None))
+        self._from_world(self._world.end(i, self._loops[i].incarnation, until))
 
     def _deliver(self, sender: int, i: int, data: bytes) -> None:
         """Give agent i a message, and its answers to the world and to netem."""

@@ -123,11 +123,11 @@ class Scenario:
         """m, ticks per network round; an ideal network exchanges at every tick."""
         return 1 if self.ideal else self.spec.network.period // self.spec.tick
 
-    def next_round(self, tick: int) -> int:
-        """The first round tick after a tick; 0 if the run is over by then."""
+    def next_round(self, tick: int) -> int | None:
+        """The first round tick after a tick; None if the run is over by then."""
         m = self.round_ticks
         after = (tick // m + 1) * m
-        return after if after < self.ticks else 0
+        return after if after < self.ticks else None
 
     @property
     def ideal(self) -> bool:

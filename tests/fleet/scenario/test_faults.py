@@ -27,10 +27,10 @@ from fleet.scenario.schema.faults import ACTIONS, DrawnKind
 from fleet.scenario.sections.partitions import PartitionError, partition
 from netem.condition import Condition
 from netem.config import NetemConfig
-from netem.faults import NO_FAULTS, FaultKind, NetFault, active_faults
+from netem.fault_kinds import FaultKind, WorldFaultKind
+from netem.faults import NO_FAULTS, NetFault, active_faults
 from netem.lives import Absence
 from netem.network import Netem
-from world.faults import WorldFaultKind
 from world.lockstep import Lockstep, NavTo
 from world.lockstep import Out as WorldOut
 
@@ -255,7 +255,7 @@ def test_each_rule_of_faults_speaks(entry: str, words: str) -> None:
 
 def test_every_kind_of_fault_has_a_core() -> None:
     """The schema lists the kinds; what no core knows would be accepted and do nothing."""
-    assert set(ACTIONS) == {*get_args(FaultKind), "kill", *get_args(WorldFaultKind)}
+    assert set(ACTIONS) == {*get_args(FaultKind), "kill", *WorldFaultKind}
     assert set(get_args(DrawnKind)) <= set(ACTIONS)
 
 

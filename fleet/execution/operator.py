@@ -21,6 +21,7 @@ from fleet.recorder.journal import Journal
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.schema.faults import FaultSection
 from fleet.scenario.sections.timeline import Event, Kill, Part, action, begin_and_end, parts, with_end, words
+from netem.clock import Clock
 from netem.faults import NetFault
 from netem.wire.messages import WorldFault
 
@@ -196,7 +197,7 @@ class Operator:
             case "step", int(count) if count > 0:
                 self.clock.step(self.fleet.granted, count)
                 return {"clock": self.clock.describe(), "at_s": self._seconds(self.clock.held)}
-            case "speed", _ if self.clock.realtime:
+            case "speed", _ if self.clock.clock is Clock.REAL:
                 raise RefusedError("a run on a wall clock keeps the pace with which it began (fleet run --speed)")
             case "speed", (int() | float() | None) as speed if speed is None or 0 < speed <= MOST_SPEED:
                 self.clock.set_speed_limit(self.fleet.granted, None if speed is None else float(speed))

@@ -10,7 +10,7 @@ import pytest
 from small_scenario import small
 
 from fleet.execution import operator as module
-from fleet.execution.clock import Clock, LiveClock
+from fleet.execution.clock import GrantPolicy, LiveClock
 from fleet.execution.fleet import Fleet
 from fleet.execution.operator import Operator
 from fleet.recorder.journal import Journal
@@ -30,7 +30,7 @@ from fleet.recorder.journal import Journal
 )
 def test_a_refusal_says_what_to_do(fault: dict[str, Any], said: str) -> None:
     scenario = small()
-    clock = LiveClock(Clock(scenario.ticks, scenario.tick_ns, scenario.round_ticks, 1, None), 0.0)
+    clock = LiveClock(GrantPolicy(scenario.ticks, scenario.tick_ns, scenario.round_ticks, 1, None), 0.0)
     fleet = cast("Fleet", SimpleNamespace(granted=3))
     operator = Operator(scenario, Journal(scenario, MagicMock()), clock, fleet)
     answer = operator.handle({"op": "inject", "fault": fault})
@@ -41,7 +41,7 @@ def test_a_refusal_says_what_to_do(fault: dict[str, Any], said: str) -> None:
 def test_checks_are_not_judged_again_and_again(monkeypatch: pytest.MonkeyPatch) -> None:
     """However often pages ask: the run goes on meanwhile."""
     scenario = small("checks={formation_error: {below: 1 m, after: 500 ms}}")
-    clock = LiveClock(Clock(scenario.ticks, scenario.tick_ns, scenario.round_ticks, 1, None), 0.0)
+    clock = LiveClock(GrantPolicy(scenario.ticks, scenario.tick_ns, scenario.round_ticks, 1, None), 0.0)
     operator = Operator(scenario, Journal(scenario, MagicMock()), clock, cast("Fleet", SimpleNamespace(granted=3)))
     first = operator.handle({"op": "checks"})["checks"]
     assert first[0]["check"] == "formation_error" and first[0]["passed"] is None
@@ -61,7 +61,7 @@ class Healed:
 
     def __init__(self, granted: int, *faults: str) -> None:
         scenario = small("duration=3 s", "network.period=100 ms", f"faults=[{', '.join(faults)}]")
-        clock = LiveClock(Clock(scenario.ticks, scenario.tick_ns, scenario.round_ticks, 1, None), 0.0)
+        clock = LiveClock(GrantPolicy(scenario.ticks, scenario.tick_ns, scenario.round_ticks, 1, None), 0.0)
         self.fleet = MagicMock(granted=granted)
         self.operator = Operator(scenario, Journal(scenario, MagicMock()), clock, self.fleet)
 

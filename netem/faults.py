@@ -15,10 +15,10 @@ from netem.causes import Cause
 from netem.condition import Condition, Link, condition_from_values, condition_values
 from netem.errors import MalformedMessage
 from netem.fault_kinds import FaultKind
-from netem.wire.messages import Fault
+from netem.wire.messages import TimedFault
 
 
-class NetFault(Fault, frozen=True):
+class NetFault(TimedFault, frozen=True):
     """A fault of the network."""
 
     kind: FaultKind

@@ -33,7 +33,7 @@ class CertsError(FleetError):
 
 
 @dataclass(frozen=True, slots=True)
-class Pair:
+class KeyPair:
     """A certificate and its private key, PEM."""
 
     certificate: str
@@ -45,7 +45,7 @@ class ServerCertificate:
     """The certificate of a router that listens with TLS, and the names and addresses for which it is valid."""
 
     ca: str  # PEM
-    pair: Pair
+    pair: KeyPair
     hosts: tuple[str, ...]
 
 
@@ -140,7 +140,7 @@ def read_server(directory: Path) -> ServerCertificate:
     return ServerCertificate(ca, pair, tuple(hosts))
 
 
-def read_client(directory: Path, who: str) -> Pair:
+def read_client(directory: Path, who: str) -> KeyPair:
     """Read the certificate of a client with its key.
 
     Raises:
@@ -150,7 +150,7 @@ def read_client(directory: Path, who: str) -> Pair:
 
     ca_path, certificate_path, key_path = path(directory, CA), path(directory, who), path(directory, who, key=True)
     authorities = _parse(ca_path, _read(ca_path))
-    pair = Pair(_read(certificate_path), _read(key_path, private=True))
+    pair = KeyPair(_read(certificate_path), _read(key_path, private=True))
     certificate, *between = _parse(certificate_path, pair.certificate)
     try:
         key = load_pem_private_key(pair.key.encode(), password=None)

@@ -40,7 +40,7 @@ from fleet.protocol.checks import (
     TOKEN,
     TRANSMITS,
     UNASKED,
-    Check,
+    ProtocolCheck,
 )
 from fleet.protocol.emulated_fleet import EmulatedFleet
 from fleet.scenario.scenario import Scenario
@@ -124,7 +124,7 @@ class Examination:
         self.notes: list[str] = []  # texts of the agent's Note messages
         self.slowest_s = 0.0  # longest wait for an answer
 
-    def run(self, timeout_s: float, show: Callable[[str], None]) -> list[Check]:
+    def run(self, timeout_s: float, show: Callable[[str], None]) -> list[ProtocolCheck]:
         """Wait for the agent, examine it, and return a verdict for each of `CHECKS`.
 
         Args:
@@ -185,13 +185,13 @@ class Examination:
     def _fail(self, check: str, expected: str, got: object) -> None:
         self._failed.setdefault(check, (expected, str(got)))
 
-    def _verdicts(self) -> list[Check]:
+    def _verdicts(self) -> list[ProtocolCheck]:
         found = []
         for check in CHECKS:
             if check in self._failed:
-                found.append(Check(check, False, *self._failed[check]))
+                found.append(ProtocolCheck(check, False, *self._failed[check]))
             else:
-                found.append(Check(check, True if check in self._reached else None))
+                found.append(ProtocolCheck(check, True if check in self._reached else None))
         return found
 
     # ------------------------------------------------------------------------------------- the script

@@ -189,6 +189,6 @@ class Parts:
         return self.spec.model_copy(update={"faults": faults, "nemesis": None})
 
     @cached_property
-    def faults(self) -> timeline.Plan:
+    def faults(self) -> timeline.FaultPlan:
         """Every fault, for the cores; the faults must be valid."""
         return timeline.plan(self.explicit, self.links)

@@ -130,7 +130,7 @@ class Frame(Record, frozen=True):
     memory: Annotated[bytes, about("of the world and all agents before this tick, as MessagePack; mostly empty")]
 
 
-class Fault(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, gc=False):
+class TimedFault(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, gc=False):
     """What all faults have: a name, a beginning and an end."""
 
     id: Annotated[Text, about("name of the fault, unique in a run")]
@@ -142,7 +142,7 @@ class Fault(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, gc
         return self.begin <= tick and (self.end is None or tick < self.end)
 
 
-class WorldFault(Fault, frozen=True):
+class WorldFault(TimedFault, frozen=True):
     """A fault of sensors, actuators or sea."""
 
     kind: Annotated[WorldFaultKind, about("what it does")]

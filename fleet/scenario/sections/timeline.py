@@ -32,7 +32,7 @@ from netem.faults import NetFault
 from netem.grammar import print_condition
 from netem.lives import Absence
 from netem.selectors import parse_selector, select
-from netem.wire.messages import Fault, WorldFault
+from netem.wire.messages import TimedFault, WorldFault
 
 OF_THE_NETWORK: tuple[str, ...] = get_args(FaultKind)
 OF_THE_WORLD: tuple[str, ...] = tuple(kind for kind in WorldFaultKind if kind not in ("pause", "slow"))
@@ -54,7 +54,7 @@ class Event:
         return is_fault(self.what)
 
 
-class Kill(Fault, frozen=True):
+class Kill(TimedFault, frozen=True):
     """Agents that end at tick `begin` and, unless `end` is None, are started again at tick `end`."""
 
     vehicles: tuple[int, ...]
@@ -74,7 +74,7 @@ def with_end(part: Part, end: int) -> Part:
 
 
 @dataclass(frozen=True, slots=True)
-class Plan:
+class FaultPlan:
     """Every fault of a scenario, as the cores get it."""
 
     parts: tuple[Part, ...]  # in order of time
@@ -93,7 +93,7 @@ class Plan:
         return tuple(absence for part in self.parts if isinstance(part, Kill) for absence in part.absences)
 
 
-def plan(spec: ScenarioSpec, links: Sequence[Link]) -> Plan:
+def plan(spec: ScenarioSpec, links: Sequence[Link]) -> FaultPlan:
     """The faults of a valid scenario.
 
     Raises:
@@ -109,7 +109,7 @@ def plan(spec: ScenarioSpec, links: Sequence[Link]) -> Plan:
             events += begin_and_end(of_this, section, last)
     all_parts.sort(key=lambda part: part.begin)
     events.sort(key=event_order)
-    return Plan(tuple(all_parts), tuple(events))
+    return FaultPlan(tuple(all_parts), tuple(events))
 
 
 def event_order(event: Event) -> tuple[int, bool, str]:

@@ -43,7 +43,7 @@ class VehicleFileError(DataFileError):
 
 
 @dataclass(frozen=True, slots=True)
-class Vehicle:
+class VehicleModel:
     """The numbers of a vehicle file, in SI units."""
 
     name: str
@@ -57,7 +57,7 @@ def shipped_vehicles() -> list[str]:
     return data_files.shipped(_PACKAGE)
 
 
-def load_vehicle(name: str, folder: Path | None = None) -> Vehicle:
+def load_vehicle(name: str, folder: Path | None = None) -> VehicleModel:
     """A shipped vehicle by its name, or that of a file in `folder` (the scenario's) or in the current directory.
 
     Raises:
@@ -72,11 +72,11 @@ def load_vehicle(name: str, folder: Path | None = None) -> Vehicle:
 
 
 @cache
-def _shipped(name: str) -> Vehicle:
+def _shipped(name: str) -> VehicleModel:
     return parse_vehicle(*data_files.find("vehicle", name, _PACKAGE, None), shipped=True)
 
 
-def parse_vehicle(data: bytes, name: str, *, shipped: bool = False) -> Vehicle:
+def parse_vehicle(data: bytes, name: str, *, shipped: bool = False) -> VehicleModel:
     """The vehicle in the bytes of a file.
 
     Raises:
@@ -96,7 +96,7 @@ def parse_vehicle(data: bytes, name: str, *, shipped: bool = False) -> Vehicle:
         problems += mass_problems(VehicleParams(**params))
     if problems:
         raise VehicleFileError(name, problems)
-    return Vehicle(
+    return VehicleModel(
         str(values.get("name", name)),
         VehicleParams(**params),
         (limits["surge_force"], limits["pitch_moment"], limits["yaw_moment"]),

@@ -20,7 +20,7 @@ from world.current import GaussMarkov, gust, purpose
 from world.current import draws as draws_of_drift
 from world.disturbance import disturbance
 from world.dynamics import Coefficients, State, coefficients, rk4_step
-from world.errors import CommandError, NonFiniteStateError, UnknownVehicleError
+from world.errors import IntegrationError, WorldError
 from world.plants.fenced_plant import FencedPlant
 from world.sensors import Measured, measure, split
 from world.vectors import Vec2, Vec3, Vec5, Vec6, plus
@@ -72,7 +72,7 @@ class _Vehicles(dict[int, _Vehicle]):
     """The vehicles by number."""
 
     def __missing__(self, i: int) -> _Vehicle:
-        raise UnknownVehicleError(i, tuple(self))
+        raise WorldError(f"vehicle {i} is not in this world, which has {list(self)}")
 
 
 class World:
@@ -166,11 +166,11 @@ class World:
             The same within +-tau_max, and with the faults of the actuators.
 
         Raises:
-            CommandError: not three finite numbers.
+            WorldError: not three finite numbers.
         """
         vehicle = self._vehicles[i]
         if len(tau) != 3 or not all(map(isfinite, tau)):
-            raise CommandError(i, vehicle.tick, tau)
+            raise WorldError(f"vehicle {i}, tick {vehicle.tick}: expected tau as three finite numbers, got {tau!r}")
         t1, t2, t3 = tau
         l1, l2, l3 = vehicle.tau_max
         applied = max(-l1, min(l1, t1)), max(-l2, min(l2, t2)), max(-l3, min(l3, t3))
@@ -218,7 +218,7 @@ class World:
         """Integrate vehicle i, and it alone, to its next tick with `tau` [N, N m] held.
 
         Raises:
-            NonFiniteStateError: the motion left the range of finite numbers; the state stays that of the tick before.
+            IntegrationError: the motion left the range of finite numbers; the state stays that of the tick before.
             PlantError: the vehicle's plant failed; likewise.
         """
         vehicle = self._vehicles[i]
@@ -239,9 +239,9 @@ class World:
                 state = rk4_step(k, state, tau, d, h, current)
         except (OverflowError, ValueError):
             # math.sin of an infinite angle is a ValueError, not a NaN.
-            raise NonFiniteStateError("the motion left the finite numbers", state[3], i, tick) from None
+            raise IntegrationError("the motion left the finite numbers", state[3], i, tick) from None
         if not isfinite(sum(state)):
-            raise NonFiniteStateError("the motion left the finite numbers", state[3], i, tick)
+            raise IntegrationError("the motion left the finite numbers", state[3], i, tick)
         vehicle.state = state
         vehicle.tick = tick + 1
 

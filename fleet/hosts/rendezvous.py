@@ -13,12 +13,11 @@ from typing import Annotated, Any
 
 import msgspec
 
-from fleet.errors import FleetError
 from fleet.hosts.certificates import (
     ALWAYS,
     OWN,
     SERVER,
-    CertsError,
+    HostsError,
     KeyPair,
     ServerCertificate,
     host_name,
@@ -43,10 +42,6 @@ IN_CLEAR = (
     "{endpoint} is not encrypted and is for other hosts: whoever sees the traffic reads every state and can take over "
     "an agent's connection. Use it on a network that you trust, or make certificates with fleet certs and use tls/"
 )
-
-
-class HostsError(FleetError):
-    """Options for several hosts that cannot be used."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,7 +110,7 @@ def parse_endpoint(text: str, option: str) -> RouterEndpoint:
     if not endpoint.wildcard:
         try:
             host_name(host)
-        except CertsError as error:
+        except HostsError as error:
             raise HostsError(f"{option}: {error}") from None
     return endpoint
 
@@ -140,7 +135,7 @@ def listening(
 
     Raises:
         HostsError: these do not go together.
-        CertsError: the certificates cannot be used.
+        HostsError: the certificates cannot be used.
     """
     endpoint = parse_endpoint(listen, "--listen")
     if endpoint.protocol == "tcp" and (certs or mutual):
@@ -187,7 +182,7 @@ def listening_for_certificates(
 
     Raises:
         HostsError: these do not go together.
-        CertsError: the certificates cannot be used, or an external agent has none.
+        HostsError: the certificates cannot be used, or an external agent has none.
     """
     endpoint = parse_endpoint(listen, CERTIFIED)
     if endpoint.protocol != "tls":
@@ -253,7 +248,7 @@ def through_router(
 
     Raises:
         HostsError: these do not go together, or the file is not of such a run.
-        CertsError: the certificates cannot be used.
+        HostsError: the certificates cannot be used.
     """
     endpoint = parse_endpoint(router, "--router")
     if endpoint.wildcard:
@@ -331,7 +326,7 @@ def run_id(text: str) -> str:
 def _advertised(host: str) -> str:
     try:
         return host_name(host)
-    except CertsError as error:
+    except HostsError as error:
         raise HostsError(f"--advertise: {error}") from None
 
 

@@ -97,7 +97,7 @@ def plan(spec: ScenarioSpec, links: Sequence[Link]) -> FaultPlan:
     """The faults of a valid scenario.
 
     Raises:
-        PartitionError: a partition cannot be made.
+        TextError: a partition cannot be made.
     """
     all_parts: list[Part] = []
     events: list[Event] = []
@@ -129,7 +129,7 @@ def parts(section: FaultSection, name: str, spec: ScenarioSpec, links: Sequence[
     """The parts of one fault, called `name`, one for each core that it concerns.
 
     Raises:
-        PartitionError: a partition cannot be made.
+        TextError: a partition cannot be made.
     """
     begin = section.at // spec.tick
     end = None if section.for_ is None else begin + section.for_ // spec.tick

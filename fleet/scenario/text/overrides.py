@@ -25,8 +25,8 @@ from fleet.quantities import describe_value
 from fleet.scenario.text.fault_words import FaultWordsError, fault_entry, link_entries
 from fleet.scenario.text.scaling import scale
 from fleet.scenario.text.yaml_reader import Items, Mapping, Node, Scalar, Source, TextPlace, plain, read
+from netem.errors import TextError
 from netem.grammar import WORDS, with_word
-from netem.parsing import GrammarError
 from netem.selectors import parse_selector
 
 SET, NET, FAULT = "--set", "--net", "--fault"
@@ -170,7 +170,7 @@ def _with_link_word(source: Source, root: Mapping) -> Mapping:
         return root
     try:
         condition = Scalar(with_word(text, word, value), start.shifted(len(path) + 1))
-    except GrammarError as error:
+    except TextError as error:
         column = match.start("word") if not value.strip() or word not in WORDS else len(path) + 1 + error.column
         raise _MistakeError(start.shifted(column).problem(error.message, error.hint)) from None
     if same is None:
@@ -208,7 +208,7 @@ def _links_of(selector: str) -> str:
     """What a selector means, however it is written; a text that is none means itself."""
     try:
         return str(parse_selector(selector))
-    except GrammarError:
+    except TextError:
         return selector
 
 

@@ -24,9 +24,10 @@ from fleet.execution.options import Options
 from fleet.execution.outcome import Result, Status
 from fleet.scenario.loading import load_scenario, parse_scenario
 from fleet.scenario.schema.faults import ACTIONS, DrawnKind
-from fleet.scenario.sections.partitions import PartitionError, partition
+from fleet.scenario.sections.partitions import partition
 from netem.condition import Condition
 from netem.config import NetemConfig
+from netem.errors import TextError
 from netem.fault_kinds import FaultKind, WorldFaultKind
 from netem.faults import NO_FAULTS, NetFault, active_faults
 from netem.lives import Absence
@@ -94,7 +95,7 @@ def test_bridge_leaves_one_that_both_halves_see() -> None:
      ("isolate:9", "is no partition"), ("a / b", "expected vehicle numbers"), ("", "is no partition")],
 )  # fmt: skip
 def test_bad_partitions(text: str, words: str) -> None:
-    with pytest.raises(PartitionError, match=words):
+    with pytest.raises(TextError, match=words):
         partition(text, 4, 1, 1)
 
 

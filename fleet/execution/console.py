@@ -84,7 +84,6 @@ class Console:
         """
         self._scenario, self._directory, self._journal, self._options = scenario, directory, journal, options
         self._vehicles = range(1, scenario.vehicles + 1)
-        self._clock = options.clock
         self._keys = Keys(run)
         self._events = EventQueue()
         self._children = Children(partial(self._events.put, EventKind.EXIT))
@@ -158,7 +157,7 @@ class Console:
 
     def _open(self, bus: Bus) -> None:
         self._session = session = Session(bus, self._keys)
-        clock = {} if self._clock is Clock.LOCKSTEP else {"clock": self._clock}
+        clock = {} if self._options.clock is Clock.LOCKSTEP else {"clock": self._options.clock}
         slices = {i: {"agent": self._scenario.agent_config(i).to_values()} | clock for i in self._vehicles}
         session.listen(self._events, self._notes)
         session.configure(slices, self._external, self._events)
@@ -222,7 +221,7 @@ class Console:
     def _close(self) -> Closing:
         """Wait for the last reports, and settle the accounts."""
         journal = self._journal
-        if self._clock is Clock.LOCKSTEP:
+        if self._options.clock is Clock.LOCKSTEP:
             # The last round has no barrier: the world may be at the end before netem has what belongs to it.
             m = self._scenario.round_ticks
             last = (self._scenario.ticks - 1) // m * m
@@ -231,7 +230,7 @@ class Console:
         self._take_until(lambda: journal.complete, "netem did not report its last packets")
         world = self.ask(WORLD, "close", timeout_s=CLOSE_S)
         counts = {"world": world.get("counts", {}), "netem": network.get("counts", {}), "console": self._received}
-        self.middleware_lost = lost_messages(counts, clock=self._clock)
+        self.middleware_lost = lost_messages(counts, clock=self._options.clock)
         return Closing(
             entered={(src, dst): (sent, copies) for src, dst, sent, copies in network.get("entered", ())},
             rejected={**world.get("rejected", {}), **network.get("rejected", {}), **self._notes.rejected},
@@ -240,7 +239,7 @@ class Console:
 
     def _timing_so_far(self) -> dict[str, Any]:
         """How late everyone was in a realtime run; empty in lockstep, or without an answer."""
-        if self._clock is Clock.LOCKSTEP:
+        if self._options.clock is Clock.LOCKSTEP:
             return {}
         world, network = self.ask(WORLD, "close"), self.ask(NETEM, "timing")
         return {**world["timing"], "netem": network["timing"]} if world and network else {}

@@ -19,7 +19,7 @@ FIELDS: dict[type, dict[str, Meaning]] = {
         "round_ticks": ("uint", "tick", "m, between two round ticks: tick k is one if m divides it"),
         "offset": ("Offset", "m", "p_i(t), where the vehicle belongs relative to the reference"),
         "reference": (
-            "Line, Circle, Path or null",
+            "StraightLine, Circle, Path or null",
             "",
             "the trajectory eta_1^d(t), by its `kind`; null: not told",
         ),
@@ -51,7 +51,7 @@ FIELDS: dict[type, dict[str, Meaning]] = {
     },
     Offset: {
         "start": ("real[3]", "m", "NED, until the first change"),
-        "changes": ("Change[*]", "", "in order of time, none before the one before is complete"),
+        "changes": ("OffsetChange[*]", "", "in order of time, none before the one before is complete"),
     },
     OffsetChange: {
         "begin": ("real", "s", "when the offset begins to move"),

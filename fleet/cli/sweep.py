@@ -114,7 +114,7 @@ def sweep(
     from fleet.study.errors import StudyError
     from fleet.study.load_points import load_points
     from fleet.study.local_engine import engine_of
-    from fleet.study.signals import find_columns
+    from fleet.study.signal_measures import find_columns
     from fleet.study.spec import StudySpec, set_values, varied
     from fleet.study.store import Store
     from fleet.study.study import new_directory

@@ -34,7 +34,8 @@ def ls(out: Path, as_json: bool) -> None:
     """List the runs below a directory, the newest first.
 
     With what they came to, the simulated time, and how large and how old they are. The verdict is pass, FAIL, stopped,
-    live, or broke, also of a run that left no result. A directory that you gave a name of its own is not listed.
+    live, or broke, also of a run that left no result. A directory that you gave a name of its own is not listed. Live
+    runs in any folder: fleet ps. What one can run: fleet list.
 
     \b
     Examples:

@@ -1,7 +1,4 @@
-"""The commands that check a log.
-
-verify (against a new run), check-log (by checks), diff (against another log), recover (repair it).
-"""
+"""The commands that prove a log right or make it usable: verify, check-log, diff, script, recover."""
 
 from __future__ import annotations
 
@@ -150,6 +147,23 @@ def diff(a: Path, b: Path | None, tolerance: float, everything: bool, as_json: b
     sys.exit(status)
 
 
+@click.command()
+@log_argument
+def script(log: Path) -> None:
+    """Print the scenario that runs LOG again, with everything that was injected while it was made.
+
+    \b
+    Examples:
+      fleet script > again.yaml && fleet run again.yaml
+    """
+    from fleet.repeat.recorded_run import script as make
+    from fleet.terminal.progress import showing
+
+    with showing(f"reading {log}") as tell:
+        made = make(log, tell)
+    click.echo(made.to_yaml(), nl=False)
+
+
 @click.command(epilog=_RECOVER)
 @log_argument
 @click.option("-o", "--out", metavar="OUT", type=_log, help="Where to write; by default LOG.recovered.mcap beside it.")
@@ -173,4 +187,4 @@ def recover(log: Path, out: Path | None) -> None:
     sys.exit(1 if found.nothing else 3 if found.lost else 0)
 
 
-COMMANDS = (verify, check_log, diff, recover)
+COMMANDS = (verify, check_log, diff, script, recover)

@@ -32,7 +32,6 @@ DOCUMENTS: dict[str, type[Struct]] = {
     "check-log": LogJudged,
     "clock": live.ClockSet,
     "diff": Compared,
-    "faults": live.Faults,
     "heal": live.Healed,
     "info": LogContents,
     "inject": live.Injected,

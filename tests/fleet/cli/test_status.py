@@ -115,12 +115,12 @@ def test_events_of_vehicles_are_no_faults() -> None:
         "event tumbled 3: 3 times, first at 12.45 s, and still is",
     ]
     many = shown(answer(500, events=[event(i) for i in range(1, 100)]), 24)
-    assert "and events of 96 more vehicles: fleet faults" in [line.rstrip() for line in many]
+    assert "and events of 96 more vehicles: fleet status --all" in [line.rstrip() for line in many]
     assert len(shown(answer(500, faults=40, events=[event(i) for i in range(1, 100)]), 24)) <= 24
 
 
 def test_many_faults_are_counted() -> None:
-    assert "and 35 more faults: fleet faults" in shown(answer(faults=40), 24)
+    assert "and 35 more faults: fleet status --all" in shown(answer(faults=40), 24)
 
 
 @pytest.mark.parametrize(
@@ -135,6 +135,14 @@ def test_many_faults_are_counted() -> None:
 def test_how_long_a_fault_lasts(until_healed: bool, to_s: float, words: str) -> None:
     fault = {"id": "f", "what": "mute 3", "from_s": 1.0, "to_s": to_s, "until_healed": until_healed, "state": "active"}
     assert f"fault f: {words}: mute 3" in [line.rstrip() for line in shown(answer(faults=0) | {"faults": [fault]})]
+
+
+def test_all_faults_are_told_with_their_state() -> None:
+    fault = {"id": "f", "what": "mute 3", "from_s": 20.0, "to_s": 22.0, "until_healed": False, "state": "to come"}
+    lines = shown(answer(faults=40, events=[event(i) for i in range(1, 9)]) | {"faults": [fault] * 40}, every=True)
+    lines = [line.rstrip() for line in lines]
+    assert lines.count("fault f: to come, 20.00 s to 22.00 s: mute 3") == 40
+    assert sum(line.startswith("event") for line in lines) == 8
 
 
 def test_numbers_that_are_not_finite() -> None:

@@ -29,7 +29,6 @@ Exception
 │   ├── LogReadError
 │   │   ├── LogKeyError
 │   │   └── TooLargeError
-│   ├── NewFileError
 │   ├── NonsenseError
 │   ├── NotLinear
 │   ├── NotRecordedError
@@ -50,7 +49,6 @@ Exception
 │   ├── RunBroken
 │   ├── RunDirectoryError
 │   ├── ScenarioError
-│   ├── ScriptError
 │   ├── SelectionError
 │   ├── SignalCheckError
 │   ├── SignalError

@@ -25,7 +25,7 @@ _LEASE = click.option("--lease", metavar="TIME", type=Duration(*_LEASES_S), defa
 
 
 def hosts_options(command: F) -> F:
-    """Add the options of `fleet run` for agents on other hosts; `meeting` reads their values."""
+    """Add the options of `fleet run` for agents on other hosts; `rendezvous` reads their values."""
     folder, file = (click.Path(path_type=Path, file_okay=dir_, dir_okay=not dir_) for dir_ in (False, True))
     for option in (
         _LEASE,
@@ -44,7 +44,7 @@ def hosts_options(command: F) -> F:
     return command
 
 
-def meeting(scenario: Scenario, options: dict[str, Any], *, in_process: bool) -> Rendezvous | None:
+def rendezvous(scenario: Scenario, options: dict[str, Any], *, in_process: bool) -> Rendezvous | None:
     """Where the processes meet, by the options of `hosts_options`; None if none of these options is given.
 
     Raises:

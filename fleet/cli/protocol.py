@@ -76,14 +76,14 @@ def check(
     from netem.wire.session import quiet_zenoh
 
     quiet_zenoh()
-    meeting = None
+    place = None
     if certs and not listen_certified:
         raise HostsError("--certs is for --listen-certified ENDPOINT, such as tls/127.0.0.1:7448")
     if listen_certified:
-        meeting = listening_for_certificates(Rendezvous(), listen_certified, certs, external=(vehicle,))
+        place = listening_for_certificates(Rendezvous(), listen_certified, certs, external=(vehicle,))
         check_free(listen_certified, CERTIFIED)
     file = join_file or Path(f"join-{vehicle}.json")
-    examination = Examination(load_scenario(scenario, trust=trust), vehicle, file, port=port, meeting=meeting)
+    examination = Examination(load_scenario(scenario, trust=trust), vehicle, file, port=port, meeting=place)
     found = examination.run(timeout / 1e9, lambda text: click.echo(text, err=True))
     for text in examination.notes:
         click.echo(f"note  the agent says: {printable(text)}")

@@ -158,11 +158,11 @@ def run(
         for warning in _warnings(loaded, seed_given=seed is not None):
             say(f"warning: {warning}", err=True)
     one_process = "--in-process" if in_process else "--from" if start else "network: ideal" if loaded.ideal else ""
-    meeting = cli_hosts.meeting(loaded, hosts, in_process=bool(one_process))
-    for warning in meeting.warnings if meeting else ():
+    place = cli_hosts.rendezvous(loaded, hosts, in_process=bool(one_process))
+    for warning in place.warnings if place else ():
         terminal.print(f"warning: {warning}", style="bold red", highlight=False, markup=False, soft_wrap=True)
     pace = _realtime_speed(speed, clock, one_process)
-    if audit and (one_process or (meeting and meeting.router)):
+    if audit and (one_process or (place and place.router)):
         raise click.UsageError("--audit reads the log of the router that a run hosts; this run hosts none")
     if view and one_process:
         raise click.UsageError(f"--view is of a run that answers; not with {one_process}: fleet view shows its log")
@@ -179,7 +179,7 @@ def run(
         most_missed=max_missed,
         start_order=_shuffle(start_order),
         join_timeout_s=join_timeout / 1e9,
-        rendezvous=meeting,
+        rendezvous=place,
         audit=audit,
     )
     if not quiet:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from fleet.cli.documents.output import json_option, print_document
-from fleet.cli.types import Age, Whole, Words
+from fleet.cli.types import AgeText, Whole, Words
 from fleet.terminal.folding import stdout
 
 if TYPE_CHECKING:
@@ -42,7 +42,7 @@ def ls(out: Path, as_json: bool) -> None:
       fleet ls
       fleet ls --out /data/runs --json
     """
-    from fleet.cli.documents.runs import RunRow, Runs
+    from fleet.cli.documents.listing import RunRow, Runs
     from fleet.execution.past_runs import LIVE, past_runs
 
     found, now = past_runs(out), _now()
@@ -67,7 +67,7 @@ def ls(out: Path, as_json: bool) -> None:
 @click.command()
 @_out
 @click.option("--keep", metavar="N", type=Whole(min=0), help="The newest N of those that are over stay.")
-@click.option("--older-than", metavar="AGE", type=Age(), help="Only those that began so long ago, e.g. '7 days'.")
+@click.option("--older-than", metavar="AGE", type=AgeText(), help="Only those that began so long ago, e.g. '7 days'.")
 @click.option(
     "--verdict", "verdicts", metavar="LIST", type=Words(VERDICTS), help=f"Only some of {', '.join(VERDICTS)}."
 )

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from rich.console import Console, Group
     from rich.table import Table
 
-    from fleet.cli.documents.live import FaultRow, LinkRow, Status, VehicleRow
+    from fleet.cli.documents.live import FaultRow, LinkRow, RunStatus, VehicleRow
     from fleet.execution.connection import LiveRun
 
 EVERY_S = 1.0
@@ -56,10 +56,10 @@ def status(run: str | None, watch: bool, every: bool, as_json: bool) -> None:
         terminal.print(screen(_status(found, every), every))
 
 
-def _status(found: LiveRun, every: bool) -> Status:
-    from fleet.cli.documents.live import Status
+def _status(found: LiveRun, every: bool) -> RunStatus:
+    from fleet.cli.documents.live import RunStatus
 
-    return answer(Status, found, "status", all=every)
+    return answer(RunStatus, found, "status", all=every)
 
 
 def watch_run(found: LiveRun, every: bool, terminal: Console) -> None:
@@ -92,7 +92,7 @@ def watch_run(found: LiveRun, every: bool, terminal: Console) -> None:
     click.echo(f"{found.name}: the run is over; its results are in {found.directory}")
 
 
-def screen(status: Status, every: bool, height: int | None = None) -> Group:
+def screen(status: RunStatus, every: bool, height: int | None = None) -> Group:
     """A status as a terminal shows it, in 80 columns.
 
     Args:
@@ -150,7 +150,7 @@ def _worst(vehicles: list[VehicleRow], most: int) -> list[VehicleRow]:
     return sorted(worst, key=lambda row: row.vehicle)
 
 
-def _fault(fault: FaultRow, status: Status) -> str:
+def _fault(fault: FaultRow, status: RunStatus) -> str:
     if fault.state != "active":
         return f"fault {fault.id}: {fault.state}, {fault.from_s:.2f} s to {fault.to_s:.2f} s: {fault.what}"
     left = f"{max(0.0, fault.to_s - status.at_s):.1f} s left"

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from fleet.terminal.fitting import Piece
-from fleet.terminal.table import Column
+from fleet.terminal.table import TerminalColumn
 
 if TYPE_CHECKING:
     from fleet.study.record import AxisRecord
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from fleet.terminal.status_line import StatusLine
 
 
-def axis_columns(axes: Sequence[AxisRecord], rows: Sequence[Mapping[str, float | str]]) -> list[Column]:
+def axis_columns(axes: Sequence[AxisRecord], rows: Sequence[Mapping[str, float | str]]) -> list[TerminalColumn]:
     """A column for each key that is varied.
 
     Args:
@@ -24,7 +24,7 @@ def axis_columns(axes: Sequence[AxisRecord], rows: Sequence[Mapping[str, float |
     for axis in axes:
         heading = axis.key.removeprefix("network.links.") + (f"\n[{axis.unit}]" if axis.unit else "")
         cells = [cell(values[axis.key]) for values in rows]
-        columns.append(Column(heading, cells, 0, "left" if axis.unit is None else "right"))
+        columns.append(TerminalColumn(heading, cells, 0, "left" if axis.unit is None else "right"))
     return columns
 
 

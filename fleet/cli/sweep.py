@@ -273,18 +273,18 @@ def _show(store: Store, measures: Any) -> None:
     from fleet.cli.study_output import axis_columns
     from fleet.study.statistics import LEAST, levels
     from fleet.study.summary import summarise
-    from fleet.terminal.table import Column, show
+    from fleet.terminal.table import TerminalColumn, show
 
     rows = summarise(store, measures)
     columns = axis_columns(store.record.axes, [row.values for row in rows])
-    columns.append(Column("runs", [str(row.runs) for row in rows], 3))
+    columns.append(TerminalColumn("runs", [str(row.runs) for row in rows], 3))
     if any(row.failed for row in rows):
-        columns.append(Column("without\nresult", [str(row.failed) for row in rows], 0))
-    columns.append(Column("passed\n95 % interval", [_share(row.passed) for row in rows], 0))
+        columns.append(TerminalColumn("without\nresult", [str(row.failed) for row in rows], 0))
+    columns.append(TerminalColumn("passed\n95 % interval", [_share(row.passed) for row in rows], 0))
     for rank, (name, unit) in enumerate(((measure.name, measure.unit) for measure in measures), start=4):
         level = levels(row.medians[name] for row in rows)
         heading = f"{name}\nmedian" + (f" [{unit}]" if unit else "") + (level and f", {level}")
-        columns.append(Column(heading, [_number(row.medians[name], row.passed.runs) for row in rows], rank))
+        columns.append(TerminalColumn(heading, [_number(row.medians[name], row.passed.runs) for row in rows], rank))
     counts = sorted({row.runs for row in rows}) or [0]
     seeds = f"{counts[0]} to {counts[-1]}" if len(counts) > 1 else f"{counts[0]}"
     title = f"{store.record.scenario}, {seeds} seeds per point"

@@ -172,7 +172,7 @@ class Words(click.ParamType[tuple[str, ...]]):
         return False
 
 
-class Pictures(Words):
+class PictureWords(Words):
     """Some of the given words, or signals such as `control.leads`; whether a log has such a signal is not known yet."""
 
     others = ", and signals such as control.leads"
@@ -220,7 +220,7 @@ class Vehicles(click.ParamType[tuple[int, ...]]):
             self.fail(str(error), param, ctx)
 
 
-class Age(click.ParamType[float]):
+class AgeText(click.ParamType[float]):
     """An age with a unit, in s."""
 
     name = "age"
@@ -254,7 +254,7 @@ class FileSize(click.ParamType[int]):
         return size
 
 
-class Endpoint(click.ParamType[str]):
+class EndpointText(click.ParamType[str]):
     """A zenoh endpoint."""
 
     name = "endpoint"

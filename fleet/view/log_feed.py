@@ -38,7 +38,7 @@ class LogFeed:
 
         Raises:
             LogReadError: it cannot be read.
-            ScriptError, ScenarioError: it holds no scenario of ours.
+            FleetError: it holds no scenario of ours.
         """
         self.path = path
         self._loop = loop

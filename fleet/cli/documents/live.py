@@ -104,7 +104,7 @@ class LinkRow(Struct):
     age_s: Annotated[float, Meta(description="Age of what was delivered last [s].")]
 
 
-class Status(Struct):
+class RunStatus(Struct):
     """`fleet status --json`: how a live run is doing."""
 
     run: RunName

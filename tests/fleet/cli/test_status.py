@@ -14,7 +14,7 @@ from click.testing import CliRunner
 from live_directory import live_directory
 from rich.console import Console
 
-from fleet.cli.documents.live import Status
+from fleet.cli.documents.live import RunStatus
 from fleet.cli.main import cli
 from fleet.cli.status import screen, watch_run
 from fleet.execution.connection import RemoteError, find
@@ -66,7 +66,7 @@ def answer(vehicles: int = 4, links: int = 5, faults: int = 1, **more: Any) -> d
 
 def shown(values: dict[str, Any], height: int | None = None, *, every: bool = False) -> list[str]:
     """The lines on a terminal of 80 columns."""
-    status = msgspec.convert({"run": "paper-disturbed-1-20261122-120000", "directory": "/x", **values}, Status)
+    status = msgspec.convert({"run": "paper-disturbed-1-20261122-120000", "directory": "/x", **values}, RunStatus)
     terminal = Console(width=80, record=True, highlight=False, file=io.StringIO())
     terminal.print(screen(status, every, height))
     return terminal.export_text().splitlines()
@@ -151,7 +151,7 @@ def test_numbers_that_are_not_finite() -> None:
     values["vehicles"][0] |= {"formation_m": float("nan"), "e_m": float("inf"), "oldest_s": None, "oldest_of": None}
     values["formation"] |= {"worst_m": float("inf")}
     assert any(re.match(r"1 .* nan m +inf m +no +-$", line.rstrip()) for line in shown(values, 24))
-    document = msgspec.convert({"run": "a", "directory": "/x", **values}, Status)
+    document = msgspec.convert({"run": "a", "directory": "/x", **values}, RunStatus)
     assert json.loads(msgspec.json.encode(document))["formation"]["worst_m"] is None
 
 
@@ -218,7 +218,7 @@ def test_watching_a_run_that_only_does_not_answer(tmp_path: Path, monkeypatch: p
 def test_a_status_as_a_document(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("fleet.execution.connection.ask", Ends(9))
     with live_directory(tmp_path) as run:
-        found = msgspec.json.decode(CliRunner().invoke(cli, ["status", "--json"]).stdout, type=Status)
+        found = msgspec.json.decode(CliRunner().invoke(cli, ["status", "--json"]).stdout, type=RunStatus)
         assert (found.run, found.directory, len(found.vehicles)) == (run.name, str(run), 4)
         both = CliRunner().invoke(cli, ["status", "--json", "--watch"])
         assert both.exit_code == 2 and "one document" in both.stderr

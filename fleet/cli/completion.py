@@ -15,6 +15,7 @@ import click
 from click.shell_completion import CompletionItem, get_completion_class
 
 Words = Callable[[click.Context, click.Parameter, str], list[CompletionItem]]
+CLOCK_WORDS = ("pause", "resume", "step", "speed")
 _CONDITIONS = ("delay", "loss", "duplicate", "corrupt", "reorder", "rate", "limit", "down")
 
 
@@ -95,8 +96,6 @@ def healing(context: click.Context) -> Iterable[str]:
 @_words
 def clock(context: click.Context) -> Iterable[str]:
     """What may come next in `fleet clock`."""
-    from fleet.cli.run_argument import CLOCK_WORDS
-
     given = context.params.get("words") or ()
     return () if given and given[-1] in CLOCK_WORDS else CLOCK_WORDS
 

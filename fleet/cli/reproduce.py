@@ -46,7 +46,7 @@ def reproduce(out: Path, jobs: int | None, cases: tuple[str, ...], formats: tupl
     from rich.console import Console as Terminal
     from rich.table import Table
 
-    from fleet.processes.processors import processors
+    from fleet.processes.limits import processors
     from fleet.reproduce.cases import CASES
     from fleet.terminal.progress import showing_jobs
 

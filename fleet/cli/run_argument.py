@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, NoReturn, TypeVar
 import click
 
 from fleet.cli import completion
+from fleet.cli.completion import CLOCK_WORDS
 from fleet.cli.group import USAGE
 
 if TYPE_CHECKING:
@@ -19,7 +20,6 @@ F = TypeVar("F", bound=Callable[..., Any])
 D = TypeVar("D")
 _HELP = "The run: its name or the beginning of it, its scenario, or its directory; needed when several live."
 _TIMES = ("at", "for", "id")  # which may stand before the kind of a fault
-CLOCK_WORDS = ("pause", "resume", "step", "speed")
 _PACE = re.compile(r"max|[\d.]+x", re.ASCII)
 
 

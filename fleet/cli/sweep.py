@@ -10,12 +10,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
-from click.core import ParameterSource
 
 from fleet.cli.completion import studies
 from fleet.cli.documents.output import json_option, print_document
 from fleet.cli.trust import TrustingCommand, trust_option
-from fleet.cli.types import OVERRIDES, Duration, Whole, disturbances
+from fleet.cli.types import OVERRIDES, Duration, Whole, disturbances, is_given
 from fleet.terminal.folding import say, stdout
 
 if TYPE_CHECKING:
@@ -123,16 +122,16 @@ def sweep(
     from fleet.study.sweep import declared, logs_to_make, modules_again, prepare, refuse_border, run_study
 
     keys = {"seeds": seeds, "draw": draw, "until": until, "most_seeds": most_seeds}
-    chosen_keys: dict[str, Any] = {key: value for key, value in keys.items() if _is_given(key)}
+    chosen_keys: dict[str, Any] = {key: value for key, value in keys.items() if is_given(key)}
     later: dict[str, Any] = {
         "measures": list(measures) or None,
         "timeout": None if timeout is None else show_time(timeout),
         "budget": None if budget is None else show_time(budget),
-        "keep_logs": keep_logs if _is_given("keep_logs") else None,
+        "keep_logs": keep_logs if is_given("keep_logs") else None,
     }
     store, origin = None, TYPED
     if Path(scenario).is_dir() and scenario not in (*shipped_scenarios(), *shipped_studies()):
-        if vary or overrides or fault or net or zipped or chosen_keys or _is_given("out"):
+        if vary or overrides or fault or net or zipped or chosen_keys or is_given("out"):
             raise click.UsageError(f"{scenario} is a study: what it runs is settled; only the missing runs are made")
         store = Store.open(Path(scenario))
         refuse_border(store)
@@ -152,7 +151,7 @@ def sweep(
             **chosen_keys,
             **later,
         )
-    if _is_given("most_seeds") and not spec.until:
+    if is_given("most_seeds") and not spec.until:
         raise click.UsageError("--most-seeds is for studies that add seeds: give --until, too")
     if show_config:
         if store is None:
@@ -231,10 +230,6 @@ def _tell_what_is_missing(store: Store, logs: Any, not_kept: list[str]) -> None:
     if short := store.short():
         most, until = len(store.seeds), store.record.settings.until
         say(f"{short} points have {most} seeds, and are not yet known to {until}; see --most-seeds", err=True)
-
-
-def _is_given(name: str) -> bool:
-    return click.get_current_context().get_parameter_source(name) is not ParameterSource.DEFAULT
 
 
 @contextmanager

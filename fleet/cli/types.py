@@ -15,6 +15,13 @@ OVERRIDES = click.option(
     multiple=True,
     help="Override one scenario key, e.g. network.period='200 ms'.",
 )
+FORCE = click.option("--force", is_flag=True, help="Replace what is there.")
+NO_PROGRESS = click.option("-q", "--quiet", is_flag=True, help="No progress.")
+
+
+def is_given(name: str) -> bool:
+    """Whether an option was given on the command line, so that its value is no default."""
+    return click.get_current_context().get_parameter_source(name) is not click.core.ParameterSource.DEFAULT
 
 
 def _override(context: click.Context, option: click.Parameter, values: tuple[str, ...]) -> tuple[Any, ...]:

@@ -11,6 +11,7 @@ import click
 from fleet.cli.documents.output import json_option, print_document
 from fleet.cli.log_argument import log_argument, newest_log
 from fleet.cli.trust import TrustingCommand, trust_option
+from fleet.cli.types import NO_PROGRESS
 from fleet.terminal.folding import say
 
 if TYPE_CHECKING:
@@ -27,7 +28,7 @@ _log = click.Path(path_type=Path)
 @log_argument
 @trust_option
 @json_option
-@click.option("-q", "--quiet", is_flag=True, help="No progress.")
+@NO_PROGRESS
 def verify(log: Path, trust: Trust, as_json: bool, quiet: bool) -> None:
     """Run LOG again and compare: every message, bit for bit.
 
@@ -62,7 +63,7 @@ def verify(log: Path, trust: Trust, as_json: bool, quiet: bool) -> None:
               help="Other checks than those of the run, as in a scenario; repeatable.")  # fmt: skip
 @trust_option
 @json_option
-@click.option("-q", "--quiet", is_flag=True, help="No progress.")
+@NO_PROGRESS
 def check_log(log: Path, overrides: tuple[str, ...], trust: Trust, as_json: bool, quiet: bool) -> None:
     """Judge LOG by your own checks, on signals and in Python, without running it again.
 
@@ -98,7 +99,7 @@ def check_log(log: Path, overrides: tuple[str, ...], trust: Trust, as_json: bool
               help="The most that two numbers may be apart, each in its own unit.")  # fmt: skip
 @click.option("--all", "everything", is_flag=True, help="Every signal that differs, not only the first twenty.")
 @json_option
-@click.option("-q", "--quiet", is_flag=True, help="No progress.")
+@NO_PROGRESS
 def diff(a: Path, b: Path | None, tolerance: float, everything: bool, as_json: bool, quiet: bool) -> None:
     """Say whether logs A and B hold the same messages, where they part, and how far apart each signal gets.
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import importlib.util
 import keyword
 import re
+import shlex
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
@@ -119,8 +121,6 @@ def plant(name: str, folder: Path) -> None:
 
 def _tell(written: Sequence[Path], folder: Path) -> None:
     """Say which files were written, the scenario last, and what to type now."""
-    import shlex
-
     *modules, scenario = written
 
     below = folder.resolve().is_relative_to(Path().resolve())  # a module outside of the current directory needs --trust
@@ -141,8 +141,6 @@ def scenario(name: str, shipped: str | None, folder: Path) -> None:
       fleet new scenario harbour
       fleet new scenario river --from rough-sea --dir scenarios
     """
-    import shlex
-
     written = write_scenario(name, shipped, folder)
     file = shlex.quote(str(written))
     click.echo(f"wrote {written}; now: fleet check {file} && fleet run {file}")
@@ -265,8 +263,6 @@ def _write(folder: Path, texts: Mapping[Path, str]) -> None:
 
 def _taken(name: str) -> str | None:
     """Where `import name` would find a module now; None if it would not."""
-    import importlib.util
-
     try:
         found = importlib.util.find_spec(name)
     except ValueError:  # a module that is loaded, of unknown origin

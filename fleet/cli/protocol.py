@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
@@ -12,9 +11,7 @@ from fleet.cli.completion import scenarios
 from fleet.cli.group import ListingGroup
 from fleet.cli.trust import TrustingCommand, trust_option
 from fleet.cli.types import Duration, Whole
-
-if TYPE_CHECKING:
-    from world.plugins.trust import Trust
+from world.plugins.trust import Trust
 
 _CHECK = "Exit status: 0 every check passed, 1 one did not, 2 usage, or nobody came, 129 terminal closed, 130 Ctrl-C."
 

@@ -18,6 +18,7 @@ from fleet.cli.trust import TrustingCommand, trust_option
 from fleet.cli.types import OVERRIDES, Duration, Share, Speed, Whole, disturbances, is_given
 from fleet.terminal.folding import say, stdout
 from fleet.terminal.output import OutputError, give_up_output
+from world.plugins.trust import Trust
 
 if TYPE_CHECKING:
     from rich.console import Console as Terminal
@@ -27,7 +28,6 @@ if TYPE_CHECKING:
     from fleet.recorder.snapshot import Start
     from fleet.scenario.scenario import Scenario
     from fleet.scenario.text.overrides import Override
-    from world.plugins.trust import Trust
 
 MOST_FAULTS = 20  # of the scenario, said before it runs
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -13,8 +14,6 @@ from fleet.cli.types import AgeText, Whole, Words
 from fleet.terminal.folding import stdout
 
 if TYPE_CHECKING:
-    from datetime import datetime
-
     from rich.table import Table
 
     from fleet.execution.past_runs import PastRun
@@ -120,8 +119,6 @@ def _table(runs: Sequence[PastRun], now: datetime, *, wide: bool) -> Table:
 
 
 def _now() -> datetime:
-    from datetime import UTC, datetime
-
     return datetime.now(UTC)  # noqa: TID251 (the ages of files, by the clock that gave them their names)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from contextlib import nullcontext
 from typing import TYPE_CHECKING
 
 import click
@@ -64,8 +65,6 @@ def _status(found: LiveRun, every: bool) -> RunStatus:
 
 def watch_run(found: LiveRun, every: bool, terminal: Console) -> None:
     """Show it again and again: on a terminal in place, on a screen of its own; elsewhere one block after the other."""
-    from contextlib import nullcontext
-
     from rich.live import Live
 
     from fleet.execution.connection import RemoteError, is_live

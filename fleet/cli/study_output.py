@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
 
+from fleet.study.record import AxisRecord
+from fleet.study.sweep import Progress
 from fleet.terminal.fitting import Piece
+from fleet.terminal.status_line import BAR, StatusLine, bar
 from fleet.terminal.table import TerminalColumn
-
-if TYPE_CHECKING:
-    from fleet.study.record import AxisRecord
-    from fleet.study.sweep import Progress
-    from fleet.terminal.status_line import StatusLine
 
 
 def axis_columns(axes: Sequence[AxisRecord], rows: Sequence[Mapping[str, float | str]]) -> list[TerminalColumn]:
@@ -35,8 +32,6 @@ def cell(value: float | str) -> str:
 
 def progress_pieces(line: StatusLine, share: float, progress: Progress) -> list[Piece]:
     """How far it is, how fast it goes, and how many runs have no result."""
-    from fleet.terminal.status_line import BAR, bar
-
     rate = f"{progress.rate:.2g} {progress.doing}/s" if progress.new else ""
     failed = f"{progress.failed} without result" if progress.failed else ""
     return [

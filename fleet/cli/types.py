@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from math import inf
 from typing import Any, TypeVar
 
 import click
@@ -91,8 +92,6 @@ class Budget(click.ParamType[tuple[float, float]]):
     name = "runs|time"
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[float, float]:
-        from math import inf
-
         from fleet.quantities import QuantityError, time_ns
 
         if isinstance(value, tuple):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
@@ -13,9 +12,7 @@ from fleet.cli.log_argument import log_argument, newest_log
 from fleet.cli.trust import TrustingCommand, trust_option
 from fleet.cli.types import NO_PROGRESS
 from fleet.terminal.folding import say
-
-if TYPE_CHECKING:
-    from world.plugins.trust import Trust
+from world.plugins.trust import Trust
 
 _VERIFY = "Exit status: 0 reproduced, 1 not, 2 no log of ours or it cannot be run here, 3 no message is left in it."
 _CHECK_LOG = "Exit status: 0 every check passes, 1 one does not, 2 no log of ours, or a check makes no sense."

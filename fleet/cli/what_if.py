@@ -12,10 +12,10 @@ from fleet.cli.log_argument import log_argument
 from fleet.cli.trust import TrustingCommand, trust_option
 from fleet.cli.types import OVERRIDES, Whole
 from fleet.terminal.folding import say
+from world.plugins.trust import Trust
 
 if TYPE_CHECKING:
     from fleet.repeat.what_if import WhatIf
-    from world.plugins.trust import Trust
 
 
 @click.command(cls=TrustingCommand, name="whatif")

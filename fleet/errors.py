@@ -25,7 +25,6 @@ Exception
 │   ├── LogReadError
 │   │   ├── LogKeyError
 │   │   └── TooLargeError
-│   ├── NewFileError
 │   ├── NonsenseError
 │   ├── NotLinear
 │   ├── NotRecordedError
@@ -46,7 +45,6 @@ Exception
 │   ├── RunBroken
 │   ├── RunDirectoryError
 │   ├── ScenarioError
-│   ├── ScriptError
 │   ├── SelectionError
 │   ├── SignalCheckError
 │   ├── SignalError

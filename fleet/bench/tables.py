@@ -11,7 +11,7 @@ from fleet.bench.figures import Comparison, Figure, Measured
 from fleet.bench.fleets import CPU, DISTRIBUTED, IN_PROCESS, PIPES, PSS, READY, TICK_S, ZENOH, goals
 from fleet.bench.journal import show_journals
 from fleet.bench.start_up import PYTHON
-from fleet.terminal.table import Column, columns
+from fleet.terminal.table import TerminalColumn, columns
 from fleet.terminal.table import show as show_table
 
 _ELSEWHERE = "-o FILE"
@@ -75,7 +75,7 @@ def _show_group(name: str, figures: Sequence[Figure], terminal: Terminal) -> Non
     show_table(_left(columns(headings, rows), name, "unit"), "", terminal, _ELSEWHERE)
 
 
-def _left(columns: Sequence[Column], *headings: str) -> list[Column]:
+def _left(columns: Sequence[TerminalColumn], *headings: str) -> list[TerminalColumn]:
     """The columns, those of these headings aligned to the left."""
     return [replace(column, justify="left") if column.heading in headings else column for column in columns]
 

@@ -169,19 +169,19 @@ def _showing() -> Iterator[Tell]:
 def _show(borders: Borders, found: list[Border]) -> None:
     """The table of the borders, and what is to be said of them."""
     from fleet.cli.study_output import axis_columns, cell
-    from fleet.terminal.table import Column, show
+    from fleet.terminal.table import TerminalColumn, show
 
     along = borders.along
     unit = f" [{along.unit}]" if along.unit else ""
     columns = axis_columns(borders.store.record.axes[:-1], [row.values for row in found])
     name = along.key.removeprefix("network.links.")
-    columns.append(Column(f"border of\n{name}{unit}", [_border(row, borders) for row in found], 0))
-    columns.append(Column("95 %\ninterval", [_interval(row) for row in found], 0))
-    columns.append(Column("runs", [str(row.runs) for row in found], 1))
+    columns.append(TerminalColumn(f"border of\n{name}{unit}", [_border(row, borders) for row in found], 0))
+    columns.append(TerminalColumn("95 %\ninterval", [_interval(row) for row in found], 0))
+    columns.append(TerminalColumn("runs", [str(row.runs) for row in found], 1))
     if any(row.failed for row in found):
-        columns.append(Column("without\nresult", [str(row.failed) for row in found], 0))
+        columns.append(TerminalColumn("without\nresult", [str(row.failed) for row in found], 0))
     if any(row.where in OUTSIDE for row in found):
-        columns.append(Column("pass rate at\nthat end [%]", [_at_end(row) for row in found], 2))
+        columns.append(TerminalColumn("pass rate at\nthat end [%]", [_at_end(row) for row in found], 2))
     show(columns, borders.title, stdout(), "--json has all")
     for row in found:
         if row.rising is not None:

@@ -11,12 +11,12 @@ from fleet.cli.documents.output import json_option, print_document
 from fleet.cli.trust import TrustingCommand, trust_option
 from fleet.cli.types import OVERRIDES, disturbances
 from fleet.terminal.folding import say
+from world.plugins.trust import Trust
 
 if TYPE_CHECKING:
     from fleet.errors import Problem
     from fleet.scenario.scenario import Scenario
     from fleet.scenario.text.overrides import Override
-    from world.plugins.trust import Trust
 
 
 @click.command(cls=TrustingCommand)

@@ -1,4 +1,4 @@
-"""Shell completion: scenarios, live runs, kinds of faults, and their targets in the run that is meant.
+"""Shell completion, and the command that prints its shell part: scenarios, live runs, faults, and targets of faults.
 
 click writes the shell's part (https://click.palletsprojects.com/en/stable/shell-completion/) and asks here for words.
 What goes wrong means no words: nobody wants an error in the middle of typing.
@@ -12,9 +12,10 @@ from pathlib import Path
 from typing import Any
 
 import click
-from click.shell_completion import CompletionItem
+from click.shell_completion import CompletionItem, get_completion_class
 
 Words = Callable[[click.Context, click.Parameter, str], list[CompletionItem]]
+CLOCK_WORDS = ("pause", "resume", "step", "speed")
 _CONDITIONS = ("delay", "loss", "duplicate", "corrupt", "reorder", "rate", "limit", "down")
 
 
@@ -80,11 +81,23 @@ def published_runs(context: click.Context) -> Iterable[str]:
 
 
 @_words
-def faults(context: click.Context) -> Iterable[str]:
-    """Ids of the faults that are active in a live run."""
-    from fleet.execution.connection import ask
+def healing(context: click.Context) -> Iterable[str]:
+    """What may come next in `fleet heal`: a run where several live, ids of the faults that are active."""
+    from fleet.execution.connection import ask, live_runs
 
-    return [fault["id"] for fault in ask(_run(context), "faults")["faults"] if fault["active"]]
+    given = context.params.get("words") or ()
+    known = [found.name for found in live_runs()]
+    if not given and context.params.get("run") is None and len(known) > 1:
+        return known
+    run = _run(context, *given[:1])
+    return [fault["id"] for fault in ask(run, "faults")["faults"] if fault["active"]]
+
+
+@_words
+def clock(context: click.Context) -> Iterable[str]:
+    """What may come next in `fleet clock`."""
+    given = context.params.get("words") or ()
+    return () if given and given[-1] in CLOCK_WORDS else CLOCK_WORDS
 
 
 def pictures(context: click.Context, parameter: click.Parameter, typed: str) -> list[CompletionItem]:
@@ -116,6 +129,8 @@ def injection(context: click.Context) -> Iterable[str]:
     from fleet.scenario.schema.section import section_of
 
     given = context.params.get("what") or ()
+    named = given[:1] if given and given[0] not in ACTIONS else ()
+    given = given[len(named) :]
     if not given:
         return ACTIONS
     kind = given[0]
@@ -124,7 +139,7 @@ def injection(context: click.Context) -> Iterable[str]:
         return [f"{key}=" for key in section.model_fields]
     if len(given) > 1:
         return _CONDITIONS if kind == "link" else ()
-    vehicles, links = _targets(context)
+    vehicles, links = _targets(_run(context, *named))
     match kind:
         case "link" | "down" | "up":
             both = [f"{a}<->{b}" for a, b in links if a < b and (b, a) in links]
@@ -139,14 +154,34 @@ def injection(context: click.Context) -> Iterable[str]:
     return [str(i) for i in range(1, vehicles + 1)]
 
 
-def _targets(context: click.Context) -> tuple[int, tuple[tuple[int, int], ...]]:
+def _targets(run: Any) -> tuple[int, tuple[tuple[int, int], ...]]:
     from fleet.scenario.loading import load_scenario
 
-    scenario = load_scenario(_run(context).directory / "scenario.yaml", imports=False)
+    scenario = load_scenario(run.directory / "scenario.yaml", imports=False)
     return scenario.vehicles, scenario.graph.links
 
 
-def _run(context: click.Context) -> Any:
+def _run(context: click.Context, *named: str) -> Any:
+    """The run of --run, or the one that is named by position."""
     from fleet.execution.connection import find
 
-    return find(context.params.get("run"))
+    return find(context.params.get("run") or next(iter(named), None))
+
+
+@click.command(name="completion")
+@click.argument("shell", type=click.Choice(["bash", "zsh", "fish"]))
+def completion(shell: str) -> None:
+    """Print what makes a shell complete commands, scenarios, live runs, links, vehicles and faults.
+
+    \b
+    Examples:
+      eval "$(fleet completion bash)"           in ~/.bashrc
+      eval "$(fleet completion zsh)"            in ~/.zshrc
+      fleet completion fish > ~/.config/fish/completions/fleet.fish
+    """
+    cls = get_completion_class(shell)
+    assert cls is not None  # click has all three
+    click.echo(cls(click.get_current_context().find_root().command, {}, "fleet", "_FLEET_COMPLETE").source())
+
+
+COMMANDS = (completion,)

@@ -7,14 +7,21 @@ from importlib.util import find_spec
 from typing import TYPE_CHECKING
 
 import click
+from rich.console import Console as Terminal
 
 from fleet.cli.group import exit_status
 from fleet.cli.sessions import ending
+from fleet.logs.tape import Tape
+from fleet.terminal.keyboard import Keyboard
+from fleet.terminal.progress import showing
+from fleet.terminal.status_line import StatusLine
+from fleet.view.source import LiveSource, LogSource
+from netem.wire.access import Credentials
+from netem.wire.open_bus import OpenBus
+from netem.wire.session import quiet_zenoh
 
 if TYPE_CHECKING:
-    from fleet.terminal.status_line import StatusLine
     from fleet.view.foxglove_server import FoxgloveServer
-    from fleet.view.source import LiveSource, LogSource
 
 
 def serve(
@@ -32,11 +39,6 @@ def serve(
         raise click.UsageError(
             "--foxglove needs foxglove-sdk, which is not installed: pip install 'uuv-fleet[foxglove]'"
         )
-    from rich.console import Console as Terminal
-
-    from fleet.terminal.status_line import StatusLine
-    from fleet.view.source import LogSource
-
     with StatusLine(Terminal(stderr=True), quiet=False) as line:
         if isinstance(source, LogSource):
             _serve_log(source, host, port, line, rate=rate, loop=loop)
@@ -45,10 +47,7 @@ def serve(
 
 
 def _serve_live(source: LiveSource, host: str, port: int | None, line: StatusLine, *, control: bool) -> None:
-    from fleet.view.foxglove_live import LiveBridge
-    from netem.wire.access import Credentials
-    from netem.wire.open_bus import OpenBus
-    from netem.wire.session import quiet_zenoh
+    from fleet.view.foxglove_live import LiveBridge  # needs foxglove-sdk
 
     quiet_zenoh()
     line.print(f"the live run in {source.directory}")
@@ -67,10 +66,7 @@ def _serve_live(source: LiveSource, host: str, port: int | None, line: StatusLin
 
 
 def _serve_log(source: LogSource, host: str, port: int | None, line: StatusLine, *, rate: float, loop: bool) -> None:
-    from fleet.logs.tape import Tape
-    from fleet.terminal.keyboard import Keyboard
-    from fleet.terminal.progress import showing
-    from fleet.view.foxglove_log import LogBridge
+    from fleet.view.foxglove_log import LogBridge  # needs foxglove-sdk
 
     with showing(f"reading {source.path}") as tell:
         tape = Tape(source.path, tell)

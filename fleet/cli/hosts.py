@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 
 from fleet.cli.completion import scenarios
-from fleet.cli.types import Duration, Whole
+from fleet.cli.types import FORCE, OVERRIDES, Duration, Whole
 
 if TYPE_CHECKING:
     from fleet.hosts.rendezvous import Rendezvous
@@ -25,7 +25,7 @@ _LEASE = click.option("--lease", metavar="TIME", type=Duration(*_LEASES_S), defa
 
 
 def hosts_options(command: F) -> F:
-    """Add the options of `fleet run` for agents on other hosts; `meeting` reads their values."""
+    """Add the options of `fleet run` for agents on other hosts; `rendezvous` reads their values."""
     folder, file = (click.Path(path_type=Path, file_okay=dir_, dir_okay=not dir_) for dir_ in (False, True))
     for option in (
         _LEASE,
@@ -44,7 +44,7 @@ def hosts_options(command: F) -> F:
     return command
 
 
-def meeting(scenario: Scenario, options: dict[str, Any], *, in_process: bool) -> Rendezvous | None:
+def rendezvous(scenario: Scenario, options: dict[str, Any], *, in_process: bool) -> Rendezvous | None:
     """Where the processes meet, by the options of `hosts_options`; None if none of these options is given.
 
     Raises:
@@ -114,7 +114,7 @@ def meeting(scenario: Scenario, options: dict[str, Any], *, in_process: bool) ->
               help="For mutual TLS: client certificates for agents 1 to N, and for the run itself.")  # fmt: skip
 @click.option("--days", metavar="N", type=Whole(1, 3650), default=365, show_default=True,
               help="How long all of them are valid.")  # fmt: skip
-@click.option("--force", is_flag=True, help="Replace what is there.")
+@FORCE
 def certs(directory: Path, hosts: tuple[str, ...], agents: int, days: int, force: bool) -> None:
     """Make a certificate authority and a router's certificate in DIR, for runs over several hosts.
 
@@ -146,8 +146,8 @@ def certs(directory: Path, hosts: tuple[str, ...], agents: int, days: int, force
 @click.option("--users-file", metavar="PATH", type=click.Path(path_type=Path),
               help="Where the router finds the users; by default in DIR.")  # fmt: skip
 @_LEASE
-@click.option("--set", "overrides", metavar="KEY=VALUE", multiple=True, help="Override one scenario key.")
-@click.option("--force", is_flag=True, help="Replace what is there.")
+@OVERRIDES
+@FORCE
 def acl(
     scenario: str,
     out: Path | None,

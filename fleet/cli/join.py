@@ -15,10 +15,10 @@ from fleet.cli.group import report
 from fleet.cli.trust import TrustingCommand, trust_option
 from fleet.cli.types import Duration
 from fleet.processes.interrupts import ending_status
+from world.plugins.trust import Trust
 
 if TYPE_CHECKING:
     from fleet.terminal.status_line import StatusLine
-    from world.plugins.trust import Trust
 
 T = TypeVar("T")
 _POLL_S = 0.5

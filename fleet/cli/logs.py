@@ -13,7 +13,7 @@ from fleet.cli import completion
 from fleet.cli.documents.output import json_option, print_document
 from fleet.cli.log_argument import log_argument, newest_log
 from fleet.cli.study_pictures import check_options, is_study, measure_option, plot_study, report_study
-from fleet.cli.types import Pictures, Vehicles, Window, Words
+from fleet.cli.types import FORCE, PictureWords, Vehicles, Window, Words
 from fleet.terminal.folding import say
 
 KINDS = (
@@ -48,7 +48,7 @@ _window = click.option(
     help="Where the pictures go; by default `plots` beside the log.",
 )  # fmt: skip
 @click.option(
-    "--what", metavar="LIST", type=Pictures(KINDS, "all", PARTS), default="all", show_default=True,
+    "--what", metavar="LIST", type=PictureWords(KINDS, "all", PARTS), default="all", show_default=True,
     shell_complete=completion.pictures,
     help=f"Some of {', '.join(KINDS)}; or all; track-3d, formation: that part of track, of error. Also any signal of "
     "the log: control.leads, command.tau_0, '|error.e|'.",
@@ -141,7 +141,7 @@ def _notes(runs: Sequence[Any]) -> Iterator[str]:
     help="Write NetCDF here, by the CF conventions; needs uuv-fleet[tables].",
 )  # fmt: skip
 @click.option("--topics", metavar="PATTERN", multiple=True, help="Only topics such as 'uuv/*/state'; repeatable.")
-@click.option("--force", is_flag=True, help="Replace what is there.")
+@FORCE
 def export(
     log: Path, csv: Path | None, parquet: Path | None, netcdf: Path | None, topics: tuple[str, ...], force: bool
 ) -> None:
@@ -192,7 +192,7 @@ def export(
     "-o", "--out", metavar="FILE", type=click.Path(path_type=Path, dir_okay=False), default=Path("report.html"),
     show_default=True, help="The page.",
 )  # fmt: skip
-@click.option("--force", is_flag=True, help="Replace what is there.")
+@FORCE
 @measure_option
 @_vehicles
 @_log_scale

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import importlib.util
 import keyword
 import re
+import shlex
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
@@ -47,10 +49,6 @@ _folder = click.option(
     default=Path(),
     help="Where to write; by default here.",
 )
-
-
-class NewFileError(FleetError):
-    """The files cannot be written."""
 
 
 @click.group(cls=ListingGroup)
@@ -123,8 +121,6 @@ def plant(name: str, folder: Path) -> None:
 
 def _tell(written: Sequence[Path], folder: Path) -> None:
     """Say which files were written, the scenario last, and what to type now."""
-    import shlex
-
     *modules, scenario = written
 
     below = folder.resolve().is_relative_to(Path().resolve())  # a module outside of the current directory needs --trust
@@ -145,8 +141,6 @@ def scenario(name: str, shipped: str | None, folder: Path) -> None:
       fleet new scenario harbour
       fleet new scenario river --from rough-sea --dir scenarios
     """
-    import shlex
-
     written = write_scenario(name, shipped, folder)
     file = shlex.quote(str(written))
     click.echo(f"wrote {written}; now: fleet check {file} && fleet run {file}")
@@ -159,7 +153,7 @@ def write_scenario(name: str, shipped: str | None, folder: Path) -> Path:
         shipped: the name of the shipped scenario that is copied; None: the template.
 
     Raises:
-        NewFileError: the name is none for a scenario, there is no such shipped one, or a file is in the way.
+        FleetError: the name is none for a scenario, there is no such shipped one, or a file is in the way.
     """
     from importlib import resources
 
@@ -168,7 +162,7 @@ def write_scenario(name: str, shipped: str | None, folder: Path) -> Path:
     from netem.parsing import nearest
 
     if not re.fullmatch(r"[a-z0-9][a-z0-9_-]{0,63}", name):
-        raise NewFileError(
+        raise FleetError(
             f"{name!r} cannot name a scenario: lower-case letters, digits, - and _, a letter or a digit first"
         )
     if shipped is None:
@@ -177,7 +171,7 @@ def write_scenario(name: str, shipped: str | None, folder: Path) -> Path:
         text = shipped_text(shipped)
     else:
         hint = nearest(shipped, known) or f"there are {', '.join(known)}"
-        raise NewFileError(f"--from {shipped}: there is no such shipped scenario; {hint}")
+        raise FleetError(f"--from {shipped}: there is no such shipped scenario; {hint}")
     as_text = name if resolve(name) == name else f'"{name}"'  # a scenario may be called 007
     path = folder / f"{name}.yaml"
     _write(folder, {path: re.sub(r"(?m)^name: \S+", f"name: {as_text}", text)})
@@ -188,7 +182,7 @@ def write_law(kind: str, name: str, folder: Path) -> list[Path]:
     """Write `name`.py and `name`.yaml into `folder`.
 
     Raises:
-        NewFileError: the name is none for a module, belongs to another one, or a file is in the way.
+        FleetError: the name is none for a module, belongs to another one, or a file is in the way.
     """
     choice = f"{kind}: {name}:{_class_name(name, 'Law')}"
     other = {"guidance": "tracking: neurodynamic", "tracking": "guidance: optimal"}.get(kind)
@@ -198,18 +192,18 @@ def write_law(kind: str, name: str, folder: Path) -> list[Path]:
 
 
 def write_check(name: str, folder: Path) -> list[Path]:
-    """Write `name`.py with a check and `name`.yaml into `folder`. Raises NewFileError as `write_law`."""
+    """Write `name`.py with a check and `name`.yaml into `folder`. Raises FleetError as `write_law`."""
     return _write_modules(name, folder, {".py": "check.py", ".yaml": "check.yaml"}, "Check")
 
 
 def write_protocol(name: str, folder: Path) -> list[Path]:
-    """Write `name`.py with a protocol, `name`_check.py and `name`.yaml. Raises NewFileError as `write_law`."""
+    """Write `name`.py with a protocol, `name`_check.py and `name`.yaml. Raises FleetError as `write_law`."""
     templates = {".py": "protocol.py", "_check.py": "protocol_check.py", ".yaml": "protocol.yaml"}
     return _write_modules(name, folder, templates, "Protocol")
 
 
 def write_plant(name: str, folder: Path) -> list[Path]:
-    """Write `name`.py with a plant and `name`.yaml into `folder`. Raises NewFileError as `write_law`."""
+    """Write `name`.py with a plant and `name`.yaml into `folder`. Raises FleetError as `write_law`."""
     return _write_modules(name, folder, {".py": "plant.py", ".yaml": "plant.yaml"}, "Plant")
 
 
@@ -227,15 +221,15 @@ def _write_modules(
         templates: by what follows `name` in the name of the file.
 
     Raises:
-        NewFileError: the name is none for a module, belongs to another one, or a file is in the way.
+        FleetError: the name is none for a module, belongs to another one, or a file is in the way.
     """
     if not name.isascii() or not name.isidentifier() or keyword.iskeyword(name):
-        raise NewFileError(f"{name!r} cannot name a Python module: letters, digits and _, not a digit first")
+        raise FleetError(f"{name!r} cannot name a Python module: letters, digits and _, not a digit first")
     written = [folder / f"{name}{suffix}" for suffix in templates]
     _refuse_existing(written)
     for module in (path.stem for path in written if path.suffix == ".py"):
         if (place := _taken(module)) is not None:
-            raise NewFileError(
+            raise FleetError(
                 f"Python has a module {module!r} already ({place}) and would find that one; choose another name"
             )
     from importlib import resources
@@ -252,7 +246,7 @@ def _write_modules(
 def _refuse_existing(paths: Iterable[Path]) -> None:
     for path in paths:
         if path.exists():
-            raise NewFileError(f"{path} is there already; choose another name or --dir")
+            raise FleetError(f"{path} is there already; choose another name or --dir")
 
 
 def _write(folder: Path, texts: Mapping[Path, str]) -> None:
@@ -264,13 +258,11 @@ def _write(folder: Path, texts: Mapping[Path, str]) -> None:
             with path.open("x", encoding="utf-8") as file:
                 file.write(text)
     except OSError as error:
-        raise NewFileError(f"cannot write into {folder}: {error.strerror or error}") from None
+        raise FleetError(f"cannot write into {folder}: {error.strerror or error}") from None
 
 
 def _taken(name: str) -> str | None:
     """Where `import name` would find a module now; None if it would not."""
-    import importlib.util
-
     try:
         found = importlib.util.find_spec(name)
     except ValueError:  # a module that is loaded, of unknown origin

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
@@ -12,9 +11,7 @@ from fleet.cli.completion import scenarios
 from fleet.cli.group import ListingGroup
 from fleet.cli.trust import TrustingCommand, trust_option
 from fleet.cli.types import Duration, Whole
-
-if TYPE_CHECKING:
-    from world.plugins.trust import Trust
+from world.plugins.trust import Trust
 
 _CHECK = "Exit status: 0 every check passed, 1 one did not, 2 usage, or nobody came, 129 terminal closed, 130 Ctrl-C."
 
@@ -77,14 +74,14 @@ def check(
     from netem.wire.session import quiet_zenoh
 
     quiet_zenoh()
-    meeting = None
+    place = None
     if certs and not listen_certified:
         raise HostsError("--certs is for --listen-certified ENDPOINT, such as tls/127.0.0.1:7448")
     if listen_certified:
-        meeting = listening_for_certificates(Rendezvous(), listen_certified, certs, external=(vehicle,))
+        place = listening_for_certificates(Rendezvous(), listen_certified, certs, external=(vehicle,))
         check_free(listen_certified, CERTIFIED)
     file = join_file or Path(f"join-{vehicle}.json")
-    examination = Examination(load_scenario(scenario, trust=trust), vehicle, file, port=port, meeting=meeting)
+    examination = Examination(load_scenario(scenario, trust=trust), vehicle, file, port=port, meeting=place)
     found = examination.run(timeout / 1e9, lambda text: click.echo(text, err=True))
     for text in examination.notes:
         click.echo(f"note  the agent says: {printable(text)}")

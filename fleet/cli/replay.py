@@ -15,7 +15,7 @@ from fleet.cli import completion
 from fleet.cli.group import exit_status
 from fleet.cli.log_argument import log_argument
 from fleet.cli.sessions import ending
-from fleet.cli.types import Duration, Endpoint, FileSize
+from fleet.cli.types import Duration, EndpointText, FileSize
 from fleet.errors import FleetError
 
 if TYPE_CHECKING:
@@ -33,10 +33,13 @@ def _rate(ctx: click.Context, param: click.Parameter, value: float) -> float:
 
 
 _connect = click.option(
-    "--connect", metavar="ENDPOINT", type=Endpoint(), help="Join the router or peer there, e.g. tcp/10.0.0.5:7447."
+    "--connect", metavar="ENDPOINT", type=EndpointText(), help="Join the router or peer there, e.g. tcp/10.0.0.5:7447."
 )
 _listen = click.option(
-    "--listen", metavar="ENDPOINT", type=Endpoint(), help="Be a router there; by default a free loopback port, printed."
+    "--listen",
+    metavar="ENDPOINT",
+    type=EndpointText(),
+    help="Be a router there; by default a free loopback port, printed.",
 )
 
 

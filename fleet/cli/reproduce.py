@@ -8,6 +8,7 @@ import click
 
 from fleet.cli.group import exit_status
 from fleet.cli.types import Whole
+from fleet.processes.limits import processors
 from fleet.terminal.folding import stdout
 
 
@@ -46,7 +47,6 @@ def reproduce(out: Path, jobs: int | None, cases: tuple[str, ...], formats: tupl
     from rich.console import Console as Terminal
     from rich.table import Table
 
-    from fleet.processes.processors import processors
     from fleet.reproduce.cases import CASES
     from fleet.terminal.progress import showing_jobs
 

@@ -16,7 +16,7 @@ from fleet.recorder.metrics import WorstAndMedian
 from fleet.scenario.sections.vehicle_events import vehicle_events
 from fleet.terminal import table
 from fleet.terminal.folding import INDENT, fold
-from fleet.terminal.table import Column, width
+from fleet.terminal.table import TerminalColumn, width
 from netem.causes import Cause
 
 Say = Callable[..., None]
@@ -93,13 +93,13 @@ def _show_vehicles(rows: dict[str, dict[str, float | None]], from_s: float, term
         return [none if (value := rows[i][key]) is None else format(value, form) for i in shown]
 
     columns = [
-        Column("UUV", shown),
-        Column("settle\n10 % [s]", cells("settle_10pct_s", ".2f", _NOT_SETTLED), 1),
-        Column("settle\n5 cm [s]", cells("settle_5cm_s", ".2f", _NOT_SETTLED), 2),
-        Column("RMS e, last\n10 s [m]", cells("e_rms_m", ".4f", "-"), 3),
-        Column("final\nformation\nerror [m]", cells("formation_final_m", ".4f", "-")),
-        Column("surge\neffort [N s]", cells("effort_Ns", ".1f", "-"), 5),
-        Column("max u_cmd\n[m/s]", cells("u_cmd_max_mps", ".2f", "-"), 4),
+        TerminalColumn("UUV", shown),
+        TerminalColumn("settle\n10 % [s]", cells("settle_10pct_s", ".2f", _NOT_SETTLED), 1),
+        TerminalColumn("settle\n5 cm [s]", cells("settle_5cm_s", ".2f", _NOT_SETTLED), 2),
+        TerminalColumn("RMS e, last\n10 s [m]", cells("e_rms_m", ".4f", "-"), 3),
+        TerminalColumn("final\nformation\nerror [m]", cells("formation_final_m", ".4f", "-")),
+        TerminalColumn("surge\neffort [N s]", cells("effort_Ns", ".1f", "-"), 5),
+        TerminalColumn("max u_cmd\n[m/s]", cells("u_cmd_max_mps", ".2f", "-"), 4),
     ]
     title = f"vehicles; settling times count from the start at t = {from_s:g} s" if from_s else "vehicles"
     table.show(columns, title, terminal, "see result.json")
@@ -116,12 +116,12 @@ def _show_protocols(rows: dict[str, dict[str, Any]], from_s: float, terminal: Te
         return ["-" if value is None else f"{value:.6g}" for value in told]
 
     columns = [
-        Column("UUV", shown),
+        TerminalColumn("UUV", shown),
         *(
-            Column(name if unit == "1" else f"{name}\n[{unit}]", cells(name), rank)
+            TerminalColumn(name if unit == "1" else f"{name}\n[{unit}]", cells(name), rank)
             for rank, (name, unit) in enumerate(units.items(), 1)
         ),
-        Column("final formation\nerror [m]", [f"{rows[i]['formation_final_m']:.4f}" for i in shown]),
+        TerminalColumn("final formation\nerror [m]", [f"{rows[i]['formation_final_m']:.4f}" for i in shown]),
     ]
     laws = sorted({row["agent"] for row in rows.values()})
     table.show(columns, f"vehicles; what {', '.join(laws)} reported at the end", terminal, "see result.json")
@@ -143,17 +143,18 @@ def _show_links(
         shown = list(alike)
     names = [name if len(alike[name]) == 1 else f"{name} ... ({len(alike[name])})" for name in shown]
 
-    def counts(heading: str, count: Callable[[dict[str, Any]], int], rank: int = 0) -> list[Column]:
+    def counts(heading: str, count: Callable[[dict[str, Any]], int], rank: int = 0) -> list[TerminalColumn]:
         total = sum(map(count, rows.values()))
         cells = [str(total), *(str(count(rows[name])) for name in shown)]
-        return [Column(heading, cells, rank)] if total or not rank else []
+        return [TerminalColumn(heading, cells, rank)] if total or not rank else []
 
-    def times(heading: str, key: str, rank: int) -> Column:
-        return Column(heading, [f"{ages[name][key]:.3f}" if name in ages else "-" for name in ("*", *shown)], rank)
+    def times(heading: str, key: str, rank: int) -> TerminalColumn:
+        cells = [f"{ages[name][key]:.3f}" if name in ages else "-" for name in ("*", *shown)]
+        return TerminalColumn(heading, cells, rank)
 
-    def columns(lost: list[Column]) -> list[Column]:
+    def columns(lost: list[TerminalColumn]) -> list[TerminalColumn]:
         return [
-            Column("link", ["all", *names]),
+            TerminalColumn("link", ["all", *names]),
             *counts("sent", lambda row: row["sent"]),
             *counts("duplicated", lambda row: row["duplicated"], 5),
             # Replaced by newer data before it was sent: not lost on the way.

@@ -15,17 +15,20 @@ from fleet.cli.completion import scenarios
 from fleet.cli.documents.output import json_option, print_document
 from fleet.cli.group import EPILOG
 from fleet.cli.trust import TrustingCommand, trust_option
-from fleet.cli.types import OVERRIDES, Duration, Share, Speed, Whole, disturbances
+from fleet.cli.types import OVERRIDES, Duration, Share, Speed, Whole, disturbances, is_given
 from fleet.terminal.folding import say, stdout
 from fleet.terminal.output import OutputError, give_up_output
 from netem.clock import Clock
+from world.plugins.trust import Trust
 
 if TYPE_CHECKING:
+    from rich.console import Console as Terminal
+
+    from fleet.execution.options import Options
     from fleet.execution.outcome import Result
     from fleet.recorder.snapshot import Start
     from fleet.scenario.scenario import Scenario
     from fleet.scenario.text.overrides import Override
-    from world.plugins.trust import Trust
 
 MOST_FAULTS = 20  # of the scenario, said before it runs
 
@@ -94,28 +97,16 @@ MOST_FAULTS = 20  # of the scenario, said before it runs
 def run(
     scenario: str | None,
     begin: str | None,
-    out: Path,
     seed: int | None,
     duration: str | None,
-    speed: float | None,
-    clock: str,
-    max_missed: float,
-    in_process: bool,
     overrides: tuple[str, ...],
     fault: tuple[Override, ...],
     net: tuple[Override, ...],
     trust: Trust,
     show_config: bool,
-    port: int | None,
-    publish: bool,
-    view: bool,
-    audit: bool,
-    wait_for_subscribers: bool,
-    join_timeout: int,
-    start_order: int | None,
     as_json: bool,
     quiet: bool,
-    **hosts: Any,
+    **how: Any,
 ) -> None:
     """Run SCENARIO (a shipped name or a YAML file) and judge it.
 
@@ -131,16 +122,13 @@ def run(
       fleet run paper --speed 1 --view
       fleet run --from runs/latest@20s --set controller=bsmc
     """
-    if wait_for_subscribers and not (publish or view):
+    if how["wait_for_subscribers"] and not (how["publish"] or how["view"]):
         raise click.UsageError("--wait-for-subscribers needs --publish or --view: nobody could subscribe")
     if as_json and show_config:
         raise click.UsageError("--show-config prints YAML: not together with --json")
     changes: list[str | Override] = [*overrides, *net, *fault]
-    if seed is not None:
-        changes.append(f"seed={seed}")
-    if duration is not None:
-        changes.append(f"duration={duration}")
-    if scenario is not None and begin is None and not in_process and not show_config:
+    changes += [f"{key}={value}" for key, value in (("seed", seed), ("duration", duration)) if value is not None]
+    if scenario is not None and begin is None and not how["in_process"] and not show_config:
         from fleet.processes.children import start_forkserver
 
         start_forkserver()  # now: it imports for as long as reading a scenario takes
@@ -151,49 +139,71 @@ def run(
     from rich.console import Console as Terminal
 
     from fleet.execution.execute import execute
-    from fleet.execution.options import Options
-    from fleet.scenario.scenario import timeline_lines
 
     terminal = Terminal(stderr=True)
     if not quiet:
         for warning in _warnings(loaded, seed_given=seed is not None):
             say(f"warning: {warning}", err=True)
-    one_process = "--in-process" if in_process else "--from" if start else "network: ideal" if loaded.ideal else ""
-    meeting = cli_hosts.meeting(loaded, hosts, in_process=bool(one_process))
-    for warning in meeting.warnings if meeting else ():
-        terminal.print(f"warning: {warning}", style="bold red", highlight=False, markup=False, soft_wrap=True)
-    _check_clock(speed, clock, one_process)
-    if audit and (one_process or (meeting and meeting.router)):
-        raise click.UsageError("--audit reads the log of the router that a run hosts; this run hosts none")
-    if view and one_process:
-        raise click.UsageError(f"--view is of a run that answers; not with {one_process}: fleet view shows its log")
-    options = Options(
-        out,
-        in_process=in_process,
-        clock=Clock(clock),
-        speed=speed,
-        quiet=quiet,
-        publish=publish or view,
-        wait=wait_for_subscribers,
-        port=port,
-        start=start,
-        most_missed=max_missed,
-        start_order=_shuffle(start_order),
-        join_timeout_s=join_timeout / 1e9,
-        rendezvous=meeting,
-        audit=audit,
-    )
+    options = replace(_options(loaded, start, how, terminal), quiet=quiet)
     if not quiet:
-        for line in [*(start.notes if start else ()), *timeline_lines(loaded, MOST_FAULTS)]:
-            say(line, err=True)
-        if loaded.ideal and not in_process:
-            say("network: ideal has no latency and so runs in one process", err=True)
-    with cli_view.companion(asked=view, stays=not (quiet or as_json)) as page:
+        _tell_plan(loaded, start, in_process=options.in_process)
+    with cli_view.companion(asked=how["view"], stays=not (quiet or as_json)) as page:
         result = execute(loaded, replace(options, on_published=page.published if page else None), terminal)
         if page is not None and result.directory is not None:
             page.over(result.directory)
         _print_result(result, as_json=as_json, quiet=quiet)
     sys.exit(int(result.status))
+
+
+def _options(scenario: Scenario, start: Start | None, how: dict[str, Any], terminal: Terminal) -> Options:
+    """How to run a scenario.
+
+    Args:
+        start: where in a log it begins; None: at its beginning.
+        how: options of the command line by name, those of `hosts_options` among them.
+        terminal: where warnings go.
+
+    Raises:
+        UsageError, FleetError: they do not go together, or with the scenario.
+    """
+    from fleet.execution.options import Options
+
+    one_process = (
+        "--in-process" if how["in_process"] else "--from" if start else "network: ideal" if scenario.ideal else ""
+    )
+    place = cli_hosts.rendezvous(scenario, how, in_process=bool(one_process))
+    for warning in place.warnings if place else ():
+        terminal.print(f"warning: {warning}", style="bold red", highlight=False, markup=False, soft_wrap=True)
+    _check_clock(how["speed"], how["clock"], one_process)
+    if how["audit"] and (one_process or (place and place.router)):
+        raise click.UsageError("--audit reads the log of the router that a run hosts; this run hosts none")
+    if how["view"] and one_process:
+        raise click.UsageError(f"--view is of a run that answers; not with {one_process}: fleet view shows its log")
+    return Options(
+        how["out"],
+        in_process=how["in_process"],
+        clock=Clock(how["clock"]),
+        speed=how["speed"],
+        publish=how["publish"] or how["view"],
+        wait=how["wait_for_subscribers"],
+        port=how["port"],
+        start=start,
+        most_missed=how["max_missed"],
+        start_order=_shuffle(how["start_order"]),
+        join_timeout_s=how["join_timeout"] / 1e9,
+        rendezvous=place,
+        audit=how["audit"],
+    )
+
+
+def _tell_plan(scenario: Scenario, start: Start | None, *, in_process: bool) -> None:
+    """Say on stderr what will happen in a run."""
+    from fleet.scenario.scenario import timeline_lines
+
+    for line in [*(start.notes if start else ()), *timeline_lines(scenario, MOST_FAULTS)]:
+        say(line, err=True)
+    if scenario.ideal and not in_process:
+        say("network: ideal has no latency and so runs in one process", err=True)
 
 
 def _print_result(result: Result, *, as_json: bool, quiet: bool) -> None:
@@ -260,19 +270,13 @@ def _check_clock(speed: float | None, clock: str, one_process: str) -> None:
         one_process: which option or key asks for a run in one process, or "".
     """
     if clock != Clock.REAL:
-        if _is_given("max_missed"):
+        if is_given("max_missed"):
             raise click.UsageError("--max-missed is for --clock real: in lockstep nobody misses a tick")
         return
-    if speed is None and _is_given("speed"):
+    if speed is None and is_given("speed"):
         raise click.UsageError("--clock real has no max: --speed 2 is twice as fast as the wall clock")
     if one_process:
         raise click.UsageError(f"--clock real is of processes that answer as they can; not with {one_process}")
-
-
-def _is_given(name: str) -> bool:
-    """Whether an option was given on the command line, so that its value is no default."""
-    source = click.get_current_context().get_parameter_source(name)
-    return source is not click.core.ParameterSource.DEFAULT
 
 
 def _print_failure(result: Result) -> None:

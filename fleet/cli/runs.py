@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
 from fleet.cli.documents.output import json_option, print_document
-from fleet.cli.types import Age, Whole, Words
+from fleet.cli.types import AgeText, Whole, Words
 from fleet.terminal.folding import stdout
 
 if TYPE_CHECKING:
-    from datetime import datetime
-
     from rich.table import Table
 
     from fleet.execution.past_runs import PastRun
@@ -34,14 +33,15 @@ def ls(out: Path, as_json: bool) -> None:
     """List the runs below a directory, the newest first.
 
     With what they came to, the simulated time, and how large and how old they are. The verdict is pass, FAIL, stopped,
-    live, or broke, also of a run that left no result. A directory that you gave a name of its own is not listed.
+    live, or broke, also of a run that left no result. A directory that you gave a name of its own is not listed. Live
+    runs in any folder: fleet ps. What one can run: fleet list.
 
     \b
     Examples:
       fleet ls
       fleet ls --out /data/runs --json
     """
-    from fleet.cli.documents.runs import RunRow, Runs
+    from fleet.cli.documents.listing import RunRow, Runs
     from fleet.execution.past_runs import LIVE, past_runs
 
     found, now = past_runs(out), _now()
@@ -66,7 +66,7 @@ def ls(out: Path, as_json: bool) -> None:
 @click.command()
 @_out
 @click.option("--keep", metavar="N", type=Whole(min=0), help="The newest N of those that are over stay.")
-@click.option("--older-than", metavar="AGE", type=Age(), help="Only those that began so long ago, e.g. '7 days'.")
+@click.option("--older-than", metavar="AGE", type=AgeText(), help="Only those that began so long ago, e.g. '7 days'.")
 @click.option(
     "--verdict", "verdicts", metavar="LIST", type=Words(VERDICTS), help=f"Only some of {', '.join(VERDICTS)}."
 )
@@ -119,8 +119,6 @@ def _table(runs: Sequence[PastRun], now: datetime, *, wide: bool) -> Table:
 
 
 def _now() -> datetime:
-    from datetime import UTC, datetime
-
     return datetime.now(UTC)  # noqa: TID251 (the ages of files, by the clock that gave them their names)
 
 

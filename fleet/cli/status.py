@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 import time
+from contextlib import nullcontext
 from typing import TYPE_CHECKING
 
 import click
 
 from fleet.cli.documents.output import json_option, print_document
-from fleet.cli.live import answer, which_by_name
+from fleet.cli.run_argument import answer, run_argument
 from fleet.terminal.folding import stdout
 
 if TYPE_CHECKING:
     from rich.console import Console, Group
     from rich.table import Table
 
-    from fleet.cli.documents.live import FaultRow, LinkRow, Status, VehicleRow
+    from fleet.cli.documents.live import FaultRow, LinkRow, RunStatus, VehicleRow
     from fleet.execution.connection import LiveRun
 
 EVERY_S = 1.0
@@ -24,19 +25,21 @@ MOST_EVENTS = 3
 
 
 @click.command()
-@which_by_name
+@run_argument
 @click.option("-w", "--watch", is_flag=True, help="Again every second, until the run is over or Ctrl-C.")
-@click.option("--all", "every", is_flag=True, help="All vehicles and links, not only the worst.")
+@click.option("--all", "every", is_flag=True, help="All vehicles, links and faults, not only the worst and active.")
 @json_option
 def status(run: str | None, watch: bool, every: bool, as_json: bool) -> None:
     """Say how a live run is doing.
 
-    Time, who is waited for, active faults, and the worst vehicles and links. "oldest news" is the greatest age of what
-    a vehicle heard last of a neighbour; e is the consensus error.
+    Time, who is waited for, active faults with their ids, what happened to vehicles, and the worst vehicles and links.
+    "oldest news" is the greatest age of what a vehicle heard last of a neighbour; e is the consensus error. What the
+    log of a run holds: fleet info.
 
     \b
     Examples:
       fleet status
+      fleet status paper --all
       fleet status -w paper-1-20261121-120000
     """
     if watch and as_json:
@@ -54,16 +57,14 @@ def status(run: str | None, watch: bool, every: bool, as_json: bool) -> None:
         terminal.print(screen(_status(found, every), every))
 
 
-def _status(found: LiveRun, every: bool) -> Status:
-    from fleet.cli.documents.live import Status
+def _status(found: LiveRun, every: bool) -> RunStatus:
+    from fleet.cli.documents.live import RunStatus
 
-    return answer(Status, found, "status", all=every)
+    return answer(RunStatus, found, "status", all=every)
 
 
 def watch_run(found: LiveRun, every: bool, terminal: Console) -> None:
     """Show it again and again: on a terminal in place, on a screen of its own; elsewhere one block after the other."""
-    from contextlib import nullcontext
-
     from rich.live import Live
 
     from fleet.execution.connection import RemoteError, is_live
@@ -90,7 +91,7 @@ def watch_run(found: LiveRun, every: bool, terminal: Console) -> None:
     click.echo(f"{found.name}: the run is over; its results are in {found.directory}")
 
 
-def screen(status: Status, every: bool, height: int | None = None) -> Group:
+def screen(status: RunStatus, every: bool, height: int | None = None) -> Group:
     """A status as a terminal shows it, in 80 columns.
 
     Args:
@@ -110,12 +111,14 @@ def screen(status: Status, every: bool, height: int | None = None) -> Group:
     ]
     if status.waiting not in ("", status.clock):
         lines.append(status.waiting)
-    lines += [_fault(fault, status) for fault in status.faults[:MOST_FAULTS]]
-    if len(status.faults) > MOST_FAULTS:
-        lines.append(f"and {_more(len(status.faults) - MOST_FAULTS, 'fault')}: fleet faults")
-    lines += [f"event {event}" for event in status.events[:MOST_EVENTS]]
-    if len(status.events) > MOST_EVENTS:
-        lines.append(f"and events of {_more(len(status.events) - MOST_EVENTS, 'vehicle')}: fleet faults")
+    whole = every and height is None
+    faults, events = (None, None) if whole else (MOST_FAULTS, MOST_EVENTS)
+    lines += [_fault(fault, status) for fault in status.faults[:faults]]
+    if faults is not None and len(status.faults) > faults:
+        lines.append(f"and {_more(len(status.faults) - faults, 'fault')}: fleet status --all")
+    lines += [f"event {event}" for event in status.events[:events]]
+    if events is not None and len(status.events) > events:
+        lines.append(f"and events of {_more(len(status.events) - events, 'vehicle')}: fleet status --all")
     vehicles, links = status.vehicles, status.links
     if height is not None:
         room = height - len(lines) - 3  # two headings, and a line on what is left out
@@ -146,7 +149,9 @@ def _worst(vehicles: list[VehicleRow], most: int) -> list[VehicleRow]:
     return sorted(worst, key=lambda row: row.vehicle)
 
 
-def _fault(fault: FaultRow, status: Status) -> str:
+def _fault(fault: FaultRow, status: RunStatus) -> str:
+    if fault.state != "active":
+        return f"fault {fault.id}: {fault.state}, {fault.from_s:.2f} s to {fault.to_s:.2f} s: {fault.what}"
     left = f"{max(0.0, fault.to_s - status.at_s):.1f} s left"
     if fault.to_s >= status.end_s:
         left = "until healed" if fault.until_healed else "to the end"

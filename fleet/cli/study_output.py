@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
 
+from fleet.study.record import AxisRecord
+from fleet.study.sweep import Progress
 from fleet.terminal.fitting import Piece
-from fleet.terminal.table import Column
-
-if TYPE_CHECKING:
-    from fleet.study.record import AxisRecord
-    from fleet.study.sweep import Progress
-    from fleet.terminal.status_line import StatusLine
+from fleet.terminal.status_line import BAR, StatusLine, bar
+from fleet.terminal.table import TerminalColumn
 
 
-def axis_columns(axes: Sequence[AxisRecord], rows: Sequence[Mapping[str, float | str]]) -> list[Column]:
+def axis_columns(axes: Sequence[AxisRecord], rows: Sequence[Mapping[str, float | str]]) -> list[TerminalColumn]:
     """A column for each key that is varied.
 
     Args:
@@ -24,7 +21,7 @@ def axis_columns(axes: Sequence[AxisRecord], rows: Sequence[Mapping[str, float |
     for axis in axes:
         heading = axis.key.removeprefix("network.links.") + (f"\n[{axis.unit}]" if axis.unit else "")
         cells = [cell(values[axis.key]) for values in rows]
-        columns.append(Column(heading, cells, 0, "left" if axis.unit is None else "right"))
+        columns.append(TerminalColumn(heading, cells, 0, "left" if axis.unit is None else "right"))
     return columns
 
 
@@ -35,8 +32,6 @@ def cell(value: float | str) -> str:
 
 def progress_pieces(line: StatusLine, share: float, progress: Progress) -> list[Piece]:
     """How far it is, how fast it goes, and how many runs have no result."""
-    from fleet.terminal.status_line import BAR, bar
-
     rate = f"{progress.rate:.2g} {progress.doing}/s" if progress.new else ""
     failed = f"{progress.failed} without result" if progress.failed else ""
     return [

@@ -10,12 +10,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
-from click.core import ParameterSource
 
 from fleet.cli.completion import studies
 from fleet.cli.documents.output import json_option, print_document
 from fleet.cli.trust import TrustingCommand, trust_option
-from fleet.cli.types import OVERRIDES, Duration, Whole, disturbances
+from fleet.cli.types import OVERRIDES, Duration, Whole, disturbances, is_given
 from fleet.terminal.folding import say, stdout
 
 if TYPE_CHECKING:
@@ -114,7 +113,7 @@ def sweep(
     from fleet.study.errors import StudyError
     from fleet.study.load_points import load_points
     from fleet.study.local_engine import engine_of
-    from fleet.study.signals import find_columns
+    from fleet.study.signal_measures import find_columns
     from fleet.study.spec import StudySpec, set_values, varied
     from fleet.study.store import Store
     from fleet.study.study import new_directory
@@ -123,16 +122,16 @@ def sweep(
     from fleet.study.sweep import declared, logs_to_make, modules_again, prepare, refuse_border, run_study
 
     keys = {"seeds": seeds, "draw": draw, "until": until, "most_seeds": most_seeds}
-    chosen_keys: dict[str, Any] = {key: value for key, value in keys.items() if _is_given(key)}
+    chosen_keys: dict[str, Any] = {key: value for key, value in keys.items() if is_given(key)}
     later: dict[str, Any] = {
         "measures": list(measures) or None,
         "timeout": None if timeout is None else show_time(timeout),
         "budget": None if budget is None else show_time(budget),
-        "keep_logs": keep_logs if _is_given("keep_logs") else None,
+        "keep_logs": keep_logs if is_given("keep_logs") else None,
     }
     store, origin = None, TYPED
     if Path(scenario).is_dir() and scenario not in (*shipped_scenarios(), *shipped_studies()):
-        if vary or overrides or fault or net or zipped or chosen_keys or _is_given("out"):
+        if vary or overrides or fault or net or zipped or chosen_keys or is_given("out"):
             raise click.UsageError(f"{scenario} is a study: what it runs is settled; only the missing runs are made")
         store = Store.open(Path(scenario))
         refuse_border(store)
@@ -152,7 +151,7 @@ def sweep(
             **chosen_keys,
             **later,
         )
-    if _is_given("most_seeds") and not spec.until:
+    if is_given("most_seeds") and not spec.until:
         raise click.UsageError("--most-seeds is for studies that add seeds: give --until, too")
     if show_config:
         if store is None:
@@ -233,10 +232,6 @@ def _tell_what_is_missing(store: Store, logs: Any, not_kept: list[str]) -> None:
         say(f"{short} points have {most} seeds, and are not yet known to {until}; see --most-seeds", err=True)
 
 
-def _is_given(name: str) -> bool:
-    return click.get_current_context().get_parameter_source(name) is not ParameterSource.DEFAULT
-
-
 @contextmanager
 def _showing(quiet: bool) -> Iterator[Callable[[Progress], None]]:
     """A function that shows where a study is; call it as often as you like."""
@@ -273,18 +268,18 @@ def _show(store: Store, measures: Any) -> None:
     from fleet.cli.study_output import axis_columns
     from fleet.study.statistics import LEAST, levels
     from fleet.study.summary import summarise
-    from fleet.terminal.table import Column, show
+    from fleet.terminal.table import TerminalColumn, show
 
     rows = summarise(store, measures)
     columns = axis_columns(store.record.axes, [row.values for row in rows])
-    columns.append(Column("runs", [str(row.runs) for row in rows], 3))
+    columns.append(TerminalColumn("runs", [str(row.runs) for row in rows], 3))
     if any(row.failed for row in rows):
-        columns.append(Column("without\nresult", [str(row.failed) for row in rows], 0))
-    columns.append(Column("passed\n95 % interval", [_share(row.passed) for row in rows], 0))
+        columns.append(TerminalColumn("without\nresult", [str(row.failed) for row in rows], 0))
+    columns.append(TerminalColumn("passed\n95 % interval", [_share(row.passed) for row in rows], 0))
     for rank, (name, unit) in enumerate(((measure.name, measure.unit) for measure in measures), start=4):
         level = levels(row.medians[name] for row in rows)
         heading = f"{name}\nmedian" + (f" [{unit}]" if unit else "") + (level and f", {level}")
-        columns.append(Column(heading, [_number(row.medians[name], row.passed.runs) for row in rows], rank))
+        columns.append(TerminalColumn(heading, [_number(row.medians[name], row.passed.runs) for row in rows], rank))
     counts = sorted({row.runs for row in rows}) or [0]
     seeds = f"{counts[0]} to {counts[-1]}" if len(counts) > 1 else f"{counts[0]}"
     title = f"{store.record.scenario}, {seeds} seeds per point"

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 import click
 
-if TYPE_CHECKING:
-    from world.plugins.trust import Trust
+from world.plugins.trust import SHA256, Trust
 
 F = TypeVar("F", bound=Callable[..., Any])
 _EVERYTHING = "all"
@@ -19,8 +19,6 @@ class TrustingCommand(click.Command):
     """A command whose --trust needs no value, not even in front of an argument."""
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        from world.plugins.trust import SHA256
-
         alone = f"--trust={_EVERYTHING}"
         pairs = pairwise([*args, ""])
         args = [alone if arg == "--trust" and not after.startswith(SHA256) else arg for arg, after in pairs]
@@ -28,10 +26,6 @@ class TrustingCommand(click.Command):
 
 
 def _trust(context: click.Context, option: click.Parameter, values: tuple[str, ...]) -> Trust:
-    import re
-
-    from world.plugins.trust import SHA256, Trust
-
     listed = [value for value in values if value != _EVERYTHING]
     for value in listed:
         if not re.fullmatch(SHA256 + "[0-9a-fA-F]{64}", value):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from math import inf
 from typing import Any, TypeVar
 
 import click
@@ -15,6 +16,13 @@ OVERRIDES = click.option(
     multiple=True,
     help="Override one scenario key, e.g. network.period='200 ms'.",
 )
+FORCE = click.option("--force", is_flag=True, help="Replace what is there.")
+NO_PROGRESS = click.option("-q", "--quiet", is_flag=True, help="No progress.")
+
+
+def is_given(name: str) -> bool:
+    """Whether an option was given on the command line, so that its value is no default."""
+    return click.get_current_context().get_parameter_source(name) is not click.core.ParameterSource.DEFAULT
 
 
 def _override(context: click.Context, option: click.Parameter, values: tuple[str, ...]) -> tuple[Any, ...]:
@@ -84,8 +92,6 @@ class Budget(click.ParamType[tuple[float, float]]):
     name = "runs|time"
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[float, float]:
-        from math import inf
-
         from fleet.quantities import QuantityError, time_ns
 
         if isinstance(value, tuple):
@@ -172,7 +178,7 @@ class Words(click.ParamType[tuple[str, ...]]):
         return False
 
 
-class Pictures(Words):
+class PictureWords(Words):
     """Some of the given words, or signals such as `control.leads`; whether a log has such a signal is not known yet."""
 
     others = ", and signals such as control.leads"
@@ -220,7 +226,7 @@ class Vehicles(click.ParamType[tuple[int, ...]]):
             self.fail(str(error), param, ctx)
 
 
-class Age(click.ParamType[float]):
+class AgeText(click.ParamType[float]):
     """An age with a unit, in s."""
 
     name = "age"
@@ -254,7 +260,7 @@ class FileSize(click.ParamType[int]):
         return size
 
 
-class Endpoint(click.ParamType[str]):
+class EndpointText(click.ParamType[str]):
     """A zenoh endpoint."""
 
     name = "endpoint"

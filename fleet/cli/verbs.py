@@ -17,7 +17,7 @@ class Verb(NamedTuple):
 
 GROUPS: dict[str, dict[str, Verb]] = {
     "Start": {
-        "list": Verb("listing", "List the scenarios and studies that ship with the package."),
+        "list": Verb("listing", "List the scenarios and studies that ship (runs: ls, ps)."),
         "new": Verb("new", "Write a scenario, law, protocol, check or vehicle."),
         "check": Verb("check", "Check a scenario without running it."),
         "run": Verb("run", "Run a scenario and judge it."),
@@ -25,10 +25,9 @@ GROUPS: dict[str, dict[str, Verb]] = {
     },
     "Live runs": {
         "ps": Verb("live", "List the live runs of this user (all runs: ls)."),
-        "status": Verb("status", "Show how a run is doing."),
+        "status": Verb("status", "Show how a run is doing, and its faults."),
         "view": Verb("view", "Show a live run or a log in the browser."),
         "inject": Verb("live", "Inject a fault."),
-        "faults": Verb("live", "List the faults, and what happened to vehicles."),
         "heal": Verb("live", "End a fault, or all of them."),
         "clock": Verb("live", "Hold, step or pace a run."),
         "stop": Verb("live", "Stop a run; its log stays."),
@@ -45,7 +44,7 @@ GROUPS: dict[str, dict[str, Verb]] = {
         "verify": Verb("verify", "Run a log's scenario again and compare every byte."),
         "diff": Verb("verify", "Compare two logs."),
         "check-log": Verb("verify", "Judge a log by other checks."),
-        "script": Verb("live", "Print the scenario that makes a log again."),
+        "script": Verb("verify", "Print the scenario that makes a log again."),
         "whatif": Verb("what_if", "Ask what another agent would have commanded."),
         "replay": Verb("replay", "Publish a log on zenoh again."),
         "recover": Verb("verify", "Save what is left of a damaged log."),
@@ -66,7 +65,7 @@ GROUPS: dict[str, dict[str, Verb]] = {
     },
     "This tool": {
         "bench": Verb("bench", "Measure this machine."),
-        "completion": Verb("live", "Print what completes commands in your shell."),
+        "completion": Verb("completion", "Print what completes commands in your shell."),
         "schema": Verb("schema", "Print the JSON Schema of what --json prints."),
     },
 }
@@ -76,6 +75,7 @@ ELSEWHERE = {
     **dict.fromkeys(("rm", "remove", "delete", "clean"), "fleet prune"),
     **dict.fromkeys(("logs", "runs", "history"), "fleet ls (all runs) or fleet info (what one log holds)"),
     **dict.fromkeys(("init", "create"), "fleet new"),
+    "faults": "fleet status (those that are active; --all: every one)",
     "compare": "fleet diff (two logs), or fleet report (a page about several)",
     "play": "fleet view (a log on a screen), or fleet replay (a log on zenoh)",
     "resume": "fleet clock resume (a run that is held), or fleet run --from RUN@TIME (a new run from there)",

@@ -1,23 +1,18 @@
-"""The commands that check a log.
-
-verify (against a new run), check-log (by checks), diff (against another log), recover (repair it).
-"""
+"""The commands that prove a log right or make it usable: verify, check-log, diff, script, recover."""
 
 from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
 from fleet.cli.documents.output import json_option, print_document
 from fleet.cli.log_argument import log_argument, newest_log
 from fleet.cli.trust import TrustingCommand, trust_option
+from fleet.cli.types import NO_PROGRESS
 from fleet.terminal.folding import say
-
-if TYPE_CHECKING:
-    from world.plugins.trust import Trust
+from world.plugins.trust import Trust
 
 _VERIFY = "Exit status: 0 reproduced, 1 not, 2 no log of ours or it cannot be run here, 3 no message is left in it."
 _CHECK_LOG = "Exit status: 0 every check passes, 1 one does not, 2 no log of ours, or a check makes no sense."
@@ -30,7 +25,7 @@ _log = click.Path(path_type=Path)
 @log_argument
 @trust_option
 @json_option
-@click.option("-q", "--quiet", is_flag=True, help="No progress.")
+@NO_PROGRESS
 def verify(log: Path, trust: Trust, as_json: bool, quiet: bool) -> None:
     """Run LOG again and compare: every message, bit for bit.
 
@@ -65,7 +60,7 @@ def verify(log: Path, trust: Trust, as_json: bool, quiet: bool) -> None:
               help="Other checks than those of the run, as in a scenario; repeatable.")  # fmt: skip
 @trust_option
 @json_option
-@click.option("-q", "--quiet", is_flag=True, help="No progress.")
+@NO_PROGRESS
 def check_log(log: Path, overrides: tuple[str, ...], trust: Trust, as_json: bool, quiet: bool) -> None:
     """Judge LOG by your own checks, on signals and in Python, without running it again.
 
@@ -101,7 +96,7 @@ def check_log(log: Path, overrides: tuple[str, ...], trust: Trust, as_json: bool
               help="The most that two numbers may be apart, each in its own unit.")  # fmt: skip
 @click.option("--all", "everything", is_flag=True, help="Every signal that differs, not only the first twenty.")
 @json_option
-@click.option("-q", "--quiet", is_flag=True, help="No progress.")
+@NO_PROGRESS
 def diff(a: Path, b: Path | None, tolerance: float, everything: bool, as_json: bool, quiet: bool) -> None:
     """Say whether logs A and B hold the same messages, where they part, and how far apart each signal gets.
 
@@ -150,6 +145,23 @@ def diff(a: Path, b: Path | None, tolerance: float, everything: bool, as_json: b
     sys.exit(status)
 
 
+@click.command()
+@log_argument
+def script(log: Path) -> None:
+    """Print the scenario that runs LOG again, with everything that was injected while it was made.
+
+    \b
+    Examples:
+      fleet script > again.yaml && fleet run again.yaml
+    """
+    from fleet.repeat.recorded_run import script as make
+    from fleet.terminal.progress import showing
+
+    with showing(f"reading {log}") as tell:
+        made = make(log, tell)
+    click.echo(made.to_yaml(), nl=False)
+
+
 @click.command(epilog=_RECOVER)
 @log_argument
 @click.option("-o", "--out", metavar="OUT", type=_log, help="Where to write; by default LOG.recovered.mcap beside it.")
@@ -173,4 +185,4 @@ def recover(log: Path, out: Path | None) -> None:
     sys.exit(1 if found.nothing else 3 if found.lost else 0)
 
 
-COMMANDS = (verify, check_log, diff, recover)
+COMMANDS = (verify, check_log, diff, script, recover)

@@ -10,19 +10,19 @@ import click
 from fleet.cli.documents.output import json_option, print_document
 from fleet.cli.log_argument import log_argument
 from fleet.cli.trust import TrustingCommand, trust_option
-from fleet.cli.types import Whole
+from fleet.cli.types import OVERRIDES, Whole
 from fleet.terminal.folding import say
+from world.plugins.trust import Trust
 
 if TYPE_CHECKING:
     from fleet.repeat.what_if import WhatIf
-    from world.plugins.trust import Trust
 
 
 @click.command(cls=TrustingCommand, name="whatif")
 @log_argument
 @click.option("--agent", type=Whole(min=1), required=True, help="The number of the vehicle.")
 @click.option("--controller", metavar="LAW", help="Short for --set controller=LAW: a name, or package.module:Class.")
-@click.option("--set", "overrides", metavar="KEY=VALUE", multiple=True, help="Change one scenario key.")
+@OVERRIDES
 @trust_option
 @click.option("--plot", type=click.Path(path_type=Path), help="Draw both commands into this file (png, svg, pdf).")
 @json_option

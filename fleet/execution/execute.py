@@ -26,8 +26,8 @@ from fleet.execution.publication import NoPublication, Publication
 from fleet.execution.registry import RegistryError, register
 from fleet.execution.runner import Runner
 from fleet.processes.interrupts import DeferInterrupts, HungUp
+from fleet.processes.limits import NO_THREAD, no_thread
 from fleet.processes.ports import free_port
-from fleet.processes.threads import NO_THREAD, no_thread
 from fleet.recorder.journal import Journal
 from fleet.recorder.log_file import LogError, LogFile
 from fleet.recorder.no_log import NoLog

@@ -16,9 +16,8 @@ from fleet.execution.options import Options
 from fleet.hosts.join_folder import JoinFolder
 from fleet.hosts.rendezvous import Rendezvous
 from fleet.processes.children import Children, forkserver_death
-from fleet.processes.open_files import allow_open_files
+from fleet.processes.limits import allow_open_files, processors
 from fleet.processes.ports import free_port
-from fleet.processes.processors import processors
 from fleet.processes.run_folder import RunFolder
 from fleet.scenario.scenario import Scenario, frame_every
 from netem.wire.access import LEASE_MS, NETEM, OPERATOR, WORLD, Credentials, Listener, agent_role, generate

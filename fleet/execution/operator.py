@@ -1,4 +1,4 @@
-"""The operator of a running fleet: what `fleet status|inject|faults|heal|clock|stop` and pages ask of the console.
+"""The operator of a running fleet: what `fleet status|inject|heal|clock|stop` and pages ask of the console.
 
 A fault that is injected acts from the first tick on that is not granted yet, so no process has started it. The answer
 says which time that is. The fault is logged like a scripted one, so the run can be printed as a scenario and run again.
@@ -83,7 +83,7 @@ class Operator:
             "formation": self.journal.metrics.formation._asdict(),
             "delivered": total.delivered,
             "lost": sum(total.lost.values()) - total.replaced,
-            "faults": [fault for fault in self._listed() if fault["active"]],
+            "faults": [fault for fault in self._listed() if every or fault["active"]],
             "events": event_rows(self.scenario, self.journal),
             "waiting": self.fleet.waiting,
             "vehicles_total": self.scenario.vehicles,

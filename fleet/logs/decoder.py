@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 from collections.abc import Iterable, Iterator
 from itertools import islice
 from typing import Any, NamedTuple
@@ -14,6 +13,7 @@ from mcap.records import Channel, Schema
 
 from fleet.logs.reader import LogReader, LogReadError, Record
 from fleet.logs.schemas import OURS, Column
+from fleet.scenario.sections.signals import component
 
 UNITS = "units"  # what of a channel's metadata says them, as JSON: field -> [unit, meaning]
 MOST_DECODED = 8 << 20  # bytes of a message: decoded, it takes up to fifty times as much
@@ -21,7 +21,7 @@ MOST_VALUES = 100_000  # of a message that is shown field by field
 
 
 class Value(NamedTuple):
-    """One field of a message; `path` as in `pose.position.x` or `tau[0]`."""
+    """One number, text or flag of a message; `path` as in `pose.position.x`, `tau_0` or `transforms[2].parent`."""
 
     path: str
     value: Any
@@ -41,10 +41,8 @@ class Decoder:
         if message is None:
             return [Value("bytes", record.data, "")]
         units = self._known[record.topic][1]
-        values = list(islice(_flat(message), MOST_VALUES + 1))
-        if len(values) > MOST_VALUES:
-            return [Value("bytes", record.data, "")]
-        return [Value(path, value, _unit(units, path)) for path, value in values]
+        values = list(islice(_flat(message, units), MOST_VALUES + 1))
+        return values if len(values) <= MOST_VALUES else [Value("bytes", record.data, "")]
 
     def message(self, record: Record) -> Any:
         """The protobuf message of a record; None if it is none."""
@@ -77,10 +75,6 @@ class Decoder:
             if problem := _unlike(cls, columns, lacking=lacking):
                 raise LogReadError(f"{self._reader.path}: the schema of {topic} cannot be used: {problem}")
         return message
-
-    def unit(self, topic: str, path: str) -> str:
-        """The unit of a field of a topic that was decoded before."""
-        return _unit(self._known[topic][1], path)
 
 
 def message_class(schema: Schema) -> Any:
@@ -130,32 +124,36 @@ def units_of(channel: Channel) -> dict[str, str]:
         return {}
 
 
-def _unit(units: dict[str, str], path: str) -> str:
-    """Of a field, or of the message or the array that it stands in."""
-    name, *indices = re.split(r"\[(\d+)\]", path)
-    name += "".join(indices[1::2])  # within the messages of a list all units are the same
+def _unit(units: dict[str, str], name: str, k: int | None = None) -> str:
+    """The unit of a field, or of the message that it stands in.
+
+    Args:
+        name: of the field, with the names of the messages around it: within the messages of a list all units are alike.
+        k: which component of it.
+    """
     found = name
     while found not in units and "." in found:
         found = found.rpartition(".")[0]
     unit = units.get(found, "")
-    if path.endswith("]") and found == name and "," in unit:
-        each = unit.split(", ")
-        number = int(indices[-2])
-        return each[number] if number < len(each) else unit
-    return unit
+    each = unit.split(", ")
+    return each[k] if k is not None and found == name and k < len(each) > 1 else unit
 
 
-def _flat(message: Message, prefix: str = "") -> Iterator[tuple[str, Any]]:
+def _flat(message: Message, units: dict[str, str], prefix: str = "", around: str = "") -> Iterator[Value]:
+    """Every value of a message; `prefix` and `around` are the path and the names of the messages that it stands in."""
+    known = message.DESCRIPTOR.fields_by_name
     for field in message.DESCRIPTOR.fields:
         value = getattr(message, field.name)
-        path = prefix + field.name
-        if field.is_repeated:
-            for number, element in enumerate(value):
-                if isinstance(element, Message):
-                    yield from _flat(element, f"{path}[{number}].")
-                else:
-                    yield f"{path}[{number}]", element
-        elif isinstance(value, Message):
-            yield from _flat(value, f"{path}.")
-        else:
-            yield path, value
+        path, name = prefix + field.name, around + field.name
+        if not field.is_repeated:
+            if isinstance(value, Message):
+                yield from _flat(value, units, f"{path}.", f"{name}.")
+            else:
+                yield Value(path, value, _unit(units, name))
+            continue
+        for k, element in enumerate(value):
+            if isinstance(element, Message):
+                yield from _flat(element, units, f"{path}[{k}].", f"{name}.")
+            else:
+                other = component(field.name, k) in known  # a field of its own
+                yield Value(f"{path}[{k}]" if other else component(path, k), element, _unit(units, name, k))

@@ -16,6 +16,7 @@ from fleet.errors import FleetError
 from fleet.logs.columns import Columns
 from fleet.logs.records import Array
 from fleet.logs.topic import Topic
+from fleet.scenario.sections.signals import component
 
 
 class ExportError(FleetError):
@@ -65,7 +66,7 @@ def table(topic: Topic, t: Array, fields: Columns) -> list[TableColumn]:
         if len(parts) != values.shape[1]:
             parts = [unit] * values.shape[1]
         found += [
-            TableColumn(f"{name}_{k}", unit, meaning, np.ascontiguousarray(values[:, k]))
+            TableColumn(component(name, k), unit, meaning, np.ascontiguousarray(values[:, k]))
             for k, unit in enumerate(parts)
         ]
     return found

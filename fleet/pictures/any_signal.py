@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from math import isfinite
 from textwrap import wrap
 from typing import NamedTuple
@@ -21,12 +22,12 @@ from fleet.logs.records import Array
 from fleet.logs.topic import Topic
 from fleet.pictures.axes import MOST_NAMED, Get, draw_lines, finish, over_time
 from fleet.pictures.failures import COLOUR
-from fleet.pictures.runs import NothingToDraw, Run, View, ViewError
+from fleet.pictures.runs import NothingToDraw, Run, View, ViewError, check_view
 from fleet.pictures.thresholds import Threshold, draw_thresholds
 from fleet.scenario.schema.checks import SignalCheck
 from fleet.scenario.sections.checked_signals import checked_signals
 from fleet.scenario.sections.signal_checks import AskedOfSignal, SignalCheckError, ask
-from fleet.scenario.sections.signals import GROUPS, SignalName, SignalPlace, parse_name
+from fleet.scenario.sections.signals import GROUPS, SignalName, SignalPlace, component, parse_name
 from netem.parsing import nearest
 
 MOST_AXES = 8  # components of a vector
@@ -53,7 +54,9 @@ def signals_of_checks(runs: Sequence[Run]) -> list[SignalName]:
 
 
 def need(runs: Sequence[Run], name: SignalName) -> None:
-    """Raises ViewError: no log has this signal."""
+    """Raises ViewError: no log has this signal, or this vehicle."""
+    if name.vehicle is not None:
+        check_view(runs, View((name.vehicle,)))
     if any(_find(run, name) for run in runs):
         return
     known = [other for run in runs for other in _known(run)]
@@ -69,14 +72,17 @@ def picture(name: SignalName) -> Callable[[Sequence[Run], View], Figure]:
     """How a signal is drawn."""
 
     def make(runs: Sequence[Run], view: View) -> Figure:
-        return draw(runs, view, name)
+        if name.vehicle is None:
+            return draw(runs, view, name)
+        return draw(runs, replace(view, vehicles=(name.vehicle,)), name._replace(vehicle=None))
 
     return make
 
 
 def file_name(name: SignalName) -> str:
     """The name of its picture."""
-    return f"norm-{name.name}" if name.absolute else name.name
+    own = name.name if name.vehicle is None else f"uuv-{name.vehicle}-{name.name}"
+    return f"norm-{own}" if name.absolute else own
 
 
 def title(runs: Sequence[Run], name: SignalName) -> str:
@@ -106,7 +112,7 @@ def draw(runs: Sequence[Run], view: View, name: SignalName) -> Figure:
     style = {"drawstyle": "steps-post"} if whole else {}
     notes += draw_lines(figure, list(zip(axes, shown, strict=True)), runs, view, log=log, exact=whole, **style)
     for k, ax in zip(components, axes, strict=True):
-        own = name if k is None or found.width == 1 else SignalName(f"{found.name}_{k}")
+        own = name if k is None or found.width == 1 else SignalName(component(found.name, k))
         ax.set_ylabel(f"{own} [{_unit(found, k)}]")
         if log:
             ax.set_yscale("log", nonpositive="mask")
@@ -181,7 +187,9 @@ def _components(runs: Sequence[Run], view: View, name: SignalName, found: _Found
     if len(still) and moving != [0]:
         words = [f"{len(still)} of {found.width} components never change and are left out"]
     if len(moving) > MOST_AXES:
-        words.append(f"the first {MOST_AXES} of {len(moving)} components; others: {name.name}_{moving[MOST_AXES]}, ...")
+        words.append(
+            f"the first {MOST_AXES} of {len(moving)} components; others: {component(name.name, moving[MOST_AXES])}, ..."
+        )
     return list(moving[:MOST_AXES]), words
 
 

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from fleet.errors import FleetError
 from fleet.logs.reader import Tell
 from fleet.logs.topic import TooLargeError
-from fleet.pictures import any_signal, exchange, shares, signals, timing, track
+from fleet.pictures import any_signal, exchange, shares, time_series, timing, track
 from fleet.pictures.runs import NothingToDraw, Run, View, origin
 from fleet.pictures.style import save
 from fleet.scenario.sections.signals import parse_name
@@ -25,14 +25,14 @@ WHAT: dict[str, tuple[_Picture, ...]] = {
         ("track-3d", "The same in three dimensions", track.space),
     ),
     "error": (
-        ("error", "Consensus error of each vehicle, from true positions", signals.consensus),
-        ("formation", "Distance of each vehicle from its place in the formation", signals.formation),
+        ("error", "Consensus error of each vehicle, from true positions", time_series.consensus),
+        ("formation", "Distance of each vehicle from its place in the formation", time_series.formation),
     ),
-    "velocity": (("velocity", "Velocity tracking errors z", signals.velocity),),
-    "attitude": (("attitude", "Roll, pitch and heading of the hulls", signals.attitude),),
-    "inputs": (("inputs", "Force and moments as applied, limits, and where a limit was met", signals.inputs),),
-    "commands": (("commands", "Velocity commands and the bounds that the optimisation keeps", signals.commands),),
-    "gains": (("gains", "Gains that the optimisation chooses, and their bounds", signals.gains),),
+    "velocity": (("velocity", "Velocity tracking errors z", time_series.velocity),),
+    "attitude": (("attitude", "Roll, pitch and heading of the hulls", time_series.attitude),),
+    "inputs": (("inputs", "Force and moments as applied, limits, and where a limit was met", time_series.inputs),),
+    "commands": (("commands", "Velocity commands and the bounds that the optimisation keeps", time_series.commands),),
+    "gains": (("gains", "Gains that the optimisation chooses, and their bounds", time_series.gains),),
     "links": (("links", "What became of the packets of each link, as shares over time", shares.timeline),),
     "messages": (("messages", "Messages between the agents in space and time", exchange.spacetime),),
     "ages": (("ages", "Age of what was last heard on each link", exchange.ages),),
@@ -40,7 +40,7 @@ WHAT: dict[str, tuple[_Picture, ...]] = {
     "timing": (("timing", "On a wall clock: how late agents answered, what delays became", timing.punctuality),),
 }
 # Those that are left out where everything is asked for, if they hold for none of the runs.
-_ONLY_IF: dict[str, Callable[[Run], bool]] = {"timing": timing.on_wall_clock, "attitude": signals.rolls}
+_ONLY_IF: dict[str, Callable[[Run], bool]] = {"timing": timing.on_wall_clock, "attitude": time_series.rolls}
 PER_RUN = frozenset({"links", "messages", "timing"})  # those that show one run only: of several, each has its own
 
 

@@ -22,13 +22,10 @@ from typing import Any
 import setproctitle
 
 from fleet.errors import RunBroken
+from fleet.processes.child_start import CONSOLE_PID_VARIABLE, children_ignore_the_folder, die_with_parent, without_main
 from fleet.processes.interrupts import deferring_interrupts, out_of_reach
-from fleet.processes.main_module import without_main
-from fleet.processes.open_files import allow_most_open_files
-from fleet.processes.parent_death import CONSOLE_PID_VARIABLE
+from fleet.processes.limits import allow_most_open_files, start_thread
 from fleet.processes.run_folder import own_folder_for_multiprocessing
-from fleet.processes.safe_path import children_ignore_the_folder
-from fleet.processes.threads import start as start_thread
 from netem.errors import BusError
 
 GRACE_S = 1.0
@@ -224,7 +221,7 @@ def _bounded_wait() -> Iterator[None]:
 
 
 def _kill_forkserver() -> None:
-    """SIGKILL also ends a suspended one; its children end with it (`fleet.processes.parent_death`)."""
+    """SIGKILL also ends a suspended one; its children end with it (`fleet.processes.child_start`)."""
     pid = _forkserver_pid()
     if pid is not None:
         with contextlib.suppress(ProcessLookupError):
@@ -295,7 +292,6 @@ def describe_exit(code: int) -> str:
 
 
 def _child(title: str, log_path: str, target: Callable[..., None], args: tuple[Any, ...]) -> None:
-    from fleet.processes.parent_death import die_with_parent
     from fleet.processes.preload import FORKSERVER_PID
 
     die_with_parent(FORKSERVER_PID)

@@ -6,7 +6,7 @@ import gc
 import importlib
 import os
 
-from fleet.processes.parent_death import CONSOLE_PID_VARIABLE, die_with_parent
+from fleet.processes.child_start import CONSOLE_PID_VARIABLE, die_with_parent
 
 if CONSOLE_PID_VARIABLE in os.environ:
     die_with_parent(int(os.environ.pop(CONSOLE_PID_VARIABLE)))  # or processes that a law starts would see it

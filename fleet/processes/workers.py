@@ -22,11 +22,9 @@ from types import TracebackType
 from typing import Any, TypeVar
 
 from fleet.errors import FleetError, RunBroken
+from fleet.processes.child_start import children_ignore_the_folder, die_with_parent, without_main
 from fleet.processes.interrupts import out_of_reach
-from fleet.processes.main_module import without_main
-from fleet.processes.open_files import allow_workers
-from fleet.processes.parent_death import die_with_parent
-from fleet.processes.safe_path import children_ignore_the_folder
+from fleet.processes.limits import allow_workers
 
 I = TypeVar("I")  # noqa: E741
 R = TypeVar("R")

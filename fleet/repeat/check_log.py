@@ -62,7 +62,7 @@ def check_log(
         reading: called with the share of the file that was read, twice from its beginning.
 
     Raises:
-        LogReadError, ScriptError: there is no log of ours.
+        FleetError: there is no log of ours.
         ScenarioError: an override is wrong, or the log's scenario is none for this version.
         CheckLogError: there is nothing to judge.
         SignalCheckError, CheckError: a check makes no sense for this log, or cannot be made.

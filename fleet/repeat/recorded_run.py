@@ -26,10 +26,6 @@ MOST_EVENTS = 200_000  # of faults: one begins and one ends every second for a d
 MOST_TEXT = 64 << 20  # bytes of all of them
 
 
-class ScriptError(FleetError):
-    """The log holds no scenario that could be run again."""
-
-
 @dataclass(frozen=True, slots=True)
 class Recorded:
     """The run of a log: its scenario, the faults that happened, and when it ended."""
@@ -44,10 +40,10 @@ class Recorded:
         """Refuse a log of a run on a wall clock.
 
         Raises:
-            ScriptError: it is one.
+            FleetError: it is one.
         """
         if self.reader.metadata.get("run", {}).get(CLOCK) == Clock.REAL:
-            raise ScriptError(
+            raise FleetError(
                 f"{self.path} was recorded with --clock real: when each agent answered was the machine's affair, so "
                 f"{what}; the same scenario in lockstep can be repeated: fleet script {self.path} > again.yaml"
             )
@@ -60,7 +56,7 @@ class Recorded:
 
         Raises:
             ScenarioError: it is none for this version, or an override is wrong.
-            ScriptError: a fault that happened is none for this version.
+            FleetError: a fault that happened is none for this version.
         """
         if START in self.reader.attachments:
             # Gone on from another run, in one process: nothing was injected, and what was before is not in this log.
@@ -73,7 +69,7 @@ def recorded(path: Path, tell: Tell = lambda _: None) -> Recorded:
 
     Raises:
         LogReadError: there is no log to read.
-        ScriptError: it holds no scenario of ours.
+        FleetError: it holds no scenario of ours.
     """
     path = log_path(path)
     reader = LogReader(path, tell)
@@ -83,7 +79,7 @@ def recorded(path: Path, tell: Tell = lambda _: None) -> Recorded:
         happened.append(record)
         held += len(record.data)
         if len(happened) > MOST_EVENTS or held > MOST_TEXT:
-            raise ScriptError(
+            raise FleetError(
                 f"{path} holds more than {MOST_EVENTS} events of faults, or {MOST_TEXT} bytes of them: that is no run"
             )
     attached = _attached(path, reader)
@@ -98,7 +94,7 @@ def script(path: Path, tell: Tell = lambda _: None) -> Scenario:
 
     Raises:
         LogReadError: there is no log to read.
-        ScriptError: it holds no scenario of ours.
+        FleetError: it holds no scenario of ours.
     """
     return recorded(path, tell).script()
 
@@ -107,11 +103,11 @@ def _attached(path: Path, reader: LogReader) -> str:
     data = reader.attachments.get("scenario.yaml")
     if data is None:
         because = f" ({reader.missing})" if reader.missing else ": it was not written by fleet run"
-        raise ScriptError(f"{path} holds no scenario{because}")
+        raise FleetError(f"{path} holds no scenario{because}")
     try:
         return data.decode("utf-8")
     except UnicodeDecodeError:
-        raise ScriptError(f"{path} holds a scenario that is no text") from None
+        raise FleetError(f"{path} holds a scenario that is no text") from None
 
 
 def rerun(
@@ -126,14 +122,14 @@ def rerun(
 
     Raises:
         ScenarioError: it is no scenario, or none for this version; or an override is wrong.
-        ScriptError: a fault that happened is none for this version.
+        FleetError: a fault that happened is none for this version.
     """
     planned = parse_scenario(text, str(path))
     end_ns = planned.ticks * planned.tick_ns
     try:
         faults = _entries(happened, end_ns)
     except FaultWordsError as error:
-        raise ScriptError(f"{path} tells of a fault that is none: {error}") from None
+        raise FleetError(f"{path} tells of a fault that is none: {error}") from None
     if last_ns < end_ns:
         faults = _with_plans(faults, planned)
     ended = {str(entry["id"]) for entry in faults if "for" in entry}

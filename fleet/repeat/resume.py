@@ -54,7 +54,7 @@ def continuation(
         tell: hears how much of the log was read, three times from its beginning.
 
     Raises:
-        LogReadError, ScriptError, ScenarioError: there is no log of ours, or the scenario is wrong.
+        FleetError: there is no log of ours, or the scenario is wrong.
         SnapshotError: the log has no such moment, or the changes are too great to go on from it.
     """
     source = read(path, tell)

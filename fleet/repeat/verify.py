@@ -81,7 +81,7 @@ def verify(
 
     Raises:
         LogReadError: there is no log to read.
-        ScriptError: it holds no scenario of ours.
+        FleetError: it holds no scenario of ours.
         ScenarioError: its scenario does not run here: another version wrote it, or a law is not installed
             and not trusted.
         NothingToVerify: no message of it is left.

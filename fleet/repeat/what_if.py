@@ -90,7 +90,7 @@ def what_if(
         trust: which modules of this agent's laws may run besides those that are installed and those in `overrides`.
 
     Raises:
-        LogReadError, ScriptError: there is no log of ours.
+        FleetError: there is no log of ours.
         ScenarioError: an override is wrong.
         WhatIfError: the agent is not there, its navigation was thinned, or its law may not run.
         LawFailedError: its law failed.

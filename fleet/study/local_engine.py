@@ -7,7 +7,7 @@ from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from typing import Any
 
-from fleet.processes.processors import processors
+from fleet.processes.limits import processors
 from fleet.processes.workers import WorkerDied, WorkerLate, Workers
 from fleet.study.dask_engine import dask_engine
 from fleet.study.engine import LOST, Engine, Row, lost_row

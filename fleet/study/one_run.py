@@ -27,7 +27,7 @@ from fleet.scenario.scenario import Scenario
 from fleet.scenario.trust import Policy
 from fleet.study.measures import MEASURES
 from fleet.study.modules import NO_MODULES, Modules, folder_of
-from fleet.study.signals import Samples
+from fleet.study.signal_measures import Samples
 from world.plugins.trust import Trust
 
 A_STUDY = "a study names it"  # why a law that is not installed needs trust

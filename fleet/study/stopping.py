@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 from fleet.study.errors import StudyError
 from fleet.study.measures import STANDING, Column
 from fleet.study.one_run import FAILED
-from fleet.study.signals import LONGEST_TEXT, find_columns, is_signal, parse_signal
+from fleet.study.signal_measures import LONGEST_TEXT, find_columns, is_signal, parse_signal
 from fleet.study.statistics import Estimate, median, pass_rate
 from netem.parsing import NUMBER
 

@@ -22,7 +22,7 @@ from fleet.study.errors import StudyError
 from fleet.study.local_engine import engine_of
 from fleet.study.one_run import A_STUDY, FAILED
 from fleet.study.settings import KeepLogs
-from fleet.study.signals import find_columns
+from fleet.study.signal_measures import find_columns
 from fleet.study.spec import StudySpec, seeds_text, set_values
 from fleet.study.statistics import Comparison, Estimate, compare
 from fleet.study.store import Store

@@ -17,7 +17,7 @@ from fleet.study.catalogue import shipped_studies, study_text
 from fleet.study.errors import StudyError
 from fleet.study.plan import parse_seeds
 from fleet.study.settings import KEEP_LOGS, MOST_ALLOWED
-from fleet.study.signals import check_name
+from fleet.study.signal_measures import check_name
 from fleet.study.spec import StudySpec, is_file, seeds_text
 from fleet.study.stopping import check_until
 from fleet.study.values import axis, values_text

@@ -8,7 +8,7 @@ from typing import Any
 
 from fleet.study.measures import Column
 from fleet.study.one_run import FAILED
-from fleet.study.signals import find_columns
+from fleet.study.signal_measures import find_columns
 from fleet.study.statistics import Estimate, median, pass_rate
 from fleet.study.store import Store
 

@@ -29,7 +29,7 @@ from fleet.study.one_run import A_STUDY, FAILED, Task
 from fleet.study.plan import Plan, Point, run_key
 from fleet.study.record import VERSION, BorderRecord, StudyRecord, axis_record
 from fleet.study.settings import KeepLogs, Settings
-from fleet.study.signals import find_columns, is_signal, measures_of_checks, signal_columns_of
+from fleet.study.signal_measures import find_columns, is_signal, measures_of_checks, signal_columns_of
 from fleet.study.spec import StudySpec
 from fleet.study.statistics import Estimate, pass_rate
 from fleet.study.stopping import parse_until, watched_by

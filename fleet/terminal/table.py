@@ -15,7 +15,7 @@ _GAP = 2  # spaces between columns
 
 
 @dataclass(frozen=True, slots=True)
-class Column:
+class TerminalColumn:
     """One column of a table.
 
     Args:
@@ -34,12 +34,12 @@ class Column:
         return max(len(line) for text in (self.heading, *self.cells) for line in text.split("\n"))
 
 
-def width(columns: Sequence[Column]) -> int:
+def width(columns: Sequence[TerminalColumn]) -> int:
     """How wide these are as a table."""
     return sum(column.width for column in columns) + _GAP * (len(columns) - 1)
 
 
-def fitting(columns: Sequence[Column], most: int) -> list[Column]:
+def fitting(columns: Sequence[TerminalColumn], most: int) -> list[TerminalColumn]:
     """The columns that have room in so many characters; those of rank 0 in any case."""
     kept = list(columns)
     for column in sorted(columns, key=lambda column: -column.rank):
@@ -48,13 +48,13 @@ def fitting(columns: Sequence[Column], most: int) -> list[Column]:
     return kept
 
 
-def columns(headings: Mapping[str, int], rows: Iterable[Sequence[str]]) -> list[Column]:
+def columns(headings: Mapping[str, int], rows: Iterable[Sequence[str]]) -> list[TerminalColumn]:
     """Columns of these headings and ranks; of each row a cell per heading."""
     cells = list(zip(*rows, strict=True)) or [()] * len(headings)
-    return [Column(heading, of, rank) for (heading, rank), of in zip(headings.items(), cells, strict=True)]
+    return [TerminalColumn(heading, of, rank) for (heading, rank), of in zip(headings.items(), cells, strict=True)]
 
 
-def show(wanted: Sequence[Column], title: str, terminal: Terminal, elsewhere: str) -> None:
+def show(wanted: Sequence[TerminalColumn], title: str, terminal: Terminal, elsewhere: str) -> None:
     """Print the columns that have room, and where the others are.
 
     Args:

@@ -20,9 +20,9 @@ from fleet.replay.player import MeasuredRate
 from fleet.replay.topics import ask_scenario, ask_topics
 from fleet.scenario.loading import parse_scenario
 from fleet.scenario.sections.checked_signals import checked_signals
+from fleet.view.chart_signals import published_signals
 from fleet.view.feed import FAULTS, TRANSFORMS, checks_asked, checks_so_far, link_of, take
 from fleet.view.picture import NOT_PLACED, SAMPLE_S, Picture, Row
-from fleet.view.signals import published_signals
 from fleet.view.source import LiveSource, NoConnectionError
 from netem.errors import BusError
 from netem.wire.access import Credentials

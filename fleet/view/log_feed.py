@@ -17,9 +17,9 @@ from fleet.scenario.scenario import Scenario
 from fleet.scenario.sections.checked_signals import checked_signals
 from fleet.scenario.sections.vehicle_events import DIVERGED, TUMBLED
 from fleet.view import overview
+from fleet.view.chart_signals import Signals
 from fleet.view.feed import FAULTS, TRANSFORMS, checks_asked, checks_judged, fault_message, is_lost, link_of, take
 from fleet.view.picture import HISTORY_S, NOT_PLACED, Picture, Row
-from fleet.view.signals import Signals
 
 MOST_AT_ONCE = 20_000  # messages between two pictures, and those that a jump looks back on
 
@@ -38,7 +38,7 @@ class LogFeed:
 
         Raises:
             LogReadError: it cannot be read.
-            ScriptError, ScenarioError: it holds no scenario of ours.
+            FleetError: it holds no scenario of ours.
         """
         self.path = path
         self._loop = loop

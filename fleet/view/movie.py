@@ -50,7 +50,7 @@ def write(
     Raises:
         ViewerError: the log has nothing to draw, or the file cannot be written.
         LogReadError: the log cannot be read.
-        ScriptError, ScenarioError: it holds no scenario of ours.
+        FleetError: it holds no scenario of ours.
     """
     writer = _writer(out, fps)
     feed = LogFeed(log)

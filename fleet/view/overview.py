@@ -13,7 +13,7 @@ from fleet.logs.open_log import Log, open_drawn
 from fleet.logs.reader import LogReadError
 from fleet.logs.records import Array
 from fleet.logs.topic import Topic
-from fleet.view.signals import Signal
+from fleet.view.chart_signals import Signal
 from netem.causes import Cause
 
 MOST_SAMPLES = 600  # of a curve

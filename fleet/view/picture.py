@@ -123,7 +123,7 @@ class Picture:
         """Take the list of faults, and of states of vehicles that last.
 
         Args:
-            rows: id, what, from_s, to_s and until_healed, as `fleet faults` has them.
+            rows: id, what, from_s, to_s and until_healed, as `fleet status --all` has them.
         """
         keys = ("id", "what", "from_s", "to_s", "until_healed")
         plain = [{key: row[key] for key in keys} for row in rows]

@@ -182,7 +182,7 @@ def test_a_link_that_stays_silent_is_the_death_of_its_agents(hosts: Hosts, pki: 
     with run:
         run.until_running(1.0)
         hosts.pull("west")
-        died: Callable[[], bool] = lambda: "death" in hosts.fleet("faults", "--run", str(run.directory))  # noqa: E731
+        died: Callable[[], bool] = lambda: "death" in hosts.fleet("status", "--all", "--run", str(run.directory))  # noqa: E731
         wait_for(died, LIMIT_S, "the deaths")
         hosts.plug("west")
         for i in (3, 4):

@@ -14,13 +14,13 @@ from hand import Hand
 from live import LiveRun
 
 from fleet.cli.main import cli
+from fleet.errors import FleetError
 from fleet.execution.connection import RemoteError
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
 from fleet.execution.outcome import Status
 from fleet.pictures.runs import NothingToDraw, View, load
 from fleet.pictures.timing import punctuality
-from fleet.repeat.recorded_run import ScriptError
 from fleet.repeat.verify import verify
 from fleet.repeat.what_if import what_if
 from fleet.scenario.loading import load_scenario
@@ -64,7 +64,7 @@ def test_a_real_run_is_on_time_and_lockstep_or_says_why_not(tmp_path: Path) -> N
     with pytest.raises(NothingToDraw, match="lockstep"):
         punctuality([run], View())
     for refused in (verify, lambda log: what_if(log, 3)):
-        with pytest.raises(ScriptError, match="--clock real"):
+        with pytest.raises(FleetError, match="--clock real"):
             refused(found.directory)
 
 

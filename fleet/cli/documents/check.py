@@ -23,7 +23,7 @@ class Eigenvalue(Struct):
     imag: Annotated[float, Meta(description="Imaginary part.")]
 
 
-class Theory(Struct):
+class ExpectedByTheory(Struct):
     """What theory expects of a fleet: `docs/background/stability.md` says what the numbers mean."""
 
     parts: Annotated[list[list[int]], Meta(description="Vehicles that links connect, taken both ways; one: connected.")]
@@ -59,7 +59,7 @@ class PlannedFault(Struct):
 
 
 class Checked(Struct):
-    """`fleet check --json`: a valid scenario. One that is not valid gives a `Failure` with its problems."""
+    """`fleet check --json`: a valid scenario. One that is not valid gives a `FailedCommand` with its problems."""
 
     valid: Annotated[bool, Meta(description="true.")]
     name: Name
@@ -73,7 +73,7 @@ class Checked(Struct):
     expect: Expect
     seed: Annotated[int, Meta(description="The seed.")]
     draws: Annotated[list[str], Meta(description="What is drawn from the seed; empty: it decides nothing.")]
-    theory: Annotated[Theory, Meta(description="What theory expects.")]
+    theory: Annotated[ExpectedByTheory, Meta(description="What theory expects.")]
     faults: Annotated[list[PlannedFault], Meta(description="In the order in which they begin.")]
     warnings: Annotated[list[str], Meta(description="What is valid and hardly intended.")]
     not_checked: Annotated[list[ProblemRow], Meta(description="Laws that may not run here and were not checked.")]
@@ -105,7 +105,7 @@ def checked(scenario: Scenario, found: Analysis, warnings: list[str], refused: S
     )
 
 
-def _theory(scenario: Scenario, found: Analysis) -> Theory:
+def _theory(scenario: Scenario, found: Analysis) -> ExpectedByTheory:
     most, settled = found.gain_max, found.settled
     gain_limit: float | None = None
     delay_limits: tuple[float | None, float | None] = None, None
@@ -115,7 +115,7 @@ def _theory(scenario: Scenario, found: Analysis) -> Theory:
             _delay_limit_s(scenario, found.at_most, most),
             _delay_limit_s(scenario, found.at_settled, max(settled)),
         )
-    return Theory(
+    return ExpectedByTheory(
         parts=found.components,
         followers=[i for i, b in enumerate(scenario.b, start=1) if b > 0.0],
         unreached=found.unreached,

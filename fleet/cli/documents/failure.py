@@ -21,7 +21,7 @@ class ProblemRow(Struct):
     hint: Annotated[str, Meta(description="What to do next; may be empty.")]
 
 
-class Failure(Struct):
+class FailedCommand(Struct):
     """What a command with `--json` prints in place of its document when it fails; stderr says the same in words."""
 
     error: Annotated[str, Meta(description="What went wrong, as on stderr.")]
@@ -29,10 +29,10 @@ class Failure(Struct):
     problems: Annotated[list[ProblemRow], Meta(description="Mistakes in the scenario, the first 200 of them.")]
 
 
-def failure(error: Exception, message: str, status: int) -> Failure:
+def failure(error: Exception, message: str, status: int) -> FailedCommand:
     """The document of an error."""
     problems = error.problems[:MOST_SHOWN] if isinstance(error, ScenarioError) else ()
-    return Failure(message, status, problem_rows(problems))
+    return FailedCommand(message, status, problem_rows(problems))
 
 
 def problem_rows(problems: Sequence[Problem]) -> list[ProblemRow]:

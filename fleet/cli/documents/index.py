@@ -11,10 +11,10 @@ from fleet.bench.figures import ComparedFiles, Measured
 from fleet.bench.scale import Scaled
 from fleet.bench.studies import StudyMeasured
 from fleet.bench.wall_clock import OnWallClock
-from fleet.cli.documents import live, runs
+from fleet.cli.documents import live
 from fleet.cli.documents.boundary import BoundaryFound
 from fleet.cli.documents.check import Checked
-from fleet.cli.documents.listing import Scenarios
+from fleet.cli.documents.listing import Runs, Scenarios
 from fleet.cli.documents.logs import Compared, LogContents, LogJudged, Verified
 from fleet.cli.documents.result import Ran
 from fleet.cli.documents.search import FirstFailing
@@ -32,17 +32,16 @@ DOCUMENTS: dict[str, type[Struct]] = {
     "check-log": LogJudged,
     "clock": live.ClockSet,
     "diff": Compared,
-    "faults": live.Faults,
     "heal": live.Healed,
     "info": LogContents,
     "inject": live.Injected,
     "list": Scenarios,
-    "ls": runs.Runs,
+    "ls": Runs,
     "ps": live.LiveRuns,
     "run": Ran,
     "search": FirstFailing,
     "shrink": Less,
-    "status": live.Status,
+    "status": live.RunStatus,
     "stop": live.Stopping,
     "sweep": Swept,
     "verify": Verified,

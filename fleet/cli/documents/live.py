@@ -104,7 +104,7 @@ class LinkRow(Struct):
     age_s: Annotated[float, Meta(description="Age of what was delivered last [s].")]
 
 
-class Status(Struct):
+class RunStatus(Struct):
     """`fleet status --json`: how a live run is doing."""
 
     run: RunName
@@ -117,22 +117,15 @@ class Status(Struct):
     formation: Annotated[Formation, Meta(description="Formation errors.")]
     delivered: Annotated[int, Meta(description="Packets delivered on all links.")]
     lost: Annotated[int, Meta(description="Packets lost on all links.")]
-    faults: Annotated[list[FaultRow], Meta(description="The active faults.")]
+    faults: Annotated[
+        list[FaultRow],
+        Meta(description="The active ones of the scenario, injected, and of agents that died; with --all every one."),
+    ]
     events: Annotated[list[EventRow], Meta(description="What happened to vehicles so far, one row for each.")]
     vehicles_total: Annotated[int, Meta(description="Number of vehicles.")]
     vehicles: Annotated[list[VehicleRow], Meta(description="The worst ten by formation error; with --all up to 500.")]
     links_total: Annotated[int, Meta(description="Number of directed links.")]
     links: Annotated[list[LinkRow], Meta(description="The worst five, worst first; with --all up to 500.")]
-
-
-class Faults(Struct):
-    """`fleet faults --json`: every fault of a live run."""
-
-    run: RunName
-    faults: Annotated[
-        list[FaultRow], Meta(description="Those of the scenario, injected ones, and agents that died by themselves.")
-    ]
-    events: Annotated[list[EventRow], Meta(description="What happened to vehicles so far, one row for each.")]
 
 
 class Injected(Struct):

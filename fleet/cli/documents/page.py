@@ -7,7 +7,7 @@ from typing import Any
 
 import msgspec
 
-from fleet.cli.documents.failure import Failure
+from fleet.cli.documents.failure import FailedCommand
 from fleet.cli.documents.index import DOCUMENTS
 
 _HEAD = """# What `--json` prints
@@ -32,9 +32,9 @@ _UNIT = re.compile(r" \[([^\]]+)\]")
 def page() -> str:
     """The whole page as Markdown."""
     structs = {f"fleet {command}": struct for command, struct in sorted(DOCUMENTS.items())}
-    refs, records = msgspec.json.schema_components([*structs.values(), Failure], ref_template="{name}")
+    refs, records = msgspec.json.schema_components([*structs.values(), FailedCommand], ref_template="{name}")
     parts = [_HEAD]
-    for title, ref in zip([*structs, "Failure"], refs, strict=True):
+    for title, ref in zip([*structs, "FailedCommand"], refs, strict=True):
         parts.append(_section(f"## {title}", records.pop(ref["$ref"])))
     parts.append("## Records\n")
     parts += [_section(f"### {name}", record) for name, record in sorted(records.items())]
@@ -43,7 +43,7 @@ def page() -> str:
 
 def schema(command: str) -> dict[str, Any]:
     """The JSON Schema of what a command prints: its document, or a failure."""
-    refs, records = msgspec.json.schema_components([DOCUMENTS[command], Failure])
+    refs, records = msgspec.json.schema_components([DOCUMENTS[command], FailedCommand])
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", "anyOf": list(refs), "$defs": records}
 
 

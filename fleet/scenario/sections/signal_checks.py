@@ -97,6 +97,9 @@ def ask(check: SignalCheck, vehicles: Mapping[int, Mapping[str, SignalPlace]]) -
     if signal is None:
         problem = f"{describe_value(check.topic)} names no signal"
         raise SignalCheckError("topic", problem, 'write one such as state.z or "|error.e|"')
+    if signal.vehicle is not None:
+        hint = f'write topic: {signal._replace(vehicle=None)} and vehicles: "{signal.vehicle}"'
+        raise SignalCheckError("topic", f"{signal} names a vehicle, which has a key of its own", hint)
     some = tuple(vehicles) if check.vehicles is None else tuple(dict.fromkeys(vehicle_numbers(check.vehicles)))
     if strangers := [i for i in some if i not in vehicles]:
         problem = f"there is no vehicle {strangers[0]}: they are 1 to {len(vehicles)}"

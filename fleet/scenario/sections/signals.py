@@ -1,7 +1,11 @@
-"""The signals of a vehicle by name: what a log has of it, with units.
+"""The signals of a vehicle: how they are spelled, and what a log has of it, with units.
 
-A signal is named as `fleet diff` names it, by topic and field: `error.e_norm`. `command.tau_0` is the first component
-of a vector, as in exported tables; `|error.e|` is the absolute value, of a vector its Euclidean norm.
+| name | what it is |
+|---|---|
+| `error.e_norm` | topic group, dot, field: the signal of every vehicle that has it |
+| `command.tau_0` | the first component of a vector |
+| `|error.e|` | the absolute value, of a vector its Euclidean norm |
+| `uuv/3/command.tau_0`, `|uuv/3/error.e|` | the same of one vehicle; `uuv/*/` is every vehicle again |
 """
 
 from __future__ import annotations
@@ -41,8 +45,9 @@ OF_THE_LAWS = ("guidance", "control")  # groups whose signals the laws of a vehi
 OF_THE_PLANT = "plant"  # the group whose signals the plant of a vehicle declares
 GROUPS = (*_ALWAYS, OF_THE_PLANT, *OF_THE_LAWS)
 
-NAME = r"[A-Za-z]\w*\.\w+"
-_GRAMMAR = re.compile(rf"(?P<bar>\|)?\s*(?P<name>{NAME})\s*(?(bar)\|)", re.ASCII)
+# A signal within a larger pattern, such as that of a measure; `read_name` makes a name of the match.
+SIGNAL = r"(?P<bar>\|)?\s*(?:uuv/(?P<vehicle>\*|[1-9]\d{0,5})/)?(?P<name>[A-Za-z]\w*\.\w+)\s*(?(bar)\|)"
+_GRAMMAR = re.compile(SIGNAL, re.ASCII)
 
 
 class SignalError(FleetError):
@@ -71,9 +76,11 @@ class SignalName(NamedTuple):
 
     name: str  # topic group, dot, field
     absolute: bool = False
+    vehicle: int | None = None  # None: every vehicle that has it
 
     def __str__(self) -> str:
-        return f"|{self.name}|" if self.absolute else self.name
+        text = self.name if self.vehicle is None else f"uuv/{self.vehicle}/{self.name}"
+        return f"|{text}|" if self.absolute else text
 
     @property
     def group(self) -> str:
@@ -86,9 +93,20 @@ class SignalName(NamedTuple):
 
 
 def parse_name(text: str) -> SignalName | None:
-    """The signal that a text such as `state.z` or `|error.e|` names; None: it is no such text."""
+    """The signal that a text such as `state.z` or `|uuv/3/error.e|` names; None: it is no such text."""
     found = _GRAMMAR.fullmatch(text.strip()) if len(text) <= 200 else None
-    return None if found is None else SignalName(found["name"], found["bar"] is not None)
+    return None if found is None else read_name(found)
+
+
+def read_name(found: re.Match[str]) -> SignalName:
+    """The signal in a match of a pattern that contains `SIGNAL`."""
+    vehicle = None if found["vehicle"] in (None, "*") else int(found["vehicle"])
+    return SignalName(found["name"], found["bar"] is not None, vehicle)
+
+
+def component(vector: str, k: int) -> str:
+    """The name of component `k` of a vector, counted from 0."""
+    return f"{vector}_{k}"
 
 
 def places(layout: SignalLayout | None, plant: tuple[Signal, ...] | None) -> dict[str, SignalPlace]:
@@ -106,7 +124,7 @@ def places(layout: SignalLayout | None, plant: tuple[Signal, ...] | None) -> dic
             found[name] = SignalPlace(slice(start, start + width), signal.unit)
             if width > 1:
                 for k, unit in enumerate(units):
-                    found.setdefault(f"{name}_{k}", SignalPlace(slice(start + k, start + k + 1), unit))
+                    found.setdefault(component(name, k), SignalPlace(slice(start + k, start + k + 1), unit))
             start += width
     return found
 
@@ -149,7 +167,9 @@ def unit_of(signal: SignalName, vehicles: Iterable[Mapping[str, SignalPlace]]) -
     if not units:
         raise SignalError(f"there is no signal {name}", _hint(name, known))
     if (width := known[name]) > 1 and not signal.absolute:
-        raise SignalError(f"{name} has {width} values: choose {name}_0 to {name}_{width - 1}, or |{name}|")
+        raise SignalError(
+            f"{name} has {width} values: choose {component(name, 0)} to {component(name, width - 1)}, or |{name}|"
+        )
     unit = ", ".join(sorted(units))
     if len(units) > 1 or ", " in unit:
         raise SignalError(f"{name} has several units, {unit}: choose one")

@@ -29,7 +29,7 @@ from fleet.study.pictures.marks import (
     scale,
 )
 from fleet.study.pictures.points import Cell, Quantity
-from fleet.study.signals import more_is_better
+from fleet.study.signal_measures import more_is_better
 from fleet.study.statistics import Estimate
 
 _BAR = 48  # characters of a line above the bar

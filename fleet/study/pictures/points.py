@@ -17,7 +17,7 @@ from fleet.study.measures import MEASURES
 from fleet.study.one_run import FAILED
 from fleet.study.pictures.words import key_words, value_words
 from fleet.study.plan import MOST_RUNS
-from fleet.study.signals import find_columns
+from fleet.study.signal_measures import find_columns
 from fleet.study.statistics import Estimate, median, pass_rate
 from fleet.study.store import Store
 from fleet.study.summary import DEFAULT

@@ -12,7 +12,7 @@ import pytest
 from click.testing import CliRunner, Result
 from live_directory import live_directory
 
-from fleet.cli.documents.live import ClockSet, Faults, Healed, Injected, LiveRuns, Stopping
+from fleet.cli.documents.live import ClockSet, Healed, Injected, LiveRuns, Stopping
 from fleet.cli.main import cli
 from fleet.execution.connection import RemoteError
 
@@ -55,14 +55,22 @@ def answers(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
     return given
 
 
+@pytest.fixture
+def asked(answers: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, str, dict[str, Any]]]:
+    """Which run was asked for what, but for its list of faults."""
+    found: list[tuple[str, str, dict[str, Any]]] = []
+
+    def ask(run: Any, op: str, **fields: Any) -> dict[str, Any]:
+        if op != "faults":
+            found.append((run.name, op, fields))
+        return dict(answers[op])
+
+    monkeypatch.setattr("fleet.execution.connection.ask", ask)
+    return found
+
+
 CASES: list[tuple[list[str], type[msgspec.Struct], str]] = [
     (["inject", "mute", "3"], Injected, "live-1: mute 3, from t = 12.40 s until 22.40 s"),
-    (
-        ["faults"],
-        Faults,
-        "1 fault\nlive-1      12.40 s to 22.40 s      active   mute 3\n"
-        "events of vehicles\n  tumbled 3: 10 times, first at 12.45 s, and still is",
-    ),
     (["heal"], Healed, "healed live-1 at t = 13.00 s"),
     (["clock", "pause"], ClockSet, "paused, t = 2.00 s; fleet clock resume goes on"),
     (["stop"], Stopping, "stopping at t = 3.00 s"),
@@ -88,15 +96,11 @@ def test_a_fault_without_an_end_lasts_until_it_is_healed(answers: dict[str, Any]
     with live_directory(tmp_path):
         said = invoke("inject", "mute", "3").stdout
         assert said.endswith("from t = 12.40 s until healed, at the latest the end at 60 s\n")
-        answers["faults"]["faults"] = [FAULT | {"until_healed": True, "state": "active", "active": True}]
-        assert "12.40 s until healed" in invoke("faults").stdout
-        answers["faults"] = {"faults": [], "events": []}
-        assert invoke("faults").stdout.endswith(": no faults\n")
 
 
 def test_several_live_runs_need_a_name(answers: dict[str, Any], tmp_path: Path) -> None:
     with live_directory(tmp_path, "paper") as paper, live_directory(tmp_path, "rough-sea") as rough:
-        for command in ("status", "faults", "heal", "stop"):
+        for command in ("status", "heal", "stop"):
             result = invoke(command)
             assert (result.exit_code, result.stdout) == (2, "")
             assert f"2 live runs; say which:\n  --run {paper.name}\n  --run {rough.name}\n" in result.stderr
@@ -111,7 +115,7 @@ def test_several_live_runs_need_a_name(answers: dict[str, Any], tmp_path: Path) 
 def test_a_run_is_named_by_position_or_by_an_option(answers: dict[str, Any], tmp_path: Path) -> None:
     answers["status"] = answers["status"] | STATUS
     with live_directory(tmp_path, "paper") as paper, live_directory(tmp_path, "rough-sea") as rough:
-        for command in ("status", "faults", "stop"):
+        for command in ("status", "stop"):
             for name, meant in (("paper", paper), ("rough", rough), (str(rough), rough), (paper.name, paper)):
                 by_position, by_option = invoke(command, name), invoke(command, "--run", name)
                 assert by_position.stdout == by_option.stdout
@@ -121,8 +125,87 @@ def test_a_run_is_named_by_position_or_by_an_option(answers: dict[str, Any], tmp
             assert both.exit_code == 2 and "which run? paper, or --run rough: give one of them" in both.stderr
 
 
+@pytest.mark.parametrize(
+    ("by_position", "by_option"),
+    [
+        (("heal", "rough", "live-1"), ("heal", "live-1", "--run", "rough")),
+        (("clock", "rough", "pause"), ("clock", "pause", "--run", "rough")),
+        (("clock", "rough", "2x"), ("clock", "speed", "2", "--run", "rough")),
+        (("clock", "rough", "max"), ("clock", "speed", "max", "--run", "rough")),
+        (("clock", "rough", "step", "3"), ("clock", "step", "3", "--run", "rough")),
+        (("inject", "rough", "mute", "3"), ("inject", "mute", "3", "--run", "rough")),
+        (("inject", "rough", "for 5s mute", "3"), ("inject", "for 5s mute", "3", "--run", "rough")),
+    ],
+)
+def test_the_run_may_stand_in_front(
+    by_position: tuple[str, ...], by_option: tuple[str, ...], asked: list[Any], tmp_path: Path
+) -> None:
+    with live_directory(tmp_path, "paper"), live_directory(tmp_path, "rough-sea"):
+        assert (invoke(*by_position).exit_code, invoke(*by_option).exit_code) == (0, 0)
+        first, second = asked
+        assert first == second and first[0].startswith("rough-sea")
+        both = invoke(*by_position, "--run", "paper")
+        assert both.exit_code == 2 and "which run? rough, or --run paper: give one of them" in both.stderr
+
+
+def test_a_kind_of_fault_in_front_is_a_run_only_before_another_kind(asked: list[Any], tmp_path: Path) -> None:
+    with live_directory(tmp_path, "partition") as run:
+        assert invoke("inject", "partition", "halves").exit_code == 0
+        assert invoke("inject", "partition", "kill", "3").exit_code == 0
+        assert asked == [
+            (run.name, "inject", {"fault": {"partition": "halves"}}),
+            (run.name, "inject", {"fault": {"kill": "3"}}),
+        ]
+
+
+@pytest.mark.parametrize(
+    ("typed", "said"),
+    [
+        (
+            ("inject", "mut", "3"),
+            ('did you mean "mute"?', "too: fleet inject mut kill 3"),
+        ),
+        (("inject", "paper"), ("If it is a run, name the fault, too: fleet inject paper kill 3",)),
+        (
+            ("clock", "puase"),
+            ('did you mean "pause"?', "what its clock does: fleet clock puase pause"),
+        ),
+        (("clock", "paper", "2"), ("expected pause, resume, step [TICKS], speed X", "got 2")),
+        (("clock", "pause", "3"), ("expected pause, resume", "got pause 3")),
+        (("heal", "a", "b", "c"), ("expected a run and the id of a fault at most, got a b c",)),
+    ],
+)
+def test_a_first_word_that_is_nothing_has_both_readings(
+    typed: tuple[str, ...], said: tuple[str, ...], asked: list[Any], tmp_path: Path
+) -> None:
+    with live_directory(tmp_path):
+        result = invoke(*typed)
+    assert (result.exit_code, asked) == (2, [])
+    assert all(words in result.stderr for words in said), result.stderr
+
+
+def test_a_fault_that_has_the_name_of_its_run_is_not_guessed(
+    answers: dict[str, Any], asked: list[Any], tmp_path: Path
+) -> None:
+    with live_directory(tmp_path, "live") as run:
+        assert invoke("heal", "live").exit_code == 0
+        assert invoke("heal", "live", "--run", "live").exit_code == 0
+        assert asked == [(run.name, "heal", {"id": None}), (run.name, "heal", {"id": "live"})]
+        answers["faults"] = {"faults": [{"id": "live"}]}
+        result = invoke("heal", "live")
+        assert result.exit_code == 2
+        assert f"say fleet heal {run.name} (all its faults) or fleet heal {run.name} live (that one)" in result.stderr
+
+
+def test_faults_are_listed_by_status() -> None:
+    result = invoke("faults")
+    assert (
+        result.exit_code == 2 and "here it is fleet status (those that are active; --all: every one)" in result.stderr
+    )
+
+
 def test_no_live_run(answers: dict[str, Any]) -> None:
-    for command in ("status", "faults", "stop"):
+    for command in ("status", "heal", "stop"):
         result = invoke(command)
         assert (result.exit_code, result.stdout) == (3, "") and "fleet: no live run" in result.stderr
     assert (invoke("ps").exit_code, invoke("ps").stderr) == (0, "no live run\n")
@@ -156,7 +239,10 @@ def test_the_kind_of_a_refusal_is_its_status(
     monkeypatch.setattr("netem.wire.bus.Bus.connect", lambda *_, **__: FakeBus())
     with live_directory(tmp_path) as run:
         result = invoke("heal", "nosuch")
-        assert (result.exit_code, result.stderr) == (status, f"fleet: {run.name}: refused: no\n")
+        assert (result.exit_code, result.stderr) == (
+            status,
+            f"fleet: {run.name}: refused: no; and no live run is called 'nosuch'\n",
+        )
 
 
 @pytest.mark.parametrize("option", ["for", "id"])
@@ -167,7 +253,7 @@ def test_what_the_words_of_a_fault_say_already_is_no_option_again(option: str) -
     assert f"--{option} 10s: the fault says {option} 5s already" in result.stderr
 
 
-@pytest.mark.parametrize("command", [["inject", "mute", "3"], ["faults"], ["heal"], ["status"], ["stop"]])
+@pytest.mark.parametrize("command", [["inject", "mute", "3"], ["heal"], ["clock", "pause"], ["status"], ["stop"]])
 def test_a_run_of_another_version_is_named_in_a_line(
     command: list[str], answers: dict[str, Any], tmp_path: Path
 ) -> None:

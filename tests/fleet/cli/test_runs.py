@@ -10,7 +10,7 @@ import pytest
 from click.testing import CliRunner, Result
 from live_directory import live_directory
 
-from fleet.cli.documents.runs import Runs
+from fleet.cli.documents.listing import Runs
 from fleet.cli.main import cli
 
 NOW = datetime.now(UTC).replace(microsecond=0)  # noqa: TID251 (a name)

@@ -14,7 +14,7 @@ from click.testing import CliRunner
 from live_directory import live_directory
 from rich.console import Console
 
-from fleet.cli.documents.live import Status
+from fleet.cli.documents.live import RunStatus
 from fleet.cli.main import cli
 from fleet.cli.status import screen, watch_run
 from fleet.execution.connection import RemoteError, find
@@ -66,7 +66,7 @@ def answer(vehicles: int = 4, links: int = 5, faults: int = 1, **more: Any) -> d
 
 def shown(values: dict[str, Any], height: int | None = None, *, every: bool = False) -> list[str]:
     """The lines on a terminal of 80 columns."""
-    status = msgspec.convert({"run": "paper-disturbed-1-20261122-120000", "directory": "/x", **values}, Status)
+    status = msgspec.convert({"run": "paper-disturbed-1-20261122-120000", "directory": "/x", **values}, RunStatus)
     terminal = Console(width=80, record=True, highlight=False, file=io.StringIO())
     terminal.print(screen(status, every, height))
     return terminal.export_text().splitlines()
@@ -115,12 +115,12 @@ def test_events_of_vehicles_are_no_faults() -> None:
         "event tumbled 3: 3 times, first at 12.45 s, and still is",
     ]
     many = shown(answer(500, events=[event(i) for i in range(1, 100)]), 24)
-    assert "and events of 96 more vehicles: fleet faults" in [line.rstrip() for line in many]
+    assert "and events of 96 more vehicles: fleet status --all" in [line.rstrip() for line in many]
     assert len(shown(answer(500, faults=40, events=[event(i) for i in range(1, 100)]), 24)) <= 24
 
 
 def test_many_faults_are_counted() -> None:
-    assert "and 35 more faults: fleet faults" in shown(answer(faults=40), 24)
+    assert "and 35 more faults: fleet status --all" in shown(answer(faults=40), 24)
 
 
 @pytest.mark.parametrize(
@@ -137,13 +137,21 @@ def test_how_long_a_fault_lasts(until_healed: bool, to_s: float, words: str) -> 
     assert f"fault f: {words}: mute 3" in [line.rstrip() for line in shown(answer(faults=0) | {"faults": [fault]})]
 
 
+def test_all_faults_are_told_with_their_state() -> None:
+    fault = {"id": "f", "what": "mute 3", "from_s": 20.0, "to_s": 22.0, "until_healed": False, "state": "to come"}
+    lines = shown(answer(faults=40, events=[event(i) for i in range(1, 9)]) | {"faults": [fault] * 40}, every=True)
+    lines = [line.rstrip() for line in lines]
+    assert lines.count("fault f: to come, 20.00 s to 22.00 s: mute 3") == 40
+    assert sum(line.startswith("event") for line in lines) == 8
+
+
 def test_numbers_that_are_not_finite() -> None:
     """What diverged has no size."""
     values = answer(1)
     values["vehicles"][0] |= {"formation_m": float("nan"), "e_m": float("inf"), "oldest_s": None, "oldest_of": None}
     values["formation"] |= {"worst_m": float("inf")}
     assert any(re.match(r"1 .* nan m +inf m +no +-$", line.rstrip()) for line in shown(values, 24))
-    document = msgspec.convert({"run": "a", "directory": "/x", **values}, Status)
+    document = msgspec.convert({"run": "a", "directory": "/x", **values}, RunStatus)
     assert json.loads(msgspec.json.encode(document))["formation"]["worst_m"] is None
 
 
@@ -210,7 +218,7 @@ def test_watching_a_run_that_only_does_not_answer(tmp_path: Path, monkeypatch: p
 def test_a_status_as_a_document(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("fleet.execution.connection.ask", Ends(9))
     with live_directory(tmp_path) as run:
-        found = msgspec.json.decode(CliRunner().invoke(cli, ["status", "--json"]).stdout, type=Status)
+        found = msgspec.json.decode(CliRunner().invoke(cli, ["status", "--json"]).stdout, type=RunStatus)
         assert (found.run, found.directory, len(found.vehicles)) == (run.name, str(run), 4)
         both = CliRunner().invoke(cli, ["status", "--json", "--watch"])
         assert both.exit_code == 2 and "one document" in both.stderr

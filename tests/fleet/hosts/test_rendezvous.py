@@ -20,7 +20,7 @@ from hypothesis import strategies as st
 from repository import ROOT
 
 from fleet.cli.group import command_of
-from fleet.cli.hosts import meeting
+from fleet.cli.hosts import rendezvous
 from fleet.cli.main import cli
 from fleet.hosts import router_config
 from fleet.hosts.certificates import HostsError
@@ -68,7 +68,7 @@ def test_listening_for_nobody_is_warned_of(made: Path) -> None:
             "lease": 2000,
         }
         others = {"router": None, "credentials": None, "listen_certified": None}
-        found = meeting(load_scenario("paper", overrides), options | others, in_process=False)
+        found = rendezvous(load_scenario("paper", overrides), options | others, in_process=False)
         assert found and ["no vehicle is external" in warning for warning in found.warnings] == [True] * warned
 
 

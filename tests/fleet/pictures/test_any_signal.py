@@ -16,9 +16,9 @@ from fleet.execution.execute import execute
 from fleet.execution.options import Options
 from fleet.logs.signal_names import signal_names
 from fleet.pictures.any_signal import signals_of_checks
-from fleet.pictures.gallery import WHAT, draw
+from fleet.pictures.gallery import WHAT, check_signals, draw
 from fleet.pictures.report import page
-from fleet.pictures.runs import Run, View, load
+from fleet.pictures.runs import Run, View, ViewError, load
 from fleet.pictures.telling import telling
 from fleet.scenario.loading import load_scenario
 
@@ -81,6 +81,14 @@ def test_a_vector_has_an_axis_for_each_component(run: Run) -> None:
     (ax,) = figure(run, "|error.e|").axes
     (norm,) = [line for line in ax.get_lines() if line.get_gid() == f"{run.slug}-vehicle-1"]
     assert np.asarray(norm.get_ydata())[-1] == pytest.approx(run.log["uuv/1/error"]["e_norm"][-1])
+
+
+def test_the_name_of_one_vehicle_is_drawn_alone(run: Run) -> None:
+    (ax,) = figure(run, "|uuv/2/error.e|").axes
+    assert ax.get_ylabel() == "|error.e| [m]"
+    assert [line.get_gid() for line in ax.get_lines() if "vehicle" in str(line.get_gid())] == [f"{run.slug}-vehicle-2"]
+    with pytest.raises(ViewError, match="there is no vehicle 9"):
+        check_signals(["uuv/9/state.z"], [run])
 
 
 def test_signals_of_checks_are_drawn_without_asking(run: Run) -> None:

@@ -29,7 +29,7 @@ from fleet.logs.export import export
 from fleet.logs.open_log import open_log
 from fleet.logs.run_name import run_name
 from fleet.logs.table import ExportError, columns
-from fleet.pictures import exchange, signals
+from fleet.pictures import exchange, time_series
 from fleet.pictures.gallery import PER_RUN, WHAT, draw
 from fleet.pictures.page import ReportError
 from fleet.pictures.report import _from_log, page
@@ -332,7 +332,7 @@ def test_what_can_be_asked_for_is_what_there_is() -> None:
     assert tuple(WHAT) == KINDS
     assert set(PARTS) == {name for pictures in WHAT.values() for name, _, _ in pictures} - set(WHAT)
     assert set(WHAT) >= PER_RUN
-    assert NothingToDraw and signals.FORCES
+    assert NothingToDraw and time_series.FORCES
 
 
 def test_a_single_picture_can_be_asked_for_and_none_is_drawn_twice(runs: dict[str, Run]) -> None:

@@ -77,7 +77,7 @@ def test_workers_that_end_before_they_begin_blame_no_item_and_end_it() -> None:
 
 
 def test_too_few_open_files_are_said_before_anything_starts(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("fleet.processes.open_files._raise_to", lambda wanted: 40)
+    monkeypatch.setattr("fleet.processes.limits._raise_to", lambda wanted: 40)
     with pytest.raises(RunBroken, match=r"2 workers need \d+ open files in this process, and the limit here is 40"):
         Workers(2)
 

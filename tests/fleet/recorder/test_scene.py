@@ -258,10 +258,10 @@ def test_a_run_that_goes_on_draws_the_same(log: Path, tmp_path: Path) -> None:
 
 def test_units_of_lists_of_messages() -> None:
     units = {"transforms.translation": "m", "tau": "N, N m", "scale": "1"}
-    assert _unit(units, "transforms[12].translation.x") == "m"
-    assert [_unit(units, f"tau[{k}]") for k in range(3)] == ["N", "N m", "N, N m"]
-    assert _unit(units, "tau[0].x[1]") == "N, N m"
-    assert _unit(units, "other[3].x") == ""
+    assert _unit(units, "transforms.translation.x") == "m"
+    assert [_unit(units, "tau", k) for k in range(3)] == ["N", "N m", "N, N m"]
+    assert _unit(units, "tau.x", 1) == "N, N m"
+    assert _unit(units, "other.x") == ""
 
 
 # --- the layout --------------------------------------------------------------

@@ -137,7 +137,7 @@ def test_a_cut_log_is_judged_to_where_it_is_whole(folder: Path) -> None:
     (folder / "stump.mcap").write_bytes(log.read_bytes()[:2000])
     with pytest.raises(Exception, match="holds no") as caught:
         check_log(folder / "stump.mcap")
-    assert type(caught.value).__name__ in ("ScriptError", "CheckLogError")
+    assert type(caught.value).__name__ in ("FleetError", "CheckLogError")
 
 
 def test_a_run_that_goes_on_is_judged_from_there(folder: Path) -> None:

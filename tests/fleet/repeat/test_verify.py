@@ -402,6 +402,6 @@ def test_units_of_fields(log: Path) -> None:
     for record in reader:
         units.setdefault(record.topic, {value.path: value.unit for value in decode(record)})
     assert units["uuv/1/pose"]["pose.position.y"] == "m"
-    assert units["uuv/1/command"]["tau[0]"] == "N" and units["uuv/1/command"]["applied[2]"] == "N m"
-    assert units["uuv/1/error"]["e[2]"] == "m"
+    assert units["uuv/1/command"]["tau_0"] == "N" and units["uuv/1/command"]["applied_2"] == "N m"
+    assert units["uuv/1/error"]["e_2"] == "m"
     assert units["link/1-2"]["delay"] == "s" and units["link/1-2"]["payload"] == ""

@@ -24,6 +24,7 @@ CUT = "faults=[{id: cut, at: 100 ms, for: 100 ms, down: 1->2}, {id: off, at: 300
         ("topic: control.nothing, below: 3 m", "control has"),
         ("topic: z, below: 3 m", '"z" names no signal'),
         ("topic: '|state.z', below: 3 m", "names no signal"),
+        ("topic: uuv/3/state.z, below: 3 m", 'write topic: state.z and vehicles: "3"'),
         ("topic: error.e, below: 3 m", "error.e has 3 values: choose error.e_0 to error.e_2, or |error.e|"),
         ("topic: '|command.tau|', below: 3 N", "command.tau has several units, N, N m, N m: choose one"),
         ("topic: state.z", "nothing is asked of it"),

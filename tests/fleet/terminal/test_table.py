@@ -8,18 +8,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rich.console import Console as Terminal
 
-from fleet.terminal.table import Column, columns, fitting, show, width
+from fleet.terminal.table import TerminalColumn, columns, fitting, show, width
 
 COLUMNS = [
-    Column("link", ["1->2", "2->1"], justify="left"),
-    Column("delivered", ["12", "9"]),
-    Column("mean\nage [s]", ["0.1", "0.25"], 2),
-    Column("p95\n[s]", ["0.1", "0.25"], 3),
-    Column("max\n[s]", ["1.1", "2.25"], 1),
+    TerminalColumn("link", ["1->2", "2->1"], justify="left"),
+    TerminalColumn("delivered", ["12", "9"]),
+    TerminalColumn("mean\nage [s]", ["0.1", "0.25"], 2),
+    TerminalColumn("p95\n[s]", ["0.1", "0.25"], 3),
+    TerminalColumn("max\n[s]", ["1.1", "2.25"], 1),
 ]
 
 
-def printed(wanted: list[Column], most: int) -> list[str]:
+def printed(wanted: list[TerminalColumn], most: int) -> list[str]:
     out = io.StringIO()
     show(wanted, "", Terminal(file=out, width=most), "see result.json")
     return [line.rstrip() for line in out.getvalue().splitlines() if line.strip()]
@@ -47,7 +47,7 @@ def test_columns_are_left_out_by_rank() -> None:
 
 
 def test_brackets_are_no_markup() -> None:
-    assert printed([Column("[red]x", ["[/] y"])], 40) == ["[red]x", " [/] y"]
+    assert printed([TerminalColumn("[red]x", ["[/] y"])], 40) == ["[red]x", " [/] y"]
 
 
 @given(st.integers(1, 60))
@@ -63,5 +63,6 @@ def test_what_is_kept_is_whole(most: int) -> None:
 
 
 def test_columns_of_rows() -> None:
-    assert columns({"a": 0, "b": 1}, [("1", "2"), ("3", "4")]) == [Column("a", ("1", "3")), Column("b", ("2", "4"), 1)]
-    assert columns({"a": 0, "b": 1}, []) == [Column("a", ()), Column("b", (), 1)]
+    found = columns({"a": 0, "b": 1}, [("1", "2"), ("3", "4")])
+    assert found == [TerminalColumn("a", ("1", "3")), TerminalColumn("b", ("2", "4"), 1)]
+    assert columns({"a": 0, "b": 1}, []) == [TerminalColumn("a", ()), TerminalColumn("b", (), 1)]

@@ -94,14 +94,14 @@ def test_it_jumps_to_the_next_fault_and_the_next_loss(feed: LogFeed) -> None:
 
 def test_a_signal_of_the_log_can_be_chosen(feed: LogFeed, log: Path) -> None:
     feed.seek(12.0)
-    feed.follow({"uuv/2/command.tau[0]"})
-    values = feed.picture.history()["signals"]["uuv/2/command.tau[0]"]
+    feed.follow({"uuv/2/command.tau_0"})
+    values = feed.picture.history()["signals"]["uuv/2/command.tau_0"]
     tau = open_log(log)["uuv/2/command"]
     for at_s, value in values[:: len(values) // 5]:
         assert value == pytest.approx(tau.tau[round(at_s / 0.01), 0])
     assert feed.signals.by_name["uuv/2/state.z"].unit == "m"
     with pytest.raises(KeyError, match="uuv/2/command"):
-        feed.follow({"uuv/2/comand.tau[0]"})
+        feed.follow({"uuv/2/comand.tau_0"})
     feed.follow(set())
     assert feed.picture.at_s == 12.0 and not feed.picture.history()["signals"]
 

@@ -66,11 +66,11 @@ def test_a_click_on_a_link_cuts_it_and_another_viewer_heals_it(opened: Any, tmp_
 
         for page in (one, two):
             page.page.locator(".fleet-faults").get_by_text("down 1->2").wait_for()
-        assert "down 1->2" in tool(tmp_path, "faults").stdout
+        assert "down 1->2" in tool(tmp_path, "status", "--all").stdout
 
         two.page.get_by_role("button", name="Resume").click()
         two.page.get_by_role("button", name="Heal live-1").click()
-        wait_for(lambda: "over" in tool(tmp_path, "faults").stdout, SOON_S, "the end of the fault")
+        wait_for(lambda: "over" in tool(tmp_path, "status", "--all").stdout, SOON_S, "the end of the fault")
         one.page.locator(".fleet-faults").get_by_text("no fault").wait_for()
         one.page.locator(".fleet-commands").get_by_text("fleet heal live-1").wait_for()
 

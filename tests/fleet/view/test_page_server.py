@@ -11,10 +11,10 @@ import pytest
 from small_scenario import small
 
 from fleet.errors import FleetError
+from fleet.view.chart_signals import commands_of
 from fleet.view.live_feed import LiveFeed
 from fleet.view.page import MOST_AHEAD, MOST_COMMANDS, TRY_AGAIN, Page, Viewer
 from fleet.view.picture import Picture
-from fleet.view.signals import commands_of
 
 
 class AskedFeed(LiveFeed):

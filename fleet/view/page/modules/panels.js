@@ -65,7 +65,7 @@ export class Panels {
     const pitch = place ? (place[4] * 180) / Math.PI : 0;
     const roll = place && place.length > 7 ? `, roll ${((place[7] * 180) / Math.PI).toFixed(0)}°` : "";
     write(this.facts, place ? `north ${place[1].toFixed(1)} m, east ${place[2].toFixed(1)} m, heading ${turn.toFixed(0)}°, pitch ${pitch.toFixed(0)}°${roll}` : "-");
-    const tau = COMMANDS.map(([, unit], k) => number(this.handlers.latest(`uuv/${i}/command.tau[${k}]`, i), 1, unit));
+    const tau = COMMANDS.map(([, unit], k) => number(this.handlers.latest(`uuv/${i}/command.tau_${k}`, i), 1, unit));
     write(this.commanded, `commands: ${COMMANDS.map(([what], k) => `${what} ${tau[k]}`).join(", ")}`);
     for (const { src, link, text } of this.heardOf) {
       write(text, `from ${src}: ${LINKS[frame.links[link]].name}, ${frame.ages[link].toFixed(1)} s old`);

@@ -19,7 +19,7 @@ from repository import ROOT
 from small_scenario import SMALL
 
 from fleet.cli.documents.check import Checked
-from fleet.cli.documents.failure import Failure
+from fleet.cli.documents.failure import FailedCommand
 from fleet.cli.documents.index import DOCUMENTS
 from fleet.cli.documents.listing import Scenarios
 from fleet.cli.documents.logs import Compared, LogContents, Verified
@@ -50,9 +50,9 @@ def printed(struct: type[S], result: Result) -> S:
     return found
 
 
-def failure(*arguments: str | Path) -> Failure:
+def failure(*arguments: str | Path) -> FailedCommand:
     result = invoke(*arguments)
-    found = printed(Failure, result)
+    found = printed(FailedCommand, result)
     assert found.exit == result.exit_code
     return found
 
@@ -104,7 +104,7 @@ def test_every_field_is_explained_and_every_record_has_its_section(command: str)
         assert not record["description"].startswith(f"{name}("), f"{name} has no docstring of its own"
         for field, described in record["properties"].items():
             assert described["description"].endswith("."), f"{name}.{field}"
-        if name not in (DOCUMENTS[command].__name__, "Failure"):
+        if name not in (DOCUMENTS[command].__name__, "FailedCommand"):
             assert f"\n### {name}\n" in page()
 
 
@@ -116,7 +116,7 @@ def test_no_two_records_of_the_page_have_one_name() -> None:
 def test_the_schema_of_one_command() -> None:
     result = invoke("schema", "verify")
     assert json.loads(result.stdout) == schema("verify")
-    assert [option["$ref"] for option in schema("verify")["anyOf"]] == ["#/$defs/Verified", "#/$defs/Failure"]
+    assert [option["$ref"] for option in schema("verify")["anyOf"]] == ["#/$defs/Verified", "#/$defs/FailedCommand"]
     assert json.loads(invoke("schema", "bench", "real").stdout) == schema("bench real")
     refused = invoke("schema", "script")
     assert (refused.exit_code, "script has no --json; there are bench, bench compare, " in refused.stderr) == (2, True)

@@ -17,7 +17,7 @@ from fleet.pictures.style import COLUMN_IN, PAGE_IN
 from fleet.study.pictures.gallery import draw, write
 from fleet.study.pictures.marks import REASONS
 from fleet.study.pictures.points import MADE, Dimension, Points, load
-from fleet.study.signals import more_is_better
+from fleet.study.signal_measures import more_is_better
 from fleet.study.store import Store
 
 SAMPLE = ("network.links.*.loss=0 %..60 % latin 6", "network.links.*.delay=50 ms..1 s latin 6")

@@ -1,15 +1,10 @@
-"""The signals of a log that a chart can show: their names, and their values in a message.
+"""The signals of a log that a chart can show, and their values in a message.
 
-| name | what it is |
-|---|---|
-| `uuv/1/command.tau[0]` | one number of the messages of a topic |
-| `command.tau_0` | the same signal of every vehicle that has it, as checks and measures name it |
-| `|error.e|` | its absolute value, of a vector its Euclidean norm |
+Their names are those of `fleet.scenario.sections.signals`; those of other topics follow them: `link/1-2.delay`.
 """
 
 from __future__ import annotations
 
-import re
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from math import hypot
 from typing import Any, NamedTuple
@@ -20,20 +15,19 @@ from mcap.records import Channel, Schema
 
 from fleet.logs.decoder import UNITS, known_class, units_of
 from fleet.replay.topics import PublishedTopic
-from fleet.scenario.sections.signals import parse_name
+from fleet.scenario.sections.signals import SignalName, component, parse_name
 from netem.parsing import nearest
 
 OF_THE_FLEET = ("transforms", "scene", "faults", "snapshot")  # topics with no signals to choose
 MOST_SIGNALS = 200_000  # that are offered
 WIDTH = 3  # components that are offered of a field that holds several values
-_OF_A_VEHICLE = re.compile(r"uuv/(\d+)/(\w+)\.(\w+)(?:\[(\d+)\])?", re.ASCII)
 _NUMBERS = frozenset({FieldDescriptor.CPPTYPE_DOUBLE, FieldDescriptor.CPPTYPE_FLOAT, FieldDescriptor.CPPTYPE_UINT32})
 
 
 class Signal(NamedTuple):
     """One number of the messages of a topic."""
 
-    name: str  # as in `uuv/1/command.tau[0]`
+    name: str  # as in `uuv/1/command.tau_0`
     topic: str
     field: str
     component: int | None  # of a field that holds several values
@@ -73,34 +67,39 @@ class Signals:
                 continue
             each = units.get(field.name, "").split(", ")
             for index in range(WIDTH) if field.is_repeated else (None,):
-                name = f"{channel.topic}.{field.name}" + ("" if index is None else f"[{index}]")
+                if index is not None and component(field.name, index) in cls.DESCRIPTOR.fields_by_name:
+                    continue  # a field of its own has this name
+                whole = f"{channel.topic}.{field.name}"
+                name = whole if index is None else component(whole, index)
                 unit = each[(index or 0) % len(each)]
                 self.by_name[name] = Signal(name, channel.topic, field.name, index, unit)
-                if found := _OF_A_VEHICLE.fullmatch(name):
-                    i, group, short, _ = found.groups()
-                    of_all = f"{group}.{short}" + ("" if index is None else f"_{index}")
-                    self.of_vehicles.setdefault(of_all, {})[int(i)] = name
+                known = parse_name(name)
+                if known is not None and known.vehicle is not None:
+                    self.of_vehicles.setdefault(known.name, {})[known.vehicle] = name
 
     def of_all(self, name: str) -> dict[int, str]:
-        """The names of a signal of every vehicle that has it; none: there is no such signal.
+        """The names of a signal, of every vehicle that has it or of the one in the name; none: there is no such signal.
 
         Args:
-            name: as checks name it, such as `control.leader`, `command.tau_0` or `|error.e|`.
+            name: such as `control.leader`, `command.tau_0`, `|error.e|` or `|uuv/3/error.e|`.
         """
         known = parse_name(name)
         if known is None:
             return {}
-        if known.absolute and str(known) not in self.of_vehicles:
+        every = str(known._replace(vehicle=None))
+        if known.absolute and every not in self.of_vehicles:
             self._add_absolute(known.name)
-        return self.of_vehicles.get(str(known), {})
+        found = self.of_vehicles.get(every, {})
+        return found if known.vehicle is None else {i: name for i, name in found.items() if i == known.vehicle}
 
     def _add_absolute(self, name: str) -> None:
-        for i, signal_name in (self.of_vehicles.get(name) or self.of_vehicles.get(f"{name}_0") or {}).items():
+        of_each = self.of_vehicles.get(name) or self.of_vehicles.get(component(name, 0)) or {}
+        for i, signal_name in of_each.items():
             one = self.by_name[signal_name]
             whole = one if name in self.of_vehicles else one._replace(component=None)
-            made = f"|{whole.topic}.{whole.field}|" if whole.component is None else f"|{signal_name}|"
+            made = str(SignalName(name, True, i))
             self.by_name[made] = whole._replace(name=made, absolute=True)
-            self.of_vehicles.setdefault(f"|{name}|", {})[i] = made
+            self.of_vehicles.setdefault(str(SignalName(name, True)), {})[i] = made
 
     def offered(self) -> dict[str, Any]:
         """What can be shown: the unit of each signal, and of each that vehicles have its unit and its names.
@@ -158,4 +157,4 @@ def published_signals(topics: Mapping[str, PublishedTopic]) -> Signals:
 
 def commands_of(vehicle: int) -> list[str]:
     """The names of what a vehicle's agent commands: surge force, pitch and yaw moment."""
-    return [f"uuv/{vehicle}/command.tau[{k}]" for k in range(WIDTH)]
+    return [str(SignalName(component("command.tau", k), vehicle=vehicle)) for k in range(WIDTH)]

@@ -18,7 +18,7 @@ from fleet.scenario.text.overrides import SET, Override
 from fleet.study.errors import StudyError
 from fleet.study.plan import Plan
 from fleet.study.settings import Settings
-from fleet.study.signals import Samples, find_columns, measures_of_checks, parse_signal, signal_columns_of
+from fleet.study.signal_measures import Samples, find_columns, measures_of_checks, parse_signal, signal_columns_of
 from fleet.study.summary import DEFAULT
 from fleet.study.sweep import prepare
 

@@ -10,7 +10,7 @@ import re
 from array import array
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from math import hypot, nan
+from math import nan
 from typing import NamedTuple
 
 import numpy as np
@@ -22,7 +22,7 @@ from fleet.recorder.metrics import VehicleError
 from fleet.recorder.separation import Separation
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.sections.checked_signals import checked_signals
-from fleet.scenario.sections.signals import NAME, SignalError, SignalName, places, unit_of
+from fleet.scenario.sections.signals import SIGNAL, SignalError, SignalName, places, read_name, unit_of
 from fleet.study.errors import StudyError
 from fleet.study.measures import MORE_IS_BETTER, SEPARATION, STANDING, Column
 from netem.parsing import nearest
@@ -30,11 +30,7 @@ from netem.wire.messages import Command, Frame
 
 MOST_UNASKED = 4  # measures that are made because checks name their signals
 _EXAMPLE = '"p95 |error.e|", "max |control.u_err|", "final uuv/3/state.z" or "mean error.e_norm after 20 s"'
-_GRAMMAR = re.compile(
-    rf"(?P<how>\w[\w.]*)\s+(?P<bar>\|)?\s*(?:uuv/(?P<vehicle>\*|[1-9]\d{{0,5}})/)?(?P<name>{NAME})\s*(?(bar)\|)"
-    r"(?:\s+after\s+(?P<after>\S.*))?",
-    re.ASCII,
-)
+_GRAMMAR = re.compile(rf"(?P<how>\w[\w.]*)\s+{SIGNAL}(?:\s+after\s+(?P<after>\S.*))?", re.ASCII)
 LONGEST_TEXT = 200  # characters; patterns with several runs of spaces take a time that grows with the square of it
 _PERCENTILE = re.compile(r"p(\d{1,2}(?:\.\d{1,3})?|100)", re.ASCII)
 _HOW: dict[str, Callable[[NDArray[np.float64]], float]] = {
@@ -52,22 +48,17 @@ class SignalMeasure:
 
     Attributes:
         how: `min`, `mean`, `max`, `rms`, `final`, or a percentile such as `p95`.
-        name: of the signal: topic group, dot, field.
-        absolute: of the absolute value, of a vector of its Euclidean norm.
-        vehicle: None: of each vehicle that reports it, and then the largest, with `min` the least.
+        signal: of every vehicle: of each that reports it, and then the largest, with `min` the least.
         after_ns: samples before that do not count [ns].
     """
 
     how: str
-    name: str
-    absolute: bool = False
-    vehicle: int | None = None
+    signal: SignalName
     after_ns: int = 0
 
     def __str__(self) -> str:
-        signal = self.name if self.vehicle is None else f"uuv/{self.vehicle}/{self.name}"
         after = f" after {show_time(self.after_ns)}" if self.after_ns else ""
-        return f"{self.how} {f'|{signal}|' if self.absolute else signal}{after}"
+        return f"{self.how} {self.signal}{after}"
 
     def of(self, values: NDArray[np.float64]) -> float:
         """The number of these samples of one vehicle, at least one."""
@@ -90,15 +81,14 @@ def parse_signal(text: str) -> SignalMeasure:
     found = _GRAMMAR.fullmatch(text.strip()) if len(text) <= LONGEST_TEXT else None
     if found is None:
         raise StudyError(f'"{text[:60]}" is no measure of a signal: expected one such as {_EXAMPLE}')
-    how, vehicle, after = found["how"], found["vehicle"], found["after"]
+    how, after = found["how"], found["after"]
     if how not in _HOW and not _PERCENTILE.fullmatch(how):
         raise StudyError(f'"{text[:60]}": expected {", ".join(_HOW)} or a percentile such as p95, got "{how[:20]}"')
     try:
         after_ns = time_ns(after) if after else 0
     except QuantityError as error:
         raise StudyError(f'"{text[:60]}": {error}') from None
-    who = None if vehicle in (None, "*") else int(vehicle)
-    return SignalMeasure(how, found["name"], found["bar"] is not None, who, max(0, after_ns))
+    return SignalMeasure(how, read_name(found), max(0, after_ns))
 
 
 def signal_columns_of(texts: Iterable[str], scenarios: Sequence[Scenario]) -> list[Column]:
@@ -174,21 +164,21 @@ def find_columns(names: Iterable[str], columns: Iterable[Column] = STANDING) -> 
 
 def _column(measure: SignalMeasure, scenarios: Sequence[Scenario]) -> Column:
     most = max(scenario.vehicles for scenario in scenarios)
-    if measure.vehicle is not None and measure.vehicle > most:
-        raise StudyError(f'"{measure}": there is no vehicle {measure.vehicle}; they are 1 to {most}')
+    if measure.signal.vehicle is not None and measure.signal.vehicle > most:
+        raise StudyError(f'"{measure}": there is no vehicle {measure.signal.vehicle}; they are 1 to {most}')
     each = ((scenario, i) for scenario in scenarios for i in _vehicles(measure, scenario))
     some = (places(scenario.layout(i), scenario.plant_signals(i)) for scenario, i in each)
     try:
-        unit = unit_of(SignalName(measure.name, measure.absolute), some)
+        unit = unit_of(measure.signal, some)
     except SignalError as error:
         raise StudyError(f'"{measure}": {error}') from None
     return Column(str(measure), "" if unit == "1" else unit)
 
 
 def _vehicles(measure: SignalMeasure, scenario: Scenario) -> range:
-    if measure.vehicle is None:
+    if measure.signal.vehicle is None:
         return range(1, scenario.vehicles + 1)
-    return range(measure.vehicle, min(measure.vehicle, scenario.vehicles) + 1)
+    return range(measure.signal.vehicle, min(measure.signal.vehicle, scenario.vehicles) + 1)
 
 
 class _Kept(NamedTuple):
@@ -216,8 +206,10 @@ class Samples:
         self._kept: dict[int, list[_Kept]] = {}
         for measure in self._names.values():
             for i in _vehicles(measure, scenario):
-                if (place := places(scenario.layout(i), scenario.plant_signals(i)).get(measure.name)) is not None:
-                    group = measure.name.partition(".")[0]
+                if (
+                    place := places(scenario.layout(i), scenario.plant_signals(i)).get(measure.signal.name)
+                ) is not None:
+                    group = measure.signal.group
                     first = -(-measure.after_ns // scenario.tick_ns)
                     kept = _Kept(measure, group, place.values, scenario.log_every[group], first, array("d"))
                     self._kept.setdefault(i, []).append(kept)
@@ -234,7 +226,7 @@ class Samples:
                     continue
                 values = values_of(group, row, commands.get(row.id), errors[row.id])[place]
                 if values:
-                    samples.append(hypot(*values) if measure.absolute else values[0])
+                    samples.append(measure.signal.value(values))
 
     def numbers(self) -> dict[str, float]:
         """Every measure by name; NaN where no vehicle reported it."""

@@ -1,9 +1,10 @@
-"""The limit of open files, which a run of many processes needs to be higher than usual."""
+"""What this machine gives a run: open files, of which many processes need more than usual, threads, and processors."""
 
 from __future__ import annotations
 
 import os
 import resource
+import threading
 
 from fleet.errors import RunBroken
 
@@ -11,6 +12,7 @@ from fleet.errors import RunBroken
 FILES, FILES_PER_VEHICLE = 48, 2
 FILES_PER_WORKER = 3  # its pipe, and two of multiprocessing
 MOST_VEHICLES = 1000
+NO_THREAD = "can't start new thread"  # what Python says, also in a callback of zenoh or in the log of a process
 
 
 def allow_most_open_files() -> None:
@@ -60,3 +62,32 @@ def _raise_to(wanted: int) -> int:
     if limit > soft:
         resource.setrlimit(resource.RLIMIT_NOFILE, (limit, hard))
     return limit
+
+
+def start_thread(thread: threading.Thread) -> None:
+    """Start a thread.
+
+    Raises:
+        RunBroken: the system allows no more.
+    """
+    try:
+        thread.start()
+    except (RuntimeError, MemoryError) as error:
+        raise no_thread(error) from None
+
+
+def no_thread(error: object) -> RunBroken:
+    """What to say where the system allows no more."""
+    return RunBroken(
+        f"cannot start a thread ({error}): the limit of processes and threads, or of memory, is reached; raise it "
+        "(ulimit -u, ulimit -v, TasksMax= of a systemd unit, --pids-limit of a container), or take --in-process, "
+        "which needs the fewest"
+    )
+
+
+def processors() -> int:
+    """How many processors this program may use.
+
+    Those of the machine, or fewer where somebody has limited this process (taskset, a container).
+    """
+    return len(os.sched_getaffinity(0))

@@ -8,7 +8,7 @@ import pytest
 from in_process_runs import Alone, log_of
 
 from fleet.logs.reader import LogReader
-from fleet.view.signals import OF_THE_FLEET, Signals, commands_of
+from fleet.view.chart_signals import OF_THE_FLEET, Signals, commands_of
 
 
 @pytest.fixture
@@ -22,7 +22,7 @@ def signals(alone: Alone) -> Signals:
 def test_numbers_of_vehicles_and_links_are_offered_with_their_units(signals: Signals) -> None:
     units = {name: signal.unit for name, signal in signals.by_name.items()}
     assert units["uuv/4/state.psi"] == "rad"
-    assert units["uuv/1/command.tau[0]"] == "N" and units["uuv/1/command.tau[2]"] == "N m"
+    assert units["uuv/1/command.tau_0"] == "N" and units["uuv/1/command.tau_2"] == "N m"
     assert units["link/1-2.delay"] == "s"
     assert not [name for name in units if name.startswith(OF_THE_FLEET)]
     assert "link/1-2.fate" not in units  # a text
@@ -53,3 +53,9 @@ def test_units_that_cannot_be_read_are_none(alone: Alone) -> None:
     for channel in reader.channels.values():
         channel.metadata["units"] = "{"
     assert {signal.unit for signal in Signals(reader.channels.values(), reader.schemas).by_name.values()} == {""}
+
+
+def test_one_vehicle_s_norm_is_made_when_it_is_asked_for(signals: Signals) -> None:
+    assert signals.meant("|uuv/2/error.e|") == ["|uuv/2/error.e|"]
+    with pytest.raises(KeyError, match=r"command\.tau_0"):
+        signals.meant("uuv/1/command.tau[0]")

@@ -19,7 +19,8 @@ from agents.signals import Layout
 from fleet.logs.batch import HEAD, MESSAGE, STAMP_BYTES, Batch
 from fleet.logs.schemas import COMMAND, ERROR, ROLL, STATE, Doubles, pose_parts, signal_columns
 from fleet.recorder.metrics import VehicleError
-from fleet.recorder.transforms import NED, quaternion
+from fleet.recorder.transforms import quaternion
+from fleet.scene.primitives import NED
 from netem.wire.messages import Command, Frame
 from world.signal import Signal, width_of
 

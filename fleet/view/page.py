@@ -16,6 +16,7 @@ from nicegui.events import GenericEventArguments
 
 from fleet.errors import FleetError
 from fleet.execution.directory import in_use
+from fleet.scene.styles import PAGE
 from fleet.view import words
 from fleet.view.feed import checks_asked, checks_judged
 from fleet.view.forms import FaultForm
@@ -180,6 +181,11 @@ class Viewer:
             "log_end_s": feed.end_s if isinstance(feed, LogFeed) else None,
             "log": shlex.quote(str(feed.path)) if isinstance(feed, LogFeed) else "",  # in commands to copy
             "charted": feed.charted,
+            "theme": {
+                "vehicles": PAGE.vehicles,
+                "links": {state: stroke._asdict() for state, stroke in PAGE.links.items()},
+                "colours": PAGE.colours,
+            },
         }
         self.element = FleetView(setup, self._said)
         self._form = FaultForm(feed, page.do) if isinstance(feed, LiveFeed) and page.may_act else None

@@ -15,15 +15,17 @@ from in_process_runs import Alone, log_of
 from PIL import Image, ImageChops
 from small_scenario import small
 
-from fleet.recorder.link_state import LinkState
 from fleet.scenario.loading import load_scenario
+from fleet.scene.link_state import LinkState
+from fleet.scene.styles import PRINT
 from fleet.view.log_feed import LogFeed
 from fleet.view.movie import write
 from fleet.view.movie_camera import SCENE_PT, Camera
-from fleet.view.movie_scene import FAULT, LOOKS, MovieScene
+from fleet.view.movie_scene import MovieScene
 from fleet.view.picture import Picture
 from fleet.view.source import ViewerError
 
+CUT = PRINT.links[LinkState.CUT].colour
 SHORT = ("duration=1 s", "faults=[{at: 400 ms, for: 400 ms, id: cut, partition: halves}]", "checks={tumbled: waived}")
 
 
@@ -77,8 +79,8 @@ def test_a_picture_names_the_time_and_the_faults_and_draws_links_by_their_state(
     before, cut = drawn_at(log, 0.3), drawn_at(log, 0.6)
     assert {"t = 0.6 s", "partition halves, 0.2 s left", "paper"} <= set(texts(cut)), texts(cut)
     assert "t = 0.3 s" in texts(before) and not [text for text in texts(before) if "left" in text]
-    assert FAULT in colours(cut) and FAULT not in colours(before)
-    assert LOOKS[LinkState.DELIVERING].colour in colours(before)
+    assert CUT in colours(cut) and CUT not in colours(before)
+    assert PRINT.links[LinkState.DELIVERING].colour in colours(before)
 
 
 def test_vehicles_with_roll_are_drawn(alone: Alone) -> None:

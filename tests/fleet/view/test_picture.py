@@ -171,13 +171,13 @@ def test_signals_are_thinned() -> None:
 
 
 def test_a_formation_that_changes_is_told_again_and_again() -> None:
-    assert "offsets_m" not in shown(Picture(small()))
+    assert "moving" not in shown(Picture(small()))
     changing = Picture(
         small("duration=200 s", "formation.changes=[{at: 1 s, over: 100 s, shape: column, spacing: 8 m}]")
     )
-    before = shown(changing)["offsets_m"]
+    before = shown(changing)["moving"]
     changing.at_s = 60.0
-    assert shown(changing)["offsets_m"] != before
+    assert shown(changing)["moving"] != before
 
 
 @pytest.mark.parametrize("name", ["uuv-x", "uuv-99", "uuv-0", "uuv-01", "uuv-"])

@@ -44,7 +44,6 @@ Exception
 │   ├── RegistryError
 │   ├── RemoteError
 │   ├── ReplayError
-│   ├── ReportError
 │   ├── ReproduceError
 │   ├── ResultError
 │   ├── RunBroken
@@ -61,7 +60,6 @@ Exception
 │   ├── TimedOut
 │   ├── TopicsError
 │   ├── UnknownValueError
-│   ├── ViewError
 │   ├── ViewerError
 │   │   └── NoConnectionError
 │   ├── WhatIfError

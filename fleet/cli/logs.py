@@ -13,7 +13,7 @@ from fleet.cli import completion
 from fleet.cli.documents.output import json_option, print_document
 from fleet.cli.log_argument import log_argument, newest_log
 from fleet.cli.study_pictures import check_options, is_study, measure_option, plot_study, report_study
-from fleet.cli.types import Pictures, Vehicles, Window, Words
+from fleet.cli.types import PictureNames, Vehicles, Window, Words
 from fleet.terminal.folding import say
 
 KINDS = (
@@ -22,6 +22,7 @@ KINDS = (
 )  # fmt: skip
 PARTS = ("track-3d", "formation")  # single pictures of track and error
 FORMATS = ("png", "svg", "pdf")
+OTHER_FORMATS = ("bmp", "eps", "gif", "jpeg", "jpg", "ps", "tif", "tiff", "webp")  # of pictures, which are not written
 _OF_LOGS = {name: f"--{name}" for name in ("what", "compare", "vehicles", "window")}
 _OF_STUDIES = {"measures": "--measure"}
 
@@ -41,14 +42,25 @@ _window = click.option(
 )
 
 
+def _folder(_: click.Context, __: click.Parameter, value: Path | None) -> Path | None:
+    """A folder; refused is what looks like a picture's file."""
+    suffix = "" if value is None else value.suffix.lower()[1:]
+    if suffix in (*FORMATS, *OTHER_FORMATS) and value is not None and not value.is_dir():
+        raise click.BadParameter(
+            f"expected a folder, because there are several pictures, got {str(value)!r}; choose their format with "
+            f"--format: {', '.join(FORMATS)}"
+        )
+    return value
+
+
 @click.command()
 @log_argument
 @click.option(
-    "-o", "--out", metavar="DIR", type=click.Path(path_type=Path, file_okay=False),
+    "-o", "--out", metavar="DIR", type=click.Path(path_type=Path, file_okay=False), callback=_folder,
     help="Where the pictures go; by default `plots` beside the log.",
 )  # fmt: skip
 @click.option(
-    "--what", metavar="LIST", type=Pictures(KINDS, "all", PARTS), default="all", show_default=True,
+    "--what", metavar="LIST", type=PictureNames(KINDS, "all", PARTS), default="all", show_default=True,
     shell_complete=completion.pictures,
     help=f"Some of {', '.join(KINDS)}; or all; track-3d, formation: that part of track, of error. Also any signal of "
     "the log: control.leads, command.tau_0, '|error.e|'.",

@@ -187,7 +187,7 @@ def run(
             say(line, err=True)
         if loaded.ideal and not in_process:
             say("network: ideal has no latency and so runs in one process", err=True)
-    with cli_view.companion(asked=view, stays=not (quiet or as_json)) as page:
+    with cli_view.page_process(asked=view, stays=not (quiet or as_json)) as page:
         result = execute(loaded, replace(options, on_published=page.published if page else None), terminal)
         if page is not None and result.directory is not None:
             page.over(result.directory)

@@ -172,7 +172,7 @@ class Words(click.ParamType[tuple[str, ...]]):
         return False
 
 
-class Pictures(Words):
+class PictureNames(Words):
     """Some of the given words, or signals such as `control.leads`; whether a log has such a signal is not known yet."""
 
     others = ", and signals such as control.leads"

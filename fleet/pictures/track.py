@@ -134,7 +134,9 @@ def _draw_from_above(ax: Axes, tracks: list[VehicleTrack]) -> set[int]:
 def space(runs: Sequence[Run], view: View) -> Figure:
     """East, north and depth; east and north have one scale, and it is said how much larger that of depth is."""
     tracks, entries = _tracks(runs, view)
-    low, high = _extent([track.positions for track in tracks])
+    standing = _standing(runs, view)
+    courses = [np.array([point[1:] for point in thing.points]) for thing in standing if isinstance(thing, Line)]
+    low, high = _extent([*(track.positions for track in tracks), *courses])
     figure = Figure(figsize=(COLUMN_IN, 3.4), layout="constrained")
     FigureCanvasAgg(figure)
     ax: Any = figure.add_subplot(projection="3d")
@@ -142,7 +144,6 @@ def space(runs: Sequence[Run], view: View) -> Figure:
     edges = [edge for run in runs for edge in _shapes(run, view)]
     for a, b in edges:
         ax.plot([a[1], b[1]], [a[0], b[0]], [a[2], b[2]], color="0.78", linewidth=0.5, gid="formation")
-    standing = _standing(runs, view)
     for thing in standing:
         _paint_in_space(ax, thing)
     _draw_in_space(ax, tracks)

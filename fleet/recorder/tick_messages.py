@@ -51,7 +51,7 @@ _KEY_PLACES = 32  # what a vehicle takes in the key of a layout, counted in plac
 _Places = NDArray[np.int32]  # in the pool
 
 
-class Topic(NamedTuple):
+class VehicleTopic(NamedTuple):
     """A topic of one vehicle."""
 
     channel: int
@@ -89,7 +89,7 @@ class TickMessages:
 
     def __init__(
         self,
-        topics: Mapping[str, Mapping[int, Topic]],
+        topics: Mapping[str, Mapping[int, VehicleTopic]],
         agents: Mapping[int, Layout],
         plants: Mapping[int, tuple[Signal, ...]],
     ) -> None:

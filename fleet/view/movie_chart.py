@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from fleet.pictures.shades import union
 from fleet.pictures.style import THIN
 from fleet.scene.styles import PRINT
-from fleet.view.picture import Row
+from fleet.view.view_state import Row
 
 MOST_SIGNALS = 2  # that have a chart of their own
 LEFT, RIGHT, BOTTOM, HEIGHT, GAP = 0.09, 0.98, 0.095, 0.165, 0.09  # shares of the figure

@@ -23,7 +23,7 @@ from fleet.scene.styles import FAULT, NO_AGENT, PACKET, PRINT
 from fleet.view.movie_camera import SCENE_PT, Camera
 from fleet.view.movie_canvas import TURNS, Canvas, hull, lane, sample, tip
 from fleet.view.movie_chart import MovieChart
-from fleet.view.picture import SAMPLE_S, Picture, Row
+from fleet.view.view_state import SAMPLE_S, Row, ViewState
 
 WIDTH_IN, HEIGHT_IN = 6.0, 4.5
 APART_S = 0.3  # of the movie, between two packets of a link that are shown
@@ -45,7 +45,7 @@ class MovieScene:
 
     def __init__(
         self,
-        picture: Picture,
+        picture: ViewState,
         begin_s: float,
         end_s: float,
         rate: float,
@@ -113,7 +113,7 @@ class MovieScene:
         """Draw a frame.
 
         Args:
-            frame: as `Picture.frame` gives it.
+            frame: as `ViewState.frame` gives it.
             at_s: its time in the movie.
         """
         canvas, camera = self._canvas, self._camera

@@ -22,8 +22,8 @@ from fleet.view.feed import checks_asked, checks_judged
 from fleet.view.forms import FaultForm
 from fleet.view.live_feed import LiveFeed
 from fleet.view.log_feed import LogFeed
-from fleet.view.picture import Row
 from fleet.view.signals import commands_of
+from fleet.view.view_state import Row
 
 PERIOD_S = 0.05  # between two pictures
 LOOK_S = 1.0  # between two questions to the console

@@ -18,7 +18,7 @@ from google.protobuf.descriptor import FieldDescriptor
 from google.protobuf.message import DecodeError
 from mcap.records import Channel, Schema
 
-from fleet.logs.decoder import UNITS, known_class, units_of
+from fleet.logs.decoder import UNITS, decoded, known_class, units_of
 from fleet.replay.topics import PublishedTopic
 from fleet.scenario.sections.signals import parse_name
 from netem.parsing import nearest
@@ -30,7 +30,7 @@ _OF_A_VEHICLE = re.compile(r"uuv/(\d+)/(\w+)\.(\w+)(?:\[(\d+)\])?", re.ASCII)
 _NUMBERS = frozenset({FieldDescriptor.CPPTYPE_DOUBLE, FieldDescriptor.CPPTYPE_FLOAT, FieldDescriptor.CPPTYPE_UINT32})
 
 
-class Signal(NamedTuple):
+class ChartSignal(NamedTuple):
     """One number of the messages of a topic."""
 
     name: str  # as in `uuv/1/command.tau[0]`
@@ -55,9 +55,9 @@ class Signals:
 
     def __init__(self, channels: Iterable[Channel], schemas: dict[int, Schema]) -> None:
         self._classes: dict[str, Any] = {}
-        self.by_name: dict[str, Signal] = {}
+        self.by_name: dict[str, ChartSignal] = {}
         self.of_vehicles: dict[str, dict[int, str]] = {}  # names by signal and vehicle
-        self.followed: dict[str, list[Signal]] = {}  # by topic
+        self.followed: dict[str, list[ChartSignal]] = {}  # by topic
         for channel in sorted(channels, key=lambda channel: channel.topic):
             schema = schemas.get(channel.schema_id)
             if channel.topic in OF_THE_FLEET or schema is None or not schema.name.startswith("uuv_fleet."):
@@ -75,7 +75,7 @@ class Signals:
             for index in range(WIDTH) if field.is_repeated else (None,):
                 name = f"{channel.topic}.{field.name}" + ("" if index is None else f"[{index}]")
                 unit = each[(index or 0) % len(each)]
-                self.by_name[name] = Signal(name, channel.topic, field.name, index, unit)
+                self.by_name[name] = ChartSignal(name, channel.topic, field.name, index, unit)
                 if found := _OF_A_VEHICLE.fullmatch(name):
                     i, group, short, _ = found.groups()
                     of_all = f"{group}.{short}" + ("" if index is None else f"_{index}")
@@ -139,7 +139,7 @@ class Signals:
         if not (some := self.followed.get(topic)):
             return
         try:
-            message = self._classes[topic].FromString(data)
+            message = decoded(self._classes[topic], data)
         except DecodeError:
             return
         for signal in some:

@@ -99,7 +99,8 @@ def test_signals_of_checks_are_drawn_without_asking(run: Run) -> None:
 def test_the_report_begins_with_the_verdict_a_picture_and_the_reason(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("fleet.pictures.report.WHAT", {"checks": WHAT["checks"], "gains": WHAT["gains"]})
     text = page([run], View())
-    places = [text.index(part) for part in ('class="fail">check failed', "<figure", ">shallow<", ">near<", ">Faults<")]
+    verdict = 'class="fail">2 of 2 checks failed'
+    places = [text.index(part) for part in (verdict, "<figure", ">shallow<", ">near<", ">Faults<")]
     assert places == sorted(places)
     assert "alt=" in text and text.count("<figure") == 4
     assert "Packets by kind of payload" in text and "<td>election</td>" in text

@@ -47,7 +47,7 @@ NOT_PLACED = "The scenario logs no transforms (log: {transforms: 0 ticks}): wher
 Row = dict[str, Any]
 
 
-class Picture:
+class ViewState:
     """What is known of a run at one time."""
 
     def __init__(self, scenario: Scenario) -> None:

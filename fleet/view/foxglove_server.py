@@ -35,6 +35,7 @@ from foxglove.websocket import (
 )
 
 from fleet.view.source import NoConnectionError, ViewerError
+from fleet.view.unanswered import Unanswered
 
 TIME_NS = 16_000_000  # of wall time between two messages with the server's time
 BACKLOG = 20_000  # messages that wait for a client: some ticks of a large fleet
@@ -128,6 +129,7 @@ class FoxgloveServer:
             playback_time_range=range_ns,
             message_backlog_size=BACKLOG,
         )
+        self._unanswered = Unanswered(self._server.port)
         self.endpoint = f"ws://{f'[{host}]' if ':' in host else host}:{self._server.port}"
 
     @property
@@ -142,6 +144,7 @@ class FoxgloveServer:
 
     def events(self, timeout_s: float) -> list[Subscription | PlaybackRequest]:
         """What clients asked for since the last call; waits for the first one at most so long."""
+        self._unanswered.close_some()
         found: list[Subscription | PlaybackRequest] = []
         try:
             found.append(self._events.get(timeout=timeout_s) if timeout_s > 0 else self._events.get_nowait())

@@ -24,7 +24,7 @@ from fleet.pictures.runs import NothingToDraw, Run, View
 from fleet.pictures.style import COLUMN_IN, LABEL_PT, LEGEND_PT, NORMAL, STYLE_NAMES, STYLES, THIN
 from fleet.pictures.track_marks import Happening, directions, happenings, places, told
 from fleet.scene.model import SceneModel
-from fleet.scene.primitives import Cylinder, Line, Primitive
+from fleet.scene.primitives import CylinderShape, LineShape, Primitive
 from fleet.scene.styles import COURSE, PRINT
 
 SHAPES = 5  # moments at which the formation is drawn
@@ -99,9 +99,9 @@ def _sheet(low: Array, high: Array) -> tuple[Figure, Axes, bool]:
 def _paint(ax: Any, thing: Primitive) -> None:
     """Paint what stands still, from above."""
     match thing:
-        case Cylinder(north=north, east=east, radius=radius):
+        case CylinderShape(north=north, east=east, radius=radius):
             ax.add_patch(Circle((east, north), radius, **_CYLINDER))
-        case Line(points=points):
+        case LineShape(points=points):
             ax.plot([p.east for p in points], [p.north for p in points], **_LINE, zorder=1)
 
 
@@ -135,7 +135,7 @@ def space(runs: Sequence[Run], view: View) -> Figure:
     """East, north and depth; east and north have one scale, and it is said how much larger that of depth is."""
     tracks, entries = _tracks(runs, view)
     standing = _standing(runs, view)
-    courses = [np.array([point[1:] for point in thing.points]) for thing in standing if isinstance(thing, Line)]
+    courses = [np.array([point[1:] for point in thing.points]) for thing in standing if isinstance(thing, LineShape)]
     low, high = _extent([*(track.positions for track in tracks), *courses])
     figure = Figure(figsize=(COLUMN_IN, 3.4), layout="constrained")
     FigureCanvasAgg(figure)
@@ -183,7 +183,7 @@ def _turn(ax: Any, low: Array, high: Array) -> int:
 def _paint_in_space(ax: Any, thing: Primitive) -> None:
     """Paint what stands still, in three dimensions."""
     match thing:
-        case Cylinder(north=north, east=east, radius=radius):
+        case CylinderShape(north=north, east=east, radius=radius):
             turns = np.linspace(0.0, 2.0 * np.pi, 37)
             x, y = east + radius * np.cos(turns), north + radius * np.sin(turns)
             ends = ax.get_zlim()
@@ -191,7 +191,7 @@ def _paint_in_space(ax: Any, thing: Primitive) -> None:
             ax.add_collection3d(Poly3DCollection(faces, alpha=0.5, **_CYLINDER))
             for k in range(0, 36, 9):
                 ax.plot([x[k]] * 2, [y[k]] * 2, ends, color=_CYLINDER["edgecolor"], linewidth=_CYLINDER["linewidth"])
-        case Line(points=points):
+        case LineShape(points=points):
             ax.plot(*zip(*((p.east, p.north, p.down) for p in points), strict=True), **_LINE)
 
 
@@ -325,7 +325,7 @@ def _explained(
         entries.append(mark((3, 0, -90.0), "direction"))
         if any(run.scenario is not None for run in runs):
             entries.append(mark("+", "desired end", color="black"))
-    if any(isinstance(thing, Cylinder) for thing in standing):
+    if any(isinstance(thing, CylinderShape) for thing in standing):
         face = {"markerfacecolor": _CYLINDER["facecolor"], "markeredgecolor": _CYLINDER["edgecolor"]}
         entries.append(mark("o", "obstacle", markersize=6, **face))
     signs = {one.what: one.mark for one, _ in happened}

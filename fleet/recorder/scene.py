@@ -33,7 +33,7 @@ from fleet.recorder.transforms import NO_TURN, enu
 from fleet.scenario.scenario import Scenario
 from fleet.scene.link_state import HISTORY, LinkState, mark_of, state_of
 from fleet.scene.model import SLENDER, SceneModel, diameter
-from fleet.scene.primitives import REFERENCE, Circle, Cross, Primitive
+from fleet.scene.primitives import REFERENCE, CircleShape, CrossShape, Primitive
 from fleet.scene.styles import FOXGLOVE, NO_AGENT
 from netem.condition import Link
 from netem.wire.messages import Fate, Frame
@@ -168,9 +168,9 @@ def _formation(things: Iterable[Primitive], diameters: Sequence[float]) -> Scene
     spheres = []
     for thing in things:
         match thing:
-            case Cross(at=at) if at.frame == REFERENCE:
+            case CrossShape(at=at) if at.frame == REFERENCE:
                 spheres.append(_sphere((at.east, at.north, at.down), max(diameters), FOXGLOVE.colour(thing.colour)))
-            case Circle(at=at, vehicle=i) if at.frame == REFERENCE:
+            case CircleShape(at=at, vehicle=i) if at.frame == REFERENCE:
                 place = enu((at.north, at.east, at.down))
                 spheres.append(_sphere(place, 2.0 * diameters[i - 1], FOXGLOVE.colour(thing.colour), 0.5))
     return SceneEntity(frame_id=REFERENCE, id="formation", frame_locked=True, spheres=spheres)

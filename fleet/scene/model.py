@@ -15,7 +15,17 @@ import numpy as np
 
 from fleet.scenario.scenario import Scenario
 from fleet.scene.link_state import CUT, GONE, LinkState
-from fleet.scene.primitives import NED, REFERENCE, Circle, Cross, Cylinder, Line, Point, Primitive, vehicle_frame
+from fleet.scene.primitives import (
+    NED,
+    REFERENCE,
+    CircleShape,
+    CrossShape,
+    CylinderShape,
+    FramePoint,
+    LineShape,
+    Primitive,
+    vehicle_frame,
+)
 from fleet.scene.styles import COURSE, LINK_MEANINGS, OBSTACLE, REFERENCE_POINT
 from world.vectors import Vec3
 
@@ -58,16 +68,16 @@ class SceneModel:
         """Where each vehicle should be, from the reference [m, NED]."""
         return [plan.at(t).position for plan in self.scenario.plans]
 
-    def course(self, begin_s: float, end_s: float) -> Line:
+    def course(self, begin_s: float, end_s: float) -> LineShape:
         """The way of the reference between two times."""
         times = np.linspace(begin_s, end_s, COURSE_POINTS).tolist()
-        return Line(COURSE, tuple(Point(NED, *self.reference(t)) for t in times))
+        return LineShape(COURSE, tuple(FramePoint(NED, *self.reference(t)) for t in times))
 
     @cached_property
-    def obstacles(self) -> list[Cylinder]:
+    def obstacles(self) -> list[CylinderShape]:
         """What vehicles are to keep out of."""
         apart = self.scenario.spec.keep_apart
-        return [Cylinder(OBSTACLE, *one.at[:2], one.radius) for one in apart.obstacles] if apart else []
+        return [CylinderShape(OBSTACLE, *one.at[:2], one.radius) for one in apart.obstacles] if apart else []
 
     @cached_property
     def standing(self) -> list[Primitive]:
@@ -76,11 +86,11 @@ class SceneModel:
 
     def moving(self, t: float) -> list[Primitive]:
         """What there is to paint at a time [s] and moves with the fleet, beside vehicles, links and packets."""
-        wanted = [(i, Point(REFERENCE, *offset)) for i, offset in enumerate(self.offsets(t), start=1)]
+        wanted = [(i, FramePoint(REFERENCE, *offset)) for i, offset in enumerate(self.offsets(t), start=1)]
         return [
-            Cross(REFERENCE_POINT, Point(REFERENCE), "reference"),
-            *(Circle(f"vehicle {i}", place, i) for i, place in wanted),
-            *(Line(f"vehicle {i}", (place, Point(vehicle_frame(i)))) for i, place in wanted),
+            CrossShape(REFERENCE_POINT, FramePoint(REFERENCE), "reference"),
+            *(CircleShape(f"vehicle {i}", place, i) for i, place in wanted),
+            *(LineShape(f"vehicle {i}", (place, FramePoint(vehicle_frame(i)))) for i, place in wanted),
         ]
 
     def legend(self) -> list[LegendRow]:

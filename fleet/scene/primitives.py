@@ -19,7 +19,7 @@ def vehicle_frame(i: int) -> str:
     return f"uuv-{i}"
 
 
-class Point(NamedTuple):
+class FramePoint(NamedTuple):
     """A place [m], counted from where its frame is."""
 
     frame: str
@@ -28,13 +28,13 @@ class Point(NamedTuple):
     down: float = 0.0
 
 
-class Primitive(msgspec.Struct, frozen=True, tag_field="kind", tag=str.lower):
+class Primitive(msgspec.Struct, frozen=True, tag_field="kind", tag=lambda name: name.removesuffix("Shape").lower()):
     """Something to paint."""
 
     colour: str
 
 
-class Cylinder(Primitive, frozen=True):
+class CylinderShape(Primitive, frozen=True):
     """A vertical cylinder from the surface to the floor; it stands still."""
 
     north: float  # of its axis [m]
@@ -42,32 +42,32 @@ class Cylinder(Primitive, frozen=True):
     radius: float  # m
 
 
-class Circle(Primitive, frozen=True):
+class CircleShape(Primitive, frozen=True):
     """A place that a vehicle should have, as large on the screen wherever it is."""
 
-    at: Point
+    at: FramePoint
     vehicle: int
 
 
-class Cross(Primitive, frozen=True):
+class CrossShape(Primitive, frozen=True):
     """A place with a name, as large on the screen wherever it is."""
 
-    at: Point
+    at: FramePoint
     text: str
 
 
-class Line(Primitive, frozen=True):
+class LineShape(Primitive, frozen=True):
     """A thin dashed line through points, which is left out while one of its frames is nowhere."""
 
-    points: tuple[Point, ...]
+    points: tuple[FramePoint, ...]
 
 
-def points_of(primitive: Primitive) -> tuple[Point, ...]:
+def points_of(primitive: Primitive) -> tuple[FramePoint, ...]:
     """The points of a primitive; none of a cylinder, which has no depth."""
     match primitive:
-        case Line(points=points):
+        case LineShape(points=points):
             return points
-        case Circle(at=at) | Cross(at=at):
+        case CircleShape(at=at) | CrossShape(at=at):
             return (at,)
         case _:
             return ()

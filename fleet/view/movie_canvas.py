@@ -17,7 +17,7 @@ from fleet.logs.records import Array
 from fleet.pictures.style import THIN
 from fleet.scene.link_state import LinkState
 from fleet.scene.model import LegendRow
-from fleet.scene.primitives import Circle, Cross, Cylinder, Line, Point, Primitive
+from fleet.scene.primitives import CircleShape, CrossShape, CylinderShape, FramePoint, LineShape, Primitive
 from fleet.scene.styles import PRINT
 from fleet.view.movie_camera import Camera
 
@@ -75,22 +75,22 @@ class Canvas:
         """
         colour = PRINT.colour(thing.colour)
         match thing:
-            case Cylinder():
+            case CylinderShape():
                 self._cylinder(thing, colour, deep)
-            case Circle(at=at):
+            case CircleShape(at=at):
                 style = {"facecolor": "none", "edgecolor": colour, "linewidth": 0.9, "linestyle": "--"}
                 self.discs([self._point(at, frames)], 10.0 * self.size, 2.0, **style)
-            case Cross(at=at):
+            case CrossShape(at=at):
                 x, y = self._point(at, frames)
                 self.lines([[(x - 4, y), (x + 4, y)], [(x, y - 4), (x, y + 4)]], 2.0, colour, 1.0)
-            case Line(points=points) if all(point.frame in frames for point in points):
+            case LineShape(points=points) if all(point.frame in frames for point in points):
                 places = np.array([self._point(point, frames) for point in points])
                 self.lines([places], 1.5, [(colour, 0.5)], THIN, linestyle="--")
 
-    def _point(self, point: Point, frames: Mapping[str, Array]) -> Array:
+    def _point(self, point: FramePoint, frames: Mapping[str, Array]) -> Array:
         return self._camera.project(frames[point.frame] + point[1:])[0, :2]
 
-    def _cylinder(self, thing: Cylinder, colour: str, deep: float) -> None:
+    def _cylinder(self, thing: CylinderShape, colour: str, deep: float) -> None:
         """Its circles on the floor and above, and the sides between."""
         top = max(0.0, self._camera.centre[2] - 1.5 * self._camera.radius)
         across = thing.north + thing.radius * np.cos(TURNS), thing.east + thing.radius * np.sin(TURNS)

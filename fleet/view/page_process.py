@@ -23,7 +23,7 @@ from fleet.execution.directory import OBSERVE
 from fleet.logs.reader import log_path
 from fleet.view.live_feed import LiveFeed
 from fleet.view.log_feed import LogFeed
-from fleet.view.server import Listener, serve
+from fleet.view.server import PageListener, serve
 from fleet.view.source import LiveSource, find_source
 
 # With `-m` a file in the current directory could take the place of a module.
@@ -34,7 +34,7 @@ CLOSE_S = 5.0
 class PageProcess:
     """The process with the page, as the run's command sees it."""
 
-    def __init__(self, listener: Listener) -> None:
+    def __init__(self, listener: PageListener) -> None:
         """Start it: it shows the run that it is told of."""
         descriptor = listener.listening.fileno()
         # A group of its own: Ctrl-C is the run's business. The token goes through the pipe, which nobody else sees.
@@ -93,7 +93,7 @@ def main() -> None:
     listening = socket.socket(fileno=values["listening"])
     try:
         feed = _feed_of(told)
-        serve(feed, Listener(values["host"], values["port"], listening, values["token"]), may_act=True)
+        serve(feed, PageListener(values["host"], values["port"], listening, values["token"]), may_act=True)
     except FleetError as error:
         print(f"fleet view: {error}", file=sys.stderr)
         sys.exit(error.status)

@@ -22,7 +22,7 @@ BACKLOG = 64  # connections that are accepted at once, before any of them is loo
 
 
 @dataclass(frozen=True, slots=True)
-class Listener:
+class PageListener:
     """Where the page is reached: a port that listens already, and the token without which it lets nobody in."""
 
     host: str
@@ -46,7 +46,7 @@ class Listener:
         return {name, "localhost"} if is_loopback(self.host) else {name}
 
 
-def open_listener(host: str = LOOPBACK, port: int | None = None) -> Listener:
+def open_listener(host: str = LOOPBACK, port: int | None = None) -> PageListener:
     """Listen, with a new token.
 
     Args:
@@ -65,10 +65,10 @@ def open_listener(host: str = LOOPBACK, port: int | None = None) -> Listener:
         where = f"port {port} of {host}" if port else host
         what = f"{where} cannot be listened on ({getattr(error, 'strerror', None) or error})"
         raise NoConnectionError(f"{what}; --port chooses another, and without it a free one is taken") from None
-    return Listener(host, found.getsockname()[1], found, secrets.token_urlsafe(24))
+    return PageListener(host, found.getsockname()[1], found, secrets.token_urlsafe(24))
 
 
-def serve(feed: LiveFeed | LogFeed, listener: Listener, *, may_act: bool) -> None:
+def serve(feed: LiveFeed | LogFeed, listener: PageListener, *, may_act: bool) -> None:
     """Serve the page until a signal ends the program.
 
     Args:

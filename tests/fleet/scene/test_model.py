@@ -12,17 +12,27 @@ from small_scenario import small
 
 from fleet.scenario.loading import load_scenario
 from fleet.scene.model import SceneModel, depth_text
-from fleet.scene.primitives import NED, REFERENCE, Circle, Cross, Cylinder, Line, Point, Primitive, points_of
+from fleet.scene.primitives import (
+    NED,
+    REFERENCE,
+    CircleShape,
+    CrossShape,
+    CylinderShape,
+    FramePoint,
+    LineShape,
+    Primitive,
+    points_of,
+)
 from fleet.scene.styles import FOXGLOVE, PAGE, PRINT
 from fleet.view.movie_camera import Camera
 from fleet.view.movie_canvas import Canvas, sample
 
 PAGE_MODULES = ROOT / "fleet" / "view" / "page" / "modules"
 EXAMPLES: dict[type[Primitive], Primitive] = {
-    Cylinder: Cylinder("obstacle", 1.0, 2.0, 3.0),
-    Circle: Circle("vehicle 2", Point(REFERENCE, 1.0), 2),
-    Cross: Cross("reference", Point(REFERENCE), "reference"),
-    Line: Line("course", (Point(NED), Point(REFERENCE))),
+    CylinderShape: CylinderShape("obstacle", 1.0, 2.0, 3.0),
+    CircleShape: CircleShape("vehicle 2", FramePoint(REFERENCE, 1.0), 2),
+    CrossShape: CrossShape("reference", FramePoint(REFERENCE), "reference"),
+    LineShape: LineShape("course", (FramePoint(NED), FramePoint(REFERENCE))),
 }
 OBSTACLES = ("profile=hardened", "keep_apart={distance: 1 m, obstacles: [{at: 12 -4 m, radius: 2 m}]}")
 
@@ -30,7 +40,7 @@ OBSTACLES = ("profile=hardened", "keep_apart={distance: 1 m, obstacles: [{at: 12
 @pytest.mark.parametrize("kind", Primitive.__subclasses__())
 def test_the_page_and_the_movie_paint_every_kind(kind: type[Primitive]) -> None:
     painters = re.findall(r"^  (\w+)\(g, ", (PAGE_MODULES / "primitives.js").read_text(), re.MULTILINE)
-    assert kind.__name__.lower() in painters
+    assert kind.__name__.removesuffix("Shape").lower() in painters
     axes = Figure().add_axes((0.0, 0.0, 1.0, 1.0))
     camera = Camera(above=True)
     camera.follow(np.array([[0.0, 0.0, 0.0], [10.0, 10.0, 5.0]]))
@@ -45,7 +55,8 @@ def test_a_line_to_a_vehicle_that_is_nowhere_is_left_out() -> None:
     axes = Figure().add_axes((0.0, 0.0, 1.0, 1.0))
     camera = Camera(above=True)
     camera.follow(np.array([[0.0, 0.0, 0.0], [10.0, 10.0, 5.0]]))
-    Canvas(axes, camera, 1.0).paint(Line("vehicle 1", (Point(NED), Point("uuv-1"))), {NED: np.zeros(3)}, 8.0)
+    away = LineShape("vehicle 1", (FramePoint(NED), FramePoint("uuv-1")))
+    Canvas(axes, camera, 1.0).paint(away, {NED: np.zeros(3)}, 8.0)
     assert not axes.collections
 
 
@@ -67,7 +78,7 @@ def test_every_sign_of_the_legend_has_a_sample_and_every_word_a_colour() -> None
 def test_what_moves_is_where_the_scenario_says() -> None:
     scene = SceneModel(small())
     moving = scene.moving(2.0)
-    circles = [thing for thing in moving if isinstance(thing, Circle)]
+    circles = [thing for thing in moving if isinstance(thing, CircleShape)]
     assert [circle.at[1:] for circle in circles] == scene.offsets(2.0)
     assert {point.frame for thing in moving for point in points_of(thing)} == {"reference", "uuv-1", "uuv-2", "uuv-3"}
     (course,) = scene.standing

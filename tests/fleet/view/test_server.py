@@ -17,7 +17,7 @@ import pytest
 from repository import ROOT
 
 from fleet.view import server
-from fleet.view.server import Browser, Listener, is_loopback, open_listener
+from fleet.view.server import Browser, PageListener, is_loopback, open_listener
 from fleet.view.source import ViewerError
 
 
@@ -56,7 +56,7 @@ def test_an_address_that_is_not_ours_is_said(host: str) -> None:
 )
 def test_the_names_by_which_a_page_is_reached(host: str, names: set[str]) -> None:
     with socket.socket() as nowhere:
-        assert Listener(host, 80, nowhere, "token").names == names
+        assert PageListener(host, 80, nowhere, "token").names == names
     assert is_loopback(host) == ("localhost" in names)
 
 

@@ -39,7 +39,6 @@ Exception
 │   ├── RegistryError
 │   ├── RemoteError
 │   ├── ReplayError
-│   ├── ReportError
 │   ├── ReproduceError
 │   ├── ResultError
 │   ├── RunBroken
@@ -55,7 +54,6 @@ Exception
 │   ├── TimedOut
 │   ├── TopicsError
 │   ├── UnknownValueError
-│   ├── ViewError
 │   ├── ViewerError
 │   │   └── NoConnectionError
 │   ├── WhatIfError

@@ -22,6 +22,7 @@ KINDS = (
 )  # fmt: skip
 PARTS = ("track-3d", "formation")  # single pictures of track and error
 FORMATS = ("png", "svg", "pdf")
+OTHER_FORMATS = ("bmp", "eps", "gif", "jpeg", "jpg", "ps", "tif", "tiff", "webp")  # of pictures, which are not written
 _OF_LOGS = {name: f"--{name}" for name in ("what", "compare", "vehicles", "window")}
 _OF_STUDIES = {"measures": "--measure"}
 
@@ -41,10 +42,21 @@ _window = click.option(
 )
 
 
+def _folder(_: click.Context, __: click.Parameter, value: Path | None) -> Path | None:
+    """A folder; refused is what looks like a picture's file."""
+    suffix = "" if value is None else value.suffix.lower()[1:]
+    if suffix in (*FORMATS, *OTHER_FORMATS) and value is not None and not value.is_dir():
+        raise click.BadParameter(
+            f"expected a folder, because there are several pictures, got {str(value)!r}; choose their format with "
+            f"--format: {', '.join(FORMATS)}"
+        )
+    return value
+
+
 @click.command()
 @log_argument
 @click.option(
-    "-o", "--out", metavar="DIR", type=click.Path(path_type=Path, file_okay=False),
+    "-o", "--out", metavar="DIR", type=click.Path(path_type=Path, file_okay=False), callback=_folder,
     help="Where the pictures go; by default `plots` beside the log.",
 )  # fmt: skip
 @click.option(

@@ -147,7 +147,7 @@ def run(
     options = replace(_options(loaded, start, how, terminal), quiet=quiet)
     if not quiet:
         _tell_plan(loaded, start, in_process=options.in_process)
-    with cli_view.companion(asked=how["view"], stays=not (quiet or as_json)) as page:
+    with cli_view.page_process(asked=how["view"], stays=not (quiet or as_json)) as page:
         result = execute(loaded, replace(options, on_published=page.published if page else None), terminal)
         if page is not None and result.directory is not None:
             page.over(result.directory)

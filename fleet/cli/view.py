@@ -14,7 +14,7 @@ from fleet.cli.log_argument import RUNS
 from fleet.cli.types import Whole
 
 if TYPE_CHECKING:
-    from fleet.view.companion import Companion
+    from fleet.view.page_process import PageProcess
     from fleet.view.source import LiveSource, LogSource
 
 EPILOG = "Exit status: 0 done, 2 usage or a bad file, 3 no connection or no port, 129 terminal closed, 130 Ctrl-C."
@@ -107,15 +107,15 @@ def show_page(
     from fleet.terminal.folding import say
     from fleet.view.live_feed import LiveFeed
     from fleet.view.log_feed import LogFeed
-    from fleet.view.server import Browser, is_loopback, open_door, serve
+    from fleet.view.server import Browser, is_loopback, open_listener, serve
     from fleet.view.source import LiveSource
 
-    door = open_door(host, port)
+    listener = open_listener(host, port)
     if not is_loopback(host):
         may = "watch" if not may_act else "watch the run, and disturb it"
         say(f"warning: whoever knows this address may {may}, and it travels unencrypted: keep to a network that you "
             "trust, or use ssh -L", err=True)  # fmt: skip
-    with closing(door.listening):
+    with closing(listener.listening):
         feed: LiveFeed | LogFeed
         if isinstance(source, LiveSource):
             feed = LiveFeed(source)
@@ -123,16 +123,16 @@ def show_page(
             feed = LogFeed(source.path, rate, loop=loop)
             feed.seek(feed.first_failure_s())
         what = "live run" if feed.live else "log"
-        click.echo(f"{what} {feed.name}, until Ctrl-C:\n  {door.address}")
-        with closing(Browser(door.address)) as opened:
+        click.echo(f"{what} {feed.name}, until Ctrl-C:\n  {listener.address}")
+        with closing(Browser(listener.address)) as opened:
             if browser:
                 opened.open()
-            serve(feed, door, may_act=may_act)
+            serve(feed, listener, may_act=may_act)
     raise KeyboardInterrupt
 
 
 @contextmanager
-def companion(*, asked: bool, stays: bool) -> Iterator[Companion | None]:
+def page_process(*, asked: bool, stays: bool) -> Iterator[PageProcess | None]:
     """The page of the run that is made within, where one is asked for.
 
     It is to be told when the journal of the run can be read, and when the run is over.
@@ -145,12 +145,12 @@ def companion(*, asked: bool, stays: bool) -> Iterator[Companion | None]:
         return
     from contextlib import closing, suppress
 
-    from fleet.view.companion import Companion
-    from fleet.view.server import Browser, open_door
+    from fleet.view.page_process import PageProcess
+    from fleet.view.server import Browser, open_listener
 
-    door = open_door()
-    click.echo(f"the run in the browser: {door.address}", err=True)
-    with closing(Companion(door)) as page, closing(Browser(door.address)) as browser:
+    listener = open_listener()
+    click.echo(f"the run in the browser: {listener.address}", err=True)
+    with closing(PageProcess(listener)) as page, closing(Browser(listener.address)) as browser:
         browser.open()
         yield page
         if stays and sys.stdin.isatty() and sys.stderr.isatty():

@@ -28,6 +28,13 @@ class Value(NamedTuple):
     unit: str
 
 
+def decoded(cls: Any, data: bytes) -> Any:
+    """A message of a class of protobuf. Raises DecodeError: it is damaged, or larger than MOST_DECODED."""
+    if len(data) > MOST_DECODED:
+        raise DecodeError(f"a message of {len(data)} bytes, more than the {MOST_DECODED} that are decoded")
+    return cls.FromString(data)
+
+
 class Decoder:
     """Decodes what a reader yields. What is not protobuf, or not readable as such, is one field of bytes."""
 

@@ -6,6 +6,7 @@ Declared is what reports and pictures need; what else stands in the file is left
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from math import isfinite
 from pathlib import Path
 from typing import Annotated, Any
@@ -150,3 +151,16 @@ def _finite(text: str) -> float | None:
 
 def _beside(log: Path) -> Path:
     return log.parent / "result.json"
+
+
+def outcome_words(status: str, passed: Sequence[bool]) -> str:
+    """A run in a few words, the same on every page and picture.
+
+    Args:
+        status: of the result.
+        passed: of each check that was judged.
+    """
+    failed = sum(not one for one in passed)
+    if status == "pass":
+        return "failed as expected" if failed else "passed"
+    return f"{failed} of {len(passed)} checks failed" if failed else status.replace("_", " ")

@@ -22,7 +22,7 @@ from fleet.logs.records import Array
 from fleet.logs.topic import Topic
 from fleet.pictures.axes import MOST_NAMED, Get, draw_lines, finish, over_time
 from fleet.pictures.failures import COLOUR
-from fleet.pictures.runs import NothingToDraw, Run, View, ViewError, check_view
+from fleet.pictures.runs import NothingToDraw, PictureError, Run, View, check_view
 from fleet.pictures.thresholds import Threshold, draw_thresholds
 from fleet.scenario.schema.checks import SignalCheck
 from fleet.scenario.sections.checked_signals import checked_signals
@@ -54,7 +54,7 @@ def signals_of_checks(runs: Sequence[Run]) -> list[SignalName]:
 
 
 def need(runs: Sequence[Run], name: SignalName) -> None:
-    """Raises ViewError: no log has this signal, or this vehicle."""
+    """Raises PictureError: no log has this signal, or this vehicle."""
     if name.vehicle is not None:
         check_view(runs, View((name.vehicle,)))
     if any(_find(run, name) for run in runs):
@@ -65,7 +65,7 @@ def need(runs: Sequence[Run], name: SignalName) -> None:
     if not hint:
         some = group or known
         hint = f"there are {', '.join(dict.fromkeys(some))}" if some else "the log has no signals"
-    raise ViewError(f"there is no signal {name.name}; {hint}")
+    raise PictureError(f"there is no signal {name.name}; {hint}")
 
 
 def picture(name: SignalName) -> Callable[[Sequence[Run], View], Figure]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -86,42 +86,60 @@ def draw_lines(
     notes = []
     too_fast = False
     for r, (run, found) in enumerate(zip(runs, each, strict=True)):
+        of_run: dict[str, Any] = {"color": COLOURS[r % len(COLOURS)], "linestyle": STYLES[r % len(STYLES)]}
         vehicles = run.vehicles(view)
         reported = sorted({i for signals in found for i in signals})
-        of_run: dict[str, Any] = {"color": COLOURS[r % len(COLOURS)], "linestyle": STYLES[r % len(STYLES)]}
-        looks: dict[int, dict[str, Any]]  # of a line per vehicle
         if len(vehicles) > MOST_NAMED:
-            spreads = [spread(signals) if signals else None for signals in found]
-            for (ax, _), one in zip(panel, spreads, strict=True):
-                if one is not None:
-                    draw_band(ax, one, of_run["color"], of_run["linestyle"])
-            named = [] if by_run else outliers([one for one in spreads if one is not None], log)
-            looks = {i: outlier_style(k) for k, i in enumerate(named)}
-            entries = band_legend(len(reported), named)
+            styles, entries = _draw_bands([ax for ax, _ in panel], found, of_run, log, name=not by_run)
         elif by_run:
-            looks = {i: of_run | {"linewidth": THIN} for i in reported}
+            styles = {i: of_run | {"linewidth": THIN} for i in reported}
         else:
-            looks = {i: {"color": COLOURS[k], "linestyle": STYLES[k]} for k, i in enumerate(vehicles) if i in reported}
-            entries = [Line2D([], [], label=f"UUV {i}", **look) for i, look in looks.items()]
+            styles = {i: {"color": COLOURS[k], "linestyle": STYLES[k]} for k, i in enumerate(vehicles) if i in reported}
+            entries = [Line2D([], [], label=f"UUV {i}", **one) for i, one in styles.items()]
         for (ax, _), signals in zip(panel, found, strict=True):
             whole = 0.0 if exact else reach(signals.values(), log)
-            for i in sorted(signals.keys() & looks.keys()):
-                too_fast |= _draw_line(ax, f"{run.slug}-vehicle-{i}", signals[i], whole, log, looks[i] | style)
+            for i in sorted(signals.keys() & styles.keys()):
+                too_fast |= _draw_line(ax, f"{run.slug}-vehicle-{i}", signals[i], whole, log, styles[i] | style)
         if silent := [i for i in vehicles if i not in reported]:
             notes.append(f"{run.label + ': ' if by_run else ''}not reported by UUV {first_words(silent)}")
     if too_fast:
         notes.append("shaded: oscillates too fast to be drawn; line: its mean")
-    if by_run:  # in words, too: what a dash means is not seen in a short sample of it
-        legend_of(
-            figure,
-            [
-                (f"{STYLE_NAMES[r % len(STYLES)]}: {run.label}", COLOURS[r % len(COLOURS)], STYLES[r % len(STYLES)])
-                for r, run in enumerate(runs)
-            ],
-        )
+    if by_run:
+        _legend_of_runs(figure, runs)
     elif len(entries) > 1:
         marks_legend(figure, entries)
     return notes
+
+
+def _draw_bands(
+    axes: Sequence[Axes], found: Sequence[Mapping[int, Series]], style: dict[str, Any], log: bool, *, name: bool
+) -> tuple[dict[int, dict[str, Any]], list[Artist]]:
+    """A band of the many vehicles of a run on each axis.
+
+    Args:
+        found: the series of each vehicle, for each axis.
+        style: colour and dashes of the run.
+        name: whether outliers are drawn and named.
+
+    Returns:
+        the style of the line of each outlier, and the entries of the legend.
+    """
+    spreads = [spread(signals) if signals else None for signals in found]
+    for ax, one in zip(axes, spreads, strict=True):
+        if one is not None:
+            draw_band(ax, one, style["color"], style["linestyle"])
+    named = outliers([one for one in spreads if one is not None], log) if name else []
+    reported = {i for signals in found for i in signals}
+    return {i: outlier_style(k) for k, i in enumerate(named)}, band_legend(len(reported), named)
+
+
+def _legend_of_runs(figure: Figure, runs: Sequence[Run]) -> None:
+    """Each run by its colour, and by its dashes in words: what a dash means is not seen in a short sample of it."""
+    rows = []
+    for r, run in enumerate(runs):
+        k = r % len(STYLES)
+        rows.append((f"{STYLE_NAMES[k]}: {run.label}", COLOURS[r % len(COLOURS)], STYLES[k]))
+    legend_of(figure, rows)
 
 
 def _draw_line(ax: Axes, gid: str, series: Series, whole: float, log: bool, style: dict[str, Any]) -> bool:

@@ -25,7 +25,7 @@ Series = tuple[Array, Array]  # times [s], values
 
 
 @dataclass(frozen=True, slots=True)
-class Spread:
+class Band:
     """What many vehicles do in each of some intervals of time; arrays of one length."""
 
     t: Array  # s
@@ -37,7 +37,7 @@ class Spread:
     means: dict[int, Array]  # vehicle -> its mean, NaN where it has none
 
 
-def spread(series: Mapping[int, Series]) -> Spread:
+def spread(series: Mapping[int, Series]) -> Band:
     """The spread of signals of vehicles; short peaks stay within its extremes."""
     times = np.unique(np.concatenate([t[np.isfinite(t)] for t, _ in series.values()]))
     if len(times) > _BINS:
@@ -59,10 +59,10 @@ def spread(series: Mapping[int, Series]) -> Spread:
     table = np.array(list(means.values()))[:, known]
     most_low, median, most_high = np.nanpercentile(table, (10, 50, 90), axis=0)
     named = {i: mean[known] for i, mean in means.items()}
-    return Spread(middle[known], low[known], high[known], most_low, most_high, median, named)
+    return Band(middle[known], low[known], high[known], most_low, most_high, median, named)
 
 
-def outliers(panels: Sequence[Spread], log: bool) -> list[int]:
+def outliers(panels: Sequence[Band], log: bool) -> list[int]:
     """The vehicles that are farthest from the median on average over time and panels, the worst first.
 
     Args:
@@ -84,7 +84,7 @@ def outliers(panels: Sequence[Spread], log: bool) -> list[int]:
     return sorted(score, key=lambda i: (-score[i], i))[:NAMED]
 
 
-def draw_band(ax: Axes, found: Spread, colour: str = COLOURS[0], style: Any = "-") -> None:
+def draw_band(ax: Axes, found: Band, colour: str = COLOURS[0], style: Any = "-") -> None:
     """The band of all vehicles, that of most, and the median."""
     ax.fill_between(found.t, found.low, found.high, color=colour, alpha=_ALL, linewidth=0, gid="band-all")
     ax.fill_between(found.t, found.most_low, found.most_high, color=colour, alpha=_MOST, linewidth=0, gid="band-most")

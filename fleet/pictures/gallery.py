@@ -7,11 +7,10 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from fleet.errors import FleetError
 from fleet.logs.reader import Tell
 from fleet.logs.topic import TooLargeError
 from fleet.pictures import any_signal, exchange, shares, time_series, timing, track
-from fleet.pictures.runs import NothingToDraw, Run, View, origin
+from fleet.pictures.runs import NothingToDraw, PictureError, Run, View, origin
 from fleet.pictures.style import save
 from fleet.scenario.sections.signals import parse_name
 
@@ -45,7 +44,7 @@ PER_RUN = frozenset({"links", "messages", "timing"})  # those that show one run 
 
 
 def check_signals(what: Sequence[str], runs: Sequence[Run]) -> None:
-    """Raises ViewError: a signal among what is asked for is in none of the logs."""
+    """Raises PictureError: a signal among what is asked for is in none of the logs."""
     single = {picture[0] for pictures in WHAT.values() for picture in pictures}
     for word in what:
         if word not in WHAT and word not in single and (name := parse_name(word)) is not None:
@@ -135,7 +134,3 @@ def write(
             f"cannot write pictures to {folder}: {error.strerror}; choose another place with -o DIR"
         ) from error
     return paths
-
-
-class PictureError(FleetError):
-    """The pictures cannot be written."""

@@ -12,18 +12,14 @@ from typing import Any, NamedTuple
 
 from matplotlib.figure import Figure
 
-from fleet.errors import FleetError
+from fleet.pictures.runs import PictureError
 from fleet.pictures.style import DPI
 from fleet.pictures.whole_file import whole_file
 
 _SHARED = ("page.html", "parts.html")
 
 
-class ReportError(FleetError):
-    """The report cannot be written."""
-
-
-class Picture(NamedTuple):
+class PageImage(NamedTuple):
     """One picture of the page; `png` in base 64."""
 
     title: str
@@ -31,10 +27,10 @@ class Picture(NamedTuple):
     wide: bool = False  # it is wider than a column
 
 
-class Pictures(NamedTuple):
+class SectionImages(NamedTuple):
     """The pictures of a section, and what could not be drawn, with the reason."""
 
-    drawn: list[Picture]
+    drawn: list[PageImage]
     missing: list[str]
 
 
@@ -45,20 +41,20 @@ def check_place(path: Path, *, force: bool) -> None:
         force: whether it shall be replaced.
 
     Raises:
-        ReportError: there is a file.
+        PictureError: there is a file.
     """
     if path.is_file() and not force:
-        raise ReportError(f"{path} already exists; choose another place with -o FILE, or replace it with --force")
+        raise PictureError(f"{path} already exists; choose another place with -o FILE, or replace it with --force")
 
 
 def write_page(path: Path, make: Callable[[], str]) -> None:
-    """Write the page that `make` returns. Raises ReportError: the place cannot be written."""
+    """Write the page that `make` returns. Raises PictureError: the place cannot be written."""
     try:
         with whole_file(path) as part:
             part.open("a").close()  # before the pictures, which take a while
             part.write_text(make(), "utf-8", errors="replace")  # of a name that is no text
     except OSError as error:
-        raise ReportError(f"cannot write {path}: {error.strerror}; choose another place with -o FILE") from error
+        raise PictureError(f"cannot write {path}: {error.strerror}; choose another place with -o FILE") from error
 
 
 def render(room: str, template: str, **values: Any) -> str:

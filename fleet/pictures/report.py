@@ -11,10 +11,10 @@ from typing import Any
 
 from fleet.logs.payload_kinds import count_kinds
 from fleet.logs.reader import Tell, digest
-from fleet.logs.result_file import ResultError, read_result
+from fleet.logs.result_file import ResultError, outcome_words, read_result
 from fleet.logs.run_name import begun_at, run_name
 from fleet.pictures.gallery import PER_RUN, WHAT, draw
-from fleet.pictures.page import Picture, Pictures, png, render, write_page
+from fleet.pictures.page import PageImage, SectionImages, png, render, write_page
 from fleet.pictures.report_scenario import conditions_note, conditions_table, network_facts, scenario_facts
 from fleet.pictures.report_tables import (
     Mark,
@@ -47,7 +47,7 @@ class RunResult:
 
 
 @dataclass(frozen=True, slots=True)
-class RunSection:
+class ReportSection:
     """What the page shows of one run."""
 
     anchor: str
@@ -62,12 +62,12 @@ class RunSection:
     no_verdicts: str  # why there are none; "" if there are
     status: Mark | None
     reason: str
-    first: Picture | None  # that shows best what was found
+    first: PageImage | None  # that shows best what was found
     checks: Table
     faults: Table
     events: Table  # of vehicles
     tables: list[tuple[str, Table]]  # with their headings
-    pictures: Pictures
+    pictures: SectionImages
     place: str  # of the log, as a shell reads it
     metadata: Table
     scenario_text: str
@@ -77,7 +77,7 @@ def write(path: Path, runs: Sequence[Run], view: View, share: Tell = lambda _: N
     """Write the page; `share` is called with the share that is done of a digest or of the pictures.
 
     Raises:
-        ReportError: the place cannot be written.
+        PictureError: the place cannot be written.
         LogReadError: a log has gone meanwhile.
     """
     write_page(path, lambda: page(runs, view, share))
@@ -103,7 +103,7 @@ def page(runs: Sequence[Run], view: View, share: Tell = lambda _: None) -> str:
     )
 
 
-def _section(number: int, run: Run, result: RunResult, kinds: Sequence[str], view: View, share: Tell) -> RunSection:
+def _section(number: int, run: Run, result: RunResult, kinds: Sequence[str], view: View, share: Tell) -> ReportSection:
     """The section of a run: `number` counts from 1; 0 for the only one."""
     log, scenario, values = run.log, run.scenario, result.values or {}
     name, path = run_name(log.path), log.path.resolve()
@@ -120,7 +120,7 @@ def _section(number: int, run: Run, result: RunResult, kinds: Sequence[str], vie
     faults = [(fault.id, f"{fault.begin:g}", f"{fault.end:g}", fault.what) for fault in log.faults]
     events = vehicle_events((event.what, event.begin) for event in log.events)
     first, pictures = _pictures(kinds, [run], view, share, [] if number else telling(run))
-    return RunSection(
+    return ReportSection(
         anchor=f"run-{number}",
         name=name,
         missing=log.missing,
@@ -146,9 +146,8 @@ def _section(number: int, run: Run, result: RunResult, kinds: Sequence[str], vie
 
 
 def _status(values: dict[str, Any]) -> Mark:
-    passed, word = values["status"] == "pass", values["status"].replace("_", " ")
-    expected = passed and not all(check["passed"] for check in values["checks"])
-    return Mark(passed, "pass: a check fails, as expected" if expected else word)
+    checks = [check["passed"] for check in values["checks"]]
+    return Mark(values["status"] == "pass", outcome_words(values["status"], checks))
 
 
 def _result(run: Run, share: Tell) -> RunResult:
@@ -236,13 +235,13 @@ def _from_log(run: Run) -> tuple[dict[str, Any], dict[str, Any]]:
 
 def _pictures(
     kinds: Sequence[str], runs: Sequence[Run], view: View, share: Tell, first: Sequence[str] = ()
-) -> tuple[Picture | None, Pictures]:
+) -> tuple[PageImage | None, SectionImages]:
     """The first picture of those names that is drawn, and all others."""
-    drawn, missing = dict[str, Picture](), []
+    drawn, missing = dict[str, PageImage](), []
     for name, title, figure in draw(kinds, runs, view, share):
         if isinstance(figure, str):
             missing.append(f"{name}: {figure}")
         else:
-            drawn[name] = Picture(title, png(figure))
+            drawn[name] = PageImage(title, png(figure))
     top = next((drawn.pop(name) for name in first if name in drawn), None)
-    return top, Pictures(list(drawn.values()), missing + [note for run in runs for note in run.notes])
+    return top, SectionImages(list(drawn.values()), missing + [note for run in runs for note in run.notes])

@@ -19,7 +19,7 @@ from fleet.logs.reader import check_readable, digest
 from fleet.logs.records import Array
 from fleet.logs.result_file import ResultError, read_result
 from fleet.logs.run_name import run_name
-from fleet.pictures.style import Origin
+from fleet.pictures.style import Provenance
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.sections.signals import GROUPS
 
@@ -39,20 +39,20 @@ class View:
     window: tuple[float, float] | None = None  # s
 
 
-class ViewError(FleetError):
-    """What was asked to be shown is in none of the logs."""
+class PictureError(FleetError):
+    """What was asked for is in none of the logs, or cannot be written."""
 
 
 def check_view(runs: Sequence[Run], view: View) -> None:
-    """Raises ViewError: there is no such vehicle, or the logs end before the window begins."""
+    """Raises PictureError: there is no such vehicle, or the logs end before the window begins."""
     known = sorted({i for run in runs for i in run.log.vehicles})
     strangers = [i for i in view.vehicles or () if i not in known]
     if strangers:
         there = f"they are {first_words(known, 12)}" if known else "there are none in the log"
-        raise ViewError(f"there is no vehicle {first_words(strangers)}: {there}")
+        raise PictureError(f"there is no vehicle {first_words(strangers)}: {there}")
     end = max(run.log.end for run in runs)
     if view.window is not None and view.window[0] >= end:
-        raise ViewError(f"there is nothing from {view.window[0]:g} s on: the log ends at {end:g} s")
+        raise PictureError(f"there is nothing from {view.window[0]:g} s on: the log ends at {end:g} s")
 
 
 @dataclass
@@ -171,11 +171,11 @@ def with_gaps(t: Array, values: Array, step: float = 0.0) -> tuple[Array, Array]
     return np.insert(t, holes + 1, np.nan), np.insert(values, holes + 1, np.nan, axis=0)
 
 
-def origin(runs: Sequence[Run], title: str) -> Origin:
+def origin(runs: Sequence[Run], title: str) -> Provenance:
     """What the file of a picture says: scenario, seed and digest of each run."""
     names = ("scenario", "seed", "digest")
     each = [(run.log.run.get("scenario") or run.label, run.log.run.get("seed", "unknown"), run.digest) for run in runs]
-    return Origin(
+    return Provenance(
         title, tuple((name, " and ".join(of)) for name, of in zip(names, zip(*each, strict=True), strict=True))
     )
 

@@ -96,17 +96,17 @@ def legend(figure: Figure, ax: Axes, columns: int) -> None:
     figure.legend(handles, labels, loc="outside upper center", ncols=columns)
 
 
-class Origin(NamedTuple):
+class Provenance(NamedTuple):
     """Where a picture comes from, as its file says."""
 
     title: str
     facts: tuple[tuple[str, str], ...] = ()  # such as ("scenario", "paper"), ("seed", "1"), ("digest", "f7bb...")
 
 
-NOWHERE = Origin("")
+NOWHERE = Provenance("")
 
 
-def metadata(form: str, origin: Origin = NOWHERE) -> dict[str, Any]:
+def metadata(form: str, origin: Provenance = NOWHERE) -> dict[str, Any]:
     """What a file of a format says of itself: PNG's text, PDF's information, SVG's Dublin Core. Never a date."""
     said = ", ".join(f"{name} {value}" for name, value in origin.facts)
     about = [f"{name}={value}" for name, value in origin.facts]
@@ -119,7 +119,7 @@ def metadata(form: str, origin: Origin = NOWHERE) -> dict[str, Any]:
     return dated | {"Title": origin.title, "Subject": said, "Keywords": "; ".join(about)}
 
 
-def save(figure: Figure, stem: Path, formats: Sequence[str] = ("png",), origin: Origin = NOWHERE) -> list[Path]:
+def save(figure: Figure, stem: Path, formats: Sequence[str] = ("png",), origin: Provenance = NOWHERE) -> list[Path]:
     """Write a figure in the given formats; the same figure gives the same bytes."""
     paths = []
     for form in formats:

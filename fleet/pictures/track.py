@@ -7,13 +7,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.artist import Artist
+from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Circle
 from matplotlib.ticker import MaxNLocator
-from mpl_toolkits.mplot3d.art3d import Line3DCollection
+from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
 
 from fleet.logs.records import Array
 from fleet.palette import COLOURS
@@ -22,21 +23,24 @@ from fleet.pictures.bands import outliers, spread
 from fleet.pictures.runs import NothingToDraw, Run, View
 from fleet.pictures.style import COLUMN_IN, LABEL_PT, LEGEND_PT, NORMAL, STYLE_NAMES, STYLES, THIN
 from fleet.pictures.track_marks import Happening, directions, happenings, places, told
+from fleet.scene.model import SceneModel
+from fleet.scene.primitives import CylinderShape, LineShape, Primitive
+from fleet.scene.styles import COURSE, PRINT
 
 SHAPES = 5  # moments at which the formation is drawn
 GREY = "0.6"
 CROWD = 40  # with more vehicles than this only the named ones are numbered and have marks
 _MOST_EDGES = 60  # of the graph that are drawn as the formation's shape
-_REFERENCE_POINTS = 400
 _TALL = 1.3  # times as high as wide: then the legend stands beside the tracks
 _EXAGGERATIONS = (1, 2, 5, 10, 20, 50, 100)
 _MARK = 3.5  # pt
 _FAINT: dict[str, Any] = {"linewidths": 0.3, "alpha": 0.4, "zorder": 2, "gid": "others"}
 _CYLINDER: dict[str, Any] = {"facecolor": "0.85", "edgecolor": "0.4", "linewidth": 0.5, "zorder": 1, "gid": "obstacle"}
+_LINE: dict[str, Any] = {"color": PRINT.colour(COURSE), "linewidth": THIN, "linestyle": ":", "gid": "reference"}
 _DOTS: dict[str, Any] = {"s": 1.5, "linewidths": 0, "zorder": 2, "gid": "ends"}
 
 
-class Track(NamedTuple):
+class VehicleTrack(NamedTuple):
     """A vehicle's way, and how it is drawn."""
 
     run: Run
@@ -50,27 +54,59 @@ class Track(NamedTuple):
 def top(runs: Sequence[Run], view: View) -> Figure:
     """North over east, to scale."""
     tracks, entries = _tracks(runs, view)
-    wanted = [(run, places(run, view)) for run in runs]
-    ends = [list(found.values()) for _, found in wanted if found]
-    low, high = _extent([*(track.positions for track in tracks), *map(np.array, ends)])
+    wanted = [places(run, view) for run in runs]
+    low, high = _extent([*(track.positions for track in tracks), *(np.array([*w.values()]) for w in wanted if w)])
+    figure, ax, tall = _sheet(low, high)
+    edges = [edge for run in runs for edge in _shapes(run, view)]
+    for a, b in edges:
+        ax.plot([a[1], b[1]], [a[0], b[0]], color="0.78", linewidth=0.5, zorder=1, gid="formation")
+    standing = _standing(runs, view)
+    for thing in standing:
+        _paint(ax, thing)
+    distinct = _draw_from_above(ax, tracks)
+    for place in (place for w in wanted for i, place in w.items() if i in distinct):
+        ax.plot(place[1], place[0], "+", color="black", markersize=6, markeredgewidth=THIN, zorder=5, gid="place")
+    happened = _happened(runs, view, tracks)
+    for one, colour in happened:
+        ax.plot(one.position[1], one.position[0], one.mark, color=colour, markeredgecolor="black", markeredgewidth=0.5,
+                markersize=6, zorder=6, gid=f"{one.what}-{one.vehicle}")  # fmt: skip
+    entries += _explained(happened, runs, standing, linked=bool(edges), flat=True)
+    _finish(figure, runs, [one for one, _ in happened], [])
+    if tall:
+        figure.legend(handles=entries, loc="outside right upper", handlelength=1.8)
+    else:
+        marks_legend(figure, entries)
+    return figure
+
+
+def _sheet(low: Array, high: Array) -> tuple[Figure, Axes, bool]:
+    """A figure as large as what it shows asks for, and whether that is tall: then the legend stands beside it."""
     tall = (high - low)[0] > _TALL * (high - low)[1]
     room = 1.7 if tall else 2.85  # in, for the axes
     height = float(np.clip(room * (high - low)[0] / (high - low)[1], 1.0, 4.2))
     figure = Figure(figsize=(COLUMN_IN, height + (0.75 if tall else 1.0)), layout="compressed")
     FigureCanvasAgg(figure)
     ax = figure.add_subplot()
-    edges = [edge for run in runs for edge in _shapes(run, view)]
-    for a, b in edges:
-        ax.plot([a[1], b[1]], [a[0], b[0]], color="0.78", linewidth=0.5, zorder=1, gid="formation")
-    cylinders = _cylinders(runs)
-    for (north, east), radius in cylinders:
-        ax.add_patch(Circle((east, north), radius, **_CYLINDER))
-    for run in runs:
-        reference = _reference(run, view)
-        if reference is not None:
-            ax.plot(
-                reference[:, 1], reference[:, 0], color="0.4", linewidth=THIN, linestyle=":", zorder=1, gid="reference"
-            )
+    ax.set_xlim(low[1], high[1])
+    ax.set_ylim(low[0], high[0])
+    ax.set_aspect("equal", adjustable="box")
+    ax.xaxis.set_major_locator(MaxNLocator(4 if tall else 6))
+    ax.set_xlabel("east [m]")
+    ax.set_ylabel("north [m]")
+    return figure, ax, tall
+
+
+def _paint(ax: Any, thing: Primitive) -> None:
+    """Paint what stands still, from above."""
+    match thing:
+        case CylinderShape(north=north, east=east, radius=radius):
+            ax.add_patch(Circle((east, north), radius, **_CYLINDER))
+        case LineShape(points=points):
+            ax.plot([p.east for p in points], [p.north for p in points], **_LINE, zorder=1)
+
+
+def _draw_from_above(ax: Axes, tracks: list[VehicleTrack]) -> set[int]:
+    """The ways; returns the vehicles that are drawn one by one."""
     many = len({track.vehicle for track in tracks}) > MOST_NAMED
     others, distinct = _apart(tracks)
     if others:
@@ -92,63 +128,39 @@ def top(runs: Sequence[Run], view: View) -> Figure:
         if many:
             ax.annotate(str(track.vehicle), (p[-1, 1], p[-1, 0]), xytext=(3, 1), textcoords="offset points",
                         fontsize=LABEL_PT, color="0.25", gid="number")  # fmt: skip
-    marked = {track.vehicle for track in distinct}
-    for _, found in wanted:
-        for place in (place for i, place in found.items() if i in marked):
-            ax.plot(place[1], place[0], "+", color="black", markersize=6, markeredgewidth=THIN, zorder=5, gid="place")
-    happened = _happened(runs, view, tracks)
-    for one, colour in happened:
-        ax.plot(one.position[1], one.position[0], one.mark, color=colour, markeredgecolor="black", markeredgewidth=0.5,
-                markersize=6, zorder=6, gid=f"{one.what}-{one.vehicle}")  # fmt: skip
-    ax.set_xlim(low[1], high[1])
-    ax.set_ylim(low[0], high[0])
-    ax.set_aspect("equal", adjustable="box")
-    ax.xaxis.set_major_locator(MaxNLocator(4 if tall else 6))
-    ax.set_xlabel("east [m]")
-    ax.set_ylabel("north [m]")
-    if cylinders:
-        face = {"markerfacecolor": _CYLINDER["facecolor"], "markeredgecolor": _CYLINDER["edgecolor"]}
-        entries.append(Line2D([], [], linestyle="", marker="o", markersize=6, label="obstacle", **face))
-    entries += _explained(happened, runs, linked=bool(edges), flat=True)
-    _finish(figure, runs, [one for one, _ in happened], [])
-    if tall:
-        figure.legend(handles=entries, loc="outside right upper", handlelength=1.8)
-    else:
-        marks_legend(figure, entries)
-    return figure
+    return {track.vehicle for track in distinct}
 
 
 def space(runs: Sequence[Run], view: View) -> Figure:
     """East, north and depth; east and north have one scale, and it is said how much larger that of depth is."""
     tracks, entries = _tracks(runs, view)
-    low, high = _extent([track.positions for track in tracks])
+    standing = _standing(runs, view)
+    courses = [np.array([point[1:] for point in thing.points]) for thing in standing if isinstance(thing, LineShape)]
+    low, high = _extent([*(track.positions for track in tracks), *courses])
     figure = Figure(figsize=(COLUMN_IN, 3.4), layout="constrained")
     FigureCanvasAgg(figure)
     ax: Any = figure.add_subplot(projection="3d")
+    factor = _turn(ax, low, high)
     edges = [edge for run in runs for edge in _shapes(run, view)]
     for a, b in edges:
         ax.plot([a[1], b[1]], [a[0], b[0]], [a[2], b[2]], color="0.78", linewidth=0.5, gid="formation")
-    for run in runs:
-        reference = _reference(run, view)
-        if reference is not None:
-            ax.plot(*reference[:, [1, 0, 2]].T, color="0.4", linewidth=THIN, linestyle=":", gid="reference")
-    others, distinct = _apart(tracks)
-    if others:
-        colours = [track.colour for track in others]
-        lines = [track.positions[:, [1, 0, 2]] for track in others]
-        ax.add_collection3d(Line3DCollection(lines, colors=colours, **_FAINT))
-        ax.scatter(*_ends(others)[:, [1, 0, 2]].T, c=colours, **_DOTS)
-    for track in distinct:
-        p, colour = track.positions, track.colour
-        ax.plot(p[:, 1], p[:, 0], p[:, 2], color=colour, linestyle=track.style, linewidth=NORMAL,
-                gid=f"vehicle-{track.vehicle}")  # fmt: skip
-        ax.plot(p[:1, 1], p[:1, 0], p[:1, 2], "o", color=colour, markersize=_MARK, markerfacecolor="white")
-        ax.plot(p[-1:, 1], p[-1:, 0], p[-1:, 2], "o", color=colour, markersize=_MARK)
+    for thing in standing:
+        _paint_in_space(ax, thing)
+    _draw_in_space(ax, tracks)
     happened = _happened(runs, view, tracks)
     for one, colour in happened:
         x, y, z = one.position
         ax.plot([y], [x], [z], one.mark, color=colour, markeredgecolor="black", markeredgewidth=0.5, markersize=6,
                 gid=f"{one.what}-{one.vehicle}")  # fmt: skip
+    entries += _explained(happened, runs, standing, linked=bool(edges), flat=False)
+    scale = f"depth exaggerated {factor} times" if factor > 1 else "depth to scale"
+    _finish(figure, runs, [one for one, _ in happened], [scale])
+    marks_legend(figure, entries)
+    return figure
+
+
+def _turn(ax: Any, low: Array, high: Array) -> int:
+    """Let the axes show all of it; returns how many times larger depth is drawn than the plane."""
     across = high - low
     across[2] = max(across[2], 0.5)  # m: otherwise a flat course looks rough
     factor = exaggeration(max(across[:2]), across[2])
@@ -164,11 +176,39 @@ def space(runs: Sequence[Run], view: View) -> Figure:
     # The longer side to the right, so that the box fills the picture.
     ax.view_init(elev=28, azim=-60 if across[1] >= across[0] else -25)
     ax.set_box_aspect((across[1], across[0], factor * across[2]), zoom=0.85)
-    entries += _explained(happened, runs, linked=bool(edges), flat=False)
-    scale = f"depth exaggerated {factor} times" if factor > 1 else "depth to scale"
-    _finish(figure, runs, [one for one, _ in happened], [scale])
-    marks_legend(figure, entries)
-    return figure
+    ax.autoscale(False)
+    return factor
+
+
+def _paint_in_space(ax: Any, thing: Primitive) -> None:
+    """Paint what stands still, in three dimensions."""
+    match thing:
+        case CylinderShape(north=north, east=east, radius=radius):
+            turns = np.linspace(0.0, 2.0 * np.pi, 37)
+            x, y = east + radius * np.cos(turns), north + radius * np.sin(turns)
+            ends = ax.get_zlim()
+            faces = [np.column_stack([x, y, np.full_like(x, z)]) for z in ends]
+            ax.add_collection3d(Poly3DCollection(faces, alpha=0.5, **_CYLINDER))
+            for k in range(0, 36, 9):
+                ax.plot([x[k]] * 2, [y[k]] * 2, ends, color=_CYLINDER["edgecolor"], linewidth=_CYLINDER["linewidth"])
+        case LineShape(points=points):
+            ax.plot(*zip(*((p.east, p.north, p.down) for p in points), strict=True), **_LINE)
+
+
+def _draw_in_space(ax: Any, tracks: list[VehicleTrack]) -> None:
+    """The ways, with their beginnings and ends."""
+    others, distinct = _apart(tracks)
+    if others:
+        colours = [track.colour for track in others]
+        lines = [track.positions[:, [1, 0, 2]] for track in others]
+        ax.add_collection3d(Line3DCollection(lines, colors=colours, **_FAINT))
+        ax.scatter(*_ends(others)[:, [1, 0, 2]].T, c=colours, **_DOTS)
+    for track in distinct:
+        p, colour = track.positions, track.colour
+        ax.plot(p[:, 1], p[:, 0], p[:, 2], color=colour, linestyle=track.style, linewidth=NORMAL,
+                gid=f"vehicle-{track.vehicle}")  # fmt: skip
+        ax.plot(p[:1, 1], p[:1, 0], p[:1, 2], "o", color=colour, markersize=_MARK, markerfacecolor="white")
+        ax.plot(p[-1:, 1], p[-1:, 0], p[-1:, 2], "o", color=colour, markersize=_MARK)
 
 
 def exaggeration(across: float, deep: float) -> int:
@@ -176,9 +216,9 @@ def exaggeration(across: float, deep: float) -> int:
     return max((f for f in _EXAGGERATIONS if f * deep <= 0.6 * across), default=1)
 
 
-def _tracks(runs: Sequence[Run], view: View) -> tuple[list[Track], list[Artist]]:
+def _tracks(runs: Sequence[Run], view: View) -> tuple[list[VehicleTrack], list[Artist]]:
     """The ways in the window, and the entries of a legend that tell them apart."""
-    found: list[Track] = []
+    found: list[VehicleTrack] = []
     for run in runs:
         for i in run.vehicles(view):
             topic = f"uuv/{i}/state"
@@ -188,7 +228,7 @@ def _tracks(runs: Sequence[Run], view: View) -> tuple[list[Track], list[Artist]]
             inside = _inside(state.t, view)
             positions = np.column_stack([state["x"], state["y"], state["z"]])[inside]
             if len(positions):
-                found.append(Track(run, i, state.t[inside], positions, GREY, "-"))
+                found.append(VehicleTrack(run, i, state.t[inside], positions, GREY, "-"))
     if not found:
         raise NothingToDraw("the log has no state of a vehicle in that time")
     shown = sorted({track.vehicle for track in found})
@@ -218,7 +258,7 @@ def _worst(run: Run, shown: Sequence[int]) -> list[int]:
     return sorted(outliers([spread(known)], log=True)) if known else []
 
 
-def _apart(tracks: list[Track]) -> tuple[list[Track], list[Track]]:
+def _apart(tracks: list[VehicleTrack]) -> tuple[list[VehicleTrack], list[VehicleTrack]]:
     """Those that are drawn together because they are many, and those that are drawn one by one.
 
     Together are all that the legend does not name, and of several runs all.
@@ -229,7 +269,7 @@ def _apart(tracks: list[Track]) -> tuple[list[Track], list[Track]]:
     return ([track for track in tracks if track.colour == GREY], named) if len(named) < len(tracks) else (tracks, [])
 
 
-def _ends(tracks: Sequence[Track]) -> Array:
+def _ends(tracks: Sequence[VehicleTrack]) -> Array:
     """Where each of them is at last (tracks, 3) [m, NED]."""
     return np.array([track.positions[-1] for track in tracks])
 
@@ -251,7 +291,7 @@ def _extent(positions: Sequence[Array]) -> tuple[Array, Array]:
     return low, high
 
 
-def _happened(runs: Sequence[Run], view: View, tracks: Sequence[Track]) -> list[tuple[Happening, str]]:
+def _happened(runs: Sequence[Run], view: View, tracks: Sequence[VehicleTrack]) -> list[tuple[Happening, str]]:
     """What happened to the vehicles, with the colour of each one's track."""
     found = []
     for run in runs:
@@ -262,7 +302,12 @@ def _happened(runs: Sequence[Run], view: View, tracks: Sequence[Track]) -> list[
 
 
 def _explained(
-    happened: Sequence[tuple[Happening, str]], runs: Sequence[Run], *, linked: bool, flat: bool
+    happened: Sequence[tuple[Happening, str]],
+    runs: Sequence[Run],
+    standing: Sequence[Primitive],
+    *,
+    linked: bool,
+    flat: bool,
 ) -> list[Artist]:
     """The entries of a legend that say what the marks mean."""
 
@@ -272,7 +317,7 @@ def _explained(
 
     entries: list[Artist] = []
     if any(run.scenario is not None for run in runs):
-        entries.append(Line2D([], [], color="0.4", linewidth=THIN, linestyle=":", label="reference"))
+        entries.append(Line2D([], [], label="reference", **_LINE))
     if linked:
         entries.append(Line2D([], [], color="0.78", linewidth=0.8, label="links"))
     entries += [mark("o", "start", markerfacecolor="white"), mark("o", "end")]
@@ -280,6 +325,9 @@ def _explained(
         entries.append(mark((3, 0, -90.0), "direction"))
         if any(run.scenario is not None for run in runs):
             entries.append(mark("+", "desired end", color="black"))
+    if any(isinstance(thing, CylinderShape) for thing in standing):
+        face = {"markerfacecolor": _CYLINDER["facecolor"], "markeredgecolor": _CYLINDER["edgecolor"]}
+        entries.append(mark("o", "obstacle", markersize=6, **face))
     signs = {one.what: one.mark for one, _ in happened}
     return entries + [mark(sign, what, markeredgecolor="black", markersize=5) for what, sign in signs.items()]
 
@@ -309,16 +357,8 @@ def _shapes(run: Run, view: View) -> list[tuple[Array, Array]]:
     return found
 
 
-def _reference(run: Run, view: View) -> Array | None:
-    """Positions of the reference (points, 3) [m, NED]."""
-    if run.scenario is None:
-        return None
-    first, last = view.window or (0.0, run.log.end)
-    return np.array([run.scenario.reference.at(t).position for t in np.linspace(first, last, _REFERENCE_POINTS)])
-
-
-def _cylinders(runs: Sequence[Run]) -> list[tuple[tuple[float, float], float]]:
-    """North and east of the axis [m], and radius [m], of each obstacle that vehicles were to keep out of."""
-    sections = [run.scenario.spec.keep_apart for run in runs if run.scenario is not None]
-    obstacles = [one for section in sections if section is not None for one in section.obstacles]
-    return sorted({((one.at[0], one.at[1]), one.radius) for one in obstacles})
+def _standing(runs: Sequence[Run], view: View) -> list[Primitive]:
+    """What stands still: the courses of the references within the picture, and each obstacle once."""
+    scenes = [(SceneModel(run.scenario), view.window or (0.0, run.log.end)) for run in runs if run.scenario is not None]
+    obstacles = dict.fromkeys(one for scene, _ in scenes for one in scene.obstacles)
+    return [*obstacles, *(scene.course(*window) for scene, window in scenes)]

@@ -11,6 +11,7 @@ from fleet.logs.records import Array
 from fleet.pictures.runs import Run, View, first_words
 from fleet.quantities import vehicle_numbers
 from fleet.scenario.sections.vehicle_events import DIVERGED, TUMBLED
+from fleet.scene.model import SceneModel
 
 # What begins a fault's text -> (what became of the vehicle, mark).
 MARKS = {"kill": ("agent dead", "X"), TUMBLED: (TUMBLED, "*"), DIVERGED: (DIVERGED, "P")}
@@ -88,6 +89,6 @@ def places(run: Run, view: View) -> dict[int, Array]:
     if run.scenario is None:
         return {}
     t = min(view.window[1] if view.window else run.log.end, run.log.end)
-    reference = np.array(run.scenario.reference.at(t).position)
-    plans = run.scenario.plans
-    return {i: reference + np.array(plans[i - 1].at(t).position) for i in run.vehicles(view) if i <= len(plans)}
+    scene = SceneModel(run.scenario)
+    reference, offsets = np.array(scene.reference(t)), scene.offsets(t)
+    return {i: reference + np.array(offsets[i - 1]) for i in run.vehicles(view) if i <= len(offsets)}

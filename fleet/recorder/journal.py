@@ -41,7 +41,7 @@ class Spell(NamedTuple):
     end: int | None = None
 
 
-class Sink(Protocol):
+class JournalSink(Protocol):
     """Where the journal writes: a log, or memory."""
 
     def frame(self, frame: Frame, commands: Mapping[int, Command], errors: Mapping[int, VehicleError]) -> None: ...
@@ -56,7 +56,7 @@ class Journal:
     def __init__(
         self,
         scenario: Scenario,
-        log: Sink,
+        log: JournalSink,
         whole: AbstractContextManager[None] | None = None,
         checks: OwnChecks | None = None,
     ) -> None:

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterable, Sequence
 from functools import partial
-from math import pi, sqrt
+from math import sqrt
 from typing import Any
 
 from foxglove_schemas_protobuf.Color_pb2 import Color
@@ -27,12 +27,14 @@ from foxglove_schemas_protobuf.SpherePrimitive_pb2 import SpherePrimitive
 from foxglove_schemas_protobuf.TextPrimitive_pb2 import TextPrimitive
 from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
 
-from fleet.palette import COLOURS
-from fleet.recorder.link_state import HISTORY, LinkState, mark_of, state_of
 from fleet.recorder.snapshot import Snapshot
 from fleet.recorder.template import Template, field
-from fleet.recorder.transforms import NO_TURN, REFERENCE, enu
+from fleet.recorder.transforms import NO_TURN, enu
 from fleet.scenario.scenario import Scenario
+from fleet.scene.link_state import HISTORY, LinkState, mark_of, state_of
+from fleet.scene.model import SLENDER, SceneModel, diameter
+from fleet.scene.primitives import REFERENCE, CircleShape, CrossShape, Primitive
+from fleet.scene.styles import FOXGLOVE, NO_AGENT
 from netem.condition import Link
 from netem.wire.messages import Fate, Frame
 from world.vectors import Vec3
@@ -41,23 +43,11 @@ SCENE_UNITS = {
     "entities": ["m", "lengths and positions in each entity's frame; thickness and font_size in pixels"],
 }
 
-WATER = 1025.0  # kg/m^3, sea water: a submerged vehicle weighs what it displaces
-SLENDER = 7.0  # length over diameter, as of the small torpedo-shaped vehicles
 UNHEARD_NS = 500_000_000  # after so long without a command an agent counts as absent
-
-# No black, which vanishes in a viewer's dark theme; vehicles 1 to 4 have the colours of our plots.
-HULLS = tuple(colour for colour in COLOURS if colour != "#000000")
-SILENT = "#808080"
-LINKS = {  # colour, width in pixels: the worse, the wider
-    LinkState.DELIVERING: ("#56B4E9", 2.0),
-    LinkState.LOSING: ("#E69F00", 3.0),
-    LinkState.CUT: ("#D55E00", 5.0),
-    LinkState.SILENT: (SILENT, 1.0),
-}
 
 
 class LinkHistories:
-    """The marks that the last packets of each link left; see `fleet.recorder.link_state`."""
+    """The marks that the last packets of each link left; see `fleet.scene.link_state`."""
 
     def __init__(self, links: Iterable[Link], values: Iterable[Iterable[Any]] = (), begin: int = 0) -> None:
         """Begin with what `values` gave, at tick `begin`."""
@@ -90,10 +80,10 @@ class Scene:
     def __init__(self, scenario: Scenario, start: Snapshot | None = None) -> None:
         """`start`: the snapshot from which the run goes on."""
         self._scenario = scenario
+        self._model = SceneModel(scenario)
         self.links = LinkHistories(scenario.graph.links)
         if start is not None:
             self.links = LinkHistories(scenario.graph.links, start.drawn, start.tick)
-        self._both = frozenset(scenario.graph.links)
         self._seen: Frame | None = None  # the last at which they were asked
         self._commanded: dict[int, int] = {}  # at which tick last
         masses = {i: scenario.controls[i - 1].vehicle.m for i in range(1, scenario.vehicles + 1)}
@@ -103,9 +93,8 @@ class Scene:
             for silent in (False, True)
         }
         self._names = {link: _link(link).SerializeToString() for link in scenario.graph.links}
-        self._lines = {state: Template(partial(_line, state), 6) for state in LINKS}
-        self._diameters = [diameter(mass) for mass in masses.values()]
-        self._places: list[Vec3] = []  # where the vehicles should be in the message before
+        self._lines = {state: Template(partial(_line, state), 6) for state in FOXGLOVE.links}
+        self._offsets: list[Vec3] = []  # where the vehicles should be in the message before
         self._formation = b""  # and how that is drawn
 
     def see(self, frame: Frame, commands: Iterable[int]) -> None:
@@ -123,13 +112,14 @@ class Scene:
         silent = self.silent()
         found = [field(b"\x12", stamp + self._hulls[row.id, row.id in silent]) for row in frame.vehicles]
         t = frame.tick * self._scenario.tick_ns / 1e9
-        origin = self._scenario.reference.at(t).position
+        origin = self._model.reference(t)
         places = {row.id: _relative(row.eta[:3], origin) for row in frame.vehicles}
         for link, name in self._names.items():
             found.append(field(b"\x12", stamp + name + self._line(link, places, silent)))
-        wanted = [enu(plan.at(t).position) for plan in self._scenario.plans]
-        if wanted != self._places:
-            self._places, self._formation = wanted, _formation(wanted, self._diameters).SerializeToString()
+        offsets = self._model.offsets(t)
+        if offsets != self._offsets:
+            self._offsets = offsets
+            self._formation = _formation(self._model.moving(t), self._model.diameters).SerializeToString()
         found.append(field(b"\x12", stamp + self._formation))
         return b"".join(found)
 
@@ -146,7 +136,7 @@ class Scene:
         src, dst = link
         state = LinkState.SILENT if src in silent else self.links.state(link)
         begin, end = places[src], places[dst]
-        if (dst, src) in self._both:
+        if link in self._model.both_ways:
             (x, y, z), (u, v, w) = begin, end
             begin = (x + u) / 2, (y + v) / 2, (z + w) / 2
         return self._lines[state](*begin, *end)
@@ -159,7 +149,7 @@ def _link(link: Link) -> SceneEntity:
 
 def _line(state: LinkState, *ends: float) -> SceneEntity:
     """And what follows: its state, and a line between two points."""
-    colour, width = LINKS[state]
+    colour, width, _ = FOXGLOVE.links[state]
     line = LinePrimitive(
         type=LinePrimitive.LINE_STRIP,
         thickness=width,
@@ -170,17 +160,20 @@ def _line(state: LinkState, *ends: float) -> SceneEntity:
     return SceneEntity(metadata=[KeyValuePair(key="state", value=state.value)], lines=[line])
 
 
-def _formation(places: Sequence[Vec3], diameters: Sequence[float]) -> SceneEntity:
-    """A sphere twice as thick as the vehicle where each should be, and one in the origin, the reference point."""
-    spheres = [_sphere((0.0, 0.0, 0.0), max(diameters), SILENT)]
-    for number, (place, size) in enumerate(zip(places, diameters, strict=True)):
-        spheres.append(_sphere(place, 2.0 * size, HULLS[number % len(HULLS)], 0.5))
+def _formation(things: Iterable[Primitive], diameters: Sequence[float]) -> SceneEntity:
+    """Spheres where the vehicles should be, twice as thick as the vehicle, and one in the reference point.
+
+    Other primitives are left out: what a log holds of a scene keeps its bytes.
+    """
+    spheres = []
+    for thing in things:
+        match thing:
+            case CrossShape(at=at) if at.frame == REFERENCE:
+                spheres.append(_sphere((at.east, at.north, at.down), max(diameters), FOXGLOVE.colour(thing.colour)))
+            case CircleShape(at=at, vehicle=i) if at.frame == REFERENCE:
+                place = enu((at.north, at.east, at.down))
+                spheres.append(_sphere(place, 2.0 * diameters[i - 1], FOXGLOVE.colour(thing.colour), 0.5))
     return SceneEntity(frame_id=REFERENCE, id="formation", frame_locked=True, spheres=spheres)
-
-
-def diameter(mass: float) -> float:
-    """Of a cylinder as slender as ours that displaces `mass` [kg] of sea water [m]."""
-    return float((4.0 * mass / (pi * SLENDER * WATER)) ** (1.0 / 3.0))
 
 
 def hull(i: int, mass: float, silent: bool) -> SceneEntity:
@@ -192,7 +185,7 @@ def hull(i: int, mass: float, silent: bool) -> SceneEntity:
     """
     d = diameter(mass)
     length = SLENDER * d
-    colour = _colour(SILENT if silent else HULLS[(i - 1) % len(HULLS)])
+    colour = _colour(FOXGLOVE.colour(NO_AGENT) if silent else FOXGLOVE.vehicle(i))
     forward = Quaternion(y=sqrt(0.5), w=sqrt(0.5))  # a cylinder's axis is z
 
     def at(x: float, turn: Quaternion = NO_TURN) -> Pose:

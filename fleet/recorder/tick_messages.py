@@ -19,7 +19,8 @@ from agents.signals import SignalLayout
 from fleet.logs.batch import HEAD, MESSAGE, STAMP_BYTES, Batch
 from fleet.logs.schemas import COMMAND, ERROR, ROLL, STATE, Doubles, pose_parts, signal_columns
 from fleet.recorder.metrics import VehicleError
-from fleet.recorder.transforms import NED, quaternion
+from fleet.recorder.transforms import quaternion
+from fleet.scene.primitives import NED
 from netem.wire.messages import Command, Frame
 from world.signal import Signal, width_of
 
@@ -50,7 +51,7 @@ _KEY_PLACES = 32  # what a vehicle takes in the key of a layout, counted in plac
 _Places = NDArray[np.int32]  # in the pool
 
 
-class Topic(NamedTuple):
+class VehicleTopic(NamedTuple):
     """A topic of one vehicle."""
 
     channel: int
@@ -88,7 +89,7 @@ class TickMessages:
 
     def __init__(
         self,
-        topics: Mapping[str, Mapping[int, Topic]],
+        topics: Mapping[str, Mapping[int, VehicleTopic]],
         agents: Mapping[int, SignalLayout],
         plants: Mapping[int, tuple[Signal, ...]],
     ) -> None:

@@ -20,10 +20,11 @@ from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
 
 from fleet.recorder.template import Template, field
 from fleet.scenario.scenario import Scenario
+from fleet.scene.primitives import NED, REFERENCE
 from netem.wire.messages import Frame
 from world.vectors import Vec3
 
-MAP, NED, REFERENCE = "map", "ned", "reference"
+MAP = "map"
 TRANSFORMS_UNITS = {
     "transforms.translation": ["m", "of the child's origin in the parent"],
     "transforms.rotation": ["1", "unit quaternion, child to parent"],

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Protocol
 
-from fleet.recorder.journal import Sink
+from fleet.recorder.journal import JournalSink
 from fleet.recorder.metrics import VehicleError
 from netem.wire.messages import Command, Frame
 
@@ -19,7 +19,7 @@ class Watcher(Protocol):
 class WatchedLog:
     """A sink of the journal that passes everything on."""
 
-    def __init__(self, log: Sink, watcher: Watcher) -> None:
+    def __init__(self, log: JournalSink, watcher: Watcher) -> None:
         self._log, self._watcher = log, watcher
         self.packet, self.event, self.snapshot = log.packet, log.event, log.snapshot
 

@@ -44,7 +44,7 @@ from fleet.recorder.metrics import VehicleError
 from fleet.recorder.packets import packet_data
 from fleet.recorder.scene import SCENE_UNITS, Scene
 from fleet.recorder.snapshot import TOPIC, Snapshot, Start
-from fleet.recorder.tick_messages import TickMessages, Topic
+from fleet.recorder.tick_messages import TickMessages, VehicleTopic
 from fleet.recorder.transforms import TRANSFORMS_UNITS, Transforms
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.sections.log_rates import without_snapshots
@@ -56,7 +56,7 @@ from world.plugins.loading import fingerprint
 from world.signal import Signal
 
 
-class Sink(Protocol):
+class MessageSink(Protocol):
     """What takes the messages of a log: a file, or a comparison with another log. Times in ns of simulated time."""
 
     def attachment(self, name: str, media_type: str, data: bytes) -> None: ...
@@ -80,7 +80,7 @@ class LogWriter:
 
     def __init__(
         self,
-        sink: Sink,
+        sink: MessageSink,
         scenario: Scenario,
         start: Start | None = None,
         tap: Tap | None = None,
@@ -176,8 +176,8 @@ class LogWriter:
                 found["plant"][i] = made[name, signals]
         return found
 
-    def _topic(self, name: str, schema: Schema) -> Topic:
-        return Topic(self._channel(name, schema), name)
+    def _topic(self, name: str, schema: Schema) -> VehicleTopic:
+        return VehicleTopic(self._channel(name, schema), name)
 
     def _channel(self, topic: str, schema: Schema) -> int:
         number = self._sink.channel(topic, schema)
@@ -232,7 +232,7 @@ class LogWriter:
         self._add(self._snapshots, at_ns, at_ns, snapshot.tick, message.SerializeToString())
 
 
-def _both(sink: Sink, tap: Tap) -> Callable[[int, int, int, int, bytes], None]:
+def _both(sink: MessageSink, tap: Tap) -> Callable[[int, int, int, int, bytes], None]:
     def message(channel: int, log_ns: int, publish_ns: int, sequence: int, data: bytes) -> None:
         sink.message(channel, log_ns, publish_ns, sequence, data)
         tap.message(channel, log_ns, publish_ns, sequence, data)

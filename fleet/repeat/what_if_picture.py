@@ -6,7 +6,7 @@ from pathlib import Path
 
 from fleet.logs.fault_intervals import FaultInterval
 from fleet.pictures.shades import shade
-from fleet.pictures.style import COLUMN_IN, FORMATS, Origin, legend, limit, line, panels, save
+from fleet.pictures.style import COLUMN_IN, FORMATS, Provenance, legend, limit, line, panels, save
 from fleet.repeat.what_if import COMPONENTS, WhatIf, WhatIfError
 from fleet.scenario.scenario import timeline
 
@@ -41,6 +41,6 @@ def draw(found: WhatIf, path: Path, digest: str) -> None:
     legend(figure, axes[0], 1)
     facts = (("scenario", found.scenario.name), ("seed", str(found.scenario.seed)), ("digest", digest))
     try:
-        save(figure, path.with_suffix(""), (form,), Origin(f"What if: agent {found.agent}", facts))
+        save(figure, path.with_suffix(""), (form,), Provenance(f"What if: agent {found.agent}", facts))
     except OSError as error:
         raise WhatIfError(f"cannot write {path}: {error.strerror}") from None

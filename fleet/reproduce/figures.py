@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from fleet.palette import COLOURS
-from fleet.pictures.style import HEAVY, NORMAL, THIN, Origin, legend, limit, panels, save
+from fleet.pictures.style import HEAVY, NORMAL, THIN, Provenance, legend, limit, panels, save
 from fleet.reproduce.cases import CASES, NAMES, D, Outcome, U
 from fleet.reproduce.topology import topology
 
@@ -234,5 +234,5 @@ def draw(name: str, outcomes: Outcomes, folder: Path, formats: tuple[str, ...]) 
         return False
     seeds = {CASES[case].scenario().seed for case in outcomes}
     facts = (("scenario", ", ".join(outcomes)), ("seed", ", ".join(map(str, sorted(seeds)))))  # there are no logs
-    save(figure, folder / name, formats, Origin(title, facts))
+    save(figure, folder / name, formats, Provenance(title, facts))
     return True

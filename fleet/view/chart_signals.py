@@ -13,7 +13,7 @@ from google.protobuf.descriptor import FieldDescriptor
 from google.protobuf.message import DecodeError
 from mcap.records import Channel, Schema
 
-from fleet.logs.decoder import UNITS, known_class, units_of
+from fleet.logs.decoder import UNITS, decoded, known_class, units_of
 from fleet.replay.topics import PublishedTopic
 from fleet.scenario.sections.signals import SignalName, component, parse_name
 from netem.parsing import nearest
@@ -24,7 +24,7 @@ WIDTH = 3  # components that are offered of a field that holds several values
 _NUMBERS = frozenset({FieldDescriptor.CPPTYPE_DOUBLE, FieldDescriptor.CPPTYPE_FLOAT, FieldDescriptor.CPPTYPE_UINT32})
 
 
-class Signal(NamedTuple):
+class ChartSignal(NamedTuple):
     """One number of the messages of a topic."""
 
     name: str  # as in `uuv/1/command.tau_0`
@@ -49,9 +49,9 @@ class Signals:
 
     def __init__(self, channels: Iterable[Channel], schemas: dict[int, Schema]) -> None:
         self._classes: dict[str, Any] = {}
-        self.by_name: dict[str, Signal] = {}
+        self.by_name: dict[str, ChartSignal] = {}
         self.of_vehicles: dict[str, dict[int, str]] = {}  # names by signal and vehicle
-        self.followed: dict[str, list[Signal]] = {}  # by topic
+        self.followed: dict[str, list[ChartSignal]] = {}  # by topic
         for channel in sorted(channels, key=lambda channel: channel.topic):
             schema = schemas.get(channel.schema_id)
             if channel.topic in OF_THE_FLEET or schema is None or not schema.name.startswith("uuv_fleet."):
@@ -72,7 +72,7 @@ class Signals:
                 whole = f"{channel.topic}.{field.name}"
                 name = whole if index is None else component(whole, index)
                 unit = each[(index or 0) % len(each)]
-                self.by_name[name] = Signal(name, channel.topic, field.name, index, unit)
+                self.by_name[name] = ChartSignal(name, channel.topic, field.name, index, unit)
                 known = parse_name(name)
                 if known is not None and known.vehicle is not None:
                     self.of_vehicles.setdefault(known.name, {})[known.vehicle] = name
@@ -138,7 +138,7 @@ class Signals:
         if not (some := self.followed.get(topic)):
             return
         try:
-            message = self._classes[topic].FromString(data)
+            message = decoded(self._classes[topic], data)
         except DecodeError:
             return
         for signal in some:

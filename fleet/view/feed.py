@@ -10,10 +10,11 @@ import yaml
 from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
 from google.protobuf.message import DecodeError
 
-from fleet.logs.result_file import ResultError, read_result
+from fleet.logs.decoder import decoded
+from fleet.logs.result_file import ResultError, outcome_words, read_result
 from fleet.logs.schemas import FAULT, PACKET, flat_schema
 from fleet.scenario.scenario import Scenario
-from fleet.view.picture import Picture, Row
+from fleet.view.view_state import Row, ViewState
 from netem.causes import Cause
 from netem.condition import Link
 
@@ -22,15 +23,15 @@ _PACKET = flat_schema("Packet", PACKET).message
 _FAULT = flat_schema("Fault", FAULT).message
 
 
-def take(picture: Picture, topic: str, at_s: float, data: bytes, *, moving: bool = True) -> None:
-    """Bring one message into a picture; one that is damaged is left out."""
+def take(picture: ViewState, topic: str, at_s: float, data: bytes, *, moving: bool = True) -> None:
+    """Bring one message into a picture; one that is damaged, or too large to be one of ours, is left out."""
     with suppress(DecodeError):
         if topic == TRANSFORMS:
-            picture.transforms(at_s, FrameTransforms.FromString(data))
+            picture.transforms(at_s, decoded(FrameTransforms, data))
         elif topic == FAULTS:
             picture.event(at_s, _fault(data))
         elif (link := link_of(topic)) is not None:
-            picture.packet(link, _PACKET.FromString(data), moving=moving)  # type: ignore[attr-defined]
+            picture.packet(link, decoded(_PACKET, data), moving=moving)
 
 
 def fault_message(data: bytes) -> Any:
@@ -42,13 +43,13 @@ def fault_message(data: bytes) -> Any:
 
 
 def _fault(data: bytes) -> Any:
-    return _FAULT.FromString(data)  # type: ignore[attr-defined]
+    return decoded(_FAULT, data)
 
 
 def is_lost(data: bytes) -> bool:
     """Whether a message of a topic `link/<src>-<dst>` tells of a packet that did not arrive whole."""
     try:
-        packet = _PACKET.FromString(data)  # type: ignore[attr-defined]
+        packet = decoded(_PACKET, data)
     except DecodeError:
         return False
     return bool(packet.corrupted or packet.fate not in (Cause.DELIVERED, Cause.IN_FLIGHT))
@@ -91,17 +92,9 @@ def checks_judged(log: Path) -> Row | None:
         at_s = (row["moment"] or {}).get("at_s")
         more = {"at_s": None if row["passed"] else at_s, "signals": row.get("signals", [])}
         rows.append({key: row[key] for key in _ROW} | more)
-    return {"rows": rows, "final": True, "verdict": _verdict(result["status"], rows)}
-
-
-def _verdict(status: str, rows: list[Row]) -> Row:
-    """The run in a few words, and whether that is good."""
-    failed = [row["check"] for row in rows if not row["passed"]]
-    if status == "pass":
-        return {"passed": True, "text": "failed as expected" if failed else "passed"}
-    if failed:
-        return {"passed": False, "text": f"failed: {len(failed)} of {len(rows)} checks"}
-    return {"passed": False, "text": status.replace("_", " ")}
+    words = outcome_words(result["status"], [row["passed"] for row in rows])
+    verdict = {"passed": result["status"] == "pass", "text": words}
+    return {"rows": rows, "final": True, "verdict": verdict}
 
 
 def _words(value: Any) -> str:

@@ -10,7 +10,7 @@ from nicegui import ui
 from fleet.errors import FleetError
 from fleet.view import words
 from fleet.view.live_feed import LiveFeed
-from fleet.view.picture import Row
+from fleet.view.view_state import Row
 
 Do = Callable[..., Awaitable[Row]]  # a command, the operation and its fields: what the console answers
 

@@ -12,7 +12,7 @@ from fleet.replay.missing import Missing, left_out
 from fleet.replay.topics import ask_topics
 from fleet.terminal.fitting import Piece
 from fleet.terminal.status_line import StatusLine
-from fleet.view.foxglove_server import FELL_BEHIND, Channel, FoxgloveServer, Subscription
+from fleet.view.foxglove_server import FELL_BEHIND, FoxgloveChannel, FoxgloveServer, Subscription
 from fleet.view.foxglove_services import services
 from fleet.view.source import LiveSource
 from netem.wire.keys import Keys
@@ -49,7 +49,7 @@ class LiveBridge:
             host,
             port,
             {
-                n: Channel(
+                n: FoxgloveChannel(
                     topic, "protobuf", self._topics[topic].schema, "protobuf", self._topics[topic].descriptor_set
                 )
                 for topic, n in self._numbers.items()

@@ -16,7 +16,7 @@ from fleet.replay.player import SEEK_NS, Player
 from fleet.terminal.fitting import Piece
 from fleet.terminal.keyboard import Key, Keyboard
 from fleet.terminal.status_line import StatusLine
-from fleet.view.foxglove_server import FELL_BEHIND, Channel, FoxgloveServer, PlaybackRequest, Subscription
+from fleet.view.foxglove_server import FELL_BEHIND, FoxgloveChannel, FoxgloveServer, PlaybackRequest, Subscription
 
 MOST = 256  # messages between two looks at what viewers ask for
 NAP_S = 0.02  # the longest wait without a look at the keyboard
@@ -185,10 +185,10 @@ class LogBridge:
         ]
 
 
-def _channel(tape: Tape, number: int) -> Channel:
+def _channel(tape: Tape, number: int) -> FoxgloveChannel:
     channel = tape.channels[number]
     schema = tape.schemas.get(channel.schema_id)
     encoding = channel.message_encoding or "application/octet-stream"
     if schema is None:
-        return Channel(channel.topic, encoding, "", "", b"")
-    return Channel(channel.topic, encoding, schema.name, schema.encoding, schema.data)
+        return FoxgloveChannel(channel.topic, encoding, "", "", b"")
+    return FoxgloveChannel(channel.topic, encoding, schema.name, schema.encoding, schema.data)

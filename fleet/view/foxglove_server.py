@@ -31,9 +31,11 @@ from foxglove.websocket import (
     ServiceRequest,
     ServiceSchema,
     StatusLevel,
+    WebSocketServer,
 )
 
 from fleet.view.source import NoConnectionError, ViewerError
+from fleet.view.unanswered import Unanswered
 
 TIME_NS = 16_000_000  # of wall time between two messages with the server's time
 BACKLOG = 20_000  # messages that wait for a client: some ticks of a large fleet
@@ -43,7 +45,7 @@ FELL_BEHIND = "a viewer takes less than comes: what has waited longest is left o
 _DROPPING = "foxglove.websocket.connected_client.send_lossy"  # by this name the SDK logs that it drops messages
 
 
-class Channel(NamedTuple):
+class FoxgloveChannel(NamedTuple):
     """A topic that clients may subscribe to."""
 
     topic: str
@@ -87,7 +89,7 @@ class FoxgloveServer:
         name: str,
         host: str,
         port: int | None,
-        channels: dict[int, Channel],
+        channels: dict[int, FoxgloveChannel],
         *,
         services: Sequence[ServiceOffer] = (),
         range_ns: tuple[int, int] | None = None,
@@ -110,41 +112,24 @@ class FoxgloveServer:
         self._told_ns = 0  # wall time
         self.sent = 0  # messages that somebody wanted
         self._context = context = foxglove.Context()  # the SDK itself does not hold it
-        self._channels = {
-            number: foxglove.Channel(
-                channel.topic,
-                message_encoding=channel.encoding,
-                schema=_schema(channel.schema, channel.schema_encoding, channel.schema_data)
-                if channel.schema
-                else None,
-                context=context,
-            )
-            for number, channel in channels.items()
-        }
+        self._channels = {number: _made(channel, context) for number, channel in channels.items()}
         numbers: dict[int, list[int]] = {}  # the SDK has one channel for those of one topic and schema
         for number, made in self._channels.items():
             numbers.setdefault(made.id(), []).append(number)
         self._drops = _Drops()
-        ports = [PORT, 0] if port is None else [port]
-        for chosen in ports:
-            try:
-                self._server = foxglove.start_server(
-                    name=name,
-                    host=host,
-                    port=chosen,
-                    capabilities=[Capability.Time, *([Capability.Services] if services else [])],
-                    server_listener=_Listener(self._events, numbers),
-                    supported_encodings=["json"],
-                    services=[_service(offer) for offer in services],
-                    context=context,
-                    playback_time_range=range_ns,
-                    message_backlog_size=BACKLOG,
-                )
-                break
-            except RuntimeError as error:  # all that the SDK raises
-                if chosen == ports[-1]:
-                    said = str(error).removeprefix("FoxgloveError: ")
-                    raise NoConnectionError(f"cannot listen on {host}:{chosen}: {said}") from None
+        self._server = _started(
+            host,
+            [PORT, 0] if port is None else [port],
+            name=name,
+            capabilities=[Capability.Time, *([Capability.Services] if services else [])],
+            server_listener=_Listener(self._events, numbers),
+            supported_encodings=["json"],
+            services=[_service(offer) for offer in services],
+            context=context,
+            playback_time_range=range_ns,
+            message_backlog_size=BACKLOG,
+        )
+        self._unanswered = Unanswered(self._server.port)
         self.endpoint = f"ws://{f'[{host}]' if ':' in host else host}:{self._server.port}"
 
     @property
@@ -159,6 +144,7 @@ class FoxgloveServer:
 
     def events(self, timeout_s: float) -> list[Subscription | PlaybackRequest]:
         """What clients asked for since the last call; waits for the first one at most so long."""
+        self._unanswered.close_some()
         found: list[Subscription | PlaybackRequest] = []
         try:
             found.append(self._events.get(timeout=timeout_s) if timeout_s > 0 else self._events.get_nowait())
@@ -216,6 +202,22 @@ class FoxgloveServer:
         """End it. Clients that are connected see the connection close."""
         self._drops.close()
         self._server.stop()
+
+
+def _made(channel: FoxgloveChannel, context: foxglove.Context) -> foxglove.Channel:
+    schema = _schema(channel.schema, channel.schema_encoding, channel.schema_data) if channel.schema else None
+    return foxglove.Channel(channel.topic, message_encoding=channel.encoding, schema=schema, context=context)
+
+
+def _started(host: str, ports: Sequence[int], **settings: Any) -> WebSocketServer:
+    """A server on the first of these ports that is free. Raises NoConnectionError: none is."""
+    for port in ports:
+        try:
+            return foxglove.start_server(host=host, port=port, **settings)
+        except RuntimeError as error:  # all that the SDK raises
+            said = str(error).removeprefix("FoxgloveError: ")
+            problem = NoConnectionError(f"cannot listen on {host}:{port}: {said}")
+    raise problem
 
 
 class _Listener(ServerListener):

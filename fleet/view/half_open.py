@@ -7,16 +7,13 @@ silent connection is closed when there are too many, and each after a while. A b
 from __future__ import annotations
 
 import asyncio
-import resource
 from collections.abc import Callable
 from typing import Any
 
 from uvicorn.protocols.http.auto import AutoHTTPProtocol
 
 from fleet.view.guard import App, Receive, Scope, Send
-
-MOST = 100  # or a quarter of the files that the process may open, if that is less
-FOR_S = 5.0
+from fleet.view.half_open_limit import FOR_S, most_half_open
 
 
 class HalfOpen:
@@ -24,7 +21,7 @@ class HalfOpen:
 
     def __init__(self, app: App, most: int | None = None, for_s: float = FOR_S) -> None:
         self._app, self._for_s = app, for_s
-        self._most = max(1, min(MOST, resource.getrlimit(resource.RLIMIT_NOFILE)[0] // 4)) if most is None else most
+        self._most = most_half_open() if most is None else most
         self._silent: dict[Any, tuple[asyncio.Transport, asyncio.TimerHandle]] = {}  # by the address of the other end
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:

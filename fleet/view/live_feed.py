@@ -22,8 +22,8 @@ from fleet.scenario.loading import parse_scenario
 from fleet.scenario.sections.checked_signals import checked_signals
 from fleet.view.chart_signals import published_signals
 from fleet.view.feed import FAULTS, TRANSFORMS, checks_asked, checks_so_far, link_of, take
-from fleet.view.picture import NOT_PLACED, SAMPLE_S, Picture, Row
 from fleet.view.source import LiveSource, NoConnectionError
+from fleet.view.view_state import NOT_PLACED, SAMPLE_S, Row, ViewState
 from netem.errors import BusError
 from netem.wire.access import Credentials
 from netem.wire.keys import Keys
@@ -69,7 +69,7 @@ class LiveFeed:
         except BaseException:
             self._bus.close()
             raise
-        self.picture = Picture(self.scenario)
+        self.picture = ViewState(self.scenario)
         self.checks = checks_asked(self.scenario)  # as they stand
         checked = map(str, checked_signals(self.scenario.spec.checks))
         self.charted = [name for name in checked if self.signals.of_all(name)]

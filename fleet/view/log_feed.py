@@ -8,6 +8,8 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+from fleet.logs.fault_intervals import MOST_EVENTS
+from fleet.logs.reader import LogReadError
 from fleet.logs.run_name import run_name
 from fleet.logs.tape import Tape, Track
 from fleet.quantities import vehicle_numbers
@@ -19,8 +21,9 @@ from fleet.scenario.sections.vehicle_events import DIVERGED, TUMBLED
 from fleet.view import overview
 from fleet.view.chart_signals import Signals
 from fleet.view.feed import FAULTS, TRANSFORMS, checks_asked, checks_judged, fault_message, is_lost, link_of, take
-from fleet.view.picture import HISTORY_S, NOT_PLACED, Picture, Row
+from fleet.view.view_state import HISTORY_S, NOT_PLACED, Row, ViewState
 
+MOST_FAULT_BYTES = 32 << 20  # of all messages about faults
 MOST_AT_ONCE = 20_000  # messages between two pictures, and those that a jump looks back on
 
 
@@ -48,7 +51,7 @@ class LogFeed:
         self._tape = Tape(run.path)
         self._topics = {n: channel.topic for n, channel in self._tape.channels.items()}
         self.signals = Signals(self._tape.channels.values(), self._tape.schemas)
-        self.picture = Picture(self.scenario)
+        self.picture = ViewState(self.scenario)
         self.picture.faults(self._all_faults())
         self.missing = self._tape.missing
         judged = checks_judged(path)
@@ -74,11 +77,20 @@ class LogFeed:
         return player
 
     def _all_faults(self) -> list[Row]:
-        """Every fault that the log tells of, with its end."""
+        """Every fault that the log tells of, with its end.
+
+        Raises:
+            LogReadError: they are more than anybody could look at.
+        """
         found: dict[str, Row] = {}
+        held = 0  # bytes
         end_s = self._tape.end_ns / 1e9
         track = Track(self._tape, [n for n, topic in self._topics.items() if topic == FAULTS])
         for _, entry in track.entries(range(len(track))):
+            held += len(entry.data)
+            if len(track) > MOST_EVENTS or held > MOST_FAULT_BYTES:
+                most = f"{MOST_EVENTS} messages or {MOST_FAULT_BYTES} bytes"
+                raise LogReadError(f"{self.path} tells of more faults than are shown: expected at most {most}")
             event, at_s = fault_message(entry.data), entry.log_ns / 1e9
             if event is None:  # damaged
                 continue

@@ -57,12 +57,8 @@ def write(
     begin_s, end_s = _window(feed, window)
     rate = rate or max(1.0, (end_s - begin_s) / LASTS_S)
     count = 1 + max(1, round((end_s - begin_s) / rate * fps))
-    held = count * width * (width * 3 // 4)
-    if isinstance(writer, GifWriter) and held > MOST_BYTES:
-        raise ViewerError(
-            f"{count} pictures of this size take {held / 1e9:.1f} GB of memory, and {MOST_BYTES / 1e9:g} GB are "
-            "allowed: choose a higher --rate, a lower --fps or --width, or write an .mp4"
-        )
+    if isinstance(writer, GifWriter):
+        _check_memory(count, width)
     charted = {name: _charted(feed, name) for name in feed.charted}
     feed.follow([each for _, names in charted.values() for each in names.values()])
     scene = MovieScene(
@@ -72,24 +68,39 @@ def write(
         with whole_file(out) as part:
             part.open("a").close()  # before the pictures, which take a while
             writer.setup(scene.figure, part, dpi=width / WIDTH_IN)
-            try:
-                for k in _drawn(feed, scene, begin_s, end_s, rate, fps, count):
-                    writer.grab_frame()
-                    tell((k + 1) / count)
-            except BrokenPipeError:
-                pass  # ffmpeg has ended, and says below why
-            except BaseException:
-                if isinstance(writer, FFMpegWriter):
-                    with suppress(CalledProcessError):
-                        writer.finish()
-                raise
-            writer.finish()
+            _grab(writer, _drawn(feed, scene, begin_s, end_s, rate, fps, count), lambda k: tell((k + 1) / count))
     except CalledProcessError as error:
         said = str(error.stderr).strip().splitlines() or [f"exit status {error.returncode}"]
         raise ViewerError(f"ffmpeg could not write {out}: {said[-1]}") from None
     except OSError as error:
         raise ViewerError(f"cannot write {out}: {error.strerror}; choose another place with -o FILE") from error
     return feed.missing or ""
+
+
+def _check_memory(count: int, width: int) -> None:
+    """Raises ViewerError: so many pictures of a GIF do not fit into memory."""
+    held = count * width * (width * 3 // 4)
+    if held > MOST_BYTES:
+        raise ViewerError(
+            f"{count} pictures of this size take {held / 1e9:.1f} GB of memory, and {MOST_BYTES / 1e9:g} GB are "
+            "allowed: choose a higher --rate, a lower --fps or --width, or write an .mp4"
+        )
+
+
+def _grab(writer: GifWriter | FFMpegWriter, drawn: Iterator[int], tell: Callable[[int], None]) -> None:
+    """Take each picture when it is drawn, and end the file. Raises CalledProcessError: ffmpeg failed."""
+    try:
+        for k in drawn:
+            writer.grab_frame()
+            tell(k)
+    except BrokenPipeError:
+        pass  # ffmpeg has ended, and says below why
+    except BaseException:
+        if isinstance(writer, FFMpegWriter):
+            with suppress(CalledProcessError):
+                writer.finish()
+        raise
+    writer.finish()
 
 
 def _charted(feed: LogFeed, name: str) -> tuple[str, dict[int, str]]:

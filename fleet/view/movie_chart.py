@@ -8,10 +8,10 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from fleet.palette import COLOURS
 from fleet.pictures.shades import union
 from fleet.pictures.style import THIN
-from fleet.view.picture import Row
+from fleet.scene.styles import PRINT
+from fleet.view.view_state import Row
 
 MOST_SIGNALS = 2  # that have a chart of their own
 LEFT, RIGHT, BOTTOM, HEIGHT, GAP = 0.09, 0.98, 0.095, 0.165, 0.09  # shares of the figure
@@ -56,7 +56,8 @@ class MovieChart:
                 ax.axvspan(begin, end, color="0.88", linewidth=0)
             self._axes.append(ax)
         self._lines = [
-            [ax.plot([], [], color=colour_of(i), linewidth=1.2)[0] for i in range(1, vehicles + 1)] for ax in self._axes
+            [ax.plot([], [], color=PRINT.vehicle(i), linewidth=1.2)[0] for i in range(1, vehicles + 1)]
+            for ax in self._axes
         ]
         self._values: list[list[tuple[list[float], list[float]]]] = [
             [([], []) for _ in range(vehicles)] for _ in self._axes
@@ -85,8 +86,3 @@ class MovieChart:
             margin = 0.08 * (high - low) or 0.5
             ax.set_ylim(0.0 if k == 0 else low - margin, high + margin)
             self._now[k].set_xdata([frame["t"], frame["t"]])
-
-
-def colour_of(i: int) -> str:
-    """The colour of a vehicle."""
-    return COLOURS[(i - 1) % len(COLOURS)]

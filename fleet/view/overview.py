@@ -13,7 +13,7 @@ from fleet.logs.open_log import Log, open_drawn
 from fleet.logs.reader import LogReadError
 from fleet.logs.records import Array
 from fleet.logs.topic import Topic
-from fleet.view.chart_signals import Signal
+from fleet.view.chart_signals import ChartSignal
 from netem.causes import Cause
 
 MOST_SAMPLES = 600  # of a curve
@@ -26,7 +26,7 @@ Points = list[list[float | None]]
 
 
 def samples(path: Path, end_s: float, vehicles: int, neighbours: Mapping[int, Collection[int]]) -> list[list[Any]]:
-    """Samples over a whole log, in the form of `Picture.history` but without places.
+    """Samples over a whole log, in the form of `ViewState.history` but without places.
 
     Args:
         end_s: of the log.
@@ -54,7 +54,7 @@ def samples(path: Path, end_s: float, vehicles: int, neighbours: Mapping[int, Co
     ]
 
 
-def curves(path: Path, signals: Collection[Signal]) -> dict[str, Points]:
+def curves(path: Path, signals: Collection[ChartSignal]) -> dict[str, Points]:
     """The values of signals over a whole log, times in s, by their names.
 
     Raises:
@@ -113,7 +113,7 @@ def _most(curves: int) -> int:
     return max(LEAST_SAMPLES, min(MOST_SAMPLES, MOST_VALUES // max(1, curves)))
 
 
-def _one(signal: Signal, values: Array) -> Array:
+def _one(signal: ChartSignal, values: Array) -> Array:
     """The numbers of a signal, of the values of its field."""
     if not len(values):
         return np.empty(0)

@@ -16,13 +16,14 @@ from nicegui.events import GenericEventArguments
 
 from fleet.errors import FleetError
 from fleet.execution.directory import in_use
+from fleet.scene.styles import PAGE
 from fleet.view import words
 from fleet.view.chart_signals import commands_of
 from fleet.view.feed import checks_asked, checks_judged
 from fleet.view.forms import FaultForm
 from fleet.view.live_feed import LiveFeed
 from fleet.view.log_feed import LogFeed
-from fleet.view.picture import Row
+from fleet.view.view_state import Row
 
 PERIOD_S = 0.05  # between two pictures
 LOOK_S = 1.0  # between two questions to the console
@@ -180,6 +181,11 @@ class Viewer:
             "log_end_s": feed.end_s if isinstance(feed, LogFeed) else None,
             "log": shlex.quote(str(feed.path)) if isinstance(feed, LogFeed) else "",  # in commands to copy
             "charted": feed.charted,
+            "theme": {
+                "vehicles": PAGE.vehicles,
+                "links": {state: stroke._asdict() for state, stroke in PAGE.links.items()},
+                "colours": PAGE.colours,
+            },
         }
         self.element = FleetView(setup, self._said)
         self._form = FaultForm(feed, page.do) if isinstance(feed, LiveFeed) and page.may_act else None

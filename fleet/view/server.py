@@ -22,7 +22,7 @@ BACKLOG = 64  # connections that are accepted at once, before any of them is loo
 
 
 @dataclass(frozen=True, slots=True)
-class Door:
+class PageListener:
     """Where the page is reached: a port that listens already, and the token without which it lets nobody in."""
 
     host: str
@@ -46,7 +46,7 @@ class Door:
         return {name, "localhost"} if is_loopback(self.host) else {name}
 
 
-def open_door(host: str = LOOPBACK, port: int | None = None) -> Door:
+def open_listener(host: str = LOOPBACK, port: int | None = None) -> PageListener:
     """Listen, with a new token.
 
     Args:
@@ -65,10 +65,10 @@ def open_door(host: str = LOOPBACK, port: int | None = None) -> Door:
         where = f"port {port} of {host}" if port else host
         what = f"{where} cannot be listened on ({getattr(error, 'strerror', None) or error})"
         raise NoConnectionError(f"{what}; --port chooses another, and without it a free one is taken") from None
-    return Door(host, found.getsockname()[1], found, secrets.token_urlsafe(24))
+    return PageListener(host, found.getsockname()[1], found, secrets.token_urlsafe(24))
 
 
-def serve(feed: LiveFeed | LogFeed, door: Door, *, may_act: bool) -> None:
+def serve(feed: LiveFeed | LogFeed, listener: PageListener, *, may_act: bool) -> None:
     """Serve the page until a signal ends the program.
 
     Args:
@@ -98,7 +98,7 @@ def serve(feed: LiveFeed | LogFeed, door: Door, *, may_act: bool) -> None:
         show_welcome_message=False,
     )
     page.begin()
-    guarded = HalfOpen(Guard(app, door.token, door.port, door.names))
+    guarded = HalfOpen(Guard(app, listener.token, listener.port, listener.names))
     config = uvicorn.Config(
         guarded,
         http=guarded.protocol(),  # type: ignore[arg-type]
@@ -108,7 +108,7 @@ def serve(feed: LiveFeed | LogFeed, door: Door, *, may_act: bool) -> None:
         access_log=False,
         timeout_graceful_shutdown=1,
     )
-    uvicorn.Server(config).run(sockets=[door.listening])
+    uvicorn.Server(config).run(sockets=[listener.listening])
 
 
 class Browser:

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from fleet.palette import COLOURS
-from fleet.pictures.style import LABEL_PT, LEGEND_PT, NORMAL, PAGE_IN, STYLES, Origin, panels, save
+from fleet.pictures.style import LABEL_PT, LEGEND_PT, NORMAL, PAGE_IN, STYLES, Provenance, panels, save
 from fleet.study.border_theory import Theory
 from fleet.study.borders import Border, Borders, Run
 from fleet.study.errors import StudyError
@@ -63,7 +63,7 @@ def write_borders(borders: Borders, theories: Sequence[Theory]) -> Path:
     figure = draw_borders(borders, theories)
     stem = borders.store.directory / "border"
     try:
-        (path,) = save(figure, stem, origin=Origin(borders.title, (("scenario", borders.store.record.scenario),)))
+        (path,) = save(figure, stem, origin=Provenance(borders.title, (("scenario", borders.store.record.scenario),)))
     except OSError as error:
         raise StudyError(f"cannot write {stem}.png: {error.strerror}") from None
     return path

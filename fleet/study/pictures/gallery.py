@@ -12,9 +12,8 @@ from matplotlib.figure import Figure
 
 from fleet.errors import printable
 from fleet.logs.reader import Tell
-from fleet.pictures.gallery import PictureError
-from fleet.pictures.runs import NothingToDraw
-from fleet.pictures.style import Origin, save
+from fleet.pictures.runs import NothingToDraw, PictureError
+from fleet.pictures.style import Provenance, save
 from fleet.study.pictures.boxes import boxes
 from fleet.study.pictures.curves import curves
 from fleet.study.pictures.heat import heat
@@ -117,7 +116,7 @@ def write(
             if isinstance(figure, str):
                 tell(f"{name}: not drawn: {figure}")
             else:
-                paths += save(figure, folder / name, formats, Origin(title, _facts(store.record)))
+                paths += save(figure, folder / name, formats, Provenance(title, _facts(store.record)))
     except OSError as error:
         raise PictureError(
             f"cannot write pictures to {folder}: {error.strerror}; choose another place with -o DIR"

@@ -15,7 +15,7 @@ from typing import Any
 from fleet.errors import printable
 from fleet.logs.reader import Tell
 from fleet.logs.run_name import STAMP
-from fleet.pictures.page import Picture, Pictures, png, render, write_page
+from fleet.pictures.page import PageImage, SectionImages, png, render, write_page
 from fleet.pictures.report_tables import Mark, Table, rest
 from fleet.pictures.style import COLUMN_IN
 from fleet.study.one_run import FAILED
@@ -47,7 +47,7 @@ def write(
 
     Raises:
         StudyError: there is no such measure, or the study is damaged.
-        ReportError: the place cannot be written.
+        PictureError: the place cannot be written.
     """
     points = load(store, measures)
     write_page(path, lambda: page(store, points, log_scale, share))
@@ -219,14 +219,14 @@ def _comparisons(points: Points) -> list[tuple[str, Table]]:
 _COMPARED = ("values", "of what", "pairs", "median difference, interval (level)", "difference below 0", "p (Wilcoxon)")
 
 
-def _pictures(points: Points, log_scale: bool | None, share: Tell) -> Pictures:
+def _pictures(points: Points, log_scale: bool | None, share: Tell) -> SectionImages:
     drawn, missing = [], []
     for name, title, figure in draw(points, log_scale, share):
         if isinstance(figure, str):
             missing.append(f"{name}: {figure}")
         else:
-            drawn.append(Picture(title, png(figure), figure.get_figwidth() > COLUMN_IN))
-    return Pictures(drawn, missing)
+            drawn.append(PageImage(title, png(figure), figure.get_figwidth() > COLUMN_IN))
+    return SectionImages(drawn, missing)
 
 
 def _reasons(rows: Sequence[dict[str, Any]]) -> Table:

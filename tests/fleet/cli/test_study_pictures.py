@@ -83,3 +83,11 @@ def test_a_damaged_study_is_said_in_a_line(verb: str, tmp_path: Path) -> None:
     assert found.exit_code == 2
     assert found.stderr.splitlines()[-1].startswith(f"fleet: {directory / 'points.parquet'} cannot be read: ")
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("name", ["x.bmp", "x.png", "X.JPG"])
+def test_a_file_instead_of_a_folder_is_refused_with_the_known_formats(study: Path, tmp_path: Path, name: str) -> None:
+    found = called("plot", study, "-o", tmp_path / name)
+    assert found.exit_code == 2
+    assert "expected a folder" in found.output and "png, svg, pdf" in found.output
+    assert not list(tmp_path.iterdir())

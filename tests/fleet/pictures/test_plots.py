@@ -31,11 +31,10 @@ from fleet.logs.run_name import run_name
 from fleet.logs.table import ExportError, columns
 from fleet.pictures import exchange, time_series
 from fleet.pictures.gallery import PER_RUN, WHAT, draw
-from fleet.pictures.page import ReportError
 from fleet.pictures.report import _from_log, page
 from fleet.pictures.report import write as write_report
 from fleet.pictures.report_tables import links_table
-from fleet.pictures.runs import NothingToDraw, Run, View, load, with_gaps
+from fleet.pictures.runs import NothingToDraw, PictureError, Run, View, load, with_gaps
 from fleet.pictures.style import panels, plain_decades
 from fleet.scenario.loading import load_scenario
 from netem.causes import LOSSES, Cause
@@ -279,7 +278,16 @@ def test_track_shows_the_obstacles_of_the_scenario(tmp_path: Path) -> None:
     (drawn,) = (patch for patch in figure.axes[0].patches if patch.get_gid() == "obstacle")
     assert isinstance(drawn, Circle)
     assert (drawn.center, drawn.radius) == ((-3.0, 20.0), 2.0)
-    assert "obstacle" in [text.get_text() for legend in figure.legends for text in legend.get_texts()]
+    space = figure_of(run, "track", "track-3d")
+    for one in (figure, space):
+        assert "obstacle" in [text.get_text() for legend in one.legends for text in legend.get_texts()]
+    assert [drawn.get_gid() for drawn in space.axes[0].collections] == ["obstacle"]
+    (reference,) = lines(space.axes[0], "reference")
+    axes: Any = space.axes[0]
+    for values, limits in zip(
+        reference.get_data_3d(), (axes.get_xlim(), axes.get_ylim(), axes.get_zlim()), strict=True
+    ):
+        assert min(limits) <= min(values) <= max(values) <= max(limits)
 
 
 def test_every_fate_has_a_mark_of_its_own() -> None:
@@ -554,7 +562,7 @@ def test_a_report_that_finds_no_room_leaves_nothing(
         raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr("fleet.pictures.report.page", full)
-    with pytest.raises(ReportError, match="No space left"):
+    with pytest.raises(PictureError, match="No space left"):
         write_report(tmp_path / "r.html", load([directories["one"]]), View())
     assert list(tmp_path.iterdir()) == []
 
@@ -593,7 +601,7 @@ def test_report_of_two_runs_with_verdicts_and_names_that_are_html(tmp_path: Path
     text = page(both, View(log_scale=True))
     found = Page(text)
     assert "&lt;b&gt;&amp;&lt;/b&gt;" in text
-    assert "FAIL" in found.words and "check failed" in " ".join(found.words)
+    assert "FAIL" in found.words and re.search(r"\b1 of \d checks failed\b", " ".join(found.words))
     assert "The runs together" in found.words
     names = [run_name(run.log.path) for run in both]
     for n, name in enumerate(names, start=1):

@@ -23,11 +23,13 @@ from fleet.execution.options import Options
 from fleet.execution.outcome import Result
 from fleet.logs.decoder import _unit
 from fleet.logs.reader import LogReader
-from fleet.recorder.link_state import CUTS, HISTORY
-from fleet.recorder.scene import LINKS, LinkHistories, Scene, diameter, hull
+from fleet.recorder.scene import LinkHistories, Scene, hull
 from fleet.recorder.transforms import quaternion
 from fleet.repeat.resume import continuation
 from fleet.scenario.loading import load_scenario
+from fleet.scene.link_state import CUTS, HISTORY
+from fleet.scene.model import diameter
+from fleet.scene.styles import FOXGLOVE
 from netem.causes import LOSSES, Cause
 from netem.wire.messages import Fate, Frame, VehicleFrame
 
@@ -210,7 +212,7 @@ def test_the_state_of_a_link_is_that_of_its_last_packets(causes: list[str]) -> N
         histories.settle(fate(cause))
     last = [cause for cause in causes if cause != Cause.IN_FLIGHT][-HISTORY:]
     found = histories.state((1, 2))
-    assert found in LINKS
+    assert found in FOXGLOVE.links
     assert (found == "silent") == (not last)
     assert (found == "delivering") == (bool(last) and set(last) == {Cause.DELIVERED})
     if last and last[-1] == Cause.DELIVERED:

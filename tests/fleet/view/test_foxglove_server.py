@@ -8,11 +8,11 @@ import pytest
 from foxglove_client import LIMIT_S, viewer
 from waiting import wait_for
 
-from fleet.view.foxglove_server import BACKLOG, Channel, FoxgloveServer, ServiceOffer
+from fleet.view.foxglove_server import BACKLOG, FoxgloveChannel, FoxgloveServer, ServiceOffer
 from fleet.view.source import ViewerError
 
 HOST = "127.0.0.1"
-CHANNELS = {7: Channel("a", "json", "", "", b"")}
+CHANNELS = {7: FoxgloveChannel("a", "json", "", "", b"")}
 
 
 def test_a_port_that_is_taken() -> None:

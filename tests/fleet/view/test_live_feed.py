@@ -10,12 +10,12 @@ from small_scenario import small
 
 from fleet.replay.missing import Missing, pack_counts
 from fleet.view.live_feed import LiveFeed
-from fleet.view.picture import Picture
+from fleet.view.view_state import ViewState
 
 
 def test_messages_that_did_not_come_are_said_also_when_the_run_is_over() -> None:
     feed: Any = object.__new__(LiveFeed)
-    vars(feed).update(missing=Missing(), picture=Picture(small()), _over="", _published=True, _status={})
+    vars(feed).update(missing=Missing(), picture=ViewState(small()), _over="", _published=True, _status={})
     feed._rate = SimpleNamespace(value=1.0)
     assert feed.clock()["note"] == ""
     feed.missing.came("transforms", 0)
@@ -29,7 +29,7 @@ def test_messages_that_did_not_come_are_said_also_when_the_run_is_over() -> None
 
 def test_what_the_queue_has_no_room_for_is_counted() -> None:
     feed: Any = object.__new__(LiveFeed)
-    vars(feed).update(missing=Missing(), picture=Picture(small()), _waiting=deque(maxlen=3))
+    vars(feed).update(missing=Missing(), picture=ViewState(small()), _waiting=deque(maxlen=3))
     feed._keys = SimpleNamespace(log=lambda topic: f"x/{topic}")
     feed._rate = SimpleNamespace(update=lambda *_: None)
     feed.signals = SimpleNamespace(values=lambda *_: ())

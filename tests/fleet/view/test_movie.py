@@ -15,15 +15,17 @@ from in_process_runs import Alone, log_of
 from PIL import Image, ImageChops
 from small_scenario import small
 
-from fleet.recorder.link_state import LinkState
 from fleet.scenario.loading import load_scenario
+from fleet.scene.link_state import LinkState
+from fleet.scene.styles import PRINT
 from fleet.view.log_feed import LogFeed
 from fleet.view.movie import write
 from fleet.view.movie_camera import SCENE_PT, Camera
-from fleet.view.movie_scene import FAULT, LOOKS, MovieScene
-from fleet.view.picture import Picture
+from fleet.view.movie_scene import MovieScene
 from fleet.view.source import ViewerError
+from fleet.view.view_state import ViewState
 
+CUT = PRINT.links[LinkState.CUT].colour
 SHORT = ("duration=1 s", "faults=[{at: 400 ms, for: 400 ms, id: cut, partition: halves}]", "checks={tumbled: waived}")
 
 
@@ -77,8 +79,8 @@ def test_a_picture_names_the_time_and_the_faults_and_draws_links_by_their_state(
     before, cut = drawn_at(log, 0.3), drawn_at(log, 0.6)
     assert {"t = 0.6 s", "partition halves, 0.2 s left", "paper"} <= set(texts(cut)), texts(cut)
     assert "t = 0.3 s" in texts(before) and not [text for text in texts(before) if "left" in text]
-    assert FAULT in colours(cut) and FAULT not in colours(before)
-    assert LOOKS[LinkState.DELIVERING].colour in colours(before)
+    assert CUT in colours(cut) and CUT not in colours(before)
+    assert PRINT.links[LinkState.DELIVERING].colour in colours(before)
 
 
 def test_vehicles_with_roll_are_drawn(alone: Alone) -> None:
@@ -125,7 +127,7 @@ def test_errors_are_those_of_the_frame(log: Path) -> None:
 
 
 def test_a_fleet_that_is_nowhere_leaves_the_scene_empty() -> None:
-    picture = Picture(small())
+    picture = ViewState(small())
     scene = MovieScene(picture, 0.0, 1.0, 1.0, above=False)
     scene.draw(picture.frame(), 0.0)
     scene.figure.canvas.draw()
@@ -135,7 +137,7 @@ def test_a_fleet_that_is_nowhere_leaves_the_scene_empty() -> None:
 @pytest.mark.parametrize(("scenario", "rings"), [("acoustic-s2c", 1), ("paper", 0)])
 def test_sound_spreads_from_who_sends(scenario: str, rings: int) -> None:
     """One ring, however many hear it; none of a packet that its sender could not send."""
-    picture = Picture(load_scenario(scenario))
+    picture = ViewState(load_scenario(scenario))
     scene = MovieScene(picture, 0.0, 10.0, 1.0, above=True)
     links = picture.setup()["links"]
     heard = [[k, 1.0, 0.5, "arrived"] for k, (src, _) in enumerate(links) if src == 2]
@@ -153,7 +155,7 @@ def circles(scene: MovieScene) -> list[Any]:
 
 
 def test_a_long_fault_is_cut_short() -> None:
-    picture = Picture(small())
+    picture = ViewState(small())
     groups = ",".join(map(str, range(100)))
     lasts = {"from_s": 0.0, "to_s": 1.0, "until_healed": False}
     picture.faults([{"id": "f1", "what": f"partition {groups} / 100", **lasts}])
@@ -245,21 +247,21 @@ def test_ffmpeg_makes_an_mp4(log: Path, tmp_path: Path) -> None:
 
 
 def test_signals_that_checks_name_are_drawn_for_all_vehicles_whole_numbers_as_steps() -> None:
-    picture = Picture(small())
+    picture = ViewState(small())
     names = {i: f"uuv/{i}/control.holds" for i in (1, 2, 3)}
     scene = MovieScene(picture, 0.0, 1.0, 1.0, above=True, charted={"control.holds": ("1", names)},
-                       verdict={"passed": False, "text": "failed: 1 of 2 checks"})  # fmt: skip
+                       verdict={"passed": False, "text": "1 of 2 checks failed"})  # fmt: skip
     picture.event(0.1, SimpleNamespace(fault="tumbled-2", action="begins", what="tumbled 2"))
     scene.draw(picture.frame() | {"signals": {names[2]: [(0.0, 0.0), (0.4, 2.0)]}}, 0.5)
     line = scene.figure.axes[2].lines[1]
     assert list(line.get_ydata()) == [0.0, 2.0] and line.get_drawstyle() == "steps-post"
-    assert {"failed: 1 of 2 checks", "control.holds"} <= set(texts(scene))
+    assert {"1 of 2 checks failed", "control.holds"} <= set(texts(scene))
     scene.draw(picture.frame() | {"signals": {names[2]: [(0.6, 0.5)]}}, 0.6)
     assert line.get_drawstyle() == "default"
 
 
 def test_what_happened_is_counted_up_to_the_time_of_the_picture() -> None:
-    picture = Picture(small())
+    picture = ViewState(small())
     for k, at_s in enumerate((0.1, 0.2, 0.8)):
         picture.event(at_s, SimpleNamespace(fault=f"tumbled-2-{k}", action="begins", what="tumbled 2"))
     scene = MovieScene(picture, 0.0, 1.0, 1.0, above=True)
@@ -272,7 +274,7 @@ def test_a_fleet_in_a_column_stays_below_the_texts_and_above_the_legend() -> Non
     camera = Camera(above=True)
     column = np.array([[0.0, 0.0, 5.0], [40.0, 0.0, 5.0]])
     camera.follow(column)
-    scene = MovieScene(Picture(small()), 0.0, 1.0, 1.0, above=True)
+    scene = MovieScene(ViewState(small()), 0.0, 1.0, 1.0, above=True)
     lowest_text = min(text.get_position()[1] for text in scene.figure.texts)
     scene_y0, scene_height = scene.figure.axes[0].get_position().y0, scene.figure.axes[0].get_position().height
     low, high = sorted(scene_y0 + y / SCENE_PT[1] * scene_height for y in camera.project(column)[:, 1])

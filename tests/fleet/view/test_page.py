@@ -180,7 +180,7 @@ def test_a_line_through_the_fleet_parts_it_and_ctrl_c_ends_run_and_page(opened: 
         page.page.get_by_role("button", name="Inject").click()
         page.page.locator(".fleet-faults").get_by_text(typed).wait_for()
         assert page.wrong == []
-        assert any("fleet.view.companion" in " ".join(process.cmdline()) for process in run.family())
+        assert any("fleet.view.page_process" in " ".join(process.cmdline()) for process in run.family())
         run.send(signal.SIGINT, group=True)
         assert run.status() == 130, run.printed
         run.until_nobody_is_left()

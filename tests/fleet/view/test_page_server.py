@@ -14,7 +14,7 @@ from fleet.errors import FleetError
 from fleet.view.chart_signals import commands_of
 from fleet.view.live_feed import LiveFeed
 from fleet.view.page import MOST_AHEAD, MOST_COMMANDS, TRY_AGAIN, Page, Viewer
-from fleet.view.picture import Picture
+from fleet.view.view_state import ViewState
 
 
 class AskedFeed(LiveFeed):
@@ -114,7 +114,7 @@ def test_with_credentials_to_watch_only_nothing_can_be_done_either() -> None:
 
 def test_pictures_do_not_pile_up_for_a_browser_that_does_not_take_them() -> None:
     feed = AskedFeed()
-    feed.picture = Picture(small())
+    feed.picture = ViewState(small())
     page = Page(feed, may_act=False)
     given: list[Any] = []
     viewer: Any = object.__new__(Viewer)

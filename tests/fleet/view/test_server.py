@@ -1,4 +1,4 @@
-"""The door of the page: a port, a token, and who is told it."""
+"""The listener of the page: a port, a token, and who is told it."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ import pytest
 from repository import ROOT
 
 from fleet.view import server
-from fleet.view.server import Browser, Door, is_loopback, open_door
+from fleet.view.server import Browser, PageListener, is_loopback, open_listener
 from fleet.view.source import ViewerError
 
 
 def test_each_door_has_a_free_port_that_listens_and_a_token_of_its_own() -> None:
-    one, other = open_door(), open_door()
+    one, other = open_listener(), open_listener()
     with closing(one.listening), closing(other.listening):
         assert one.port != other.port and one.token != other.token
         assert len(one.token) >= 32  # 192 bits
@@ -35,13 +35,13 @@ def test_a_port_that_is_taken_is_said() -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
         with pytest.raises(ViewerError, match=f"port {port} of 127.0.0.1 .* in use.*--port"):
-            open_door(port=port)
+            open_listener(port=port)
 
 
 @pytest.mark.parametrize("host", ["192.0.2.1", "a..b", "a" * 64])
 def test_an_address_that_is_not_ours_is_said(host: str) -> None:
     with pytest.raises(ViewerError, match=re.escape(host)):
-        open_door(host)
+        open_listener(host)
 
 
 @pytest.mark.parametrize(
@@ -56,14 +56,14 @@ def test_an_address_that_is_not_ours_is_said(host: str) -> None:
 )
 def test_the_names_by_which_a_page_is_reached(host: str, names: set[str]) -> None:
     with socket.socket() as nowhere:
-        assert Door(host, 80, nowhere, "token").names == names
+        assert PageListener(host, 80, nowhere, "token").names == names
     assert is_loopback(host) == ("localhost" in names)
 
 
 def test_without_nicegui_a_line_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(server, "find_spec", lambda name: None)
     with pytest.raises(ViewerError, match=r"uuv-fleet\[view\]"):
-        open_door()
+        open_listener()
 
 
 def test_a_browser_is_led_by_a_file_of_this_user_and_not_by_its_arguments(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,16 +1,20 @@
-// The hues of the plots, lighter, because the sea is dark here. States of links differ in width and dashes, too.
-export const HULLS = ["#4fa8e0", "#ff8a3d", "#2fce9f", "#e09ac4", "#9adcff", "#f5c04a"];
-export const SILENT = "#93a1b2";
-// From so many vehicles on there is no room for packets, and for labels of a few only.
-export const isCrowd = ({ vehicles }) => vehicles > 24;
-export const hull = (i) => HULLS[(i - 1) % HULLS.length];
+// The theme of the page, which comes with the setup: the same words have other colours in the movie and in the log.
+export let LINKS = {}; // by state: colour, width, dash, and what it means
+let theme = { vehicles: ["#ffffff"], colours: {} };
 
-export const LINKS = {
-  delivering: { name: "delivering", colour: "#7cc4f2", width: 1.6, dash: [], says: "everything arrives in time" },
-  late: { name: "late", colour: "#ffe08a", width: 2, dash: [10, 3], says: "arrives after the next one was sent" },
-  losing: { name: "losing", colour: "#ffa94d", width: 2.2, dash: [5, 4], says: "some of the last ten packets were lost" },
-  cut: { name: "cut", colour: "#ff5c6c", width: 3, dash: [3, 4], says: "cut, or five packets in a row were lost" },
-  stale: { name: "stale", colour: "#93a1b2", width: 2, dash: [2, 5], says: "nothing has arrived for long" },
-  silent: { name: "silent", colour: "#4a5d73", width: 1, dash: [], says: "nothing was sent yet" },
-};
-export const PACKETS = { arrived: "#d6f0ff", late: "#ffe08a", damaged: "#e09ac4", lost: "#ffa94d", cut: "#ff5c6c" };
+export function useTheme(setup) {
+  ({ theme } = setup);
+  LINKS = Object.fromEntries(Object.entries(theme.links).map(([state, stroke]) => [state, { ...stroke, says: setup.link_meanings[state] }]));
+}
+
+export const hull = (i) => theme.vehicles[(i - 1) % theme.vehicles.length];
+export const hulls = () => theme.vehicles.length;
+
+// The colour of a word, such as `obstacle`, `packet lost` or `vehicle 3`.
+export const colour = (word) => (word.startsWith("vehicle ") ? hull(Number(word.slice(8))) : theme.colours[word]);
+
+// The same, through which one sees.
+export function glass(word, alpha) {
+  const [r, g, b] = [1, 3, 5].map((k) => parseInt(colour(word).slice(k, k + 2), 16));
+  return `rgba(${r}, ${g}, ${b}, ${alpha})`;
+}

@@ -1,6 +1,7 @@
 // A run in one page: the fleet, charts and numbers. `render` gets a model and an element, and knows no toolkit.
 import { Bar } from "./bar.js";
 import { Charts } from "./charts.js";
+import { useTheme } from "./colours.js";
 import { make } from "./dom.js";
 import { legend } from "./legend.js";
 import { Panels } from "./panels.js";
@@ -12,6 +13,7 @@ const SEEN_EVERY = 10; // pictures between two words that they have come
 
 export function render({ model, el }) {
   const setup = model.get("setup");
+  useTheme(setup);
   const say = (message) => model.send(message);
   const top = make("header", { class: "fleet-bar" });
   const stage = make("div", { class: "fleet-stage" });

@@ -33,7 +33,7 @@ export class LinkList {
     if (!this.now) return;
     const { links, kinds } = this.now;
     const counts = this.setup.worst_first.map((state) => [state, links.filter((one) => one === state).length]);
-    write(this.summary, counts.filter(([, count]) => count).map(([state, count]) => `${count} ${LINKS[state].name}`).join(", "));
+    write(this.summary, counts.filter(([, count]) => count).map(([state, count]) => `${count} ${state}`).join(", "));
     const shares = kinds.slice(0, 5).map(([kind, all, lost]) => `${kind} ${all}${lost ? `, ${((100 * lost) / all).toFixed(0)} % lost` : ""}`);
     write(this.kinds, shares.length ? `Packets of the last minute by payload: ${shares.join("; ")}` : "");
     const wanted = this.wanted();
@@ -56,7 +56,7 @@ export class LinkList {
     const rows = [...this.rows.values()];
     if (rows.some((row, at) => this.list.children[at] !== row) || this.list.children.length !== rows.length) this.list.replaceChildren(...rows);
     const left = found.length - shown.length;
-    const best = left ? new Set(found.slice(shown.length).map((k) => LINKS[this.now.links[k]].name)) : new Set();
+    const best = left ? new Set(found.slice(shown.length).map((k) => this.now.links[k])) : new Set();
     write(this.more, left ? `and ${left} more${best.size === 1 ? `, all ${[...best][0]}` : ""}` : found.length ? "" : "no such link");
   }
 
@@ -69,7 +69,7 @@ export class LinkList {
       return fits(src, dst) || (["-", "<->"].includes(ends[2]) && fits(dst, src));
     }
     if (/^\d+$/.test(wanted)) return [src, dst].includes(Number(wanted));
-    return LINKS[this.now.links[k]].name.startsWith(wanted);
+    return this.now.links[k].startsWith(wanted);
   }
 
   badness(a, b) {
@@ -92,11 +92,11 @@ export class LinkList {
   writeRow(k) {
     const { links, losses, ages } = this.now;
     const [src, dst] = this.setup.links[k];
-    const { name, colour } = LINKS[links[k]];
+    const name = links[k];
     const lost = losses[k] ? `, ${losses[k]} of the last ten lost` : "";
     const button = this.rows.get(k).firstChild;
     write(button, `${src} → ${dst}: ${name}${lost}, ${ages[k].toFixed(1)} s old`);
-    button.style.color = colour;
+    button.style.color = LINKS[name].colour;
   }
 
   move(event) {

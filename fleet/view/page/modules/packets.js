@@ -1,13 +1,9 @@
 // Packets on their way, and sound that spreads: what became of a packet is known when it is, and shown then, slower
 // than it was where the eye could not follow.
-import { PACKETS } from "./colours.js";
+import { colour } from "./colours.js";
 import { along } from "./geometry.js";
 
-const LEAST_MS = 450;
-const MOST_MS = 3000;
 const MOST = 500; // at once
-const LOST_AT = 0.55; // share of the way at which a lost packet vanishes
-const CUT_AT = 0.3;
 
 // A cross, in the colour and width of the context: something does not get through.
 export function drawCross(g, x, y, half) {
@@ -22,14 +18,20 @@ export function drawCross(g, x, y, half) {
 export class Packets {
   #flying = [];
   #rings = new Map();
+  #setup;
 
-  take(packets, rate, links, acoustic, now) {
+  constructor(setup) {
+    this.#setup = setup;
+  }
+
+  take(packets, rate, now) {
+    const { links, acoustic, flight } = this.#setup;
     if (!packets.length) return;
     const first = Math.min(...packets.map(([, sent]) => sent));
     for (const [link, sent, late, fate] of packets) {
       const speed = Math.max(rate, 0.05) * 1000;
       const begins = now + Math.min(200, (1000 * (sent - first) * 1000) / speed);
-      const lasts = Math.min(MOST_MS, Math.max(LEAST_MS, (late / speed) * 1e6));
+      const lasts = 1000 * Math.min(flight.most_s, Math.max(flight.least_s, (1000 * late) / speed));
       this.#flying.push({ link, begins, ends: begins + lasts, fate });
       const src = links[link][0];
       if (acoustic && fate !== "cut") this.#rings.set(`${src} ${sent}`, { src, begins, ends: begins + lasts });
@@ -52,10 +54,10 @@ export class Packets {
       const lane = lanes[link];
       const share = (now - begins) / (ends - begins);
       if (share < 0 || !lane) continue;
-      const stop = fate === "cut" ? CUT_AT : fate === "lost" ? LOST_AT : 1;
+      const stop = this.#setup.flight.stops[fate] ?? 1;
       const [x, y] = along(lane, Math.min(share, stop));
       g.globalAlpha = share > stop ? 1 - (share - stop) / (1 - stop) : 1;
-      g.fillStyle = g.strokeStyle = PACKETS[fate];
+      g.fillStyle = g.strokeStyle = colour(`packet ${fate}`);
       if (share > stop) {
         g.lineWidth = 1.8;
         drawCross(g, x, y, 4);

@@ -68,7 +68,7 @@ export class Panels {
     const tau = COMMANDS.map(([, unit], k) => number(this.handlers.latest(`uuv/${i}/command.tau_${k}`, i), 1, unit));
     write(this.commanded, `commands: ${COMMANDS.map(([what], k) => `${what} ${tau[k]}`).join(", ")}`);
     for (const { src, link, text } of this.heardOf) {
-      write(text, `from ${src}: ${LINKS[frame.links[link]].name}, ${frame.ages[link].toFixed(1)} s old`);
+      write(text, `from ${src}: ${frame.links[link]}, ${frame.ages[link].toFixed(1)} s old`);
       text.style.color = LINKS[frame.links[link]].colour;
     }
   }

@@ -1,25 +1,23 @@
 // The fleet on a canvas: hulls, trails, desired places, links and packets; and what is under the pointer.
 import { Camera } from "./camera.js";
-import { LINKS, SILENT, hull, isCrowd } from "./colours.js";
+import { LINKS, colour, hull } from "./colours.js";
 import { along, bent, distanceToLane, isLeft, lane, round } from "./geometry.js";
 import { fitted } from "./dom.js";
 import { axis, drawHull, drawnSize } from "./hull.js";
-import { drawObstacles } from "./obstacles.js";
 import { Packets, drawCross } from "./packets.js";
+import { paint, place, pointsOf } from "./primitives.js";
 
 const FRAME_MS = 33;
-const TRAIL_S = 30;
 const LINK_PX = 8; // that a click may miss a link by
 const HULL_PX = 18;
 const AWAY_PX = 17; // that a link keeps from a vehicle that it is not of
-const WORST = 5; // vehicles that have a label where there are many
 
 export class Scene {
   constructor(el, setup, { onLink, onVehicle, onLine }) {
     this.setup = setup;
     this.handlers = { onLink, onVehicle, onLine };
     this.camera = new Camera();
-    this.packets = new Packets();
+    this.packets = new Packets(setup);
     this.canvas = document.createElement("canvas");
     this.canvas.tabIndex = 0;
     this.canvas.setAttribute("role", "img");
@@ -40,7 +38,7 @@ export class Scene {
     this.over = null; // what is under the pointer
     this.line = null; // that is being drawn through the fleet
     this.drawing = false;
-    this.both = new Set(setup.links.map(([src, dst]) => `${src} ${dst}`));
+    this.moving = setup.moving;
     this.dirty = true;
     this.listen();
     this.sized = new ResizeObserver(() => this.resize());
@@ -74,8 +72,9 @@ export class Scene {
       this.packets.clear();
       this.camera.jump();
     }
-    this.worst = new Set(isCrowd(this.setup) ? worst(frame.errors) : []);
-    if (!isCrowd(this.setup)) this.packets.take(frame.packets, frame.clock.rate || 1, this.setup.links, this.setup.acoustic, at);
+    this.moving = frame.moving ?? this.moving;
+    this.labelled = new Set(frame.labelled);
+    if (!this.setup.crowd) this.packets.take(frame.packets, frame.clock.rate || 1, at);
     this.samples(frame.samples);
     this.dirty = true;
   }
@@ -93,7 +92,7 @@ export class Scene {
         const trail = this.trails.get(i);
         if (trail.length && trail[trail.length - 1][3] >= t) continue;
         trail.push([places[k + 1], places[k + 2], places[k + 3], t]);
-        while (trail.length && trail[0][3] < t - TRAIL_S) trail.shift();
+        while (trail.length && trail[0][3] < t - this.setup.trail_s) trail.shift();
       }
     }
   }
@@ -128,19 +127,17 @@ export class Scene {
     if (!this.now || !this.now.frame.uuv.length) return;
     const { frame } = this.now;
     const rows = this.vehicles(at);
-    const offsets = frame.offsets_m ?? this.setup.offsets_m;
-    const wanted = offsets.map((offset) => offset.map((value, k) => value + frame.ref[k]));
-    const { camera } = this;
-    camera.follow([...rows.map((row) => row.slice(1, 4)), ...wanted]);
-    const { project, scale } = camera.projection(width, height);
-    const deep = Math.max(...rows.map((row) => row[3]), ...wanted.map((place) => place[2]));
-    const floor = deep + 0.35 * camera.radius;
-    this.drawFloor(project, floor);
-    drawObstacles(this.g, this.setup.obstacles_m, { camera, project, floor });
-    if (!camera.above && !isCrowd(this.setup)) this.drawStems(rows, project, floor);
-    this.drawTrails(rows, project);
-    this.drawWanted(rows, wanted, project, frame.ref);
     const places = new Map(rows.map((row) => [row[0], row]));
+    const frames = new Map([["ned", [0, 0, 0]], ["reference", frame.ref], ...rows.map((row) => [`uuv-${row[0]}`, row.slice(1, 4)])]);
+    const { camera, moving } = this;
+    const seen = [...rows.map((row) => row.slice(1, 4)), ...moving.flatMap(pointsOf).map((point) => place(point, frames)).filter(Boolean)];
+    camera.follow(seen);
+    const { project, scale } = camera.projection(width, height);
+    const floor = Math.max(...seen.map((at) => at[2])) + 0.35 * camera.radius;
+    this.drawFloor(project, floor);
+    if (!camera.above && !this.setup.crowd) this.drawStems(rows, project, floor);
+    this.drawTrails(rows, project);
+    paint(g, [...this.setup.standing, ...moving], { camera, project, floor, frames });
     if (this.setup.acoustic) this.packets.drawRings(g, places, 2 * camera.radius, project, at);
     this.drawLinks(frame, places, project);
     this.packets.draw(g, this.lanes, at);
@@ -210,59 +207,21 @@ export class Scene {
     g.lineCap = "butt";
   }
 
-  drawWanted(rows, wanted, project, reference) {
-    const { g } = this;
-    for (const row of rows) {
-      const place = wanted[row[0] - 1];
-      if (!place) continue;
-      const [x, y] = project(place);
-      const [u, v] = project(row.slice(1, 4));
-      g.strokeStyle = hull(row[0]);
-      g.globalAlpha = 0.75;
-      g.lineWidth = 1.5;
-      g.setLineDash([3, 3]);
-      g.beginPath();
-      g.arc(x, y, 9, 0, 7);
-      g.stroke();
-      if (Math.hypot(u - x, v - y) > 20) {
-        g.globalAlpha = 0.35;
-        g.beginPath();
-        g.moveTo(x, y);
-        g.lineTo(u, v);
-        g.stroke();
-      }
-      g.setLineDash([]);
-      g.globalAlpha = 1;
-    }
-    const [x, y] = project(reference);
-    g.strokeStyle = "#ffffff";
-    g.lineWidth = 1.5;
-    g.beginPath();
-    g.moveTo(x - 7, y);
-    g.lineTo(x + 7, y);
-    g.moveTo(x, y - 7);
-    g.lineTo(x, y + 7);
-    g.stroke();
-    g.fillStyle = "rgba(255, 255, 255, 0.75)";
-    g.font = "11px system-ui, sans-serif";
-    g.fillText("reference", x + 8, y + 17);
-  }
-
   drawLinks(frame, places, project) {
     const { g } = this;
-    const crowd = isCrowd(this.setup);
+    const { crowd } = this.setup;
     const at = [...places].map(([i, row]) => [i, project(row.slice(1, 4))]);
     this.lanes = this.setup.links.map(([src, dst], k) => {
       const [a, b] = [places.get(src), places.get(dst)];
       if (!a || !b) return null;
-      const aside = this.both.has(`${dst} ${src}`) ? 5 : 0;
+      const aside = this.setup.both_ways[k] ? 5 : 0;
       const straight = lane(project(a.slice(1, 4)), project(b.slice(1, 4)), aside, 20, 22);
       const others = crowd ? [] : at.filter(([i]) => i !== src && i !== dst).map(([, point]) => point);
       const ends = bent(straight, others, AWAY_PX);
       const state = frame.links[k] ?? "silent";
-      const { colour, width, dash } = LINKS[state];
+      const { colour: stroke, width, dash } = LINKS[state];
       const hit = this.over?.link === k;
-      g.strokeStyle = g.fillStyle = colour;
+      g.strokeStyle = g.fillStyle = stroke;
       g.globalAlpha = hit ? 1 : state === "delivering" ? (crowd ? 0.22 : 0.55) : 0.9;
       g.lineWidth = hit ? width + 2 : width;
       g.setLineDash(dash);
@@ -296,35 +255,32 @@ export class Scene {
   drawHulls(frame, rows, project, scale) {
     const { g } = this;
     const seen = rows.map((row) => ({ row, at: project(row.slice(1, 4)) })).sort((a, b) => b.at[2] - a.at[2]);
+    const labels = new Map(frame.labels.map(([i, ...texts]) => [i, texts]));
     this.spots = [];
     for (const { row, at } of seen) {
       const i = row[0];
-      const state = frame.states[i] ?? "";
-      const silent = state.includes("no agent") || state.includes("diverged");
+      const silent = frame.no_agent.includes(i);
       const [length, thick] = drawnSize(this.setup.hulls_m[i - 1], scale, this.setup.vehicles);
       const [tail, nose] = axis(row, length).map(project);
       const chosen = this.chosen === i || this.over?.vehicle === i;
-      drawHull(g, tail, nose, thick * scale, silent ? SILENT : hull(i), { silent, chosen });
+      drawHull(g, tail, nose, thick * scale, silent ? colour("no agent") : hull(i), { silent, chosen });
       this.spots.push({ i, x: at[0], y: at[1] });
-      this.drawLabel(i, at, `${row[3].toFixed(1)} m deep`, state);
+      if (this.labelled.has(i) || chosen) this.drawLabel(i, at, labels.get(i), i in frame.states);
     }
   }
 
-  drawLabel(i, [x, y], depth, state) {
+  drawLabel(i, [x, y], [name, depth], ill) {
     const { g } = this;
-    const many = this.setup.vehicles > 12;
-    if (isCrowd(this.setup) && !this.worst.has(i) && this.chosen !== i && this.over?.vehicle !== i) return;
     g.textBaseline = "middle";
     g.font = "600 12px system-ui, sans-serif";
-    const name = state ? `${i}  ${state}` : `${i}`;
     const wide = g.measureText(name).width + 10;
-    g.fillStyle = state ? "rgba(110, 20, 35, 0.9)" : "rgba(4, 14, 26, 0.75)";
+    g.fillStyle = ill ? "rgba(110, 20, 35, 0.9)" : "rgba(4, 14, 26, 0.75)";
     g.beginPath();
     g.roundRect(x + 14, y - 26, wide, 17, 5);
     g.fill();
-    g.fillStyle = state ? "#ffffff" : hull(i);
+    g.fillStyle = ill ? "#ffffff" : hull(i);
     g.fillText(name, x + 19, y - 17);
-    if (!many) {
+    if (depth) {
       g.font = "11px system-ui, sans-serif";
       g.fillStyle = "rgba(205, 225, 245, 0.85)";
       g.fillText(depth, x + 18 + wide, y - 17);
@@ -474,10 +430,4 @@ export class Scene {
     for (const group of groups) group.sort((p, q) => p - q);
     this.handlers.onLine(groups);
   }
-}
-
-// The numbers of the vehicles that are farthest off their places.
-function worst(errors) {
-  const known = errors.map((error, k) => [error, k + 1]).filter(([error]) => error != null);
-  return known.sort((a, b) => b[0] - a[0]).slice(0, WORST).map(([, i]) => i);
 }

@@ -1,5 +1,5 @@
 // The table of the vehicles: what is known of each, signals as further columns, in the order that is wanted.
-import { isCrowd, hull } from "./colours.js";
+import { hull } from "./colours.js";
 import { make, number, write } from "./dom.js";
 
 const EVERY_MS = 250;
@@ -14,7 +14,7 @@ export class VehicleTable {
     this.chosen = 0;
     this.columns = []; // names of signals
     this.drawn = this.sorted = 0;
-    this.by = isCrowd(setup) ? ERROR : NUMBER;
+    this.by = setup.crowd ? ERROR : NUMBER;
     this.down = this.by === ERROR;
     this.rows = Array.from({ length: setup.vehicles }, (_, k) => this.row(k + 1));
     this.head = make("tr");

@@ -50,7 +50,7 @@ export class Faults {
     this.el = make("ul", { class: "fleet-faults" });
     this.past = make("ul", { class: "fleet-past" });
     this.events = make("ul", { class: "fleet-events" });
-    this.eventTitle = make("h2", { hidden: true }, "What happened to vehicles");
+    this.eventTitle = make("h2", { hidden: true }, setup.live ? "What happened to vehicles" : "What happened to vehicles, of the whole run");
     this.all = [];
     this.listed = this.over = "";
     this.write([], 0);

@@ -12,7 +12,7 @@ import pytest
 from made_up_study import CONTROLLER, DELAY, EXTRAPOLATE, LOSS, made_up, usual, with_holes
 from matplotlib.figure import Figure
 
-from fleet.pictures.gallery import PictureError
+from fleet.pictures.runs import PictureError
 from fleet.pictures.style import COLUMN_IN, PAGE_IN
 from fleet.study.pictures.gallery import draw, write
 from fleet.study.pictures.marks import REASONS

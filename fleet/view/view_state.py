@@ -8,16 +8,31 @@ in m, north-east-down; times in s of simulated time.
 from __future__ import annotations
 
 from collections import Counter, deque
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from math import asin, atan2, dist
 from typing import Any
 
+import msgspec
+
 from fleet.logs.payload_kinds import DAMAGED, kind_of
 from fleet.quantities import QuantityError, vehicle_numbers
-from fleet.recorder.link_state import ARRIVED, BEHIND, LinkHistory, LinkState, fate_of, stale_after
-from fleet.recorder.scene import SLENDER, diameter
 from fleet.scenario.scenario import Scenario, timeline
 from fleet.scenario.sections.vehicle_events import DIVERGED, TUMBLED, VehicleEvents, is_fault, vehicle_events
+from fleet.scene.link_state import ARRIVED, BEHIND, LinkHistory, LinkState, fate_of, stale_after
+from fleet.scene.model import (
+    CROWD,
+    LEAST_FLIGHT_S,
+    MANY,
+    MOST_FLIGHT_S,
+    SLENDER,
+    STOPS,
+    TRAIL_S,
+    WORST,
+    SceneModel,
+    depth_text,
+)
+from fleet.scene.primitives import Primitive
+from fleet.scene.styles import LINK_MEANINGS, NO_AGENT
 from netem.condition import Link
 from world.vectors import Vec3
 
@@ -27,16 +42,17 @@ SAMPLE_S = 0.2  # between two samples of charts
 MOST_SAMPLES = int(HISTORY_S / SAMPLE_S)
 MOST_PACKETS = 400  # of a frame: more nobody can follow
 LOSS_SAMPLES = 5  # over which the share of lost packets is taken
-NO_AGENT = ("kill", "pause")  # faults that leave a vehicle without its agent
+KILLS = ("kill", "pause")  # faults that leave a vehicle without its agent
 NOT_PLACED = "The scenario logs no transforms (log: {transforms: 0 ticks}): where the vehicles are is not known."
 Row = dict[str, Any]
 
 
-class Picture:
+class ViewState:
     """What is known of a run at one time."""
 
     def __init__(self, scenario: Scenario) -> None:
         self.scenario = scenario
+        self.scene = SceneModel(scenario)
         self.end_s = scenario.duration_ns / 1e9
         self.at_s = 0.0
         self.links: dict[Link, LinkHistory] = {}
@@ -177,20 +193,26 @@ class Picture:
     # What goes out
 
     def setup(self) -> Row:
-        """What stays as it is: names, links, sizes, desired places."""
-        scenario, apart = self.scenario, self.scenario.spec.keep_apart
-        widths = [diameter(control.vehicle.m) for control in scenario.controls]
+        """What stays as it is: names, links, sizes, and the scene as `fleet.scene.model` has it."""
+        scenario, scene = self.scenario, self.scene
         return {
             "scenario": scenario.name,
             "title": scenario.title,
             "end_s": self.end_s,
             "vehicles": scenario.vehicles,
             "links": [list(link) for link in self._numbers],
-            "hulls_m": [[round(SLENDER * width, 3), round(width, 3)] for width in widths],
-            "offsets_m": [_rounded(plan.at(0.0).position) for plan in scenario.plans],
+            "both_ways": [link in scene.both_ways for link in self._numbers],
+            "hulls_m": [_rounded((SLENDER * width, width)) for width in scene.diameters],
+            "standing": _plain(scene.standing),
+            "moving": _plain(scene.moving(0.0)),
+            "legend": [row._asdict() for row in scene.legend()],
+            "link_meanings": LINK_MEANINGS,
+            "many": scenario.vehicles > MANY,
+            "crowd": scenario.vehicles > CROWD,
+            "trail_s": TRAIL_S,
+            "flight": {"least_s": LEAST_FLIGHT_S, "most_s": MOST_FLIGHT_S, "stops": STOPS},
             "leaders": [i for i, b in enumerate(scenario.b, start=1) if b],
             "acoustic": scenario.acoustic is not None,
-            "obstacles_m": [_rounded((*one.at[:2], one.radius)) for one in apart.obstacles] if apart else [],
             "round_s": self._round_s,
             "placed": self.placed,
             "worst_first": list(LinkState),
@@ -203,26 +225,34 @@ class Picture:
         speed = round(self._speeds.get(i, 0.0), 3)
         return [i, *_rounded(self._places[i]), *_rounded((theta, psi)), speed, *_rounded(roll)]
 
+    def _label(self, i: int, state: str) -> tuple[int, str, str]:
+        """The vehicle, its number and what is wrong with it, and its depth, unless there is no room for it."""
+        depth = "" if self.scenario.vehicles > MANY else depth_text(self._places[i][2])
+        return i, f"{i}  {state}" if state else f"{i}", depth
+
     def frame(self) -> Row:
         """The picture now, with the packets and samples that came since the frame before."""
         t = self.at_s
-        reference = self.scenario.reference.at(t).position
+        errors, states = _errors(self.errors()), self._states()
         row: Row = {
             "t": round(t, 4),
             "uuv": [self._vehicle(i) for i in sorted(self._places)],
-            "ref": _rounded(reference),
+            "ref": _rounded(self.scene.reference(t)),
             "links": [history.state(t, self._stale_s) for history in self.links.values()],
             "ages": [round(history.age_s(t), 2) for history in self.links.values()],
-            "errors": _errors(self.errors()),
-            "states": self._states(),
+            "errors": errors,
+            "states": states,
+            "no_agent": [i for i, words in states.items() if NO_AGENT in words or DIVERGED in words],
+            "labels": [self._label(i, states.get(i, "")) for i in sorted(self._places)],
+            "labelled": _worst(errors) if self.scenario.vehicles > CROWD else sorted(self._places),
             "packets": list(self._packets),
             "samples": list(self._fresh),
             "faults": self.active_faults(),
             "losses": [history.lost_of_last for history in self.links.values()],
             "kinds": self.kinds(),
         }
-        if any(plan.changes for plan in self.scenario.plans):
-            row["offsets_m"] = [_rounded(plan.at(t).position) for plan in self.scenario.plans]
+        if self.scene.changes:
+            row["moving"] = _plain(self.scene.moving(t))
         if any(self._new.values()):
             row["signals"] = {name: list(values) for name, values in self._new.items() if values}
             for values in self._new.values():
@@ -239,10 +269,9 @@ class Picture:
     def errors(self) -> list[float | None]:
         """The formation error of each vehicle [m], by the places that were told last; None: not known yet."""
         t = max(self._placed_s, 0.0)
-        x, y, z = self.scenario.reference.at(t).position
+        x, y, z = self.scene.reference(t)
         found: list[float | None] = []
-        for i, plan in enumerate(self.scenario.plans, start=1):
-            dx, dy, dz = plan.at(t).position
+        for i, (dx, dy, dz) in enumerate(self.scene.offsets(t), start=1):
             found.append(dist(self._places[i], (x + dx, y + dy, z + dz)) if i in self._places else None)
         return found
 
@@ -286,7 +315,7 @@ class Picture:
         found: dict[int, list[str]] = {}
         for row in (*self._faults, *self._events.values()):
             kind, _, rest = row["what"].partition(" ")
-            word = "no agent" if kind in NO_AGENT else kind if kind in (TUMBLED, DIVERGED, "mute", "freeze") else ""
+            word = NO_AGENT if kind in KILLS else kind if kind in (TUMBLED, DIVERGED, "mute", "freeze") else ""
             if word and row["from_s"] <= self.at_s < row["to_s"]:
                 for i in _named(rest):
                     found.setdefault(i, []).append(word)
@@ -322,6 +351,23 @@ def _angles(x: float, y: float, z: float, w: float) -> Vec3:
 
 def _rounded(values: Iterable[float]) -> list[float]:
     return [round(value, 3) for value in values]
+
+
+def _plain(things: Iterable[Primitive]) -> list[Row]:
+    """Primitives as plain values, lengths to the millimetre."""
+
+    def rounded(value: Any) -> Any:
+        if isinstance(value, list | tuple):
+            return [rounded(one) for one in value]
+        return round(value, 3) if isinstance(value, float) else value
+
+    return [{key: rounded(value) for key, value in msgspec.to_builtins(thing).items()} for thing in things]
+
+
+def _worst(errors: Sequence[float | None]) -> list[int]:
+    """The vehicles that are farthest off their places."""
+    known = [(-error, i) for i, error in enumerate(errors, start=1) if error is not None]
+    return [i for _, i in sorted(known)[:WORST]]
 
 
 def _errors(values: Iterable[float | None]) -> list[float | None]:

@@ -7,8 +7,8 @@ from queue import Queue
 
 from in_process_runs import Alone, log_of
 
-from fleet.view.companion import _feed_of
 from fleet.view.log_feed import LogFeed
+from fleet.view.page_process import _feed_of
 
 
 def test_a_run_that_is_over_before_it_was_seen_is_shown_as_its_log(alone: Alone) -> None:

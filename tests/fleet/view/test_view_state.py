@@ -15,7 +15,7 @@ from small_scenario import small
 
 from fleet.recorder.transforms import quaternion
 from fleet.scenario.scenario import Scenario
-from fleet.view.picture import MOST_PACKETS, SAMPLE_S, Picture
+from fleet.view.view_state import MOST_PACKETS, SAMPLE_S, ViewState
 
 TURN = (radians(10.0), radians(120.0))
 
@@ -42,7 +42,7 @@ def event(fault: str, action: str, what: str) -> Any:
     return SimpleNamespace(fault=fault, action=action, what=what)
 
 
-def shown(picture: Picture) -> dict[str, Any]:
+def shown(picture: ViewState) -> dict[str, Any]:
     """A frame, as a browser gets it."""
     frame: dict[str, Any] = json.loads(json.dumps(picture.frame(), allow_nan=False))
     return frame
@@ -50,7 +50,7 @@ def shown(picture: Picture) -> dict[str, Any]:
 
 def test_vehicles_are_where_the_transforms_say_and_their_errors_count_from_their_places() -> None:
     scenario = small()
-    picture = Picture(scenario)
+    picture = ViewState(scenario)
     picture.transforms(0.5, placed(scenario, 0.5, (0, 0, 0), (3, 0, 4), (0, 0.5, 0)))
     frame = shown(picture)
     assert frame["t"] == 0.5 and frame["ref"] == [0.25, 0, 5]
@@ -62,7 +62,7 @@ def test_vehicles_are_where_the_transforms_say_and_their_errors_count_from_their
 
 def test_speeds_come_from_two_places() -> None:
     scenario = small()
-    picture = Picture(scenario)
+    picture = ViewState(scenario)
     picture.transforms(0.0, placed(scenario, 0.0, (0, 0, 0), (0, 0, 0), (0, 0, 0)))
     picture.transforms(0.5, placed(scenario, 0.5, (0, 0, 0), (0, 1, 0), (0, 0, 0)))
     speeds = [row[6] for row in shown(picture)["uuv"]]
@@ -70,7 +70,7 @@ def test_speeds_come_from_two_places() -> None:
 
 
 def test_packets_are_shown_once_and_links_by_what_arrives() -> None:
-    picture = Picture(small())
+    picture = ViewState(small())
     links = picture.setup()["links"]
     picture.packet((1, 2), packet(0.0, 0.05))
     picture.packet((2, 3), packet(0.0, 0.2))
@@ -89,7 +89,7 @@ def test_packets_are_shown_once_and_links_by_what_arrives() -> None:
 
 
 def test_of_too_many_packets_the_last_are_shown() -> None:
-    picture = Picture(small())
+    picture = ViewState(small())
     for number in range(MOST_PACKETS + 10):
         picture.packet((1, 2), packet(float(number), number + 0.05))
     assert shown(picture)["packets"][0][1] == 10.0
@@ -97,7 +97,7 @@ def test_of_too_many_packets_the_last_are_shown() -> None:
 
 def test_samples_come_at_their_interval_and_stay_as_history() -> None:
     scenario = small()
-    picture = Picture(scenario)
+    picture = ViewState(scenario)
     for number in range(5):
         t = number * SAMPLE_S / 2
         picture.packet((1, 2), packet(t, t + 0.05, "loss" if number % 2 else "delivered"))
@@ -110,7 +110,7 @@ def test_samples_come_at_their_interval_and_stay_as_history() -> None:
 
 
 def test_scripted_faults_are_known_before_they_begin() -> None:
-    picture = Picture(small("duration=20 s", "faults=[{at: 5 s, for: 2 s, kill: 3}]"))
+    picture = ViewState(small("duration=20 s", "faults=[{at: 5 s, for: 2 s, kill: 3}]"))
     assert [(row["what"], row["active"]) for row in shown(picture)["faults"]] == [("kill 3", False)]
     picture.at_s = 6.0
     frame = shown(picture)
@@ -121,7 +121,7 @@ def test_scripted_faults_are_known_before_they_begin() -> None:
 
 
 def test_injected_faults_begin_and_end_with_their_events() -> None:
-    picture = Picture(small())
+    picture = ViewState(small())
     picture.event(0.2, event("live-1", "begins", "mute 1"))
     picture.event(0.2, event("tumbled-2", "begins", "tumbled 2"))
     picture.at_s = 0.3
@@ -133,7 +133,7 @@ def test_injected_faults_begin_and_end_with_their_events() -> None:
 
 
 def test_what_happened_to_vehicles_is_one_row_for_each_and_past_faults_stay_known() -> None:
-    picture = Picture(small())
+    picture = ViewState(small())
     for n, (begin, end) in enumerate([(0.1, 0.2), (0.25, 0.3), (0.4, 0.45)]):
         picture.event(begin, event(f"tumbled-2-{n}", "begins", "tumbled 2"))
         picture.event(end, event(f"tumbled-2-{n}", "ends", "tumbled 2"))
@@ -153,13 +153,13 @@ def test_what_happened_to_vehicles_is_one_row_for_each_and_past_faults_stay_know
 
 def test_places_that_are_no_numbers_are_left_open() -> None:
     scenario = small()
-    picture = Picture(scenario)
+    picture = ViewState(scenario)
     picture.transforms(0.0, placed(scenario, 0.0, (float("nan"), 0, 0), (float("inf"), 0, 0), (0, 0, 0)))
     assert shown(picture)["errors"] == [None, None, 0]
 
 
 def test_signals_are_thinned() -> None:
-    picture = Picture(small())
+    picture = ViewState(small())
     picture.follow({"uuv/1/state.z"})
     for tick in range(100):
         picture.signal("uuv/1/state.z", tick * 0.01, float(tick))
@@ -171,19 +171,19 @@ def test_signals_are_thinned() -> None:
 
 
 def test_a_formation_that_changes_is_told_again_and_again() -> None:
-    assert "offsets_m" not in shown(Picture(small()))
-    changing = Picture(
+    assert "moving" not in shown(ViewState(small()))
+    changing = ViewState(
         small("duration=200 s", "formation.changes=[{at: 1 s, over: 100 s, shape: column, spacing: 8 m}]")
     )
-    before = shown(changing)["offsets_m"]
+    before = shown(changing)["moving"]
     changing.at_s = 60.0
-    assert shown(changing)["offsets_m"] != before
+    assert shown(changing)["moving"] != before
 
 
 @pytest.mark.parametrize("name", ["uuv-x", "uuv-99", "uuv-0", "uuv-01", "uuv-"])
 def test_frames_of_no_vehicle_are_left_out(name: str) -> None:
     scenario = small()
-    picture, message = Picture(scenario), FrameTransforms()
+    picture, message = ViewState(scenario), FrameTransforms()
     message.transforms.add(child_frame_id=name, translation=Vector3(), rotation=Quaternion(w=1.0))
     picture.transforms(1.0, message)
     assert picture.frame()["uuv"] == []

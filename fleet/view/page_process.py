@@ -23,20 +23,20 @@ from fleet.execution.directory import OBSERVE
 from fleet.logs.reader import log_path
 from fleet.view.live_feed import LiveFeed
 from fleet.view.log_feed import LogFeed
-from fleet.view.server import Door, serve
+from fleet.view.server import PageListener, serve
 from fleet.view.source import LiveSource, find_source
 
 # With `-m` a file in the current directory could take the place of a module.
-_MAIN = "import sys; sys.path.append(sys.argv[1]); from fleet.view.companion import main; main()"
+_MAIN = "import sys; sys.path.append(sys.argv[1]); from fleet.view.page_process import main; main()"
 CLOSE_S = 5.0
 
 
-class Companion:
+class PageProcess:
     """The process with the page, as the run's command sees it."""
 
-    def __init__(self, door: Door) -> None:
+    def __init__(self, listener: PageListener) -> None:
         """Start it: it shows the run that it is told of."""
-        descriptor = door.listening.fileno()
+        descriptor = listener.listening.fileno()
         # A group of its own: Ctrl-C is the run's business. The token goes through the pipe, which nobody else sees.
         self._process = subprocess.Popen(
             [sys.executable, "-P", "-c", _MAIN, str(Path(__file__).parents[2])],
@@ -47,14 +47,14 @@ class Companion:
         )
         values = {
             "listening": descriptor,
-            "host": door.host,
-            "port": door.port,
-            "token": door.token,
+            "host": listener.host,
+            "port": listener.port,
+            "token": listener.token,
         }
         assert self._process.stdin is not None
         self._process.stdin.write(json.dumps(values).encode() + b"\n")
         self._process.stdin.flush()
-        door.listening.close()  # it is the companion's now
+        listener.listening.close()  # it is the page's now
 
     def published(self, directory: Path) -> None:
         """Say that the journal of the run can be read: the page is its first subscriber."""
@@ -93,7 +93,7 @@ def main() -> None:
     listening = socket.socket(fileno=values["listening"])
     try:
         feed = _feed_of(told)
-        serve(feed, Door(values["host"], values["port"], listening, values["token"]), may_act=True)
+        serve(feed, PageListener(values["host"], values["port"], listening, values["token"]), may_act=True)
     except FleetError as error:
         print(f"fleet view: {error}", file=sys.stderr)
         sys.exit(error.status)

@@ -1,0 +1,120 @@
+"""The scene of a run: what there is to draw, for every renderer.
+
+A renderer is the page, the movie, the scene of Foxglove in the log, or the pictures of the tracks. Each paints the
+kinds of `fleet.scene.primitives` that it has, in its theme. A new thing to draw is a line in `SceneModel.standing` or
+`SceneModel.moving`.
+"""
+
+from __future__ import annotations
+
+from functools import cached_property
+from math import pi
+from typing import NamedTuple
+
+import numpy as np
+
+from fleet.scenario.scenario import Scenario
+from fleet.scene.link_state import CUT, GONE, LinkState
+from fleet.scene.primitives import (
+    NED,
+    REFERENCE,
+    CircleShape,
+    CrossShape,
+    CylinderShape,
+    FramePoint,
+    LineShape,
+    Primitive,
+    vehicle_frame,
+)
+from fleet.scene.styles import COURSE, LINK_MEANINGS, OBSTACLE, REFERENCE_POINT
+from world.vectors import Vec3
+
+WATER = 1025.0  # kg/m^3, sea water: a submerged vehicle weighs what it displaces
+SLENDER = 7.0  # length over diameter, as of the small torpedo-shaped vehicles
+COURSE_POINTS = 400
+MANY, CROWD = 12, 24  # vehicles, from which on there is less room for each
+WORST = 5  # of a crowd, that have their numbers: those that are farthest off their places
+TRAIL_S = 30.0  # that the way of a vehicle is shown
+# A packet is drawn slower than it was where the eye could not follow [s of the renderer].
+LEAST_FLIGHT_S, MOST_FLIGHT_S = 0.45, 3.0
+STOPS = {CUT: 0.3, GONE: 0.55}  # shares of the way at which a packet stops; others arrive
+
+
+class LegendRow(NamedTuple):
+    """What a sign means."""
+
+    sign: str  # `link`, `packet`, or the kind of a primitive
+    word: str  # the state of the link, or a colour word
+    name: str
+    meaning: str
+
+
+class SceneModel:
+    """What a run has to draw, as far as its scenario says it."""
+
+    def __init__(self, scenario: Scenario) -> None:
+        self.scenario = scenario
+        self.links = scenario.graph.links
+        known = frozenset(self.links)
+        self.both_ways = frozenset((src, dst) for src, dst in known if (dst, src) in known)
+        self.diameters = [diameter(control.vehicle.m) for control in scenario.controls]  # of the hulls [m]
+        self.changes = any(plan.changes for plan in scenario.plans)  # whether `moving` does
+
+    def reference(self, t: float) -> Vec3:
+        """Where the reference is [m, NED]."""
+        return self.scenario.reference.at(t).position
+
+    def offsets(self, t: float) -> list[Vec3]:
+        """Where each vehicle should be, from the reference [m, NED]."""
+        return [plan.at(t).position for plan in self.scenario.plans]
+
+    def course(self, begin_s: float, end_s: float) -> LineShape:
+        """The way of the reference between two times."""
+        times = np.linspace(begin_s, end_s, COURSE_POINTS).tolist()
+        return LineShape(COURSE, tuple(FramePoint(NED, *self.reference(t)) for t in times))
+
+    @cached_property
+    def obstacles(self) -> list[CylinderShape]:
+        """What vehicles are to keep out of."""
+        apart = self.scenario.spec.keep_apart
+        return [CylinderShape(OBSTACLE, *one.at[:2], one.radius) for one in apart.obstacles] if apart else []
+
+    @cached_property
+    def standing(self) -> list[Primitive]:
+        """What there is to paint all the time and stands still."""
+        return [*self.obstacles, self.course(0.0, self.scenario.duration_ns / 1e9)]
+
+    def moving(self, t: float) -> list[Primitive]:
+        """What there is to paint at a time [s] and moves with the fleet, beside vehicles, links and packets."""
+        wanted = [(i, FramePoint(REFERENCE, *offset)) for i, offset in enumerate(self.offsets(t), start=1)]
+        return [
+            CrossShape(REFERENCE_POINT, FramePoint(REFERENCE), "reference"),
+            *(CircleShape(f"vehicle {i}", place, i) for i, place in wanted),
+            *(LineShape(f"vehicle {i}", (place, FramePoint(vehicle_frame(i)))) for i, place in wanted),
+        ]
+
+    def legend(self) -> list[LegendRow]:
+        """What the signs mean, as far as they occur."""
+        rows = [
+            LegendRow("link", state.value, state.value, meaning)
+            for state, meaning in LINK_MEANINGS.items()
+            if state is not LinkState.SILENT
+        ]
+        if self.scenario.vehicles <= CROWD:
+            rows.append(LegendRow("packet", "packet arrived", "packet", "a packet on its way"))
+        rows.append(LegendRow("circle", "vehicle 1", "desired place", "where the vehicle should be"))
+        rows.append(LegendRow("line", COURSE, "course", "the way of the reference"))
+        if self.obstacles:
+            meaning = "a cylinder that vehicles are to keep out of"
+            rows.append(LegendRow("cylinder", OBSTACLE, "obstacle", meaning))
+        return rows
+
+
+def diameter(mass: float) -> float:
+    """Of a cylinder as slender as ours that displaces `mass` [kg] of sea water [m]."""
+    return float((4.0 * mass / (pi * SLENDER * WATER)) ** (1.0 / 3.0))
+
+
+def depth_text(down: float) -> str:
+    """A depth [m] in words. The sea of the model has no surface, so a vehicle that tumbles may rise above 0 m."""
+    return f"{down:.1f} m deep" if down > -0.05 else f"{-down:.1f} m above the surface"

@@ -1,0 +1,28 @@
+"""The picture of the rooms: drawn from the code, and stored with every room in it."""
+
+from __future__ import annotations
+
+from xml.etree import ElementTree
+
+from repository import ROOT
+from rooms import imports, named, rooms, svg
+
+STORED = ROOT / "docs" / "rooms.svg"
+
+
+def test_every_room_is_in_the_picture_that_is_drawn_and_in_the_stored_one() -> None:
+    sizes = rooms()
+    assert {"fleet.scene", "fleet.view", "netem.wire"} <= sizes.keys() and all(sizes.values())
+    picture = svg(sizes, imports(list(sizes)))
+    ElementTree.fromstring(picture)
+    assert sizes.keys() == named(picture) == named(STORED.read_text("utf-8")), (
+        "draw it again: python benchmarks/rooms.py > docs/rooms.svg"
+    )
+    assert "<title>fleet.view imports fleet.scene: " in picture
+    assert "<title>netem imports world" not in picture
+
+
+def test_rooms_stand_in_the_order_of_the_floors() -> None:
+    order = list(rooms())
+    wanted = ["fleet.cli", "fleet.view", "fleet.recorder", "fleet.scene", "fleet.scenario", "agents", "world", "netem"]
+    assert sorted(wanted, key=order.index) == wanted

@@ -61,11 +61,13 @@ def draws(c: Condition) -> list[str]:
     ):
         if undecided(chance):
             found += [purpose, f"{purpose}, first"] if correlation else [purpose]
-    match c.loss_model:
-        case GilbertElliott(p, r, bad, good) if undecided(good) or (p and any(map(undecided, (p, r, bad)))):
+    match model := c.loss_model:
+        case GilbertElliott() if undecided(model.good) or (
+            model.p and any(map(undecided, (model.p, model.r, model.bad)))
+        ):
             found += ["loss state", "loss"]
-        case FourState(p13, p31, p32, p23, p14) if any(map(undecided, (p13, p14))) or (
-            p13 and any(map(undecided, (p31, p32, p23)))
+        case FourState() if any(map(undecided, (model.p13, model.p14))) or (
+            model.p13 and any(map(undecided, (model.p31, model.p32, model.p23)))
         ):
             found.append("loss state")
     return found

@@ -123,7 +123,10 @@ def build(tmp_path: Path, modules: str = "", **environment: str) -> tuple[Path, 
 
 @pytest.fixture(scope="module")
 def compiled(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Built once as an ordinary install builds it, also when several workers run these tests."""
+    """Built once as an ordinary install builds it, also when several workers run these tests.
+
+    The build sees no dependencies (no_site_packages), as in an empty environment.
+    """
     if shutil.which("cc") is None:
         pytest.skip("there is no C compiler")
     base = tmp_path_factory.getbasetemp()

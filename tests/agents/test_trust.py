@@ -94,7 +94,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     name = write_laws(folder)
     (folder / "s.yaml").write_text(SCENARIO.format(name))
     command = [sys.executable, "-P", "-m", "fleet", "run", "s.yaml", "--in-process", "-q"]
-    ran = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=60)
+    ran = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=120)
     assert ran.returncode == 0, ran.stderr
     return (folder / "runs" / "latest").resolve() / "run.mcap", name
 
@@ -165,7 +165,7 @@ def test_a_matplotlibrc_that_lies_about_does_not_count(victim: tuple[str, Path, 
     log, mark, _ = victim
     (mark.parent / "matplotlibrc").write_text("text.usetex: True\n")
     command = [sys.executable, "-P", "-m", "fleet", "plot", log, "--what", "error", "-o", "plots"]
-    drawn = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    drawn = subprocess.run(command, capture_output=True, text=True, timeout=120)
     assert drawn.returncode == 0, drawn.stderr
 
 
@@ -176,7 +176,7 @@ def test_replay_knows_no_scenario() -> None:
         "fleet.replay.capture, fleet.logs.info, fleet.execution.connection, fleet.logs.recover, fleet.logs.deviation; "
         "sys.exit('fleet.scenario.scenario' in sys.modules)"
     )
-    assert subprocess.run([sys.executable, "-P", "-c", code], timeout=60).returncode == 0
+    assert subprocess.run([sys.executable, "-P", "-c", code], timeout=120).returncode == 0
 
 
 def test_nothing_is_unpickled() -> None:
@@ -269,7 +269,7 @@ def test_with_python_first_in_the_current_directory(victim: tuple[str, Path, str
     """`python -m fleet` finds modules there before all others: they are no more installed for that."""
     log, mark, _ = victim
     command = [sys.executable, "-m", "fleet", "verify", log]
-    refused = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    refused = subprocess.run(command, capture_output=True, text=True, timeout=120)
     assert refused.returncode == 2 and "would run" in refused.stderr
     assert not mark.exists()
 
@@ -278,7 +278,7 @@ def test_a_python_path_is_the_user_s_word(victim: tuple[str, Path, str]) -> None
     log, mark, _ = victim
     command = [sys.executable, "-P", "-m", "fleet", "verify", log]
     environment = os.environ | {"PYTHONPATH": str(mark.parent)}
-    ran = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=60)
+    ran = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=120)
     assert ran.returncode == 0, ran.stderr
     assert mark.exists()
 
@@ -312,7 +312,7 @@ def test_agents_get_what_was_allowed(tmp_path: Path, monkeypatch: pytest.MonkeyP
         (folder / "s.yaml").write_text(small(name))
         for start in ([sys.executable, "-P", "-m"], [sys.executable, "-m"]):
             command = [*start, "fleet", *more, os.path.relpath(folder / "s.yaml"), "-q"]
-            ran = subprocess.run(command, capture_output=True, text=True, timeout=60)
+            ran = subprocess.run(command, capture_output=True, text=True, timeout=120)
             assert ran.returncode == 0, ran.stderr
 
 
@@ -448,7 +448,7 @@ def test_the_children_take_nothing_from_the_current_directory(tmp_path: Path) ->
     for name in ("selectors", "socket", "signal", "agents", "netem"):
         (tmp_path / f"{name}.py").write_text("from pathlib import Path; Path(__file__).with_suffix('.mark').touch()")
     command = [sys.executable, "-P", "-m", "fleet", "run", "paper", "--duration", "200 ms", "--set", "checks={}", "-q"]
-    ran = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=60)
+    ran = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=120)
     assert ran.returncode == 0, ran.stderr
     assert not list(tmp_path.glob("*.mark"))
 

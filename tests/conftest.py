@@ -1,12 +1,17 @@
 """What holds for all tests."""
 
 import os
+import sys
 from collections.abc import Iterator
 
 import pytest
 from hypothesis import HealthCheck, settings
 
 pytest_plugins = ["in_process_runs"]
+
+# Some containers set it: each of the hundreds of processes, and pytest itself, would compile everything again.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+sys.dont_write_bytecode = False
 
 # Property tests are about laws, not about how fast the machine is that checks them.
 # Where CI is set a commit gets the same examples each time: what is new is found at the desk, not in a landing.

@@ -1,8 +1,8 @@
 """How many small mistakes in the code do the tests notice? A mutation score, on a random sample.
 
 It clones the project's newest commit into a folder of its own, makes one small mistake at a time (a mutant), and runs
-the tests of the room with `-x`. A mutant is killed if a test fails, or the tests take far too much CPU time. The score is the
-share of the mutants that are killed. Some survivors are equivalent: no test can tell them from the code.
+the tests of the room with `-x`. A mutant is killed if a test fails, or the tests take far too much CPU time. The score
+is the share of the mutants that are killed. Some survivors are equivalent: no test can tell them from the code.
 
 Of a room's tests, those run that have entered the function of the mistake, the quickest first; all of the room, if it
 stands outside functions. What runs only in processes that a test starts is not seen, and counts as never entered.

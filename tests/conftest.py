@@ -14,9 +14,15 @@ os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 sys.dont_write_bytecode = False
 
 # Property tests are about laws, not about how fast the machine is that checks them.
-# Where CI is set a commit gets the same examples each time: what is new is found at the desk, not in a landing.
+# Where CI is set a commit gets the same examples each time: what is new is found at the desk, not in a landing. So it
+# gets fewer.
+CI = bool(os.environ.get("CI"))
 settings.register_profile(
-    "laws", deadline=None, suppress_health_check=[HealthCheck.too_slow], derandomize=bool(os.environ.get("CI"))
+    "laws",
+    deadline=None,
+    suppress_health_check=[HealthCheck.too_slow],
+    derandomize=CI,
+    max_examples=50 if CI else 100,
 )
 settings.register_profile("few", settings.get_profile("laws"), max_examples=15)  # --hypothesis-profile=few
 settings.load_profile("laws")

@@ -25,6 +25,7 @@ from agents.join_file import JoinError
 from agents.plugins import laws
 from fleet.cli.main import cli
 from fleet.errors import ScenarioError
+from fleet.pictures.gallery import WHAT
 from fleet.pictures.runs import load
 from fleet.scenario.loading import load_scenario
 from world.errors import PluginError
@@ -139,6 +140,7 @@ def test_reading_runs_nothing(
 ) -> None:
     """All that a reader shows stands in the log, the signals of laws that it never sees, too."""
     log, mark, name = victim
+    monkeypatch.setattr("fleet.pictures.report.WHAT", {"gains": WHAT["gains"]})  # `plot` draws more of the same
     if where == "installed":
         monkeypatch.syspath_prepend(str(mark.parent / "site"))
         write_laws(mark.parent / "site", name)

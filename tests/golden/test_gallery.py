@@ -24,12 +24,12 @@ GALLERY = {
 }  # fmt: skip
 # Brought forward for it: what a fault does there does not depend on its second.
 EARLY = {
-    "partition-heal": ["faults.0.at=3 s", "faults.0.for=5 s"],
-    "kill": ["faults.0.at=4 s"],
-    "kill-restart": ["faults.0.at=3 s", "faults.0.for=5 s"],
+    "partition-heal": ["faults.1.at=3 s", "faults.1.for=5 s"],
+    "kill": ["faults.1.at=4 s"],
+    "kill-restart": ["faults.1.at=3 s", "faults.1.for=5 s"],
     "nemesis": ["nemesis.every=3 s", "nemesis.for=2 s"],
-    "leader-lost": ["faults.0.at=4 s"],
-    "leader-lost-standby": ["faults.0.at=4 s"],
+    "leader-lost": ["faults.1.at=4 s"],
+    "leader-lost-standby": ["faults.1.at=4 s"],
 }
 PAGE = ROOT / "docs" / "guide" / "scenarios.md"
 LONG = 10  # [s]; a distributed run of more is one of the slow tests

@@ -182,6 +182,19 @@ def pytest_collection() -> None:
     settings.load_profile("mutants")
 
 
+def pytest_unconfigure(config: Any) -> None:
+    """End at once: a thread of a session that a test left open would be waited for, for ever."""
+    status = getattr(config, "mutants_status", None)
+    if status is not None:
+        sys.stdout.flush()
+        os._exit(status)
+
+
+def pytest_sessionfinish(session: Any, exitstatus: int) -> None:
+    """Keep the exit code for the end."""
+    session.config.mutants_status = int(exitstatus)
+
+
 class Entered:
     """Which functions each test enters, and its CPU time; written as JSON at the end."""
 

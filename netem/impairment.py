@@ -61,14 +61,14 @@ def draws(c: Condition) -> list[str]:
     ):
         if undecided(chance):
             found += [purpose, f"{purpose}, first"] if correlation else [purpose]
-    match model := c.loss_model:
-        case GilbertElliott() if undecided(model.good) or (
-            model.p and any(map(undecided, (model.p, model.r, model.bad)))
-        ):
+    model = c.loss_model
+    if isinstance(model, GilbertElliott):
+        moves = model.p and any(map(undecided, (model.p, model.r, model.bad)))
+        if moves or undecided(model.good):
             found += ["loss state", "loss"]
-        case FourState() if any(map(undecided, (model.p13, model.p14))) or (
-            model.p13 and any(map(undecided, (model.p31, model.p32, model.p23)))
-        ):
+    elif isinstance(model, FourState):
+        from_burst = model.p13 and any(map(undecided, (model.p31, model.p32, model.p23)))
+        if from_burst or any(map(undecided, (model.p13, model.p14))):
             found.append("loss state")
     return found
 
